@@ -1,0 +1,69 @@
+"""The lines of a digital map on a CAN bus, with their uncertainty.
+
+>>> import numpy as np, maplines_can as ml
+>>> road = ml.Polyline([[x, 1.75 + x**2 / 4000] for x in range(-30, 100, 2)])
+>>> ego = ml.Gaussian([0, 0, 0], np.diag([0.3, 0.1, 0.01]) ** 2)
+>>> refit = ml.Refit(road, ego.mean, window=(-20.0, 80.0))
+>>> line = ml.SigmaPoints()(refit, ego)  # Gaussian over (y_off, beta, c0, c1)
+>>> codec = ml.Codec.from_dbc()
+>>> payloads = codec.encode_batch(line.mean[None], line.cov[None])
+>>> batch = codec.decode_batch(payloads)
+>>> bool(batch.accepted[0]), abs(batch.mean[0, 0] - line.mean[0]) < 0.001
+(True, np.True_)
+"""
+
+from .bus import Link, Receiver, Transmitter, read_log
+from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
+from .gaussian import Gaussian, nearest_covariance
+from .line import Component, Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
+from .polyline import Polyline
+from .propagation import (
+    Linear,
+    MapError,
+    MonteCarlo,
+    Quadrature,
+    Refit,
+    SigmaPoints,
+    Transform,
+)
+from .scenarios import SCENARIOS, Scenario, scenario
+from .wire import Batch, Codec, Decoder, Frame, Reason
+
+__all__ = [
+    "SCENARIOS",
+    "Batch",
+    "Codec",
+    "Component",
+    "Decoder",
+    "EncodeError",
+    "Frame",
+    "Gaussian",
+    "IllPosedError",
+    "Kind",
+    "LayoutError",
+    "Linear",
+    "Link",
+    "MapError",
+    "MapLine",
+    "MaplinesError",
+    "MonteCarlo",
+    "Polyline",
+    "Quadrature",
+    "Reason",
+    "Receiver",
+    "Refit",
+    "Scenario",
+    "SigmaPoints",
+    "Slot",
+    "Status",
+    "Transform",
+    "Transmitter",
+    "lateral",
+    "lateral_jacobian",
+    "moved",
+    "nearest_covariance",
+    "read_log",
+    "scenario",
+]
+
+__version__ = "0.1.0"

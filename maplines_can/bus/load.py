@@ -1,0 +1,101 @@
+"""How much of a CAN bus the frames take, in the worst case of bit stuffing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from .transmitter import FrameLike
+
+__all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time"]
+
+_FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+
+
+class FrameBits(NamedTuple):
+    """Bits on the wire, by the bit rate they have."""
+
+    nominal: int  #: at the rate of the arbitration
+    data: int = 0  #: at the rate of the data phase (CAN FD)
+
+
+def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -> FrameBits:
+    """Most bits that a data frame and the space after it can have.
+
+    Classic CAN, of s bytes (Davis, Burns, Bril and Lukkien: Controller Area
+    Network (CAN) schedulability analysis: Refuted, revisited and revised,
+    Real-Time Systems 35, 2007, eq. 1; g = 34, or 54 for 29-bit identifiers):
+
+        C = g + 8 s + 13 + floor((g + 8 s - 1) / 4)
+
+    CAN FD (ISO 11898-1:2015) counted from its frame format in the same way:
+    17 bits (29-bit identifiers: 36) up to BRS at the nominal rate; ESI, DLC and
+    data at the data rate; in both together at most one stuff bit for each 4 bits
+    after the first; then, at the data rate, stuff count and CRC of 4 + 17 bits
+    with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13 nominal bits
+    from the CRC delimiter to the end of the intermission.
+
+    Args:
+        length: of the payload [bytes].
+        is_extended: 29-bit identifier.
+        is_fd: CAN FD with bit-rate switch.
+
+    Raises:
+        ValueError: no frame has this length.
+
+    >>> frame_bits(8), frame_bits(32, is_fd=True)
+    (FrameBits(nominal=135, data=0), FrameBits(nominal=34, data=358))
+    """
+    if length not in (_FD_LENGTHS if is_fd else _FD_LENGTHS[:9]):
+        lengths = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if is_fd else "0 to 8"
+        raise ValueError(f"length must be {lengths} bytes, got {length!r}")
+    if not is_fd:
+        stuffed = (54 if is_extended else 34) + 8 * length
+        return FrameBits(stuffed + 13 + (stuffed - 1) // 4)
+    head, body = (36 if is_extended else 17), 1 + 4 + 8 * length
+    head_stuff = (head - 1) // 4  # as many as can be where a bit takes longer
+    body_stuff = (head + body - 1) // 4 - head_stuff
+    crc = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
+    return FrameBits(head + head_stuff + 13, body + body_stuff + crc)
+
+
+def frame_time(frame: FrameLike, bitrate: float, data_bitrate: float | None = None) -> float:
+    """Longest time that a frame takes on the bus [s].
+
+    Args:
+        frame: a data frame.
+        bitrate: of the arbitration [bit/s].
+        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+
+    Raises:
+        ValueError: a rate is not positive, or no frame has this length.
+    """
+    data_bitrate = bitrate if data_bitrate is None else data_bitrate
+    if bitrate <= 0 or data_bitrate <= 0:
+        raise ValueError(f"bit rates must be positive [bit/s], got {bitrate!r}, {data_bitrate!r}")
+    bits = frame_bits(len(frame.data), is_extended=frame.is_extended, is_fd=frame.is_fd)
+    return bits.nominal / bitrate + bits.data / data_bitrate
+
+
+def bus_load(
+    frames: Iterable[FrameLike],
+    period: float,
+    bitrate: float,
+    data_bitrate: float | None = None,
+) -> float:
+    """Share of the bus's time that these frames take, each sent once a period.
+
+    1 is a bus without a gap; above it the frames do not fit.
+
+    Args:
+        frames: all frames of one period.
+        period: [s].
+        bitrate: of the arbitration [bit/s].
+        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+
+    Raises:
+        ValueError: the period or a rate is not positive.
+    """
+    if period <= 0:
+        raise ValueError(f"period must be positive [s], got {period!r}")
+    return sum(frame_time(frame, bitrate, data_bitrate) for frame in frames) / period

@@ -1,0 +1,201 @@
+"""Receives lines: frames in, whole lines out, everything else counted."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping
+from enum import Enum
+from types import TracebackType
+from typing import Any, NamedTuple, Protocol
+
+from ..line import MapLine
+from .link import Link
+from .worker import Worker
+
+__all__ = ["Receiver", "ReceiverStats"]
+
+#: How long the thread listens before it looks whether it shall stop [s].
+SLICE = 0.1
+
+
+class FrameDecoder(Protocol):
+    """What the receiver needs of ``wire.Decoder``."""
+
+    @property
+    def counts(self) -> Mapping[Any, int]: ...
+    @property
+    def lost(self) -> int: ...
+    def feed(
+        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
+    ) -> MapLine | Enum: ...
+
+
+class ReceiverStats(NamedTuple):
+    """Counters of a receiver."""
+
+    lines: int  #: complete lines received
+    lost: int  #: lines that the sender's counters show missing
+    frames: int  #: data frames given to the decoder
+    error_frames: int  #: error frames of the bus, not given to the decoder
+    remote_frames: int  #: remote frames, not given to the decoder
+    overflowed: int  #: lines dropped, oldest first, because nobody fetched them
+    counts: dict[Any, int]  #: frames by the decoder's reason
+
+
+class Receiver:
+    """One thread that turns the frames of a link into lines.
+
+    Lines go to the callback ``on_line`` if there is one; otherwise they wait for
+    iteration (``for line in receiver``, ends after `stop`) or `get`.  The newest
+    ``queue_size`` lines wait; older ones are dropped and counted as overflowed,
+    for a stale line is worth less than the memory.
+
+    Frames that this host sent are lines like any other: SocketCAN marks those
+    of *every* local program in the same way, and a link hears its own only if
+    it is opened with ``receive_own_messages=True``.
+
+    What the bus sends never raises.  What the callback raises ends the thread and
+    comes up again at `get`, at the iteration and at `stop`: a mistake of the
+    program must not scroll by in a log.
+
+    Args:
+        link: where to listen; stays open when the receiver stops.  One receiver
+            for each link: two would take each other's frames.
+        decoder: turns frames into lines; used by the receiver's thread only.
+        on_line: called by the thread with each line; while it works, the
+            interface's own queue has to hold what arrives.
+        queue_size: how many lines may wait.
+        can_ids: let through only these; None takes ``decoder.can_ids``, or all
+            if it has none.
+
+    Raises:
+        ValueError: ``queue_size`` is less than 1.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        decoder: FrameDecoder,
+        *,
+        on_line: Callable[[MapLine], object] | None = None,
+        queue_size: int = 256,
+        can_ids: Collection[int] | None = None,
+    ) -> None:
+        if queue_size < 1:
+            raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
+        self._link, self._decoder, self._on_line = link, decoder, on_line
+        self._can_ids = getattr(decoder, "can_ids", None) if can_ids is None else can_ids
+        self._changed = threading.Condition()  # guards all that follows
+        self._queue: deque[MapLine] = deque(maxlen=queue_size)
+        self._lines = self._frames = 0
+        self._error_frames = self._remote_frames = self._overflowed = 0
+        self._stopping = self._ended = False
+        self._worker = Worker("maplines receive", self._run, at_end=self._wake_all)
+
+    def get(self, timeout: float | None = None) -> MapLine | None:
+        """The oldest line that waits; None if none comes in ``timeout`` [s] or ever again.
+
+        Raises:
+            TypeError: the lines go to a callback.
+            Exception: what ended the thread; the lines before it come first.
+        """
+        if self._on_line is not None:
+            raise TypeError("the lines of this receiver go to on_line; leave that out to get them")
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._ended, timeout)
+            if self._queue:
+                return self._queue.popleft()
+        self._worker.check()
+        return None
+
+    def __iter__(self) -> Iterator[MapLine]:
+        while (line := self.get()) is not None:
+            yield line
+
+    def stats(self) -> ReceiverStats:
+        """A consistent copy of all counters."""
+        with self._changed:
+            return ReceiverStats(
+                lines=self._lines,
+                lost=self._decoder.lost,
+                frames=self._frames,
+                error_frames=self._error_frames,
+                remote_frames=self._remote_frames,
+                overflowed=self._overflowed,
+                counts=dict(self._decoder.counts),
+            )
+
+    def start(self) -> Receiver:
+        """Start the thread; ``with`` does it too."""
+        if self._can_ids:
+            self._link.accept_only(self._can_ids)
+        self._worker.start()
+        return self
+
+    def stop(self) -> None:
+        """Stop listening; from any thread, any number of times.  Waiting lines stay.
+
+        Raises:
+            Exception: what ended the thread before, if nobody has been told yet.
+        """
+        self._end()
+        self._worker.check(again=False)
+
+    def __enter__(self) -> Receiver:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.stop()
+        else:
+            self._end()  # what is on its way out is the better news
+
+    def _run(self) -> None:
+        while not self._stopping:
+            self._receive()
+
+    def _receive(self) -> None:
+        message = self._link.recv(SLICE)
+        if message is None:
+            return
+        with self._changed:
+            if message.is_error_frame:
+                self._error_frames += 1
+                return
+            if message.is_remote_frame:
+                self._remote_frames += 1
+                return
+            self._frames += 1
+            line = self._decoder.feed(
+                message.arbitration_id,
+                bytes(message.data),
+                round(message.timestamp * 1e9) or time.time_ns(),
+                is_extended=message.is_extended_id,
+            )
+            if not isinstance(line, MapLine):
+                return
+            self._lines += 1
+            if self._on_line is None:
+                self._overflowed += len(self._queue) == self._queue.maxlen
+                self._queue.append(line)
+                self._changed.notify_all()
+                return
+        self._on_line(line)
+
+    def _wake_all(self) -> None:
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _end(self) -> None:
+        self._stopping = True
+        self._worker.join()
+        if not self._worker.alive:  # it may never have started: nobody shall wait for it
+            self._wake_all()

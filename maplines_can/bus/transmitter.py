@@ -1,0 +1,273 @@
+"""Sends the latest value of each line, period after period."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import NamedTuple, Protocol
+
+import can
+
+from ..errors import BusError
+from ..line import MapLine, Slot
+from .link import Link, Sent
+from .timing import Due, Lateness, LatenessHistogram, Schedule
+from .worker import Worker
+
+__all__ = ["Transmitter", "TransmitterStats"]
+
+#: Pause between two attempts to put a frame into a full queue [s].
+RETRY = 0.001
+
+
+class FrameLike(Protocol):
+    """A frame as the wire makes it (``wire.Frame``)."""
+
+    @property
+    def can_id(self) -> int: ...
+    @property
+    def data(self) -> bytes: ...
+    @property
+    def is_fd(self) -> bool: ...
+    @property
+    def is_extended(self) -> bool: ...
+
+
+class Encoder(Protocol):
+    """What the transmitter needs of ``wire.Codec``."""
+
+    def encode(self, line: MapLine, *, fd: bool = False) -> Sequence[FrameLike]: ...
+
+
+class TransmitterStats(NamedTuple):
+    """Counters of a transmitter; each deadline ends in one of the first four."""
+
+    lines: int = 0  #: sent, all their frames
+    down: int = 0  #: given up because the interface was gone
+    full: int = 0  #: given up because the transmit queue stayed full for a period
+    overruns: int = 0  #: whole periods skipped because the thread was late
+    frames: int = 0  #: handed to the interface, those of unfinished bursts included
+    retries: int = 0  #: times that a frame met a full queue and was tried again
+    lateness: Lateness = Lateness()  #: of the first frame of each burst, after its deadline
+
+
+class _Key(NamedTuple):
+    slot: Slot
+    component: int
+
+
+@dataclass(frozen=True)
+class _Published:
+    line: MapLine
+    age: float  # of the pose when it was published [s]
+    at: float  # when that was [s], on the transmitter's clock
+
+
+class Transmitter:
+    """One thread that sends every published line once each period.
+
+    Each line has a fixed place in the period, slot by slot, instead of all
+    lines going out back to back: the queue of a CAN interface is short (10
+    frames with Linux's defaults, and 8 lines are 32 frames), and another node
+    waits for 4 frames at most.  The frames of one line do go back to back.
+
+    Deadlines are absolute (`timing.Schedule`): nothing drifts, and a period
+    that was overrun is skipped and counted.  A line is encoded when it is sent,
+    so that its counter has no gap and its age is that of the sending.  A line
+    that is not published again is sent again, older and older.
+
+    Nothing is sent half: after a frame that could not be sent, the rest of its
+    burst is not sent either, the line is counted as ``down`` or ``full``, and the
+    next period begins a burst of its own.  A full queue is waited for until the
+    line's next deadline.
+
+    Args:
+        link: where to send; stays open when the transmitter stops.
+        codec: makes the frames of a line; used by the transmitter's thread only.
+        period: [s].
+        fd: send CAN FD frames.
+        count: stop when every line had this many deadlines; None for ever.
+        clock: a clock that is never set back [s].
+
+    Raises:
+        ValueError: ``period`` or ``count`` is out of range.
+        BusError: ``fd`` on a link without CAN FD.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        codec: Encoder,
+        *,
+        period: float = 0.05,
+        fd: bool = False,
+        count: int | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        if not 0.001 <= period <= 3600:
+            raise ValueError(f"period must be in [0.001, 3600] s, got {period!r} s")
+        if count is not None and count < 1:
+            raise ValueError(f"count must be 1 or more, or None for ever, got {count!r}")
+        if fd and not link.fd:
+            raise BusError(
+                f"{link.name} is opened without CAN FD; open it with fd=True, or send classic "
+                "frames (fd=False)"
+            )
+        self._link, self._codec, self._fd = link, codec, fd
+        self._period, self._clock = period, clock
+        self._changed = threading.Condition()  # guards all that follows
+        self._schedule: Schedule[_Key] = Schedule(period, count)
+        self._published: dict[_Key, _Published] = {}
+        self._counts = TransmitterStats()
+        self._lateness = LatenessHistogram()
+        self._stopping = False
+        self._worker = Worker("maplines transmit", self._run)
+
+    def publish(self, line: MapLine, t_pose_ns: int | None = None) -> None:
+        """Send this line from now on, instead of the last one of its slot.
+
+        The parts of a mixture are told apart by ``line.component.index``; a part
+        of a mixture of another size replaces all parts of the slot.
+
+        Args:
+            line: the line; its age goes on counting from this call.
+            t_pose_ns: when the pose of the line held, on the clock of
+                ``time.time_ns()`` [ns]; the age then counts from there and
+                ``line.age`` is ignored.
+
+        Raises:
+            ValueError: ``t_pose_ns`` is not from that clock: more than a second
+                ahead, or more than an hour ago.
+            Exception: what the codec or a callback raised in the thread, which
+                has ended for that reason.
+        """
+        age = line.age
+        if t_pose_ns is not None:
+            age = (time.time_ns() - t_pose_ns) * 1e-9
+            if not -1 <= age <= 3600:
+                raise ValueError(
+                    f"t_pose_ns must be on the clock of time.time_ns(), at most 1 s ahead and 1 h "
+                    f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
+                )
+        self._worker.check()
+        key = _Key(line.slot, line.component.index)
+        with self._changed:
+            for other, entry in list(self._published.items()):
+                if other.slot == key.slot and entry.line.component.count != line.component.count:
+                    self._forget(other)
+            now = self._clock()
+            if key not in self._published:
+                place = line.component.index / line.component.count
+                self._schedule.add(key, (line.slot + place) / len(Slot), now)
+                self._changed.notify_all()
+            self._published[key] = _Published(line, age, now)
+
+    def retract(self, slot: Slot) -> None:
+        """Send no more lines of this slot."""
+        with self._changed:
+            for key in [key for key in self._published if key.slot == slot]:
+                self._forget(key)
+
+    def stats(self) -> TransmitterStats:
+        """A consistent copy of all counters."""
+        with self._changed:
+            return self._counts._replace(lateness=self._lateness.summary())
+
+    def start(self) -> Transmitter:
+        """Start the thread; ``with`` does it too.  The clock starts with the first line."""
+        self._worker.start()
+        return self
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the transmitter has ended, for ``timeout`` [s] at most; True if it has.
+
+        Raises:
+            Exception: what ended the thread, as in `publish`.
+        """
+        self._worker.join(timeout)
+        self._worker.check()
+        return not self._worker.alive
+
+    def stop(self) -> None:
+        """End after the burst in progress; from any thread, any number of times.
+
+        Raises:
+            Exception: what ended the thread before, if nobody has been told yet.
+        """
+        self._end()
+        self._worker.check(again=False)
+
+    def __enter__(self) -> Transmitter:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.stop()
+        else:
+            self._end()  # what is on its way out is the better news
+
+    # ---- the thread --------------------------------------------------------------
+
+    def _run(self) -> None:
+        while (burst := self._next_burst()) is not None:
+            self._send(*burst)
+
+    def _next_burst(self) -> tuple[_Published, Due[_Key]] | None:
+        with self._changed:
+            while not (self._stopping or self._schedule.over):
+                now = self._clock()
+                due = self._schedule.take(now)
+                if due is not None:
+                    self._lateness.add(now - due.deadline)
+                    self._count(overruns=due.skipped)
+                    return self._published[due.key], due
+                self._changed.wait(self._schedule.wait(now))
+            return None
+
+    def _send(self, published: _Published, due: Due[_Key]) -> None:
+        age = max(0.0, published.age + self._clock() - published.at)
+        frames = self._codec.encode(replace(published.line, age=age), fd=self._fd)
+        sent = retries = 0
+        answer = Sent.OK
+        for frame in frames:
+            message = can.Message(
+                arbitration_id=frame.can_id,
+                is_extended_id=frame.is_extended,
+                is_fd=frame.is_fd,
+                bitrate_switch=frame.is_fd,
+                data=frame.data,
+                check=False,
+            )
+            answer = self._link.send(message)
+            while answer is Sent.FULL and self._clock() < due.deadline + self._period:
+                time.sleep(RETRY)  # no event tells that a queue has room again
+                retries += 1
+                answer = self._link.send(message)
+            if answer is not Sent.OK:
+                break
+            sent += 1
+        with self._changed:
+            fate = {Sent.OK: "lines", Sent.DOWN: "down", Sent.FULL: "full"}[answer]
+            self._count(frames=sent, retries=retries, **{fate: 1})
+
+    def _count(self, **steps: int) -> None:
+        old = self._counts
+        self._counts = old._replace(**{name: getattr(old, name) + n for name, n in steps.items()})
+
+    def _forget(self, key: _Key) -> None:
+        del self._published[key]
+        self._schedule.remove(key)
+
+    def _end(self) -> None:
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        self._worker.join()

@@ -1,0 +1,60 @@
+"""A thread that cannot fail in silence."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+__all__ = ["Worker"]
+
+
+class Worker:
+    """Runs a function in a thread and keeps what it raises for the caller.
+
+    The thread is a daemon: a program that ends without stopping it must end.
+
+    Args:
+        name: of the thread.
+        work: runs until it is told to end, by means of its own.
+        at_end: runs afterwards in any case, when the error is known.
+    """
+
+    def __init__(
+        self, name: str, work: Callable[[], None], at_end: Callable[[], None] = lambda: None
+    ) -> None:
+        self._work, self._at_end = work, at_end
+        self._error: Exception | None = None
+        self._told = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the thread is started and has not ended."""
+        return self._thread.is_alive()
+
+    def start(self) -> None:
+        """Start the thread, once."""
+        self._thread.start()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait for the end; returns at once in the thread itself or if it never started."""
+        if self.alive and self._thread is not threading.current_thread():
+            self._thread.join(timeout)
+
+    def check(self, *, again: bool = True) -> None:
+        """Raise the error of the thread, if any; with ``again=False`` only if nobody knows it.
+
+        Raises:
+            Exception: what the function raised.
+        """
+        if self._error is not None and (again or not self._told):
+            self._told = True
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except Exception as error:  # noqa: BLE001 - kept, and raised where the caller sees it
+            self._error = error
+        finally:
+            self._at_end()

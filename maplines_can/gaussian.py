@@ -1,0 +1,245 @@
+"""A Gaussian of any dimension, checked at birth; singular covariances are legal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
+from scipy.special import gammaincinv
+
+__all__ = ["Gaussian", "asymmetric", "indefinite", "nearest_covariance", "square_root"]
+
+#: Asymmetry and negative eigenvalues up to this, relative to the standard
+#: deviations, are taken for rounding; anything larger is the caller's mistake.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """A normal distribution N(mean, cov).
+
+    Args:
+        mean: (n,) finite.
+        cov: (n, n) finite, symmetric and positive semidefinite, both up to
+            rounding (1e-9 of the standard deviations); zero variances and
+            exactly singular matrices are legal.
+
+    Raises:
+        ValueError: a shape, a value, the symmetry or the definiteness is wrong.
+
+    >>> ego = Gaussian([0.0, 0.0, 0.0], [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0]])
+    >>> ego.sigma
+    array([0.5, 0.5, 0. ])
+    >>> Gaussian([0.0, 0.0], [[1, 2], [2, 1]])
+    Traceback (most recent call last):
+    ...
+    ValueError: cov must be positive semidefinite, but the smallest eigenvalue of its correlation \
+matrix is -1; use nearest_covariance(cov) to cover it by one that is
+    """
+
+    mean: NDArray[np.float64]
+    cov: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        mean = np.array(self.mean, dtype=float)
+        cov = np.array(self.cov, dtype=float)
+        if mean.ndim != 1 or mean.size == 0 or not np.isfinite(mean).all():
+            raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
+        if cov.shape != (mean.size, mean.size) or not np.isfinite(cov).all():
+            raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
+        if (cov.diagonal() < 0).any():
+            raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
+        if asymmetric(cov):
+            raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
+        cov = (cov + cov.T) / 2
+        if indefinite(cov):
+            scale = _scale(cov)
+            least = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
+            raise ValueError(
+                "cov must be positive semidefinite, but the smallest eigenvalue of its "
+                f"correlation matrix is {least:g}; use nearest_covariance(cov) to cover it "
+                "by one that is"
+            )
+        for name, array in (("mean", mean), ("cov", cov)):
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def dimension(self) -> int:
+        """Number of components n."""
+        return self.mean.size
+
+    @cached_property
+    def sigma(self) -> NDArray[np.float64]:
+        """(n,) standard deviations, in the units of the mean."""
+        return np.sqrt(self.cov.diagonal())
+
+    @cached_property
+    def correlation(self) -> NDArray[np.float64]:
+        """(n, n) correlation matrix; a component without variance correlates with none."""
+        scale = np.where(self.sigma > 0, self.sigma, 1.0)
+        correlation = self.cov / scale[:, None] / scale
+        np.fill_diagonal(correlation, 1.0)
+        return correlation
+
+    @cached_property
+    def root(self) -> NDArray[np.float64]:
+        """(n, n) lower-triangular ``L`` with ``L @ L.T`` equal to the covariance."""
+        return square_root(self.cov)
+
+    def marginal(self, indices: ArrayLike) -> Gaussian:
+        """The Gaussian of some components, in the order of ``indices``.
+
+        >>> Gaussian([1, 2, 3], np.diag([1, 4, 9])).marginal([2, 0]).mean
+        array([3., 1.])
+        """
+        keep = np.asarray(indices, dtype=int)
+        return Gaussian(self.mean[keep], self.cov[np.ix_(keep, keep)])
+
+    def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
+        """(n, dimension) random draws; the same seed gives the same draws."""
+        normal = np.random.default_rng(seed).standard_normal((n, self.dimension))
+        return self.mean + normal @ self.root.T
+
+    def mahalanobis(self, x: ArrayLike) -> NDArray[np.float64]:
+        """(...,) distances of (..., n) points in standard deviations.
+
+        Raises:
+            numpy.linalg.LinAlgError: the covariance is singular.
+        """
+        d = np.asarray(x, dtype=float) - self.mean
+        z = solve_triangular(self._factor(), d.reshape(-1, self.dimension).T, lower=True)
+        return np.sqrt((z**2).sum(axis=0)).reshape(d.shape[:-1])
+
+    def coverage(self, samples: ArrayLike, mass: float = 0.99) -> float:
+        """Share of (N, n) samples inside the central region that holds ``mass``.
+
+        1 less this share are the false negatives of a Gaussian that stands for
+        the distribution of the samples (Map Line Interface, section IV).
+        """
+        chi2_quantile = 2 * gammaincinv(self.dimension / 2, mass)
+        inside = self.mahalanobis(samples) ** 2 <= chi2_quantile
+        return float(np.mean(inside))
+
+    def kl(self, other: Gaussian) -> float:
+        """Kullback-Leibler divergence KL(self || other) in nats.
+
+        Infinite where self is singular: a thin distribution is told from any
+        thicker one by a single sample.
+
+        Raises:
+            numpy.linalg.LinAlgError: the covariance of ``other`` is singular.
+
+        >>> round(Gaussian([0.0], [[1.0]]).kl(Gaussian([1.0], [[1.0]])), 12)
+        0.5
+        """
+        L = other._factor()
+        A = solve_triangular(L, self.root, lower=True)
+        z = solve_triangular(L, self.mean - other.mean, lower=True)
+        with np.errstate(divide="ignore"):
+            log_det = np.log(np.abs(A.diagonal())).sum()
+        return float(((A**2).sum() + z @ z - self.dimension) / 2 - log_det)
+
+    def wasserstein(self, other: Gaussian) -> float:
+        """2-Wasserstein distance, in the units of the mean (Gelbrich 1990).
+
+        Mixes the units of the components: use it on marginals of one unit.
+        """
+        values, vectors = np.linalg.eigh(self.cov)
+        root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
+        cross = np.sqrt(np.linalg.eigvalsh(root @ other.cov @ root).clip(0)).sum()
+        d = self.mean - other.mean
+        squared = d @ d + np.trace(self.cov) + np.trace(other.cov) - 2 * cross
+        return float(np.sqrt(max(squared, 0.0)))
+
+    def _factor(self) -> NDArray[np.float64]:
+        if not self.root.diagonal().all():
+            raise np.linalg.LinAlgError(
+                "the covariance is singular: it has no density; take a marginal of fewer components"
+            )
+        return self.root
+
+
+def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lower-triangular ``L`` with ``L @ L.T == cov``, for singular ``cov`` too.
+
+    Cholesky's recursion; a pivot that is zero up to rounding gives a zero
+    column (its remainder is zero as well where ``cov`` is semidefinite).
+
+    Args:
+        cov: (n, n) symmetric positive semidefinite.
+
+    >>> square_root(np.array([[4.0, 2.0], [2.0, 1.0]]))
+    array([[2., 0.],
+           [1., 0.]])
+    """
+    n = len(cov)
+    L = np.zeros((n, n))
+    for j in range(n):
+        row = L[j, :j]
+        pivot = cov[j, j] - row @ row
+        if pivot > 8 * n * np.finfo(float).eps * cov[j, j]:
+            L[j, j] = np.sqrt(pivot)
+            L[j + 1 :, j] = (cov[j + 1 :, j] - L[j + 1 :, :j] @ row) / L[j, j]
+    return L
+
+
+def asymmetric(cov: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(...,) which of (..., n, n) matrices are not symmetric, beyond rounding."""
+    scale = _scale(cov)
+    difference = np.abs(cov - np.swapaxes(cov, -1, -2))
+    limit = ROUNDING * scale[..., :, None] * scale[..., None, :]
+    return np.asarray((difference > limit).any(axis=(-2, -1)))
+
+
+def indefinite(cov: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(...,) which of (..., n, n) symmetric matrices are not positive semidefinite.
+
+    Beyond rounding: Cholesky's recursion on the correlation matrix, its
+    diagonal raised by 1e-9, meets a pivot that is not positive.
+    """
+    S = np.moveaxis(cov, (-2, -1), (0, 1))
+    scale = np.moveaxis(_scale(cov), -1, 0)
+    bad = np.zeros(cov.shape[:-2], dtype=bool)
+    L: list[list[NDArray[np.float64]]] = []
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for i in range(len(S)):
+            row: list[NDArray[np.float64]] = []
+            for j in range(i):
+                rest = S[i, j] / (scale[i] * scale[j]) - sum(row[k] * L[j][k] for k in range(j))
+                row.append(rest / L[j][j])
+            pivot = S[i, i] / scale[i] ** 2 + ROUNDING - sum(x * x for x in row)
+            bad |= ~(pivot > 0)
+            L.append([*row, np.sqrt(pivot)])
+    return bad
+
+
+def _scale(cov: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., n) standard deviations, 1 where there is none."""
+    variance = np.diagonal(cov, axis1=-2, axis2=-1)
+    return np.sqrt(np.where(variance > 0, variance, 1.0))
+
+
+def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
+    """The least positive semidefinite matrices that cover symmetric ones.
+
+    Negative eigenvalues of the correlation matrix are raised to zero, so the
+    result less ``cov`` is positive semidefinite: a repair is never overconfident.
+
+    Args:
+        cov: (..., n, n) symmetric, variances of 0 or more.
+
+    >>> nearest_covariance([[1, 2], [2, 1]])
+    array([[1.5, 1.5],
+           [1.5, 1.5]])
+    """
+    S = np.asarray(cov, dtype=float)
+    scale = _scale(S)
+    scale2 = scale[..., :, None] * scale[..., None, :]
+    values, vectors = np.linalg.eigh(S / scale2)
+    lifted = (vectors * values.clip(0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    lifted = (lifted + np.swapaxes(lifted, -1, -2)) / 2 * scale2
+    return np.where(values[..., :1, None] < 0, lifted, S)

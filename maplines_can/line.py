@@ -1,0 +1,243 @@
+"""The cubic line, its Gaussian with all that is known of it, and its move to another pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .gaussian import Gaussian
+
+__all__ = [
+    "STATES",
+    "VAGUE_SIGMA",
+    "Component",
+    "Kind",
+    "MapLine",
+    "Slot",
+    "Status",
+    "lateral",
+    "lateral_jacobian",
+    "line_of_cubic",
+    "moved",
+]
+
+#: The line's parameters, in the order of every mean and covariance.
+STATES = ("y_off", "beta", "c0", "c1")
+
+#: Standard deviations that stand for "unknown": [m, rad, 1/m, 1/m^2].
+#: So wide that a fusion gives the line no weight, and never a claim of exactness.
+VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
+
+
+class Slot(IntEnum):
+    """Which line of the scene a message carries; each slot has its CAN IDs."""
+
+    EGO_LEFT = 0
+    EGO_RIGHT = 1
+    NEXT_LEFT = 2
+    NEXT_RIGHT = 3
+    CENTRE = 4
+    EDGE_LEFT = 5
+    EDGE_RIGHT = 6
+    ROUTE = 7
+
+
+class Kind(IntEnum):
+    """What the line is on the road."""
+
+    UNKNOWN = 0
+    SOLID = 1
+    DASHED = 2
+    DOUBLE = 3
+    ROAD_EDGE = 4
+    KERB = 5
+    BARRIER = 6
+    VIRTUAL = 7
+
+
+class Status(IntEnum):
+    """What the covariance of a line is worth."""
+
+    UNKNOWN = 0  #: only the mean was sent; the covariance is VAGUE_SIGMA
+    FULL = 1  #: covers the sender's covariance, correlations included
+    DIAGONAL = 2  #: covers the sender's variances; correlations were not sent
+    REPAIRED = 3  #: as FULL, but the sender's matrix was indefinite and had to be covered
+    SATURATED = 4  #: as FULL, but wider than need be: a value met the end of its range
+    OUT_OF_RANGE = 5  #: the line does not fit the message: use neither mean nor covariance
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """Which part of a Gaussian mixture a line is; the default is all of it.
+
+    Raises:
+        ValueError: not 0 <= index < count, or not 0 < weight <= 1.
+    """
+
+    index: int = 0
+    count: int = 1
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.index < self.count and 0 < self.weight <= 1):
+            raise ValueError(f"needs 0 <= index < count and 0 < weight <= 1, got {self}")
+
+
+@dataclass(frozen=True, eq=False)
+class MapLine:
+    """One line of the map as the car sees it: a Gaussian over a cubic, in the ego frame.
+
+    The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line
+    Interface, eq. 1), x forward and y to the left (ISO 8855), for x in
+    [x_min, x_max].
+
+    Args:
+        slot: which line of the scene.
+        gaussian: over (y_off, beta, c0, c1) in [m, rad, 1/m, 1/m^2].
+        kind: what it is on the road.
+        x_min: where the cubic begins to hold [m].
+        x_max: where it ends to hold [m].
+        age: time from the pose to the sending [s].
+        status: what the covariance is worth.
+        component: which part of a mixture.
+        t_ns: when the first frame of the line was received [ns]; None at the sender.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    slot: Slot
+    gaussian: Gaussian
+    kind: Kind = Kind.UNKNOWN
+    x_min: float = 0.0
+    x_max: float = 80.0
+    age: float = 0.0
+    status: Status = Status.FULL
+    component: Component = Component()
+    t_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "slot", Slot(self.slot))
+        object.__setattr__(self, "kind", Kind(self.kind))
+        object.__setattr__(self, "status", Status(self.status))
+        if self.gaussian.dimension != len(STATES):
+            raise ValueError(f"gaussian must be over {STATES}, got {self.gaussian.dimension}-D")
+        if not (np.isfinite([self.x_min, self.x_max]).all() and self.x_min <= self.x_max):
+            raise ValueError(
+                f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
+            )
+        if not 0 <= self.age < np.inf:
+            raise ValueError(f"age must be 0 s or more and finite, got {self.age!r}")
+
+    @classmethod
+    def mean_only(cls, slot: Slot, mean: ArrayLike, **rest: Any) -> MapLine:
+        """A line of which only the mean is known.
+
+        >>> MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]).status.name
+        'UNKNOWN'
+        """
+        vague = Gaussian(np.asarray(mean, dtype=float), np.diag(np.square(VAGUE_SIGMA)))
+        return cls(slot, vague, status=Status.UNKNOWN, **rest)
+
+    @classmethod
+    def with_sigma(cls, slot: Slot, mean: ArrayLike, sigma: ArrayLike, **rest: Any) -> MapLine:
+        """A line of which the mean and the standard deviations are known."""
+        variances = np.square(np.asarray(sigma, dtype=float))
+        gaussian = Gaussian(np.asarray(mean, dtype=float), np.diag(variances))
+        return cls(slot, gaussian, status=Status.DIAGONAL, **rest)
+
+    def y(self, x: ArrayLike) -> NDArray[np.float64]:
+        """(...,) lateral position of the mean line at x [m]."""
+        return lateral(self.gaussian.mean, x)
+
+    def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
+        """(...,) standard deviation of the lateral position at x [m], to first order."""
+        J = lateral_jacobian(self.gaussian.mean, x)
+        return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+
+
+def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
+    """Lateral position l(x) of lines (Map Line Interface, eq. 1).
+
+    Args:
+        parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].
+        x: broadcasts against the leading axes of ``parameters`` [m].
+
+    >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
+    array([1. , 1.5, 3. ])
+    """
+    y_off, beta, c0, c1 = np.moveaxis(np.asarray(parameters, dtype=float), -1, 0)
+    x = np.asarray(x, dtype=float)
+    return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
+
+
+def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
+    """(..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
+    beta = np.asarray(parameters, dtype=float)[..., 1]
+    x, beta = np.broadcast_arrays(np.asarray(x, dtype=float), beta)
+    return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
+
+
+def line_of_cubic(
+    q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
+) -> NDArray[np.float64]:
+    """The line of a cubic that is written in the normalised ``w = (u - centre) / half``.
+
+    Args:
+        q: (4, ...) coefficients of w^0 .. w^3 [m].
+        centre: (...) [m].
+        half: (...) [m], positive.
+
+    Returns:
+        (..., 4) lines: the Taylor coefficients at u = 0, beta from its tangent.
+    """
+    q0, q1, q2, q3 = q
+    w = -np.asarray(centre) / half
+    slope = (q1 + w * (2 * q2 + w * 3 * q3)) / half
+    second = (2 * q2 + 6 * w * q3) / np.square(half)
+    third = 6 * q3 / np.power(half, 3)
+    y_off = q0 + w * (q1 + w * (q2 + w * q3))
+    return np.stack(np.broadcast_arrays(y_off, np.arctan(slope), second, third), axis=-1)
+
+
+def moved(
+    parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 4
+) -> NDArray[np.float64]:
+    """Lines as seen from another pose (Map Line Interface, section III-A-1).
+
+    Points of the line itself are carried into the new frame and fitted again.
+    Through 4 points the fit is exact at them; between them it differs by what a
+    turned cubic is not a cubic, least with the Chebyshev points used here.
+
+    Args:
+        parameters: (..., 4) lines in the old ego frame.
+        motion: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
+        window: where the line holds (x_min, x_max) in the old ego frame [m].
+        points: how many points of the line, 4 or more.
+
+    Raises:
+        ValueError: fewer than 4 points, or an empty window.
+
+    >>> moved([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
+    array([1.5, 0. , 0. , 0. ])
+    """
+    x_min, x_max = window
+    if points < 4 or not x_min < x_max:
+        raise ValueError(f"needs 4 points or more in a window, got {points} points in {window} m")
+    nodes = np.cos(np.pi * (np.arange(points) + 0.5) / points)
+    x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
+    lines, motion = np.asarray(parameters, dtype=float), np.asarray(motion, dtype=float)
+    dx, dy, heading = (motion[..., i, None] for i in range(3))
+    s, t = x - dx, lateral(lines[..., None, :], x) - dy  # (..., points)
+    c, d = np.cos(heading), np.sin(heading)
+    u, v = c * s + d * t, c * t - d * s
+    centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
+    half = (u.max(axis=-1) - u.min(axis=-1)) / 2
+    w = (u - centre[..., None]) / half[..., None]
+    Q, R = np.linalg.qr(w[..., None] ** np.arange(4))
+    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ v[..., None])[..., 0]
+    return line_of_cubic(np.moveaxis(q, -1, 0), centre, half)

@@ -1,0 +1,94 @@
+"""The points of one line of the map, and what of them a car sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["Polyline", "to_ego"]
+
+
+@dataclass(frozen=True, eq=False)
+class Polyline:
+    """Points of one line of the map, in driving order or against it.
+
+    Args:
+        points: (n, 2) finite, n >= 2 [m], in the map frame.
+
+    Raises:
+        ValueError: a shape or a value is wrong.
+
+    >>> Polyline([[0, 0], [3, 4]]).length
+    5.0
+    """
+
+    points: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        points = np.array(self.points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise ValueError(f"points must have shape (n, 2) with n >= 2, got {points.shape}")
+        if not np.isfinite(points).all():
+            bad = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+            raise ValueError(f"points must be finite [m], but point {bad} is {points[bad]}")
+        points.flags.writeable = False
+        object.__setattr__(self, "points", points)
+
+    @property
+    def distance(self) -> NDArray[np.float64]:
+        """(n,) way along the line up to each point [m]."""
+        return np.append(0.0, np.hypot(*np.diff(self.points, axis=0).T).cumsum())
+
+    @property
+    def length(self) -> float:
+        """Length of the line [m]."""
+        return float(self.distance[-1])
+
+    def resampled(self, spacing: float) -> Polyline:
+        """The same line with points ``spacing`` [m] apart or a little less.
+
+        >>> Polyline([[0, 0], [10, 0]]).resampled(2.5).points[:, 0]
+        array([ 0. ,  2.5,  5. ,  7.5, 10. ])
+        """
+        if not spacing > 0:
+            raise ValueError(f"spacing must be more than 0 m, got {spacing!r}")
+        distance = self.distance
+        s = np.linspace(0, distance[-1], int(np.ceil(distance[-1] / spacing)) + 1)
+        return Polyline(np.column_stack([np.interp(s, distance, p) for p in self.points.T]))
+
+    def window(self, pose: ArrayLike, x_min: float, x_max: float) -> NDArray[np.float64]:
+        """(k, 2) points of the stretch near the car that has x_min <= x <= x_max [m].
+
+        The stretch is the run of points around the one nearest to the car:
+        where a road comes back near the car, its other branch is left out.
+        Empty where no point of the line lies in the window.
+        """
+        ego = to_ego(self.points, pose)
+        inside = (x_min <= ego[:, 0]) & (ego[:, 0] <= x_max)
+        if not inside.any():
+            return self.points[:0]
+        off = np.hypot(ego[:, 0] - np.clip(0.0, x_min, x_max), ego[:, 1])
+        seed = int(np.where(inside, off, np.inf).argmin())
+        gaps = np.flatnonzero(~inside)
+        start = gaps[gaps < seed].max(initial=-1) + 1
+        stop = gaps[gaps > seed].min(initial=len(inside))
+        return self.points[start:stop]
+
+
+def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
+    """(..., 2) points [m] of the map frame in the frame of a car at ``pose``.
+
+    Args:
+        points: (..., 2) in the map frame [m].
+        pose: (3,) e_x [m], e_y [m], e_h [rad], heading counter-clockwise from the map's x axis.
+
+    >>> to_ego([[0.0, 5.0]], [0.0, 0.0, np.pi / 2]).round(9) + 0.0
+    array([[5., 0.]])
+    """
+    e_x, e_y, e_h = np.asarray(pose, dtype=float)
+    s, t = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
+    c, d = np.cos(e_h), np.sin(e_h)
+    s, t = s - e_x, t - e_y
+    return np.stack([c * s + d * t, c * t - d * s], axis=-1)

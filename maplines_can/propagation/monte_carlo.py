@@ -1,0 +1,88 @@
+"""Plain sampling: the reference that all others are judged by."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import IllPosedError
+from ..gaussian import Gaussian, square_root
+from .transform import Moments, Transform
+
+__all__ = ["MonteCarlo", "Samples"]
+
+
+class Samples(NamedTuple):
+    """Draws from the true distribution."""
+
+    inputs: NDArray[np.float64]  #: (k, n) draws of the Gaussian
+    values: NDArray[np.float64]  #: (k, m) or (k, L, m) values of the function
+    ill_posed: int  #: draws left out, because the function has no value there
+
+
+@dataclass(frozen=True)
+class MonteCarlo(Transform):
+    """n random draws (Map Line Interface, eq. 2 and 3).
+
+    The error of a mean is sigma / sqrt(n) and that of a standard deviation
+    sigma / sqrt(2 n). Draws at which the function has no value are left out,
+    counted and warned of.
+
+    Args:
+        n: number of draws, 2 or more.
+        seed: the same seed gives the same draws.
+
+    >>> result = MonteCarlo(100_000, seed=1)(np.sin, Gaussian([0.0], [[1.0]]))
+    >>> bool(abs(result.cov[0, 0] - (1 - np.exp(-2)) / 2) < 0.01)
+    True
+    """
+
+    n: int = 100_000
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.n >= 2:
+            raise ValueError(f"n must be 2 or more, got {self.n!r}")
+
+    def samples(self, function: Callable[..., Any], gaussian: Gaussian) -> Samples:
+        """Draws and values, the function's own error included where it carries one.
+
+        Raises:
+            IllPosedError: the function has a value at fewer than 2 draws.
+        """
+        samples = self._pose_samples(function, gaussian)
+        noise_cov = getattr(function, "noise_cov", None)
+        if noise_cov is None:
+            return samples
+        values = samples.values.copy()
+        rng = np.random.default_rng([self.seed, 1])
+        for index in np.ndindex(noise_cov.shape[:-2]):
+            normal = rng.standard_normal((len(values), values.shape[-1]))
+            values[(slice(None), *index)] += normal @ square_root(noise_cov[index]).T
+        return samples._replace(values=values)
+
+    def _pose_samples(self, function: Callable[..., Any], gaussian: Gaussian) -> Samples:
+        inputs = gaussian.sample(self.n, self.seed)
+        values = np.asarray(function(inputs), dtype=float)
+        lost = np.isnan(values.reshape(self.n, -1)).any(axis=1)
+        ill_posed = int(lost.sum())
+        if ill_posed > self.n - 2:
+            raise IllPosedError(
+                f"the function has no value at {ill_posed} of {self.n} draws; narrow the Gaussian"
+            )
+        if ill_posed:
+            warnings.warn(f"{ill_posed} of {self.n} draws are ill-posed and left out", stacklevel=4)
+            inputs, values = inputs[~lost], values[~lost]
+        return Samples(inputs, values, ill_posed)
+
+    def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
+        values = self._pose_samples(function, gaussian).values
+        mean = values.mean(axis=0)
+        d = (values - mean).reshape(len(values), -1, values.shape[-1])
+        cov = np.stack([d[:, i].T @ d[:, i] for i in range(d.shape[1])]) / len(d)
+        return Moments(mean, cov.reshape(*mean.shape, -1))

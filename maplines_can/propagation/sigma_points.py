@@ -1,0 +1,62 @@
+"""The scaled unscented transform."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian import Gaussian
+from .transform import Moments, Transform, values_at, weighted_moments
+
+__all__ = ["SigmaPoints"]
+
+
+@dataclass(frozen=True)
+class SigmaPoints(Transform):
+    """2n + 1 points (Map Line Interface, eq. 4 to 12; van der Merwe 2004).
+
+    Exact for the mean of a cubic and for the covariance of an affine function.
+    With the defaults the points lie at sqrt(n) standard deviations, no weight
+    is negative and the result is always positive semidefinite; a small alpha
+    draws the points together (towards Linear) and may lose that.
+
+    Args:
+        alpha: spread of the points, 0 < alpha <= 1.
+        kappa: second scaling, kappa >= 0 and n + kappa > 0.
+        beta: prior knowledge of the distribution, 2 for a Gaussian.
+
+    >>> SigmaPoints()(lambda x: x**2, Gaussian([1.0], [[4.0]])).mean
+    array([5.])
+    """
+
+    alpha: float = 1.0
+    kappa: float = 0.0
+    beta: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.alpha <= 1:
+            raise ValueError(f"alpha must be in (0, 1], got {self.alpha!r}")
+        if not self.kappa >= 0:
+            raise ValueError(f"kappa must be 0 or more, got {self.kappa!r}")
+
+    def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
+        """(2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
+        spread = self.alpha * np.sqrt(gaussian.dimension + self.kappa) * gaussian.root.T
+        return gaussian.mean + np.vstack([np.zeros_like(spread[:1]), spread, -spread])
+
+    def weights(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""
+        n_plus_lambda = self.alpha**2 * (n + self.kappa)
+        mean = np.full(2 * n + 1, 1 / (2 * n_plus_lambda))
+        mean[0] = 1 - n / n_plus_lambda
+        cov = mean.copy()
+        cov[0] += 1 - self.alpha**2 + self.beta
+        return mean, cov
+
+    def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
+        values = values_at(function, self.points(gaussian))
+        return weighted_moments(values, *self.weights(gaussian.dimension))

@@ -1,0 +1,108 @@
+"""What every moment transform is: a function and a Gaussian in, a Gaussian out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import IllPosedError
+from ..gaussian import Gaussian
+
+__all__ = ["Moments", "Transform"]
+
+
+class Moments(NamedTuple):
+    """Means and covariances of one or many outputs, ready for ``Codec.encode_batch``."""
+
+    mean: NDArray[np.float64]  #: (..., m)
+    cov: NDArray[np.float64]  #: (..., m, m)
+
+
+class Transform(ABC):
+    """Moments of ``function(x)`` for a Gaussian ``x``.
+
+    A function is vectorised: it takes (N, n) points and returns (N, m) values,
+    or (N, L, m) for L outputs that share the call. It may carry ``noise_cov``,
+    (m, m) or (L, m, m): the covariance of an independent error of its own,
+    such as a map's, which is added to the result.
+    """
+
+    @final
+    def __call__(self, function: Callable[..., Any], gaussian: Gaussian) -> Gaussian:
+        """The Gaussian with the moments of the function's value.
+
+        Raises:
+            IllPosedError: the function has no value at a point that the
+                transform needs.
+            ValueError: the function returns several outputs (use ``moments``).
+        """
+        mean, cov = self.moments(function, gaussian)
+        if mean.ndim != 1:
+            raise ValueError(
+                f"the function has {mean.shape[0]} outputs; use moments() for all of them at once"
+            )
+        return Gaussian(mean, cov)
+
+    @final
+    def moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
+        """Mean and covariance of each output of the function.
+
+        Returns:
+            mean (m,) and cov (m, m); or (L, m) and (L, m, m).
+        """
+        mean, cov = self._moments(function, gaussian)
+        noise_cov = getattr(function, "noise_cov", None)
+        if noise_cov is not None:
+            cov = cov + noise_cov
+        return Moments(mean, (cov + np.swapaxes(cov, -1, -2)) / 2)
+
+    @abstractmethod
+    def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
+        """Moments without the function's own error."""
+
+
+def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values at points that a transform cannot do without.
+
+    Raises:
+        IllPosedError: the function has no value at one of them.
+    """
+    values = np.asarray(function(points), dtype=float)
+    if len(values) != len(points):
+        raise ValueError(
+            f"the function must return one row a point, got {values.shape} for {points.shape}"
+        )
+    lost = np.isnan(values.reshape(len(points), -1)).any(axis=1)
+    if lost.any():
+        raise IllPosedError(
+            f"the function has no value at {points[lost][0]}, {lost.sum()} of the "
+            f"{len(points)} points of the transform; narrow the Gaussian or use MonteCarlo, "
+            "which counts such samples and goes on"
+        )
+    return values
+
+
+def weighted_moments(
+    values: NDArray[np.float64], mean_weights: NDArray[np.float64], cov_weights: NDArray[np.float64]
+) -> Moments:
+    """Mean and covariance of weighted points (Map Line Interface, eq. 11 and 12).
+
+    Worked in differences from the first point, whose weight may be huge and
+    negative: the sums then cancel nothing.
+
+    Args:
+        values: (N, ..., m).
+        mean_weights: (N,), of sum 1.
+        cov_weights: (N,).
+    """
+    d = values[1:] - values[0]
+    shift = np.tensordot(mean_weights[1:], d, axes=(0, 0))
+    d -= shift
+    flat = d.reshape(len(d), -1, d.shape[-1]).transpose(1, 2, 0)  # (L, m, N - 1)
+    cov = (flat * cov_weights[1:]) @ flat.transpose(0, 2, 1)
+    cov = cov.reshape(*shift.shape, -1) + cov_weights[0] * shift[..., :, None] * shift[..., None, :]
+    return Moments(values[0] + shift, cov)

@@ -1,0 +1,97 @@
+"""Figures of merit of decoded Gaussians, for many at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..line import lateral, lateral_jacobian
+
+__all__ = ["LATERAL_X", "Judgement", "judge"]
+
+#: Where the lateral band is judged [m].
+LATERAL_X = (0.0, 20.0, 40.0, 80.0)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """Each figure for each Gaussian; X places ahead."""
+
+    positive_definite: NDArray[np.bool_]  #: (N,) the decoded covariance has a Cholesky factor
+    largest_ratio: Array  #: (N,) largest eigenvalue of S'^-1 (S + d d^T): 1 or less is covered
+    kl_covered: Array  #: (N,) KL(N(m', T) || N(m', S')), T = S + d d^T + F [nat]
+    kl: Array  #: (N,) KL(N(m, S) || N(m', S')) [nat]; large where S is thinner than the grid
+    lateral_error: Array  #: (N, X) decoded less true mean of l(x) [m]
+    sigma_ratio: Array  #: (N, X) decoded over true standard deviation of l(x)
+
+    @property
+    def overconfident(self) -> NDArray[np.bool_]:
+        """(N,) decoded covariances that do not cover what they stand for."""
+        return ~(self.largest_ratio <= 1)
+
+
+def judge(
+    mean: Array, cov: Array, decoded_mean: Array, decoded_cov: Array, resolution: Array
+) -> Judgement:
+    """Compare decoded Gaussians with the true ones.
+
+    Args:
+        mean: (N, 4) true.
+        cov: (N, 4, 4) true, singular ones too.
+        decoded_mean: (N, 4).
+        decoded_cov: (N, 4, 4).
+        resolution: (4,) variances of the mean's own rounding, factor^2 / 12: F.
+    """
+    d = mean - decoded_mean
+    error = cov + d[:, :, None] * d[:, None, :]
+    target = error + np.diag(resolution)
+    scale = np.sqrt(np.einsum("nii->ni", decoded_cov))
+    scale2 = scale[:, :, None] * scale[:, None, :]
+    L, definite = _cholesky(decoded_cov / scale2)
+    log_det_decoded = 2 * np.log(np.einsum("nii->ni", L)).sum(axis=1)
+
+    def whitened(S: Array) -> Array:
+        half = np.linalg.solve(L, S / scale2)
+        return np.linalg.solve(L, np.swapaxes(half, 1, 2))
+
+    def divergence(S: Array, z: Array) -> Array:
+        with np.errstate(divide="ignore"):
+            _, log_det = np.linalg.slogdet(S / scale2)
+        trace = np.einsum("nii->n", whitened(S))
+        return (trace - 4 + log_det_decoded - log_det + (z**2).sum(axis=1)) / 2
+
+    W = whitened(error)
+    z = np.linalg.solve(L, (d / scale)[..., None])[..., 0]
+    x = np.array(LATERAL_X)
+    J, J_decoded = (lateral_jacobian(m[:, None, :], x) for m in (mean, decoded_mean))
+    variance = np.einsum("nxi,nij,nxj->nx", J, cov, J)
+    decoded_variance = np.einsum("nxi,nij,nxj->nx", J_decoded, decoded_cov, J_decoded)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sigma_ratio = np.sqrt(decoded_variance / variance)
+    return Judgement(
+        positive_definite=definite,
+        largest_ratio=np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1],
+        kl_covered=divergence(target, np.zeros_like(z)),
+        kl=divergence(cov, z),
+        lateral_error=lateral(decoded_mean[:, None, :], x) - lateral(mean[:, None, :], x),
+        sigma_ratio=sigma_ratio,
+    )
+
+
+def _cholesky(S: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Factors, and which matrices have one; NaN where there is none."""
+    definite = np.ones(len(S), dtype=bool)
+    try:
+        return np.linalg.cholesky(S), definite
+    except np.linalg.LinAlgError:
+        L = np.full_like(S, np.nan)
+        for i, matrix in enumerate(S):
+            try:
+                L[i] = np.linalg.cholesky(matrix)
+            except np.linalg.LinAlgError:
+                definite[i] = False
+        return L, definite

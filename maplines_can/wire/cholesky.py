@@ -1,0 +1,291 @@
+"""The covariance code: log pivots and pivot-relative Cholesky rows, quantized with feedback.
+
+Write the covariance in the order of its rows as ``S = L L^T``, L lower
+triangular, and let ``S' = L' L'^T`` be what is decoded. With ``A = L'^-1 L``,
+
+    KL(N(0, S) || N(0, S')) = sum_i ((a_ii^2 - 1) / 2 - ln a_ii) + 1/2 sum_{i>j} a_ij^2,
+
+so the entries of A are the errors that count, each by itself. Sent are the
+pivots ``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the
+diagonal outwards, each ratio is chosen to bring its a_ij next to zero *given
+the rows as already decoded*; every a_ij then ends within half a step whatever
+the covariance, and the expected divergence is a constant of the code: a ratio
+of step D costs D^2 / 24, a pivot of step D (in octaves) costs (D ln 2)^2 / 12.
+
+Two things make the result cover what is sent. A ratio beyond its range lifts
+its pivot until it fits: that adds variance in the one direction that is
+thinner than the code can say, and nowhere else. And the whole is multiplied by
+2^inflation, the least for which S' minus the mean square error about the decoded
+mean is positive semidefinite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import LayoutError
+from .layout import Field, Layout
+
+__all__ = ["STATE_SIGNALS", "CholeskyCode", "Coded"]
+
+#: DBC signals of the mean, in the order of the states.
+STATE_SIGNALS = ("YOff", "Beta", "C0", "C1")
+
+#: Room for the rounding of whoever checks the guarantee with another algorithm.
+MARGIN = 1e-6
+#: Rows worked on at a time: all arrays of a block stay in the cache.
+BLOCK = 2048
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Covariances as raw values, and what happened to them.
+
+    Args:
+        raw: (N,) values by signal.
+        saturated: (N,) a pivot was lifted by more than its rounding to keep a ratio in range.
+        covered: (N,) the decoded covariance covers what was to be sent.
+    """
+
+    raw: dict[str, NDArray[np.int64]]
+    saturated: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
+
+
+class CholeskyCode:
+    """Covariances to raw values of a layout's pivots, ratios and inflation, and back.
+
+    The order of the rows is in the names: ``RatioC0Beta`` says that C0 comes
+    after Beta.
+
+    Raises:
+        LayoutError: a pivot, a ratio or the inflation is missing.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        below = {
+            row: [column for column in STATE_SIGNALS if f"Ratio{row}{column}" in layout.fields]
+            for row in STATE_SIGNALS
+        }
+        names = sorted(STATE_SIGNALS, key=lambda state: len(below[state]))
+        if [len(below[name]) for name in names] != [0, 1, 2, 3]:
+            raise LayoutError(
+                f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
+                f"pair of {', '.join(STATE_SIGNALS)}, but there are {below}"
+            )
+        #: States in the order of the rows, as indices into the mean.
+        self.order = [STATE_SIGNALS.index(name) for name in names]
+        self.pivots = [layout[f"Pivot{name}"] for name in names]
+        self.ratios = [
+            [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
+        ]
+        self.inflation = layout["Inflation"]
+        self.fields: list[Field] = [*self.pivots, *chain(*self.ratios), self.inflation]
+        for field in self.fields:
+            if field.factor <= 0:
+                raise LayoutError(f"{layout.source}: signal {field.name} needs a positive factor")
+        self._sigma = [_exp2_table(field) for field in self.pivots]
+        self._variance_factor = _exp2_table(self.inflation)
+        # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
+        self._hopeless = np.empty(4)
+        for state, pivot, ratios in zip(self.order, self.pivots, self.ratios, strict=True):
+            reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
+            self._hopeless[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach * 4
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        """Code covariances so that none is decoded overconfident.
+
+        Args:
+            error: (N, 4, 4) what the decoded covariance must cover: the
+                covariance plus d d^T, with d the error of the decoded mean.
+            resolution: (4,) variances of the mean's own rounding, which are
+                added before the coding: they give singular matrices a floor.
+        """
+        n = len(error)
+        coded = Coded(
+            {field.name: np.zeros(n, dtype=np.int64) for field in self.fields},
+            np.zeros(n, dtype=bool),
+            np.zeros(n, dtype=bool),
+        )
+        diagonal = np.einsum("nii->ni", error)
+        for start in range(0, n, BLOCK):
+            rows = np.arange(start, min(start + BLOCK, n))
+            rows = rows[(diagonal[rows] < self._hopeless).all(axis=1)]
+            scale = np.ones(len(rows))
+            # Once is enough unless a DBC leaves too little inflation for its steps.
+            for _ in range(6):
+                excess = self._encode_block(error[rows], resolution, scale, rows, coded)
+                again = excess > 1
+                if not again.any():
+                    break
+                rows, scale = rows[again], (scale * excess)[again]
+        lost = ~coded.covered
+        if lost.any():
+            for name, raw in self.widest().items():
+                coded.raw[name][lost] = raw
+        return coded
+
+    def widest(self) -> dict[str, int]:
+        """Raw values of the widest covariance: what a line without one carries."""
+        wide = [*self.pivots, self.inflation]
+        return {field.name: field.raw_max if field in wide else 0 for field in self.fields}
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """(N, 4, 4) covariances; positive definite whatever the raw values.
+
+        Args:
+            raw: (N,) values by signal.
+        """
+        n = len(raw[self.inflation.name])
+        cov = np.empty((n, 4, 4))
+        for start in range(0, n, BLOCK):
+            rows = slice(start, start + BLOCK)
+            block = {field.name: raw[field.name][rows] for field in self.fields}
+            L = self._decode_rows(block)
+            factor = _lookup(self._variance_factor, self.inflation, block[self.inflation.name])
+            for i, row in enumerate(L):
+                scaled = [factor * entry for entry in row]
+                for j, column in enumerate(L[: i + 1]):
+                    value = scaled[0] * column[0]
+                    for k in range(1, j + 1):
+                        value += scaled[k] * column[k]
+                    cov[rows, self.order[i], self.order[j]] = value
+                    cov[rows, self.order[j], self.order[i]] = value
+        return cov
+
+    def _decode_rows(self, raw: Mapping[str, NDArray[np.int64]]) -> list[list[Array]]:
+        """L' as rows of (N,) entries, without the inflation."""
+        L = []
+        for table, pivot, ratios in zip(self._sigma, self.pivots, self.ratios, strict=True):
+            sigma = _lookup(table, pivot, raw[pivot.name])
+            L.append([ratio.physical(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
+        return L
+
+    def _encode_block(
+        self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
+    ) -> Array:
+        """Code one block into ``coded``; returns what is missing of each inflation, 1 or less."""
+        M = [[error[:, i, j].copy() for j in self.order] for i in self.order]
+        floor = [resolution[i] * scale for i in self.order]
+        target = [[scale * M[i][j] for j in range(i + 1)] for i in range(4)]
+        for i in range(4):
+            target[i][i] = target[i][i] + floor[i]
+        raw, L, lifted = self._quantize(_factor(target, floor))
+        needed = _largest_ratio(L, M)
+        steps = (np.log2(needed) - self.inflation.offset) / self.inflation.factor
+        inflation = self.inflation.limited(np.ceil(steps))
+        given = _lookup(self._variance_factor, self.inflation, inflation.astype(np.int64))
+        raw[self.inflation.name] = inflation
+        for name, value in raw.items():
+            coded.raw[name][rows] = value.astype(np.int64)
+        excess = needed / given
+        coded.saturated[rows] = lifted
+        coded.covered[rows] = excess <= 1
+        return excess
+
+    def _quantize(
+        self, L: list[list[Array]]
+    ) -> tuple[dict[str, Array], list[list[Array]], NDArray[np.bool_]]:
+        """Raw pivots and ratios of a factor, what they decode to, and which rows were lifted."""
+        raw: dict[str, Array] = {}
+        A: list[list[Array]] = []
+        decoded: list[list[Array]] = []
+        lifted = np.zeros(len(L[0][0]), dtype=bool)
+        for i, (table, pivot, ratios) in enumerate(
+            zip(self._sigma, self.pivots, self.ratios, strict=True)
+        ):
+            nearest = pivot.limited(pivot.raw(np.log2(L[i][i])))
+            chosen = nearest
+            for _ in range(4):
+                sigma = _lookup(table, pivot, chosen.astype(np.int64))
+                row: list[Array] = [sigma] * (i + 1)
+                overflow = np.ones_like(sigma)
+                # From the diagonal outwards: what is left of L_ij after the entries already chosen.
+                for j in reversed(range(i)):
+                    rest = L[i][j] - sum(row[k] * A[k][j] for k in range(j + 1, i))
+                    wanted = rest / (A[j][j] * sigma)
+                    nearest_ratio = ratios[j].raw(wanted)
+                    limited = ratios[j].limited(nearest_ratio)
+                    beyond = nearest_ratio != limited
+                    if beyond.any():
+                        end = np.abs(ratios[j].physical(limited)) + ratios[j].factor / 2
+                        needed = np.where(beyond, np.abs(wanted) / end, 1.0)
+                        overflow = np.maximum(overflow, needed)
+                    raw[ratios[j].name] = limited
+                    row[j] = ratios[j].physical(limited) * sigma
+                over = overflow > 1
+                if not over.any():
+                    break
+                lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
+                chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
+            lifted |= chosen > nearest + 1
+            raw[pivot.name] = chosen
+            decoded.append(row)
+            A.append(
+                [(L[i][j] - sum(row[k] * A[k][j] for k in range(j, i))) / sigma for j in range(i)]
+                + [L[i][i] / sigma]
+            )
+        return raw, decoded, lifted
+
+
+def _factor(S: list[list[Array]], floor: list[Array]) -> list[list[Array]]:
+    """Rows of the lower Cholesky factor.
+
+    Args:
+        S: rows of the lower triangle, (N,) entries.
+        floor: least value of each squared pivot. What a diagonal matrix added
+            to a semidefinite one is a bound that rounding must not undercut.
+    """
+    L: list[list[Array]] = []
+    for i in range(len(S)):
+        row: list[Array] = []
+        for j in range(i):
+            rest = S[i][j] - sum(row[k] * L[j][k] for k in range(j))
+            row.append(rest / L[j][j])
+        row.append(np.sqrt(np.maximum(S[i][i] - sum(x * x for x in row), floor[i])))
+        L.append(row)
+    return L
+
+
+def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
+    """(N,) largest eigenvalue of (L L^T)^-1 M and a little more, for rounding.
+
+    The little grows with the condition of the factor, as the rounding does.
+    """
+    n = len(L)
+    X: list[list[Array]] = []  # rows of L^-1
+    for i in range(n):
+        inverse = 1 / L[i][i]
+        row = [-inverse * sum(L[i][k] * X[k][j] for k in range(j, i)) for j in range(i)]
+        X.append([*row, inverse])
+    W = np.empty((len(M[0][0]), n, n))
+    amplification = np.zeros(len(W))
+    for i in range(n):
+        XM = [sum(X[i][k] * M[k][j] for k in range(i + 1)) for j in range(n)]
+        for j in range(i + 1):
+            W[:, i, j] = sum(XM[k] * X[j][k] for k in range(j + 1))
+        amplification += sum(X[i][k] ** 2 * M[k][k] for k in range(i + 1))
+    largest = np.linalg.eigvalsh(W, UPLO="L")[:, -1]
+    margin = MARGIN + 32 * np.finfo(float).eps * amplification
+    return np.maximum(largest, 0) * (1 + MARGIN) + margin
+
+
+def _exp2_table(field: Field) -> Array | None:
+    """2 to the physical value of each raw value; None where that would be too many."""
+    if field.raw_max - field.raw_min >= 1 << 16:
+        return None
+    return np.exp2(field.physical(np.arange(field.raw_min, field.raw_max + 1)))
+
+
+def _lookup(table: Array | None, field: Field, raw: NDArray[np.int64]) -> Array:
+    """2 to the physical value; a raw value beyond the DBC's range counts as the range's end."""
+    if table is None:
+        return np.exp2(field.physical(raw))
+    return table.take(raw - field.raw_min, mode="clip")

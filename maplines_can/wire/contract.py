@@ -1,0 +1,467 @@
+"""The one description of the wire, from which ``maplines.dbc`` and its page are written."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from cantools.database.can import Database, Message, Node, Signal
+from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
+from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttributeDefinition
+from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
+from cantools.database.conversion import BaseConversion
+
+from ..line import Kind, Slot, Status
+from .layout import BURST, PAGE, PAGE_BYTES
+
+__all__ = ["DEFAULT", "Contract", "SignalSpec"]
+
+
+@dataclass(frozen=True)
+class SignalSpec:
+    """One signal of the record.
+
+    Args:
+        name: in the DBC.
+        bits: width.
+        factor: physical = raw factor + offset.
+        unit: of the physical value.
+        about: what it is, for the DBC's comment.
+        why: why it has this width, for the page beside the DBC.
+        offset: see factor.
+        signed: two's complement.
+        choices: names of raw values.
+    """
+
+    name: str
+    bits: int
+    factor: float
+    unit: str
+    about: str
+    why: str
+    offset: float = 0.0
+    signed: bool = False
+    choices: dict[int, str] | None = None
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Least and greatest physical value."""
+        low = -(2 ** (self.bits - 1)) if self.signed else 0
+        high = low + 2**self.bits - 1
+        return _plain(low * self.factor + self.offset), _plain(high * self.factor + self.offset)
+
+
+def _plain(value: float) -> float:
+    """The number as a person would write it in a DBC."""
+    value = float(f"{value:.15g}")
+    return int(value) if value.is_integer() else value
+
+
+def _ratio(row: str, column: str, bits: int, factor: float) -> SignalSpec:
+    return SignalSpec(
+        f"Ratio{row}{column}",
+        bits,
+        factor,
+        "",
+        f"Part of {row} that goes with {column}: entry ({row}, {column}) of the lower Cholesky "
+        f"factor of the covariance, divided by the pivot of {row}.",
+        f"step 1/{round(1 / factor)}: the expected KL of its rounding is step^2/24; range "
+        f"+-{2 ** (bits - 1) * factor:g}, as far as a pose-only covariance drives it",
+        signed=True,
+    )
+
+
+def _pivot(state: str, unit: str, of: str, factor: float, offset: int) -> SignalSpec:
+    return SignalSpec(
+        f"Pivot{state}",
+        9,
+        factor,
+        "octave",
+        f"log2 of the standard deviation of {state} [{unit}]{of}.",
+        f"from the resolution of the mean's own grid, 2^{offset} {unit}, upwards in steps of "
+        f"{100 * (2**factor - 1):.1f} %",
+        offset=float(offset),
+    )
+
+
+_PROTECTION = (
+    SignalSpec(
+        "Crc",
+        16,
+        1,
+        "",
+        "CRC-16/CCITT-FALSE over all other bytes of the record, then the slot's E2EDataId, low "
+        "byte first (AUTOSAR E2E profile 5).",
+        "profile 5 asks for 16 bits, and for this place at the head of the record",
+    ),
+    SignalSpec(
+        "Counter",
+        8,
+        1,
+        "",
+        "Counts the records of the slot (AUTOSAR E2E profile 5); its low four bits are the "
+        "burst number of every page.",
+        "profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz",
+    ),
+)
+_MEAN = (
+    SignalSpec(
+        "YOff",
+        15,
+        2**-9,
+        "m",
+        "Lateral offset of the line at x = 0, positive to the left.",
+        "half a step is 1.0 mm; +-32 m holds four lanes to either side",
+        signed=True,
+    ),
+    SignalSpec(
+        "Beta",
+        16,
+        2**-16,
+        "rad",
+        "Heading of the line relative to the car, positive to the left; tan(Beta) is the slope.",
+        "half a step is 0.6 mm at 80 m; +-28.6 deg",
+        signed=True,
+    ),
+    SignalSpec(
+        "C0",
+        19,
+        2**-21,
+        "1/m",
+        "Curvature at x = 0: the second derivative of y(x), positive to the left.",
+        "half a step is 0.8 mm at 80 m; +-0.125 1/m is a radius of 8 m",
+        signed=True,
+    ),
+    SignalSpec(
+        "C1",
+        22,
+        2**-25,
+        "1/m^2",
+        "Curvature rate: the third derivative of y(x).",
+        "half a step is 1.3 mm at 80 m; a turn of radius 15 m needs 0.02 of the 0.0625",
+        signed=True,
+    ),
+)
+_STATUS = SignalSpec(
+    "Status",
+    3,
+    1,
+    "",
+    "What the covariance is worth.",
+    "six values; 6 and 7 are refused",
+    choices={status.value: status.name for status in Status},
+)
+_EXTENT = (
+    SignalSpec(
+        "Kind",
+        3,
+        1,
+        "",
+        "What the line is on the road.",
+        "eight values",
+        choices={kind.value: kind.name for kind in Kind},
+    ),
+    SignalSpec(
+        "XMin",
+        3,
+        8,
+        "m",
+        "The cubic holds from here on. Rounded towards the car: never claims too much.",
+        "-32 to 24 m: from what lies behind the car to where a merging line begins",
+        offset=-32,
+    ),
+    SignalSpec(
+        "XMax",
+        6,
+        4,
+        "m",
+        "The cubic holds up to here. Rounded towards the car: never claims too much.",
+        "0 to 252 m, beyond the reach of any camera",
+    ),
+    SignalSpec(
+        "Age",
+        5,
+        8,
+        "ms",
+        "Time from the pose to the sending; 248 means this or more.",
+        "half a step is 12 cm of way at 30 m/s, along the line where it matters least",
+    ),
+)
+_COMPONENT = (
+    SignalSpec(
+        "ComponentIndex", 3, 1, "", "Which component of a Gaussian mixture, from 0.", "8 components"
+    ),
+    SignalSpec(
+        "ComponentCount",
+        3,
+        1,
+        "",
+        "How many components the line has; 1 is a plain Gaussian.",
+        "8 components",
+        offset=1,
+    ),
+    SignalSpec(
+        "ComponentWeight",
+        5,
+        2**-5,
+        "",
+        "Weight of the component.",
+        "steps of 1/32, and no component weighs nothing",
+        offset=2**-5,
+    ),
+)
+_ROWS_1_2 = (
+    _pivot("C1", "1/m^2", "", 0.045, -27),
+    _pivot("Beta", "rad", " given C1", 0.034, -18),
+    _ratio("Beta", "C1", 11, 1 / 16),
+    _ratio("YOff", "C1", 9, 1 / 32),
+    _ratio("YOff", "Beta", 9, 1 / 32),
+)
+_ROWS_3_4 = (
+    _pivot("YOff", "m", " given C1 and Beta", 0.032, -11),
+    _pivot("C0", "1/m", " given C1, Beta and YOff", 0.04, -23),
+    _ratio("C0", "C1", 14, 1 / 16),
+    _ratio("C0", "Beta", 14, 1 / 16),
+    _ratio("C0", "YOff", 8, 1 / 16),
+    SignalSpec(
+        "Inflation",
+        4,
+        1 / 96,
+        "octave",
+        "log2 of the factor on the whole covariance that makes up for the rounding: the decoded "
+        "covariance is 2^Inflation L L^T.",
+        "steps of 0.7 % of the variance; up to 11 %, more than the rounding ever needs",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What is on the wire: pages of signals, and the slots that carry them.
+
+    Each page ends with its number and its burst number, so that the first page
+    can begin with the header of E2E profile 5. Everything is little-endian.
+
+    Args:
+        pages: the signals of each page, in the order of their bits.
+        first_can_id: of the classic message of slot 0; the others follow.
+        first_fd_can_id: of the FD message of slot 0; the others follow.
+        first_data_id: E2E data ID of slot 0; the others follow.
+        cycle_ms: cycle time [ms].
+        covariance_code: which code the covariance is written in.
+    """
+
+    pages: tuple[tuple[SignalSpec, ...], ...]
+    first_can_id: int = 0x340
+    first_fd_can_id: int = 0x348
+    first_data_id: int = 0x4D40
+    cycle_ms: int = 50
+    covariance_code: str = "Cholesky"
+
+    def __post_init__(self) -> None:
+        for number, page in enumerate(self.pages):
+            bits = sum(spec.bits for spec in page) + self.page_bits + BURST_BITS
+            if bits > 8 * PAGE_BYTES:
+                raise ValueError(f"page {number} has {bits} bits, more than {8 * PAGE_BYTES}")
+
+    @property
+    def page_bits(self) -> int:
+        """Width of the page number."""
+        return max(1, (len(self.pages) - 1).bit_length())
+
+    def dbc(self) -> str:
+        """The text of the DBC."""
+        definitions = _attribute_definitions()
+        messages = [message for slot in Slot for message in (self._classic(slot), self._fd(slot))]
+        database = Database(
+            messages=messages,
+            nodes=[
+                Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
+                Node("AdasEcu", "Fuses the lines, steers by them or checks its camera with them."),
+            ],
+            version="1",
+            dbc_specifics=DbcSpecifics(
+                attributes=OrderedDict(
+                    BusType=DbcAttribute("CAN FD", definitions["BusType"]),
+                    CovarianceCode=DbcAttribute(
+                        self.covariance_code, definitions["CovarianceCode"]
+                    ),
+                ),
+                attribute_definitions=definitions,
+            ),
+        )
+        return str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
+
+    def table(self) -> str:
+        """The fields as a Markdown table, for the page beside the DBC."""
+        rows = [
+            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |"
+        ]
+        rows.append("|---|---|---|---|---|---|---|---|---|")
+        for number, page in enumerate(self.pages):
+            for spec, start in self._placed(page):
+                low, high = spec.range
+                end = start + spec.bits - 1
+                rows.append(
+                    f"| {number} | {start}..{end} | `{spec.name}` | {spec.bits} | "
+                    f"{spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
+                    f"{spec.about} | {spec.why} |"
+                )
+        return "\n".join(rows)
+
+    def _placed(self, page: tuple[SignalSpec, ...]) -> Iterator[tuple[SignalSpec, int]]:
+        start = 0
+        for spec in page:
+            yield spec, start
+            start += spec.bits
+        end = 8 * PAGE_BYTES
+        yield _page_spec(self.page_bits), end - self.page_bits - BURST_BITS
+        yield _BURST, end - BURST_BITS
+
+    def _classic(self, slot: Slot) -> Message:
+        signals = []
+        for number, page in enumerate(self.pages):
+            for spec, start in self._placed(page):
+                if spec.name not in (PAGE, BURST):
+                    mux: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                    signals.append(_signal(spec, start, **mux))
+                elif number == 0:
+                    signals.append(_signal(spec, start, is_multiplexer=spec.name == PAGE))
+        about = (
+            f"The {_slot_words(slot)} line: {len(self.pages)} pages, sent back to back with one "
+            "burst number."
+        )
+        return self._message(_slot_name(slot), self.first_can_id + slot, PAGE_BYTES, signals, about)
+
+    def _fd(self, slot: Slot) -> Message:
+        signals = []
+        for number, page in enumerate(self.pages):
+            for spec, start in self._placed(page):
+                suffix = str(number) if spec.name in (PAGE, BURST) else ""
+                signals.append(_signal(spec, start + 8 * PAGE_BYTES * number, suffix=suffix))
+        length = fd_length(PAGE_BYTES * len(self.pages))
+        name = _slot_name(slot) + "Fd"
+        about = f"The {_slot_words(slot)} line: the pages of {_slot_name(slot)} laid end to end."
+        return self._message(name, self.first_fd_can_id + slot, length, signals, about, is_fd=True)
+
+    def _message(
+        self,
+        name: str,
+        can_id: int,
+        length: int,
+        signals: list[Signal],
+        about: str,
+        is_fd: bool = False,
+    ) -> Message:
+        definitions = _attribute_definitions()
+        slot = (can_id - (self.first_fd_can_id if is_fd else self.first_can_id)) & 7
+        values: dict[str, Any] = {
+            "MapLineSlot": slot,
+            "E2EDataId": self.first_data_id + slot,
+            "GenMsgCycleTime": self.cycle_ms,
+            "GenMsgSendType": 0,
+            "VFrameFormat": 14 if is_fd else 0,
+        }
+        return Message(
+            frame_id=can_id,
+            name=name,
+            length=length,
+            signals=signals,
+            comment=about,
+            senders=["PositionEcu"],
+            send_type="Cyclic",
+            cycle_time=self.cycle_ms,
+            is_fd=is_fd,
+            sort_signals=None,
+            dbc_specifics=DbcSpecifics(
+                attributes=OrderedDict(
+                    (name, DbcAttribute(value, definitions[name])) for name, value in values.items()
+                )
+            ),
+        )
+
+
+BURST_BITS = 4
+_BURST = SignalSpec(
+    BURST,
+    BURST_BITS,
+    1,
+    "",
+    "Which burst the page belongs to: the low bits of Counter. A line is accepted only when all "
+    "its pages carry the same number and the checksum over all of them holds.",
+    "tells 16 bursts in a row apart, long after a lost page's burst has timed out",
+)
+
+
+def _page_spec(bits: int) -> SignalSpec:
+    return SignalSpec(PAGE, bits, 1, "", "Page of the record: the multiplexer.", "as many as pages")
+
+
+def fd_length(length: int) -> int:
+    """The least CAN FD payload length that holds ``length`` bytes (ISO 11898-1).
+
+    >>> fd_length(24), fd_length(25)
+    (24, 32)
+    """
+    return next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= length)
+
+
+def _slot_name(slot: Slot) -> str:
+    return "".join(part.capitalize() for part in slot.name.split("_"))
+
+
+def _slot_words(slot: Slot) -> str:
+    return slot.name.replace("_", " ").lower()
+
+
+def _signal(spec: SignalSpec, start: int, suffix: str = "", **multiplexing: Any) -> Signal:
+    low, high = spec.range
+    return Signal(
+        name=spec.name + suffix,
+        start=start,
+        length=spec.bits,
+        is_signed=spec.signed,
+        conversion=BaseConversion.factory(
+            scale=_plain(spec.factor),
+            offset=_plain(spec.offset),
+            choices=OrderedDict(spec.choices) if spec.choices else None,
+            is_float=False,
+        ),
+        minimum=low,
+        maximum=high,
+        unit=spec.unit or None,
+        comment=spec.about,
+        receivers=["AdasEcu"],
+        **multiplexing,
+    )
+
+
+def _attribute_definitions() -> OrderedDict[str, Any]:
+    frame_formats = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD"]
+    definitions = (
+        DbcAttributeDefinition("BusType", "CAN", "", "STRING"),
+        DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
+        DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
+        DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
+        DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
+        DbcAttributeDefinition(
+            "GenMsgSendType", "Cyclic", "BO_", "ENUM", choices=["Cyclic", "Event", "IfActive"]
+        ),
+        DbcAttributeDefinition(
+            "VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=[*frame_formats, "ExtendedCAN_FD"]
+        ),
+    )
+    return OrderedDict((definition.name, definition) for definition in definitions)
+
+
+#: What ``dbc/maplines.dbc`` describes.
+DEFAULT = Contract(
+    pages=(
+        (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS),
+        (_MEAN[2], _MEAN[3], *_EXTENT),
+        (*_ROWS_1_2, *_COMPONENT),
+        _ROWS_3_4,
+    )
+)

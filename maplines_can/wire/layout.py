@@ -1,0 +1,304 @@
+"""From a DBC to the layout of a record: the only place that knows what a DBC is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+from cantools.database.can import Database, Message, Signal
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import LayoutError
+from ..line import Slot
+
+__all__ = ["PAGE_BYTES", "Channel", "Field", "Layout", "default_dbc_path"]
+
+#: A page is one classic CAN frame.
+PAGE_BYTES = 8
+#: Signals that each page carries: which page of which burst it is.
+PAGE, BURST = "Page", "Burst"
+
+
+@dataclass(frozen=True)
+class Field:
+    """One signal of a record, with the law between raw and physical values.
+
+    Args:
+        name: as in the DBC.
+        start: first bit within the record, numbered as the DBC numbers it.
+        length: bits, 1 to 64.
+        big_endian: Motorola order; then ``start`` is the most significant bit.
+        signed: two's complement.
+        factor: physical = raw factor + offset.
+        offset: see factor.
+        unit: of the physical value.
+        raw_min: least raw value within the DBC's range.
+        raw_max: greatest raw value within the DBC's range.
+    """
+
+    name: str
+    start: int
+    length: int
+    big_endian: bool
+    signed: bool
+    factor: float
+    offset: float
+    unit: str
+    raw_min: int
+    raw_max: int
+
+    def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
+        """(...,) nearest raw values, halves to even as cantools does; not limited to the range."""
+        return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
+
+    def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
+        """(...,) physical values."""
+        return np.asarray(raw, dtype=float) * self.factor + self.offset
+
+    def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(...,) raw values brought into the range; the caller counts what was out of it."""
+        return raw.clip(self.raw_min, self.raw_max)
+
+    @property
+    def physical_range(self) -> tuple[float, float]:
+        """Least and greatest physical value."""
+        low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
+        return float(low), float(high)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Where the lines of one slot travel.
+
+    Args:
+        slot: the line slot.
+        name: name of its classic message, or of its FD message where there is no other.
+        can_id: CAN ID of the classic message with its pages, or None.
+        fd_can_id: CAN ID of the CAN FD message, or None.
+        is_extended: 29-bit IDs.
+        data_id: what the checksum is salted with, so that no line passes for another.
+        cycle_ms: cycle time that the DBC asks for [ms].
+    """
+
+    slot: Slot
+    name: str
+    can_id: int | None
+    fd_can_id: int | None
+    is_extended: bool
+    data_id: int
+    cycle_ms: int
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The record of a map line and the channels that carry it, as a DBC describes them.
+
+    A record is the pages of a multiplexed classic message laid end to end, and
+    the payload of one CAN FD message. Signals that each page repeats appear as
+    ``Page0``, ``Burst0``, ``Page1``, ...
+
+    Args:
+        fields: by name, in the order of the DBC.
+        pages: number of pages.
+        channels: by slot.
+        covariance_code: which code the covariance is written in.
+        source: the file.
+    """
+
+    fields: Mapping[str, Field]
+    pages: int
+    channels: Mapping[Slot, Channel]
+    covariance_code: str
+    source: str
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of a record."""
+        return self.pages * PAGE_BYTES
+
+    @cached_property
+    def page_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
+        """(CAN ID, extended) to (slot, whether it is the FD message)."""
+        ids = {}
+        for channel in self.channels.values():
+            for can_id, is_fd in ((channel.can_id, False), (channel.fd_can_id, True)):
+                if can_id is not None:
+                    ids[can_id, channel.is_extended] = (channel.slot, is_fd)
+        return ids
+
+    def __getitem__(self, name: str) -> Field:
+        try:
+            return self.fields[name]
+        except KeyError:
+            raise LayoutError(
+                f"{self.source}: there is no signal {name!r}; a map line needs it in each message"
+            ) from None
+
+    @classmethod
+    def from_dbc(cls, path: str | Path | None = None) -> Layout:
+        """Read a layout; without a path, the project's own ``maplines.dbc``.
+
+        Raises:
+            LayoutError: the file is missing, is not a DBC, or describes no map line.
+        """
+        path = default_dbc_path() if path is None else Path(path)
+        try:
+            database = cantools.database.load_file(str(path), database_format="dbc", strict=True)
+        except OSError as error:
+            raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except Exception as error:  # the parser raises many kinds, and all mean this
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise LayoutError(f"{path}: is not a valid DBC: {reason}") from error
+        if not isinstance(database, Database):
+            raise LayoutError(f"{path}: is not a DBC of CAN messages")
+        return _layout(database, str(path))
+
+
+def default_dbc_path() -> Path:
+    """Where ``maplines.dbc`` is: inside an installed package, else in the checkout.
+
+    Raises:
+        LayoutError: in neither place.
+    """
+    packaged = resources.files(__package__.partition(".")[0]) / "dbc" / "maplines.dbc"
+    checkout = Path(__file__).parents[2] / "dbc" / "maplines.dbc"
+    for path in (Path(str(packaged)), checkout):
+        if path.is_file():
+            return path
+    raise LayoutError(f"maplines.dbc is neither at {packaged} nor at {checkout}; reinstall")
+
+
+def _layout(database: Database, source: str) -> Layout:
+    records: dict[str, dict[str, Field]] = {}
+    found: dict[Slot, dict[bool, Message]] = {}
+    for message in database.messages:
+        attributes = message.dbc.attributes if message.dbc else {}
+        if "MapLineSlot" not in attributes:
+            continue
+        try:
+            slot = Slot(int(attributes["MapLineSlot"].value))
+        except ValueError:
+            raise LayoutError(
+                f"{source}: message {message.name}: MapLineSlot must be 0 to {len(Slot) - 1}, "
+                f"got {attributes['MapLineSlot'].value}"
+            ) from None
+        if found.setdefault(slot, {}).setdefault(message.is_fd, message) is not message:
+            raise LayoutError(f"{source}: slot {slot.name} has two messages of the same carrier")
+        records[message.name] = _record(message, source)
+    if not records:
+        raise LayoutError(
+            f"{source}: no message has the attribute MapLineSlot, so none carries a map line"
+        )
+    (first, fields), *others = records.items()
+    for name, other in others:
+        if other != fields:
+            differing = sorted({f for f in {*fields, *other} if fields.get(f) != other.get(f)})
+            raise LayoutError(
+                f"{source}: messages {first} and {name} must hold the same signals at the same "
+                f"places, but {', '.join(differing)} differ"
+            )
+    code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
+    return Layout(
+        fields=fields,
+        pages=sum(name.startswith(PAGE) for name in fields),
+        channels={slot: _channel(slot, found[slot], source) for slot in sorted(found)},
+        covariance_code="Cholesky" if code is None else str(code.value),
+        source=source,
+    )
+
+
+def _channel(slot: Slot, carriers: dict[bool, Message], source: str) -> Channel:
+    classic, fd = carriers.get(False), carriers.get(True)
+    data_ids: set[Any] = set()
+    for message in carriers.values():
+        attributes = message.dbc.attributes if message.dbc else {}
+        data_ids.add(attributes["E2EDataId"].value if "E2EDataId" in attributes else None)
+    data_id = data_ids.pop()
+    if data_ids or data_id is None or not 0 <= int(data_id) <= 0xFFFF:
+        raise LayoutError(
+            f"{source}: slot {slot.name}: its messages need the same attribute E2EDataId, "
+            "0 to 65535"
+        )
+    message = next(m for m in (classic, fd) if m is not None)
+    return Channel(
+        slot=slot,
+        name=message.name,
+        can_id=classic.frame_id if classic else None,
+        fd_can_id=fd.frame_id if fd else None,
+        is_extended=message.is_extended_frame,
+        data_id=int(data_id),
+        cycle_ms=int(message.cycle_time or 0),
+    )
+
+
+def _record(message: Message, source: str) -> dict[str, Field]:
+    """Fields of a message at their places in the record, the same for both carriers."""
+    where = f"{source}: message {message.name}"
+    multiplexers = [signal for signal in message.signals if signal.is_multiplexer]
+    if not multiplexers:
+        fields = [_field(signal, where) for signal in message.signals]
+    else:
+        if len(multiplexers) > 1 or multiplexers[0].name != PAGE:
+            raise LayoutError(f"{where}: must have one multiplexer, named {PAGE}")
+        if message.length != PAGE_BYTES:
+            raise LayoutError(f"{where}: a page must have 8 bytes, got {message.length}")
+        ids = sorted({i for s in message.signals for i in s.multiplexer_ids or ()})
+        if ids != list(range(len(ids))):
+            raise LayoutError(f"{where}: pages must be numbered 0, 1, ..., got {ids}")
+        fields = []
+        for signal in message.signals:
+            field = _field(signal, where)
+            if signal.multiplexer_ids is None:  # in each page
+                for page in ids:
+                    start = field.start + 8 * PAGE_BYTES * page
+                    fields.append(replace(field, name=f"{field.name}{page}", start=start))
+            elif len(signal.multiplexer_ids) == 1:
+                start = field.start + 8 * PAGE_BYTES * signal.multiplexer_ids[0]
+                fields.append(replace(field, start=start))
+            else:
+                raise LayoutError(f"{where}: signal {signal.name} must be in one page or in all")
+    record = {field.name: field for field in sorted(fields, key=lambda field: field.start)}
+    pages = sum(name.startswith(PAGE) for name in record)
+    for page in range(pages):
+        for name in (f"{PAGE}{page}", f"{BURST}{page}"):
+            if name not in record:
+                raise LayoutError(f"{where}: signal {name} is missing")
+    if not pages or (not multiplexers and message.length < pages * PAGE_BYTES):
+        raise LayoutError(f"{where}: must have pages of 8 bytes, each with {PAGE} and {BURST}")
+    return record
+
+
+def _field(signal: Signal, where: str) -> Field:
+    if signal.is_float:
+        raise LayoutError(f"{where}: signal {signal.name} is a float; give it an integer type")
+    factor, offset = float(signal.scale), float(signal.offset)
+    low, high = (-(2 ** (signal.length - 1)), 2 ** (signal.length - 1) - 1)
+    if not signal.is_signed:
+        low, high = 0, 2**signal.length - 1
+    if not 1 <= signal.length <= 64 or not factor or not np.isfinite([factor, offset]).all():
+        raise LayoutError(f"{where}: signal {signal.name} needs a finite factor other than 0")
+    bounds = sorted(
+        (bound - offset) / factor for bound in (signal.minimum, signal.maximum) if bound is not None
+    )
+    if len(bounds) == 2:  # the DBC's range, where it is the narrower
+        slack = 1e-6  # a bound printed in decimals still admits the raw value that it means
+        low = max(low, int(np.ceil(bounds[0] - slack)))
+        high = max(low, min(high, int(np.floor(bounds[1] + slack))))
+    return Field(
+        name=signal.name,
+        start=signal.start,
+        length=signal.length,
+        big_endian=signal.byte_order == "big_endian",
+        signed=signal.is_signed,
+        factor=factor,
+        offset=offset,
+        unit=signal.unit or "",
+        raw_min=low,
+        raw_max=high,
+    )

@@ -1,0 +1,79 @@
+"""A codec of four pages, just enough to see what the bus does with it."""
+
+import struct
+from collections import Counter
+from enum import Enum
+from typing import NamedTuple
+
+from maplines_can.line import Component, MapLine, Slot
+
+PAGES = 4
+
+
+class Frame(NamedTuple):
+    can_id: int
+    data: bytes
+    is_fd: bool = False
+    is_extended: bool = False
+
+
+class Reason(Enum):
+    PENDING = "page kept"
+    DONE = "line complete"
+    UNKNOWN_ID = "not ours"
+    BROKEN = "burst not complete"
+
+
+class FakeCodec:
+    """Page: number, counter, slot, component, age [ms], y_off [mm]."""
+
+    def __init__(self, can_ids=None):
+        self.counters = Counter()
+        self.can_ids = can_ids
+
+    def encode(self, line, *, fd=False):
+        if line.x_max == 13.0:
+            raise ValueError("x_max must not be 13 m")
+        counter = self.counters[line.slot] = (self.counters[line.slot] + 1) % 256
+        age, y = round(line.age * 1e3) % 2**16, round(line.gaussian.mean[0] * 1e3)
+        head = counter, line.slot, line.component.index, age, y
+        pages = [struct.pack("<BBBBHh", page, *head) for page in range(PAGES)]
+        can_id = 0x100 + line.slot
+        if fd:
+            return [Frame(can_id, b"".join(pages), is_fd=True)]
+        return [Frame(can_id, page) for page in pages]
+
+    def decoder(self):
+        return FakeDecoder(self.can_ids)
+
+
+class FakeDecoder:
+    def __init__(self, can_ids=None):
+        self.counts = Counter()
+        self.lines = self.frames = self.lost = 0
+        self.can_ids = can_ids
+        self.bursts = {}
+
+    def feed(self, can_id, data, t_ns, *, is_extended=False):  # noqa: ARG002
+        self.frames += 1
+        result = self._feed(can_id, data, t_ns)
+        self.counts[Reason.DONE if isinstance(result, MapLine) else result] += 1
+        return result
+
+    def _feed(self, can_id, data, t_ns):
+        if not 0x100 <= can_id < 0x108 or len(data) not in (8, 32):
+            return Reason.UNKNOWN_ID
+        for start in range(0, len(data), 8):
+            page, counter, slot, component, age, y = struct.unpack_from("<BBBBHh", data, start)
+            expected, of = self.bursts.get(slot, (0, counter))
+            if page != 0 and (page, counter) != (expected, of):
+                self.bursts.pop(slot, None)
+                return Reason.BROKEN
+            self.bursts[slot] = page + 1, counter
+        if page + 1 < PAGES:
+            return Reason.PENDING
+        self.lines += 1
+        return MapLine.with_sigma(
+            Slot(slot), [y / 1e3, 0, 0, 0], [1, 1, 1, 1], age=age / 1e3, t_ns=t_ns,
+            component=Component(component, component + 1, 1.0),
+        )  # fmt: skip
