@@ -67,6 +67,19 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
             array.flags.writeable = False
             object.__setattr__(self, name, array)
 
+    @classmethod
+    def trusted(cls, mean: NDArray[np.float64], cov: NDArray[np.float64]) -> Gaussian:
+        """A Gaussian from arrays that are known to be right, and are now its own.
+
+        For decoders, whose matrices are definite by construction; everybody
+        else calls ``Gaussian(mean, cov)``, which checks.
+        """
+        gaussian = object.__new__(cls)
+        for name, array in (("mean", mean), ("cov", cov)):
+            array.flags.writeable = False
+            object.__setattr__(gaussian, name, array)
+        return gaussian
+
     @property
     def dimension(self) -> int:
         """Number of components n."""

@@ -212,9 +212,9 @@ def random_scenarios(n: int, seed: int = 0) -> Iterator[Scenario]:
             s[1] - s[0],
             -behind,
         )
-        sigma = 10 ** rng.uniform(np.log10(0.03), 0.0, size=2)
+        sigma_x, sigma_y = 10 ** rng.uniform(np.log10(0.03), 0.0, size=2)
         heading_sigma_deg = 10 ** rng.uniform(np.log10(0.05), 1.0)
-        ego = pose(*sigma, heading_sigma_deg, correlation=rng.uniform(-0.9, 0.9))
+        ego = pose(sigma_x, sigma_y, heading_sigma_deg, correlation=rng.uniform(-0.9, 0.9))
         line = SceneLine(Slot.EGO_LEFT, Kind.SOLID, Polyline(points))
         yield Scenario(
             f"random-{seed}-{i}", "a random road", ego, (line,), (-behind - 1, ahead + 1)

@@ -21,9 +21,10 @@ mean is positive semidefinite.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,15 +151,22 @@ class CholeskyCode:
             block = {field.name: raw[field.name][rows] for field in self.fields}
             L = self._decode_rows(block)
             factor = _lookup(self._variance_factor, self.inflation, block[self.inflation.name])
-            for i, row in enumerate(L):
-                scaled = [factor * entry for entry in row]
-                for j, column in enumerate(L[: i + 1]):
-                    value = scaled[0] * column[0]
-                    for k in range(1, j + 1):
-                        value += scaled[k] * column[k]
-                    cov[rows, self.order[i], self.order[j]] = value
-                    cov[rows, self.order[j], self.order[i]] = value
+            for i, j, value in _products(L, factor):
+                cov[rows, self.order[i], self.order[j]] = value
+                cov[rows, self.order[j], self.order[i]] = value
         return cov
+
+    def decode_one(self, raw: Mapping[str, int]) -> Array:
+        """(4, 4) covariance: as ``decode`` to the last bit, without the cost of arrays."""
+        L = []
+        for table, pivot, ratios in zip(self._sigma, self.pivots, self.ratios, strict=True):
+            sigma = _lookup_one(table, pivot, raw[pivot.name])
+            L.append([ratio.physical_one(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
+        factor = _lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
+        cov = [[0.0] * 4 for _ in range(4)]
+        for i, j, value in _products(L, factor):
+            cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value
+        return np.array(cov)
 
     def _decode_rows(self, raw: Mapping[str, NDArray[np.int64]]) -> list[list[Array]]:
         """L' as rows of (N,) entries, without the inflation."""
@@ -235,6 +243,17 @@ class CholeskyCode:
         return raw, decoded, lifted
 
 
+def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]:
+    """Lower triangle of ``factor L L^T``, for arrays and for single numbers alike."""
+    for i, row in enumerate(L):
+        scaled = [factor * entry for entry in row]
+        for j, column in enumerate(L[: i + 1]):
+            value = scaled[0] * column[0]
+            for k in range(1, j + 1):
+                value += scaled[k] * column[k]
+            yield i, j, value
+
+
 def _factor(S: list[list[Array]], floor: list[Array]) -> list[list[Array]]:
     """Rows of the lower Cholesky factor.
 
@@ -289,3 +308,9 @@ def _lookup(table: Array | None, field: Field, raw: NDArray[np.int64]) -> Array:
     if table is None:
         return np.exp2(field.physical(raw))
     return table.take(raw - field.raw_min, mode="clip")
+
+
+def _lookup_one(table: Array | None, field: Field, raw: int) -> float:
+    if table is None:
+        return float(np.exp2(field.physical_one(raw)))
+    return table.item(min(max(raw - field.raw_min, 0), len(table) - 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from ..gaussian import Gaussian, asymmetric, indefinite, nearest_covariance
 from ..line import VAGUE_SIGMA, Component, Kind, MapLine, Slot, Status
 from .cholesky import STATE_SIGNALS, CholeskyCode
 from .contract import fd_length
-from .e2e import CRC_BYTES, record_crc
+from .e2e import CRC_BYTES, record_crc, record_crc_one
 from .layout import BURST, PAGE, PAGE_BYTES, Layout
 from .packing import Packing
 from .reassembly import Reason, Reassembler, Record
@@ -26,6 +27,9 @@ __all__ = ["Batch", "Codec", "Decoder", "Frame"]
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 #: How long a burst may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 100.0
+
+
+_VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
 class Frame(NamedTuple):
@@ -65,24 +69,6 @@ class Batch:
         numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
         pairs = zip(VERDICTS, numbers.tolist(), strict=True)
         return Counter({reason: n for reason, n in pairs if reason and n})
-
-    def line(self, i: int, slot: Slot, t_ns: int | None = None) -> MapLine:
-        """Row i as a map line."""
-        return MapLine(
-            slot=slot,
-            gaussian=Gaussian(self.mean[i], self.cov[i]),
-            kind=Kind(int(self.kind[i])),
-            x_min=float(min(self.x_min[i], self.x_max[i])),
-            x_max=float(self.x_max[i]),
-            age=float(self.age[i]),
-            status=Status(int(self.status[i])),
-            component=Component(
-                int(self.component_index[i]),
-                int(self.component_count[i]),
-                float(self.component_weight[i]),
-            ),
-            t_ns=t_ns,
-        )
 
 
 class Codec:
@@ -127,6 +113,7 @@ class Codec:
             layout[name]
         if layout["Counter"].length < layout[f"{BURST}0"].length:
             raise LayoutError(f"{layout.source}: Counter must be as wide as Burst or wider")
+        self._burst_mask = 2 ** layout[f"{BURST}0"].length - 1
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
@@ -266,17 +253,17 @@ class Codec:
         status = raw["Status"]
         vague = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
         if vague.any():
-            cov[vague] = np.diag(np.square(VAGUE_SIGMA))
+            cov[vague] = _VAGUE
 
         physical = {
             name: self.layout[name].physical(raw[name])
             for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
         }
         index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
-        burst = raw["Counter"] & (2 ** self.layout[f"{BURST}0"].length - 1)
+        burst = raw["Counter"] & self._burst_mask
         verdict = np.zeros(n, dtype=np.int8)
         unlawful = (status > max(Status)) | (raw["Kind"] > max(Kind)) | (index >= count)
-        unlawful |= physical["ComponentWeight"] <= 0
+        unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
         verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
         crc = record_crc(payloads, self._data_ids(slot, n), self._crc_offset)
         verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
@@ -300,6 +287,52 @@ class Codec:
 
     # -- one line at a time ---------------------------------------------------
 
+    def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
+        """Read one record: as ``decode_batch`` to the last bit, without the cost of arrays.
+
+        Args:
+            payload: record bytes.
+            slot: whose line it is.
+            t_ns: when it was received [ns].
+
+        Returns:
+            The line, or why the record is not accepted.
+        """
+        raw, fields = self._packing.unpack_one(payload), self.layout.fields
+        burst = raw["Counter"] & self._burst_mask
+        for page in range(self.layout.pages):
+            if raw[f"{PAGE}{page}"] != page or raw[f"{BURST}{page}"] != burst:
+                return Reason.MIXED
+        data_id = self.layout.channels[slot].data_id
+        if raw["Crc"] != record_crc_one(payload, data_id, self._crc_offset):
+            return Reason.CRC
+        weight = fields["ComponentWeight"].physical_one(raw["ComponentWeight"])
+        index = raw["ComponentIndex"]
+        count = int(fields["ComponentCount"].physical_one(raw["ComponentCount"]))
+        if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
+            return Reason.CONTENT
+        if index >= count or not 0 < weight <= 1:
+            return Reason.CONTENT
+        mean = np.array([field.physical_one(raw[field.name]) for field in self._mean])
+        bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
+        cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
+        x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+        return MapLine(
+            slot=slot,
+            gaussian=Gaussian.trusted(mean, cov),
+            kind=Kind(raw["Kind"]),
+            x_min=min(x_min, x_max),
+            x_max=x_max,
+            age=fields["Age"].physical_one(raw["Age"]) / 1000,
+            status=Status(raw["Status"]),
+            component=Component(index, count, weight),
+            t_ns=t_ns,
+        )
+
+    def counter_of(self, payload: bytes) -> int:
+        """The counter of a record."""
+        return self._packing.unpack_one(payload)["Counter"]
+
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """The frames of one line, to be sent back to back; advances the slot's counter.
 
@@ -310,23 +343,36 @@ class Codec:
         Raises:
             EncodeError: the DBC has no such message.
         """
-        counter = self._counters[line.slot]
-        payload = self.encode_batch(
-            line.gaussian.mean[None],
-            line.gaussian.cov[None],
-            slot=line.slot,
-            counter=counter,
-            kind=line.kind,
-            x_min=line.x_min,
-            x_max=line.x_max,
-            age=line.age,
-            status=line.status,
-            component_index=line.component.index,
-            component_count=line.component.count,
-            component_weight=line.component.weight,
+        return self.encode_lines([line], fd=fd)[0]
+
+    def encode_lines(self, lines: Sequence[MapLine], *, fd: bool = False) -> list[list[Frame]]:
+        """The frames of each line; many at once cost hardly more than one."""
+        if not lines:
+            return []
+        counters = []
+        taken = self._counters.copy()
+        for line in lines:
+            counters.append(taken[line.slot])
+            taken[line.slot] = (taken[line.slot] + 1) % 2 ** self.layout["Counter"].length
+        payloads = self.encode_batch(
+            np.array([line.gaussian.mean for line in lines]),
+            np.array([line.gaussian.cov for line in lines]),
+            slot=[line.slot for line in lines],
+            counter=counters,
+            kind=[line.kind for line in lines],
+            x_min=[line.x_min for line in lines],
+            x_max=[line.x_max for line in lines],
+            age=[line.age for line in lines],
+            status=[line.status for line in lines],
+            component_index=[line.component.index for line in lines],
+            component_count=[line.component.count for line in lines],
+            component_weight=[line.component.weight for line in lines],
         )
-        frames = self.frames(payload[0], line.slot, fd=fd)
-        self._counters[line.slot] = (counter + 1) % 2 ** self.layout["Counter"].length
+        frames = [
+            self.frames(payload, line.slot, fd=fd)
+            for payload, line in zip(payloads, lines, strict=True)
+        ]
+        self._counters = taken
         return frames
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
@@ -491,13 +537,11 @@ class Decoder:
         self._reassembler.expire(t_ns)
 
     def _read(self, record: Record) -> MapLine | Reason:
-        payload = np.frombuffer(record.payload, dtype=np.uint8)[None]
-        batch = self._codec.decode_batch(payload, record.slot)
-        reason = VERDICTS[batch.verdict[0]]
-        if reason is not None:
-            self.counts[reason] += record.frames
-            return reason
-        counter = int(batch.counter[0])
+        line = self._codec.decode_one(record.payload, record.slot, record.t_ns)
+        if isinstance(line, Reason):
+            self.counts[line] += record.frames
+            return line
+        counter = self._codec.counter_of(record.payload)
         modulus = 2 ** self._codec.layout["Counter"].length
         gap = (counter - self._counters.get(record.slot, counter - 1)) % modulus
         if 0 < gap <= modulus // 2:  # else the sender has started anew
@@ -505,7 +549,7 @@ class Decoder:
         self._counters[record.slot] = counter
         self.lines += 1
         self.line_frames += record.frames
-        return batch.line(0, record.slot, record.t_ns)
+        return line
 
 
 def _checked(

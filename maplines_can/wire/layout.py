@@ -61,6 +61,10 @@ class Field:
         """(...,) physical values."""
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
+    def physical_one(self, raw: int) -> float:
+        """The same for one value, without the cost of arrays."""
+        return raw * self.factor + self.offset
+
     def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
         """(...,) raw values brought into the range; the caller counts what was out of it."""
         return raw.clip(self.raw_min, self.raw_max)

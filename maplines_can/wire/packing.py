@@ -39,6 +39,16 @@ class Packing:
         self._words = -(-record_bytes // 8)
         self._pieces = [list(pieces_of(field)) for field in fields]
         self._orders = sorted({field.big_endian for field in fields})
+        self._shifts = [
+            (
+                field.name,
+                field.big_endian,
+                _shift(field, record_bytes),
+                2**field.length,
+                field.signed,
+            )
+            for field in fields
+        ]
 
     def pack(self, raw: Mapping[str, NDArray[np.int64]], n: int) -> NDArray[np.uint8]:
         """(n, record_bytes) records of raw values within their fields' lengths.
@@ -70,6 +80,15 @@ class Packing:
         out = {field.name: np.empty(n, dtype=np.int64) for field in self.fields}
         for rows, name, raw in self._unpacked(payloads):
             out[name][rows] = raw
+        return out
+
+    def unpack_one(self, payload: bytes) -> dict[str, int]:
+        """The raw values of one record: as ``unpack``, without the cost of arrays."""
+        words = int.from_bytes(payload, "little"), int.from_bytes(payload, "big")
+        out = {}
+        for name, big_endian, shift, span, signed in self._shifts:
+            raw = words[big_endian] >> shift & span - 1
+            out[name] = raw - span if signed and 2 * raw >= span else raw
         return out
 
     def physical(self, payloads: NDArray[np.uint8]) -> dict[str, NDArray[np.float64]]:
@@ -111,6 +130,14 @@ class Packing:
                     rest &= np.uint64(2**bits - 1)
                     raw |= rest.view(np.int64) << field_shift
                 yield rows, field.name, raw
+
+
+def _shift(field: Field, record_bytes: int) -> int:
+    """Bits below a field in the record read as one integer, in the field's byte order."""
+    if not field.big_endian:
+        return field.start
+    first = field.start // 8 * 8 + 7 - field.start % 8
+    return 8 * record_bytes - first - field.length
 
 
 def pieces_of(field: Field) -> Iterator[Piece]:
