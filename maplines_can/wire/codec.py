@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,24 +11,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import EncodeError, LayoutError
-from ..gaussian import Gaussian, asymmetric, indefinite, nearest_covariance
-from ..line import VAGUE_SIGMA, Component, Kind, MapLine, Slot, Status
-from .cholesky import STATE_SIGNALS, CholeskyCode
-from .contract import fd_length
-from .e2e import CRC_BYTES, record_crc, record_crc_one
-from .layout import BURST, PAGE, PAGE_BYTES, Layout
-from .packing import Packing
-from .reassembly import Reason, Reassembler, Record
+from ..gaussian import asymmetric, indefinite
+from ..line import Kind, MapLine, Slot, Status
+from .cholesky import STATE_SIGNALS
+from .decoder import Decoder
+from .layout import PAGE_BYTES, Layout, fd_length
+from .read import Batch, RecordReader
+from .reassembly import Reason
+from .write import RecordWriter
 
-__all__ = ["Batch", "Codec", "Decoder", "Frame"]
+__all__ = ["Codec", "Frame"]
 
-#: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
-VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 #: How long a burst may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 100.0
-
-
-_VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
 class Frame(NamedTuple):
@@ -39,36 +33,6 @@ class Frame(NamedTuple):
     data: bytes
     is_fd: bool = False
     is_extended: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Many decoded records. Believe a row only where ``accepted`` is true."""
-
-    mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
-    cov: NDArray[np.float64]  #: (N, 4, 4), positive definite in every row
-    verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
-    status: NDArray[np.int64]  #: (N,) as ``Status``
-    kind: NDArray[np.int64]  #: (N,) as ``Kind``
-    x_min: NDArray[np.float64]  #: (N,) [m]
-    x_max: NDArray[np.float64]  #: (N,) [m]
-    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
-    component_index: NDArray[np.int64]  #: (N,)
-    component_count: NDArray[np.int64]  #: (N,)
-    component_weight: NDArray[np.float64]  #: (N,)
-    counter: NDArray[np.int64]  #: (N,)
-
-    @property
-    def accepted(self) -> NDArray[np.bool_]:
-        """(N,) records whose pages belong together, with a good checksum and lawful content."""
-        return self.verdict == 0
-
-    @property
-    def rejects(self) -> Counter[Reason]:
-        """Records that are not accepted, by reason."""
-        numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
-        pairs = zip(VERDICTS, numbers.tolist(), strict=True)
-        return Counter({reason: n for reason, n in pairs if reason and n})
 
 
 class Codec:
@@ -98,22 +62,8 @@ class Codec:
                 "there is 'Cholesky'"
             )
         self.layout = layout
-        self._mean = [layout[name] for name in STATE_SIGNALS]
-        self._factor = np.array([field.factor for field in self._mean])
-        self._resolution = self._factor**2 / 12
-        self._covariance = CholeskyCode(layout)
-        self._packing = Packing(list(layout.fields.values()), layout.record_bytes)
-        self._crc_offset = layout["Crc"].start // 8
-        crc = layout["Crc"]
-        if crc.length != 8 * CRC_BYTES or crc.start % 8 or crc.big_endian:
-            raise LayoutError(f"{layout.source}: Crc must be 16 bits, Intel, on a byte boundary")
-        for name in ("Counter", "Status", "Kind", "XMin", "XMax", "Age"):
-            layout[name]
-        for name in ("ComponentIndex", "ComponentCount", "ComponentWeight"):
-            layout[name]
-        if layout["Counter"].length < layout[f"{BURST}0"].length:
-            raise LayoutError(f"{layout.source}: Counter must be as wide as Burst or wider")
-        self._burst_mask = 2 ** layout[f"{BURST}0"].length - 1
+        self._writer = RecordWriter(layout)
+        self._reader = RecordReader(layout)
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
@@ -181,48 +131,21 @@ class Codec:
         """
         mean, cov = _checked(means, covs)
         n = len(mean)
-        wish = np.full(n, Status.UNKNOWN if covs is None else Status.FULL, dtype=np.int64)
-        if status is not None:
-            wish[:] = self._whole("Status", status, n, max(Status))
-        raw = {
-            "Counter": self._whole("Counter", np.arange(n) if counter is None else counter, n),
-            "Kind": self._whole("Kind", kind, n, max(Kind)),
-            "ComponentIndex": self._whole("ComponentIndex", component_index, n),
-            "ComponentCount": self._whole("ComponentCount", component_count, n),
+        if status is None:
+            status = Status.UNKNOWN if covs is None else Status.FULL
+        rest: dict[str, ArrayLike] = {
+            "slot": slot,
+            "counter": np.arange(n) if counter is None else counter,
+            "kind": kind,
+            "x_min": x_min,
+            "x_max": x_max,
+            "age": age,
+            "status": status,
+            "component_index": component_index,
+            "component_count": component_count,
+            "component_weight": component_weight,
         }
-        clipped = self._put_extent(raw, x_min, x_max, age, component_weight, n)
-
-        decoded = np.empty_like(mean)
-        for i, field in enumerate(self._mean):
-            nearest = field.raw(mean[:, i])
-            limited = field.limited(nearest)
-            clipped |= nearest != limited
-            raw[field.name] = limited.astype(np.int64)
-            decoded[:, i] = field.physical(limited)
-        with np.errstate(over="ignore"):
-            d = mean - decoded
-            error = cov + d[:, :, None] * d[:, None, :]
-
-        broken = indefinite(cov)
-        if broken.any():
-            error[broken] += nearest_covariance(cov[broken]) - cov[broken]
-        alone = wish == Status.DIAGONAL
-        if alone.any():
-            variances = np.einsum("nii->ni", cov[alone])
-            error[alone] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[alone]
-            broken &= ~alone
-        coded = self._covariance.encode(error, self._resolution)
-        raw |= coded.raw
-
-        bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
-        if bare.any():
-            for name, value in self._covariance.widest().items():
-                raw[name][bare] = value
-        verdict = np.where(broken & (wish == Status.FULL), Status.REPAIRED, wish)
-        verdict[(clipped | coded.saturated) & ~bare] = Status.SATURATED
-        verdict[np.where(bare, self._is_far(d), ~coded.covered)] = Status.OUT_OF_RANGE
-        raw["Status"] = np.where(wish == Status.OUT_OF_RANGE, wish, verdict)
-        return self._sealed(raw, self._data_ids(slot, n), n)
+        return self._writer.write(mean, cov, indefinite(cov), rest)
 
     def decode_batch(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
         """Read many records. Nothing in the bytes makes it raise.
@@ -244,46 +167,8 @@ class Codec:
             )
         if payloads.dtype != np.uint8:
             raise ValueError(f"payloads must be uint8, got {payloads.dtype}")
-        n = len(payloads)
-        raw = self._packing.unpack(payloads)
-        mean = np.empty((n, len(self._mean)))
-        for i, field in enumerate(self._mean):
-            mean[:, i] = field.physical(raw[field.name])
-        cov = self._covariance.decode(raw)
-        status = raw["Status"]
-        vague = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
-        if vague.any():
-            cov[vague] = _VAGUE
-
-        physical = {
-            name: self.layout[name].physical(raw[name])
-            for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
-        }
-        index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
-        burst = raw["Counter"] & self._burst_mask
-        verdict = np.zeros(n, dtype=np.int8)
-        unlawful = (status > max(Status)) | (raw["Kind"] > max(Kind)) | (index >= count)
-        unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
-        verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
-        crc = record_crc(payloads, self._data_ids(slot, n), self._crc_offset)
-        verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
-        for page in range(self.layout.pages):
-            apart = (raw[f"{PAGE}{page}"] != page) | (raw[f"{BURST}{page}"] != burst)
-            verdict[apart] = VERDICTS.index(Reason.MIXED)
-        return Batch(
-            mean=mean,
-            cov=cov,
-            verdict=verdict,
-            status=status,
-            kind=raw["Kind"],
-            x_min=physical["XMin"],
-            x_max=physical["XMax"],
-            age=physical["Age"] / 1000,
-            component_index=index,
-            component_count=count,
-            component_weight=physical["ComponentWeight"],
-            counter=raw["Counter"],
-        )
+        data_ids = self._writer.data_ids(slot, len(payloads))
+        return self._reader.read(payloads, data_ids)
 
     # -- one line at a time ---------------------------------------------------
 
@@ -298,40 +183,12 @@ class Codec:
         Returns:
             The line, or why the record is not accepted.
         """
-        raw, fields = self._packing.unpack_one(payload), self.layout.fields
-        burst = raw["Counter"] & self._burst_mask
-        for page in range(self.layout.pages):
-            if raw[f"{PAGE}{page}"] != page or raw[f"{BURST}{page}"] != burst:
-                return Reason.MIXED
         data_id = self.layout.channels[slot].data_id
-        if raw["Crc"] != record_crc_one(payload, data_id, self._crc_offset):
-            return Reason.CRC
-        weight = fields["ComponentWeight"].physical_one(raw["ComponentWeight"])
-        index = raw["ComponentIndex"]
-        count = int(fields["ComponentCount"].physical_one(raw["ComponentCount"]))
-        if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
-            return Reason.CONTENT
-        if index >= count or not 0 < weight <= 1:
-            return Reason.CONTENT
-        mean = np.array([field.physical_one(raw[field.name]) for field in self._mean])
-        bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
-        cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
-        x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
-        return MapLine(
-            slot=slot,
-            gaussian=Gaussian.trusted(mean, cov),
-            kind=Kind(raw["Kind"]),
-            x_min=min(x_min, x_max),
-            x_max=x_max,
-            age=fields["Age"].physical_one(raw["Age"]) / 1000,
-            status=Status(raw["Status"]),
-            component=Component(index, count, weight),
-            t_ns=t_ns,
-        )
+        return self._reader.read_one(payload, slot, data_id, t_ns)
 
     def counter_of(self, payload: bytes) -> int:
         """The counter of a record."""
-        return self._packing.unpack_one(payload)["Counter"]
+        return self._reader.counter_of(payload)
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """The frames of one line, to be sent back to back; advances the slot's counter.
@@ -354,19 +211,23 @@ class Codec:
         for line in lines:
             counters.append(taken[line.slot])
             taken[line.slot] = (taken[line.slot] + 1) % 2 ** self.layout["Counter"].length
-        payloads = self.encode_batch(
+        rest: dict[str, ArrayLike] = {
+            "slot": [line.slot for line in lines],
+            "counter": counters,
+            "kind": [line.kind for line in lines],
+            "x_min": [line.x_min for line in lines],
+            "x_max": [line.x_max for line in lines],
+            "age": [line.age for line in lines],
+            "status": [line.status for line in lines],
+            "component_index": [line.component.index for line in lines],
+            "component_count": [line.component.count for line in lines],
+            "component_weight": [line.component.weight for line in lines],
+        }
+        payloads = self._writer.write(
             np.array([line.gaussian.mean for line in lines]),
             np.array([line.gaussian.cov for line in lines]),
-            slot=[line.slot for line in lines],
-            counter=counters,
-            kind=[line.kind for line in lines],
-            x_min=[line.x_min for line in lines],
-            x_max=[line.x_max for line in lines],
-            age=[line.age for line in lines],
-            status=[line.status for line in lines],
-            component_index=[line.component.index for line in lines],
-            component_count=[line.component.count for line in lines],
-            component_weight=[line.component.weight for line in lines],
+            np.zeros(len(lines), dtype=bool),  # a Gaussian is definite from birth
+            rest,
         )
         frames = [
             self.frames(payload, line.slot, fd=fd)
@@ -406,151 +267,6 @@ class Codec:
             raise ValueError(f"timeout_ms must be more than 0 ms, got {timeout_ms!r}")
         return Decoder(self, int(timeout_ms * 1e6))
 
-    # -- parts ----------------------------------------------------------------
-
-    def _put_extent(
-        self,
-        raw: dict[str, NDArray[np.int64]],
-        x_min: ArrayLike,
-        x_max: ArrayLike,
-        age: ArrayLike,
-        weight: ArrayLike,
-        n: int,
-    ) -> NDArray[np.bool_]:
-        """Raw extents, rounded towards the car, age and weight; which extents claim too much."""
-        clipped = np.zeros(n, dtype=bool)
-        slack = 1e-9
-        for name, value, inwards, sign in (
-            ("XMin", x_min, np.ceil, 1),
-            ("XMax", x_max, np.floor, -1),
-        ):
-            field = self.layout[name]
-            steps = (_finite(name, value, n) - field.offset) / field.factor
-            wanted = inwards(steps - sign * slack)
-            limited = field.limited(wanted)
-            clipped |= sign * (wanted - limited) > 0
-            raw[name] = limited.astype(np.int64)
-        field = self.layout["Age"]
-        raw["Age"] = field.limited(field.raw(1000 * _finite("age", age, n))).astype(np.int64)
-        field = self.layout["ComponentWeight"]
-        weight = _finite("component_weight", weight, n)
-        if ((weight <= 0) | (weight > 1)).any():
-            raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
-        raw["ComponentWeight"] = field.limited(field.raw(weight)).astype(np.int64)
-        return clipped
-
-    def _is_far(self, d: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """(N,) means that are cut by more than their rounding."""
-        return (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
-
-    def _whole(
-        self, name: str, value: ArrayLike, n: int, most: int | None = None
-    ) -> NDArray[np.int64]:
-        """(n,) raw values of a signal that counts or names; most is the greatest lawful value."""
-        field = self.layout[name]
-        values = np.broadcast_to(np.asarray(value), n)
-        raw = field.raw(values)
-        if name == "Counter":
-            raw = raw % 2**field.length
-        low, high = field.physical_range
-        high = high if most is None else min(high, most)
-        bad = (raw != field.limited(raw)) | (field.physical(raw) > high)
-        bad |= field.physical(raw) != values if name != "Counter" else False
-        if bad.any():
-            raise EncodeError(
-                f"signal {name}: {values[bad][0]!r} is not a whole number from {low:g} to {high:g}"
-            )
-        return raw.astype(np.int64)
-
-    def _data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
-        slots = np.broadcast_to(np.asarray(slot, dtype=np.int64), n)
-        table = np.full(max(Slot) + 1, -1)
-        for known, channel in self.layout.channels.items():
-            table[known] = channel.data_id
-        bad = (slots < 0) | (slots > max(Slot))
-        bad |= table[slots.clip(0, max(Slot))] < 0
-        if bad.any():
-            raise EncodeError(f"{self.layout.source} has no message for slot {slots[bad][0]}")
-        return table[slots].astype(np.uint16)
-
-    def _sealed(
-        self, raw: dict[str, NDArray[np.int64]], data_ids: NDArray[np.uint16], n: int
-    ) -> NDArray[np.uint8]:
-        for page in range(self.layout.pages):
-            raw[f"{PAGE}{page}"] = np.full(n, page, dtype=np.int64)
-            raw[f"{BURST}{page}"] = raw["Counter"]
-        payloads = self._packing.pack(raw, n)
-        crc = record_crc(payloads, data_ids, self._crc_offset)
-        payloads[:, self._crc_offset] = crc & 0xFF
-        payloads[:, self._crc_offset + 1] = crc >> 8
-        return payloads
-
-
-class Decoder:
-    """A receiver's state: frames in, map lines out, everything else counted.
-
-    Made by ``Codec.decoder``. At any time
-    ``frames == line_frames + sum(counts.values()) + pending``.
-    """
-
-    def __init__(self, codec: Codec, timeout_ns: int) -> None:
-        self._codec = codec
-        self._reassembler = Reassembler(codec.layout, timeout_ns)
-        self._counters: dict[Slot, int] = {}
-        self.frames = 0  #: frames fed
-        self.lines = 0  #: lines delivered
-        self.line_frames = 0  #: frames of the lines delivered
-        self.lost = 0  #: lines missing between those delivered, by their counters
-
-    @property
-    def counts(self) -> Counter[Reason]:
-        """Dropped frames by reason."""
-        return self._reassembler.counts
-
-    @property
-    def pending(self) -> int:
-        """Frames held for bursts that are not complete yet."""
-        return self._reassembler.pending
-
-    def feed(
-        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
-    ) -> MapLine | Reason:
-        """Take a frame. Whatever it is, this does not raise.
-
-        Args:
-            can_id: its ID.
-            data: its payload.
-            t_ns: when it was received, on any clock that goes on [ns].
-            is_extended: it has a 29-bit ID.
-
-        Returns:
-            The line that it completes, or why there is none (PENDING: not yet).
-        """
-        self.frames += 1
-        record = self._reassembler.feed(can_id, data, t_ns, is_extended)
-        if isinstance(record, Reason):
-            return record
-        return self._read(record)
-
-    def expire(self, t_ns: int) -> None:
-        """Give up bursts that are not complete by ``t_ns`` [ns] less the time-out."""
-        self._reassembler.expire(t_ns)
-
-    def _read(self, record: Record) -> MapLine | Reason:
-        line = self._codec.decode_one(record.payload, record.slot, record.t_ns)
-        if isinstance(line, Reason):
-            self.counts[line] += record.frames
-            return line
-        counter = self._codec.counter_of(record.payload)
-        modulus = 2 ** self._codec.layout["Counter"].length
-        gap = (counter - self._counters.get(record.slot, counter - 1)) % modulus
-        if 0 < gap <= modulus // 2:  # else the sender has started anew
-            self.lost += gap - 1
-        self._counters[record.slot] = counter
-        self.lines += 1
-        self.line_frames += record.frames
-        return line
-
 
 def _checked(
     means: ArrayLike, covs: ArrayLike | None
@@ -574,10 +290,3 @@ def _checked(
             value = mean[i] if "means" in what else cov[i].tolist()
             raise ValueError(f"{what}, but row {i} is {value}")
     return mean, cov
-
-
-def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
-    values = np.broadcast_to(np.asarray(value, dtype=float), n)
-    if not np.isfinite(values).all():
-        raise EncodeError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
-    return values

@@ -17,12 +17,17 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import LayoutError
 from ..line import Slot
 
-__all__ = ["PAGE_BYTES", "Channel", "Field", "Layout", "default_dbc_path"]
+__all__ = ["PAGE_BYTES", "Channel", "Field", "Layout", "default_dbc_path", "fd_length"]
 
 #: A page is one classic CAN frame.
 PAGE_BYTES = 8
 #: Signals that each page carries: which page of which burst it is.
 PAGE, BURST = "Page", "Burst"
+#: What a record holds besides its pages' numbers, the mean and the covariance.
+SERVICE_SIGNALS = (
+    *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
+    *("ComponentIndex", "ComponentCount", "ComponentWeight"),
+)
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,20 @@ class Layout:
         """Length of a record."""
         return self.pages * PAGE_BYTES
 
+    def __post_init__(self) -> None:
+        for name in SERVICE_SIGNALS:
+            self[name]
+        crc = self["Crc"]
+        if crc.length != 16 or crc.start % 8 or crc.big_endian:
+            raise LayoutError(f"{self.source}: Crc must be 16 bits, Intel, on a byte boundary")
+        if self["Counter"].length < self[f"{BURST}0"].length:
+            raise LayoutError(f"{self.source}: Counter must be as wide as Burst or wider")
+
+    @property
+    def crc_offset(self) -> int:
+        """First byte of the checksum within the record."""
+        return self["Crc"].start // 8
+
     @cached_property
     def page_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
         """(CAN ID, extended) to (slot, whether it is the FD message)."""
@@ -176,6 +195,15 @@ def default_dbc_path() -> Path:
         if path.is_file():
             return path
     raise LayoutError(f"maplines.dbc is neither at {packaged} nor at {checkout}; reinstall")
+
+
+def fd_length(length: int) -> int:
+    """The least CAN FD payload length that holds ``length`` bytes (ISO 11898-1).
+
+    >>> fd_length(24), fd_length(25)
+    (24, 32)
+    """
+    return next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= length)
 
 
 def _layout(database: Database, source: str) -> Layout:

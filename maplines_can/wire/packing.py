@@ -82,6 +82,17 @@ class Packing:
             out[name][rows] = raw
         return out
 
+    def pack_one(self, raw: Mapping[str, int]) -> bytes:
+        """One record: as ``pack``, without the cost of arrays."""
+        words = [0, 0]
+        for name, big_endian, shift, span, _ in self._shifts:
+            words[big_endian] |= (raw.get(name, 0) & span - 1) << shift
+        little = words[0].to_bytes(self.record_bytes, "little")
+        if not words[1]:
+            return little
+        big = words[1].to_bytes(self.record_bytes, "big")
+        return bytes(a | b for a, b in zip(little, big, strict=True))
+
     def unpack_one(self, payload: bytes) -> dict[str, int]:
         """The raw values of one record: as ``unpack``, without the cost of arrays."""
         words = int.from_bytes(payload, "little"), int.from_bytes(payload, "big")

@@ -1,0 +1,148 @@
+"""Records to lines: many at once, or one as it comes from the bus."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian import Gaussian
+from ..line import VAGUE_SIGMA, Component, Kind, MapLine, Slot, Status
+from .cholesky import STATE_SIGNALS, CholeskyCode
+from .e2e import record_crc, record_crc_one
+from .layout import BURST, PAGE, Layout
+from .packing import Packing
+from .reassembly import Reason
+
+__all__ = ["Batch", "RecordReader"]
+
+#: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
+VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
+
+_VAGUE = np.diag(np.square(VAGUE_SIGMA))
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Many decoded records. Believe a row only where ``accepted`` is true."""
+
+    mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
+    cov: NDArray[np.float64]  #: (N, 4, 4), positive definite in every row
+    verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
+    status: NDArray[np.int64]  #: (N,) as ``Status``
+    kind: NDArray[np.int64]  #: (N,) as ``Kind``
+    x_min: NDArray[np.float64]  #: (N,) [m]
+    x_max: NDArray[np.float64]  #: (N,) [m]
+    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
+    component_index: NDArray[np.int64]  #: (N,)
+    component_count: NDArray[np.int64]  #: (N,)
+    component_weight: NDArray[np.float64]  #: (N,)
+    counter: NDArray[np.int64]  #: (N,)
+
+    @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """(N,) records whose pages belong together, with a good checksum and lawful content."""
+        return self.verdict == 0
+
+    @property
+    def rejects(self) -> Counter[Reason]:
+        """Records that are not accepted, by reason."""
+        numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
+        pairs = zip(VERDICTS, numbers.tolist(), strict=True)
+        return Counter({reason: n for reason, n in pairs if reason and n})
+
+
+class RecordReader:
+    """Reads records of a layout; both ways give the same bits."""
+
+    def __init__(self, layout: Layout) -> None:
+        self._fields = layout.fields
+        self._pages = layout.pages
+        self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._covariance = CholeskyCode(layout)
+        self._packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        self._crc_offset = layout.crc_offset
+        self._burst_mask = 2 ** layout[f"{BURST}0"].length - 1
+
+    def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
+        """Read (N, record bytes), each with its (N,) data ID."""
+        n = len(payloads)
+        raw = self._packing.unpack(payloads)
+        mean = np.empty((n, len(self._mean)))
+        for i, field in enumerate(self._mean):
+            mean[:, i] = field.physical(raw[field.name])
+        cov = self._covariance.decode(raw)
+        status = raw["Status"]
+        vague = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
+        if vague.any():
+            cov[vague] = _VAGUE
+
+        physical = {
+            name: self._fields[name].physical(raw[name])
+            for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
+        }
+        index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
+        burst = raw["Counter"] & self._burst_mask
+        verdict = np.zeros(n, dtype=np.int8)
+        unlawful = (status > max(Status)) | (raw["Kind"] > max(Kind)) | (index >= count)
+        unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
+        verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
+        crc = record_crc(payloads, data_ids, self._crc_offset)
+        verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
+        for page in range(self._pages):
+            apart = (raw[f"{PAGE}{page}"] != page) | (raw[f"{BURST}{page}"] != burst)
+            verdict[apart] = VERDICTS.index(Reason.MIXED)
+        return Batch(
+            mean=mean,
+            cov=cov,
+            verdict=verdict,
+            status=status,
+            kind=raw["Kind"],
+            x_min=physical["XMin"],
+            x_max=physical["XMax"],
+            age=physical["Age"] / 1000,
+            component_index=index,
+            component_count=count,
+            component_weight=physical["ComponentWeight"],
+            counter=raw["Counter"],
+        )
+
+    def read_one(
+        self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
+    ) -> MapLine | Reason:
+        """Read one record, without the cost of arrays; the line, or why it is not accepted."""
+        raw, fields = self._packing.unpack_one(payload), self._fields
+        burst = raw["Counter"] & self._burst_mask
+        for page in range(self._pages):
+            if raw[f"{PAGE}{page}"] != page or raw[f"{BURST}{page}"] != burst:
+                return Reason.MIXED
+        if raw["Crc"] != record_crc_one(payload, data_id, self._crc_offset):
+            return Reason.CRC
+        weight = fields["ComponentWeight"].physical_one(raw["ComponentWeight"])
+        index = raw["ComponentIndex"]
+        count = int(fields["ComponentCount"].physical_one(raw["ComponentCount"]))
+        if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
+            return Reason.CONTENT
+        if index >= count or not 0 < weight <= 1:
+            return Reason.CONTENT
+        mean = np.array([field.physical_one(raw[field.name]) for field in self._mean])
+        bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
+        cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
+        x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+        return MapLine(
+            slot=slot,
+            gaussian=Gaussian.trusted(mean, cov),
+            kind=Kind(raw["Kind"]),
+            x_min=min(x_min, x_max),
+            x_max=x_max,
+            age=fields["Age"].physical_one(raw["Age"]) / 1000,
+            status=Status(raw["Status"]),
+            component=Component(index, count, weight),
+            t_ns=t_ns,
+        )
+
+    def counter_of(self, payload: bytes) -> int:
+        """The counter of a record."""
+        return self._packing.unpack_one(payload)["Counter"]

@@ -1,0 +1,203 @@
+"""Lines to records: everything is put where the DBC says, and nothing is cut in silence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import EncodeError
+from ..gaussian import nearest_covariance
+from ..line import Kind, Slot, Status
+from .cholesky import STATE_SIGNALS, CholeskyCode
+from .e2e import record_crc, record_crc_one
+from .layout import BURST, PAGE, Layout
+from .packing import Packing
+
+__all__ = ["RecordWriter"]
+
+#: Up to so many records are packed one by one: below, arrays cost more than they save.
+FEW = 8
+
+
+class RecordWriter:
+    """Writes records of a layout."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._factor = np.array([field.factor for field in self._mean])
+        #: (4,) variances of the mean's own rounding.
+        self.resolution = self._factor**2 / 12
+        self._covariance = CholeskyCode(layout)
+        self._packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        self._crc_offset = layout.crc_offset
+
+    def write(
+        self,
+        mean: NDArray[np.float64],
+        cov: NDArray[np.float64],
+        broken: NDArray[np.bool_],
+        rest: Mapping[str, ArrayLike],
+    ) -> NDArray[np.uint8]:
+        """(n, record bytes) records of checked Gaussians.
+
+        Args:
+            mean: (n, 4).
+            cov: (n, 4, 4).
+            broken: (n,) covariances that are indefinite.
+            rest: what else a record says, (n,) or one for all: slot, counter, kind, x_min,
+                x_max, age, status, component_index, component_count, component_weight.
+        """
+        n = len(mean)
+        data_ids = self.data_ids(rest["slot"], n)
+        wish = self._whole("Status", rest["status"], n, max(Status))
+        raw = {
+            "Counter": self._whole("Counter", rest["counter"], n),
+            "Kind": self._whole("Kind", rest["kind"], n, max(Kind)),
+            "ComponentIndex": self._whole("ComponentIndex", rest["component_index"], n),
+            "ComponentCount": self._whole("ComponentCount", rest["component_count"], n),
+        }
+        clipped = self._put_extent(raw, rest, n)
+        self._put_gaussian(raw, mean, cov, wish, clipped, broken)
+        return self._sealed(raw, data_ids, n)
+
+    def _put_gaussian(
+        self,
+        raw: dict[str, NDArray[np.int64]],
+        mean: NDArray[np.float64],
+        cov: NDArray[np.float64],
+        wish: NDArray[np.int64],
+        clipped: NDArray[np.bool_],
+        broken: NDArray[np.bool_],
+    ) -> None:
+        """Raw mean, covariance and status.
+
+        Args:
+            raw: is added to.
+            mean: (n, 4).
+            cov: (n, 4, 4).
+            wish: (n,) status that the caller asks for.
+            clipped: (n,) rows that are saturated already; is added to.
+            broken: (n,) covariances that are indefinite.
+        """
+        decoded = np.empty_like(mean)
+        for i, field in enumerate(self._mean):
+            nearest = field.raw(mean[:, i])
+            limited = field.limited(nearest)
+            clipped |= nearest != limited
+            raw[field.name] = limited.astype(np.int64)
+            decoded[:, i] = field.physical(limited)
+        with np.errstate(over="ignore"):
+            d = mean - decoded
+            error = cov + d[:, :, None] * d[:, None, :]
+        if broken.any():
+            error[broken] += nearest_covariance(cov[broken]) - cov[broken]
+        alone = wish == Status.DIAGONAL
+        if alone.any():
+            variances = np.einsum("nii->ni", cov[alone])
+            error[alone] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[alone]
+            broken = broken & ~alone
+        coded = self._covariance.encode(error, self._resolution)
+        raw |= coded.raw
+
+        bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
+        if bare.any():
+            for name, value in self._covariance.widest().items():
+                raw[name][bare] = value
+        status = np.where(broken & (wish == Status.FULL), Status.REPAIRED, wish)
+        status[(clipped | coded.saturated) & ~bare] = Status.SATURATED
+        # A mean that is cut by more than its rounding, with nothing to cover it.
+        far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
+        status[np.where(bare, far, ~coded.covered)] = Status.OUT_OF_RANGE
+        raw["Status"] = np.where(wish == Status.OUT_OF_RANGE, wish, status)
+
+    def _put_extent(
+        self,
+        raw: dict[str, NDArray[np.int64]],
+        rest: Mapping[str, ArrayLike],
+        n: int,
+    ) -> NDArray[np.bool_]:
+        """Raw extents, rounded towards the car, age and weight; which extents claim too much."""
+        clipped = np.zeros(n, dtype=bool)
+        slack = 1e-9
+        ends = (("XMin", "x_min", np.ceil, 1), ("XMax", "x_max", np.floor, -1))
+        for name, key, inwards, sign in ends:
+            field = self.layout[name]
+            steps = (_finite(rest, key, n) - field.offset) / field.factor
+            wanted = inwards(steps - sign * slack)
+            limited = field.limited(wanted)
+            clipped |= sign * (wanted - limited) > 0
+            raw[name] = limited.astype(np.int64)
+        field = self.layout["Age"]
+        raw["Age"] = field.limited(field.raw(1000 * _finite(rest, "age", n))).astype(np.int64)
+        field = self.layout["ComponentWeight"]
+        weight = _finite(rest, "component_weight", n)
+        if ((weight <= 0) | (weight > 1)).any():
+            raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
+        raw["ComponentWeight"] = field.limited(field.raw(weight)).astype(np.int64)
+        return clipped
+
+    def _whole(
+        self, name: str, value: ArrayLike, n: int, most: int | None = None
+    ) -> NDArray[np.int64]:
+        """(n,) raw values of a signal that counts or names; most is the greatest lawful value."""
+        field = self.layout[name]
+        values = np.broadcast_to(np.asarray(value), n)
+        raw = field.raw(values)
+        if name == "Counter":
+            raw = raw % 2**field.length
+        low, high = field.physical_range
+        high = high if most is None else min(high, most)
+        bad = (raw != field.limited(raw)) | (field.physical(raw) > high)
+        bad |= field.physical(raw) != values if name != "Counter" else False
+        if bad.any():
+            raise EncodeError(
+                f"signal {name}: {values[bad][0]!r} is not a whole number from {low:g} to {high:g}"
+            )
+        return raw.astype(np.int64)
+
+    def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
+        """(n,) data IDs of slots."""
+        slots = np.broadcast_to(np.asarray(slot, dtype=np.int64), n)
+        table = np.full(max(Slot) + 1, -1)
+        for known, channel in self.layout.channels.items():
+            table[known] = channel.data_id
+        bad = (slots < 0) | (slots > max(Slot))
+        bad |= table[slots.clip(0, max(Slot))] < 0
+        if bad.any():
+            raise EncodeError(f"{self.layout.source} has no message for slot {slots[bad][0]}")
+        return table[slots].astype(np.uint16)
+
+    def _sealed(
+        self, raw: dict[str, NDArray[np.int64]], data_ids: NDArray[np.uint16], n: int
+    ) -> NDArray[np.uint8]:
+        for page in range(self.layout.pages):
+            raw[f"{PAGE}{page}"] = np.full(n, page, dtype=np.int64)
+            raw[f"{BURST}{page}"] = raw["Counter"]
+        if n <= FEW:  # not worth the arrays
+            rows = zip(*(values.tolist() for values in raw.values()), strict=True)
+            records = [
+                self._sealed_one(dict(zip(raw, row, strict=True)), data_id)
+                for row, data_id in zip(rows, data_ids.tolist(), strict=True)
+            ]
+            joined = np.frombuffer(b"".join(records), dtype=np.uint8)
+            return joined.reshape(n, self.layout.record_bytes).copy()
+        payloads = self._packing.pack(raw, n)
+        crc = record_crc(payloads, data_ids, self._crc_offset)
+        payloads[:, self._crc_offset] = crc & 0xFF
+        payloads[:, self._crc_offset + 1] = crc >> 8
+        return payloads
+
+    def _sealed_one(self, raw: dict[str, int], data_id: int) -> bytes:
+        payload = self._packing.pack_one(raw)
+        raw["Crc"] = record_crc_one(payload, data_id, self._crc_offset)
+        return self._packing.pack_one(raw)
+
+
+def _finite(rest: Mapping[str, ArrayLike], key: str, n: int) -> NDArray[np.float64]:
+    values = np.broadcast_to(np.asarray(rest[key], dtype=float), n)
+    if not np.isfinite(values).all():
+        raise EncodeError(f"{key} must be finite, got {values[~np.isfinite(values)][0]}")
+    return values
