@@ -59,6 +59,12 @@ class RecordWriter:
             "ComponentIndex": self._whole("ComponentIndex", rest["component_index"], n),
             "ComponentCount": self._whole("ComponentCount", rest["component_count"], n),
         }
+        index, count = (np.broadcast_to(rest[f"component_{key}"], n) for key in ("index", "count"))
+        if (index >= count).any():
+            i = int((index >= count).argmax())
+            raise EncodeError(
+                f"component_index must be below component_count, got {index[i]} of {count[i]}"
+            )
         clipped = self._put_extent(raw, rest, n)
         self._put_gaussian(raw, mean, cov, wish, clipped, broken)
         return self._sealed(raw, data_ids, n)
@@ -99,7 +105,7 @@ class RecordWriter:
             variances = np.einsum("nii->ni", cov[alone])
             error[alone] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[alone]
             broken = broken & ~alone
-        coded = self._covariance.encode(error, self._resolution)
+        coded = self._covariance.encode(error, self.resolution)
         raw |= coded.raw
 
         bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
