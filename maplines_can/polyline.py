@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,15 +67,31 @@ class Polyline:
         Empty where no point of the line lies in the window.
         """
         ego = to_ego(self.points, pose)
-        inside = (x_min <= ego[:, 0]) & (ego[:, 0] <= x_max)
-        if not inside.any():
-            return self.points[:0]
-        off = np.hypot(ego[:, 0] - np.clip(0.0, x_min, x_max), ego[:, 1])
-        seed = int(np.where(inside, off, np.inf).argmin())
-        gaps = np.flatnonzero(~inside)
-        start = gaps[gaps < seed].max(initial=-1) + 1
-        stop = gaps[gaps > seed].min(initial=len(inside))
-        return self.points[start:stop]
+        return self.points[near_stretch(ego, [len(ego)], x_min, x_max)]
+
+
+def near_stretch(
+    ego: NDArray[np.float64], lengths: Iterable[int], x_min: float, x_max: float
+) -> NDArray[np.bool_]:
+    """Which points lie in the stretch of their line that ``Polyline.window`` takes.
+
+    Args:
+        ego: (n, 2) points of one or several lines, laid end to end, as seen from the car [m].
+        lengths: points of each line.
+        x_min: where the window begins [m].
+        x_max: where it ends [m].
+    """
+    x, y = ego.T
+    inside = (x_min <= x) & (x <= x_max)
+    off = np.where(inside, np.hypot(x - min(max(0.0, x_min), x_max), y), np.inf)
+    gaps = np.cumsum(~inside)  # the same number all along a run of points inside
+    stretch = np.empty_like(gaps)  # the number of the run that is wanted
+    start = 0
+    for length in lengths:
+        line = slice(start, start + length)
+        stretch[line] = gaps[start + off[line].argmin()]
+        start += length
+    return inside & (gaps == stretch)
 
 
 def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
@@ -88,7 +105,5 @@ def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     array([[5., 0.]])
     """
     e_x, e_y, e_h = np.asarray(pose, dtype=float)
-    s, t = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
-    c, d = np.cos(e_h), np.sin(e_h)
-    s, t = s - e_x, t - e_y
-    return np.stack([c * s + d * t, c * t - d * s], axis=-1)
+    c, s = np.cos(e_h), np.sin(e_h)
+    return (np.asarray(points, dtype=float) - [e_x, e_y]) @ np.array([[c, -s], [s, c]])

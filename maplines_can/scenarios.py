@@ -91,12 +91,16 @@ def curve(
 
 
 def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> tuple[SceneLine, ...]:
-    """Four boundaries of three lanes, the car's in the middle."""
+    """All lines of a road of three lanes, the car in the middle one, which the route leaves."""
     plan = (
         (Slot.EGO_LEFT, Kind.DASHED, width),
         (Slot.EGO_RIGHT, Kind.DASHED, 0.0),
         (Slot.NEXT_LEFT, Kind.SOLID, 2 * width),
         (Slot.NEXT_RIGHT, Kind.SOLID, -width),
+        (Slot.CENTRE, Kind.VIRTUAL, width / 2),
+        (Slot.EDGE_LEFT, Kind.ROAD_EDGE, 2 * width + 0.5),
+        (Slot.EDGE_RIGHT, Kind.KERB, -width - 0.5),
+        (Slot.ROUTE, Kind.VIRTUAL, width * 3 / 2),
     )
     return tuple(
         SceneLine(slot, kind, Polyline(parallel(right_boundary, offset)))

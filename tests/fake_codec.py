@@ -27,9 +27,11 @@ class Reason(Enum):
 class FakeCodec:
     """Page: number, counter, slot, component, age [ms], y_off [mm]."""
 
-    def __init__(self, can_ids=None):
+    def __init__(self):
         self.counters = Counter()
-        self.can_ids = can_ids
+
+    def encode_lines(self, lines, *, fd=False):
+        return [self.encode(line, fd=fd) for line in lines]
 
     def encode(self, line, *, fd=False):
         if line.x_max == 13.0:
@@ -44,14 +46,13 @@ class FakeCodec:
         return [Frame(can_id, page) for page in pages]
 
     def decoder(self):
-        return FakeDecoder(self.can_ids)
+        return FakeDecoder()
 
 
 class FakeDecoder:
-    def __init__(self, can_ids=None):
+    def __init__(self):
         self.counts = Counter()
         self.lines = self.frames = self.lost = 0
-        self.can_ids = can_ids
         self.bursts = {}
 
     def feed(self, can_id, data, t_ns, *, is_extended=False):  # noqa: ARG002

@@ -67,8 +67,8 @@ class Receiver:
         on_line: called by the thread with each line; while it works, the
             interface's own queue has to hold what arrives.
         queue_size: how many lines may wait.
-        can_ids: let through only these; None takes ``decoder.can_ids``, or all
-            if it has none.
+        can_ids: let the interface drop all frames but those of these CAN IDs,
+            such as ``codec.can_ids``; None lets all through, to be counted.
 
     Raises:
         ValueError: ``queue_size`` is less than 1.
@@ -86,7 +86,7 @@ class Receiver:
         if queue_size < 1:
             raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
         self._link, self._decoder, self._on_line = link, decoder, on_line
-        self._can_ids = getattr(decoder, "can_ids", None) if can_ids is None else can_ids
+        self._can_ids = can_ids
         self._changed = threading.Condition()  # guards all that follows
         self._queue: deque[MapLine] = deque(maxlen=queue_size)
         self._lines = self._frames = 0

@@ -68,6 +68,11 @@ class Schedule(Generic[Key]):
         end = math.inf if self._count is None else cycle + self._count
         self._entries[key] = _Entry(phase, cycle, end)
 
+    def deadline(self, key: Key) -> float:
+        """The next deadline of a key [s]; infinite if it has none."""
+        entry = self._entries.get(key)
+        return math.inf if entry is None or entry.cycle >= entry.end else self._at(entry)
+
     def remove(self, key: Key) -> None:
         """Forget a key; it may be unknown."""
         self._entries.pop(key, None)
@@ -79,23 +84,19 @@ class Schedule(Generic[Key]):
 
     def wait(self, now: float) -> float | None:
         """Time until the next deadline [s], 0 if one has come; None if there is none."""
-        key = self._first()
-        return None if key is None else max(0.0, self._at(self._entries[key]) - now)
+        first = min(map(self.deadline, self._entries), default=math.inf)
+        return None if first == math.inf else max(0.0, first - now)
 
     def take(self, now: float) -> Due[Key] | None:
         """The oldest deadline that has come, each one once; None if there is none."""
-        key = self._first()
-        if key is None or self._at(self._entries[key]) > now:
+        key = min(self._entries, key=self.deadline, default=None)
+        if key is None or self.deadline(key) > now:
             return None
         entry = self._entries[key]
         elapsed = (now - (self._t0 or 0.0)) / self._period - entry.phase
         newest = entry._replace(cycle=int(min(max(elapsed // 1, entry.cycle), entry.end - 1)))
         self._entries[key] = newest._replace(cycle=newest.cycle + 1)
         return Due(key, self._at(newest), newest.cycle - entry.cycle)
-
-    def _first(self) -> Key | None:
-        open_ = [key for key, entry in self._entries.items() if entry.cycle < entry.end]
-        return min(open_, key=lambda key: self._at(self._entries[key]), default=None)
 
     def _at(self, entry: _Entry) -> float:
         return (self._t0 or 0.0) + (entry.cycle + entry.phase) * self._period

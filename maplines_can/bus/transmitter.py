@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import NamedTuple, Protocol
@@ -39,24 +39,21 @@ class FrameLike(Protocol):
 class Encoder(Protocol):
     """What the transmitter needs of ``wire.Codec``."""
 
-    def encode(self, line: MapLine, *, fd: bool = False) -> Sequence[FrameLike]: ...
+    def encode_lines(
+        self, lines: Sequence[MapLine], *, fd: bool = False
+    ) -> Sequence[Sequence[FrameLike]]: ...
 
 
 class TransmitterStats(NamedTuple):
-    """Counters of a transmitter; each deadline ends in one of the first four."""
+    """Counters of a transmitter."""
 
     lines: int = 0  #: sent, all their frames
     down: int = 0  #: given up because the interface was gone
     full: int = 0  #: given up because the transmit queue stayed full for a period
-    overruns: int = 0  #: whole periods skipped because the thread was late
+    overruns: int = 0  #: deadlines of slots skipped because the thread was a period late
     frames: int = 0  #: handed to the interface, those of unfinished bursts included
     retries: int = 0  #: times that a frame met a full queue and was tried again
-    lateness: Lateness = Lateness()  #: of the first frame of each burst, after its deadline
-
-
-class _Key(NamedTuple):
-    slot: Slot
-    component: int
+    lateness: Lateness = Lateness()  #: of the first frame of each slot, after its deadline
 
 
 @dataclass(frozen=True)
@@ -65,19 +62,34 @@ class _Published:
     age: float  # of the pose when it was published [s]
     at: float  # when that was [s], on the transmitter's clock
 
+    def line_at(self, now: float) -> MapLine:
+        return replace(self.line, age=max(0.0, self.age + now - self.at))
+
+
+class _Burst(NamedTuple):
+    deadline: float  # the ages are for this time [s]
+    lines: Sequence[Sequence[FrameLike]]
+
 
 class Transmitter:
     """One thread that sends every published line once each period.
 
-    Each line has a fixed place in the period, slot by slot, instead of all
-    lines going out back to back: the queue of a CAN interface is short (10
-    frames with Linux's defaults, and 8 lines are 32 frames), and another node
-    waits for 4 frames at most.  The frames of one line do go back to back.
+    Each slot has a fixed place in the period, instead of all lines going out
+    back to back: the queue of a CAN interface is short (10 frames with Linux's
+    defaults, and 8 lines are 32 frames), and another node waits for 4 frames at
+    most.  The frames of one line, and the parts of one mixture, do go back to back.
 
     Deadlines are absolute (`timing.Schedule`): nothing drifts, and a period
-    that was overrun is skipped and counted.  A line is encoded when it is sent,
-    so that its counter has no gap and its age is that of the sending.  A line
-    that is not published again is sent again, older and older.
+    that was overrun is skipped and counted.  A line that is not published again
+    is sent again, older and older.
+
+    The latest value wins, as it is when the line is encoded.  Because one line
+    costs as much to encode as eight, a line that is due takes along others that
+    are unlikely to be published anew before they are due themselves: a new value
+    that is due within a period of being published, a repetition that is due
+    within half a period.  A producer that publishes once a period is so never
+    behind, and its lines are encoded once a period.  Ages are those of the
+    sending all the same.
 
     Nothing is sent half: after a frame that could not be sent, the rest of its
     burst is not sent either, the line is counted as ``down`` or ``full``, and the
@@ -89,7 +101,7 @@ class Transmitter:
         codec: makes the frames of a line; used by the transmitter's thread only.
         period: [s].
         fd: send CAN FD frames.
-        count: stop when every line had this many deadlines; None for ever.
+        count: stop when every slot had this many deadlines; None for ever.
         clock: a clock that is never set back [s].
 
     Raises:
@@ -119,22 +131,25 @@ class Transmitter:
         self._link, self._codec, self._fd = link, codec, fd
         self._period, self._clock = period, clock
         self._changed = threading.Condition()  # guards all that follows
-        self._schedule: Schedule[_Key] = Schedule(period, count)
-        self._published: dict[_Key, _Published] = {}
+        self._schedule: Schedule[Slot] = Schedule(period, count)
+        self._published: dict[Slot, dict[int, _Published]] = {}  # by component
+        self._unsent: set[Slot] = set()  # published since they were last encoded
         self._counts = TransmitterStats()
         self._lateness = LatenessHistogram()
         self._stopping = False
+        self._bursts: dict[Slot, _Burst] = {}  # encoded ahead; of the thread alone
         self._worker = Worker("maplines transmit", self._run)
 
-    def publish(self, line: MapLine, t_pose_ns: int | None = None) -> None:
+    def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
         """Send this line from now on, instead of the last one of its slot.
 
         The parts of a mixture are told apart by ``line.component.index``; a part
         of a mixture of another size replaces all parts of the slot.
 
         Args:
-            line: the line; its age goes on counting from this call.
-            t_pose_ns: when the pose of the line held, on the clock of
+            line: the line, or several that shall be taken over at the same moment,
+                as the parts of a mixture should; ages go on counting from this call.
+            t_pose_ns: when the pose of the lines held, on the clock of
                 ``time.time_ns()`` [ns]; the age then counts from there and
                 ``line.age`` is ignored.
 
@@ -144,7 +159,8 @@ class Transmitter:
             Exception: what the codec or a callback raised in the thread, which
                 has ended for that reason.
         """
-        age = line.age
+        self._worker.check()
+        age = None
         if t_pose_ns is not None:
             age = (time.time_ns() - t_pose_ns) * 1e-9
             if not -1 <= age <= 3600:
@@ -152,24 +168,25 @@ class Transmitter:
                     f"t_pose_ns must be on the clock of time.time_ns(), at most 1 s ahead and 1 h "
                     f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
                 )
-        self._worker.check()
-        key = _Key(line.slot, line.component.index)
+        lines = [line] if isinstance(line, MapLine) else list(line)
         with self._changed:
-            for other, entry in list(self._published.items()):
-                if other.slot == key.slot and entry.line.component.count != line.component.count:
-                    self._forget(other)
             now = self._clock()
-            if key not in self._published:
-                place = line.component.index / line.component.count
-                self._schedule.add(key, (line.slot + place) / len(Slot), now)
-                self._changed.notify_all()
-            self._published[key] = _Published(line, age, now)
+            for one in lines:
+                slot, component = one.slot, one.component
+                parts = self._published.setdefault(slot, {})
+                if not parts:
+                    self._schedule.add(slot, slot / len(Slot), now)
+                elif next(iter(parts.values())).line.component.count != component.count:
+                    parts.clear()
+                parts[component.index] = _Published(one, one.age if age is None else age, now)
+                self._unsent.add(slot)
+            self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
         """Send no more lines of this slot."""
         with self._changed:
-            for key in [key for key in self._published if key.slot == slot]:
-                self._forget(key)
+            self._published.pop(slot, None)
+            self._schedule.remove(slot)
 
     def stats(self) -> TransmitterStats:
         """A consistent copy of all counters."""
@@ -217,57 +234,95 @@ class Transmitter:
     # ---- the thread --------------------------------------------------------------
 
     def _run(self) -> None:
-        while (burst := self._next_burst()) is not None:
-            self._send(*burst)
+        while (due := self._next_due()) is not None:
+            self._serve(due)
 
-    def _next_burst(self) -> tuple[_Published, Due[_Key]] | None:
+    def _serve(self, due: Due[Slot]) -> None:
+        burst = self._bursts.pop(due.key, None)
+        if burst is None or burst.deadline != due.deadline:
+            self._encode(due)
+            burst = self._bursts.pop(due.key)
+        self._send(burst, due)
+
+    def _next_due(self) -> Due[Slot] | None:
         with self._changed:
             while not (self._stopping or self._schedule.over):
                 now = self._clock()
                 due = self._schedule.take(now)
                 if due is not None:
-                    self._lateness.add(now - due.deadline)
-                    self._count(overruns=due.skipped)
-                    return self._published[due.key], due
+                    return due
                 self._changed.wait(self._schedule.wait(now))
             return None
 
-    def _send(self, published: _Published, due: Due[_Key]) -> None:
-        age = max(0.0, published.age + self._clock() - published.at)
-        frames = self._codec.encode(replace(published.line, age=age), fd=self._fd)
+    def _encode(self, due: Due[Slot]) -> None:
+        """Encode the slot that is due and those that are soon, in the order of sending."""
+        with self._changed:
+            times = {due.key: due.deadline}
+            for slot in self._published.keys() - self._bursts.keys() - times.keys():
+                deadline = self._schedule.deadline(slot)
+                if slot in self._unsent:
+                    published = min(part.at for part in self._published[slot].values())
+                    soon = deadline < published + self._period
+                else:
+                    soon = deadline < due.deadline + self._period / 2
+                if soon:
+                    times[slot] = deadline
+            batch = [
+                (slot, part.line_at(times[slot]))
+                for slot in sorted(times, key=times.__getitem__)
+                for _, part in sorted(self._published.get(slot, {}).items())
+            ]
+            self._unsent -= times.keys()
+        encoded = self._codec.encode_lines([line for _, line in batch], fd=self._fd)
+        for slot, time_ in times.items():
+            lines = [frames for (of, _), frames in zip(batch, encoded, strict=True) if of == slot]
+            self._bursts[slot] = _Burst(time_, lines)
+
+    def _send(self, burst: _Burst, due: Due[Slot]) -> None:
+        fates = {Sent.OK: 0, Sent.DOWN: 0, Sent.FULL: 0}
         sent = retries = 0
         answer = Sent.OK
-        for frame in frames:
-            message = can.Message(
-                arbitration_id=frame.can_id,
-                is_extended_id=frame.is_extended,
-                is_fd=frame.is_fd,
-                bitrate_switch=frame.is_fd,
-                data=frame.data,
-                check=False,
-            )
-            answer = self._link.send(message)
-            while answer is Sent.FULL and self._clock() < due.deadline + self._period:
-                time.sleep(RETRY)  # no event tells that a queue has room again
-                retries += 1
+        lateness = self._clock() - due.deadline
+        for frames in burst.lines:
+            for frame in frames if answer is Sent.OK else ():
+                message = _message(frame)
                 answer = self._link.send(message)
-            if answer is not Sent.OK:
-                break
-            sent += 1
+                while answer is Sent.FULL and self._clock() < due.deadline + self._period:
+                    time.sleep(RETRY)  # no event tells that a queue has room again
+                    retries += 1
+                    answer = self._link.send(message)
+                if answer is not Sent.OK:
+                    break
+                sent += 1
+            fates[answer] += 1
         with self._changed:
-            fate = {Sent.OK: "lines", Sent.DOWN: "down", Sent.FULL: "full"}[answer]
-            self._count(frames=sent, retries=retries, **{fate: 1})
+            self._lateness.add(lateness)
+            self._count(
+                lines=fates[Sent.OK],
+                down=fates[Sent.DOWN],
+                full=fates[Sent.FULL],
+                overruns=due.skipped,
+                frames=sent,
+                retries=retries,
+            )
 
     def _count(self, **steps: int) -> None:
         old = self._counts
         self._counts = old._replace(**{name: getattr(old, name) + n for name, n in steps.items()})
-
-    def _forget(self, key: _Key) -> None:
-        del self._published[key]
-        self._schedule.remove(key)
 
     def _end(self) -> None:
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
         self._worker.join()
+
+
+def _message(frame: FrameLike) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.can_id,
+        is_extended_id=frame.is_extended,
+        is_fd=frame.is_fd,
+        bitrate_switch=frame.is_fd,
+        data=frame.data,
+        check=False,
+    )

@@ -56,7 +56,7 @@ def judge(
 
     def whitened(S: Array) -> Array:
         half = np.linalg.solve(L, S / scale2)
-        return np.linalg.solve(L, np.swapaxes(half, 1, 2))
+        return np.asarray(np.linalg.solve(L, np.swapaxes(half, 1, 2)), dtype=float)
 
     def divergence(S: Array, z: Array) -> Array:
         with np.errstate(divide="ignore"):
@@ -74,7 +74,7 @@ def judge(
         sigma_ratio = np.sqrt(decoded_variance / variance)
     return Judgement(
         positive_definite=definite,
-        largest_ratio=np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1],
+        largest_ratio=np.asarray(np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1], float),
         kl_covered=divergence(target, np.zeros_like(z)),
         kl=divergence(cov, z),
         lateral_error=lateral(decoded_mean[:, None, :], x) - lateral(mean[:, None, :], x),
@@ -86,7 +86,7 @@ def _cholesky(S: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Factors, and which matrices have one; NaN where there is none."""
     definite = np.ones(len(S), dtype=bool)
     try:
-        return np.linalg.cholesky(S), definite
+        return np.asarray(np.linalg.cholesky(S), dtype=float), definite
     except np.linalg.LinAlgError:
         L = np.full_like(S, np.nan)
         for i, matrix in enumerate(S):

@@ -80,6 +80,11 @@ class Codec:
         """CAN IDs of all lines, for filters."""
         return frozenset(can_id for can_id, _ in self.layout.page_of_id)
 
+    @property
+    def resolution(self) -> NDArray[np.float64]:
+        """(4,) variances of the mean's own rounding, factor^2 / 12, in SI units squared."""
+        return self._writer.resolution
+
     # -- many lines at once ---------------------------------------------------
 
     def encode_batch(

@@ -1,0 +1,439 @@
+"""The ``maplines`` command."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import logging
+import signal
+import sys
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from . import __version__
+from .bus import Link, Receiver, Transmitter, read_log
+from .errors import LogError, MaplinesError
+from .line import STATES, MapLine
+from .propagation import MapError
+from .scenarios import SCENARIOS, scenario
+from .study.picture import draw_round_trip
+from .study.round_trip import LineResult, RoundTrip, round_trip, scene_lines
+from .wire import Codec, Decoder
+
+__all__ = ["main"]
+
+UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command; returns its exit status: 0, 1 for an error, 2 for wrong usage."""
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a kill ends as Ctrl-C does
+    try:
+        return int(arguments.run(arguments))
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # the reader of our output, such as head, has enough
+        sys.stderr.close()
+        return 0
+    except (MaplinesError, OSError, ValueError) as error:
+        print(f"maplines: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return 1
+
+
+# ---- the jobs ---------------------------------------------------------------------
+
+
+def _demo(arguments: argparse.Namespace) -> int:
+    codec = Codec.from_dbc(arguments.dbc)
+    scene = scenario(arguments.scenario)
+    interface = None if arguments.interface == "virtual" else _bus_settings(arguments)
+    with _progress(arguments.seconds, "s") as bar:
+
+        def tick(elapsed: float) -> None:
+            if bar is not None:
+                bar.update(min(elapsed, arguments.seconds) - bar.n)
+
+        trip = round_trip(
+            scene,
+            codec,
+            lines=arguments.lines,
+            seconds=arguments.seconds,
+            rate=arguments.rate,
+            fd=arguments.fd,
+            bitrate=arguments.bitrate or 500_000,
+            interface=interface,
+            map_error=_map_error(arguments),
+            tick=tick,
+        )
+    if arguments.plot:
+        draw_round_trip(trip, scene, arguments.plot)
+    if arguments.json:
+        print(json.dumps(trip.as_dict(), indent=2))
+    else:
+        print(_trip_text(trip))
+        if arguments.plot:
+            print(f"\npicture: {arguments.plot}")
+    return 0 if all(line.mean for line in trip.lines) else 1
+
+
+def _send(arguments: argparse.Namespace) -> int:
+    codec = Codec.from_dbc(arguments.dbc)
+    lines = scene_lines(scenario(arguments.scenario), arguments.lines, None, _map_error(arguments))
+    with Link(**_bus_settings(arguments)) as link:
+        transmitter = Transmitter(
+            link, codec, period=1 / arguments.rate, fd=arguments.fd, count=arguments.count
+        )
+        try:
+            with transmitter:
+                for line in lines:
+                    transmitter.publish(line)
+                if not arguments.json:
+                    until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
+                    carrier = "CAN FD" if arguments.fd else "classic CAN"
+                    _note(
+                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, {carrier}, "
+                        f"{arguments.rate:g} Hz, {until}"
+                    )
+                transmitter.wait()
+        except KeyboardInterrupt:
+            pass
+        stats = transmitter.stats()
+        if arguments.json:
+            late = stats.lateness._asdict()
+            print(json.dumps(stats._asdict() | {"lateness": late, "outages": link.outages}))
+        else:
+            print(
+                f"sent {stats.lines} lines in {stats.frames} frames; {stats.down} lines given up "
+                f"while the interface was down, {stats.full} with a full queue, "
+                f"{stats.overruns} periods overrun"
+            )
+            print(f"late by {_milliseconds(stats.lateness)} (median, 99 %, most)")
+        return 0
+
+
+def _receive(arguments: argparse.Namespace) -> int:
+    codec = Codec.from_dbc(arguments.dbc)
+    left = arguments.count
+    with Link(**_bus_settings(arguments)) as link, Receiver(link, codec.decoder()) as receiver:
+        if not arguments.json:
+            _note(f"listening on {link.name}; Ctrl-C ends")
+        try:
+            while left is None or left > 0:
+                line = receiver.get(arguments.timeout)
+                if line is None:
+                    _note(f"nothing received for {arguments.timeout:g} s")
+                    break
+                print(json.dumps(_line_dict(line)) if arguments.json else _line_text(line))
+                sys.stdout.flush()
+                left = None if left is None else left - 1
+        except KeyboardInterrupt:
+            pass
+        stats = receiver.stats()
+    dropped = {reason.name: n for reason, n in stats.counts.items()}
+    _note(
+        f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
+        f"counters; dropped frames: {_counts_text(dropped)}"
+    )
+    return 0 if left in (None, 0) else 1
+
+
+def _decode(arguments: argparse.Namespace) -> int:
+    codec = Codec.from_dbc(arguments.dbc)
+    decoders: dict[str, Decoder] = {}
+    status = 0
+
+    def lines() -> Iterator[tuple[str, MapLine]]:
+        nonlocal status
+        last_ns = 0
+        frames = tqdm(read_log(arguments.log), unit=" frames", disable=not sys.stderr.isatty())
+        try:
+            for frame in frames:
+                decoder = decoders.setdefault(frame.channel, codec.decoder())
+                last_ns = frame.t_ns
+                answer = decoder.feed(
+                    frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+                )
+                if isinstance(answer, MapLine):
+                    yield frame.channel, answer
+        except LogError as error:  # what is good came first
+            _note(f"error: {error}")
+            status = 1
+        for decoder in decoders.values():
+            decoder.expire(last_ns + 10**18)
+
+    if arguments.csv:
+        _write_csv(lines())
+    else:
+        for channel, line in lines():
+            print(json.dumps(_line_dict(line) | {"channel": channel}))
+    total = sum((decoder.counts for decoder in decoders.values()), Counter())
+    _note(
+        f"{sum(d.lines for d in decoders.values())} lines from "
+        f"{sum(d.frames for d in decoders.values())} frames; "
+        f"{sum(d.lost for d in decoders.values())} lines lost by their counters; "
+        f"dropped frames: {_counts_text({reason.name: n for reason, n in total.items()})}"
+    )
+    return status
+
+
+def _scenarios(arguments: argparse.Namespace) -> int:
+    if arguments.json:
+        rows = [
+            {
+                "name": scene.name,
+                "about": scene.about,
+                "ego_sigma": scene.ego.sigma.tolist(),
+                "window": scene.window,
+                "lines": [line.slot.name for line in scene.lines],
+            }
+            for scene in SCENARIOS.values()
+        ]
+        print(json.dumps(rows, indent=2))
+    else:
+        for scene in SCENARIOS.values():
+            print(f"{scene.name:<20}{scene.about}")
+    return 0
+
+
+# ---- what they print ------------------------------------------------------------------
+
+
+def _trip_text(trip: RoundTrip) -> str:
+    scales = (1, np.degrees(1), 1e3, 1e6)
+    head = ("y_off [m]", "beta [deg]", "c0 [1/km]", "c1 [1/km^2]")
+    out = [
+        f"{trip.scenario} over {trip.carrier}, {trip.rate:g} Hz, {trip.seconds:.1f} s",
+        "",
+        " " * 22 + "".join(f"{h:>21}" for h in head) + f"{'y at 80 m [m]':>21}",
+    ]
+    for line in trip.lines:
+        name = line.slot.replace("_", " ").lower()
+        out.append(f"{name:<12}{'true':<10}" + _row(line, scales, is_true=True))
+        if line.mean is None:
+            out.append(f"{'':<12}nothing received")
+            continue
+        out.append(f"{'':<12}{'received':<10}" + _row(line, scales, is_true=False))
+        ratio = _known(line.sigma_80m) / _known(line.true_sigma_80m) if line.true_sigma_80m else 1
+        out.append(
+            f"{'':<12}{(line.status or '').lower()}; KL {line.kl_covered:.4f} nat "
+            f"(untouched {line.kl:.4f}); at 80 m: mean {1e3 * _known(line.lateral_error_80m):+.2f} "
+            f"mm, sigma x{ratio:.3f}"
+        )
+    jitter = trip.period_jitter
+    out += [
+        "",
+        f"sent      {trip.sent['lines']} lines, {trip.sent['frames']} frames",
+        f"received  {trip.received['lines']} lines, {trip.received['frames']} frames; "
+        f"dropped: {_counts_text(trip.received['counts'])}",
+        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames",
+        f"bus load  {100 * trip.bus_load:.1f} % at {trip.bitrate / 1000:g} kbit/s"
+        + (f" and {4 * trip.bitrate / 1e6:g} Mbit/s" if trip.carrier == "CAN FD" else ""),
+        f"period    {1e3 / trip.rate:g} ms, off by {1e3 * jitter['median']:.2f} ms in the median, "
+        f"{1e3 * jitter['p99']:.2f} ms at 99 %",
+        f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver",
+    ]
+    return "\n".join(out)
+
+
+def _row(line: LineResult, scales: Iterable[float], is_true: bool) -> str:
+    mean, sigma = (line.true_mean, line.true_sigma) if is_true else (line.mean, line.sigma)
+    cells = [
+        f"{m * k:.3f} ± {s * k:.3f}"
+        for m, s, k in zip(mean or (), sigma or (), scales, strict=True)
+    ]
+    at_80m = line.true_sigma_80m if is_true else line.sigma_80m
+    cells.append(f"± {at_80m:.3f}" if at_80m is not None else "")
+    return "".join(f"{cell:>21}" for cell in cells)
+
+
+def _known(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _line_text(line: MapLine) -> str:
+    mean, sigma = line.gaussian.mean, line.gaussian.sigma
+    name = line.slot.name.replace("_", " ").lower()
+    return (
+        f"{(line.t_ns or 0) / 1e9:.3f}  {name:<10}  {line.status.name.lower():<9}  "
+        f"y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
+        f"{np.degrees(sigma[1]):.2f} deg  c0 {1e3 * mean[2]:+.3f} ± {1e3 * sigma[2]:.3f} /km  "
+        f"c1 {1e6 * mean[3]:+.2f} ± {1e6 * sigma[3]:.2f} /km^2  "
+        f"x {line.x_min:.0f}..{line.x_max:.0f} m  age {1e3 * line.age:.0f} ms"
+    )
+
+
+def _line_dict(line: MapLine) -> dict[str, Any]:
+    return {
+        "t": None if line.t_ns is None else line.t_ns / 1e9,
+        "slot": line.slot.name,
+        "kind": line.kind.name,
+        "status": line.status.name,
+        "x_min": line.x_min,
+        "x_max": line.x_max,
+        "age": line.age,
+        "component": [line.component.index, line.component.count, line.component.weight],
+        "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
+        "cov": line.gaussian.cov.tolist(),
+    }
+
+
+def _write_csv(lines: Iterable[tuple[str, MapLine]]) -> None:
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(
+        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "component_index"]
+        + ["component_count", "component_weight", *STATES]
+        + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER]
+    )
+    for channel, line in lines:
+        row = _line_dict(line)
+        writer.writerow(
+            [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
+            + [row["x_max"], row["age"], *row["component"], *row["mean"].values()]
+            + [row["cov"][i][j] for i, j in UPPER]
+        )
+
+
+def _counts_text(counts: dict[str, int]) -> str:
+    return ", ".join(f"{n} {name.lower()}" for name, n in sorted(counts.items()) if n) or "none"
+
+
+def _milliseconds(values: Iterable[float]) -> str:
+    return ", ".join(f"{1e3 * value:.2f}" for value in values) + " ms"
+
+
+def _note(text: str) -> None:
+    print(f"maplines: {text}", file=sys.stderr, flush=True)
+
+
+def _progress(total: float, unit: str) -> AbstractContextManager[Any]:
+    if not sys.stderr.isatty():
+        return nullcontext()
+    shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} " + unit
+    return tqdm(total=total, bar_format=shape, leave=False)
+
+
+# ---- what they are asked ----------------------------------------------------------------
+
+
+def _bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
+    names = ("interface", "channel", "bitrate")
+    settings = {name: getattr(arguments, name) for name in names}
+    settings = {name: value for name, value in settings.items() if value is not None}
+    return settings | ({"fd": True} if arguments.fd else {})
+
+
+def _map_error(arguments: argparse.Namespace) -> MapError | None:
+    if not arguments.map_error:
+        return None
+    return MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
+    return value
+
+
+def _natural(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"must be 1 or more, got {text}")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="maplines",
+        description="The lines of a digital map on a CAN bus, with their uncertainty.",
+        epilog="Begin with 'maplines demo'. Each job explains itself: maplines JOB --help.",
+    )
+    parser.add_argument("--version", action="version", version=f"maplines {__version__}")
+    jobs = parser.add_subparsers(title="jobs", required=True, metavar="JOB")
+
+    def job(name: str, run: Any, about: str, example: str) -> argparse.ArgumentParser:
+        sub = jobs.add_parser(
+            name,
+            help=about,
+            description=about,
+            epilog=f"example: {example}",
+            formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        )
+        sub.set_defaults(run=run)
+        return sub
+
+    demo = job(
+        "demo",
+        _demo,
+        "Send the lines of a scene over a bus, receive them, and compare.",
+        "maplines demo --scenario street-turn --fd --plot turn.png",
+    )
+    send = job(
+        "send",
+        _send,
+        "Send the lines of a scene until Ctrl-C.",
+        "maplines send --interface socketcan --channel vcan0 --rate 50",
+    )
+    receive = job(
+        "receive",
+        _receive,
+        "Print the lines that arrive until Ctrl-C, then what was dropped and why.",
+        "maplines receive --interface socketcan --channel vcan0 --json",
+    )
+    decode = job(
+        "decode",
+        _decode,
+        "Print the lines of a log as JSON lines or CSV, then what was dropped and why.",
+        "maplines decode drive.blf --csv > drive.csv",
+    )
+    list_ = job("scenarios", _scenarios, "List the scenes.", "maplines scenarios --json")
+
+    for sub in (demo, send):
+        names = list(SCENARIOS)
+        sub.add_argument("--scenario", default="highway", choices=names, help="the scene")
+        sub.add_argument(
+            "--lines", type=int, default=4, choices=range(1, 9), metavar="N", help="1 to 8 lines"
+        )
+        sub.add_argument("--rate", type=_positive, default=20.0, help="lines of each slot a second")
+        sub.add_argument(
+            "--map-error",
+            type=_positive,
+            metavar="SIGMA",
+            help="error of the map's points and of their common offset [m], beside the pose's",
+        )
+    for sub in (demo, send, receive):
+        default = "virtual" if sub is demo else None
+        sub.add_argument(
+            "--interface",
+            default=default,
+            help="python-can interface, such as virtual, socketcan, udp_multicast; "
+            "without it, python-can's own configuration",
+        )
+        sub.add_argument("--channel", help="channel of the interface, such as vcan0")
+        sub.add_argument("--bitrate", type=_natural, help="[bit/s]")
+        sub.add_argument("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
+    for sub in (demo, send, receive, decode):
+        sub.add_argument("--dbc", help="another DBC than the project's own")
+    demo.add_argument("--seconds", type=_positive, default=3.0, help="how long [s]")
+    demo.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")
+    send.add_argument("--count", type=_natural, help="send each line so many times, then end")
+    receive.add_argument("--count", type=_natural, help="end after so many lines")
+    receive.add_argument("--timeout", type=_positive, help="end when nothing comes for so long [s]")
+    decode.add_argument("log", help="a log that python-can reads: .asc .blf .csv .log .mf4 .trc")
+    decode.add_argument("--csv", action="store_true", help="CSV instead of JSON lines")
+    for sub in (demo, send, receive, list_):
+        sub.add_argument("--json", action="store_true", help="for machines")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
