@@ -11,12 +11,12 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from . import __version__
 from .bus import Link, Receiver, Transmitter, read_log
 from .errors import LogError, MaplinesError
 from .line import STATES, MapLine
@@ -357,7 +357,7 @@ def _parser() -> argparse.ArgumentParser:
         description="The lines of a digital map on a CAN bus, with their uncertainty.",
         epilog="Begin with 'maplines demo'. Each job explains itself: maplines JOB --help.",
     )
-    parser.add_argument("--version", action="version", version=f"maplines {__version__}")
+    parser.add_argument("--version", action="version", version=f"maplines {version('maplines_can')}")
     jobs = parser.add_subparsers(title="jobs", required=True, metavar="JOB")
 
     def job(name: str, run: Any, about: str, example: str) -> argparse.ArgumentParser:

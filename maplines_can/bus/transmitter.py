@@ -137,7 +137,7 @@ class Transmitter:
         self._counts = TransmitterStats()
         self._lateness = LatenessHistogram()
         self._stopping = False
-        self._bursts: dict[Slot, _Burst] = {}  # encoded ahead; of the thread alone
+        self._bursts: dict[Slot, _Burst] = {}  # encoded, not sent
         self._worker = Worker("maplines transmit", self._run)
 
     def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
@@ -187,6 +187,7 @@ class Transmitter:
         with self._changed:
             self._published.pop(slot, None)
             self._schedule.remove(slot)
+            self._bursts.pop(slot, None)
 
     def stats(self) -> TransmitterStats:
         """A consistent copy of all counters."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import IllPosedError
 from ..line import STATES, line_of_cubic
-from ..polyline import Polyline, to_ego
+from ..polyline import Polyline, near_stretch, to_ego
 
 __all__ = ["MapError", "Refit"]
 
@@ -97,23 +98,31 @@ class Refit:
         lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
         if not lines:
             raise ValueError("polyline must be a Polyline or a sequence of at least one")
+        points = to_ego(np.concatenate([line.points for line in lines]), self.pose)
+        lengths = [len(line.points) for line in lines]
+        near = near_stretch(points, lengths, x_min, x_max)
+        points = points[near]
+        count = np.add.reduceat(near, _starts(np.array(lengths)), dtype=int)
+        if (count < len(STATES)).any():
+            raise IllPosedError(
+                f"a cubic needs 4 points, but the line has {count.min()} in the window "
+                f"[{x_min:g}, {x_max:g}] m of the pose; widen the window or resample the line"
+            )
+        start = _starts(count)
         #: (n, 2) points of each line in the window, in the frame of the mean pose [m].
-        self.points = [to_ego(line.window(self.pose, x_min, x_max), self.pose) for line in lines]
-        for points in self.points:
-            if len(points) < len(STATES):
-                raise IllPosedError(
-                    f"a cubic needs 4 points, but the line has {len(points)} in the window "
-                    f"[{x_min:g}, {x_max:g}] m of the pose; widen the window or resample the line"
-                )
+        self.points = [points[i : i + n] for i, n in zip(start, count, strict=True)]
         self._trailing = () if single else (len(lines),)
-        start = np.append(0, np.cumsum([len(points) for points in self.points[:-1]])).astype(int)
-        low, high = (f.reduceat(np.vstack(self.points), start) for f in (np.minimum, np.maximum))
+        low, high = np.minimum.reduceat(points, start), np.maximum.reduceat(points, start)
         self._centre = (low + high) / 2  # (L, 2)
         self._half = (high[:, 0] - low[:, 0]) / 2  # (L,)
         if not self._half.all():
             self._refuse(self.pose, window)
-        self._chords = np.stack([_chords(points) for points in self.points], axis=1)
-        self._coefficients = self._harmonic_sums(start)
+        self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
+        self._length = np.hypot(*self._chords.T).sum(axis=0)  # (L,)
+        scaled = (points - self._centre.repeat(count, axis=0)) / self._half.repeat(count)[:, None]
+        self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_HARMONICS).reshape(
+            -1, 2 * DEGREE + 1
+        )  # (11 L, 2 DEGREE + 1)
         mean = self(self.pose[None])
         if np.isnan(mean).any():
             self._refuse(self.pose, window)
@@ -152,44 +161,21 @@ class Refit:
 
     def _block(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         d = poses - self.pose
-        c0, s0 = np.cos(self.pose[2]), np.sin(self.pose[2])
-        c, s = np.cos(d[:, 2]), np.sin(d[:, 2])
+        turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
         # Centre of the points as seen from each pose.
-        x = self._centre[:, :1] - (c0 * d[:, 0] + s0 * d[:, 1])  # (L, N)
-        y = self._centre[:, 1:] - (c0 * d[:, 1] - s0 * d[:, 0])
-        centre_u, centre_v = c * x + s * y, c * y - s * x
-        sums = np.tensordot(self._coefficients, _harmonics(c, s), axes=(0, 0))  # (11, L, N)
-        q = self._half[:, None] * _solve_normal(sums)  # (4, L, N)
+        x, y = self._centre.T[:, :, None] - to_ego(d[:, :2], [0.0, 0.0, self.pose[2]]).T[:, None]
+        c, s = turn
+        centre_u, centre_v = c * x + s * y, c * y - s * x  # (L, N)
+        sums = (self._coefficients @ _harmonics(c, s)).reshape(len(x), -1, len(d))  # (L, 11, N)
+        q, solved = _solve_normal(sums.swapaxes(0, 1))  # (4, L, N), (L, N)
+        q *= self._half[:, None]
         q[0] += centre_v
         lines = line_of_cubic(q, centre_u, self._half[:, None])  # (L, N, 4)
-        advance = np.tensordot(np.array([c, s]), self._chords, axes=(0, 0))  # (N, L, CHORDS)
-        net, way = np.abs(advance.sum(axis=-1)), np.abs(advance).sum(axis=-1)
-        length = np.hypot(*self._chords).sum(axis=-1)
-        posed = (net >= LEAST_ADVANCE * length) & (net >= LEAST_PROGRESS * way)  # (N, L)
-        return np.where(posed[..., None], np.moveaxis(lines, 0, 1), np.nan)
-
-    def _harmonic_sums(self, start: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Harmonics of the sums of the normal equations, of centred and scaled points.
-
-        Returns:
-            (2 DEGREE + 1, 11, L): of mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with
-            (u, v) the points turned by -t, as functions of t.
-        """
-        count = np.diff(start, append=sum(map(len, self.points)))
-        scaled = (np.vstack(self.points) - self._centre.repeat(count, axis=0)) / self._half.repeat(
-            count
-        )[:, None]
-        t = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
-        c, s = np.cos(t), np.sin(t)
-        u = np.outer(c, scaled[:, 0]) + np.outer(s, scaled[:, 1])  # (2 DEGREE + 1, n)
-        v = np.outer(c, scaled[:, 1]) - np.outer(s, scaled[:, 0])
-        powers = [np.ones_like(u)]
-        for _ in range(DEGREE):
-            powers.append(powers[-1] * u)
-        terms = powers + [v * power for power in powers[:4]]
-        values = np.array([np.add.reduceat(term, start, axis=1) for term in terms]) / count
-        weight = np.where(np.arange(len(t)) == 0, 1, 2) / len(t)  # discrete orthogonality
-        return np.einsum("h,ht,stl->hsl", weight, _harmonics(c, s), values)
+        advance = self._chords @ turn  # (L, CHORDS, N)
+        net, way = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)  # (L, N)
+        posed = (net >= LEAST_ADVANCE * self._length[:, None]) & (net >= LEAST_PROGRESS * way)
+        lines[~(posed & solved)] = np.nan
+        return lines.swapaxes(0, 1)
 
     def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
         """Map error through the fit, to first order at the mean pose."""
@@ -215,44 +201,97 @@ class Refit:
         )
 
 
-def _chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2, CHORDS) differences between points that divide a line evenly."""
-    way = np.append(0.0, np.hypot(*np.diff(points, axis=0).T).cumsum())
-    knots = np.searchsorted(way, np.linspace(0, way[-1], CHORDS + 1)).clip(max=len(points) - 1)
-    return np.diff(points[knots], axis=0).T
+def _starts(count: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Index of the first of each line's points where lines are laid end to end."""
+    return count.cumsum() - count
+
+
+def _chords(
+    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """(L, CHORDS, 2) differences between points that divide each line evenly."""
+    x, y = (points[1:] - points[:-1]).T
+    way = np.zeros(len(points))
+    np.hypot(x, y).cumsum(out=way[1:])  # steps from one line to the next are in it too
+    stop = start + count - 1
+    marks = way[start] + _MARKS * (way[stop] - way[start])  # (CHORDS + 1, L)
+    knots = points[way.searchsorted(marks).clip(start, stop)]
+    return (knots[1:] - knots[:-1]).swapaxes(0, 1)
+
+
+def _moments(
+    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """(L, 49) mixed moments mean(a^i b^j), i and j = 0 .. DEGREE, of each line's points (a, b)."""
+    powers = np.ones((DEGREE + 1, 2, len(points)))
+    for k in range(DEGREE):
+        np.multiply(powers[k], points.T, out=powers[k + 1])
+    a, b = powers[:, 0], powers[:, 1]
+    sums = [a[:, i : i + n] @ b[:, i : i + n].T for i, n in zip(start, count, strict=True)]
+    return np.array(sums).reshape(len(count), -1) / count[:, None]
 
 
 def _harmonics(c: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2 DEGREE + 1, N): 1, cos kt, sin kt for k = 1 .. DEGREE, of cos t and sin t."""
-    rows = [np.ones_like(c), c, s]
-    for _ in range(DEGREE - 1):
-        ck, sk = rows[-2:]
-        rows += [ck * c - sk * s, sk * c + ck * s]
-    return np.array(rows)
+    """(2 DEGREE + 1, N): cos kt, k = 0 .. DEGREE, then sin kt, k = 1 .. DEGREE."""
+    turn = c + 1j * s
+    powers = np.ones((DEGREE + 1, len(turn)), dtype=complex)
+    for k in range(DEGREE):
+        np.multiply(powers[k], turn, out=powers[k + 1])
+    return np.concatenate([powers.real, powers.imag[1:]])
 
 
-def _solve_normal(sums: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4, ...) cubic of the normal equations, by Cholesky on their Hankel matrix.
+def _moments_to_harmonics() -> NDArray[np.float64]:
+    """(49, 11 (2 DEGREE + 1)) from mixed moments to the harmonics of the sums.
+
+    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with
+    u = a cos t + b sin t and v = b cos t - a sin t the points turned by -t.
+    """
+    t = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
+    c, s = np.cos(t), np.sin(t)
+
+    def times(p: NDArray[np.float64], by_a: Any, by_b: Any) -> NDArray[np.float64]:
+        product = np.zeros_like(p)  # of polynomials in a and b, one for each angle
+        product[1:] += by_a * p[:-1]
+        product[:, 1:] += by_b * p[:, :-1]
+        return product
+
+    powers = [np.zeros((DEGREE + 1, DEGREE + 1, len(t)))]
+    powers[0][0, 0] = 1
+    for _ in range(DEGREE):
+        powers.append(times(powers[-1], c, s))
+    values = np.array(powers + [times(power, -s, c) for power in powers[:4]])
+    weight = np.where(t == 0, 1, 2) / len(t)  # discrete orthogonality
+    matrix = np.einsum("h,ht,sijt->ijsh", weight, _harmonics(c, s), values)
+    return matrix.reshape((DEGREE + 1) ** 2, -1)
+
+
+#: Computed once: the moments of a line's points are all that differs between lines.
+_MOMENTS_TO_HARMONICS = _moments_to_harmonics()
+#: Shares of a line's length at which its chords meet.
+_MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
+#: Rows of the normal equations, right-hand side included, in the array of the sums.
+_NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
+
+
+def _solve_normal(
+    sums: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(4, ...) cubic of the normal equations, and (...) where they have a solution.
+
+    Elimination without exchange of rows: the matrix is positive definite.
 
     Args:
         sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(v u^k), k = 0 .. 3.
     """
-    m, r = sums[:7], sums[7:]
-    L: list[list[NDArray[np.float64]]] = []
-    z: list[NDArray[np.float64]] = []
-    with np.errstate(invalid="ignore", divide="ignore"):  # ill-posed poses are weeded out later
-        for i in range(4):
-            row: list[NDArray[np.float64]] = []
-            for j in range(i):
-                rest = m[i + j] - sum(row[k] * L[j][k] for k in range(j))
-                row.append(rest / L[j][j])
-            row.append(np.sqrt(m[2 * i] - sum(x * x for x in row)))
-            L.append(row)
-            z.append((r[i] - sum(row[k] * z[k] for k in range(i))) / row[i])
-        q = [np.empty(0)] * 4
+    M = sums[_NORMAL]  # (4, 5, ...)
+    q = M[:, 4]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for i in range(3):
+            M[i + 1 :, i + 1 :] -= M[i + 1 :, i, None] / M[i, i] * M[i, i + 1 :]
         for i in reversed(range(4)):
-            q[i] = (z[i] - sum(L[k][i] * q[k] for k in range(i + 1, 4))) / L[i][i]
-    return np.array(q)
+            q[i] /= M[i, i]
+            q[:i] -= M[:i, i] * q[i]
+        return q, (M.diagonal() > 0).all(axis=-1)
 
 
 def _fit_cov(

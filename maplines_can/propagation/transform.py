@@ -76,8 +76,8 @@ def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDAr
         raise ValueError(
             f"the function must return one row a point, got {values.shape} for {points.shape}"
         )
-    lost = np.isnan(values.reshape(len(points), -1)).any(axis=1)
-    if lost.any():
+    if np.isnan(values).any():
+        lost = np.isnan(values.reshape(len(points), -1)).any(axis=1)
         raise IllPosedError(
             f"the function has no value at {points[lost][0]}, {lost.sum()} of the "
             f"{len(points)} points of the transform; narrow the Gaussian or use MonteCarlo, "
@@ -100,9 +100,9 @@ def weighted_moments(
         cov_weights: (N,).
     """
     d = values[1:] - values[0]
-    shift = np.tensordot(mean_weights[1:], d, axes=(0, 0))
+    shift = (mean_weights[1:] @ d.reshape(len(d), -1)).reshape(d.shape[1:])
     d -= shift
-    flat = d.reshape(len(d), -1, d.shape[-1]).transpose(1, 2, 0)  # (L, m, N - 1)
-    cov = (flat * cov_weights[1:]) @ flat.transpose(0, 2, 1)
-    cov = cov.reshape(*shift.shape, -1) + cov_weights[0] * shift[..., :, None] * shift[..., None, :]
+    d = np.moveaxis(d, 0, -1)  # (..., m, N - 1)
+    cov = (d * cov_weights[1:]) @ d.swapaxes(-1, -2)
+    cov += cov_weights[0] * shift[..., :, None] * shift[..., None, :]
     return Moments(values[0] + shift, cov)

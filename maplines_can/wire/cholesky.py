@@ -120,13 +120,14 @@ class CholeskyCode:
             rows = np.arange(start, min(start + BLOCK, n))
             rows = rows[(diagonal[rows] < self._hopeless).all(axis=1)]
             scale = np.ones(len(rows))
-            # Once is enough unless a DBC leaves too little inflation for its steps.
-            for _ in range(6):
+            # Once is enough unless a DBC leaves too little inflation for its steps, or a value
+            # meets the end of its range: then for a target that is larger by what was missing.
+            for _ in range(8):
                 excess = self._encode_block(error[rows], resolution, scale, rows, coded)
                 again = excess > 1
                 if not again.any():
                     break
-                rows, scale = rows[again], (scale * excess)[again]
+                rows, scale = rows[again], (1.02 * scale * excess)[again]
         lost = ~coded.covered
         if lost.any():
             for name, raw in self.widest().items():

@@ -283,15 +283,15 @@ def _checked(
     cov = np.zeros((n, 4, 4)) if covs is None else np.asarray(covs, dtype=float)
     if cov.shape != (n, 4, 4):
         raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
-    diagonal = np.einsum("nii->ni", cov)
-    for what, bad in (
-        ("means must be finite", ~np.isfinite(mean).all(axis=1)),
-        ("covs must be finite", ~np.isfinite(cov).all(axis=(1, 2))),
-        ("covs must have variances of 0 or more", (diagonal < 0).any(axis=1)),
-        ("covs must be symmetric", asymmetric(cov)),
-    ):
-        if bad.any():
-            i = int(bad.argmax())
-            value = mean[i] if "means" in what else cov[i].tolist()
-            raise ValueError(f"{what}, but row {i} is {value}")
+    _refuse("means must be finite", ~np.isfinite(mean).all(axis=1), mean)
+    _refuse("covs must be finite", ~np.isfinite(cov).all(axis=(1, 2)), cov)
+    negative = (np.einsum("nii->ni", cov) < 0).any(axis=1)
+    _refuse("covs must have variances of 0 or more", negative, cov)
+    _refuse("covs must be symmetric", asymmetric(cov), cov)
     return mean, cov
+
+
+def _refuse(what: str, bad: NDArray[np.bool_], rows: NDArray[np.float64]) -> None:
+    if bad.any():
+        i = int(bad.argmax())
+        raise ValueError(f"{what}, but row {i} is {rows[i].tolist()}")

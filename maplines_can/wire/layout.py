@@ -37,7 +37,7 @@ class Field:
     Args:
         name: as in the DBC.
         start: first bit within the record, numbered as the DBC numbers it.
-        length: bits, 1 to 64.
+        length: bits; 1 to 64, unsigned 1 to 63.
         big_endian: Motorola order; then ``start`` is the most significant bit.
         signed: two's complement.
         factor: physical = raw factor + offset.
@@ -313,7 +313,9 @@ def _field(signal: Signal, where: str) -> Field:
     low, high = (-(2 ** (signal.length - 1)), 2 ** (signal.length - 1) - 1)
     if not signal.is_signed:
         low, high = 0, 2**signal.length - 1
-    if not 1 <= signal.length <= 64 or not factor or not np.isfinite([factor, offset]).all():
+    if signal.length > (64 if signal.is_signed else 63):
+        raise LayoutError(f"{where}: signal {signal.name} has more than 63 bits; make it narrower")
+    if not factor or not np.isfinite([factor, offset]).all():
         raise LayoutError(f"{where}: signal {signal.name} needs a finite factor other than 0")
     bounds = sorted(
         (bound - offset) / factor for bound in (signal.minimum, signal.maximum) if bound is not None

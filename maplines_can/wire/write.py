@@ -112,8 +112,9 @@ class RecordWriter:
         if bare.any():
             for name, value in self._covariance.widest().items():
                 raw[name][bare] = value
-        status = np.where(broken & (wish == Status.FULL), Status.REPAIRED, wish)
-        status[(clipped | coded.saturated) & ~bare] = Status.SATURATED
+        status = np.where((clipped | coded.saturated) & ~bare, Status.SATURATED, wish)
+        # A repaired matrix is singular, so it is saturated as a rule; the repair says more.
+        status[(broken | (wish == Status.REPAIRED)) & ~bare] = Status.REPAIRED
         # A mean that is cut by more than its rounding, with nothing to cover it.
         far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
         status[np.where(bare, far, ~coded.covered)] = Status.OUT_OF_RANGE

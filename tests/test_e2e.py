@@ -1,0 +1,47 @@
+"""AUTOSAR profile 5, with the package autosar-e2e as the witness."""
+
+import e2e
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can.wire.e2e import record_crc, record_crc_one
+
+
+@given(st.binary(min_size=4, max_size=64), st.integers(0, 0xFFFF), st.data())
+def test_crc_is_that_of_profile_5(data, data_id, draw):
+    """Any record, data ID and place of the header: the checksum that autosar-e2e writes."""
+    offset = draw.draw(st.integers(0, len(data) - 3))
+    protected = bytearray(data)
+    e2e.p05.e2e_p05_protect(protected, data_id, offset=offset, increment_counter=False)
+    expected = int.from_bytes(protected[offset : offset + 2], "little")
+
+    array = np.frombuffer(data, dtype=np.uint8)[None]
+    assert record_crc(array, data_id, offset)[0] == expected
+    assert record_crc_one(data, data_id, offset) == expected
+
+
+def test_published_example_of_a_zero_record():
+    """PRS_E2EProtocol, profile 5: 8 zero bytes, data ID 0x1234, counter 0: bytes 1C CA."""
+    zeros = np.zeros((1, 8), dtype=np.uint8)
+    assert record_crc(zeros, 0x1234)[0] == 0xCA1C
+
+
+@pytest.mark.parametrize("bit", range(32 * 8))
+def test_every_single_bit_counts(bit):
+    """Flipping any bit of a 32-byte record breaks its checksum."""
+    record = np.random.default_rng(1).integers(0, 256, (1, 32), dtype=np.uint8)
+    crc = int(record_crc(record, 0x4D40)[0])
+    record[0, :2] = crc & 0xFF, crc >> 8
+    flipped = record.copy()
+    flipped[0, bit // 8] ^= 1 << bit % 8
+    stored = int(flipped[0, 0]) | int(flipped[0, 1]) << 8
+    assert record_crc(flipped, 0x4D40)[0] != stored
+
+
+def test_a_record_of_another_slot_is_refused():
+    """The data ID is in the checksum: no line passes for another."""
+    record = np.zeros((2, 32), dtype=np.uint8)
+    a, b = record_crc(record, np.array([0x4D40, 0x4D41]))
+    assert a != b
