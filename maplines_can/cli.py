@@ -8,6 +8,7 @@ import json
 import logging
 import signal
 import sys
+import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
@@ -36,7 +37,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # a kill ends as Ctrl-C does
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # a kill ends as Ctrl-C does
     try:
         return int(arguments.run(arguments))
     except KeyboardInterrupt:
@@ -357,7 +359,9 @@ def _parser() -> argparse.ArgumentParser:
         description="The lines of a digital map on a CAN bus, with their uncertainty.",
         epilog="Begin with 'maplines demo'. Each job explains itself: maplines JOB --help.",
     )
-    parser.add_argument("--version", action="version", version=f"maplines {version('maplines_can')}")
+    parser.add_argument(
+        "--version", action="version", version=f"maplines {version('maplines_can')}"
+    )
     jobs = parser.add_subparsers(title="jobs", required=True, metavar="JOB")
 
     def job(name: str, run: Any, about: str, example: str) -> argparse.ArgumentParser:

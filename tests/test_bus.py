@@ -458,12 +458,11 @@ def test_the_parts_of_a_mixture_are_lines_of_their_own(link, other):
         order = [x.component.index for x in collect(receiver, 9)]
         assert order == [0, 1, 2] * 3
         transmitter.publish(part(0, 1))
-        assert list(transmitter._published[Slot.EGO_LEFT]) == [0]
+        assert list(transmitter._outbox._published[Slot.EGO_LEFT]) == [0]
         transmitter.retract(Slot.NEXT_LEFT)
-        assert transmitter._published
+        assert transmitter._outbox._published
         transmitter.retract(Slot.EGO_LEFT)
-        assert not transmitter._published
-        assert transmitter._schedule.wait(0.0) is None
+        assert transmitter._outbox.wait(0.0) is None
 
 
 class Recorder(FakeCodec):
@@ -480,9 +479,9 @@ class Recorder(FakeCodec):
 
 def run_until(transmitter, clock, end):
     """What the thread does until then, with perfect timing."""
-    while clock.now + (step := transmitter._schedule.wait(clock.now)) < end:
+    while clock.now + (step := transmitter._outbox.wait(clock.now)) < end:
         clock.now += step
-        transmitter._serve(transmitter._next_due())
+        transmitter._send(transmitter._next())
     clock.now = end
 
 
@@ -539,7 +538,7 @@ def test_what_was_encoded_before_a_retract_is_not_sent_after_it():
         transmitter = Transmitter(link, FakeCodec(), period=0.8, clock=clock)
         transmitter.publish(line(slot, y=1) for slot in Slot)
         run_until(transmitter, clock, 1000.05)
-        assert len(transmitter._bursts) == 7
+        assert len(transmitter._outbox._ahead) == 7
         transmitter.retract(Slot.ROUTE)
         run_until(transmitter, clock, 1000.5)
         transmitter.publish(line(Slot.ROUTE, y=2))

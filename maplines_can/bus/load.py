@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from .transmitter import FrameLike
+from .outbox import FrameLike
 
 __all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time"]
 

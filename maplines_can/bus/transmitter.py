@@ -4,44 +4,23 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
 from types import TracebackType
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import can
 
 from ..errors import BusError
 from ..line import MapLine, Slot
 from .link import Link, Sent
-from .timing import Due, Lateness, LatenessHistogram, Schedule
+from .outbox import Burst, Encoder, FrameLike, Outbox
+from .timing import Lateness, LatenessHistogram
 from .worker import Worker
 
 __all__ = ["Transmitter", "TransmitterStats"]
 
 #: Pause between two attempts to put a frame into a full queue [s].
 RETRY = 0.001
-
-
-class FrameLike(Protocol):
-    """A frame as the wire makes it (``wire.Frame``)."""
-
-    @property
-    def can_id(self) -> int: ...
-    @property
-    def data(self) -> bytes: ...
-    @property
-    def is_fd(self) -> bool: ...
-    @property
-    def is_extended(self) -> bool: ...
-
-
-class Encoder(Protocol):
-    """What the transmitter needs of ``wire.Codec``."""
-
-    def encode_lines(
-        self, lines: Sequence[MapLine], *, fd: bool = False
-    ) -> Sequence[Sequence[FrameLike]]: ...
 
 
 class TransmitterStats(NamedTuple):
@@ -56,21 +35,6 @@ class TransmitterStats(NamedTuple):
     lateness: Lateness = Lateness()  #: of the first frame of each slot, after its deadline
 
 
-@dataclass(frozen=True)
-class _Published:
-    line: MapLine
-    age: float  # of the pose when it was published [s]
-    at: float  # when that was [s], on the transmitter's clock
-
-    def line_at(self, now: float) -> MapLine:
-        return replace(self.line, age=max(0.0, self.age + now - self.at))
-
-
-class _Burst(NamedTuple):
-    deadline: float  # the ages are for this time [s]
-    lines: Sequence[Sequence[FrameLike]]
-
-
 class Transmitter:
     """One thread that sends every published line once each period.
 
@@ -83,13 +47,8 @@ class Transmitter:
     that was overrun is skipped and counted.  A line that is not published again
     is sent again, older and older.
 
-    The latest value wins, as it is when the line is encoded.  Because one line
-    costs as much to encode as eight, a line that is due takes along others that
-    are unlikely to be published anew before they are due themselves: a new value
-    that is due within a period of being published, a repetition that is due
-    within half a period.  A producer that publishes once a period is so never
-    behind, and its lines are encoded once a period.  Ages are those of the
-    sending all the same.
+    The latest value wins, as it is when the line is encoded: at its deadline, or
+    with another line before it (`outbox.Outbox`).  The age is that of the sending.
 
     Nothing is sent half: after a frame that could not be sent, the rest of its
     burst is not sent either, the line is counted as ``down`` or ``full``, and the
@@ -128,16 +87,12 @@ class Transmitter:
                 f"{link.name} is opened without CAN FD; open it with fd=True, or send classic "
                 "frames (fd=False)"
             )
-        self._link, self._codec, self._fd = link, codec, fd
-        self._period, self._clock = period, clock
+        self._link, self._period, self._clock = link, period, clock
         self._changed = threading.Condition()  # guards all that follows
-        self._schedule: Schedule[Slot] = Schedule(period, count)
-        self._published: dict[Slot, dict[int, _Published]] = {}  # by component
-        self._unsent: set[Slot] = set()  # published since they were last encoded
+        self._outbox = Outbox(codec, period, fd=fd, count=count)
         self._counts = TransmitterStats()
         self._lateness = LatenessHistogram()
         self._stopping = False
-        self._bursts: dict[Slot, _Burst] = {}  # encoded, not sent
         self._worker = Worker("maplines transmit", self._run)
 
     def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
@@ -170,24 +125,13 @@ class Transmitter:
                 )
         lines = [line] if isinstance(line, MapLine) else list(line)
         with self._changed:
-            now = self._clock()
-            for one in lines:
-                slot, component = one.slot, one.component
-                parts = self._published.setdefault(slot, {})
-                if not parts:
-                    self._schedule.add(slot, slot / len(Slot), now)
-                elif next(iter(parts.values())).line.component.count != component.count:
-                    parts.clear()
-                parts[component.index] = _Published(one, one.age if age is None else age, now)
-                self._unsent.add(slot)
+            self._outbox.put(lines, self._clock(), age)
             self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
         """Send no more lines of this slot."""
         with self._changed:
-            self._published.pop(slot, None)
-            self._schedule.remove(slot)
-            self._bursts.pop(slot, None)
+            self._outbox.drop(slot)
 
     def stats(self) -> TransmitterStats:
         """A consistent copy of all counters."""
@@ -235,60 +179,29 @@ class Transmitter:
     # ---- the thread --------------------------------------------------------------
 
     def _run(self) -> None:
-        while (due := self._next_due()) is not None:
-            self._serve(due)
+        while (burst := self._next()) is not None:
+            self._send(burst)
 
-    def _serve(self, due: Due[Slot]) -> None:
-        burst = self._bursts.pop(due.key, None)
-        if burst is None or burst.deadline != due.deadline:
-            self._encode(due)
-            burst = self._bursts.pop(due.key)
-        self._send(burst, due)
-
-    def _next_due(self) -> Due[Slot] | None:
+    def _next(self) -> Burst | None:
         with self._changed:
-            while not (self._stopping or self._schedule.over):
+            while not (self._stopping or self._outbox.over):
                 now = self._clock()
-                due = self._schedule.take(now)
-                if due is not None:
-                    return due
-                self._changed.wait(self._schedule.wait(now))
+                burst = self._outbox.take(now)
+                if burst is not None:
+                    return burst
+                self._changed.wait(self._outbox.wait(now))
             return None
 
-    def _encode(self, due: Due[Slot]) -> None:
-        """Encode the slot that is due and those that are soon, in the order of sending."""
-        with self._changed:
-            times = {due.key: due.deadline}
-            for slot in self._published.keys() - self._bursts.keys() - times.keys():
-                deadline = self._schedule.deadline(slot)
-                if slot in self._unsent:
-                    published = min(part.at for part in self._published[slot].values())
-                    soon = deadline < published + self._period
-                else:
-                    soon = deadline < due.deadline + self._period / 2
-                if soon:
-                    times[slot] = deadline
-            batch = [
-                (slot, part.line_at(times[slot]))
-                for slot in sorted(times, key=times.__getitem__)
-                for _, part in sorted(self._published.get(slot, {}).items())
-            ]
-            self._unsent -= times.keys()
-        encoded = self._codec.encode_lines([line for _, line in batch], fd=self._fd)
-        for slot, time_ in times.items():
-            lines = [frames for (of, _), frames in zip(batch, encoded, strict=True) if of == slot]
-            self._bursts[slot] = _Burst(time_, lines)
-
-    def _send(self, burst: _Burst, due: Due[Slot]) -> None:
+    def _send(self, burst: Burst) -> None:
         fates = {Sent.OK: 0, Sent.DOWN: 0, Sent.FULL: 0}
         sent = retries = 0
         answer = Sent.OK
-        lateness = self._clock() - due.deadline
+        lateness = self._clock() - burst.deadline
         for frames in burst.lines:
             for frame in frames if answer is Sent.OK else ():
                 message = _message(frame)
                 answer = self._link.send(message)
-                while answer is Sent.FULL and self._clock() < due.deadline + self._period:
+                while answer is Sent.FULL and self._clock() < burst.deadline + self._period:
                     time.sleep(RETRY)  # no event tells that a queue has room again
                     retries += 1
                     answer = self._link.send(message)
@@ -302,7 +215,7 @@ class Transmitter:
                 lines=fates[Sent.OK],
                 down=fates[Sent.DOWN],
                 full=fates[Sent.FULL],
-                overruns=due.skipped,
+                overruns=burst.skipped,
                 frames=sent,
                 retries=retries,
             )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,8 +14,8 @@ from ..polyline import Polyline, near_stretch, to_ego
 
 __all__ = ["MapError", "Refit"]
 
-#: The sums of the normal equations are trigonometric polynomials of degree 6 in
-#: the turn of the car, so their values at 13 angles determine them.
+#: The sums of the normal equations are polynomials of degree 6 in cosine and sine
+#: of the turn of the car.
 DEGREE = 6
 #: Poses worked on at a time: what one block needs stays in the processor's cache.
 BLOCK = 2048
@@ -27,6 +26,8 @@ CHORDS = 16
 LEAST_ADVANCE = 0.17
 #: ... and by this share of their whole way along it (at most a third leads back).
 LEAST_PROGRESS = 1 / 3
+#: A pivot of the normal equations below this is rounding: fewer than 4 points are distinct.
+LEAST_PIVOT = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,11 +121,11 @@ class Refit:
         self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
         self._length = np.hypot(*self._chords.T).sum(axis=0)  # (L,)
         scaled = (points - self._centre.repeat(count, axis=0)) / self._half.repeat(count)[:, None]
-        self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_HARMONICS).reshape(
+        self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_MONOMIALS).reshape(
             -1, 2 * DEGREE + 1
         )  # (11 L, 2 DEGREE + 1)
-        mean = self(self.pose[None])
-        if np.isnan(mean).any():
+        _, posed = self._cubics(np.array([[1.0], [0.0]]))
+        if not posed.all():
             self._refuse(self.pose, window)
         #: (4, 4), or (L, 4, 4): covariance that the map's own error adds to a line.
         self.noise_cov = None if map_error is None else self._noise_cov(map_error)
@@ -166,16 +167,29 @@ class Refit:
         x, y = self._centre.T[:, :, None] - to_ego(d[:, :2], [0.0, 0.0, self.pose[2]]).T[:, None]
         c, s = turn
         centre_u, centre_v = c * x + s * y, c * y - s * x  # (L, N)
-        sums = (self._coefficients @ _harmonics(c, s)).reshape(len(x), -1, len(d))  # (L, 11, N)
-        q, solved = _solve_normal(sums.swapaxes(0, 1))  # (4, L, N), (L, N)
+        q, posed = self._cubics(turn)
         q *= self._half[:, None]
         q[0] += centre_v
         lines = line_of_cubic(q, centre_u, self._half[:, None])  # (L, N, 4)
+        lines[~posed] = np.nan
+        return lines.swapaxes(0, 1)
+
+    def _cubics(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Cubics through the centred and scaled points as seen after a turn.
+
+        Args:
+            turn: (2, N) its cosine and sine.
+
+        Returns:
+            (4, L, N) coefficients, and (L, N) whether they are worth anything.
+        """
+        lines, poses = len(self._half), turn.shape[1]
+        sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
+        q, solved = _solve_normal(sums.swapaxes(0, 1))
         advance = self._chords @ turn  # (L, CHORDS, N)
         net, way = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)  # (L, N)
         posed = (net >= LEAST_ADVANCE * self._length[:, None]) & (net >= LEAST_PROGRESS * way)
-        lines[~(posed & solved)] = np.nan
-        return lines.swapaxes(0, 1)
+        return q, posed & solved
 
     def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
         """Map error through the fit, to first order at the mean pose."""
@@ -223,50 +237,56 @@ def _moments(
     points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
 ) -> NDArray[np.float64]:
     """(L, 49) mixed moments mean(a^i b^j), i and j = 0 .. DEGREE, of each line's points (a, b)."""
-    powers = np.ones((DEGREE + 1, 2, len(points)))
+    points = np.ascontiguousarray(points.T)
+    powers = np.ones((DEGREE + 1, *points.shape))
     for k in range(DEGREE):
-        np.multiply(powers[k], points.T, out=powers[k + 1])
+        np.multiply(powers[k], points, out=powers[k + 1])
     a, b = powers[:, 0], powers[:, 1]
     sums = [a[:, i : i + n] @ b[:, i : i + n].T for i, n in zip(start, count, strict=True)]
     return np.array(sums).reshape(len(count), -1) / count[:, None]
 
 
-def _harmonics(c: NDArray[np.float64], s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2 DEGREE + 1, N): cos kt, k = 0 .. DEGREE, then sin kt, k = 1 .. DEGREE."""
-    turn = c + 1j * s
-    powers = np.ones((DEGREE + 1, len(turn)), dtype=complex)
+def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2 DEGREE + 1, N): c^(6-j) s^j, j = 0 .. 6, and c^(5-j) s^j, j = 0 .. 5, of (c, s)."""
+    powers = np.ones((DEGREE + 1, *turn.shape))
     for k in range(DEGREE):
         np.multiply(powers[k], turn, out=powers[k + 1])
-    return np.concatenate([powers.real, powers.imag[1:]])
+    c, s = powers[:, 0], powers[:, 1]
+    return np.concatenate([c[::-1] * s, c[-2::-1] * s[:-1]])
 
 
-def _moments_to_harmonics() -> NDArray[np.float64]:
-    """(49, 11 (2 DEGREE + 1)) from mixed moments to the harmonics of the sums.
+def _moments_to_monomials() -> NDArray[np.float64]:
+    """(49, 11 (2 DEGREE + 1)) from the mixed moments of points to their sums as turned points.
 
-    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with
-    u = a cos t + b sin t and v = b cos t - a sin t the points turned by -t.
+    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and
+    v = c b - s a. Multiplied by c^2 + s^2 = 1 until they are of degree 5 or 6 in (c, s), all
+    are combinations of 13 monomials, with whole coefficients. For a small turn nothing cancels.
     """
-    t = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
-    c, s = np.cos(t), np.sin(t)
 
-    def times(p: NDArray[np.float64], by_a: Any, by_b: Any) -> NDArray[np.float64]:
-        product = np.zeros_like(p)  # of polynomials in a and b, one for each angle
-        product[1:] += by_a * p[:-1]
-        product[:, 1:] += by_b * p[:, :-1]
-        return product
+    def times(p: NDArray[np.float64], s: int, a: int, b: int) -> NDArray[np.float64]:
+        return np.roll(p, (s, a, b), axis=(0, 1, 2))  # p[j, m, n] stands at s^j a^m b^n
 
-    powers = [np.zeros((DEGREE + 1, DEGREE + 1, len(t)))]
-    powers[0][0, 0] = 1
+    one = np.zeros((DEGREE + 1,) * 3)
+    one[0, 0, 0] = 1
+    u = [one]
     for _ in range(DEGREE):
-        powers.append(times(powers[-1], c, s))
-    values = np.array(powers + [times(power, -s, c) for power in powers[:4]])
-    weight = np.where(t == 0, 1, 2) / len(t)  # discrete orthogonality
-    matrix = np.einsum("h,ht,sijt->ijsh", weight, _harmonics(c, s), values)
-    return matrix.reshape((DEGREE + 1) ** 2, -1)
+        u.append(times(u[-1], 0, 1, 0) + times(u[-1], 1, 0, 1))
+    v = [times(p, 0, 0, 1) - times(p, 1, 1, 0) for p in u[:4]]
+    matrix = np.zeros(((DEGREE + 1) ** 2, 11, 2 * DEGREE + 1))
+    for i, (p, degree) in enumerate(zip(u + v, [*range(7), *range(1, 5)], strict=True)):
+        for _ in range((DEGREE - degree) // 2):
+            p = p + times(p, 2, 0, 0)
+        even, odd = slice(0, DEGREE + 1), slice(DEGREE + 1, None)
+        columns = p.reshape(DEGREE + 1, -1).T
+        if degree % 2:
+            matrix[:, i, odd] = columns[:, :-1]
+        else:
+            matrix[:, i, even] = columns
+    return matrix.reshape(len(matrix), -1)
 
 
 #: Computed once: the moments of a line's points are all that differs between lines.
-_MOMENTS_TO_HARMONICS = _moments_to_harmonics()
+_MOMENTS_TO_MONOMIALS = _moments_to_monomials()
 #: Shares of a line's length at which its chords meet.
 _MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
 #: Rows of the normal equations, right-hand side included, in the array of the sums.
@@ -281,7 +301,7 @@ def _solve_normal(
     Elimination without exchange of rows: the matrix is positive definite.
 
     Args:
-        sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(v u^k), k = 0 .. 3.
+        sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(b u^k), k = 0 .. 3.
     """
     M = sums[_NORMAL]  # (4, 5, ...)
     q = M[:, 4]
@@ -291,7 +311,7 @@ def _solve_normal(
         for i in reversed(range(4)):
             q[i] /= M[i, i]
             q[:i] -= M[:i, i] * q[i]
-        return q, (M.diagonal() > 0).all(axis=-1)
+        return q, (M.diagonal() > LEAST_PIVOT).all(axis=-1)
 
 
 def _fit_cov(

@@ -155,8 +155,8 @@ class Reassembler:
         return 0 < (number - than) % self._bursts <= self._bursts // 2
 
     def _is_old(self, burst: _Burst, t_ns: int) -> bool:
-        # A clock that was set back makes every burst old: better lost than mixed.
-        return not 0 <= t_ns - burst.t_ns <= self._timeout_ns
+        # Time stamps may swap by a little; a clock that was set back makes every burst old.
+        return abs(t_ns - burst.t_ns) > self._timeout_ns
 
     def _give_up(self, slot: Slot, reason: Reason) -> None:
         self.counts[reason] += len(self._held.pop(slot).pages)

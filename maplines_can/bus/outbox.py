@@ -1,0 +1,157 @@
+"""What is to be sent next, and as which frames: pure, time is an argument."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+from ..line import MapLine, Slot
+from .timing import Schedule
+
+__all__ = ["Burst", "Encoder", "FrameLike", "Outbox"]
+
+
+class FrameLike(Protocol):
+    """A frame as the wire makes it (``wire.Frame``)."""
+
+    @property
+    def can_id(self) -> int:
+        """11 or 29 bits."""
+
+    @property
+    def data(self) -> bytes:
+        """The payload."""
+
+    @property
+    def is_fd(self) -> bool:
+        """CAN FD frame."""
+
+    @property
+    def is_extended(self) -> bool:
+        """29-bit CAN ID."""
+
+
+class Encoder(Protocol):
+    """What the transmitter needs of ``wire.Codec``."""
+
+    def encode_lines(
+        self, lines: Sequence[MapLine], *, fd: bool = False
+    ) -> Sequence[Sequence[FrameLike]]:
+        """The frames of each line; advances the counters of their slots."""
+
+
+class Burst(NamedTuple):
+    """The lines of one slot that are due: one, or the parts of a mixture."""
+
+    deadline: float  #: [s]
+    lines: Sequence[Sequence[FrameLike]]  #: the frames of each
+    skipped: int = 0  #: deadlines of the slot that were missed before this one
+
+
+@dataclass(frozen=True)
+class _Published:
+    line: MapLine
+    age: float  # of the pose when it was published [s]
+    at: float  # when that was [s]
+
+    def line_at(self, now: float) -> MapLine:
+        return replace(self.line, age=max(0.0, self.age + now - self.at))
+
+
+class Outbox:
+    """The latest value of each line, its deadlines, and frames that are encoded ahead.
+
+    One line costs as much to encode as eight, so a line that is due takes along
+    others, unless they may well be published anew before they are due themselves:
+    a new value that is due within a period of being published, a repetition that
+    is due within half a period.  A producer that publishes once a period is so
+    never behind, and its lines are encoded once a period.  A line encoded ahead
+    has the age of its own deadline.
+
+    Args:
+        codec: makes the frames.
+        period: [s].
+        fd: make CAN FD frames.
+        count: deadlines of each slot; None for ever.
+    """
+
+    def __init__(self, codec: Encoder, period: float, *, fd: bool, count: int | None) -> None:
+        self._codec, self._period, self._fd = codec, period, fd
+        self._schedule: Schedule[Slot] = Schedule(period, count)
+        self._published: dict[Slot, dict[int, _Published]] = {}  # by component
+        self._new: set[Slot] = set()  # published since they were last encoded
+        self._ahead: dict[Slot, Burst] = {}  # encoded, not due yet
+
+    def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
+        """Take over lines; a mixture of another size replaces all parts of its slot.
+
+        Args:
+            lines: the new values.
+            now: [s].
+            age: of all of them [s]; None for each line's own.
+        """
+        for line in lines:
+            parts = self._published.setdefault(line.slot, {})
+            if not parts:
+                self._schedule.add(line.slot, line.slot / len(Slot), now)
+            elif next(iter(parts.values())).line.component.count != line.component.count:
+                parts.clear()
+            own = line.age if age is None else age
+            parts[line.component.index] = _Published(line, own, now)
+            self._new.add(line.slot)
+
+    def drop(self, slot: Slot) -> None:
+        """Forget all lines of a slot; there may be none."""
+        self._schedule.remove(slot)
+        for place in (self._published, self._ahead):
+            place.pop(slot, None)
+        self._new.discard(slot)
+
+    @property
+    def over(self) -> bool:
+        """Whether every slot has had its ``count`` deadlines."""
+        return self._schedule.over
+
+    def wait(self, now: float) -> float | None:
+        """Time until the next deadline [s]; None if there is none."""
+        return self._schedule.wait(now)
+
+    def take(self, now: float) -> Burst | None:
+        """The lines whose deadline has come, each deadline once; None if there are none.
+
+        Raises:
+            EncodeError: a line has no place on the wire.
+        """
+        due = self._schedule.take(now)
+        if due is None:
+            return None
+        burst = self._ahead.pop(due.key, None)
+        if burst is None or burst.deadline != due.deadline:  # its own was skipped
+            self._encode(due.key, due.deadline)
+            burst = self._ahead.pop(due.key)
+        return burst._replace(skipped=due.skipped)
+
+    def _encode(self, slot: Slot, deadline: float) -> None:
+        deadlines = {slot: deadline}
+        for other in self._published.keys() - self._ahead.keys() - {slot}:
+            then = self._schedule.deadline(other)
+            if self._may_go_along(other, then, deadline):
+                deadlines[other] = then
+        # In the order of sending: the counters are given here.
+        order = sorted(deadlines, key=deadlines.__getitem__)
+        batch = [
+            part.line_at(deadlines[each])
+            for each in order
+            for _, part in sorted(self._published[each].items())
+        ]
+        encoded = iter(self._codec.encode_lines(batch, fd=self._fd))
+        for each in order:
+            lines = [next(encoded) for _ in self._published[each]]
+            self._ahead[each] = Burst(deadlines[each], lines)
+        self._new -= deadlines.keys()
+
+    def _may_go_along(self, slot: Slot, deadline: float, now: float) -> bool:
+        if slot not in self._new:
+            return deadline < now + self._period / 2
+        return deadline < min(p.at for p in self._published[slot].values()) + self._period

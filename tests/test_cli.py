@@ -1,0 +1,254 @@
+"""The maplines command, as a user and as a machine sees it."""
+
+import csv
+import json
+import re
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+import can
+import pytest
+
+from maplines_can import Codec, Link, Slot, Transmitter, scenario
+from maplines_can.cli import main
+from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.round_trip import scene_lines
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture
+def channel():
+    return f"test-{uuid.uuid4()}"
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A candump log of 20 lines on can0 and 5 on can1, with a foreign frame and a torn burst."""
+    codec, path = Codec.from_dbc(), tmp_path / "drive.log"
+    lines = scene_lines(scenario("highway"))
+    with can.Logger(path) as writer:
+        t = 1000.0
+        for k in range(5):
+            for line in lines:
+                for frame in codec.encode(line):
+                    t += 0.0002
+                    writer(message(frame, t, "can0"))
+            for frame in codec.encode(lines[0]):
+                writer(message(frame, t, "can1"))
+            if k == 2:
+                writer(can.Message(t, 0x7AA, is_extended_id=False, data=b"hello", channel="can0"))
+                for frame in codec.encode(lines[1])[:2]:
+                    writer(message(frame, t, "can0"))
+            t += 0.05
+    return path
+
+
+def message(frame, t, channel):
+    return can.Message(
+        t, frame.can_id, is_extended_id=False, is_fd=frame.is_fd, data=frame.data, channel=channel
+    )
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_demo_for_machines(capsys, fd):
+    """All lines come back, none lost, with figures for each."""
+    arguments = ["demo", "--seconds", "0.3", "--rate", "50", "--json", *(["--fd"] if fd else [])]
+    assert main([*arguments, "--scenario", "production", "--lines", "8"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["lines_lost"], result["frames_lost"]) == (0, 0)
+    assert result["sent"]["lines"] == result["received"]["lines"] == 15 * 8
+    assert result["sent"]["frames"] == 15 * 8 * (1 if fd else 4)
+    assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
+    for line in result["lines"]:
+        assert line["kl_covered"] < 0.02
+        assert abs(line["lateral_error_80m"]) < 0.005
+        assert 1 <= line["sigma_80m"] / line["true_sigma_80m"] < 1.06
+
+
+def test_demo_for_people(capsys, tmp_path):
+    """The table names each line, and the picture is drawn."""
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "demo.png"
+    assert main(["demo", "--seconds", "0.2", "--map-error", "0.1", "--plot", str(picture)]) == 0
+    text = capsys.readouterr().out
+    for words in ("ego left", "next right", "KL", "at 80 m", "bus load  8.6 % at 500 kbit/s"):
+        assert words in text
+    assert re.search(r"lost +0 lines, 0 frames", text)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_demo_of_each_scenario(capsys, name):
+    """Every scene goes over the bus and back."""
+    assert main(["demo", "--seconds", "0.1", "--scenario", name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lines_lost"] == 0
+
+
+def test_bus_load_is_that_of_the_frames(capsys):
+    """Four lines of four frames of at most 135 bits at 20 Hz and 500 kbit/s: 8.64 %."""
+    main(["demo", "--seconds", "0.1", "--json"])
+    load = json.loads(capsys.readouterr().out)["bus_load"]
+    assert load == pytest.approx(4 * 4 * 135 * 20 / 500_000)
+
+
+def test_receive_prints_lines_until_the_count(capsys, channel):
+    """JSON lines on standard output, the counters on standard error."""
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.02) as transmitter,
+    ):
+        for line in scene_lines(scenario("highway")):
+            transmitter.publish(line)
+        bus = ["--interface", "virtual", "--channel", channel]
+        assert main(["receive", *bus, "--count", "8", "--json"]) == 0
+        assert main(["receive", *bus, "--count", "2"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(row) for row in out.splitlines()[:8]]
+    assert {row["slot"] for row in rows} == {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"}
+    assert rows[0]["status"] == "FULL"
+    assert "y_off" in out.splitlines()[8]
+    assert "0 lines lost" in err
+
+
+def test_receive_ends_when_nothing_comes(capsys, channel):
+    """A silent bus is a nonzero status where lines were asked for."""
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--count", "1", "--timeout", "0.05"]) == 1
+    assert "nothing received for 0.05 s" in capsys.readouterr().err
+
+
+def test_send_ends_after_the_count(capsys, channel):
+    """Each line so many times, then the counters."""
+    bus = ["--interface", "virtual", "--channel", channel, "--rate", "200"]
+    assert main(["send", *bus, "--count", "5", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["lines"], result["frames"], result["down"]) == (20, 80, 0)
+
+
+def test_decode_streams_json_lines(capsys, log):
+    """Every line of every channel, then what was dropped."""
+    assert main(["decode", str(log)]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(row) for row in out.splitlines()]
+    assert sum(row["channel"] == "can0" for row in rows) == 20
+    assert sum(row["channel"] == "can1" for row in rows) == 5
+    times = [row["t"] for row in rows if row["channel"] == "can0"]
+    assert times == sorted(times)
+    assert "1 foreign" in err
+    assert "2 timeout" in err
+
+
+def test_decode_writes_csv(capsys, log):
+    """One header, one row a line, the covariance's upper triangle."""
+    assert main(["decode", str(log), "--csv"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert len(rows) == 25
+    assert float(rows[0]["y_off"]) == pytest.approx(1.757, abs=2**-9 / 2 + 1e-3)
+    assert float(rows[0]["cov_y_off_y_off"]) > 0.25
+    assert len([name for name in rows[0] if name.startswith("cov_")]) == 10
+
+
+def test_decode_keeps_what_is_good_of_a_damaged_log(capsys, log):
+    """A torn record is one clear line and a nonzero status; the lines before and after stay."""
+    text = log.read_text().splitlines(keepends=True)
+    log.write_text("".join([*text[:40], "(1000.1) can0 34\n", *text[40:]]))
+    assert main(["decode", str(log)]) == 1
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 25
+    assert "damaged" in err
+
+
+def test_scenarios_lists_them(capsys):
+    """Names and a sentence each; JSON for machines."""
+    assert main(["scenarios"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in SCENARIOS)
+    assert main(["scenarios", "--json"]) == 0
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == list(SCENARIOS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        pytest.param(["decode", "nowhere.log"], "no such file", id="no-log"),
+        pytest.param(["decode", "pyproject.toml"], "format '.toml' is unknown", id="format"),
+        pytest.param(["demo", "--dbc", "nowhere.dbc"], "nowhere.dbc", id="no-dbc"),
+        pytest.param(["demo", "--seconds", "0.1", "--plot", "/nowhere/a.png"], "/nowhere/a.png",
+                     id="no-folder"),
+        pytest.param(["demo", "--seconds", "0.1", "--plot", "a.xyz"], "xyz", id="no-such-format"),
+        pytest.param(["send", "--interface", "socketcan", "--channel", "nocan9"], "nocan9",
+                     id="no-interface"),
+        pytest.param(["receive", "--interface", "warp"], "warp", id="no-such-driver"),
+    ],
+)  # fmt: skip
+def test_errors_are_one_clear_line(capsys, arguments, words):
+    """Nonzero status, one line on standard error that names the thing, no traceback."""
+    assert main(arguments) == 1
+    err = capsys.readouterr().err
+    assert words in err
+    assert "Traceback" not in err
+    assert len([row for row in err.splitlines() if "error" in row]) == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["demo", "--scenario", "moon"],
+        ["demo", "--rate", "0"],
+        ["demo", "--lines", "9"],
+        ["send", "--count", "-1"],
+        ["fly"],
+        [],
+    ],
+)
+def test_wrong_usage_is_status_2(capsys, arguments):
+    """argparse says what is allowed."""
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "usage: maplines" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("job", ["demo", "send", "receive", "decode", "scenarios"])
+def test_help_teaches(capsys, job):
+    """Each job says what it does and gives an example."""
+    with pytest.raises(SystemExit) as end:
+        main([job, "--help"])
+    assert end.value.code == 0
+    assert f"example: maplines {job}" in capsys.readouterr().out
+
+
+def test_every_job_is_in_the_readme():
+    """README shows each job of the command at least once."""
+    readme = (ROOT / "README.md").read_text()
+    for job in ("demo", "send", "receive", "decode", "scenarios"):
+        assert f"maplines {job}" in readme
+
+
+def test_a_reader_that_has_enough_ends_the_command(log):
+    """maplines decode LOG | head -1: no traceback."""
+    command = f"{sys.executable} -m maplines_can.cli decode {log} | head -1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("{")
+    assert "Traceback" not in done.stderr
+
+
+def test_interrupt_ends_cleanly(channel):
+    """SIGINT to a sender: the counters, status 0, no traceback."""
+    script = (
+        "import os, signal, threading, time\n"
+        "from maplines_can.cli import main\n"
+        "from maplines_can.bus import Link\n"
+        "threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+        "bus = ['--interface', 'virtual', '--channel', 'x']\n"
+        "raise SystemExit(main(['send', *bus, '--rate', '100']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=30
+    )
+    assert done.returncode == 0, done.stderr
+    assert "sent" in done.stdout
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,267 @@
+"""Frames to lines: all or nothing, every frame accounted for."""
+
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can.line import MapLine, Slot
+from maplines_can.study import road
+from maplines_can.wire import Codec, Reason
+
+MS = 1_000_000
+
+
+@cache
+def default_codec():
+    return Codec.from_dbc()
+
+
+@pytest.fixture
+def codec():
+    return default_codec()
+
+
+@cache
+def bursts(n=40, slot=Slot.EGO_LEFT, fd=False):
+    """Frames of n lines of one slot, all different."""
+    codec = default_codec()
+    means, covs = road(n, seed=2)
+    payloads = codec.encode_batch(means, covs, slot=slot)
+    return [codec.frames(payload, slot, fd=fd) for payload in payloads]
+
+
+def feed(decoder, frames, t_ns=0):
+    """Answers to frames, a microsecond apart."""
+    return [decoder.feed(f.can_id, f.data, t_ns + i * 1000) for i, f in enumerate(frames)]
+
+
+def check_accounts(decoder, frames):
+    """Every frame is part of a line, dropped with a reason, or pending."""
+    assert decoder.frames == frames
+    assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
+    assert Reason.PENDING not in decoder.counts
+
+
+def test_a_burst_becomes_a_line(codec):
+    """Three pages wait, the fourth delivers; the line bears the time of the first."""
+    decoder = codec.decoder()
+    *waiting, line = feed(decoder, bursts()[0], t_ns=7)
+    assert waiting == [Reason.PENDING] * 3
+    assert isinstance(line, MapLine)
+    assert line.t_ns == 7
+    check_accounts(decoder, 4)
+
+
+@pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (2, 3, 0, 1)])
+def test_pages_in_any_order(codec, order):
+    """Reordering within a burst does not matter."""
+    decoder = codec.decoder()
+    answers = feed(decoder, [bursts()[0][page] for page in order])
+    assert isinstance(answers[-1], MapLine)
+    direct = codec.decode_one(b"".join(f.data for f in bursts()[0]), Slot.EGO_LEFT)
+    assert np.array_equal(answers[-1].gaussian.cov, direct.gaussian.cov)
+
+
+@pytest.mark.parametrize("lost", range(4))
+def test_a_lost_page_loses_its_line_only(codec, lost):
+    """The next burst is delivered; the pages of the broken one are counted."""
+    decoder = codec.decoder()
+    broken = [f for i, f in enumerate(bursts()[1]) if i != lost]
+    answers = feed(decoder, [*bursts()[0], *broken, *bursts()[2]])
+    assert sum(isinstance(a, MapLine) for a in answers) == 2
+    assert decoder.counts == {Reason.INCOMPLETE: 3}
+    assert decoder.lost == 1
+    check_accounts(decoder, 11)
+
+
+def test_duplicates_are_dropped(codec):
+    """A page twice, and a whole burst twice, deliver one line."""
+    decoder = codec.decoder()
+    twice = [frame for frame in bursts()[0] for _ in range(2)]
+    answers = feed(decoder, [*twice, *bursts()[0]])
+    assert sum(isinstance(a, MapLine) for a in answers) == 1
+    assert decoder.counts == {Reason.DUPLICATE: 8}
+    check_accounts(decoder, 12)
+
+
+def test_an_fd_frame_twice_is_delivered_once(codec):
+    """The counter tells a repeated record where there are no pages."""
+    decoder = codec.decoder()
+    (frame,) = bursts(fd=True)[0]
+    answers = feed(decoder, [frame, frame])
+    assert isinstance(answers[0], MapLine)
+    assert answers[1] is Reason.DUPLICATE
+    check_accounts(decoder, 2)
+
+
+def test_a_late_burst_is_not_delivered_after_a_newer_one(codec):
+    """A consumer never sees time go backwards."""
+    decoder = codec.decoder()
+    answers = feed(decoder, [*bursts()[5], *bursts()[4], *bursts()[6]])
+    assert sum(isinstance(a, MapLine) for a in answers) == 2
+    assert decoder.counts == {Reason.STALE: 4}
+
+
+def test_a_slow_burst_times_out(codec):
+    """Pages further apart than the time-out are not one burst."""
+    decoder = codec.decoder(timeout_ms=10)
+    a, b, c, d = bursts()[0]
+    assert decoder.feed(a.can_id, a.data, 0) is Reason.PENDING
+    assert decoder.feed(b.can_id, b.data, 11 * MS) is Reason.PENDING
+    assert decoder.counts == {Reason.TIMEOUT: 1}
+    assert decoder.feed(c.can_id, c.data, 12 * MS) is Reason.PENDING
+    decoder.expire(40 * MS)
+    assert decoder.counts == {Reason.TIMEOUT: 3}
+    assert decoder.feed(d.can_id, d.data, 41 * MS) is Reason.PENDING
+    check_accounts(decoder, 4)
+
+
+def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec):
+    """A counter that jumps back is older at first, and new once the last line has aged."""
+    decoder = codec.decoder(timeout_ms=50)
+    assert isinstance(feed(decoder, bursts()[5])[-1], MapLine)
+    assert set(feed(decoder, bursts()[0], t_ns=20 * MS)) == {Reason.STALE}
+    assert isinstance(feed(decoder, bursts()[1], t_ns=70 * MS)[-1], MapLine)
+
+
+def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec):
+    """What was held is given up, and the next burst is delivered."""
+    decoder = codec.decoder()
+    feed(decoder, bursts()[0][:2], t_ns=10**12)
+    assert isinstance(feed(decoder, bursts()[1], t_ns=5)[-1], MapLine)
+    assert decoder.counts == {Reason.TIMEOUT: 2}
+
+
+def test_slots_interleave(codec):
+    """Eight lines page by page in turn: eight lines."""
+    decoder = codec.decoder()
+    frames = [bursts(slot=slot)[0] for slot in Slot]
+    answers = feed(decoder, [frames[slot][page] for page in range(4) for slot in Slot])
+    lines = [a for a in answers if isinstance(a, MapLine)]
+    assert [line.slot for line in lines] == list(Slot)
+    check_accounts(decoder, 32)
+
+
+@pytest.mark.parametrize(
+    ("can_id", "data", "is_extended", "reason"),
+    [
+        pytest.param(0x123, bytes(8), False, Reason.FOREIGN, id="foreign-id"),
+        pytest.param(0x340, bytes(8), True, Reason.FOREIGN, id="extended-id"),
+        pytest.param(0x340, bytes(7), False, Reason.LENGTH, id="short-page"),
+        pytest.param(0x340, b"", False, Reason.LENGTH, id="no-bytes"),
+        pytest.param(0x340, bytes(64), False, Reason.LENGTH, id="long-page"),
+        pytest.param(0x348, bytes(24), False, Reason.LENGTH, id="short-fd"),
+        pytest.param(0x348, bytes(32), False, Reason.MIXED, id="zero-fd"),
+    ],
+)
+def test_frames_that_are_no_pages(codec, can_id, data, is_extended, reason):
+    """Each has its reason."""
+    decoder = codec.decoder()
+    assert decoder.feed(can_id, data, 0, is_extended=is_extended) is reason
+    assert decoder.counts == {reason: 1}
+    check_accounts(decoder, 1)
+
+
+def test_an_fd_frame_may_be_padded(codec):
+    """A gateway may send 48 or 64 bytes; the record is the first 32."""
+    (frame,) = bursts(fd=True)[0]
+    assert isinstance(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0), MapLine)
+
+
+def test_a_gateway_repacks_without_decoding(codec):
+    """Four pages laid end to end are the FD payload, and the other way round."""
+    for pages, (fd,) in zip(bursts(), bursts(fd=True), strict=True):
+        assert b"".join(frame.data for frame in pages) == fd.data
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("bit", range(0, 256, 5))
+def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
+    """Wherever it is, the burst is dropped and the next one delivered."""
+    decoder = codec.decoder()
+    data = bytearray(b"".join(frame.data for frame in bursts(fd=fd)[0]))
+    data[bit // 8] ^= 1 << bit % 8
+    size = 32 if fd else 8
+    broken = [
+        frame._replace(data=bytes(data[i * size : (i + 1) * size]))
+        for i, frame in enumerate(bursts(fd=fd)[0])
+    ]
+    assert not any(isinstance(a, MapLine) for a in feed(decoder, broken))
+    later = feed(decoder, bursts(fd=fd)[1], t_ns=100 * MS)
+    assert isinstance(later[-1], MapLine)
+    check_accounts(decoder, 2 * len(broken))
+
+
+def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec):
+    """Sixteen lines apart the burst number is the same; the checksum tells them apart."""
+    decoder = codec.decoder()
+    mixed = [*bursts()[0][:2], *bursts()[16][2:]]
+    assert feed(decoder, mixed)[-1] is Reason.CRC
+    check_accounts(decoder, 4)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 2**32), st.booleans())
+def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed, fd):
+    """Loss, duplication, local reordering, corruption and foreign frames at random."""
+    rng = np.random.default_rng(seed)
+    sent = bursts(fd=fd)
+    payloads = {b"".join(frame.data for frame in burst): i for i, burst in enumerate(sent)}
+    stream = []
+    for frame in (frame for burst in sent for frame in burst):
+        fate = rng.random()
+        if fate < 0.1:
+            continue
+        if fate < 0.15:
+            data = bytearray(frame.data)
+            data[rng.integers(len(data))] ^= 1 << int(rng.integers(8))
+            frame = frame._replace(data=bytes(data))
+        stream += [frame] * (2 if fate > 0.95 else 1)
+    order = np.argsort(np.arange(len(stream)) + rng.uniform(0, 3, len(stream)))
+    decoder = default_codec().decoder()
+    delivered = []
+    for i, place in enumerate(order):
+        answer = decoder.feed(stream[place].can_id, stream[place].data, i * 100_000)
+        if isinstance(answer, MapLine):
+            delivered.append(answer)
+    check_accounts(decoder, len(stream))
+    truth = {
+        line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes(): i
+        for payload, i in payloads.items()
+        for line in [default_codec().decode_one(payload, Slot.EGO_LEFT)]
+    }
+    numbers = [
+        truth[line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes()] for line in delivered
+    ]
+    assert numbers == sorted(set(numbers))  # each one sent, none twice, never backwards
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(st.integers(0x33F, 0x351), st.binary(max_size=64), st.integers(-9, 9))))
+def test_no_bytes_from_the_bus_can_raise(frames):
+    """Whatever arrives is read or dropped with a reason, at any time."""
+    decoder = default_codec().decoder()
+    for can_id, data, jump in frames:
+        assert isinstance(decoder.feed(can_id, data, jump * 10**9), MapLine | Reason)
+    check_accounts(decoder, len(frames))
+
+
+def test_memory_does_not_grow(codec):
+    """A slot holds one burst, whatever comes."""
+    decoder = codec.decoder()
+    for i in range(5000):
+        page = bursts()[i % 40][i % 4]
+        decoder.feed(page.can_id, page.data, i * MS)
+    assert decoder.pending <= 4
+    assert isinstance(decoder.counts, Counter)
+
+
+@pytest.mark.parametrize("timeout_ms", [0, -1, float("nan")])
+def test_a_timeout_must_be_positive(codec, timeout_ms):
+    """The message names value and unit."""
+    with pytest.raises(ValueError, match="timeout_ms must be more than 0 ms"):
+        codec.decoder(timeout_ms=timeout_ms)

@@ -1,0 +1,156 @@
+"""Under a real kernel, with candump, canplayer and cantools as outside witnesses.
+
+Run them with ``tools/vcan python3 tools/run.py pytest -m socketcan``.
+"""
+
+import re
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import can
+import pytest
+
+from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, scenario
+from maplines_can.study.round_trip import scene_lines
+
+DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
+START, END = 0x7FE, 0x7FF
+CYCLES = 25
+
+
+def has_vcan():
+    return any(name == "vcan0" for _, name in socket.if_nameindex())
+
+
+pytestmark = [
+    pytest.mark.socketcan,
+    pytest.mark.skipif(not has_vcan(), reason="no vcan0 here: run inside tools/vcan"),
+    pytest.mark.skipif(not shutil.which("candump"), reason="no candump: apt-get install can-utils"),
+]
+
+
+class Candump:
+    """candump -L on an interface, known to listen before anything is sent."""
+
+    def __init__(self, channel, fd):
+        self.process = subprocess.Popen(
+            ["candump", "-L", channel], stdout=subprocess.PIPE, text=True, bufsize=1
+        )
+        self.channel, self.lines = channel, []
+        self.seen = {START: threading.Event(), END: threading.Event()}
+        self.thread = threading.Thread(target=self.read)
+        self.thread.start()
+        with can.Bus(interface="socketcan", channel=channel, fd=fd) as bus:
+            while not self.seen[START].wait(0.01):
+                bus.send(can.Message(arbitration_id=START, is_extended_id=False))
+
+    def read(self):
+        for line in self.process.stdout:
+            can_id = int(line.split()[2].split("#")[0], 16)
+            if can_id in self.seen:
+                self.seen[can_id].set()
+            else:
+                self.lines.append(line)
+
+    def stop(self):
+        with can.Bus(interface="socketcan", channel=self.channel) as bus:
+            bus.send(can.Message(arbitration_id=END, is_extended_id=False))
+        assert self.seen[END].wait(10)
+        self.process.terminate()
+        self.thread.join()
+        self.process.wait()
+        self.process.stdout.close()
+        return self.lines
+
+
+def receive(channel, fd, act, lines):
+    """What a receiver on the channel hears while something is done."""
+    heard, done = [], threading.Event()
+
+    def take(line):
+        heard.append(line)
+        if len(heard) == lines:
+            done.set()
+
+    with Link(interface="socketcan", channel=channel, fd=fd) as link:
+        receiver = Receiver(link, Codec.from_dbc().decoder(), on_line=take)
+        with receiver:
+            act()
+            assert done.wait(30), f"{len(heard)} of {lines} lines"
+        return heard, receiver.stats()
+
+
+@pytest.mark.parametrize(("channel", "fd"), [("vcan0", False), ("vcan1", True), ("vcan2", False)])
+def test_what_is_sent_is_what_candump_and_cantools_say(tmp_path, channel, fd):
+    """candump records it, cantools decodes every page, canplayer replays it: all one."""
+    lines = scene_lines(scenario("highway"))
+    candump = Candump(channel, fd)
+
+    def send():
+        with (
+            Link(interface="socketcan", channel=channel, fd=fd) as link,
+            Transmitter(link, Codec.from_dbc(), period=0.02, fd=fd, count=CYCLES) as transmitter,
+        ):
+            for line in lines:
+                transmitter.publish(line)
+            assert transmitter.wait(30)
+
+    total = CYCLES * len(lines)
+    heard, stats = receive(channel, fd, send, total)
+    recorded = candump.stop()
+    assert stats.lost == 0
+    assert not any(stats.counts.values())
+    assert len(recorded) == total * (1 if fd else 4)
+
+    witness = by_cantools("".join(recorded))
+    assert len(witness) == len(recorded)
+    assert values_of(witness, 1 if fd else 4) == [values(line) for line in in_order(heard)]
+
+    log = tmp_path / "drive.log"
+    log.write_text("".join(recorded))
+    replay = ["canplayer", "-I", str(log), f"{channel}={channel}"]
+    again, stats = receive(channel, fd, lambda: subprocess.run(replay, check=True), total)
+    assert [values(line) for line in in_order(again)] == [values(line) for line in in_order(heard)]
+    assert not any(stats.counts.values())
+
+
+def in_order(lines: list[MapLine]) -> list[MapLine]:
+    """Line by line of a slot, as the witness is sorted."""
+    return sorted(lines, key=lambda line: line.slot)
+
+
+def values(line):
+    return (line.slot.name, *line.gaussian.mean.tolist(), line.x_max, line.status.name)
+
+
+def by_cantools(log):
+    """(message, {signal: text}) of each frame, by the command ``cantools decode``."""
+    command = [sys.executable, "-m", "cantools", "decode", "--single-line", str(DBC)]
+    text = subprocess.run(
+        command, input=log, capture_output=True, text=True, check=True, timeout=120
+    ).stdout
+    frames = []
+    for name, body in re.findall(r":: (\w+)\((.*)\)", text):
+        pairs = re.findall(r"(\w+): ([^,]+)", body)
+        frames.append((name, {signal: value.split(" ")[0].strip("'") for signal, value in pairs}))
+    return frames
+
+
+def values_of(frames, pages):
+    """The same values as ``values``, from the witness's frames, sorted by slot."""
+    lines, parts = [], {}
+    for name, signals in frames:
+        record = parts.setdefault(name, {})
+        record.update(signals)
+        record["frames"] = record.get("frames", 0) + 1
+        if record["frames"] == pages:
+            slot = re.sub(r"(?<!^)([A-Z])", r"_\1", name.removesuffix("Fd")).upper()
+            mean = [float(record[s]) for s in ("YOff", "Beta", "C0", "C1")]
+            lines.append((slot, *mean, float(record["XMax"]), record["Status"]))
+            del parts[name]
+    order = ["EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"]
+    return sorted(lines, key=lambda line: order.index(line[0]))
