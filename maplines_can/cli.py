@@ -96,8 +96,7 @@ def _send(arguments: argparse.Namespace) -> int:
         )
         try:
             with transmitter:
-                for line in lines:
-                    transmitter.publish(line)
+                transmitter.publish(lines)
                 if not arguments.json:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
                     carrier = "CAN FD" if arguments.fd else "classic CAN"
@@ -125,7 +124,10 @@ def _send(arguments: argparse.Namespace) -> int:
 def _receive(arguments: argparse.Namespace) -> int:
     codec = Codec.from_dbc(arguments.dbc)
     left = arguments.count
-    with Link(**_bus_settings(arguments)) as link, Receiver(link, codec.decoder()) as receiver:
+    with (
+        Link(**_bus_settings(arguments)) as link,
+        Receiver(link, codec.decoder(), can_ids=codec.can_ids) as receiver,
+    ):
         if not arguments.json:
             _note(f"listening on {link.name}; Ctrl-C ends")
         try:

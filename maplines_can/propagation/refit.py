@@ -124,10 +124,8 @@ class Refit:
         self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_MONOMIALS).reshape(
             -1, 2 * DEGREE + 1
         )  # (11 L, 2 DEGREE + 1)
-        _, posed = self._cubics(np.array([[1.0], [0.0]]))
-        if not posed.all():
+        if np.isnan(self._cubics(np.array([[1.0], [0.0]]))).any():
             self._refuse(self.pose, window)
-        #: (4, 4), or (L, 4, 4): covariance that the map's own error adds to a line.
         self.noise_cov = None if map_error is None else self._noise_cov(map_error)
 
     @property
@@ -167,21 +165,17 @@ class Refit:
         x, y = self._centre.T[:, :, None] - to_ego(d[:, :2], [0.0, 0.0, self.pose[2]]).T[:, None]
         c, s = turn
         centre_u, centre_v = c * x + s * y, c * y - s * x  # (L, N)
-        q, posed = self._cubics(turn)
-        q *= self._half[:, None]
+        q = self._half[:, None] * self._cubics(turn)
         q[0] += centre_v
-        lines = line_of_cubic(q, centre_u, self._half[:, None])  # (L, N, 4)
-        lines[~posed] = np.nan
-        return lines.swapaxes(0, 1)
+        return line_of_cubic(q, centre_u, self._half[:, None]).swapaxes(0, 1)  # (N, L, 4)
 
-    def _cubics(self, turn: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Cubics through the centred and scaled points as seen after a turn.
+    def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(4, L, N) cubics through the centred and scaled points as seen after a turn.
+
+        NaN where there is none, or where the points double back.
 
         Args:
             turn: (2, N) its cosine and sine.
-
-        Returns:
-            (4, L, N) coefficients, and (L, N) whether they are worth anything.
         """
         lines, poses = len(self._half), turn.shape[1]
         sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
@@ -189,7 +183,8 @@ class Refit:
         advance = self._chords @ turn  # (L, CHORDS, N)
         net, way = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)  # (L, N)
         posed = (net >= LEAST_ADVANCE * self._length[:, None]) & (net >= LEAST_PROGRESS * way)
-        return q, posed & solved
+        q[:, ~(posed & solved)] = np.nan
+        return q
 
     def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
         """Map error through the fit, to first order at the mean pose."""
@@ -301,7 +296,7 @@ def _solve_normal(
     Elimination without exchange of rows: the matrix is positive definite.
 
     Args:
-        sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(b u^k), k = 0 .. 3.
+        sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(v u^k), k = 0 .. 3.
     """
     M = sums[_NORMAL]  # (4, 5, ...)
     q = M[:, 4]

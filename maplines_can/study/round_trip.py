@@ -148,12 +148,11 @@ def round_trip(
     cpu, start = time.process_time(), time.monotonic()
     with Link(**settings) as out, Link(**settings) as back:
         transmitter = Transmitter(out, codec, period=1 / rate, fd=fd, count=count)
-        receiver = Receiver(back, codec.decoder(), on_line=arrivals.take)
+        receiver = Receiver(back, codec.decoder(), on_line=arrivals.take, can_ids=codec.can_ids)
         with receiver:
             try:
                 with transmitter:
-                    for line in true_lines:
-                        transmitter.publish(line)
+                    transmitter.publish(true_lines)
                     while not transmitter.wait(0.1):
                         if tick is not None:
                             tick(time.monotonic() - start)
