@@ -27,7 +27,7 @@ def main(command):
     if not command or command[0] in ("-h", "--help"):
         print(__doc__)
         return 0
-    if sys.version_info < (3, 11):
+    if sys.version_info < (3, 11):  # noqa: UP036 - run by whatever python3 there is
         return fail(f"Python 3.11 or later is needed, this is {sys.version.split()[0]}")
     extra = EXTRAS.get(command[0], "dev")
     if not is_installed(extra) and (problem := install(extra)):

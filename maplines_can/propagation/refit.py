@@ -119,7 +119,8 @@ class Refit:
         if not self._half.all():
             self._refuse(self.pose, window)
         self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
-        self._length = np.hypot(*self._chords.T).sum(axis=0)  # (L,)
+        self._span = self._chords.sum(axis=1)  # (L, 2)
+        self._least_advance = LEAST_ADVANCE * np.hypot(*self._chords.T).sum(axis=0)[:, None]
         scaled = (points - self._centre.repeat(count, axis=0)) / self._half.repeat(count)[:, None]
         self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_MONOMIALS).reshape(
             -1, 2 * DEGREE + 1
@@ -180,9 +181,9 @@ class Refit:
         lines, poses = len(self._half), turn.shape[1]
         sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
         q, solved = _solve_normal(sums.swapaxes(0, 1))
-        advance = self._chords @ turn  # (L, CHORDS, N)
-        net, way = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)  # (L, N)
-        posed = (net >= LEAST_ADVANCE * self._length[:, None]) & (net >= LEAST_PROGRESS * way)
+        net = np.abs(self._span @ turn)  # (L, N)
+        way = np.abs(self._chords @ turn).sum(axis=1)
+        posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * way)
         q[:, ~(posed & solved)] = np.nan
         return q
 
@@ -302,9 +303,10 @@ def _solve_normal(
     q = M[:, 4]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         for i in range(3):
-            M[i + 1 :, i + 1 :] -= M[i + 1 :, i, None] / M[i, i] * M[i, i + 1 :]
-        for i in reversed(range(4)):
-            q[i] /= M[i, i]
+            M[i, i + 1 :] /= M[i, i]
+            M[i + 1 :, i + 1 :] -= M[i + 1 :, i, None] * M[i, i + 1 :]
+        q[3] /= M[3, 3]
+        for i in (3, 2, 1):
             q[:i] -= M[:i, i] * q[i]
         return q, (M.diagonal() > LEAST_PIVOT).all(axis=-1)
 

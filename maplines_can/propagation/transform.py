@@ -100,7 +100,7 @@ def weighted_moments(
         cov_weights: (N,).
     """
     d = values[1:] - values[0]
-    shift = (mean_weights[1:] @ d.reshape(len(d), -1)).reshape(d.shape[1:])
+    shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])
     d -= shift
     d = np.moveaxis(d, 0, -1)  # (..., m, N - 1)
     cov = (d * cov_weights[1:]) @ d.swapaxes(-1, -2)

@@ -1,0 +1,89 @@
+"""tools/vcan from the outside: what it teaches, refuses and passes through."""
+
+import json
+import os
+import re
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+VCAN = Path(__file__).parents[1] / "tools" / "vcan"
+
+
+def vcan(*args, cwd=None, **settings):
+    env = {k: v for k, v in os.environ.items() if not k.startswith("VCAN_") or k == "VCAN_CACHE"}
+    return subprocess.run(
+        [VCAN, *args],
+        env=env | settings,
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+def no_kernel_at_hand():
+    """Why a kernel with SocketCAN would take long to get, or nothing."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except (AttributeError, OSError):
+        home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        cache = Path(os.environ.get("VCAN_CACHE") or Path(home) / "vcan-uml")
+        kernels = Path("/usr/bin/linux.uml"), cache / "user-mode-linux/usr/bin/linux.uml"
+        if not any(kernel.exists() for kernel in kernels):
+            return "no SocketCAN here and no guest in the cache yet: run `tools/vcan true` once"
+    return ""
+
+
+def test_help_names_every_setting():
+    told = vcan("--help")
+
+    assert (told.returncode, told.stderr) == (0, "")
+    used = set(re.findall(r"\$\{(VCAN_\w+)", VCAN.read_text()))
+    assert used
+    assert used == set(re.findall(r"^  (VCAN_\w+)", told.stdout, re.MULTILINE))
+
+
+@pytest.mark.parametrize(
+    ("args", "settings", "words"),
+    [
+        pytest.param([], {}, "usage: tools/vcan COMMAND", id="no-command"),
+        pytest.param(["--hepl"], {}, "unknown option --hepl", id="unknown-option"),
+        pytest.param(["true"], {"VCAN_TIMEOUT": "1 'm"}, "whole seconds, got '1 'm'", id="limit"),
+        pytest.param(["true"], {"VCAN_MEM": "1G"}, "a number of MB, got '1G'", id="memory"),
+    ],
+)
+def test_wrong_usage_is_status_2(args, settings, words):
+    refused = vcan(*args, **settings)
+
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert words in refused.stderr
+
+
+@pytest.mark.skipif(bool(no_kernel_at_hand()), reason=no_kernel_at_hand() or "-")
+def test_command_cannot_tell_where_it_runs(tmp_path):
+    """Arguments, environment, directory, both outputs and the status pass unharmed."""
+    args = ["a  b", "it's", '"', "", "*", "$HOME", "two\nlines", "é", "--", "-n"]
+    env = {"V_QUOTES": "'\"` \\", "V_LINES": "a\nb ", "V_EMPTY": "", "V.odd": "x"}
+    env["BASH_FUNC_timeout%%"] = "() {  echo an exported function; exit 1\n}"
+    folder = tmp_path / 'a folder\'s "name"'
+    folder.mkdir()
+    script = (
+        "import json, os, sys, socket\n"
+        "env = {k: v for k, v in os.environ.items() if k in json.loads(sys.argv[1])}\n"
+        "can = [name for _, name in socket.if_nameindex() if name.startswith('vcan')]\n"
+        "print(json.dumps([sys.argv[2:], env, os.getcwd(), can]))\n"
+        "sys.stderr.write('to stderr')\n"
+        "sys.exit(7)\n"
+    )
+
+    run = vcan(sys.executable, "-c", script, json.dumps(list(env)), *args, cwd=folder, **env)
+
+    assert (run.returncode, run.stderr) == (7, "to stderr")
+    assert [args, env, str(folder)] == json.loads(run.stdout)[:3]
+    assert {"vcan0", "vcan1", "vcan2"} <= set(json.loads(run.stdout)[3])
