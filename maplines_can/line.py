@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .errors import IllPosedError
 from .gaussian import Gaussian
 
 __all__ = [
@@ -31,6 +32,9 @@ STATES = ("y_off", "beta", "c0", "c1")
 #: Standard deviations that stand for "unknown": [m, rad, 1/m, 1/m^2].
 #: So wide that a fusion gives the line no weight, and never a claim of exactness.
 VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
+
+#: A line must advance along the car's x axis by this share of its way (it lies within 80 deg).
+LEAST_ADVANCE = 0.17
 
 
 class Slot(IntEnum):
@@ -221,6 +225,8 @@ def moved(
 
     Raises:
         ValueError: fewer than 4 points, or an empty window.
+        IllPosedError: seen from the new pose, a line doubles back or stands
+            across the car (80 deg and more).
 
     >>> moved([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
@@ -235,6 +241,12 @@ def moved(
     s, t = x - dx, lateral(lines[..., None, :], x) - dy  # (..., points)
     c, d = np.cos(heading), np.sin(heading)
     u, v = c * s + d * t, c * t - d * s
+    advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])
+    if not (advance > LEAST_ADVANCE * np.hypot(advance, np.diff(v, axis=-1))).all():
+        raise IllPosedError(
+            f"a line doubles back or stands across the car after the motion {motion} (m, m, rad), "
+            "so no cubic y(x) follows it; shorten the window or check the heading"
+        )
     centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
     half = (u.max(axis=-1) - u.min(axis=-1)) / 2
     w = (u - centre[..., None]) / half[..., None]

@@ -64,7 +64,7 @@ def install(extra):
     made = subprocess.run([sys.executable, "-m", "venv", str(VENV)], check=False)
     if made.returncode:
         return "venv failed; on Debian and Ubuntu: apt-get install python3-venv"
-    pip = [find("python"), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
+    pip = [find("python"), "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
     extras = ["dev", "plot"] if extra == "dev" else [extra]
     if subprocess.run([*pip, "--editable", f"{ROOT}[{','.join(extras)}]"], check=False).returncode:
         return "pip could not install the project; see its message above"

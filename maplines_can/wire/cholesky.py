@@ -186,7 +186,7 @@ class CholeskyCode:
         target = [[scale * M[i][j] for j in range(i + 1)] for i in range(4)]
         for i in range(4):
             target[i][i] = target[i][i] + floor[i]
-        raw, L, lifted = self._quantize(_factor(target, floor))
+        raw, L, lifted = self._quantize(target, floor)
         needed = _largest_ratio(L, M)
         steps = (np.log2(needed) - self.inflation.offset) / self.inflation.factor
         inflation = self.inflation.limited(np.ceil(steps))
@@ -200,48 +200,77 @@ class CholeskyCode:
         return excess
 
     def _quantize(
-        self, L: list[list[Array]]
+        self, S: list[list[Array]], floor: list[Array]
     ) -> tuple[dict[str, Array], list[list[Array]], NDArray[np.bool_]]:
-        """Raw pivots and ratios of a factor, what they decode to, and which rows were lifted."""
+        """Cholesky's recursion and the quantization of its rows, in one pass.
+
+        Args:
+            S: rows of the lower triangle of the target, (N,) entries.
+            floor: least value of each squared pivot. What a diagonal matrix added to
+                a semidefinite one is a bound that rounding must not undercut.
+
+        Returns:
+            Raw pivots and ratios, the rows of L' that they decode to, and which
+            targets had a pivot lifted by more than its rounding.
+        """
         raw: dict[str, Array] = {}
+        L: list[list[Array]] = []
         A: list[list[Array]] = []
         decoded: list[list[Array]] = []
-        lifted = np.zeros(len(L[0][0]), dtype=bool)
-        for i, (table, pivot, ratios) in enumerate(
-            zip(self._sigma, self.pivots, self.ratios, strict=True)
-        ):
-            nearest = pivot.limited(pivot.raw(np.log2(L[i][i])))
-            chosen = nearest
+        saturated = np.zeros(len(S[0][0]), dtype=bool)
+        for i, (table, pivot) in enumerate(zip(self._sigma, self.pivots, strict=True)):
+            target: list[Array] = []
+            for j in range(i):
+                rest = S[i][j] - sum(target[k] * L[j][k] for k in range(j))
+                target.append(rest / L[j][j])
+            exact = np.sqrt(np.maximum(S[i][i] - sum(x * x for x in target), floor[i]))
+            nearest = pivot.raw(np.log2(exact))
+            chosen = pivot.limited(nearest)
             for _ in range(4):
                 sigma = _lookup(table, pivot, chosen.astype(np.int64))
-                row: list[Array] = [sigma] * (i + 1)
-                overflow = np.ones_like(sigma)
-                # From the diagonal outwards: what is left of L_ij after the entries already chosen.
-                for j in reversed(range(i)):
-                    rest = L[i][j] - sum(row[k] * A[k][j] for k in range(j + 1, i))
-                    wanted = rest / (A[j][j] * sigma)
-                    nearest_ratio = ratios[j].raw(wanted)
-                    limited = ratios[j].limited(nearest_ratio)
-                    beyond = nearest_ratio != limited
-                    if beyond.any():
-                        end = np.abs(ratios[j].physical(limited)) + ratios[j].factor / 2
-                        needed = np.where(beyond, np.abs(wanted) / end, 1.0)
-                        overflow = np.maximum(overflow, needed)
-                    raw[ratios[j].name] = limited
-                    row[j] = ratios[j].physical(limited) * sigma
+                row, overflow = self._choose_ratios(i, target, sigma, A, raw)
                 over = overflow > 1
                 if not over.any():
                     break
                 lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
                 chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
-            lifted |= chosen > nearest + 1
+            # A lifted pivot is variance of its own in the target: later rows lean on it less.
+            exact = np.where(chosen > nearest, sigma, exact)
+            saturated |= chosen > nearest + 1
             raw[pivot.name] = chosen
-            decoded.append(row)
+            decoded.append([*row, sigma])
+            L.append([*target, exact])
             A.append(
-                [(L[i][j] - sum(row[k] * A[k][j] for k in range(j, i))) / sigma for j in range(i)]
-                + [L[i][i] / sigma]
+                [(target[j] - sum(row[k] * A[k][j] for k in range(j, i))) / sigma for j in range(i)]
+                + [exact / sigma]
             )
-        return raw, decoded, lifted
+        return raw, decoded, saturated
+
+    def _choose_ratios(
+        self, i: int, target: list[Array], sigma: Array, A: list[list[Array]], raw: dict[str, Array]
+    ) -> tuple[list[Array], Array]:
+        """Row i of L' left of its pivot, from the diagonal outwards.
+
+        Each ratio takes what is left of its target after the entries already chosen.
+
+        Returns:
+            The decoded entries, and by what factor the pivot is too small for them.
+        """
+        row = [sigma] * i
+        overflow = np.ones_like(sigma)
+        for j in reversed(range(i)):
+            ratio = self.ratios[i][j]
+            rest = target[j] - sum(row[k] * A[k][j] for k in range(j + 1, i))
+            wanted = rest / (A[j][j] * sigma)
+            nearest = ratio.raw(wanted)
+            limited = ratio.limited(nearest)
+            beyond = nearest != limited
+            if beyond.any():
+                end = np.abs(ratio.physical(limited)) + ratio.factor / 2
+                overflow = np.maximum(overflow, np.where(beyond, np.abs(wanted) / end, 1.0))
+            raw[ratio.name] = limited
+            row[j] = ratio.physical(limited) * sigma
+        return row, overflow
 
 
 def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]:
@@ -253,25 +282,6 @@ def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]
             for k in range(1, j + 1):
                 value += scaled[k] * column[k]
             yield i, j, value
-
-
-def _factor(S: list[list[Array]], floor: list[Array]) -> list[list[Array]]:
-    """Rows of the lower Cholesky factor.
-
-    Args:
-        S: rows of the lower triangle, (N,) entries.
-        floor: least value of each squared pivot. What a diagonal matrix added
-            to a semidefinite one is a bound that rounding must not undercut.
-    """
-    L: list[list[Array]] = []
-    for i in range(len(S)):
-        row: list[Array] = []
-        for j in range(i):
-            rest = S[i][j] - sum(row[k] * L[j][k] for k in range(j))
-            row.append(rest / L[j][j])
-        row.append(np.sqrt(np.maximum(S[i][i] - sum(x * x for x in row), floor[i])))
-        L.append(row)
-    return L
 
 
 def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:

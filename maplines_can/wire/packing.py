@@ -135,7 +135,8 @@ class Packing:
                     raw = raw.view(np.int64)
                 raw >>= raw.dtype.type(64 - bits)
                 raw = raw.view(np.int64)
-                raw <<= field_shift
+                if field_shift:
+                    raw <<= field_shift
                 for word, shift, bits, field_shift in pieces[1:]:
                     rest = words[field.big_endian][word] >> np.uint64(shift)
                     rest &= np.uint64(2**bits - 1)

@@ -1,0 +1,257 @@
+"""The Gaussian: refused at birth or right for ever; its distances against other formulas."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial import distance
+from strategies import covariances, gaussians, symmetric
+
+from maplines_can.gaussian import (
+    ROUNDING,
+    Gaussian,
+    asymmetric,
+    indefinite,
+    nearest_covariance,
+    square_root,
+)
+
+EPS = np.finfo(float).eps
+
+
+def correlation(cov):
+    """A covariance in units of its own standard deviations, 1 where there is none."""
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    return cov / scale / scale[:, None]
+
+
+def pair(rho):
+    return np.array([[1.0, rho], [rho, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("mean", "cov", "words"),
+    [
+        pytest.param([0, np.nan], np.eye(2), "mean must be finite .* nan", id="nan-mean"),
+        pytest.param([0, np.inf], np.eye(2), "mean must be finite .* inf", id="inf-mean"),
+        pytest.param([[0, 0]], np.eye(2), r"mean must .* shape \(n,\)", id="mean-2d"),
+        pytest.param([], np.zeros((0, 0)), r"mean must .* shape \(n,\)", id="no-dimension"),
+        pytest.param(0.0, [[1.0]], r"mean must .* shape \(n,\)", id="scalar-mean"),
+        pytest.param([0, 0], np.eye(3), r"cov must be finite with shape \(2, 2\)", id="cov-shape"),
+        pytest.param([0, 0], [1.0, 1.0], r"cov must be finite with shape \(2, 2\)", id="cov-1d"),
+        pytest.param([0, 0], pair(np.nan), r"cov must be finite .* nan", id="nan-cov"),
+        pytest.param([0, 0], np.diag([1, -1e-300]), "variances of 0 or more", id="negative"),
+        pytest.param([0, 0], [[1, 2e-9], [0, 1]], "use .cov \\+ cov.T. / 2", id="asymmetric"),
+        pytest.param([0, 0], pair(1.5), r"is -0\.5; use nearest_covariance", id="indefinite"),
+        pytest.param([0, 0], pair(1 + 1.1e-9), "is -1.1e-09", id="just-indefinite"),
+    ],
+)
+def test_a_wrong_gaussian_is_refused_in_words(mean, cov, words):
+    """Whatever is wrong with a mean or a covariance, the message names it."""
+    with pytest.raises(ValueError, match=words):
+        Gaussian(mean, cov)
+
+
+@pytest.mark.parametrize(
+    "cov",
+    [
+        pytest.param(np.zeros((2, 2)), id="zero"),
+        pytest.param(np.diag([1.0, 0.0]), id="one-variance-zero"),
+        pytest.param(pair(1.0), id="exactly-singular"),
+        pytest.param(pair(1 + 0.9e-9), id="rounding-of-the-least-eigenvalue"),
+        pytest.param(np.array([[1, 0.9e-9], [0, 1]]), id="rounding-of-the-symmetry"),
+        pytest.param(1e-16 * pair(0.999), id="tiny"),
+    ],
+)
+def test_what_is_right_up_to_rounding_is_accepted_and_made_symmetric(cov):
+    """Singular covariances are legal, and rounding is forgiven up to 1e-9 of the sigmas."""
+    kept = Gaussian([0, 0], cov).cov
+
+    assert np.array_equal(kept, (cov + cov.T) / 2)
+
+
+def test_a_gaussian_owns_its_arrays_and_nobody_writes_to_them():
+    """A Gaussian that was right at birth stays right."""
+    mean, cov = np.zeros(2), np.eye(2)
+    gaussian = Gaussian(mean, cov)
+    mean[0] = cov[0, 0] = np.nan
+
+    assert np.isfinite(gaussian.mean).all()
+    assert np.isfinite(gaussian.cov).all()
+    for array in (gaussian.mean, gaussian.cov, Gaussian.trusted(np.zeros(1), np.eye(1)).cov):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@given(covariances())
+def test_the_root_of_any_covariance_is_triangular_and_multiplies_back(cov):
+    """L L^T is the covariance: to sqrt(8 n eps) at worst, where a pivot is taken for rounding."""
+    L = square_root(cov)
+    sigma = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+
+    assert np.array_equal(L, np.tril(L))
+    assert (np.abs(L @ L.T - cov) <= 2 * np.sqrt(8 * 4 * EPS) * np.outer(sigma, sigma)).all()
+
+
+@given(covariances(jitters=(1e-6, 1e-3, 1.0)))
+def test_the_root_of_a_definite_covariance_is_cholesky_s(cov):
+    """LAPACK's Cholesky factor gives the same, within its condition."""
+    error = correlation(square_root(cov) @ square_root(cov).T) - correlation(cov)
+
+    assert np.abs(error).max() < 16 * EPS
+    assert np.allclose(square_root(correlation(cov)), np.linalg.cholesky(correlation(cov)), atol=1e-9)
+
+
+@given(symmetric())
+def test_indefinite_agrees_with_the_eigenvalues_of_the_correlation_matrix(cov):
+    """A matrix is indefinite where that least eigenvalue is below -1e-9, and not above."""
+    least = np.linalg.eigvalsh(correlation(cov))[0]
+
+    if abs(least + ROUNDING) > 1e-13 * max(1.0, np.abs(correlation(cov)).max()):
+        assert bool(indefinite(cov)) == (least < -ROUNDING)
+
+
+@given(covariances())
+def test_no_covariance_is_called_indefinite_or_asymmetric(cov):
+    """Whatever A A^T comes from, singular or not, is taken; and batches are judged one by one."""
+    batch = np.stack([cov, -np.eye(4), np.eye(4) + 2e-9 * np.tri(4, k=-1)])
+
+    assert indefinite(batch).tolist() == [False, True, False]
+    assert asymmetric(batch).tolist() == [False, False, True]
+
+
+@given(symmetric())
+def test_the_nearest_covariance_covers_and_is_legal(cov):
+    """A repair is never overconfident: result less matrix is positive semidefinite."""
+    repaired = nearest_covariance(cov)
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    gain = np.linalg.eigvalsh((repaired - cov) / scale / scale[:, None])
+
+    assert gain[0] >= -1e-12 * max(1.0, gain[-1])
+    assert Gaussian(np.zeros(4), repaired).dimension == 4
+
+
+@given(symmetric())
+def test_the_nearest_covariance_adds_no_more_than_it_must(cov):
+    """What is added has the trace of the negative eigenvalues, the least that can cover them."""
+    values = np.linalg.eigvalsh(correlation(cov))
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    added = np.trace((nearest_covariance(cov) - cov) / scale / scale[:, None])
+
+    assert np.isclose(added, -values.clip(max=0).sum(), atol=1e-12 * max(1, -values[0]))
+
+
+@given(covariances(jitters=(1e-6, 1.0)))
+def test_the_nearest_covariance_leaves_definite_matrices_alone(cov):
+    """A matrix that is a covariance comes back to the last bit, beside a broken one too."""
+    repaired = nearest_covariance(np.stack([cov, np.eye(4) - 2 * np.eye(4)[::-1]]))
+
+    assert np.array_equal(repaired[0], cov)
+
+
+@given(gaussians(n=3), st.lists(st.sampled_from([0, 1, 2]), min_size=1, max_size=3, unique=True))
+def test_a_marginal_picks_components(gaussian, keep):
+    """A marginal has the means, variances and correlations of its components."""
+    part = gaussian.marginal(keep)
+
+    assert np.array_equal(part.mean, gaussian.mean[keep])
+    assert np.array_equal(part.correlation, gaussian.correlation[keep][:, keep])
+    assert np.array_equal(part.sigma, gaussian.sigma[keep])
+
+
+def test_a_component_without_variance_correlates_with_none():
+    """The correlation matrix has ones on its diagonal, and no division by zero."""
+    assert np.array_equal(Gaussian([0, 0], np.diag([4.0, 0.0])).correlation, np.eye(2))
+
+
+def test_samples_have_the_moments_and_repeat():
+    """Draws have mean and covariance within 5 sampling errors; a seed gives the same draws."""
+    n, cov = 100_000, np.array([[4.0, 1.9, 0], [1.9, 1.0, 0], [0, 0, 0]])
+    gaussian = Gaussian([1.0, 2.0, 3.0], cov)
+    draws = gaussian.sample(n, seed=3)
+    bound = 5 * np.sqrt((np.outer(cov.diagonal(), cov.diagonal()) + cov**2) / n)
+
+    assert (np.abs(draws.mean(axis=0) - gaussian.mean) <= 5 * gaussian.sigma / np.sqrt(n)).all()
+    assert (np.abs(np.cov(draws.T) - cov) <= bound).all()
+    assert np.array_equal(draws, gaussian.sample(n, seed=3))
+    assert not np.array_equal(draws[:, 0], gaussian.sample(n, seed=4)[:, 0])
+
+
+@given(gaussians(n=3), st.lists(st.floats(-9, 9), min_size=3, max_size=3))
+def test_mahalanobis_agrees_with_scipy(gaussian, z):
+    """scipy's distance, of the inverse of the correlation matrix, is the same."""
+    scale = np.where(gaussian.sigma > 0, gaussian.sigma, 1)
+    x = gaussian.mean + scale * z
+    inverse = np.linalg.inv(correlation(gaussian.cov))
+    expected = distance.mahalanobis(x / scale, gaussian.mean / scale, inverse)
+
+    assert np.isclose(gaussian.mahalanobis(x), expected, rtol=1e-7, atol=1e-7)
+    assert gaussian.mahalanobis(np.broadcast_to(x, (2, 5, 3))).shape == (2, 5)
+
+
+def test_coverage_is_the_share_within_the_quantile():
+    """The region of a mass ends at scipy's chi-square quantile, and holds that share of draws."""
+    gaussian = Gaussian([1, 2, 3], [[4, 1, 0], [1, 2, 0.5], [0, 0.5, 1]])
+    edge = np.sqrt(stats.chi2.ppf(0.99, df=3)) * gaussian.root[:, 0]
+    n, p = 100_000, 0.95
+
+    assert gaussian.coverage(gaussian.mean + [0.999999 * edge, 1.000001 * edge]) == 0.5
+    share = gaussian.coverage(gaussian.sample(n, seed=1), mass=p)
+    assert abs(share - p) <= 5 * np.sqrt(p * (1 - p) / n)
+
+
+@given(gaussians(), gaussians())
+def test_kl_agrees_with_its_closed_form(p, q):
+    """Trace, distance and determinants by inverse and slogdet, in units of q, are the same."""
+    P, Q = (g.cov / q.sigma / q.sigma[:, None] for g in (p, q))
+    d = (p.mean - q.mean) / q.sigma
+    inverse = np.linalg.inv(Q)
+    log_det = np.linalg.slogdet(Q)[1] - np.linalg.slogdet(P)[1]
+    expected = (np.trace(inverse @ P) + d @ inverse @ d - 4 + log_det) / 2
+
+    assert np.isclose(p.kl(q), expected, rtol=1e-6, atol=1e-6)
+    assert p.kl(q) >= -1e-9
+    assert abs(p.kl(p)) <= 1e-9
+
+
+def test_kl_agrees_with_its_definition():
+    """The mean of log p - log q over draws of p is the same, within 5 sampling errors."""
+    p = Gaussian([0, 1], [[2.0, 0.6], [0.6, 1.0]])
+    q = Gaussian([1, 1], [[3.0, -0.3], [-0.3, 2.0]])
+    x = p.sample(100_000, seed=2)
+    logs = [stats.multivariate_normal(g.mean, g.cov).logpdf(x) for g in (p, q)]
+    excess = logs[0] - logs[1]
+
+    assert abs(p.kl(q) - excess.mean()) <= 5 * excess.std() / np.sqrt(len(x))
+
+
+def test_a_singular_gaussian_has_no_density():
+    """Its distance from any thicker one is infinite; a distance to it is refused."""
+    thin, thick = Gaussian([0, 0], pair(1.0)), Gaussian([0, 0], np.eye(2))
+
+    assert thin.kl(thick) == np.inf
+    for ask in (lambda: thick.kl(thin), lambda: thin.mahalanobis([0, 0])):
+        with pytest.raises(np.linalg.LinAlgError, match="singular: .* marginal of fewer"):
+            ask()
+
+
+def test_wasserstein_of_variances_only_is_the_distance_of_the_sigmas():
+    """Without correlation it is the Euclidean distance of (mean, sigma)."""
+    p, q = Gaussian([0, 0], np.diag([1.0, 9.0])), Gaussian([3, 4], np.diag([4.0, 0.0]))
+
+    assert np.isclose(p.wasserstein(q), np.sqrt(3**2 + 4**2 + 1**2 + 3**2), rtol=1e-14)
+    assert p.wasserstein(p) <= 1e-7
+
+
+@given(gaussians(n=2), gaussians(n=2))
+def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p, q):
+    """There the trace of a matrix root is sqrt(trace + 2 sqrt(determinant)); both ways round."""
+    unit = np.sqrt(max(np.trace(p.cov), np.trace(q.cov)))
+    P, Q = p.cov / unit**2, q.cov / unit**2
+    d = (p.mean - q.mean) / unit
+    cross = np.sqrt(np.trace(P @ Q) + 2 * np.sqrt(np.linalg.det(P) * np.linalg.det(Q)))
+    squared = d @ d + np.trace(P + Q) - 2 * cross
+
+    assert np.isclose((p.wasserstein(q) / unit) ** 2, squared, atol=1e-7)
+    assert np.isclose((q.wasserstein(p) / unit) ** 2, squared, atol=1e-7)
