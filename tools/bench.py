@@ -44,6 +44,7 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib.metadata import version
 from itertools import chain
 from typing import Any, NamedTuple
@@ -67,7 +68,6 @@ from maplines_can.wire.packing import Packing
 
 #: Lateral places of a full scene, one line for each slot [m].
 OFFSETS = (3.5, 0.0, 7.0, -3.5, 1.75, 10.5, -7.0, -1.75)
-POLYFIT, LSTSQ = "filterpy with np.polyfit", "np.linalg.lstsq"
 ENCODE, DECODE = "cantools encode", "cantools decode"
 
 
@@ -96,14 +96,10 @@ class Pair(NamedTuple):
     growth: bool = False  #: the ratio is ours over the peer's, and must stay below the target
 
 
-class DisagreementError(Exception):
-    """The two sides do not give the same: there is nothing to compare."""
-
-
 def agree(what: str, difference: float, limit: float = 0.0) -> None:
-    """Refuse to go on where two sides differ by more than a limit."""
+    """Stop where two sides differ by more than a limit: there is nothing to compare."""
     if not difference <= limit:
-        raise DisagreementError(f"{what} differ by {difference:g}, more than {limit:g}")
+        sys.exit(f"bench.py: {what} of the two sides differ by {difference:g}, over {limit:g}")
 
 
 # -- what is compared: each part yields what it has checked, then its pairs -------
@@ -144,10 +140,10 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     difference = np.abs((few(poses) - theirs) / theirs.std(axis=0)).max()
     agree("lines in standard deviations", difference, 1e-6)
     yield f"the same lines to {difference:.0e} standard deviations"
-    yield Pair("refit, 50 points", f"turn and {LSTSQ}", n, lambda: few(poses), least_squares, 30)
-    yield Pair("refit, 50 points", f"{LSTSQ} alone", n, lambda: few(poses), solved, 30)
-    calls = (lambda: many(poses)), (lambda: few(poses))
-    yield Pair("refit, 10000 points", "refit, 50 points", n, *calls, 1.3, growth=True)
+    ours, ours_many = partial(few, poses), partial(many, poses)
+    yield Pair("refit, 50 points", "turn and np.linalg.lstsq", n, ours, least_squares, 30)
+    yield Pair("refit, 50 points", "np.linalg.lstsq alone", n, ours, solved, 30)
+    yield Pair("refit, 10000 points", "refit, 50 points", n, ours_many, ours, 1.3, growth=True)
 
 
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
@@ -182,9 +178,14 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     difference = max(np.abs((own.mean - means) / sigma).max(), np.abs(d_cov).max())
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
-    what = f"{len(lines)} lines, Refit"
-    yield Pair(f"{what} anew", POLYFIT, 1, ours, peer, 10)
-    yield Pair(f"{what} kept", POLYFIT, 1, lambda: ours(kept), lambda: peer(kept_points), 10)
+    ours_kept, peer_kept = partial(ours, kept), partial(peer, kept_points)
+    yield Pair("8 lines, Refit anew", "filterpy with np.polyfit", 1, ours, peer, 10)
+    yield Pair("8 lines, Refit kept", "filterpy with np.polyfit", 1, ours_kept, peer_kept, 10)
+
+
+def each(call: Callable[..., Any], arguments: list[Any]) -> list[Any]:
+    """The results of a call for each argument."""
+    return [call(argument) for argument in arguments]
 
 
 class Traffic:
@@ -235,9 +236,7 @@ def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         raw = {name: field.raw(physical[name]).astype(np.int64) for name, field in fields.items()}
         return packing.pack(raw, traffic.n)
 
-    def unpack() -> Any:
-        return packing.physical(traffic.payloads)
-
+    unpack = partial(packing.physical, traffic.payloads)
     agree("bytes", not np.array_equal(pack(), traffic.payloads))
     for i, pages in enumerate(zip(*traffic.values, strict=True)):
         for name in pages[0]:
@@ -253,10 +252,7 @@ def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 def batch(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Gaussians to payloads and back, against cantools' packing alone."""
     traffic = Traffic(sizes.lines, seed)
-
-    def decoded() -> Any:
-        return traffic.codec.decode_batch(traffic.payloads)
-
+    decoded = partial(traffic.codec.decode_batch, traffic.payloads)
     agree("records sent and accepted", (~decoded().accepted).sum())
     yield traffic.check()
     n, encode, decode = traffic.n, traffic.cantools_encoded, traffic.cantools_decoded
@@ -270,23 +266,21 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     codec, decoder, t_ns = traffic.codec, traffic.codec.decoder(), 0
     gaussians = [Gaussian(mean, cov) for mean, cov in zip(traffic.mean, traffic.cov, strict=True)]
     lines = [MapLine(Slot(i % len(Slot)), gaussian) for i, gaussian in enumerate(gaussians)]
-    scenes = list(zip(*[iter(lines)] * len(Slot), strict=True))
-    frames = list(chain.from_iterable(map(codec.encode, lines)))
+    singly = partial(each, codec.encode, lines)
+    eights = partial(each, codec.encode_lines, list(zip(*[iter(lines)] * len(Slot), strict=True)))
+    frames = list(chain.from_iterable(singly()))
 
     def fed() -> list[Any]:
         nonlocal t_ns
         t_ns += 10**9  # so late that the counters may start anew
         return [decoder.feed(frame.can_id, frame.data, t_ns) for frame in frames]
 
-    def encoded_by_eights() -> list[Any]:
-        return [codec.encode_lines(scene) for scene in scenes]
-
     delivered = sum(isinstance(result, MapLine) for result in fed() + fed())
     agree("lines fed and lines delivered", abs(delivered - 2 * n))
     yield traffic.check()
     encode, decode = traffic.cantools_encoded, traffic.cantools_decoded
-    yield Pair("Codec.encode", ENCODE, n, lambda: list(map(codec.encode, lines)), encode)
-    yield Pair("Codec.encode_lines of 8", ENCODE, n, encoded_by_eights, encode)
+    yield Pair("Codec.encode", ENCODE, n, singly, encode)
+    yield Pair("Codec.encode_lines of 8", ENCODE, n, eights, encode)
     yield Pair("Decoder.feed, 4 frames", DECODE, n, fed, decode)
 
 
@@ -332,28 +326,19 @@ def measured(pair: Pair, sizes: Sizes) -> dict[str, Any]:
     repeats = [max(1, round(sizes.seconds / seconds)) for seconds in once]
     turns = [[*map(timed, calls, repeats)] for _ in range(sizes.rounds)]
     ratios = [ours / peer if pair.growth else peer / ours for ours, peer in turns]
-    ratio, target = statistics.median(ratios), pair.target
-    judged = target is not None
+    ratio = statistics.median(ratios)
     ours, peer = (statistics.median(side) / pair.units for side in zip(*turns, strict=True))
     result = {"what": pair.what, "peer": pair.peer, "ours_s": ours, "peer_s": peer}
     result |= {"ratio": ratio, "ratio_min": min(ratios), "ratio_max": max(ratios)}
-    result |= {"target": f"{'<' if pair.growth else '>='} {target:g}x" if judged else None}
-    result |= {"met": (ratio < target if pair.growth else ratio >= target) if judged else None}
+    result |= {"target": None, "met": None}
+    if pair.target is not None:
+        result["target"] = f"{'<' if pair.growth else '>='} {pair.target:g}x"
+        result["met"] = ratio < pair.target if pair.growth else ratio >= pair.target
     return result | dict(zip(("ours_bytes", "peer_bytes"), map(allocated, calls), strict=True))
 
 
 COLUMNS = "   {:<24} {:<29} {:>8} {:>8} {:>7} {:>16} {:>7} {:>4}  {:>19}"
-HEADING = (
-    "",
-    "against",
-    "ours",
-    "peer",
-    "ratio",
-    "[min .. max]",
-    "target",
-    "met",
-    "ours / peer memory",
-)
+HEADING = "", "against", "ours", "peer", "ratio", "[min .. max]", "target", "met", "memory, peer"
 
 
 def shown(result: dict[str, Any]) -> str:
@@ -417,7 +402,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(main())
-    except DisagreementError as error:
-        sys.exit(f"bench.py: {error}")
+    sys.exit(main())

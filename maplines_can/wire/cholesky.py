@@ -51,7 +51,7 @@ class Coded:
 
     Args:
         raw: (N,) values by signal.
-        saturated: (N,) a pivot was lifted by more than its rounding to keep a ratio in range.
+        saturated: (N,) a pivot was lifted, to keep a ratio or itself in range.
         covered: (N,) the decoded covariance covers what was to be sent.
     """
 
@@ -211,7 +211,7 @@ class CholeskyCode:
 
         Returns:
             Raw pivots and ratios, the rows of L' that they decode to, and which
-            targets had a pivot lifted by more than its rounding.
+            targets had a pivot lifted.
         """
         raw: dict[str, Array] = {}
         L: list[list[Array]] = []
@@ -235,8 +235,9 @@ class CholeskyCode:
                 lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
                 chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
             # A lifted pivot is variance of its own in the target: later rows lean on it less.
-            exact = np.where(chosen > nearest, sigma, exact)
-            saturated |= chosen > nearest + 1
+            lifted = chosen > nearest
+            exact = np.where(lifted, sigma, exact)
+            saturated |= lifted
             raw[pivot.name] = chosen
             decoded.append([*row, sigma])
             L.append([*target, exact])
