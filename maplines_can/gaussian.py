@@ -179,25 +179,47 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
 def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """Lower-triangular ``L`` with ``L @ L.T == cov``, for singular ``cov`` too.
 
-    Cholesky's recursion; a pivot that is zero up to rounding gives a zero
-    column (its remainder is zero as well where ``cov`` is semidefinite).
+    Cholesky's recursion. Where it meets a pivot that is zero up to rounding, to
+    go on would spoil the rest: then the root of the eigenvalues is turned into
+    triangular form, with a zero column for each component that the ones before
+    it determine.
 
     Args:
         cov: (n, n) symmetric positive semidefinite.
 
-    >>> square_root(np.array([[4.0, 2.0], [2.0, 1.0]]))
+    >>> square_root(np.array([[4.0, 2.0], [2.0, 1.0]])).round(9)
     array([[2., 0.],
            [1., 0.]])
     """
     n = len(cov)
+    tiny = 8 * n * np.finfo(float).eps
     L = np.zeros((n, n))
     for j in range(n):
         row = L[j, :j]
         pivot = cov[j, j] - row @ row
-        if pivot > 8 * n * np.finfo(float).eps * cov[j, j]:
-            L[j, j] = np.sqrt(pivot)
-            L[j + 1 :, j] = (cov[j + 1 :, j] - L[j + 1 :, :j] @ row) / L[j, j]
+        if not pivot > tiny * cov[j, j]:
+            return _semidefinite_root(cov, tiny)
+        L[j, j] = np.sqrt(pivot)
+        L[j + 1 :, j] = (cov[j + 1 :, j] - L[j + 1 :, :j] @ row) / L[j, j]
     return L
+
+
+def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:
+    """``square_root`` from the eigenvalues above ``tiny`` of the correlation matrix."""
+    scale = _scale(cov)
+    values, vectors = np.linalg.eigh(cov / scale / scale[:, None])
+    M = vectors * np.sqrt(np.where(values > tiny, values, 0.0))
+    L = np.zeros_like(M)
+    k = 0
+    for j in range(len(M)):
+        v = M[j, k:].copy()
+        norm = np.sqrt(v @ v)
+        if norm > tiny:  # a Householder reflection of what the rows above leave of row j
+            v[0] += np.copysign(norm, v[0])
+            M[:, k:] -= np.outer(M[:, k:] @ v, v * (2 / (v @ v)))
+            L[j:, j] = M[j:, k] * np.sign(M[j, k])
+            k += 1
+    return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # a row without variance stays empty
 
 
 def asymmetric(cov: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .errors import IllPosedError
 from .gaussian import Gaussian
+from .mixture import GaussianMixture
 
 __all__ = [
     "STATES",
@@ -107,7 +108,9 @@ class MapLine:
         x_max: where it ends to hold [m].
         age: time from the pose to the sending [s].
         status: what the covariance is worth.
-        component: which part of a mixture.
+        component: which part of a mixture; of interest to the wire only.
+        mixture: what is known of the line beyond one Gaussian; ``gaussian`` then has its
+            mean and covariance. See ``MapLine.of_mixture``.
         t_ns: when the first frame of the line was received [ns]; None at the sender.
 
     Raises:
@@ -123,6 +126,7 @@ class MapLine:
     status: Status = Status.FULL
     component: Component = Component()
     t_ns: int | None = None
+    mixture: GaussianMixture | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "slot", Slot(self.slot))
@@ -153,6 +157,11 @@ class MapLine:
         variances = np.square(np.asarray(sigma, dtype=float))
         gaussian = Gaussian(np.asarray(mean, dtype=float), np.diag(variances))
         return cls(slot, gaussian, status=Status.DIAGONAL, **rest)
+
+    @classmethod
+    def of_mixture(cls, slot: Slot, mixture: GaussianMixture, **rest: Any) -> MapLine:
+        """A line that is known as a Gaussian mixture; all its parts travel together."""
+        return cls(slot, mixture.overall, mixture=mixture, **rest)
 
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
         """(...,) lateral position of the mean line at x [m]."""
@@ -200,12 +209,15 @@ def line_of_cubic(
         (..., 4) lines: the Taylor coefficients at u = 0, beta from its tangent.
     """
     q0, q1, q2, q3 = q
-    w = -np.asarray(centre) / half
-    slope = (q1 + w * (2 * q2 + w * 3 * q3)) / half
-    second = (2 * q2 + 6 * w * q3) / np.square(half)
-    third = 6 * q3 / np.power(half, 3)
-    y_off = q0 + w * (q1 + w * (q2 + w * q3))
-    return np.stack(np.broadcast_arrays(y_off, np.arctan(slope), second, third), axis=-1)
+    r = 1 / np.asarray(half, dtype=float)
+    w = -np.asarray(centre, dtype=float) * r
+    lines = np.empty((4, *np.broadcast_shapes(np.shape(q0), np.shape(w))))
+    q3_w = q3 * w
+    lines[0] = q0 + w * (q1 + w * (q2 + q3_w))
+    lines[1] = np.arctan((q1 + w * (2 * q2 + 3 * q3_w)) * r)
+    lines[2] = (2 * q2 + 6 * q3_w) * (r * r)
+    lines[3] = 6 * q3 * (r * r * r)
+    return np.moveaxis(lines, 0, -1)
 
 
 def moved(

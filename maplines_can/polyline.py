@@ -56,7 +56,7 @@ class Polyline:
         if not spacing > 0:
             raise ValueError(f"spacing must be more than 0 m, got {spacing!r}")
         distance = self.distance
-        s = np.linspace(0, distance[-1], int(np.ceil(distance[-1] / spacing)) + 1)
+        s = np.linspace(0, distance[-1], max(1, int(np.ceil(distance[-1] / spacing))) + 1)
         return Polyline(np.column_stack([np.interp(s, distance, p) for p in self.points.T]))
 
     def window(self, pose: ArrayLike, x_min: float, x_max: float) -> NDArray[np.float64]:

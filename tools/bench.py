@@ -28,8 +28,7 @@ The parts:
   batch     Gaussian to payload and back, against cantools' packing alone
   one       the same line by line, where arrays do not help
 
-Machines are noisy: a missed target is printed, and is an error with --strict only.
-Needs the project's dev extra (filterpy).
+Machines are noisy: a missed target is an error with --strict only.
 """
 
 from __future__ import annotations
@@ -117,11 +116,7 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     def system(pose: Any) -> tuple[Any, Any]:
         """Matrix and right-hand side of the least squares for a cubic."""
         u, v = to_ego(points, pose).T
-        A = np.ones((len(u), 4))
-        A[:, 1] = u
-        np.multiply(u, u, out=A[:, 2])
-        np.multiply(A[:, 2], u, out=A[:, 3])
-        return A, v
+        return np.array([np.ones(len(u)), u, u * u, u * u * u]).T, v
 
     def least_squares() -> Any:
         lines = np.empty((n, 4))
@@ -178,9 +173,9 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     difference = max(np.abs((own.mean - means) / sigma).max(), np.abs(d_cov).max())
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
-    ours_kept, peer_kept = partial(ours, kept), partial(peer, kept_points)
+    both_kept = partial(ours, kept), partial(peer, kept_points)
     yield Pair("8 lines, Refit anew", "filterpy with np.polyfit", 1, ours, peer, 10)
-    yield Pair("8 lines, Refit kept", "filterpy with np.polyfit", 1, ours_kept, peer_kept, 10)
+    yield Pair("8 lines, Refit kept", "filterpy with np.polyfit", 1, *both_kept, 10)
 
 
 def each(call: Callable[..., Any], arguments: list[Any]) -> list[Any]:
@@ -313,7 +308,7 @@ def allocated(call: Callable[[], Any]) -> int:
     gc.collect()
     tracemalloc.start()
     call()
-    peak = tracemalloc.get_traced_memory()[1]
+    _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return peak
 
@@ -337,21 +332,19 @@ def measured(pair: Pair, sizes: Sizes) -> dict[str, Any]:
     return result | dict(zip(("ours_bytes", "peer_bytes"), map(allocated, calls), strict=True))
 
 
-COLUMNS = "   {:<24} {:<29} {:>8} {:>8} {:>7} {:>16} {:>7} {:>4}  {:>19}"
-HEADING = "", "against", "ours", "peer", "ratio", "[min .. max]", "target", "met", "memory, peer"
+COLUMNS = "   {:<23} {:<29} {:>9} {:>8} {:>6} {:>16} {:>7} {:>4}  {:>17}"
+HEADING = "", "against", "ours", "peer", "ratio", "[min .. max]", "target", "met", "memory"
 
 
 def shown(result: dict[str, Any]) -> str:
     """A row of the table."""
-    decimals = 0 if result["ratio"] >= 20 else 1 if result["ratio"] >= 2 else 2
-    keys = ("ratio", "ratio_min", "ratio_max")
-    ratio, low, high = (f"{result[key]:.{decimals}f}" for key in keys)
+    ratios = [result[key] for key in ("ratio", "ratio_min", "ratio_max")]
+    ratio, low, high = (f"{x:.{0 if x >= 20 else 1 if x >= 2 else 2}f}" for x in ratios)
     times = [scaled(1e6 * result[key], "us", "ms") for key in ("ours_s", "peer_s")]
     memory = [scaled(result[key] / 1e3, "kB", "MB") for key in ("ours_bytes", "peer_bytes")]
     met = {True: "yes", False: "NO", None: "-"}[result["met"]]
-    ratios, target = (f"{ratio}x", f"[{low} .. {high}]"), result["target"] or "-"
-    rest = *times, *ratios, target, met, " / ".join(memory)
-    return COLUMNS.format(result["what"], result["peer"], *rest)
+    rest = f"{ratio}x", f"[{low} .. {high}]", result["target"] or "-", met, " / ".join(memory)
+    return COLUMNS.format(result["what"], result["peer"], *times, *rest)
 
 
 def scaled(value: float, unit: str, thousand: str) -> str:

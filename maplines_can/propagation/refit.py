@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import IllPosedError
-from ..line import STATES, line_of_cubic
+from ..line import STATES, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
 
 __all__ = ["MapError", "Refit"]
@@ -198,7 +198,7 @@ class Refit:
         cov = np.einsum("klm,kln->lmn", J, J)
         mean = self(self.pose[None]).reshape(-1, len(STATES))
         for i, points in enumerate(self.points):
-            unit_cov = _fit_cov(points[:, 0], mean[i], self._centre[i, 0], self._half[i])
+            unit_cov = _fit_cov(points, mean[i], self._centre[i, 0], self._half[i])
             cov[i] += error.point_sigma**2 * unit_cov
         return cov.reshape(*self._trailing, len(STATES), len(STATES))
 
@@ -312,15 +312,18 @@ def _solve_normal(
 
 
 def _fit_cov(
-    u: NDArray[np.float64], line: NDArray[np.float64], centre: float, half: float
+    points: NDArray[np.float64], line: NDArray[np.float64], centre: float, half: float
 ) -> NDArray[np.float64]:
     """(4, 4) covariance of a fitted line for unit errors of its points in any direction."""
-    w = (u - centre) / half
-    _, R = np.linalg.qr(np.vander(w, 4, increasing=True))
+    u, v = points.T
+    A = np.vander((u - centre) / half, 4, increasing=True)
+    dA = np.column_stack([np.zeros_like(u), A[:, :3] * [1, 2, 3]]) / half
+    _, R = np.linalg.qr(A)
     _, beta, c0, c1 = line
-    # An error along u acts as the slope times as much along v.
     slope = np.tan(beta) + u * (c0 + u * c1 / 2)
-    V = np.linalg.solve(R.T @ R, np.vander(w, 4, increasing=True).T * np.sqrt(1 + slope**2))
+    residual = v - lateral(line, u)
+    # An error of u acts as one of v, by the slope, and moves the residual to another place.
+    V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
     # J: derivative of line_of_cubic at the fit; linear in q but for beta's arctangent.
     J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
     J[1] = np.tan(J[1]) * np.cos(beta) ** 2

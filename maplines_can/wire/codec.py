@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import EncodeError, LayoutError
-from ..gaussian import asymmetric, indefinite
-from ..line import Kind, MapLine, Slot, Status
+from ..gaussian import Gaussian, asymmetric, indefinite
+from ..line import Component, Kind, MapLine, Slot, Status
 from .cholesky import STATE_SIGNALS
 from .decoder import Decoder
 from .layout import PAGE_BYTES, Layout, fd_length
+from .parts import deficit, quantized_weights
 from .read import Batch, RecordReader
 from .reassembly import Reason
 from .write import RecordWriter
@@ -211,35 +212,111 @@ class Codec:
         """The frames of each line; many at once cost hardly more than one."""
         if not lines:
             return []
+        split = [self._parts(line) for line in lines]
+        parts = [part for line_parts in split for part in line_parts]
         counters = []
         taken = self._counters.copy()
-        for line in lines:
+        for line, _, _, _ in parts:
             counters.append(taken[line.slot])
             taken[line.slot] = (taken[line.slot] + 1) % 2 ** self.layout["Counter"].length
         rest: dict[str, ArrayLike] = {
-            "slot": [line.slot for line in lines],
+            "slot": [line.slot for line, _, _, _ in parts],
             "counter": counters,
-            "kind": [line.kind for line in lines],
-            "x_min": [line.x_min for line in lines],
-            "x_max": [line.x_max for line in lines],
-            "age": [line.age for line in lines],
-            "status": [line.status for line in lines],
-            "component_index": [line.component.index for line in lines],
-            "component_count": [line.component.count for line in lines],
-            "component_weight": [line.component.weight for line in lines],
+            "kind": [line.kind for line, _, _, _ in parts],
+            "x_min": [line.x_min for line, _, _, _ in parts],
+            "x_max": [line.x_max for line, _, _, _ in parts],
+            "age": [line.age for line, _, _, _ in parts],
+            "status": [line.status for line, _, _, _ in parts],
+            "component_index": [component.index for _, _, component, _ in parts],
+            "component_count": [component.count for _, _, component, _ in parts],
+            "component_weight": [component.weight for _, _, component, _ in parts],
         }
         payloads = self._writer.write(
-            np.array([line.gaussian.mean for line in lines]),
-            np.array([line.gaussian.cov for line in lines]),
-            np.zeros(len(lines), dtype=bool),  # a Gaussian is definite from birth
+            np.array([gaussian.mean for _, gaussian, _, _ in parts]),
+            np.array([gaussian.cov for _, gaussian, _, _ in parts]),
+            np.zeros(len(parts), dtype=bool),  # a Gaussian is definite from birth
             rest,
+            np.array([cover for _, _, _, cover in parts]),
         )
+        left = iter(payloads)
         frames = [
-            self.frames(payload, line.slot, fd=fd)
-            for payload, line in zip(payloads, lines, strict=True)
+            [frame for _ in line_parts for frame in self.frames(next(left), line.slot, fd=fd)]
+            for line, line_parts in zip(lines, split, strict=True)
         ]
         self._counters = taken
         return frames
+
+    def encode_mixtures(
+        self, weights: ArrayLike, means: ArrayLike, covs: ArrayLike, **rest: ArrayLike
+    ) -> NDArray[np.uint8]:
+        """Records of many mixtures; each part is covered, and so is the whole.
+
+        The weights that are decoded are whole steps and add up to 1. The decoded
+        mixture's covariance covers the true one's about the decoded mean: where
+        quantized weights narrow it, the parts are widened.
+
+        Args:
+            weights: (N, k), each row of sum 1.
+            means: (N, k, 4).
+            covs: (N, k, 4, 4).
+            rest: as for ``encode_batch``, (N,) or one for all; ``counter`` is that of the
+                first part, by default 0, k, 2 k, ...
+
+        Returns:
+            (N, k, record bytes) uint8; ``decode_batch`` reads them part by part.
+        """
+        weights, means = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
+        covs = np.asarray(covs, dtype=float)
+        n, k = weights.shape
+        if means.shape != (n, k, 4) or covs.shape != (n, k, 4, 4):
+            raise ValueError(
+                f"means and covs must have shapes {(n, k, 4)} and {(n, k, 4, 4)}, as the weights, "
+                f"got {means.shape} and {covs.shape}"
+            )
+        if not (weights > 0).all() or not np.allclose(weights.sum(axis=1), 1, atol=1e-9):
+            raise ValueError("weights must be positive and each row of sum 1")
+        mean, cov = _checked(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        decoded_weights, cover = self._cover(weights, means, covs)
+        first = rest.pop("counter", np.arange(n) * k)
+        flat = {name: np.repeat(np.broadcast_to(value, n), k) for name, value in rest.items()}
+        defaults = {"slot": Slot.EGO_LEFT, "kind": Kind.UNKNOWN, "x_min": 0.0, "x_max": 80.0}
+        defaults |= {"age": 0.0, "status": Status.FULL}
+        payloads = self._writer.write(
+            mean,
+            cov,
+            indefinite(cov),
+            defaults
+            | flat
+            | {
+                "counter": (np.broadcast_to(first, n)[:, None] + np.arange(k)).ravel(),
+                "component_index": np.tile(np.arange(k), n),
+                "component_count": k,
+                "component_weight": decoded_weights.ravel(),
+            },
+            np.repeat(cover, k, axis=0),
+        )
+        return payloads.reshape(n, k, -1)
+
+    def _cover(
+        self, weights: NDArray[np.float64], means: NDArray[np.float64], covs: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N, k) weights as they will be decoded, and (N, 4, 4) what they leave uncovered."""
+        steps = round(1 / self.layout["ComponentWeight"].factor)
+        decoded = quantized_weights(weights, steps) / steps
+        return decoded, deficit(weights, means, covs, decoded, self._writer.rounded(means))
+
+    def _parts(
+        self, line: MapLine
+    ) -> list[tuple[MapLine, Gaussian, Component, NDArray[np.float64]]]:
+        """What goes into the records of a line."""
+        if line.mixture is None:
+            return [(line, line.gaussian, line.component, np.zeros((4, 4)))]
+        mixture, k = line.mixture, len(line.mixture.weights)
+        weights, cover = self._cover(mixture.weights[None], mixture.means[None], mixture.covs[None])
+        return [
+            (line, gaussian, Component(i, k, float(weights[0, i])), cover[0])
+            for i, gaussian in enumerate(mixture.components)
+        ]
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """The frames that carry one record."""

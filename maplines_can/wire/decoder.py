@@ -3,15 +3,41 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from ..line import MapLine, Slot
+import numpy as np
+
+from ..line import Component, MapLine, Slot, Status
+from ..mixture import GaussianMixture
 from .reassembly import Reason, Reassembler, Record
 
 if TYPE_CHECKING:
     from .codec import Codec
 
 __all__ = ["Decoder"]
+
+
+#: The status of a mixture is that of its worst part.
+SEVERITY = (
+    Status.FULL,
+    Status.REPAIRED,
+    Status.SATURATED,
+    Status.DIAGONAL,
+    Status.UNKNOWN,
+    Status.OUT_OF_RANGE,
+)
+
+
+@dataclass
+class _Group:
+    """The parts of one mixture that have come so far."""
+
+    first: int  #: counter of the first part
+    count: int
+    t_ns: int  #: of the part that came first
+    parts: dict[int, MapLine] = field(default_factory=dict)
+    frames: int = 0
 
 
 class Decoder:
@@ -24,11 +50,13 @@ class Decoder:
     def __init__(self, codec: Codec, timeout_ns: int) -> None:
         self._codec = codec
         self._reassembler = Reassembler(codec.layout, timeout_ns)
+        self._timeout_ns = timeout_ns
         self._counters: dict[Slot, int] = {}
+        self._groups: dict[Slot, _Group] = {}
         self.frames = 0  #: frames fed
         self.lines = 0  #: lines delivered
         self.line_frames = 0  #: frames of the lines delivered
-        self.lost = 0  #: lines missing between those delivered, by their counters
+        self.lost = 0  #: records missing between those read, by their counters
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -37,8 +65,8 @@ class Decoder:
 
     @property
     def pending(self) -> int:
-        """Frames held for bursts that are not complete yet."""
-        return self._reassembler.pending
+        """Frames held for bursts and mixtures that are not complete yet."""
+        return self._reassembler.pending + sum(group.frames for group in self._groups.values())
 
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
@@ -61,8 +89,10 @@ class Decoder:
         return self._read(record)
 
     def expire(self, t_ns: int) -> None:
-        """Give up bursts that are not complete by ``t_ns`` [ns] less the time-out."""
+        """Give up what is not complete by ``t_ns`` [ns] less the time-out."""
         self._reassembler.expire(t_ns)
+        for slot in [s for s, group in self._groups.items() if self._is_old(group, t_ns)]:
+            self._give_up(slot, Reason.TIMEOUT)
 
     def _read(self, record: Record) -> MapLine | Reason:
         line = self._codec.decode_one(record.payload, record.slot, record.t_ns)
@@ -75,6 +105,50 @@ class Decoder:
         if 0 < gap <= modulus // 2:  # else the sender has started anew
             self.lost += gap - 1
         self._counters[record.slot] = counter
+        first = (counter - line.component.index) % modulus
+        held = self._groups.get(record.slot)
+        if held and self._is_old(held, record.t_ns):
+            self._give_up(record.slot, Reason.TIMEOUT)
+        elif held and (held.first, held.count) != (first, line.component.count):
+            self._give_up(record.slot, Reason.INCOMPLETE)
+        if line.component.count == 1:
+            self.lines += 1
+            self.line_frames += record.frames
+            return line
+        return self._join(record, line, first)
+
+    def _join(self, record: Record, part: MapLine, first: int) -> MapLine | Reason:
+        """Take a part of a mixture: all parts of one line, by their counters, or none."""
+        group = self._groups.setdefault(
+            record.slot, _Group(first, part.component.count, record.t_ns)
+        )
+        if part.component.index in group.parts:
+            self.counts[Reason.DUPLICATE] += record.frames
+            return Reason.DUPLICATE
+        group.parts[part.component.index] = part
+        group.frames += record.frames
+        if len(group.parts) < group.count:
+            return Reason.PENDING
+        parts = [group.parts[i] for i in range(group.count)]
+        weights = [part.component.weight for part in parts]
+        if abs(sum(weights) - 1) > 1e-9:
+            self._give_up(record.slot, Reason.CONTENT)
+            return Reason.CONTENT
+        del self._groups[record.slot]
         self.lines += 1
-        self.line_frames += record.frames
-        return line
+        self.line_frames += group.frames
+        mixture = GaussianMixture(np.array(weights), tuple(part.gaussian for part in parts))
+        return replace(
+            part,
+            gaussian=mixture.overall,
+            mixture=mixture,
+            component=Component(),
+            status=max((part.status for part in parts), key=SEVERITY.index),
+            t_ns=group.t_ns,
+        )
+
+    def _is_old(self, group: _Group, t_ns: int) -> bool:
+        return abs(t_ns - group.t_ns) > self._timeout_ns
+
+    def _give_up(self, slot: Slot, reason: Reason) -> None:
+        self.counts[reason] += self._groups.pop(slot).frames

@@ -40,6 +40,7 @@ class RecordWriter:
         cov: NDArray[np.float64],
         broken: NDArray[np.bool_],
         rest: Mapping[str, ArrayLike],
+        cover: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8]:
         """(n, record bytes) records of checked Gaussians.
 
@@ -49,6 +50,7 @@ class RecordWriter:
             broken: (n,) covariances that are indefinite.
             rest: what else a record says, (n,) or one for all: slot, counter, kind, x_min,
                 x_max, age, status, component_index, component_count, component_weight.
+            cover: (n, 4, 4) what the decoded covariance must cover besides its own.
         """
         n = len(mean)
         data_ids = self.data_ids(rest["slot"], n)
@@ -66,8 +68,13 @@ class RecordWriter:
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
         clipped = self._put_extent(raw, rest, n)
-        self._put_gaussian(raw, mean, cov, wish, clipped, broken)
+        self._put_gaussian(raw, mean, cov, wish, clipped, broken, cover)
         return self._sealed(raw, data_ids, n)
+
+    def rounded(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(..., 4) means as they will be decoded."""
+        columns = zip(self._mean, np.moveaxis(mean, -1, 0), strict=True)
+        return np.stack([f.physical(f.limited(f.raw(x))) for f, x in columns], axis=-1)
 
     def _put_gaussian(
         self,
@@ -77,6 +84,7 @@ class RecordWriter:
         wish: NDArray[np.int64],
         clipped: NDArray[np.bool_],
         broken: NDArray[np.bool_],
+        cover: NDArray[np.float64] | None,
     ) -> None:
         """Raw mean, covariance and status.
 
@@ -87,6 +95,7 @@ class RecordWriter:
             wish: (n,) status that the caller asks for.
             clipped: (n,) rows that are saturated already; is added to.
             broken: (n,) covariances that are indefinite.
+            cover: (n, 4, 4) what else is to be covered.
         """
         decoded = np.empty_like(mean)
         for i, field in enumerate(self._mean):
@@ -105,6 +114,8 @@ class RecordWriter:
             variances = np.einsum("nii->ni", cov[alone])
             error[alone] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[alone]
             broken = broken & ~alone
+        if cover is not None:
+            error += cover
         coded = self._covariance.encode(error, self.resolution)
         raw |= coded.raw
 

@@ -1,0 +1,106 @@
+"""A Gaussian mixture: what one Gaussian cannot say of a distribution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .gaussian import Gaussian
+
+__all__ = ["GaussianMixture"]
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianMixture:
+    """The distribution ``sum_i weights[i] N(components[i])``.
+
+    Args:
+        weights: (k,) positive, of sum 1 up to rounding.
+        components: k Gaussians of one dimension.
+
+    Raises:
+        ValueError: a weight, their sum or a dimension is wrong.
+
+    >>> two = GaussianMixture([0.5, 0.5], [Gaussian([-1.0], [[1.0]]), Gaussian([1.0], [[1.0]])])
+    >>> two.overall.cov
+    array([[2.]])
+    """
+
+    weights: NDArray[np.float64]
+    components: tuple[Gaussian, ...]
+
+    def __post_init__(self) -> None:
+        weights = np.array(self.weights, dtype=float)
+        components = tuple(self.components)
+        if weights.shape != (len(components),) or not components:
+            raise ValueError(
+                f"weights must have shape ({len(components)},), one for each component, "
+                f"got {weights.shape}"
+            )
+        if not (weights > 0).all() or not abs(weights.sum() - 1) < 1e-9:
+            raise ValueError(f"weights must be positive and of sum 1, got {weights!r}")
+        if len({component.dimension for component in components}) > 1:
+            raise ValueError("components must have one dimension")
+        weights.flags.writeable = False
+        object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "components", components)
+
+    @property
+    def dimension(self) -> int:
+        """Number of components of the variable."""
+        return self.components[0].dimension
+
+    @cached_property
+    def means(self) -> NDArray[np.float64]:
+        """(k, n) means of the components."""
+        return np.array([component.mean for component in self.components])
+
+    @cached_property
+    def covs(self) -> NDArray[np.float64]:
+        """(k, n, n) covariances of the components."""
+        return np.array([component.cov for component in self.components])
+
+    @cached_property
+    def overall(self) -> Gaussian:
+        """The one Gaussian with the mixture's mean and covariance."""
+        mean = self.weights @ self.means
+        d = self.means - mean
+        cov = np.einsum("k,kij->ij", self.weights, self.covs + d[:, :, None] * d[:, None, :])
+        return Gaussian(mean, (cov + cov.T) / 2)
+
+    def marginal(self, indices: ArrayLike) -> GaussianMixture:
+        """The mixture of some components of the variable, in the order of ``indices``."""
+        return GaussianMixture(self.weights, tuple(c.marginal(indices) for c in self.components))
+
+    def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
+        """(n, dimension) random draws; the same seed gives the same draws."""
+        rng = np.random.default_rng(seed)
+        part = rng.choice(len(self.weights), size=n, p=self.weights / self.weights.sum())
+        roots = np.array([component.root for component in self.components])
+        normal = rng.standard_normal((n, self.dimension))
+        return self.means[part] + np.einsum("nij,nj->ni", roots[part], normal)
+
+    def density(self, x: ArrayLike) -> NDArray[np.float64]:
+        """(...,) probability density at (..., n) points.
+
+        Raises:
+            numpy.linalg.LinAlgError: a component is singular.
+        """
+        x = np.asarray(x, dtype=float)
+        total = np.zeros(x.shape[:-1])
+        for weight, component in zip(self.weights, self.components, strict=True):
+            norm = np.sqrt(2 * np.pi) ** self.dimension * component.root.diagonal().prod()
+            total += weight / norm * np.exp(-(component.mahalanobis(x) ** 2) / 2)
+        return total
+
+    def coverage(self, samples: ArrayLike, mass: float = 0.99, draws: int = 200_000) -> float:
+        """Share of (N, n) samples inside the region of highest density that holds ``mass``.
+
+        The density at the region's edge is found from draws of the mixture's
+        own, so that the share is right to about sqrt(mass (1 - mass) / draws).
+        """
+        edge = np.quantile(self.density(self.sample(draws)), 1 - mass)
+        return float(np.mean(self.density(samples) >= edge))

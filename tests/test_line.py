@@ -1,0 +1,283 @@
+"""The cubic line: its value, its uncertainty, and what becomes of it when the car moves."""
+
+from math import factorial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
+from scipy.optimize import brentq
+from strategies import mild_lines, motions
+
+from maplines_can.errors import IllPosedError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import (
+    VAGUE_SIGMA,
+    Component,
+    Kind,
+    MapLine,
+    Slot,
+    Status,
+    lateral,
+    lateral_jacobian,
+    line_of_cubic,
+    moved,
+)
+from maplines_can.polyline import to_ego
+
+X = np.linspace(-20, 80, 21)
+WINDOW = (0.0, 80.0)
+
+
+def polynomial(line):
+    """numpy's polynomial of a line (Map Line Interface, eq. 1)."""
+    y_off, beta, c0, c1 = line
+    return Polynomial([y_off, np.tan(beta), c0 / 2, c1 / 6])
+
+
+def line_of(polynomial):
+    """The line of numpy's polynomial: its derivatives at 0."""
+    y_off, slope, c0, c1 = (polynomial.deriv(k)(0.0) for k in range(4))
+    return np.array([y_off, np.arctan(slope), c0, c1])
+
+
+def inverse(motion):
+    """The old pose in the new frame."""
+    return [*to_ego([0.0, 0.0], motion), -motion[2]]
+
+
+def map_line(**rest):
+    return MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.eye(4)), **rest)
+
+
+@given(mild_lines())
+def test_lateral_is_the_cubic(line):
+    """numpy's polynomial gives the same positions."""
+    assert np.allclose(lateral(line, X), polynomial(line)(X), rtol=1e-13, atol=1e-13)
+
+
+def test_lateral_broadcasts_over_lines():
+    """Many lines at many x are a grid; a line of NaN stays NaN."""
+    lines = np.array([[1, 0, 0, 0], [0, 0, 0.02, 0], np.full(4, np.nan)])
+
+    assert np.array_equal(
+        lateral(lines[:, None], [0.0, 10.0]), [[1, 1], [0, 1], [np.nan, np.nan]], equal_nan=True
+    )
+
+
+@given(mild_lines(), st.integers(0, 3))
+def test_the_jacobian_is_the_derivative_of_lateral(line, i):
+    """l(line + h) - l(line - h) is 2 h J, for each parameter."""
+    h = np.zeros(4)
+    h[i] = 1e-4
+    difference = lateral(line + h, X) - lateral(line - h, X)
+
+    assert np.allclose(difference / 2e-4, lateral_jacobian(line, X)[:, i], rtol=1e-7, atol=1e-9)
+
+
+def test_y_sigma_is_the_spread_of_lines():
+    """Lines drawn from the Gaussian spread as y_sigma says, within 5 sampling errors."""
+    sigma, n = np.array([0.1, 0.01, 1e-4, 1e-6]), 100_000
+    R = np.eye(4)
+    R[0, 1] = R[1, 0] = -0.6
+    R[2, 3] = R[3, 2] = 0.3
+    gaussian = Gaussian([1.75, 0.1, 1e-3, 1e-6], R * np.outer(sigma, sigma))
+    line = MapLine(Slot.EGO_LEFT, gaussian)
+    drawn = lateral(gaussian.sample(n, seed=1)[:, None], X)
+
+    assert (np.abs(drawn.std(axis=0) / line.y_sigma(X) - 1) <= 5 / np.sqrt(2 * n)).all()
+    assert np.array_equal(line.y(X), lateral(gaussian.mean, X))
+
+
+def test_y_sigma_of_an_exact_line_is_zero():
+    """A singular covariance gives no square root of a negative rounding."""
+    u = np.array([[1.0, -0.1, 0.003, 1e-5]])
+    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), u.T @ u))
+    root = np.abs(lateral_jacobian(np.zeros(4), X) @ u[0])
+
+    assert np.allclose(line.y_sigma(X), root, atol=1e-7)
+
+
+@given(mild_lines(), st.floats(-60, 60), st.floats(1, 60))
+def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(line, centre, half):
+    """Rewritten in w = (u - centre) / half and back, a line is the same."""
+    p = polynomial(line)(Polynomial([centre, half]))
+    q = np.array([p.deriv(k)(0.0) / factorial(k) for k in range(4)])
+
+    assert np.allclose(lateral(line_of_cubic(q, centre, half), X), lateral(line, X), atol=1e-9)
+
+
+@given(mild_lines())
+def test_a_car_that_stands_still_sees_the_same_line(line):
+    """No motion changes nothing but rounding: 1 nm anywhere in the window."""
+    assert np.allclose(lateral(moved(line, [0, 0, 0], WINDOW), X), lateral(line, X), atol=1e-9)
+
+
+@given(mild_lines(), motions(metres=50, degrees=0), st.integers(4, 12))
+def test_a_shift_is_exact(line, motion, points):
+    """Without a turn a cubic stays a cubic: numpy's shifted polynomial is the same line."""
+    dx, dy, _ = motion
+    shifted = polynomial(line)(Polynomial([dx, 1.0])) - dy
+
+    assert np.allclose(
+        lateral(moved(line, motion, WINDOW, points), X), shifted(X), rtol=1e-9, atol=1e-9
+    )
+
+
+@given(mild_lines(), motions(degrees=30))
+def test_through_four_points_the_fit_is_exact_at_them(line, motion):
+    """The new line passes through the Chebyshev points that the car carried along."""
+    x = 40 + 40 * np.cos(np.pi * np.array([1, 3, 5, 7]) / 8)
+    u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
+
+    assert np.allclose(lateral(moved(line, motion, WINDOW), u), v, atol=1e-9)
+
+
+@given(mild_lines(), motions(), st.integers(5, 20))
+def test_through_more_points_it_is_the_least_squares_fit(line, motion, points):
+    """numpy's polynomial fit through the same points is the same line."""
+    x = 40 + 40 * np.cos(np.pi * (np.arange(points) + 0.5) / points)
+    u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
+    fitted = line_of(Polynomial.fit(u, v, 3).convert())
+
+    assert np.allclose(
+        lateral(moved(line, motion, WINDOW, points), X), lateral(fitted, X), atol=1e-8
+    )
+
+
+@given(mild_lines(), motions(), st.integers(4, 8), st.floats(0, 1))
+def test_a_moved_line_follows_the_turned_curve(line, motion, points, share):
+    """Up to 5 m and 10 deg, the curve itself, met by root finding, is within 1 mm."""
+    new = moved(line, motion, WINDOW, points)
+    (first, _), (last, _) = to_ego([[x, lateral(line, x)] for x in WINDOW], motion)
+    u = first + share * (last - first)
+
+    def point(x):
+        return to_ego([x, lateral(line, x)], motion)
+
+    x = brentq(lambda x: point(x)[0] - u, -1.0, 81.0, xtol=1e-12)
+    assert abs(lateral(new, u) - point(x)[1]) <= 1e-3
+
+
+@given(mild_lines(), motions(metres=1.0, degrees=1.0))
+def test_there_and_back_is_the_same_line(line, motion):
+    """A cycle's motion undone gives the line back within a hundredth of a millimetre."""
+    there = moved(line, motion, WINDOW)
+    back = moved(there, inverse(motion), (-motion[0], 80 - motion[0]))
+
+    x = np.linspace(*WINDOW, 17)
+    assert np.allclose(lateral(back, x), lateral(line, x), atol=1e-5)
+
+
+def test_lines_and_motions_move_together():
+    """Lines (..., 4) and motions (..., 3) broadcast, each as it would alone."""
+    lines = np.array([[1.0, 0.1, 1e-3, 1e-6], [2.0, -0.1, -1e-3, 0]])
+    way = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
+    together = moved(lines, way, WINDOW)
+
+    assert together.shape == (3, 2, 4)
+    for i, j in np.ndindex(3, 2):
+        assert np.allclose(together[i, j], moved(lines[j], way[i, 0], WINDOW), rtol=1e-12)
+
+
+@pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
+def test_moved_needs_a_window(window):
+    """An empty window holds no points of the line."""
+    with pytest.raises(ValueError, match=r"needs 4 points or more in a window, got 4 points in"):
+        moved(np.zeros(4), np.zeros(3), window)
+
+
+def test_moved_needs_four_points():
+    """A cubic has four coefficients."""
+    with pytest.raises(ValueError, match="needs 4 points or more in a window, got 3 points"):
+        moved(np.zeros(4), np.zeros(3), WINDOW, points=3)
+
+
+@pytest.mark.parametrize("degrees", [81, 90, -90, 99])
+def test_a_line_across_the_car_is_refused(degrees):
+    """No cubic y(x) follows a line that stands across: it is said, not returned wild."""
+    with pytest.raises(IllPosedError, match="stands across the car after the motion"):
+        moved([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+
+
+@pytest.mark.parametrize("degrees", [79, 180, -101])
+def test_a_line_aslant_or_behind_is_not_refused(degrees):
+    """Within 80 deg of the axis a straight line is a straight line, seen backwards too."""
+    y_off, beta, c0, c1 = moved([0.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+
+    assert abs(y_off) < 1e-9
+    assert np.isclose(np.tan(beta), -np.tan(np.radians(degrees)), atol=1e-9)
+    assert max(abs(c0), abs(c1)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("rest", "words"),
+    [
+        pytest.param({"x_min": 81.0}, "x_min <= x_max must be finite", id="window-reversed"),
+        pytest.param({"x_max": np.inf}, "x_max=inf", id="endless"),
+        pytest.param({"x_min": np.nan}, "x_min=nan", id="nan-window"),
+        pytest.param({"age": -1e-9}, "age must be 0 s or more and finite", id="from-the-future"),
+        pytest.param({"age": np.nan}, "got nan", id="nan-age"),
+        pytest.param({"age": np.inf}, "got inf", id="for-ever"),
+        pytest.param({"kind": 99}, "99 is not a valid Kind", id="kind"),
+        pytest.param({"status": -1}, "-1 is not a valid Status", id="status"),
+    ],
+)
+def test_a_wrong_map_line_is_refused_in_words(rest, words):
+    """What is out of range is named, with its value."""
+    with pytest.raises(ValueError, match=words):
+        map_line(**rest)
+
+
+def test_a_map_line_is_over_four_parameters():
+    """The pose's Gaussian is no line."""
+    with pytest.raises(ValueError, match=r"must be over .*'y_off', .*, got 3-D"):
+        MapLine(Slot.ROUTE, Gaussian(np.zeros(3), np.eye(3)))
+
+
+def test_a_map_line_takes_the_numbers_of_its_enumerations():
+    """What comes off a wire as a number becomes a name; a window may be a single point."""
+    line = MapLine(7, Gaussian(np.zeros(4), np.eye(4)), kind=5, status=3, x_min=80.0)
+
+    assert (line.slot, line.kind, line.status) == (Slot.ROUTE, Kind.KERB, Status.REPAIRED)
+
+
+def test_a_line_of_its_mean_only_claims_nothing():
+    """Its sigmas are the vague ones, its status unknown."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], kind=Kind.DASHED, age=0.05)
+
+    assert (line.status, line.kind, line.age) == (Status.UNKNOWN, Kind.DASHED, 0.05)
+    assert np.array_equal(line.gaussian.sigma, VAGUE_SIGMA)
+    assert (line.y_sigma([0, 40]) >= 1000).all()
+
+
+def test_a_line_with_sigmas_has_no_correlations():
+    """Its covariance is diagonal, and its status says so."""
+    line = MapLine.with_sigma(Slot.EGO_LEFT, [1, 0, 0, 0], [0.1, 0.01, 0, 1e-6], x_max=50)
+
+    assert line.status == Status.DIAGONAL
+    assert line.x_max == 50
+    assert np.array_equal(line.gaussian.cov, np.diag(np.square([0.1, 0.01, 0, 1e-6])))
+
+
+@pytest.mark.parametrize(
+    ("index", "count", "weight", "good"),
+    [
+        (0, 1, 1.0, True),
+        (2, 3, 1e-9, True),
+        (3, 3, 0.5, False),
+        (-1, 3, 0.5, False),
+        (0, 0, 1.0, False),
+        (0, 3, 0.0, False),
+        (0, 3, 1.0001, False),
+        (0, 3, np.nan, False),
+    ],
+)
+def test_a_component_is_one_of_count_with_a_weight(index, count, weight, good):
+    """0 <= index < count and 0 < weight <= 1, to the edges."""
+    if good:
+        assert Component(index, count, weight).weight == weight
+    else:
+        with pytest.raises(ValueError, match="0 <= index < count and 0 < weight <= 1"):
+            Component(index, count, weight)

@@ -1,0 +1,315 @@
+"""Refit: a QR fit of the points at each pose is the witness for all of it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import mild_lines, motions
+
+from maplines_can.errors import IllPosedError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import lateral, moved
+from maplines_can.polyline import Polyline
+from maplines_can.propagation import MapError, MonteCarlo, Refit
+from maplines_can.scenarios import SCENARIOS, random_scenarios, scenario
+
+HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
+CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
+
+
+def qr_lines(u, v):
+    """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
+
+    Neither the normal equations nor the monomials of the refit: nothing is shared but the task.
+    """
+    centre = (u.max(axis=1) + u.min(axis=1))[:, None] / 2
+    half = np.ptp(u, axis=1)[:, None] / 2
+    Q, R = np.linalg.qr(np.polynomial.chebyshev.chebvander((u - centre) / half, 3))
+    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ v[..., None])[..., 0]
+    slope, *curvatures = (
+        np.polynomial.chebyshev.chebval(
+            (-centre / half)[:, 0], np.polynomial.chebyshev.chebder(q.T, k), tensor=False
+        )
+        / half[:, 0] ** k
+        for k in (1, 2, 3)
+    )
+    y_off = np.polynomial.chebyshev.chebval((-centre / half)[:, 0], q.T, tensor=False)
+    return np.stack([y_off, np.arctan(slope), *curvatures], axis=-1)
+
+
+def qr_refit(points, poses):
+    """(N, 4) lines of (n, 2) map points as seen from (N, 3) poses."""
+    e_x, e_y, e_h = poses.T[..., None]
+    z = (points @ [1, 1j] - (e_x + 1j * e_y)) * np.exp(-1j * e_h)
+    return qr_lines(z.real, z.imag)
+
+
+def refit_of(scene, **rest):
+    return Refit(scene.polylines, scene.ego.mean, scene.window, **rest)
+
+
+@pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
+def test_all_lines_of_all_scenarios_agree_with_qr(scene):
+    """At 2000 sampled poses, within 1e-9 of each parameter's standard deviation."""
+    poses = scene.ego.sample(2000, seed=1)
+    lines = refit_of(scene)(poses)
+    assert not np.isnan(lines).any()
+
+    for i, polyline in enumerate(scene.polylines):
+        witness = qr_refit(polyline.window(scene.ego.mean, *scene.window), poses)
+        assert (np.abs(lines[:, i] - witness).max(axis=0) <= 1e-9 * witness.std(axis=0)).all()
+
+
+def test_random_roads_agree_with_qr():
+    """From motorway to street turn the lateral position at any x is the same within a nanometre."""
+    for road in random_scenarios(200, seed=2):
+        poses = road.ego.sample(50, seed=1)
+        refit = refit_of(road)
+        lines, points = refit(poses)[:, 0], road.polylines[0].points
+        x = np.linspace(*refit.x_range[0], 9)
+        posed = ~np.isnan(lines[:, 0])
+        witness = lateral(qr_refit(points, poses)[posed, None], x)
+
+        assert posed.mean() > 0.9
+        assert np.abs(lateral(lines[posed, None], x) - witness).max() <= 1e-9
+
+
+def test_a_pose_far_from_the_origin_of_the_map_is_no_worse():
+    """Map coordinates of a thousand kilometres cost what they cost the points themselves."""
+    shift, heading = np.array([4e5, 5e6]), 2.0
+    c, s = np.cos(heading), np.sin(heading)
+    near = HIGHWAY.lines[0].polyline
+    far = Polyline(near.points @ np.array([[c, s], [-s, c]]) + shift)
+    lines = Refit(far, [*shift, heading], HIGHWAY.window)([*shift, heading])
+
+    # 4 ulp of 5e6 m are 4e-9 m: what the points have lost already.
+    assert np.allclose(
+        lateral(lines, [0, 40, 80]),
+        lateral(refit_of(HIGHWAY)(np.zeros(3))[0], [0, 40, 80]),
+        atol=1e-8,
+    )
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_many_lines_in_one_call_are_each_as_alone(scene):
+    """Sharing the call changes no line but in its last bits."""
+    poses = scene.ego.sample(3000, seed=1)  # more than one block
+    together = refit_of(scene)(poses)
+    for i, polyline in enumerate(scene.polylines):
+        alone = Refit(polyline, scene.ego.mean, scene.window)(poses)
+
+        assert alone.shape == (3000, 4)
+        assert (np.abs(alone - together[:, i]).max(axis=0) <= 1e-10 * alone.std(axis=0)).all()
+        assert np.array_equal(np.isnan(alone), np.isnan(together[:, i]))
+
+
+def test_many_poses_in_one_call_are_each_as_alone():
+    """A single pose gives what its row gives, at both sides of a block's end."""
+    poses = HIGHWAY.ego.sample(2050, seed=1)
+    refit = refit_of(HIGHWAY)
+    lines = refit(poses)
+
+    for i in (0, 2047, 2048, 2049):
+        assert np.allclose(refit(poses[i]), lines[i], rtol=1e-12, atol=1e-15)
+    assert refit(poses[:0]).shape == (0, 8, 4)
+
+
+@given(mild_lines(), motions(degrees=180), st.integers(4, 40))
+def test_a_cubic_is_recovered(line, pose, count):
+    """Points on a cubic, seen from the mean pose wherever it stands in the map, give it back."""
+    x = np.linspace(-20, 80, count)
+    z = (x + 1j * lateral(line, x)) * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
+    refit = Refit(Polyline(np.column_stack([z.real, z.imag])), pose, (-20.1, 80.1))
+
+    assert np.allclose(lateral(refit(pose), x), lateral(line, x), atol=1e-10)
+    assert np.allclose(refit.x_range, [-20, 80])
+
+
+@given(mild_lines(), motions())
+def test_a_refit_of_four_points_of_a_line_is_the_moved_line(line, motion):
+    """Points of the line, seen from another pose, and the line moved there, are the same."""
+    x = 40 + 40 * CHEBYSHEV
+    refit = Refit(Polyline(np.column_stack([x, lateral(line, x)])), np.zeros(3), (0.0, 80.0))
+    x = np.linspace(0, 80, 9)
+
+    assert np.allclose(
+        lateral(refit(motion), x), lateral(moved(line, motion, (0.0, 80.0)), x), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_the_order_of_the_points_does_not_matter(scene):
+    """A line drawn against the driving direction is the same line."""
+    poses = scene.ego.sample(500, seed=1)
+    for polyline in scene.polylines:
+        ahead, against = (
+            Refit(Polyline(points), scene.ego.mean, scene.window)(poses)
+            for points in (polyline.points, polyline.points[::-1])
+        )
+
+        assert (np.abs(ahead - against).max(axis=0) <= 1e-10 * ahead.std(axis=0)).all()
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_a_car_that_looks_back_sees_the_line_turned_about(scene):
+    """Turned by 180 deg, u and v change sign: so do y_off and c0, and beta and c1 stay."""
+    refit, poses = refit_of(scene), scene.ego.sample(500, seed=1)
+    ahead, back = refit(poses), refit(poses + np.array([0, 0, np.pi]))
+
+    assert (np.abs(back + ahead * [1, -1, 1, -1]) <= 1e-10 * ahead.std(axis=(0, 1))).all()
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_the_refit_is_smooth_along_a_line_of_poses(scene):
+    """Twice as fine steps between poses halve every step of the lines: there is no jump."""
+
+    def largest_step(count):
+        poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)
+        return np.abs(np.diff(refit_of(scene)(poses), axis=0)).max(axis=0)
+
+    assert (largest_step(2001) <= 0.55 * largest_step(1001)).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "pose", "words"),
+    [
+        pytest.param(
+            [[0, 0], [1, 0], [2, 0]],
+            [0, 0, 0],
+            r"a cubic needs 4 points, but the line has 3 in the window \[-10, 40\] m .* resample",
+            id="three-points",
+        ),
+        pytest.param(
+            [[500 + x, 0] for x in range(9)],
+            [0, 0, 0],
+            "the line has 0 in the window",
+            id="off-the-line",
+        ),
+        pytest.param(
+            [[20 * np.sin(a), 20 - 20 * np.cos(a)] for a in np.linspace(0, 3.1, 30)],
+            [0, 0, 0],
+            r"in the window \[-10, 40\] m double back .* \(0 m, 0 m, 0 deg\).* shorten the window",
+            id="hairpin",
+        ),
+        pytest.param(
+            [[x, 2.0] for x in range(-5, 6)],
+            [0, 0, np.radians(85)],
+            "stand across the car at the pose .* 85 deg.* check the heading",
+            id="nearly-across",
+        ),
+        pytest.param(
+            [[0, y] for y in range(9)], [0, 0, 0], "stand across the car", id="exactly-across"
+        ),
+        pytest.param(
+            [[0, 0], [0, 0], [5, 0], [9, 0]], [0, 0, 0], "so no cubic", id="three-of-four-distinct"
+        ),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused_in_words(points, pose, words):
+    """An ill-posed line is refused at birth, with window, pose and cure."""
+    with pytest.raises(IllPosedError, match=words):
+        Refit(Polyline(points), pose, (-10, 40))
+    with pytest.raises(IllPosedError, match=words):
+        Refit(
+            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],
+            pose,
+            (-10, 40),
+        )
+
+
+@pytest.mark.parametrize(
+    ("pose", "window", "words"),
+    [
+        ([0, 0], (0, 80), r"pose must be finite with shape \(3,\)"),
+        ([0, 0, np.nan], (0, 80), "pose must be finite .* nan"),
+        ([0, 0, 0], (80, 80), r"window must have x_min < x_max \[m\], got \(80, 80\)"),
+        ([0, 0, 0], (np.nan, 80), "window must have x_min < x_max"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_words(pose, window, words):
+    """A pose and a window are checked at birth."""
+    with pytest.raises(ValueError, match=words):
+        Refit(HIGHWAY.polylines, pose, window)
+
+
+def test_no_line_at_all_is_refused():
+    """A scene without lines has nothing to refit."""
+    with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
+        Refit([], np.zeros(3), (0, 80))
+
+
+def test_poses_that_look_across_give_nan_and_are_counted():
+    """Of many poses the ill-posed are rows of NaN; Monte Carlo counts them and warns."""
+    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
+    refit = Refit(road, np.zeros(3), (-20, 80))
+    wide = Gaussian(np.zeros(3), np.diag([0.25, 0.25, np.radians(40) ** 2]))
+    n = 20_000
+    across = np.abs(np.cos(wide.sample(n, seed=3)[:, 2])) < 0.17  # a straight line: 80.2 deg
+    lines = refit(wide.sample(n, seed=3))
+
+    assert np.array_equal(np.isnan(lines).all(axis=1), across)
+    assert np.array_equal(np.isnan(lines).any(axis=1), across)
+    with pytest.warns(UserWarning, match=f"{across.sum()} of {n} draws are ill-posed and left out"):
+        samples = MonteCarlo(n, seed=3).samples(refit, wide)
+    assert samples.ill_posed == across.sum() > 0
+    assert np.array_equal(samples.values, lines[~across])
+    assert np.array_equal(samples.inputs, wide.sample(n, seed=3)[~across])
+    with pytest.raises(IllPosedError, match="90 deg"):
+        refit([0.0, 0.0, np.pi / 2])
+    assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
+
+
+def test_nothing_but_ill_posed_draws_is_an_error():
+    """Where hardly a draw has a line there are no moments."""
+    refit = refit_of(HIGHWAY)
+    across = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
+
+    with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
+        MonteCarlo(1000).samples(refit, across)
+
+
+def errors_of_points(error, points, n, rng):
+    """(n, 2, k) errors of the map points in the ego frame, as MapError describes them."""
+    local = error.point_sigma * rng.standard_normal((n, 2, len(points)))
+    common = error.offset_sigma * rng.standard_normal((n, 2, 1))
+    turn = error.heading_sigma * rng.standard_normal((n, 1))
+    turned = np.exp(1j * turn) * (points @ [1, 1j])
+    return local + common + np.stack([turned.real, turned.imag], axis=1) - points.T
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        pytest.param(MapError(point_sigma=0.02), id="points"),
+        pytest.param(MapError(offset_sigma=0.02), id="offset"),
+        pytest.param(MapError(heading_sigma=1e-3), id="heading"),
+        pytest.param(MapError(0.02, 0.01, 5e-4), id="all"),
+    ],
+)
+@pytest.mark.parametrize("name", ["highway", "street-turn"])
+def test_the_map_s_error_spreads_the_lines_as_noise_cov_says(name, error):
+    """QR fits of 20,000 erroneous maps have that covariance, within 5 sampling errors."""
+    scene, n, rng = scenario(name), 20_000, np.random.default_rng(4)
+    refit = Refit(scene.polylines[:2], [0.3, -0.2, 0.01], scene.window, error)
+    for points, cov in zip(refit.points, refit.noise_cov, strict=True):
+        u, v = (points.T + errors_of_points(error, points, n, rng)).swapaxes(0, 1)
+        # A shift leaves c1 as it is: floors keep its zero from a division.
+        sigma = np.maximum(np.sqrt(cov.diagonal()), [1e-9, 1e-9, 1e-12, 1e-12])
+        correlation = cov / np.outer(sigma, sigma)
+        drawn = np.cov((qr_lines(u, v) / sigma).T)
+
+        assert (np.abs(drawn - correlation) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
+
+
+def test_without_a_map_error_there_is_no_noise():
+    """Exact maps add nothing; map errors of zero add a covariance of zero."""
+    assert refit_of(HIGHWAY).noise_cov is None
+    assert not refit_of(HIGHWAY, map_error=MapError()).noise_cov.any()
+
+
+@pytest.mark.parametrize("name", ["point_sigma", "offset_sigma", "heading_sigma"])
+@pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
+def test_a_wrong_map_error_is_refused_in_words(name, value):
+    """Sigmas are 0 or more, and known."""
+    with pytest.raises(ValueError, match=f"{name} must be 0 or more, got"):
+        MapError(**{name: value})
