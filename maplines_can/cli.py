@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from .wire import Codec, Decoder
 
 __all__ = ["main"]
 
+PICTURES = (".png", ".svg", ".pdf")
 UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
@@ -57,7 +59,10 @@ def main(argv: list[str] | None = None) -> int:
 def _demo(arguments: argparse.Namespace) -> int:
     codec = Codec.from_dbc(arguments.dbc)
     scene = scenario(arguments.scenario)
-    interface = None if arguments.interface == "virtual" else _bus_settings(arguments)
+    alone = arguments.interface == "virtual" and arguments.channel is None
+    interface = None if alone else _bus_settings(arguments)
+    if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:
+        raise ValueError(f"{arguments.plot}: a picture is one of {', '.join(PICTURES)}")
     with _progress(arguments.seconds, "s") as bar:
 
         def tick(elapsed: float) -> None:
@@ -145,7 +150,7 @@ def _receive(arguments: argparse.Namespace) -> int:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     _note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
-        f"counters; dropped frames: {_counts_text(dropped)}"
+        f"counters; dropped frames: {_counts_text(dropped)}; {stats.pending} still waiting"
     )
     return 0 if left in (None, 0) else 1
 
@@ -174,11 +179,14 @@ def _decode(arguments: argparse.Namespace) -> int:
         for decoder in decoders.values():
             decoder.expire(last_ns + 10**18)
 
-    if arguments.csv:
-        _write_csv(lines())
-    else:
-        for channel, line in lines():
-            print(json.dumps(_line_dict(line) | {"channel": channel}))
+    try:
+        if arguments.csv:
+            _write_csv(lines())
+        else:
+            for channel, line in lines():
+                print(json.dumps(_line_dict(line) | {"channel": channel}))
+    except KeyboardInterrupt:  # the counts so far are still of use
+        status = 130
     total = sum((decoder.counts for decoder in decoders.values()), Counter())
     _note(
         f"{sum(d.lines for d in decoders.values())} lines from "
@@ -238,13 +246,23 @@ def _trip_text(trip: RoundTrip) -> str:
         f"sent      {trip.sent['lines']} lines, {trip.sent['frames']} frames",
         f"received  {trip.received['lines']} lines, {trip.received['frames']} frames; "
         f"dropped: {_counts_text(trip.received['counts'])}",
-        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames",
+        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames"
+        + "".join(
+            f"; {trip.sent[key]} {words}"
+            for key, words in (
+                ("overruns", "periods skipped because the sender was late"),
+                ("down", "lines given up while the interface was down"),
+                ("full", "lines given up with a full queue"),
+            )
+            if trip.sent[key]
+        ),
         f"bus load  {100 * trip.bus_load:.1f} % at {trip.bitrate / 1000:g} kbit/s"
         + (f" and {4 * trip.bitrate / 1e6:g} Mbit/s" if trip.carrier == "CAN FD" else ""),
         f"period    {1e3 / trip.rate:g} ms, off by {1e3 * jitter['median']:.2f} ms in the median, "
         f"{1e3 * jitter['p99']:.2f} ms at 99 %",
-        f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver",
     ]
+    if trip.cpu_share is not None:
+        out.append(f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver")
     return "\n".join(out)
 
 
@@ -341,18 +359,26 @@ def _map_error(arguments: argparse.Namespace) -> MapError | None:
     return MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
 
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise argparse.ArgumentTypeError(f"must be more than 0, got {text}")
-    return value
+def _number(kind: type, least: float, most: float) -> Any:
+    """A type for argparse: a number of a kind within bounds, both allowed."""
+
+    def parse(text: str) -> Any:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = float("nan")
+        if not least <= value <= most:
+            what = "a whole number" if kind is int else "a number"
+            raise argparse.ArgumentTypeError(
+                f"must be {what} from {least:g} to {most:g}, got {text!r}"
+            )
+        return value
+
+    return parse
 
 
-def _natural(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"must be 1 or more, got {text}")
-    return value
+_natural = _number(int, 1, 10**9)
+_seconds = _number(float, 1e-3, 1e6)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -407,12 +433,17 @@ def _parser() -> argparse.ArgumentParser:
         names = list(SCENARIOS)
         sub.add_argument("--scenario", default="highway", choices=names, help="the scene")
         sub.add_argument(
-            "--lines", type=int, default=4, choices=range(1, 9), metavar="N", help="1 to 8 lines"
+            "--lines", type=_number(int, 1, 8), default=4, metavar="N", help="1 to 8 lines"
         )
-        sub.add_argument("--rate", type=_positive, default=20.0, help="lines of each slot a second")
+        sub.add_argument(
+            "--rate",
+            type=_number(float, 1e-3, 1000),
+            default=20.0,
+            help="lines of each slot a second",
+        )
         sub.add_argument(
             "--map-error",
-            type=_positive,
+            type=_number(float, 1e-6, 100),
             metavar="SIGMA",
             help="error of the map's points and of their common offset [m], beside the pose's",
         )
@@ -429,11 +460,11 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
     for sub in (demo, send, receive, decode):
         sub.add_argument("--dbc", help="another DBC than the project's own")
-    demo.add_argument("--seconds", type=_positive, default=3.0, help="how long [s]")
+    demo.add_argument("--seconds", type=_seconds, default=3.0, help="how long [s]")
     demo.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")
     send.add_argument("--count", type=_natural, help="send each line so many times, then end")
     receive.add_argument("--count", type=_natural, help="end after so many lines")
-    receive.add_argument("--timeout", type=_positive, help="end when nothing comes for so long [s]")
+    receive.add_argument("--timeout", type=_seconds, help="end when nothing comes for so long [s]")
     decode.add_argument("log", help="a log that python-can reads: .asc .blf .csv .log .mf4 .trc")
     decode.add_argument("--csv", action="store_true", help="CSV instead of JSON lines")
     for sub in (demo, send, receive, list_):

@@ -24,8 +24,8 @@ class Gaussian:
     Args:
         mean: (n,) finite.
         cov: (n, n) finite, symmetric and positive semidefinite, both up to
-            rounding (1e-9 of the standard deviations); zero variances and
-            exactly singular matrices are legal.
+            rounding (1e-9 of the standard deviations, 1e-5 for float32); zero
+            variances and exactly singular matrices are legal.
 
     Raises:
         ValueError: a shape, a value, the symmetry or the definiteness is wrong.
@@ -44,6 +44,7 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
     cov: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        rounding = rounding_of(self.cov)
         mean = np.array(self.mean, dtype=float)
         cov = np.array(self.cov, dtype=float)
         if mean.ndim != 1 or mean.size == 0 or not np.isfinite(mean).all():
@@ -52,10 +53,15 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
             raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
         if (cov.diagonal() < 0).any():
             raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
-        if asymmetric(cov):
+        if cov[cov.diagonal() == 0].any():
+            raise ValueError(
+                f"cov must have no covariance where there is no variance, got {cov!r}; "
+                "use nearest_covariance(cov)"
+            )
+        if asymmetric(cov, rounding):
             raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
         cov = (cov + cov.T) / 2
-        if indefinite(cov):
+        if indefinite(cov, rounding):
             scale = _scale(cov)
             least = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
             raise ValueError(
@@ -222,19 +228,24 @@ def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.floa
     return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # a row without variance stays empty
 
 
-def asymmetric(cov: NDArray[np.float64]) -> NDArray[np.bool_]:
+def rounding_of(cov: object) -> float:
+    """Rounding to expect of a covariance: 1e-9, or 1e-5 where it comes in single precision."""
+    return 1e-5 if getattr(cov, "dtype", None) in (np.float32, np.float16) else ROUNDING
+
+
+def asymmetric(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:
     """(...,) which of (..., n, n) matrices are not symmetric, beyond rounding."""
     scale = _scale(cov)
     difference = np.abs(cov - np.swapaxes(cov, -1, -2))
-    limit = ROUNDING * scale[..., :, None] * scale[..., None, :]
+    limit = rounding * scale[..., :, None] * scale[..., None, :]
     return np.asarray((difference > limit).any(axis=(-2, -1)))
 
 
-def indefinite(cov: NDArray[np.float64]) -> NDArray[np.bool_]:
+def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:
     """(...,) which of (..., n, n) symmetric matrices are not positive semidefinite.
 
     Beyond rounding: Cholesky's recursion on the correlation matrix, its
-    diagonal raised by 1e-9, meets a pivot that is not positive.
+    diagonal raised by the rounding, meets a pivot that is not positive.
     """
     S = np.moveaxis(cov, (-2, -1), (0, 1))
     scale = np.moveaxis(_scale(cov), -1, 0)
@@ -246,7 +257,7 @@ def indefinite(cov: NDArray[np.float64]) -> NDArray[np.bool_]:
             for j in range(i):
                 rest = S[i, j] / (scale[i] * scale[j]) - sum(row[k] * L[j][k] for k in range(j))
                 row.append(rest / L[j][j])
-            pivot = S[i, i] / scale[i] ** 2 + ROUNDING - sum(x * x for x in row)
+            pivot = S[i, i] / scale[i] ** 2 + rounding - sum(x * x for x in row)
             bad |= ~(pivot > 0)
             L.append([*row, np.sqrt(pivot)])
     return bad

@@ -17,13 +17,3 @@ def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:
     path = tmp_path / "edited.dbc"
     path.write_text(text)
     return path
-
-
-def motorola(tmp_path: Path) -> Path:
-    """The default record with some signals in Motorola order, in the same bits' bytes."""
-    # Two byte-aligned places: Age and XMax stay; a field may only move where its bytes are its own.
-    return edited(
-        tmp_path,
-        (r"SG_ Counter m0 : 16\|8@1\+", "SG_ Counter m0 : 23|8@0+"),
-        (r"SG_ Counter : 16\|8@1\+", "SG_ Counter : 23|8@0+"),
-    )

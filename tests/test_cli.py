@@ -59,8 +59,10 @@ def test_demo_for_machines(capsys, fd):
     assert main([*arguments, "--scenario", "production", "--lines", "8"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert (result["lines_lost"], result["frames_lost"]) == (0, 0)
-    assert result["sent"]["lines"] == result["received"]["lines"] == 15 * 8
-    assert result["sent"]["frames"] == 15 * 8 * (1 if fd else 4)
+    lines = result["sent"]["lines"]
+    assert lines == result["received"]["lines"] > 0
+    assert lines + result["sent"]["overruns"] == 15 * 8  # a busy machine may skip periods
+    assert result["sent"]["frames"] == lines * (1 if fd else 4)
     assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
     for line in result["lines"]:
         assert line["kl_covered"] < 0.02
@@ -125,7 +127,9 @@ def test_send_ends_after_the_count(capsys, channel):
     bus = ["--interface", "virtual", "--channel", channel, "--rate", "200"]
     assert main(["send", *bus, "--count", "5", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert (result["lines"], result["frames"], result["down"]) == (20, 80, 0)
+    assert result["lines"] + result["overruns"] == 20  # a busy machine may skip periods
+    assert result["frames"] == 4 * result["lines"] > 0
+    assert result["down"] == result["full"] == 0
 
 
 def test_decode_streams_json_lines(capsys, log):

@@ -168,6 +168,30 @@ def test_the_three_data_structures_of_the_paper(codec):
         assert batch.mean == pytest.approx(mean, abs=1e-3)
 
 
+def test_diagonal_stays_diagonal_where_a_value_meets_its_end(codec):
+    """Who sent sigmas alone is not taken for one who sent correlations."""
+    cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
+    payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=30.0)
+    assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
+
+
+def test_age_is_never_younger_than_it_is(codec):
+    """Rounded up to the step; the top value means this or more."""
+    ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.247, 0.249, 9.0])
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((7, 4)), age=ages))
+    assert batch.age.tolist() == [0.0, 0.008, 0.008, 0.016, 0.248, 0.248, 0.248]
+
+
+def test_single_precision_is_welcome(codec):
+    """J P J^T worked in float32 is symmetric and definite to float32's rounding."""
+    rng = np.random.default_rng(8)
+    root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
+    covs = np.einsum("nik,njk->nij", root, root)
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((300, 4), np.float32), covs))
+    assert not (batch.status == Status.REPAIRED).any()
+    assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
+
+
 def test_unknown_stays_unknown_with_a_mean_out_of_range(codec):
     """A mean that was cut has nothing to cover it where no covariance is sent."""
     batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
@@ -230,7 +254,7 @@ def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
         assert np.array_equal(one.gaussian.mean, batch.mean[0])
         assert np.array_equal(one.gaussian.cov, batch.cov[0])
         assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
-        assert one.x_max == batch.x_max[0]
+        assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
         assert one.component == Component(
             int(batch.component_index[0]),
             int(batch.component_count[0]),
@@ -297,6 +321,11 @@ def test_extents_never_claim_too_much(codec):
         pytest.param({"component_count": 9}, "ComponentCount", id="count"),
         pytest.param({"component_index": 1}, "below component_count", id="index"),
         pytest.param({"component_weight": 0.0}, "component_weight must be in", id="weight"),
+        pytest.param({"age": -0.1}, "age must be 0 s or more", id="negative-age"),
+        pytest.param({"x_min": 50.0, "x_max": 10.0}, "x_min must be x_max or less", id="extent"),
+        pytest.param({"slot": 0.9}, "no message for slot 0.9", id="half-a-slot"),
+        pytest.param({"counter": 1.5}, "Counter: .* whole number", id="half-a-counter"),
+        pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),
     ],
 )
 def test_a_callers_mistake_raises_at_once(codec, change, words):
@@ -423,6 +452,8 @@ def test_motorola_signals_work_alike(tmp_path):
         pytest.param((r"SG_ Page M", "SG_ Page "), "overlapping", id="no-mux"),
         pytest.param((r"\(0.045,-27\)", "(-0.045,-4)"), "positive factor", id="negative-factor"),
         pytest.param((r"BO_ 832 EgoLeft: 8", "BO_ 832 EgoLeft: 7"), "EgoLeft", id="seven-bytes"),
+        pytest.param((r"(RatioC0Beta[^(]*)\(0.0625,0\) \[[^]]*\]", r"\1(64,0) [-524288|524224]"),
+                     "double precision", id="ratio-too-wide"),
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
     ],
 )  # fmt: skip
@@ -432,6 +463,18 @@ def test_a_wrong_dbc_is_refused_with_its_reason(tmp_path, edit, words):
     with pytest.raises(LayoutError, match=words) as error:
         Codec.from_dbc(path)
     assert "edited.dbc" in str(error.value)
+
+
+def test_each_carrier_may_have_its_own_kind_of_id(tmp_path):
+    """Classic with 11 bits, CAN FD with 29: frames and decoder agree."""
+    fd_id = 0x80000000 | 0x18FF0048
+    path = edited(tmp_path, (r"\b840\b", str(fd_id)))
+    codec = Codec.from_dbc(path)
+    (frame,) = codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
+    assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
+    answer = codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True)
+    assert isinstance(answer, MapLine)
+    assert not codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])

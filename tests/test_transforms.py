@@ -155,9 +155,9 @@ def test_every_transform_is_a_value(transform):
     [
         (lambda: Linear(step=0.0), "step must be more than 0 standard deviations, got 0.0"),
         (lambda: Linear(step=np.nan), "step must be more than 0"),
-        (lambda: SigmaPoints(alpha=0.0), r"alpha must be in \(0, 1\], got 0.0"),
-        (lambda: SigmaPoints(alpha=1.001), r"alpha must be in \(0, 1\]"),
-        (lambda: SigmaPoints(kappa=-0.1), "kappa must be 0 or more"),
+        (lambda: SigmaPoints(alpha=0.0), "alpha must be more than 0, got 0.0"),
+        (lambda: SigmaPoints(alpha=np.inf), "alpha must be more than 0, got inf"),
+        (lambda: SigmaPoints(kappa=-3.0).weights(3), "kappa must be more than -3 for 3 variables"),
         (lambda: Quadrature(0), "order must be a whole number from 1 to 64, got 0"),
         (lambda: Quadrature(65), "order must be a whole number from 1 to 64, got 65"),
         (lambda: Quadrature(3.0), "order must be a whole number"),

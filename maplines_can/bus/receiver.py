@@ -42,6 +42,7 @@ class ReceiverStats(NamedTuple):
     remote_frames: int  #: remote frames, not given to the decoder
     overflowed: int  #: lines dropped, oldest first, because nobody fetched them
     counts: dict[Any, int]  #: frames by the decoder's reason
+    pending: int = 0  #: frames held for lines that are not complete
 
 
 class Receiver:
@@ -125,6 +126,7 @@ class Receiver:
                 remote_frames=self._remote_frames,
                 overflowed=self._overflowed,
                 counts=dict(self._decoder.counts),
+                pending=getattr(self._decoder, "pending", 0),
             )
 
     def start(self) -> Receiver:

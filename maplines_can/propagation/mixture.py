@@ -150,7 +150,7 @@ def bend(function: Callable[..., Any], gaussian: Gaussian) -> Bend:
     for i in range(n):
         H[:, i, i] = (ahead[i] + behind[i] - 2 * middle) / REACH**2
     for (i, j), (pp, pm, mp, mm) in zip(
-        pairs, values[2 * n + 1 :].reshape(len(pairs), 4, -1), strict=True
+        pairs, values[2 * n + 1 :].reshape(len(pairs), 4, values.shape[1]), strict=True
     ):
         # Along (e_i + e_j) / sqrt(2) and (e_i - e_j) / sqrt(2): half their difference is H_ij.
         H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * REACH**2)

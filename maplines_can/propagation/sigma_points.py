@@ -25,8 +25,8 @@ class SigmaPoints(Transform):
     draws the points together (towards Linear) and may lose that.
 
     Args:
-        alpha: spread of the points, 0 < alpha <= 1.
-        kappa: second scaling, kappa >= 0 and n + kappa > 0.
+        alpha: spread of the points, more than 0 (the paper: up to 1).
+        kappa: second scaling, n + kappa > 0 (the paper: 0 or more).
         beta: prior knowledge of the distribution, 2 for a Gaussian.
 
     >>> SigmaPoints()(lambda x: x**2, Gaussian([1.0], [[4.0]])).mean
@@ -38,19 +38,23 @@ class SigmaPoints(Transform):
     beta: float = 2.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.alpha <= 1:
-            raise ValueError(f"alpha must be in (0, 1], got {self.alpha!r}")
-        if not self.kappa >= 0:
-            raise ValueError(f"kappa must be 0 or more, got {self.kappa!r}")
+        if not 0 < self.alpha < np.inf:
+            raise ValueError(f"alpha must be more than 0, got {self.alpha!r}")
+
+    def _scale(self, n: int) -> float:
+        """The sum of n and lambda (eq. 4)."""
+        if not n + self.kappa > 0:
+            raise ValueError(f"kappa must be more than -{n} for {n} variables, got {self.kappa!r}")
+        return self.alpha**2 * (n + self.kappa)
 
     def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
         """(2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
-        spread = self.alpha * np.sqrt(gaussian.dimension + self.kappa) * gaussian.root.T
+        spread = np.sqrt(self._scale(gaussian.dimension)) * gaussian.root.T
         return gaussian.mean + np.vstack([np.zeros_like(spread[:1]), spread, -spread])
 
     def weights(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""
-        n_plus_lambda = self.alpha**2 * (n + self.kappa)
+        n_plus_lambda = self._scale(n)
         mean = np.full(2 * n + 1, 1 / (2 * n_plus_lambda))
         mean[0] = 1 - n / n_plus_lambda
         cov = mean.copy()

@@ -92,6 +92,11 @@ class CholeskyCode:
         for field in self.fields:
             if field.factor <= 0:
                 raise LayoutError(f"{layout.source}: signal {field.name} needs a positive factor")
+        if (condition := self._worst_condition()) > 1e13:
+            raise LayoutError(
+                f"{layout.source}: the ratios reach so far that a matrix could have the condition "
+                f"{condition:.0e}, which double precision cannot hold; make their ranges narrower"
+            )
         self._sigma = [_exp2_table(field) for field in self.pivots]
         self._variance_factor = _exp2_table(self.inflation)
         # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
@@ -99,6 +104,15 @@ class CholeskyCode:
         for state, pivot, ratios in zip(self.order, self.pivots, self.ratios, strict=True):
             reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
             self._hopeless[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach * 4
+
+    def _worst_condition(self) -> float:
+        """Bound on the condition of a decoded correlation matrix, whatever its bits."""
+        reach = np.zeros((4, 4))
+        for i, ratios in enumerate(self.ratios):
+            reach[i, :i] = [max(map(abs, ratio.physical_range)) for ratio in ratios]
+        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, the worst signs
+        norm = np.sqrt(1 + (reach**2).sum(axis=1))
+        return float(((inverse * norm) ** 2).sum())
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         """Code covariances so that none is decoded overconfident.

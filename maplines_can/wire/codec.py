@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import EncodeError, LayoutError
-from ..gaussian import Gaussian, asymmetric, indefinite
+from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Component, Kind, MapLine, Slot, Status
 from .cholesky import STATE_SIGNALS
 from .decoder import Decoder
-from .layout import PAGE_BYTES, Layout, fd_length
+from .layout import PAGE_BYTES, Layout
 from .parts import deficit, quantized_weights
 from .read import Batch, RecordReader
 from .reassembly import Reason
@@ -24,7 +24,7 @@ from .write import RecordWriter
 __all__ = ["Codec", "Frame"]
 
 #: How long a burst may take where the DBC states no cycle time [ms].
-DEFAULT_TIMEOUT_MS = 100.0
+DEFAULT_TIMEOUT_MS = 50.0
 
 
 class Frame(NamedTuple):
@@ -42,7 +42,9 @@ class Codec:
     Every factor, range and place is the DBC's. The guarantee, for every input
     that is not answered with Status.OUT_OF_RANGE: with S the covariance given,
     d the error of the decoded mean and S' the decoded covariance, S' is positive
-    definite and S' - (S + d d^T) positive semidefinite.
+    definite and S' - (S + d d^T) positive semidefinite. Who asks for Status.DIAGONAL
+    gives S without its correlations, and the guarantee is for that: it does not
+    cover the correlations, which is what sending sigmas alone loses.
 
     Args:
         layout: from ``Layout.from_dbc``; most callers use ``Codec.from_dbc``.
@@ -135,10 +137,12 @@ class Codec:
             EncodeError: a value has no place on the wire, such as a slot that
                 the DBC does not have.
         """
-        mean, cov = _checked(means, covs)
+        mean, cov, broken = _checked(means, covs)
         n = len(mean)
         if status is None:
             status = Status.UNKNOWN if covs is None else Status.FULL
+        elif covs is None and not np.isin(status, [Status.UNKNOWN, Status.OUT_OF_RANGE]).all():
+            raise ValueError("covs must be given where status claims a covariance")
         rest: dict[str, ArrayLike] = {
             "slot": slot,
             "counter": np.arange(n) if counter is None else counter,
@@ -151,7 +155,7 @@ class Codec:
             "component_count": component_count,
             "component_weight": component_weight,
         }
-        return self._writer.write(mean, cov, indefinite(cov), rest)
+        return self._writer.write(mean, cov, broken, rest)
 
     def decode_batch(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
         """Read many records. Nothing in the bytes makes it raise.
@@ -189,7 +193,7 @@ class Codec:
         Returns:
             The line, or why the record is not accepted.
         """
-        data_id = self.layout.channels[slot].data_id
+        data_id = int(self._writer.data_ids(slot, 1)[0])
         return self._reader.read_one(payload, slot, data_id, t_ns)
 
     def counter_of(self, payload: bytes) -> int:
@@ -275,7 +279,7 @@ class Codec:
             )
         if not (weights > 0).all() or not np.allclose(weights.sum(axis=1), 1, atol=1e-9):
             raise ValueError("weights must be positive and each row of sum 1")
-        mean, cov = _checked(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        mean, cov, broken = _checked(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
         decoded_weights, cover = self._cover(weights, means, covs)
         first = rest.pop("counter", np.arange(n) * k)
         flat = {name: np.repeat(np.broadcast_to(value, n), k) for name, value in rest.items()}
@@ -284,7 +288,7 @@ class Codec:
         payloads = self._writer.write(
             mean,
             cov,
-            indefinite(cov),
+            broken,
             defaults
             | flat
             | {
@@ -327,9 +331,8 @@ class Codec:
             raise EncodeError(f"{self.layout.source} has no {carrier} message for slot {slot!r}")
         data = payload.tobytes()
         if fd:
-            return [
-                Frame(can_id, data.ljust(fd_length(len(data)), b"\0"), True, channel.is_extended)
-            ]
+            padded = data.ljust(channel.fd_length, b"\0")
+            return [Frame(can_id, padded, True, channel.fd_is_extended)]
         return [
             Frame(can_id, data[start : start + PAGE_BYTES], False, channel.is_extended)
             for start in range(0, len(data), PAGE_BYTES)
@@ -339,12 +342,13 @@ class Codec:
         """A receiver's state.
 
         Args:
-            timeout_ms: how long a burst may take [ms]; by default the DBC's
-                longest cycle time, or 100 ms where it states none.
+            timeout_ms: how long a burst may take, and how long a sender that starts
+                anew may be taken for an old one [ms]; by default half the DBC's longest
+                cycle time, or 50 ms where it states none.
         """
         if timeout_ms is None:
             cycles = [channel.cycle_ms for channel in self.layout.channels.values()]
-            timeout_ms = max(cycles) or DEFAULT_TIMEOUT_MS
+            timeout_ms = max(cycles) / 2 or DEFAULT_TIMEOUT_MS
         if not timeout_ms > 0:
             raise ValueError(f"timeout_ms must be more than 0 ms, got {timeout_ms!r}")
         return Decoder(self, int(timeout_ms * 1e6))
@@ -352,7 +356,9 @@ class Codec:
 
 def _checked(
     means: ArrayLike, covs: ArrayLike | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Means, covariances, and which of these are indefinite."""
+    rounding = rounding_of(covs)
     mean = np.asarray(means, dtype=float)
     if mean.ndim != 2 or mean.shape[1] != len(STATE_SIGNALS):
         raise ValueError(f"means must have shape (N, 4), got {mean.shape}")
@@ -364,8 +370,8 @@ def _checked(
     _refuse("covs must be finite", ~np.isfinite(cov).all(axis=(1, 2)), cov)
     negative = (np.einsum("nii->ni", cov) < 0).any(axis=1)
     _refuse("covs must have variances of 0 or more", negative, cov)
-    _refuse("covs must be symmetric", asymmetric(cov), cov)
-    return mean, cov
+    _refuse("covs must be symmetric", asymmetric(cov, rounding), cov)
+    return mean, (cov + cov.transpose(0, 2, 1)) / 2, indefinite(cov, rounding)
 
 
 def _refuse(what: str, bad: NDArray[np.bool_], rows: NDArray[np.float64]) -> None:

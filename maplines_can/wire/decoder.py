@@ -99,6 +99,7 @@ class Decoder:
         if isinstance(line, Reason):
             self.counts[line] += record.frames
             return line
+        self._reassembler.accept(record)
         counter = self._codec.counter_of(record.payload)
         modulus = 2 ** self._codec.layout["Counter"].length
         gap = (counter - self._counters.get(record.slot, counter - 1)) % modulus

@@ -90,7 +90,9 @@ class Channel:
         name: name of its classic message, or of its FD message where there is no other.
         can_id: CAN ID of the classic message with its pages, or None.
         fd_can_id: CAN ID of the CAN FD message, or None.
-        is_extended: 29-bit IDs.
+        is_extended: the classic ID has 29 bits.
+        fd_is_extended: the CAN FD ID has 29 bits.
+        fd_length: payload length of the FD message, the record and padding.
         data_id: what the checksum is salted with, so that no line passes for another.
         cycle_ms: cycle time that the DBC asks for [ms].
     """
@@ -100,6 +102,8 @@ class Channel:
     can_id: int | None
     fd_can_id: int | None
     is_extended: bool
+    fd_is_extended: bool
+    fd_length: int
     data_id: int
     cycle_ms: int
 
@@ -150,9 +154,10 @@ class Layout:
         """(CAN ID, extended) to (slot, whether it is the FD message)."""
         ids = {}
         for channel in self.channels.values():
-            for can_id, is_fd in ((channel.can_id, False), (channel.fd_can_id, True)):
-                if can_id is not None:
-                    ids[can_id, channel.is_extended] = (channel.slot, is_fd)
+            if channel.can_id is not None:
+                ids[channel.can_id, channel.is_extended] = (channel.slot, False)
+            if channel.fd_can_id is not None:
+                ids[channel.fd_can_id, channel.fd_is_extended] = (channel.slot, True)
         return ids
 
     def __getitem__(self, name: str) -> Field:
@@ -263,7 +268,9 @@ def _channel(slot: Slot, carriers: dict[bool, Message], source: str) -> Channel:
         name=message.name,
         can_id=classic.frame_id if classic else None,
         fd_can_id=fd.frame_id if fd else None,
-        is_extended=message.is_extended_frame,
+        is_extended=bool(classic and classic.is_extended_frame),
+        fd_is_extended=bool(fd and fd.is_extended_frame),
+        fd_length=fd_length(fd.length) if fd else 0,
         data_id=int(data_id),
         cycle_ms=int(message.cycle_time or 0),
     )
@@ -301,6 +308,9 @@ def _record(message: Message, source: str) -> dict[str, Field]:
         for name in (f"{PAGE}{page}", f"{BURST}{page}"):
             if name not in record:
                 raise LayoutError(f"{where}: signal {name} is missing")
+    for field in record.values():
+        if field.start >= 8 * PAGE_BYTES * pages:
+            raise LayoutError(f"{where}: signal {field.name} lies beyond the {pages} pages")
     if not pages or (not multiplexers and message.length < pages * PAGE_BYTES):
         raise LayoutError(f"{where}: must have pages of 8 bytes, each with {PAGE} and {BURST}")
     return record

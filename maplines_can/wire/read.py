@@ -33,7 +33,7 @@ class Batch:
     verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
-    x_min: NDArray[np.float64]  #: (N,) [m]
+    x_min: NDArray[np.float64]  #: (N,) [m]; x_max where the extent is shorter than the steps
     x_max: NDArray[np.float64]  #: (N,) [m]
     age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
     component_index: NDArray[np.int64]  #: (N,)
@@ -100,7 +100,7 @@ class RecordReader:
             verdict=verdict,
             status=status,
             kind=raw["Kind"],
-            x_min=physical["XMin"],
+            x_min=np.minimum(physical["XMin"], physical["XMax"]),
             x_max=physical["XMax"],
             age=physical["Age"] / 1000,
             component_index=index,

@@ -24,8 +24,9 @@ class Reason(Enum):
     LENGTH = "its payload has the wrong length"
     PAGE = "its page number is not in the DBC"
     DUPLICATE = "its page is there already, or its line was already delivered"
-    STALE = "its burst was already given up"
-    INCOMPLETE = "another page of its burst was lost"
+    REPLACED = "another frame of the same burst and page took its place"
+    STALE = "a newer line of its slot was already delivered"
+    INCOMPLETE = "a newer line was delivered before its burst was complete"
     TIMEOUT = "the rest of its burst did not come in time"
     MIXED = "the pages of its record do not belong together"
     CRC = "the checksum of its record does not hold"
@@ -39,13 +40,13 @@ class Record(NamedTuple):
     payload: bytes
     t_ns: int  #: of its first frame
     frames: int  #: that carried it
+    burst: int  #: its number
 
 
 @dataclass
 class _Burst:
     """The pages of one burst that have come so far."""
 
-    number: int
     t_ns: int  #: of the first page
     pages: dict[int, bytes]
 
@@ -53,11 +54,13 @@ class _Burst:
 class Reassembler:
     """Pages to records, a state machine per slot; time is an argument.
 
-    A slot holds one burst at a time. A page of a newer burst (up to half the
-    numbers ahead) ends the one that is held; a page of an older one is dropped,
-    unless the held burst has timed out: then the sender may have started anew.
-    What was delivered last is remembered as long, against duplicates.
-    Memory is constant: one burst a slot.
+    Pages are gathered by burst number, each burst by itself, until it is whole
+    or times out. Nothing that was not accepted moves anything: a damaged page may
+    spoil its own burst, but neither ends another nor counts as delivered. Only
+    ``accept`` does: it ends the older bursts of the slot, and for the length of a
+    time-out pages of that burst are duplicates and those of older ones are stale.
+    After it, a sender that has started anew is heard at once. Memory is constant:
+    each slot has as many bursts as there are numbers.
 
     Args:
         layout: which IDs and how many pages.
@@ -72,15 +75,16 @@ class Reassembler:
         self._read_page = _reader(layout[f"{PAGE}0"])
         self._read_burst = _reader(layout[f"{BURST}0"])
         self._bursts = 2 ** layout[f"{BURST}0"].length
-        self._held: dict[Slot, _Burst] = {}
-        self._done: dict[Slot, _Burst] = {}
+        self._held: dict[Slot, dict[int, _Burst]] = {slot: {} for slot in layout.channels}
+        self._done: dict[Slot, tuple[int, int]] = {}  # number and time
         #: Frames by what became of them; those of delivered lines are not in it.
         self.counts: Counter[Reason] = Counter()
 
     @property
     def pending(self) -> int:
         """Frames that are held."""
-        return sum(len(burst.pages) for burst in self._held.values())
+        bursts = (burst for held in self._held.values() for burst in held.values())
+        return sum(len(burst.pages) for burst in bursts)
 
     def feed(
         self, can_id: int, data: bytes, t_ns: int, is_extended: bool = False
@@ -102,11 +106,23 @@ class Reassembler:
             return self._dropped(Reason.LENGTH)
         return self._feed_page(slot, bytes(data), t_ns)
 
+    def accept(self, record: Record) -> None:
+        """The record is good: what is older than it has no more use."""
+        self._done[record.slot] = record.burst, record.t_ns
+        held = self._held[record.slot]
+        for number in [n for n in held if not self._is_newer(n, record.burst)]:
+            self._give_up(record.slot, number, Reason.INCOMPLETE)
+
     def expire(self, t_ns: int) -> None:
         """Give up the bursts that have taken too long by now."""
-        for slot, burst in list(self._held.items()):
-            if self._is_old(burst, t_ns):
-                self._give_up(slot, Reason.TIMEOUT)
+        for slot in self._held:
+            self._expire_slot(slot, t_ns)
+
+    def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record | Reason:
+        number = self._read_burst(payload[:PAGE_BYTES])
+        if late := self._late(slot, number, t_ns):
+            return self._dropped(late)
+        return Record(slot, payload, t_ns, 1, number)
 
     def _feed_page(self, slot: Slot, data: bytes, t_ns: int) -> Record | Reason:
         page, number = self._read_page(data), self._read_burst(data)
@@ -114,52 +130,43 @@ class Reassembler:
             return self._dropped(Reason.PAGE)
         if late := self._late(slot, number, t_ns):
             return self._dropped(late)
-        held = self._held.get(slot)
-        if held and self._is_old(held, t_ns):
-            self._give_up(slot, Reason.TIMEOUT)
-            held = None
-        if held and held.number != number:
-            if not self._is_newer(number, held.number):
-                return self._dropped(Reason.STALE)
-            self._give_up(slot, Reason.INCOMPLETE)
-            held = None
-        if held is None:
-            held = self._held[slot] = _Burst(number, t_ns, {})
-        if page in held.pages:
+        self._expire_slot(slot, t_ns)
+        burst = self._held[slot].setdefault(number, _Burst(t_ns, {}))
+        before = burst.pages.get(page)
+        if before == data:
             return self._dropped(Reason.DUPLICATE)
-        held.pages[page] = data
-        if len(held.pages) < self._pages:
+        if before is not None:
+            self.counts[Reason.REPLACED] += 1
+        burst.pages[page] = data
+        if len(burst.pages) < self._pages:
             return Reason.PENDING
-        del self._held[slot]
-        self._done[slot] = held
-        payload = b"".join(held.pages[i] for i in range(self._pages))
-        return Record(slot, payload, held.t_ns, self._pages)
-
-    def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record | Reason:
-        number = self._read_burst(payload[:PAGE_BYTES])
-        if late := self._late(slot, number, t_ns):
-            return self._dropped(late)
-        self._done[slot] = _Burst(number, t_ns, {})
-        return Record(slot, payload, t_ns, 1)
+        del self._held[slot][number]
+        payload = b"".join(burst.pages[i] for i in range(self._pages))
+        return Record(slot, payload, burst.t_ns, self._pages, number)
 
     def _late(self, slot: Slot, number: int, t_ns: int) -> Reason | None:
-        """Whether a burst is the last one again, or comes after a newer one."""
+        """Whether a burst is the last accepted one again, or an older one."""
         done = self._done.get(slot)
-        if done is None or self._is_old(done, t_ns):
+        if done is None or self._is_old(done[1], t_ns):
             return None
-        if done.number == number:
+        if done[0] == number:
             return Reason.DUPLICATE
-        return None if self._is_newer(number, done.number) else Reason.STALE
+        return None if self._is_newer(number, done[0]) else Reason.STALE
 
     def _is_newer(self, number: int, than: int) -> bool:
         return 0 < (number - than) % self._bursts <= self._bursts // 2
 
-    def _is_old(self, burst: _Burst, t_ns: int) -> bool:
-        # Time stamps may swap by a little; a clock that was set back makes every burst old.
-        return abs(t_ns - burst.t_ns) > self._timeout_ns
+    def _is_old(self, since_ns: int, t_ns: int) -> bool:
+        # Time stamps may swap by a little; a clock that was set back makes all that was old.
+        return abs(t_ns - since_ns) > self._timeout_ns
 
-    def _give_up(self, slot: Slot, reason: Reason) -> None:
-        self.counts[reason] += len(self._held.pop(slot).pages)
+    def _expire_slot(self, slot: Slot, t_ns: int) -> None:
+        held = self._held[slot]
+        for number in [n for n, burst in held.items() if self._is_old(burst.t_ns, t_ns)]:
+            self._give_up(slot, number, Reason.TIMEOUT)
+
+    def _give_up(self, slot: Slot, number: int, reason: Reason) -> None:
+        self.counts[reason] += len(self._held[slot].pop(number).pages)
 
     def _dropped(self, reason: Reason) -> Reason:
         self.counts[reason] += 1

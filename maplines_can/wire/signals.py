@@ -117,7 +117,7 @@ _EXTENT = (
         3,
         8,
         "m",
-        "The cubic holds from here on. Rounded towards the car: never claims too much.",
+        "The cubic holds from here on. Rounded up: never claims too much.",
         "-32 to 24 m: from what lies behind the car to where a merging line begins",
         offset=-32,
     ),
@@ -126,7 +126,7 @@ _EXTENT = (
         6,
         4,
         "m",
-        "The cubic holds up to here. Rounded towards the car: never claims too much.",
+        "The cubic holds up to here. Rounded down: never claims too much.",
         "0 to 252 m, beyond the reach of any camera",
     ),
     SignalSpec(
@@ -134,8 +134,8 @@ _EXTENT = (
         5,
         8,
         "ms",
-        "Time from the pose to the sending; 248 means this or more.",
-        "half a step is 12 cm of way at 30 m/s, along the line where it matters least",
+        "Time from the pose to the sending, rounded up; 248 means this or more.",
+        "a step is 24 cm of way at 30 m/s, along the line where it matters least",
     ),
 )
 _COMPONENT = (

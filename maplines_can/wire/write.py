@@ -123,7 +123,8 @@ class RecordWriter:
         if bare.any():
             for name, value in self._covariance.widest().items():
                 raw[name][bare] = value
-        status = np.where((clipped | coded.saturated) & ~bare, Status.SATURATED, wish)
+        met_an_end = (clipped | coded.saturated) & (wish == Status.FULL)
+        status = np.where(met_an_end, Status.SATURATED, wish)
         # A repaired matrix is singular, so it is saturated as a rule; the repair says more.
         status[(broken | (wish == Status.REPAIRED)) & ~bare] = Status.REPAIRED
         # A mean that is cut by more than its rounding, with nothing to cover it.
@@ -148,8 +149,13 @@ class RecordWriter:
             limited = field.limited(wanted)
             clipped |= sign * (wanted - limited) > 0
             raw[name] = limited.astype(np.int64)
-        field = self.layout["Age"]
-        raw["Age"] = field.limited(field.raw(1000 * _finite(rest, "age", n))).astype(np.int64)
+        if (_finite(rest, "x_min", n) > _finite(rest, "x_max", n)).any():
+            raise EncodeError("x_min must be x_max or less")
+        field, age = self.layout["Age"], 1000 * _finite(rest, "age", n)
+        if (age < 0).any():
+            raise EncodeError(f"age must be 0 s or more, got {age.min() / 1000:g}")
+        steps = np.ceil((age - field.offset) / field.factor - slack)  # never younger than it is
+        raw["Age"] = field.limited(steps).astype(np.int64)
         field = self.layout["ComponentWeight"]
         weight = _finite(rest, "component_weight", n)
         if ((weight <= 0) | (weight > 1)).any():
@@ -163,13 +169,13 @@ class RecordWriter:
         """(n,) raw values of a signal that counts or names; most is the greatest lawful value."""
         field = self.layout[name]
         values = np.broadcast_to(np.asarray(value), n)
-        raw = field.raw(values)
         if name == "Counter":
-            raw = raw % 2**field.length
+            values = values % 2**field.length
+        raw = field.raw(values)
         low, high = field.physical_range
         high = high if most is None else min(high, most)
         bad = (raw != field.limited(raw)) | (field.physical(raw) > high)
-        bad |= field.physical(raw) != values if name != "Counter" else False
+        bad |= field.physical(raw) != values
         if bad.any():
             raise EncodeError(
                 f"signal {name}: {values[bad][0]!r} is not a whole number from {low:g} to {high:g}"
@@ -178,14 +184,15 @@ class RecordWriter:
 
     def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
         """(n,) data IDs of slots."""
-        slots = np.broadcast_to(np.asarray(slot, dtype=np.int64), n)
+        given = np.broadcast_to(np.asarray(slot), n)
+        slots = given.astype(np.int64)
         table = np.full(max(Slot) + 1, -1)
         for known, channel in self.layout.channels.items():
             table[known] = channel.data_id
-        bad = (slots < 0) | (slots > max(Slot))
+        bad = (slots < 0) | (slots > max(Slot)) | (slots != given)
         bad |= table[slots.clip(0, max(Slot))] < 0
         if bad.any():
-            raise EncodeError(f"{self.layout.source} has no message for slot {slots[bad][0]}")
+            raise EncodeError(f"{self.layout.source} has no message for slot {given[bad][0]}")
         return table[slots].astype(np.uint16)
 
     def _sealed(
