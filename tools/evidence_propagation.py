@@ -6,9 +6,7 @@
     quadrature    against Monte Carlo draws, in sampling errors of each mean and sigma
 
 Run it in the project's environment: python3 tools/run.py python tools/evidence_propagation.py
-
-Each figure is the largest over all lines of a scenario. Ends with a nonzero status
-where a bound is missed.
+Each figure is the largest of a scenario's lines. Ends with a nonzero status where a bound is missed.
 """
 
 import argparse
@@ -123,8 +121,7 @@ def show(result, order, samples):
 
 
 def main():
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=raw)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--json", action="store_true", help="for machines")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--samples", type=int, default=1_000_000, help="steps of 50,000")
