@@ -193,8 +193,10 @@ class Codec:
         Returns:
             The line, or why the record is not accepted.
         """
-        data_id = int(self._writer.data_ids(slot, 1)[0])
-        return self._reader.read_one(payload, slot, data_id, t_ns)
+        channel = self.layout.channels.get(slot)
+        if channel is None:
+            raise EncodeError(f"{self.layout.source} has no message for slot {slot!r}")
+        return self._reader.read_one(payload, slot, channel.data_id, t_ns)
 
     def counter_of(self, payload: bytes) -> int:
         """The counter of a record."""

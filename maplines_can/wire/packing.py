@@ -102,6 +102,13 @@ class Packing:
             out[name] = raw - span if signed and 2 * raw >= span else raw
         return out
 
+    def unpack_field(self, payload: bytes, name: str) -> int:
+        """The raw value of one field of one record."""
+        (field,) = (entry for entry in self._shifts if entry[0] == name)
+        _, big_endian, shift, span, signed = field
+        raw = int.from_bytes(payload, "big" if big_endian else "little") >> shift & span - 1
+        return raw - span if signed and 2 * raw >= span else raw
+
     def physical(self, payloads: NDArray[np.uint8]) -> dict[str, NDArray[np.float64]]:
         """(N,) physical values of each field, by name."""
         n = len(payloads)

@@ -21,6 +21,7 @@ __all__ = ["Batch", "RecordReader"]
 #: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 
+LAST_STATUS, LAST_KIND = max(Status), max(Kind)
 _VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
@@ -86,7 +87,7 @@ class RecordReader:
         index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
         burst = raw["Counter"] & self._burst_mask
         verdict = np.zeros(n, dtype=np.int8)
-        unlawful = (status > max(Status)) | (raw["Kind"] > max(Kind)) | (index >= count)
+        unlawful = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
         verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
         crc = record_crc(payloads, data_ids, self._crc_offset)
@@ -123,7 +124,7 @@ class RecordReader:
         weight = fields["ComponentWeight"].physical_one(raw["ComponentWeight"])
         index = raw["ComponentIndex"]
         count = int(fields["ComponentCount"].physical_one(raw["ComponentCount"]))
-        if raw["Status"] > max(Status) or raw["Kind"] > max(Kind):
+        if raw["Status"] > LAST_STATUS or raw["Kind"] > LAST_KIND:
             return Reason.CONTENT
         if index >= count or not 0 < weight <= 1:
             return Reason.CONTENT
@@ -145,4 +146,4 @@ class RecordReader:
 
     def counter_of(self, payload: bytes) -> int:
         """The counter of a record."""
-        return self._packing.unpack_one(payload)["Counter"]
+        return self._packing.unpack_field(payload, "Counter")
