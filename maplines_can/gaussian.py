@@ -197,17 +197,14 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     array([[2., 0.],
            [1., 0.]])
     """
-    n = len(cov)
-    tiny = 8 * n * np.finfo(float).eps
-    L = np.zeros((n, n))
-    for j in range(n):
-        row = L[j, :j]
-        pivot = cov[j, j] - row @ row
-        if not pivot > tiny * cov[j, j]:
-            return _semidefinite_root(cov, tiny)
-        L[j, j] = np.sqrt(pivot)
-        L[j + 1 :, j] = (cov[j + 1 :, j] - L[j + 1 :, :j] @ row) / L[j, j]
-    return L
+    tiny = 8 * len(cov) * np.finfo(float).eps
+    try:
+        L = np.linalg.cholesky(cov)
+    except np.linalg.LinAlgError:
+        return _semidefinite_root(cov, tiny)
+    if (L.diagonal() ** 2 > tiny * cov.diagonal()).all():
+        return L
+    return _semidefinite_root(cov, tiny)
 
 
 def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:
