@@ -16,10 +16,12 @@ from .bus import Link, Receiver, Transmitter, read_log
 from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
 from .gaussian import Gaussian, nearest_covariance
 from .line import Component, Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
+from .mixture import GaussianMixture
 from .polyline import Polyline
 from .propagation import (
     Linear,
     MapError,
+    Mixture,
     MonteCarlo,
     Quadrature,
     Refit,
@@ -38,6 +40,7 @@ __all__ = [
     "EncodeError",
     "Frame",
     "Gaussian",
+    "GaussianMixture",
     "IllPosedError",
     "Kind",
     "LayoutError",
@@ -46,6 +49,7 @@ __all__ = [
     "MapError",
     "MapLine",
     "MaplinesError",
+    "Mixture",
     "MonteCarlo",
     "Polyline",
     "Quadrature",

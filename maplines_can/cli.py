@@ -24,8 +24,10 @@ from .errors import LogError, MaplinesError
 from .line import STATES, MapLine
 from .propagation import MapError
 from .scenarios import SCENARIOS, scenario
+from .study.figures import draw_figures
 from .study.picture import draw_round_trip
-from .study.round_trip import LineResult, RoundTrip, round_trip, scene_lines
+from .study.report import counts_text, trip_text
+from .study.round_trip import round_trip, scene_lines
 from .wire import Codec, Decoder
 
 __all__ = ["main"]
@@ -73,6 +75,7 @@ def _demo(arguments: argparse.Namespace) -> int:
             scene,
             codec,
             lines=arguments.lines,
+            components=arguments.components,
             seconds=arguments.seconds,
             rate=arguments.rate,
             fd=arguments.fd,
@@ -86,7 +89,7 @@ def _demo(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(trip.as_dict(), indent=2))
     else:
-        print(_trip_text(trip))
+        print(trip_text(trip))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
     return 0 if all(line.mean for line in trip.lines) else 1
@@ -94,7 +97,12 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _send(arguments: argparse.Namespace) -> int:
     codec = Codec.from_dbc(arguments.dbc)
-    lines = scene_lines(scenario(arguments.scenario), arguments.lines, None, _map_error(arguments))
+    lines = scene_lines(
+        scenario(arguments.scenario),
+        arguments.lines,
+        components=arguments.components,
+        map_error=_map_error(arguments),
+    )
     with Link(**_bus_settings(arguments)) as link:
         transmitter = Transmitter(
             link, codec, period=1 / arguments.rate, fd=arguments.fd, count=arguments.count
@@ -150,7 +158,7 @@ def _receive(arguments: argparse.Namespace) -> int:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     _note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
-        f"counters; dropped frames: {_counts_text(dropped)}; {stats.pending} still waiting"
+        f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting"
     )
     return 0 if left in (None, 0) else 1
 
@@ -192,9 +200,30 @@ def _decode(arguments: argparse.Namespace) -> int:
         f"{sum(d.lines for d in decoders.values())} lines from "
         f"{sum(d.frames for d in decoders.values())} frames; "
         f"{sum(d.lost for d in decoders.values())} lines lost by their counters; "
-        f"dropped frames: {_counts_text({reason.name: n for reason, n in total.items()})}"
+        f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
     )
     return status
+
+
+def _figures(arguments: argparse.Namespace) -> int:
+    with tqdm(total=1, unit=" figures", disable=not sys.stderr.isatty()) as bar:
+
+        def progress(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        paths = draw_figures(
+            Path(arguments.out),
+            seed=arguments.seed,
+            samples=arguments.samples,
+            codec=Codec.from_dbc(arguments.dbc),
+            progress=progress,
+        )
+    if arguments.json:
+        print(json.dumps([str(path) for path in paths], indent=2))
+    else:
+        print(f"{len(paths)} files in {arguments.out}")
+    return 0
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:
@@ -219,68 +248,6 @@ def _scenarios(arguments: argparse.Namespace) -> int:
 # ---- what they print ------------------------------------------------------------------
 
 
-def _trip_text(trip: RoundTrip) -> str:
-    scales = (1, np.degrees(1), 1e3, 1e6)
-    head = ("y_off [m]", "beta [deg]", "c0 [1/km]", "c1 [1/km^2]")
-    out = [
-        f"{trip.scenario} over {trip.carrier}, {trip.rate:g} Hz, {trip.seconds:.1f} s",
-        "",
-        " " * 22 + "".join(f"{h:>21}" for h in head) + f"{'y at 80 m [m]':>21}",
-    ]
-    for line in trip.lines:
-        name = line.slot.replace("_", " ").lower()
-        out.append(f"{name:<12}{'true':<10}" + _row(line, scales, is_true=True))
-        if line.mean is None:
-            out.append(f"{'':<12}nothing received")
-            continue
-        out.append(f"{'':<12}{'received':<10}" + _row(line, scales, is_true=False))
-        ratio = _known(line.sigma_80m) / _known(line.true_sigma_80m) if line.true_sigma_80m else 1
-        out.append(
-            f"{'':<12}{(line.status or '').lower()}; KL {line.kl_covered:.4f} nat "
-            f"(untouched {line.kl:.4f}); at 80 m: mean {1e3 * _known(line.lateral_error_80m):+.2f} "
-            f"mm, sigma x{ratio:.3f}"
-        )
-    jitter = trip.period_jitter
-    out += [
-        "",
-        f"sent      {trip.sent['lines']} lines, {trip.sent['frames']} frames",
-        f"received  {trip.received['lines']} lines, {trip.received['frames']} frames; "
-        f"dropped: {_counts_text(trip.received['counts'])}",
-        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames"
-        + "".join(
-            f"; {trip.sent[key]} {words}"
-            for key, words in (
-                ("overruns", "periods skipped because the sender was late"),
-                ("down", "lines given up while the interface was down"),
-                ("full", "lines given up with a full queue"),
-            )
-            if trip.sent[key]
-        ),
-        f"bus load  {100 * trip.bus_load:.1f} % at {trip.bitrate / 1000:g} kbit/s"
-        + (f" and {4 * trip.bitrate / 1e6:g} Mbit/s" if trip.carrier == "CAN FD" else ""),
-        f"period    {1e3 / trip.rate:g} ms, off by {1e3 * jitter['median']:.2f} ms in the median, "
-        f"{1e3 * jitter['p99']:.2f} ms at 99 %",
-    ]
-    if trip.cpu_share is not None:
-        out.append(f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver")
-    return "\n".join(out)
-
-
-def _row(line: LineResult, scales: Iterable[float], is_true: bool) -> str:
-    mean, sigma = (line.true_mean, line.true_sigma) if is_true else (line.mean, line.sigma)
-    cells = [
-        f"{m * k:.3f} ± {s * k:.3f}"
-        for m, s, k in zip(mean or (), sigma or (), scales, strict=True)
-    ]
-    at_80m = line.true_sigma_80m if is_true else line.sigma_80m
-    cells.append(f"± {at_80m:.3f}" if at_80m is not None else "")
-    return "".join(f"{cell:>21}" for cell in cells)
-
-
-def _known(value: float | None) -> float:
-    return np.nan if value is None else value
-
-
 def _line_text(line: MapLine) -> str:
     mean, sigma = line.gaussian.mean, line.gaussian.sigma
     name = line.slot.name.replace("_", " ").lower()
@@ -302,30 +269,32 @@ def _line_dict(line: MapLine) -> dict[str, Any]:
         "x_min": line.x_min,
         "x_max": line.x_max,
         "age": line.age,
-        "component": [line.component.index, line.component.count, line.component.weight],
+        "components": 1 if line.mixture is None else len(line.mixture.weights),
         "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
         "cov": line.gaussian.cov.tolist(),
+        "mixture": None
+        if line.mixture is None
+        else {
+            "weights": line.mixture.weights.tolist(),
+            "means": line.mixture.means.tolist(),
+            "covs": line.mixture.covs.tolist(),
+        },
     }
 
 
 def _write_csv(lines: Iterable[tuple[str, MapLine]]) -> None:
     writer = csv.writer(sys.stdout, lineterminator="\n")
     writer.writerow(
-        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "component_index"]
-        + ["component_count", "component_weight", *STATES]
+        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components", *STATES]
         + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER]
     )
     for channel, line in lines:
         row = _line_dict(line)
         writer.writerow(
             [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
-            + [row["x_max"], row["age"], *row["component"], *row["mean"].values()]
+            + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
             + [row["cov"][i][j] for i, j in UPPER]
         )
-
-
-def _counts_text(counts: dict[str, int]) -> str:
-    return ", ".join(f"{n} {name.lower()}" for name, n in sorted(counts.items()) if n) or "none"
 
 
 def _milliseconds(values: Iterable[float]) -> str:
@@ -427,6 +396,12 @@ def _parser() -> argparse.ArgumentParser:
         "Print the lines of a log as JSON lines or CSV, then what was dropped and why.",
         "maplines decode drive.blf --csv > drive.csv",
     )
+    figures = job(
+        "figures",
+        _figures,
+        "Draw the figures of the paper, before and after the wire, as PNG and SVG.",
+        "maplines figures --out figures",
+    )
     list_ = job("scenarios", _scenarios, "List the scenes.", "maplines scenarios --json")
 
     for sub in (demo, send):
@@ -440,6 +415,13 @@ def _parser() -> argparse.ArgumentParser:
             type=_number(float, 1e-3, 1000),
             default=20.0,
             help="lines of each slot a second",
+        )
+        sub.add_argument(
+            "--components",
+            type=_number(int, 1, 8),
+            default=1,
+            metavar="K",
+            help="send each line as a Gaussian mixture of so many parts",
         )
         sub.add_argument(
             "--map-error",
@@ -458,7 +440,12 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--channel", help="channel of the interface, such as vcan0")
         sub.add_argument("--bitrate", type=_natural, help="[bit/s]")
         sub.add_argument("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
-    for sub in (demo, send, receive, decode):
+    figures.add_argument("--out", required=True, metavar="DIR", help="where to put them")
+    figures.add_argument("--seed", type=_number(int, 0, 2**32), default=0, help="of the draws")
+    figures.add_argument(
+        "--samples", type=_number(int, 100, 10**7), default=100_000, help="Monte Carlo draws"
+    )
+    for sub in (demo, send, receive, decode, figures):
         sub.add_argument("--dbc", help="another DBC than the project's own")
     demo.add_argument("--seconds", type=_seconds, default=3.0, help="how long [s]")
     demo.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")
@@ -467,7 +454,7 @@ def _parser() -> argparse.ArgumentParser:
     receive.add_argument("--timeout", type=_seconds, help="end when nothing comes for so long [s]")
     decode.add_argument("log", help="a log that python-can reads: .asc .blf .csv .log .mf4 .trc")
     decode.add_argument("--csv", action="store_true", help="CSV instead of JSON lines")
-    for sub in (demo, send, receive, list_):
+    for sub in (demo, send, receive, figures, list_):
         sub.add_argument("--json", action="store_true", help="for machines")
     return parser
 

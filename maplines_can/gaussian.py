@@ -199,7 +199,7 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     tiny = 8 * len(cov) * np.finfo(float).eps
     try:
-        L = np.linalg.cholesky(cov)
+        L = np.asarray(np.linalg.cholesky(cov), dtype=float)
     except np.linalg.LinAlgError:
         return _semidefinite_root(cov, tiny)
     if (L.diagonal() ** 2 > tiny * cov.diagonal()).all():

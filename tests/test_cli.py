@@ -89,6 +89,33 @@ def test_demo_of_each_scenario(capsys, name):
     assert json.loads(capsys.readouterr().out)["lines_lost"] == 0
 
 
+def test_a_mixture_goes_over_the_bus_and_back(capsys, channel):
+    """Three parts a line are three bursts, and one line at the other end."""
+    assert main(["demo", "--seconds", "0.2", "--components", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["sent"]["frames"] == 3 * 4 * result["sent"]["lines"]
+    assert result["lines_lost"] == result["frames_lost"] == 0
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.05) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("street-turn"), 2, components=3))
+        bus = ["--interface", "virtual", "--channel", channel]
+        assert main(["receive", *bus, "--count", "2", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert row["components"] == 3
+    assert sum(row["mixture"]["weights"]) == 1
+
+
+def test_figures_are_drawn_where_they_are_asked_for(capsys, tmp_path):
+    """Every figure in both formats; how they look is tests/test_figures.py's."""
+    pytest.importorskip("matplotlib")
+    assert main(["figures", "--out", str(tmp_path), "--samples", "500", "--json"]) == 0
+    paths = json.loads(capsys.readouterr().out)
+    assert {Path(path).suffix for path in paths} == {".png", ".svg"}
+    assert all(Path(path).stat().st_size for path in paths)
+
+
 def test_bus_load_is_that_of_the_frames(capsys):
     """Four lines of four frames of at most 135 bits at 20 Hz and 500 kbit/s: 8.64 %."""
     main(["demo", "--seconds", "0.1", "--json"])
@@ -216,7 +243,7 @@ def test_wrong_usage_is_status_2(capsys, arguments):
     assert "usage: maplines" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("job", ["demo", "send", "receive", "decode", "scenarios"])
+@pytest.mark.parametrize("job", ["demo", "send", "receive", "decode", "figures", "scenarios"])
 def test_help_teaches(capsys, job):
     """Each job says what it does and gives an example."""
     with pytest.raises(SystemExit) as end:
@@ -228,7 +255,7 @@ def test_help_teaches(capsys, job):
 def test_every_job_is_in_the_readme():
     """README shows each job of the command at least once."""
     readme = (ROOT / "README.md").read_text()
-    for job in ("demo", "send", "receive", "decode", "scenarios"):
+    for job in ("demo", "send", "receive", "decode", "figures", "scenarios"):
         assert f"maplines {job}" in readme
 
 

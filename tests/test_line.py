@@ -90,13 +90,15 @@ def test_y_sigma_is_the_spread_of_lines():
     assert np.array_equal(line.y(X), lateral(gaussian.mean, X))
 
 
-def test_y_sigma_of_an_exact_line_is_zero():
-    """A singular covariance gives no square root of a negative rounding."""
-    u = np.array([[1.0, -0.1, 0.003, 1e-5]])
-    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), u.T @ u))
-    root = np.abs(lateral_jacobian(np.zeros(4), X) @ u[0])
+@given(st.tuples(*[st.floats(-1, 1, width=16)] * 3), st.floats(1, 80))
+def test_where_a_line_is_known_its_y_sigma_is_zero(root, x):
+    """A line that turns about one of its points gives no square root of a negative rounding."""
+    u = np.array([0.0, *root * np.array([0.1, 1e-3, 1e-5])])
+    u[0] = -lateral_jacobian(np.zeros(4), x) @ u
+    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)))
 
-    assert np.allclose(line.y_sigma(X), root, atol=1e-7)
+    assert line.y_sigma(x) <= 1e-6
+    assert np.allclose(line.y_sigma(X), np.abs(lateral_jacobian(np.zeros(4), X) @ u), atol=1e-6)
 
 
 @given(mild_lines(), st.floats(-60, 60), st.floats(1, 60))

@@ -106,6 +106,14 @@ def test_of_a_hairpin_the_near_branch_is_seen(pose, y):
     assert len(seen) >= 15
 
 
+def test_near_is_what_is_near_the_car_and_not_the_start_of_the_window():
+    """A road that comes back to cross behind the car is seen where it passes the car."""
+    road = Polyline([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]])
+    seen = road.resampled(1.0).window([0.0, 0.0, 0.0], -15.0, 40.0)
+
+    assert np.allclose(seen[:, 1], 2.0)
+
+
 def test_a_hairpin_within_the_window_is_one_stretch():
     """Points that follow one another are not taken apart: whether they fit is for the refit."""
     road = hairpin()

@@ -192,6 +192,12 @@ def test_the_refit_is_smooth_along_a_line_of_poses(scene):
             id="hairpin",
         ),
         pytest.param(
+            [[x, 0] for x in range(31)] + [[x, 8] for x in range(30, 11, -1)],
+            [0, 0, 0],
+            "double back",
+            id="more-than-a-third-back",
+        ),
+        pytest.param(
             [[x, 2.0] for x in range(-5, 6)],
             [0, 0, np.radians(85)],
             "stand across the car at the pose .* 85 deg.* check the heading",

@@ -6,7 +6,7 @@
     quadrature    against Monte Carlo draws, in sampling errors of each mean and sigma
 
 Run it in the project's environment: python3 tools/run.py python tools/evidence_propagation.py
-Each figure is the largest of a scenario's lines. Ends with a nonzero status where a bound is missed.
+Each figure is the largest of all lines. Ends with a nonzero status where a bound is missed.
 """
 
 import argparse

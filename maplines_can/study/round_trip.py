@@ -15,7 +15,8 @@ import numpy as np
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
 from ..gaussian import Gaussian
 from ..line import MapLine
-from ..propagation import MapError, Refit, SigmaPoints, Transform
+from ..mixture import GaussianMixture
+from ..propagation import MapError, Mixture, Refit, SigmaPoints, Transform
 from ..scenarios import Scenario
 from ..wire import Codec
 from .metrics import LATERAL_X, judge
@@ -26,18 +27,34 @@ __all__ = ["LineResult", "RoundTrip", "round_trip", "scene_lines"]
 def scene_lines(
     scenario: Scenario,
     lines: int = 4,
+    *,
+    components: int = 1,
     transform: Transform | None = None,
     map_error: MapError | None = None,
 ) -> list[MapLine]:
-    """The first lines of a scene as the car sends them; all share one refit."""
+    """The first lines of a scene as the car sends them; all share one refit.
+
+    Args:
+        scenario: the scene.
+        lines: how many.
+        components: parts of a Gaussian mixture for each line; 1 is a plain Gaussian.
+        transform: sigma points by default.
+        map_error: error of the map beside the pose's.
+    """
     scene = scenario.lines[:lines]
     polylines = [line.polyline for line in scene]
     refit = Refit(polylines, scenario.ego.mean, scenario.window, map_error)
-    mean, cov = (transform or SigmaPoints()).moments(refit, scenario.ego)
-    return [
-        MapLine(line.slot, Gaussian(m, S), line.kind, x_min=float(low), x_max=float(high))
-        for line, m, S, (low, high) in zip(scene, mean, cov, refit.x_range, strict=True)
-    ]
+    mixture = Mixture(components, transform or SigmaPoints())
+    weights, means, covs = mixture.moments(refit, scenario.ego)  # (k,), (k, L, 4), (k, L, 4, 4)
+    result = []
+    for i, (line, (low, high)) in enumerate(zip(scene, refit.x_range, strict=True)):
+        parts = tuple(Gaussian(m, S) for m, S in zip(means[:, i], covs[:, i], strict=True))
+        extent: dict[str, Any] = {"x_min": float(low), "x_max": float(high), "kind": line.kind}
+        if components == 1:
+            result.append(MapLine(line.slot, parts[0], **extent))
+        else:
+            result.append(MapLine.of_mixture(line.slot, GaussianMixture(weights, parts), **extent))
+    return result
 
 
 @dataclass(frozen=True)
@@ -115,6 +132,7 @@ def round_trip(
     codec: Codec,
     *,
     lines: int = 4,
+    components: int = 1,
     seconds: float = 3.0,
     rate: float = 20.0,
     fd: bool = False,
@@ -129,6 +147,7 @@ def round_trip(
         scenario: the scene.
         codec: of both ends.
         lines: how many lines of the scene.
+        components: parts of a mixture for each line.
         seconds: how long [s].
         rate: lines of each slot a second [1/s].
         fd: CAN FD frames.
@@ -140,7 +159,7 @@ def round_trip(
     Raises:
         BusError: the interface cannot be opened.
     """
-    true_lines = scene_lines(scenario, lines, map_error=map_error)
+    true_lines = scene_lines(scenario, lines, components=components, map_error=map_error)
     if interface is None:
         interface = {"interface": "virtual", "channel": f"maplines-{uuid.uuid4()}"}
     settings = {**interface, "fd": True} if fd else dict(interface)
