@@ -20,7 +20,7 @@ CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
 def qr_lines(u, v):
     """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
 
-    Neither the normal equations nor the monomials of the refit: nothing is shared but the task.
+    Neither the normal equations nor the monomials of the refit: only the task is the same.
     """
     centre = (u.max(axis=1) + u.min(axis=1))[:, None] / 2
     half = np.ptp(u, axis=1)[:, None] / 2

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import IllPosedError
-from ..line import STATES, lateral, line_of_cubic
+from ..line import LEAST_ADVANCE, STATES, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
 
 __all__ = ["MapError", "Refit"]
@@ -21,10 +21,8 @@ DEGREE = 6
 BLOCK = 2048
 #: Chords that stand for the course of a line where its doubling back is judged.
 CHORDS = 16
-#: The chords must advance along the car's x axis by this share of the line's
-#: length (the window lies within 80 deg of the axis) ...
-LEAST_ADVANCE = 0.17
-#: ... and by this share of their whole way along it (at most a third leads back).
+#: Besides LEAST_ADVANCE of the line's length, the chords must advance along the car's x axis by
+#: this share of their whole way along it (at most a third leads back).
 LEAST_PROGRESS = 1 / 3
 #: A pivot of the normal equations below this is rounding: fewer than 4 points are distinct.
 LEAST_PIVOT = 1e-13
