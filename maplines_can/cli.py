@@ -28,6 +28,7 @@ from .study.figures import draw_figures
 from .study.picture import draw_round_trip
 from .study.report import counts_text, trip_text
 from .study.round_trip import round_trip, scene_lines
+from .study.truth import as_csv, as_markdown, as_text, truth_table
 from .wire import Codec, Decoder
 
 __all__ = ["main"]
@@ -226,6 +227,26 @@ def _figures(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _truth(arguments: argparse.Namespace) -> int:
+    scenes = [scenario(name) for name in arguments.scenario or SCENARIOS]
+    with tqdm(total=1, unit=" scenes", disable=not sys.stderr.isatty()) as bar:
+
+        def progress(done: float, total: float) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        rows = truth_table(
+            scenes,
+            n=arguments.samples,
+            seed=arguments.seed,
+            codec=Codec.from_dbc(arguments.dbc),
+            progress=progress,
+        )
+    writers = {"text": as_text, "csv": as_csv, "markdown": as_markdown}
+    print(writers[arguments.format](rows).rstrip("\n"))
+    return 0
+
+
 def _scenarios(arguments: argparse.Namespace) -> int:
     if arguments.json:
         rows = [
@@ -402,6 +423,12 @@ def _parser() -> argparse.ArgumentParser:
         "Draw the figures of the paper, before and after the wire, as PNG and SVG.",
         "maplines figures --out figures",
     )
+    truth = job(
+        "truth",
+        _truth,
+        "Judge each representation of a line against a million samples, before and after the wire.",
+        "maplines truth --scenario street-turn-10deg --format csv > truth.csv",
+    )
     list_ = job("scenarios", _scenarios, "List the scenes.", "maplines scenarios --json")
 
     for sub in (demo, send):
@@ -441,11 +468,19 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--bitrate", type=_natural, help="[bit/s]")
         sub.add_argument("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
     figures.add_argument("--out", required=True, metavar="DIR", help="where to put them")
-    figures.add_argument("--seed", type=_number(int, 0, 2**32), default=0, help="of the draws")
-    figures.add_argument(
-        "--samples", type=_number(int, 100, 10**7), default=100_000, help="Monte Carlo draws"
+    truth.add_argument(
+        "--scenario",
+        action="append",
+        choices=list(SCENARIOS),
+        help="only this one; may be repeated",
     )
-    for sub in (demo, send, receive, decode, figures):
+    truth.add_argument("--format", choices=["text", "csv", "markdown"], default="text")
+    for sub, samples in ((figures, 100_000), (truth, 1_000_000)):
+        sub.add_argument("--seed", type=_number(int, 0, 2**32), default=0, help="of the draws")
+        sub.add_argument(
+            "--samples", type=_number(int, 1000, 10**7), default=samples, help="Monte Carlo draws"
+        )
+    for sub in (demo, send, receive, decode, figures, truth):
         sub.add_argument("--dbc", help="another DBC than the project's own")
     demo.add_argument("--seconds", type=_seconds, default=3.0, help="how long [s]")
     demo.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")

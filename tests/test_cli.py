@@ -110,10 +110,19 @@ def test_a_mixture_goes_over_the_bus_and_back(capsys, channel):
 def test_figures_are_drawn_where_they_are_asked_for(capsys, tmp_path):
     """Every figure in both formats; how they look is tests/test_figures.py's."""
     pytest.importorskip("matplotlib")
-    assert main(["figures", "--out", str(tmp_path), "--samples", "500", "--json"]) == 0
+    assert main(["figures", "--out", str(tmp_path), "--samples", "1000", "--json"]) == 0
     paths = json.loads(capsys.readouterr().out)
     assert {Path(path).suffix for path in paths} == {".png", ".svg"}
     assert all(Path(path).stat().st_size for path in paths)
+
+
+def test_truth_as_a_table_for_machines(capsys):
+    """One scene, few samples: a row for each representation, before and after the wire."""
+    arguments = ["truth", "--scenario", "production", "--samples", "20000", "--format", "csv"]
+    assert main(arguments) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert {row["wire"] for row in rows} == {"before", "after"}
+    assert len(rows) >= 2 * 6
 
 
 def test_bus_load_is_that_of_the_frames(capsys):
@@ -243,7 +252,9 @@ def test_wrong_usage_is_status_2(capsys, arguments):
     assert "usage: maplines" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("job", ["demo", "send", "receive", "decode", "figures", "scenarios"])
+@pytest.mark.parametrize(
+    "job", ["demo", "send", "receive", "decode", "figures", "truth", "scenarios"]
+)
 def test_help_teaches(capsys, job):
     """Each job says what it does and gives an example."""
     with pytest.raises(SystemExit) as end:
@@ -255,7 +266,7 @@ def test_help_teaches(capsys, job):
 def test_every_job_is_in_the_readme():
     """README shows each job of the command at least once."""
     readme = (ROOT / "README.md").read_text()
-    for job in ("demo", "send", "receive", "decode", "figures", "scenarios"):
+    for job in ("demo", "send", "receive", "decode", "figures", "truth", "scenarios"):
         assert f"maplines {job}" in readme
 
 
