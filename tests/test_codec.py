@@ -1,11 +1,9 @@
 """Lines to frames and back: the guarantee, the flags, and the two paths that must agree."""
 
-from functools import cache
-
 import cantools
 import numpy as np
 import pytest
-from dbcs import DBC, edited
+from dbcs import DBC, default_codec, edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,16 +14,6 @@ from maplines_can.study import hostile, judge, paper, road
 from maplines_can.wire import Codec, Reason
 
 LIMITS = np.array([32.0, 0.5, 0.125, 0.0625])
-
-
-@cache
-def default_codec():
-    return Codec.from_dbc()
-
-
-@pytest.fixture
-def codec():
-    return default_codec()
 
 
 def check_guarantee(codec, means, covs):

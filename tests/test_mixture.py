@@ -1,9 +1,8 @@
 """Mixtures: split, propagated, on the wire all or nothing, and never overconfident."""
 
-from functools import cache
-
 import numpy as np
 import pytest
+from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,11 +12,6 @@ from maplines_can.propagation.mixture import SPLITS, Mixture, bend
 from maplines_can.study import hostile, judge
 from maplines_can.wire import Codec, Reason
 from maplines_can.wire.parts import quantized_weights
-
-
-@cache
-def codec():
-    return Codec.from_dbc()
 
 
 def density_error(weights, means, sigma):
@@ -114,11 +108,15 @@ def whole(weights, means, covs):
 def test_no_part_and_no_whole_is_overconfident(k):
     """Random mixtures, singular parts among them, weights that do not fit the steps."""
     weights, means, covs = random_mixtures(4000, k, seed=k)
-    payloads = codec().encode_mixtures(weights, means, covs)
-    batch = codec().decode_batch(payloads.reshape(-1, 32))
+    payloads = default_codec().encode_mixtures(weights, means, covs)
+    batch = default_codec().decode_batch(payloads.reshape(-1, 32))
     assert batch.accepted.all()
     parts = judge(
-        means.reshape(-1, 4), covs.reshape(-1, 4, 4), batch.mean, batch.cov, codec().resolution
+        means.reshape(-1, 4),
+        covs.reshape(-1, 4, 4),
+        batch.mean,
+        batch.cov,
+        default_codec().resolution,
     )
     stated = batch.status != Status.OUT_OF_RANGE
     assert parts.positive_definite.all()
@@ -127,7 +125,7 @@ def test_no_part_and_no_whole_is_overconfident(k):
     assert (w.sum(axis=1) == 1).all()
     mean, cov = whole(weights, means, covs)
     decoded = whole(w, batch.mean.reshape(-1, k, 4), batch.cov.reshape(-1, k, 4, 4))
-    verdict = judge(mean, cov, *decoded, codec().resolution)
+    verdict = judge(mean, cov, *decoded, default_codec().resolution)
     assert not verdict.overconfident[stated.reshape(-1, k).all(axis=1)].any()
 
 

@@ -5,24 +5,15 @@ from functools import cache
 
 import numpy as np
 import pytest
+from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can.line import MapLine, Slot
 from maplines_can.study import road
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Reason
 
 MS = 1_000_000
-
-
-@cache
-def default_codec():
-    return Codec.from_dbc()
-
-
-@pytest.fixture
-def codec():
-    return default_codec()
 
 
 @cache
@@ -37,6 +28,15 @@ def bursts(n=40, slot=Slot.EGO_LEFT, fd=False):
 def feed(decoder, frames, t_ns=0):
     """Answers to frames, a microsecond apart."""
     return [decoder.feed(f.can_id, f.data, t_ns + i * 1000) for i, f in enumerate(frames)]
+
+
+def with_a_flipped_bit(frames, bit):
+    """The frames of a record with one of its bits flipped."""
+    size = len(frames[0].data)
+    place, within = divmod(bit, 8 * size)
+    data = bytearray(frames[place].data)
+    data[within // 8] ^= 1 << within % 8
+    return [*frames[:place], frames[place]._replace(data=bytes(data)), *frames[place + 1 :]]
 
 
 def check_accounts(decoder, frames):
@@ -183,13 +183,7 @@ def test_a_gateway_repacks_without_decoding(codec):
 def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
     """Wherever it is, the burst is dropped and the next one delivered."""
     decoder = codec.decoder()
-    data = bytearray(b"".join(frame.data for frame in bursts(fd=fd)[0]))
-    data[bit // 8] ^= 1 << bit % 8
-    size = 32 if fd else 8
-    broken = [
-        frame._replace(data=bytes(data[i * size : (i + 1) * size]))
-        for i, frame in enumerate(bursts(fd=fd)[0])
-    ]
+    broken = with_a_flipped_bit(bursts(fd=fd)[0], bit)
     assert not any(isinstance(a, MapLine) for a in feed(decoder, broken))
     later = feed(decoder, bursts(fd=fd)[1], t_ns=100 * MS)
     assert isinstance(later[-1], MapLine)
@@ -201,13 +195,7 @@ def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
 def test_a_damaged_record_does_not_cost_the_good_one_after_it(codec, fd, bit):
     """The same record, first with a flipped bit and at once whole: it is delivered."""
     decoder = codec.decoder()
-    data = bytearray(b"".join(frame.data for frame in bursts(fd=fd)[3]))
-    data[bit // 8] ^= 1 << bit % 8
-    size = 32 if fd else 8
-    broken = [
-        frame._replace(data=bytes(data[i * size : (i + 1) * size]))
-        for i, frame in enumerate(bursts(fd=fd)[3])
-    ]
+    broken = with_a_flipped_bit(bursts(fd=fd)[3], bit)
     feed(decoder, broken)
     answers = feed(decoder, [*bursts(fd=fd)[3], *bursts(fd=fd)[4]], t_ns=10_000)
     assert sum(isinstance(answer, MapLine) for answer in answers) == 2
@@ -224,7 +212,7 @@ def test_random_frames_on_its_id_do_not_silence_a_line(codec, fd):
         t_ns = k * 20 * MS
         delivered += isinstance(feed(decoder, burst, t_ns)[-1], MapLine)
         decoder.feed(burst[0].can_id, rng.bytes(32 if fd else 8), t_ns + 10 * MS)
-    # 16 lines in 40 start anew with the counter: those are no loss of the noise's.
+    # After every 40th line the counters start anew, which may cost the next: not the noise's fault.
     assert delivered >= 380
 
 

@@ -6,7 +6,8 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -183,7 +184,7 @@ def round_trip(
     cpu = time.process_time() - cpu
     sent, received = transmitter.stats(), receiver.stats()
     jitter = np.quantile(arrivals.deviations or [0.0], [0.5, 0.99, 1.0])
-    frames = [frame for line in true_lines for frame in codec.encode(line, fd=fd)]
+    frames = chain(*codec.encode_lines(true_lines, fd=fd))
     return RoundTrip(
         scenario=scenario.name,
         carrier="CAN FD" if fd else "classic CAN",
@@ -237,10 +238,8 @@ def _results(
                 codec.resolution,
             )
             at_80m = LATERAL_X.index(80.0)
-            result = LineResult(
-                result.slot,
-                result.true_mean,
-                result.true_sigma,
+            result = replace(
+                result,
                 mean=back.gaussian.mean.tolist(),
                 sigma=back.gaussian.sigma.tolist(),
                 status=back.status.name,

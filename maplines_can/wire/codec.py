@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import EncodeError, LayoutError
 from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Component, Kind, MapLine, Slot, Status
-from .cholesky import STATE_SIGNALS
+from .cholesky import STATE_SIGNALS, CholeskyCode
 from .decoder import Decoder
 from .layout import PAGE_BYTES, Layout
+from .packing import Packing
 from .parts import deficit, quantized_weights
 from .read import Batch, RecordReader
 from .reassembly import Reason
@@ -34,6 +35,15 @@ class Frame(NamedTuple):
     data: bytes
     is_fd: bool = False
     is_extended: bool = False
+
+
+class _Part(NamedTuple):
+    """What goes into one record of a line."""
+
+    line: MapLine
+    gaussian: Gaussian
+    component: Component
+    cover: NDArray[np.float64]  #: (4, 4) what else the decoded covariance must cover
 
 
 class Codec:
@@ -65,8 +75,10 @@ class Codec:
                 "there is 'Cholesky'"
             )
         self.layout = layout
-        self._writer = RecordWriter(layout)
-        self._reader = RecordReader(layout)
+        packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        covariance = CholeskyCode(layout)
+        self._writer = RecordWriter(layout, packing, covariance)
+        self._reader = RecordReader(layout, packing, covariance)
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
@@ -221,28 +233,28 @@ class Codec:
         split = [self._parts(line) for line in lines]
         parts = [part for line_parts in split for part in line_parts]
         counters = []
-        taken = self._counters.copy()
-        for line, _, _, _ in parts:
-            counters.append(taken[line.slot])
-            taken[line.slot] = (taken[line.slot] + 1) % 2 ** self.layout["Counter"].length
+        taken, modulus = self._counters.copy(), 2 ** self.layout["Counter"].length
+        for part in parts:
+            counters.append(taken[part.line.slot])
+            taken[part.line.slot] = (taken[part.line.slot] + 1) % modulus
         rest: dict[str, ArrayLike] = {
-            "slot": [line.slot for line, _, _, _ in parts],
+            "slot": [part.line.slot for part in parts],
             "counter": counters,
-            "kind": [line.kind for line, _, _, _ in parts],
-            "x_min": [line.x_min for line, _, _, _ in parts],
-            "x_max": [line.x_max for line, _, _, _ in parts],
-            "age": [line.age for line, _, _, _ in parts],
-            "status": [line.status for line, _, _, _ in parts],
-            "component_index": [component.index for _, _, component, _ in parts],
-            "component_count": [component.count for _, _, component, _ in parts],
-            "component_weight": [component.weight for _, _, component, _ in parts],
+            "kind": [part.line.kind for part in parts],
+            "x_min": [part.line.x_min for part in parts],
+            "x_max": [part.line.x_max for part in parts],
+            "age": [part.line.age for part in parts],
+            "status": [part.line.status for part in parts],
+            "component_index": [part.component.index for part in parts],
+            "component_count": [part.component.count for part in parts],
+            "component_weight": [part.component.weight for part in parts],
         }
         payloads = self._writer.write(
-            np.array([gaussian.mean for _, gaussian, _, _ in parts]),
-            np.array([gaussian.cov for _, gaussian, _, _ in parts]),
+            np.array([part.gaussian.mean for part in parts]),
+            np.array([part.gaussian.cov for part in parts]),
             np.zeros(len(parts), dtype=bool),  # a Gaussian is definite from birth
             rest,
-            np.array([cover for _, _, _, cover in parts]),
+            np.array([part.cover for part in parts]),
         )
         left = iter(payloads)
         frames = [
@@ -311,16 +323,13 @@ class Codec:
         decoded = quantized_weights(weights, steps) / steps
         return decoded, deficit(weights, means, covs, decoded, self._writer.rounded(means))
 
-    def _parts(
-        self, line: MapLine
-    ) -> list[tuple[MapLine, Gaussian, Component, NDArray[np.float64]]]:
-        """What goes into the records of a line."""
+    def _parts(self, line: MapLine) -> list[_Part]:
         if line.mixture is None:
-            return [(line, line.gaussian, line.component, np.zeros((4, 4)))]
+            return [_Part(line, line.gaussian, line.component, np.zeros((4, 4)))]
         mixture, k = line.mixture, len(line.mixture.weights)
         weights, cover = self._cover(mixture.weights[None], mixture.means[None], mixture.covs[None])
         return [
-            (line, gaussian, Component(i, k, float(weights[0, i])), cover[0])
+            _Part(line, gaussian, Component(i, k, float(weights[0, i])), cover[0])
             for i, gaussian in enumerate(mixture.components)
         ]
 

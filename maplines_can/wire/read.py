@@ -58,12 +58,12 @@ class Batch:
 class RecordReader:
     """Reads records of a layout; both ways give the same bits."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, packing: Packing, covariance: CholeskyCode) -> None:
         self._fields = layout.fields
         self._pages = layout.pages
         self._mean = [layout[name] for name in STATE_SIGNALS]
-        self._covariance = CholeskyCode(layout)
-        self._packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        self._covariance = covariance
+        self._packing = packing
         self._crc_offset = layout.crc_offset
         self._burst_mask = 2 ** layout[f"{BURST}0"].length - 1
 

@@ -11,7 +11,7 @@ from ..errors import EncodeError
 from ..gaussian import nearest_covariance
 from ..line import Kind, Slot, Status
 from .cholesky import STATE_SIGNALS, CholeskyCode
-from .e2e import record_crc, record_crc_one
+from .e2e import CRC_BYTES, record_crc, record_crc_one
 from .layout import BURST, PAGE, Layout
 from .packing import Packing
 
@@ -24,14 +24,14 @@ FEW = 8
 class RecordWriter:
     """Writes records of a layout."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, packing: Packing, covariance: CholeskyCode) -> None:
         self.layout = layout
         self._mean = [layout[name] for name in STATE_SIGNALS]
         self._factor = np.array([field.factor for field in self._mean])
         #: (4,) variances of the mean's own rounding.
         self.resolution = self._factor**2 / 12
-        self._covariance = CholeskyCode(layout)
-        self._packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        self._covariance = covariance
+        self._packing = packing
         self._crc_offset = layout.crc_offset
 
     def write(
@@ -138,7 +138,7 @@ class RecordWriter:
         rest: Mapping[str, ArrayLike],
         n: int,
     ) -> NDArray[np.bool_]:
-        """Raw extents, rounded towards the car, age and weight; which extents claim too much."""
+        """Raw extents, rounded inwards, age and weight; which extents claim too much."""
         clipped = np.zeros(n, dtype=bool)
         slack = 1e-9
         ends = (("XMin", "x_min", np.ceil, 1), ("XMax", "x_max", np.floor, -1))
@@ -217,8 +217,8 @@ class RecordWriter:
 
     def _sealed_one(self, raw: dict[str, int], data_id: int) -> bytes:
         payload = self._packing.pack_one(raw)
-        raw["Crc"] = record_crc_one(payload, data_id, self._crc_offset)
-        return self._packing.pack_one(raw)
+        crc = record_crc_one(payload, data_id, self._crc_offset).to_bytes(CRC_BYTES, "little")
+        return payload[: self._crc_offset] + crc + payload[self._crc_offset + CRC_BYTES :]
 
 
 def _finite(rest: Mapping[str, ArrayLike], key: str, n: int) -> NDArray[np.float64]:
