@@ -7,12 +7,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
-from types import TracebackType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, Self
 
 from ..line import MapLine
 from .link import Link
-from .worker import Worker
+from .worker import Running, Worker
 
 __all__ = ["Receiver", "ReceiverStats"]
 
@@ -45,11 +44,11 @@ class ReceiverStats(NamedTuple):
     pending: int = 0  #: frames held for lines that are not complete
 
 
-class Receiver:
+class Receiver(Running):
     """One thread that turns the frames of a link into lines.
 
     Lines go to the callback ``on_line`` if there is one; otherwise they wait for
-    iteration (``for line in receiver``, ends after `stop`) or `get`.  The newest
+    iteration (``for line in receiver``, ends after `stop`) or `get`, after `stop` too.  The newest
     ``queue_size`` lines wait; older ones are dropped and counted as overflowed,
     for a stale line is worth less than the memory.
 
@@ -129,35 +128,12 @@ class Receiver:
                 pending=getattr(self._decoder, "pending", 0),
             )
 
-    def start(self) -> Receiver:
+    def start(self) -> Self:
         """Start the thread; ``with`` does it too."""
         if self._can_ids:
             self._link.accept_only(self._can_ids)
         self._worker.start()
         return self
-
-    def stop(self) -> None:
-        """Stop listening; from any thread, any number of times.  Waiting lines stay.
-
-        Raises:
-            Exception: what ended the thread before, if nobody has been told yet.
-        """
-        self._end()
-        self._worker.check(again=False)
-
-    def __enter__(self) -> Receiver:
-        return self.start()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.stop()
-        else:
-            self._end()  # what is on its way out is the better news
 
     def _run(self) -> None:
         while not self._stopping:

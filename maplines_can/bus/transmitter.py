@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable
-from types import TracebackType
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import can
 
@@ -15,7 +14,7 @@ from ..line import MapLine, Slot
 from .link import Link, Sent
 from .outbox import Burst, Encoder, FrameLike, Outbox
 from .timing import Lateness, LatenessHistogram
-from .worker import Worker
+from .worker import Running, Worker
 
 __all__ = ["Transmitter", "TransmitterStats"]
 
@@ -35,7 +34,7 @@ class TransmitterStats(NamedTuple):
     lateness: Lateness = Lateness()  #: of the first frame of each slot, after its deadline
 
 
-class Transmitter:
+class Transmitter(Running):
     """One thread that sends every published line once each period.
 
     Each slot has a fixed place in the period, instead of all lines going out
@@ -138,7 +137,7 @@ class Transmitter:
         with self._changed:
             return self._counts._replace(lateness=self._lateness.summary())
 
-    def start(self) -> Transmitter:
+    def start(self) -> Self:
         """Start the thread; ``with`` does it too.  The clock starts with the first line."""
         self._worker.start()
         return self
@@ -152,29 +151,6 @@ class Transmitter:
         self._worker.join(timeout)
         self._worker.check()
         return not self._worker.alive
-
-    def stop(self) -> None:
-        """End after the burst in progress; from any thread, any number of times.
-
-        Raises:
-            Exception: what ended the thread before, if nobody has been told yet.
-        """
-        self._end()
-        self._worker.check(again=False)
-
-    def __enter__(self) -> Transmitter:
-        return self.start()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if kind is None:
-            self.stop()
-        else:
-            self._end()  # what is on its way out is the better news
 
     # ---- the thread --------------------------------------------------------------
 

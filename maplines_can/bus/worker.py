@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from types import TracebackType
+from typing import Self
 
-__all__ = ["Worker"]
+__all__ = ["Running", "Worker"]
 
 
 class Worker:
@@ -58,3 +61,40 @@ class Worker:
             self._error = error
         finally:
             self._at_end()
+
+
+class Running(ABC):
+    """Something with a worker, from ``start`` or ``with`` until ``stop``."""
+
+    _worker: Worker
+
+    @abstractmethod
+    def start(self) -> Self:
+        """Start the thread; ``with`` does it too."""
+
+    @abstractmethod
+    def _end(self) -> None:
+        """Have the worker end, and wait for it."""
+
+    def stop(self) -> None:
+        """End after what is in progress; from any thread, any number of times.
+
+        Raises:
+            Exception: what ended the thread before, if nobody has been told yet.
+        """
+        self._end()
+        self._worker.check(again=False)
+
+    def __enter__(self) -> Self:
+        return self.start()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.stop()
+        else:
+            self._end()  # what is on its way out is the better news
