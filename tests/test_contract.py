@@ -79,7 +79,7 @@ def test_the_page_names_the_ids_of_the_dbc():
 def test_a_page_that_is_too_full_is_refused():
     """The description itself is checked."""
     wide = SignalSpec("Wide", 59, 1, "", "", "")
-    with pytest.raises(ValueError, match="page 0 has 65 bits, more than 64"):
+    with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
         Contract(((wide,), (wide,), (wide,), (wide,)))
 
 

@@ -1,10 +1,13 @@
 """Mixtures: split, propagated, on the wire all or nothing, and never overconfident."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import minimize
 
 from maplines_can import Gaussian, MapLine, Refit, SigmaPoints, Slot, Status, scenario
 from maplines_can.mixture import GaussianMixture
@@ -14,36 +17,75 @@ from maplines_can.wire import Codec, Reason
 from maplines_can.wire.parts import quantized_weights
 
 
-def density_error(weights, means, sigma):
-    """DeMars' criterion: squared difference to N(0, 1), less its constant, plus 0.001 sigma^2."""
+def criterion(weights, means, sigma, factor):
+    """DeMars': squared difference to N(0, 1), less its constant, plus factor times sigma^2."""
 
     def normal(x, v):
         return np.exp(-(x**2) / (2 * v)) / np.sqrt(2 * np.pi * v)
 
     cross = weights @ normal(means, 1 + sigma**2)
     own = weights @ normal(means[:, None] - means, 2 * sigma**2) @ weights
-    return own - 2 * cross + 1e-3 * sigma**2
+    return own - 2 * cross + factor * sigma**2
 
 
-@pytest.mark.parametrize("k", [3, 5, 8])
-def test_splits_are_the_published_optimum(k):
-    """No small change of weights, means or spread makes the criterion smaller."""
-    half_weights, half_means = (np.array(half) for half in SPLITS[k])
-    weights = np.append(half_weights, half_weights[: k // 2][::-1])
-    means = np.append(half_means, -half_means[: k // 2][::-1])
-    sigmas = np.linspace(0.2, 0.9, 7001)
-    best = min(density_error(weights, means, sigma) for sigma in sigmas)
-    sigma = sigmas[np.argmin([density_error(weights, means, sigma) for sigma in sigmas])]
-    rng = np.random.default_rng(k)
-    for _ in range(300):
-        other = np.abs(weights + rng.normal(0, 1e-3, k))
-        other = (other + other[::-1]) / 2
-        shift = rng.normal(0, 1e-3, k)
-        moved = means + (shift - shift[::-1]) / 2
-        assert density_error(other / other.sum(), moved, sigma) >= best - 1e-9
-    if k == 3:  # DeMars, Bishop and Jah 2013
-        assert weights[0] == pytest.approx(0.2252246, abs=1e-6)
-        assert sigma == pytest.approx(0.6715663, abs=1e-4)
+def whole_split(half_weights, half_means, k):
+    mirror = slice(0, k // 2)
+    weights = np.append(half_weights, half_weights[mirror][::-1]) / 32
+    return weights, np.append(half_means, -np.asarray(half_means)[mirror][::-1])
+
+
+def completed(half_weights, half_means, k):
+    """Ours: the criterion where the variance of the parts completes that of the whole to 1."""
+    weights, means = whole_split(half_weights, half_means, k)
+    rest = 1 - weights @ means**2
+    return criterion(weights, means, np.sqrt(rest), 0.025) if rest > 0 else 9.0
+
+
+def test_the_criterion_is_the_published_one():
+    """The published 3 parts (DeMars, Bishop and Jah 2013, table 1) minimise it at their factor."""
+    x = np.array([0.2252246249, 1.0575154615, 0.6715662887])
+
+    def published(x):
+        weights = np.array([x[0], 1 - 2 * x[0], x[0]])
+        return criterion(weights, np.array([-x[1], 0, x[1]]), x[2], 0.001)
+
+    found = minimize(published, [0.2, 1.0, 0.7], method="Nelder-Mead", options={"xatol": 1e-9})
+    assert found.x == pytest.approx(x, abs=1e-3)
+    assert published(x) == pytest.approx(found.fun, abs=1e-9)
+
+
+@pytest.mark.parametrize("k", [k for k in SPLITS if k > 1])
+def test_splits_minimise_the_criterion(k):
+    """The means, to the digits given; and no weights a step or two away do better with any means."""
+    half_weights, half_means = (np.array(half, dtype=float) for half in SPLITS[k])
+
+    def best(half_weights):
+        def value(free):
+            return completed(half_weights, np.append(free, half_means[k // 2 :]), k)
+
+        return minimize(
+            value,
+            half_means[: k // 2],
+            method="Nelder-Mead",
+            options={"xatol": 1e-8, "fatol": 1e-15, "maxiter": 4000},
+        )
+
+    found = best(half_weights)
+    assert found.x == pytest.approx(half_means[: k // 2], abs=2e-5)
+    for i, j in permutations(range(len(half_weights)), 2):
+        counts = np.array([1 if (k % 2 and at == k // 2) else 2 for at in (i, j)])
+        steps = np.array([-2, 2]) / counts  # a middle part has no mirror image
+        other = half_weights.copy()
+        other[[i, j]] += steps
+        if other.min() >= 1:
+            assert best(other).fun > found.fun
+
+
+def test_a_split_fits_its_steps_on_the_wire():
+    """The wire rounds no weight of a split."""
+    for k in SPLITS:
+        weights = Mixture(k).split(Gaussian([0.0], [[1.0]])).weights
+        assert np.array_equal(quantized_weights(weights[None], 32)[0], weights * 32)
 
 
 @pytest.mark.parametrize("k", SPLITS)

@@ -327,15 +327,19 @@ def test_the_wire_costs_few_false_negatives(rows, name, kind):
 
     assert after.false_negatives - before.false_negatives < 0.002
     assert after.false_negatives_pairs - before.false_negatives_pairs < 0.002
-    if name != "production":  # whose c0 and c1 are known better than the mean's grid
-        assert after.false_positives - before.false_positives < 0.02
+    # The production car's come close to it, and smaller samples make a finer grid: below.
+    assert after.false_positives - before.false_positives < (
+        0.025 if name == "production" else 0.02
+    )
+    assert np.array(after.sigma_ratio) == pytest.approx(np.array(before.sigma_ratio), abs=0.05)
 
 
-def test_the_wire_costs_the_production_car_false_positives_but_not_its_band(rows):
-    before, after = (rows["production", "MonteCarlo", where] for where in ("before", "after"))
-
-    assert after.false_positives - before.false_positives > 0.2
-    assert np.array(after.sigma_ratio) == pytest.approx(np.array(before.sigma_ratio), abs=0.02)
+def test_the_wire_costs_the_production_car_few_false_positives():
+    """Its c0 is known to a step of the mean's grid, and its c1 goes with beta by 0.9995."""
+    table = truth_table([scenario("production")], n=300_000)
+    found = {(row.representation, row.wire): row.false_positives for row in table}
+    for kind in ("SigmaPoints", "Quadrature", "MonteCarlo"):
+        assert found[kind, "after"] - found[kind, "before"] < 0.02
 
 
 def test_mixtures_empty_the_street_turn(rows):
@@ -345,6 +349,7 @@ def test_mixtures_empty_the_street_turn(rows):
     )
 
     assert one.false_positives > 2 * three.false_positives
-    assert more(three, five, "false_positives")
+    assert three.false_positives < 0.11
+    assert five.false_positives < 0.05
     assert three.false_negatives < 0.02
     assert five.false_negatives < 0.02

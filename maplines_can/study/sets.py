@@ -54,7 +54,7 @@ def hostile(
     root = rotation * np.sqrt(values)[:, None, :]
     norm = np.sqrt((root**2).sum(axis=2, keepdims=True))
     root = sigma[:, :, None] * root / np.where(norm > 0, norm, 1)
-    limit = np.array([32.0, 0.5, 0.125, 0.0625])
+    limit = np.array([32.0, 0.5, 0.125, 0.03125])
     mean = rng.uniform(-limit, limit, size=(n, 4))
     at_limit = rng.random((n, 4)) < at_limit_share
     mean = np.where(at_limit, np.sign(mean) * limit, mean)

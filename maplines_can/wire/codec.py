@@ -65,7 +65,7 @@ class Codec:
     ((1, 32), dtype('uint8'))
     >>> batch = codec.decode_batch(payload)
     >>> batch.accepted, batch.mean[0, 0], np.sqrt(batch.cov[0, 0, 0]).round(3)
-    (array([ True]), np.float64(1.75), np.float64(0.1))
+    (array([ True]), np.float64(1.75), np.float64(0.101))
     """
 
     def __init__(self, layout: Layout) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cantools.database.can import Database, Message, Node, Signal
@@ -63,8 +63,9 @@ def _plain(value: float) -> float:
 class Contract:
     """What is on the wire: pages of signals, and the slots that carry them.
 
-    Each page ends with its number and its burst number, so that the first page
-    can begin with the header of E2E profile 5. Everything is little-endian.
+    Each page ends with its number, so that the first page can begin with the
+    header of E2E profile 5; before it the other pages repeat the burst number, which
+    in the first one is the low bits of Counter. Everything is little-endian.
 
     Args:
         pages: the signals of each page, in the order of their bits.
@@ -84,7 +85,7 @@ class Contract:
 
     def __post_init__(self) -> None:
         for number, page in enumerate(self.pages):
-            bits = sum(spec.bits for spec in page) + self.page_bits + BURST_BITS
+            bits = sum(spec.bits for spec, _ in self._placed(number))
             if bits > 8 * PAGE_BYTES:
                 raise ValueError(f"page {number} has {bits} bits, more than {8 * PAGE_BYTES}")
 
@@ -122,8 +123,8 @@ class Contract:
             "| page | bits | signal | width | factor | range | unit | what it is | why so wide |"
         ]
         rows.append("|---|---|---|---|---|---|---|---|---|")
-        for number, page in enumerate(self.pages):
-            for spec, start in self._placed(page):
+        for number in range(len(self.pages)):
+            for spec, start in self._placed(number):
                 low, high = spec.range
                 end = start + spec.bits - 1
                 rows.append(
@@ -133,24 +134,25 @@ class Contract:
                 )
         return "\n".join(rows)
 
-    def _placed(self, page: tuple[SignalSpec, ...]) -> Iterator[tuple[SignalSpec, int]]:
+    def _placed(self, number: int) -> Iterator[tuple[SignalSpec, int]]:
         start = 0
-        for spec in page:
+        for spec in self.pages[number]:
             yield spec, start
             start += spec.bits
-        end = 8 * PAGE_BYTES
-        yield _page_spec(self.page_bits), end - self.page_bits - BURST_BITS
-        yield _BURST, end - BURST_BITS
+        end = 8 * PAGE_BYTES - self.page_bits
+        if number > 0:
+            yield replace(_BURST, name=f"{BURST}{number}"), end - BURST_BITS
+        yield _page_spec(self.page_bits), end
 
     def _classic(self, slot: Slot) -> Message:
         signals = []
-        for number, page in enumerate(self.pages):
-            for spec, start in self._placed(page):
-                if spec.name not in (PAGE, BURST):
+        for number in range(len(self.pages)):
+            for spec, start in self._placed(number):
+                if spec.name != PAGE:
                     mux: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
                     signals.append(_signal(spec, start, **mux))
                 elif number == 0:
-                    signals.append(_signal(spec, start, is_multiplexer=spec.name == PAGE))
+                    signals.append(_signal(spec, start, is_multiplexer=True))
         about = (
             f"The {_slot_words(slot)} line: {len(self.pages)} pages, sent back to back with one "
             "burst number."
@@ -159,9 +161,9 @@ class Contract:
 
     def _fd(self, slot: Slot) -> Message:
         signals = []
-        for number, page in enumerate(self.pages):
-            for spec, start in self._placed(page):
-                suffix = str(number) if spec.name in (PAGE, BURST) else ""
+        for number in range(len(self.pages)):
+            for spec, start in self._placed(number):
+                suffix = str(number) if spec.name == PAGE else ""
                 signals.append(_signal(spec, start + 8 * PAGE_BYTES * number, suffix=suffix))
         length = fd_length(PAGE_BYTES * len(self.pages))
         name = _slot_name(slot) + "Fd"

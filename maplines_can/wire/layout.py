@@ -114,7 +114,8 @@ class Layout:
 
     A record is the pages of a multiplexed classic message laid end to end, and
     the payload of one CAN FD message. Signals that each page repeats appear as
-    ``Page0``, ``Burst0``, ``Page1``, ...
+    ``Page0``, ``Burst0``, ``Page1``, ...; where the DBC has no burst number in the
+    first page, it is the low bits of ``Counter`` there.
 
     Args:
         fields: by name, in the order of the DBC.
@@ -303,6 +304,8 @@ def _record(message: Message, source: str) -> dict[str, Field]:
             else:
                 raise LayoutError(f"{where}: signal {signal.name} must be in one page or in all")
     record = {field.name: field for field in sorted(fields, key=lambda field: field.start)}
+    if f"{BURST}0" not in record and {"Counter", f"{BURST}1"} <= set(record):
+        record[f"{BURST}0"] = _low_bits(record["Counter"], f"{BURST}0", record[f"{BURST}1"].length)
     pages = sum(name.startswith(PAGE) for name in record)
     for page in range(pages):
         for name in (f"{PAGE}{page}", f"{BURST}{page}"):
@@ -314,6 +317,15 @@ def _record(message: Message, source: str) -> dict[str, Field]:
     if not pages or (not multiplexers and message.length < pages * PAGE_BYTES):
         raise LayoutError(f"{where}: must have pages of 8 bytes, each with {PAGE} and {BURST}")
     return record
+
+
+def _low_bits(field: Field, name: str, length: int) -> Field:
+    """The low bits of an unsigned field, as a field."""
+    start = field.start
+    if field.big_endian:  # numbered downwards within a byte, upwards from byte to byte
+        place = start // 8 * 8 + 7 - start % 8 + field.length - length
+        start = place // 8 * 8 + 7 - place % 8
+    return replace(field, name=name, start=start, length=length, raw_min=0, raw_max=2**length - 1)
 
 
 def _field(signal: Signal, where: str) -> Field:

@@ -73,7 +73,7 @@ class Reassembler:
         self._record_bytes = layout.record_bytes
         self._timeout_ns = timeout_ns
         self._read_page = _reader(layout[f"{PAGE}0"])
-        self._read_burst = _reader(layout[f"{BURST}0"])
+        self._read_burst = [_reader(layout[f"{BURST}{page}"]) for page in range(layout.pages)]
         self._bursts = 2 ** layout[f"{BURST}0"].length
         self._held: dict[Slot, dict[int, _Burst]] = {slot: {} for slot in layout.channels}
         self._done: dict[Slot, tuple[int, int]] = {}  # number and time
@@ -119,15 +119,16 @@ class Reassembler:
             self._expire_slot(slot, t_ns)
 
     def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record | Reason:
-        number = self._read_burst(payload[:PAGE_BYTES])
+        number = self._read_burst[0](payload[:PAGE_BYTES])
         if late := self._late(slot, number, t_ns):
             return self._dropped(late)
         return Record(slot, payload, t_ns, 1, number)
 
     def _feed_page(self, slot: Slot, data: bytes, t_ns: int) -> Record | Reason:
-        page, number = self._read_page(data), self._read_burst(data)
+        page = self._read_page(data)
         if page >= self._pages:
             return self._dropped(Reason.PAGE)
+        number = self._read_burst[page](data)
         if late := self._late(slot, number, t_ns):
             return self._dropped(late)
         self._expire_slot(slot, t_ns)
@@ -174,7 +175,7 @@ class Reassembler:
 
 
 def _reader(field: Field) -> Callable[[bytes], int]:
-    """Reads one field out of a page."""
+    """Reads one field out of the page in which it lies."""
     (_, shift, bits, _), *more = pieces_of(field)
     if more:
         raise LayoutError(f"signal {field.name} must lie within a page")

@@ -51,18 +51,18 @@ _PROTECTION = (
         1,
         "",
         "Counts the records of the slot (AUTOSAR E2E profile 5); its low four bits are the "
-        "burst number of every page.",
+        "burst number, which the other pages repeat.",
         "profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz",
     ),
 )
 _MEAN = (
     SignalSpec(
         "YOff",
-        15,
-        2**-9,
+        16,
+        2**-10,
         "m",
         "Lateral offset of the line at x = 0, positive to the left.",
-        "half a step is 1.0 mm; +-32 m holds four lanes to either side",
+        "half a step is 0.5 mm; +-32 m holds four lanes to either side",
         signed=True,
     ),
     SignalSpec(
@@ -85,11 +85,12 @@ _MEAN = (
     ),
     SignalSpec(
         "C1",
-        22,
-        2**-25,
+        26,
+        2**-30,
         "1/m^2",
         "Curvature rate: the third derivative of y(x).",
-        "half a step is 1.3 mm at 80 m; a turn of radius 15 m needs 0.02 of the 0.0625",
+        "a step is an eighth of what a good pose leaves open, since coarser ones blur how c1 goes "
+        "with beta; a turn of radius 15 m needs 0.02 of the 0.031",
         signed=True,
     ),
 )
@@ -102,16 +103,16 @@ _STATUS = SignalSpec(
     "six values; 6 and 7 are refused",
     choices={status.value: status.name for status in Status},
 )
+_KIND = SignalSpec(
+    "Kind",
+    3,
+    1,
+    "",
+    "What the line is on the road.",
+    "eight values",
+    choices={kind.value: kind.name for kind in Kind},
+)
 _EXTENT = (
-    SignalSpec(
-        "Kind",
-        3,
-        1,
-        "",
-        "What the line is on the road.",
-        "eight values",
-        choices={kind.value: kind.name for kind in Kind},
-    ),
     SignalSpec(
         "XMin",
         3,
@@ -123,11 +124,11 @@ _EXTENT = (
     ),
     SignalSpec(
         "XMax",
-        6,
-        4,
+        5,
+        8,
         "m",
         "The cubic holds up to here. Rounded down: never claims too much.",
-        "0 to 252 m, beyond the reach of any camera",
+        "0 to 248 m, beyond the reach of any camera",
     ),
     SignalSpec(
         "Age",
@@ -162,14 +163,14 @@ _COMPONENT = (
     ),
 )
 _ROWS_1_2 = (
-    _pivot("C1", "1/m^2", "", 0.045, -27),
+    _pivot("C1", "1/m^2", "", 0.054, -32),
     _pivot("Beta", "rad", " given C1", 0.034, -18),
-    _ratio("Beta", "C1", 11, 1 / 16),
-    _ratio("YOff", "C1", 9, 1 / 32),
+    _ratio("Beta", "C1", 12, 1 / 16),
+    _ratio("YOff", "C1", 8, 1 / 16),
     _ratio("YOff", "Beta", 9, 1 / 32),
 )
 _ROWS_3_4 = (
-    _pivot("YOff", "m", " given C1 and Beta", 0.032, -11),
+    _pivot("YOff", "m", " given C1 and Beta", 0.034, -12),
     _pivot("C0", "1/m", " given C1, Beta and YOff", 0.04, -23),
     _ratio("C0", "C1", 14, 1 / 16),
     _ratio("C0", "Beta", 14, 1 / 16),
@@ -188,7 +189,7 @@ _ROWS_3_4 = (
 #: What ``dbc/maplines.dbc`` describes.
 DEFAULT = Contract(
     pages=(
-        (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS),
+        (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, _KIND),
         (_MEAN[2], _MEAN[3], *_EXTENT),
         (*_ROWS_1_2, *_COMPONENT),
         _ROWS_3_4,
