@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write dbc/maplines.dbc and the table in dbc/README.md from the description of the wire.
+"""Write the DBC of each covariance code into dbc/, and the tables in dbc/README.md.
 
 python tools/make_dbc.py            write them
 python tools/make_dbc.py --check    say whether they are up to date
@@ -9,20 +9,45 @@ import argparse
 import sys
 from pathlib import Path
 
-from maplines_can.wire.signals import DEFAULT
+from maplines_can.wire.codes import CODES
+from maplines_can.wire.signals import DEFAULT, contract_of
 
 FOLDER = Path(__file__).resolve().parents[1] / "dbc"
-BEGIN, END = "<!-- fields: written by tools/make_dbc.py -->\n", "\n<!-- end of fields -->"
 
 
 def wanted():
-    """The texts of the two files."""
+    """The texts of all files."""
     page = (FOLDER / "README.md").read_text()
-    before, after = page.split(BEGIN)[0], page.split(END)[1]
-    return {
-        FOLDER / "maplines.dbc": DEFAULT.dbc(),
-        FOLDER / "README.md": f"{before}{BEGIN}{DEFAULT.table()}{END}{after}",
-    }
+    for mark, table in (("fields", DEFAULT.table()), ("codes", codes_table())):
+        begin, end = f"<!-- {mark}: written by tools/make_dbc.py -->\n", f"\n<!-- end of {mark} -->"
+        before, after = page.split(begin)[0], page.split(end)[1]
+        page = f"{before}{begin}{table}{end}{after}"
+    files = {FOLDER / file_name(code): contract_of(code).dbc() for code in CODES}
+    return files | {FOLDER / "README.md": page}
+
+
+def file_name(code):
+    """``maplines.dbc`` for the default, else ``maplines-<code>.dbc``."""
+    if code == DEFAULT.covariance_code:
+        return "maplines.dbc"
+    return f"maplines-{code.lower()}.dbc"
+
+
+def codes_table():
+    """Each code with its file, its size and its guarantees."""
+    rows = [
+        "| `CovarianceCode` | DBC | what is sent | bits of the covariance | classic frames | "
+        "definite whatever the bits | covers what is sent |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, code in CODES.items():
+        bits = sum(spec.bits for spec in code.signals())
+        rows.append(
+            f"| {name} | `{file_name(name)}` | {code.about} | {bits} | "
+            f"{len(contract_of(name).pages)} | {'yes' if code.positive_definite else 'no'} | "
+            f"{'yes' if code.covering else 'no'} |"
+        )
+    return "\n".join(rows)
 
 
 def main():
@@ -31,10 +56,11 @@ def main():
     )
     parser.add_argument("--check", action="store_true", help="write nothing")
     check = parser.parse_args().check
-    stale = [path for path, text in wanted().items() if path.read_text() != text]
+    texts = wanted()
+    stale = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
     for path in stale:
         if not check:
-            path.write_text(wanted()[path])
+            path.write_text(texts[path])
         print(f"{path.relative_to(FOLDER.parent)}: {'is not up to date' if check else 'written'}")
     if not stale:
         print("up to date")

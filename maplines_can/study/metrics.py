@@ -51,7 +51,12 @@ def judge(
     target = error + np.diag(resolution)
     scale = np.sqrt(np.einsum("nii->ni", decoded_cov))
     scale2 = scale[:, :, None] * scale[:, None, :]
-    L, definite = _cholesky(decoded_cov / scale2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        L, definite = _cholesky(decoded_cov / scale2)
+    # Figures of a matrix that is no covariance are reckoned with 1 and then set: it covers nothing.
+    scale2 = np.where(definite[:, None, None], scale2, 1.0)
+    scale = np.where(definite[:, None], scale, 1.0)
+    none = np.where(definite, 0.0, np.inf)
     log_det_decoded = 2 * np.log(np.einsum("nii->ni", L)).sum(axis=1)
 
     def whitened(S: Array) -> Array:
@@ -65,33 +70,33 @@ def judge(
         return (trace - 4 + log_det_decoded - log_det + (z**2).sum(axis=1)) / 2
 
     W = whitened(error)
-    z = np.linalg.solve(L, (d / scale)[..., None])[..., 0]
+    z = np.asarray(np.linalg.solve(L, (d / scale)[..., None])[..., 0], dtype=float)
     x = np.array(LATERAL_X)
     J, J_decoded = (lateral_jacobian(m[:, None, :], x) for m in (mean, decoded_mean))
     variance = np.einsum("nxi,nij,nxj->nx", J, cov, J)
     decoded_variance = np.einsum("nxi,nij,nxj->nx", J_decoded, decoded_cov, J_decoded)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sigma_ratio = np.sqrt(decoded_variance / variance)
+        sigma_ratio = np.sqrt(decoded_variance / variance)  # NaN where a variance is negative
     return Judgement(
         positive_definite=definite,
-        largest_ratio=np.asarray(np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1], float),
-        kl_covered=divergence(target, np.zeros_like(z)),
-        kl=divergence(cov, z),
+        largest_ratio=np.asarray(np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1]) + none,
+        kl_covered=divergence(target, np.zeros_like(z)) + none,
+        kl=divergence(cov, z) + none,
         lateral_error=lateral(decoded_mean[:, None, :], x) - lateral(mean[:, None, :], x),
         sigma_ratio=sigma_ratio,
     )
 
 
 def _cholesky(S: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Factors, and which matrices have one; NaN where there is none."""
+    """Factors, and which matrices have one; the identity where there is none."""
+    L = np.zeros_like(S)
     definite = np.ones(len(S), dtype=bool)
-    try:
-        return np.asarray(np.linalg.cholesky(S), dtype=float), definite
-    except np.linalg.LinAlgError:
-        L = np.full_like(S, np.nan)
-        for i, matrix in enumerate(S):
-            try:
-                L[i] = np.linalg.cholesky(matrix)
-            except np.linalg.LinAlgError:
-                definite[i] = False
-        return L, definite
+    for i in range(S.shape[-1]):
+        for j in range(i):
+            rest = S[:, i, j] - np.einsum("nk,nk->n", L[:, i, :j], L[:, j, :j])
+            L[:, i, j] = rest / L[:, j, j]
+        pivot = S[:, i, i] - np.einsum("nk,nk->n", L[:, i, :i], L[:, i, :i])
+        definite &= pivot > 0
+        L[:, i, i] = np.sqrt(np.where(definite, pivot, 1.0))
+    L[~definite] = np.eye(S.shape[-1])
+    return L, definite

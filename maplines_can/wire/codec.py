@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import EncodeError, LayoutError
+from ..errors import EncodeError
 from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Component, Kind, MapLine, Slot, Status
-from .cholesky import STATE_SIGNALS, CholeskyCode
+from .codes import covariance_code
 from .decoder import Decoder
-from .layout import PAGE_BYTES, Layout
+from .layout import PAGE_BYTES, STATE_SIGNALS, Layout
 from .packing import Packing
 from .parts import deficit, quantized_weights
 from .read import Batch, RecordReader
@@ -65,20 +65,16 @@ class Codec:
     ((1, 32), dtype('uint8'))
     >>> batch = codec.decode_batch(payload)
     >>> batch.accepted, batch.mean[0, 0], np.sqrt(batch.cov[0, 0, 0]).round(3)
-    (array([ True]), np.float64(1.75), np.float64(0.101))
+    (array([ True]), np.float64(1.75), np.float64(0.102))
     """
 
     def __init__(self, layout: Layout) -> None:
-        if layout.covariance_code != "Cholesky":
-            raise LayoutError(
-                f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; "
-                "there is 'Cholesky'"
-            )
         self.layout = layout
         packing = Packing(list(layout.fields.values()), layout.record_bytes)
-        covariance = CholeskyCode(layout)
-        self._writer = RecordWriter(layout, packing, covariance)
-        self._reader = RecordReader(layout, packing, covariance)
+        #: The code of the covariance that the DBC names, with what it guarantees.
+        self.covariance = covariance_code(layout)
+        self._writer = RecordWriter(layout, packing, self.covariance)
+        self._reader = RecordReader(layout, packing, self.covariance)
         self._counters: Counter[Slot] = Counter()
 
     @classmethod

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 from cantools.database.can import Database, Message, Node, Signal
 from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
 from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttributeDefinition
@@ -16,7 +17,7 @@ from cantools.database.conversion import BaseConversion
 from ..line import Slot
 from .layout import BURST, PAGE, PAGE_BYTES, fd_length
 
-__all__ = ["Contract", "SignalSpec"]
+__all__ = ["Contract", "SignalSpec", "paged"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class SignalSpec:
         offset: see factor.
         signed: two's complement.
         choices: names of raw values.
+        is_float: an IEEE 754 number of 32 bits.
     """
 
     name: str
@@ -44,6 +46,17 @@ class SignalSpec:
     offset: float = 0.0
     signed: bool = False
     choices: dict[int, str] | None = None
+    is_float: bool = False
+
+    def finer(self, bits: int) -> SignalSpec:
+        """The signal with so many bits more, for finer steps over the same range.
+
+        Raises:
+            ValueError: no bit is left.
+        """
+        if self.bits + bits < 1:
+            raise ValueError(f"{self.name} has {self.bits} bits, so finer_bits cannot be {bits}")
+        return replace(self, bits=self.bits + bits, factor=self.factor / 2.0**bits)
 
     @property
     def range(self) -> tuple[float, float]:
@@ -84,7 +97,7 @@ class Contract:
     covariance_code: str = "Cholesky"
 
     def __post_init__(self) -> None:
-        for number, page in enumerate(self.pages):
+        for number in range(len(self.pages)):
             bits = sum(spec.bits for spec, _ in self._placed(number))
             if bits > 8 * PAGE_BYTES:
                 raise ValueError(f"page {number} has {bits} bits, more than {8 * PAGE_BYTES}")
@@ -97,7 +110,10 @@ class Contract:
     def dbc(self) -> str:
         """The text of the DBC."""
         definitions = _attribute_definitions()
-        messages = [message for slot in Slot for message in (self._classic(slot), self._fd(slot))]
+        carriers = [self._classic]
+        if len(self.pages) * PAGE_BYTES <= LARGEST_FD_PAYLOAD:
+            carriers.append(self._fd)
+        messages = [message(slot) for slot in Slot for message in carriers]
         database = Database(
             messages=messages,
             nodes=[
@@ -180,7 +196,7 @@ class Contract:
         is_fd: bool = False,
     ) -> Message:
         definitions = _attribute_definitions()
-        slot = (can_id - (self.first_fd_can_id if is_fd else self.first_can_id)) & 7
+        slot = can_id - (self.first_fd_can_id if is_fd else self.first_can_id)
         values: dict[str, Any] = {
             "MapLineSlot": slot,
             "E2EDataId": self.first_data_id + slot,
@@ -208,6 +224,8 @@ class Contract:
 
 
 BURST_BITS = 4
+#: A longer record has no CAN FD message [byte].
+LARGEST_FD_PAYLOAD = 64
 _BURST = SignalSpec(
     BURST,
     BURST_BITS,
@@ -217,6 +235,47 @@ _BURST = SignalSpec(
     "its pages carry the same number and the checksum over all of them holds.",
     "tells 16 bursts in a row apart, long after a lost page's burst has timed out",
 )
+
+
+def paged(signals: Sequence[SignalSpec]) -> tuple[tuple[SignalSpec, ...], ...]:
+    """Signals on as few pages as a search finds; the header of E2E first.
+
+    Each page is filled as far as its signals allow (a subset sum); where
+    the last ones do not fit, other fillings are tried, always the same ones.
+
+    Args:
+        signals: the first two are the header; any of 1 to 56 bits.
+    """
+    head, rest = signals[:2], list(signals[2:])
+    rng = np.random.default_rng(0)
+    bits = sum(spec.bits for spec in signals)
+    for pages in range(1, 65):
+        page_bits = max(1, (pages - 1).bit_length())
+        room = [8 * PAGE_BYTES - page_bits - BURST_BITS * (page > 0) for page in range(pages)]
+        if sum(room) < bits:
+            continue
+        room[0] -= sum(spec.bits for spec in head)
+        for attempt in range(200):
+            order = list(range(len(rest))) if not attempt else list(rng.permutation(len(rest)))
+            found: list[list[int]] = []
+            for space in room:
+                chosen = _fullest([rest[i].bits for i in order], space)
+                found.append(sorted(order[i] for i in chosen))
+                order = [i for place, i in enumerate(order) if place not in chosen]
+            if not order:
+                placed = [tuple(rest[i] for i in page) for page in found]
+                return ((*head, *placed[0]), *placed[1:])
+    raise ValueError(f"the signals have {bits} bits, more than 64 pages hold")
+
+
+def _fullest(sizes: Sequence[int], space: int) -> set[int]:
+    """Indices of sizes whose sum comes next to ``space`` from below, early ones first."""
+    reached: dict[int, tuple[int, ...]] = {0: ()}
+    for index, size in enumerate(sizes):
+        for total, chosen in list(reached.items()):
+            if total + size <= space:
+                reached.setdefault(total + size, (*chosen, index))
+    return set(reached[max(reached)])
 
 
 def _page_spec(bits: int) -> SignalSpec:
@@ -232,7 +291,7 @@ def _slot_words(slot: Slot) -> str:
 
 
 def _signal(spec: SignalSpec, start: int, suffix: str = "", **multiplexing: Any) -> Signal:
-    low, high = spec.range
+    low, high = (None, None) if spec.is_float else spec.range
     return Signal(
         name=spec.name + suffix,
         start=start,
@@ -242,7 +301,7 @@ def _signal(spec: SignalSpec, start: int, suffix: str = "", **multiplexing: Any)
             scale=_plain(spec.factor),
             offset=_plain(spec.offset),
             choices=OrderedDict(spec.choices) if spec.choices else None,
-            is_float=False,
+            is_float=spec.is_float,
         ),
         minimum=low,
         maximum=high,

@@ -17,12 +17,22 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import LayoutError
 from ..line import Slot
 
-__all__ = ["PAGE_BYTES", "Channel", "Field", "Layout", "default_dbc_path", "fd_length"]
+__all__ = [
+    "PAGE_BYTES",
+    "STATE_SIGNALS",
+    "Channel",
+    "Field",
+    "Layout",
+    "default_dbc_path",
+    "fd_length",
+]
 
 #: A page is one classic CAN frame.
 PAGE_BYTES = 8
 #: Signals that each page carries: which page of which burst it is.
 PAGE, BURST = "Page", "Burst"
+#: DBC signals of the mean, in the order of the states.
+STATE_SIGNALS = ("YOff", "Beta", "C0", "C1")
 #: What a record holds besides its pages' numbers, the mean and the covariance.
 SERVICE_SIGNALS = (
     *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
@@ -45,6 +55,8 @@ class Field:
         unit: of the physical value.
         raw_min: least raw value within the DBC's range.
         raw_max: greatest raw value within the DBC's range.
+        is_float: the raw value is the pattern of an IEEE 754 number of 32 bits, and only
+            ``physical`` knows what it means.
     """
 
     name: str
@@ -57,6 +69,7 @@ class Field:
     unit: str
     raw_min: int
     raw_max: int
+    is_float: bool = False
 
     def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
         """(...,) nearest raw values, halves to even as cantools does; not limited to the range."""
@@ -64,6 +77,9 @@ class Field:
 
     def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
         """(...,) physical values."""
+        if self.is_float:
+            pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
+            return pattern.view(np.float32).astype(float)
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
     def physical_one(self, raw: int) -> float:
@@ -178,15 +194,32 @@ class Layout:
         """
         path = default_dbc_path() if path is None else Path(path)
         try:
-            database = cantools.database.load_file(str(path), database_format="dbc", strict=True)
+            text = path.read_bytes().decode("cp1252")  # what DBC tools write
         except OSError as error:
             raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except UnicodeDecodeError as error:
+            raise LayoutError(f"{path}: is not a valid DBC: {error}") from error
+        return cls.from_text(text, str(path))
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "DBC") -> Layout:
+        """Read a layout from the text of a DBC.
+
+        Args:
+            text: as in the file.
+            source: what errors call it.
+
+        Raises:
+            LayoutError: the text is not a DBC, or describes no map line.
+        """
+        try:
+            database = cantools.database.load_string(text, database_format="dbc", strict=True)
         except Exception as error:  # the parser raises many kinds, and all mean this
             reason = " ".join(str(error).split()) or type(error).__name__
-            raise LayoutError(f"{path}: is not a valid DBC: {reason}") from error
+            raise LayoutError(f"{source}: is not a valid DBC: {reason}") from error
         if not isinstance(database, Database):
-            raise LayoutError(f"{path}: is not a DBC of CAN messages")
-        return _layout(database, str(path))
+            raise LayoutError(f"{source}: is not a DBC of CAN messages")
+        return _layout(database, source)
 
 
 def default_dbc_path() -> Path:
@@ -329,20 +362,24 @@ def _low_bits(field: Field, name: str, length: int) -> Field:
 
 
 def _field(signal: Signal, where: str) -> Field:
-    if signal.is_float:
-        raise LayoutError(f"{where}: signal {signal.name} is a float; give it an integer type")
     factor, offset = float(signal.scale), float(signal.offset)
+    if signal.is_float and (signal.length, factor, offset) != (32, 1, 0):
+        raise LayoutError(
+            f"{where}: signal {signal.name} is a float; it needs 32 bits, factor 1 and offset 0, "
+            "or an integer type"
+        )
     low, high = (-(2 ** (signal.length - 1)), 2 ** (signal.length - 1) - 1)
-    if not signal.is_signed:
+    signed = signal.is_signed and not signal.is_float
+    if not signed:
         low, high = 0, 2**signal.length - 1
-    if signal.length > (64 if signal.is_signed else 63):
+    if signal.length > (64 if signed else 63):
         raise LayoutError(f"{where}: signal {signal.name} has more than 63 bits; make it narrower")
     if not factor or not np.isfinite([factor, offset]).all():
         raise LayoutError(f"{where}: signal {signal.name} needs a finite factor other than 0")
     bounds = sorted(
         (bound - offset) / factor for bound in (signal.minimum, signal.maximum) if bound is not None
     )
-    if len(bounds) == 2:  # the DBC's range, where it is the narrower
+    if len(bounds) == 2 and not signal.is_float:  # the DBC's range, where it is the narrower
         slack = 1e-6  # a bound printed in decimals still admits the raw value that it means
         low = max(low, int(np.ceil(bounds[0] - slack)))
         high = max(low, min(high, int(np.floor(bounds[1] + slack))))
@@ -351,10 +388,11 @@ def _field(signal: Signal, where: str) -> Field:
         start=signal.start,
         length=signal.length,
         big_endian=signal.byte_order == "big_endian",
-        signed=signal.is_signed,
+        signed=signed,
         factor=factor,
         offset=offset,
         unit=signal.unit or "",
         raw_min=low,
         raw_max=high,
+        is_float=bool(signal.is_float),
     )

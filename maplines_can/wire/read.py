@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
+from ..gaussian import Gaussian, nearest_covariance
 from ..line import VAGUE_SIGMA, Component, Kind, MapLine, Slot, Status
-from .cholesky import STATE_SIGNALS, CholeskyCode
+from .codes import CovarianceCode
 from .e2e import record_crc, record_crc_one
-from .layout import BURST, PAGE, Layout
+from .layout import BURST, PAGE, STATE_SIGNALS, Layout
 from .packing import Packing
 from .reassembly import Reason
 
@@ -30,7 +30,9 @@ class Batch:
     """Many decoded records. Believe a row only where ``accepted`` is true."""
 
     mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
-    cov: NDArray[np.float64]  #: (N, 4, 4), positive definite in every row
+    #: (N, 4, 4), positive definite in every row where the covariance code guarantees it; else as
+    #: the bytes say, which ``Codec.decode_one`` and a receiver repair.
+    cov: NDArray[np.float64]
     verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
@@ -58,10 +60,11 @@ class Batch:
 class RecordReader:
     """Reads records of a layout; both ways give the same bits."""
 
-    def __init__(self, layout: Layout, packing: Packing, covariance: CholeskyCode) -> None:
+    def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self._fields = layout.fields
         self._pages = layout.pages
         self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._resolution = np.array([field.factor**2 / 12 for field in self._mean])
         self._covariance = covariance
         self._packing = packing
         self._crc_offset = layout.crc_offset
@@ -89,6 +92,9 @@ class RecordReader:
         verdict = np.zeros(n, dtype=np.int8)
         unlawful = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
+        if not self._covariance.positive_definite:
+            unlawful |= ~np.isfinite(cov).all(axis=(1, 2))
+            unlawful |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
         verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
         crc = record_crc(payloads, data_ids, self._crc_offset)
         verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
@@ -131,6 +137,13 @@ class RecordReader:
         mean = np.array([field.physical_one(raw[field.name]) for field in self._mean])
         bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
         cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
+        status = Status(raw["Status"])
+        if not (bare or self._covariance.positive_definite):
+            if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
+                return Reason.CONTENT
+            if not _definite(cov):
+                cov = nearest_covariance(cov) + np.diag(self._resolution)
+                status = Status.REPAIRED
         x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
         return MapLine(
             slot=slot,
@@ -139,7 +152,7 @@ class RecordReader:
             x_min=min(x_min, x_max),
             x_max=x_max,
             age=fields["Age"].physical_one(raw["Age"]) / 1000,
-            status=Status(raw["Status"]),
+            status=status,
             component=Component(index, count, weight),
             t_ns=t_ns,
         )
@@ -147,3 +160,11 @@ class RecordReader:
     def counter_of(self, payload: bytes) -> int:
         """The counter of a record."""
         return self._packing.unpack_field(payload, "Counter")
+
+
+def _definite(cov: NDArray[np.float64]) -> bool:
+    """Whether a (4, 4) matrix is positive definite beyond rounding."""
+    sigma = np.sqrt(cov.diagonal())
+    if not sigma.all():
+        return False
+    return bool(np.linalg.eigvalsh(cov / (sigma[:, None] * sigma))[0] > 1e-12)

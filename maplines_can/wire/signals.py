@@ -1,38 +1,13 @@
-"""The one description of the default wire: what ``dbc/maplines.dbc`` holds, and why."""
+"""The one description of the wire: what a record holds, and why."""
 
 from __future__ import annotations
 
 from ..line import Kind, Status
-from .contract import Contract, SignalSpec
+from .codes import CODES
+from .codes.cholesky import CholeskyCode
+from .contract import Contract, SignalSpec, paged
 
-__all__ = ["DEFAULT"]
-
-
-def _ratio(row: str, column: str, bits: int, factor: float) -> SignalSpec:
-    return SignalSpec(
-        f"Ratio{row}{column}",
-        bits,
-        factor,
-        "",
-        f"Part of {row} that goes with {column}: entry ({row}, {column}) of the lower Cholesky "
-        f"factor of the covariance, divided by the pivot of {row}.",
-        f"step 1/{round(1 / factor)}: the expected KL of its rounding is step^2/24; range "
-        f"+-{2 ** (bits - 1) * factor:g}, as far as a pose-only covariance drives it",
-        signed=True,
-    )
-
-
-def _pivot(state: str, unit: str, of: str, factor: float, offset: int) -> SignalSpec:
-    return SignalSpec(
-        f"Pivot{state}",
-        9,
-        factor,
-        "octave",
-        f"log2 of the standard deviation of {state} [{unit}]{of}.",
-        f"from the resolution of the mean's own grid, 2^{offset} {unit}, upwards in steps of "
-        f"{100 * (2**factor - 1):.1f} %",
-        offset=float(offset),
-    )
+__all__ = ["DEFAULT", "SERVICE", "contract_of"]
 
 
 _PROTECTION = (
@@ -162,36 +137,37 @@ _COMPONENT = (
         offset=2**-5,
     ),
 )
-_ROWS_1_2 = (
-    _pivot("C1", "1/m^2", "", 0.054, -32),
-    _pivot("Beta", "rad", " given C1", 0.034, -18),
-    _ratio("Beta", "C1", 12, 1 / 16),
-    _ratio("YOff", "C1", 8, 1 / 16),
-    _ratio("YOff", "Beta", 9, 1 / 32),
-)
-_ROWS_3_4 = (
-    _pivot("YOff", "m", " given C1 and Beta", 0.034, -12),
-    _pivot("C0", "1/m", " given C1, Beta and YOff", 0.04, -23),
-    _ratio("C0", "C1", 14, 1 / 16),
-    _ratio("C0", "Beta", 14, 1 / 16),
-    _ratio("C0", "YOff", 8, 1 / 16),
-    SignalSpec(
-        "Inflation",
-        4,
-        1 / 96,
-        "octave",
-        "log2 of the factor on the whole covariance that makes up for the rounding: the decoded "
-        "covariance is 2^Inflation L L^T.",
-        "steps of 0.7 % of the variance; up to 11 %, more than the rounding ever needs",
-    ),
-)
+#: What a record holds besides its covariance.
+SERVICE = (*_PROTECTION, *_MEAN, _STATUS, _KIND, *_EXTENT, *_COMPONENT)
 
+_COVARIANCE = CholeskyCode.signals()
 #: What ``dbc/maplines.dbc`` describes.
 DEFAULT = Contract(
     pages=(
         (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, _KIND),
         (_MEAN[2], _MEAN[3], *_EXTENT),
-        (*_ROWS_1_2, *_COMPONENT),
-        _ROWS_3_4,
+        (*_COVARIANCE[:5], *_COMPONENT),
+        _COVARIANCE[5:],
     )
 )
+
+
+def contract_of(code: str, finer_bits: int = 0) -> Contract:
+    """The contract of any covariance code, in as few pages as it fits.
+
+    Args:
+        code: a name of ``CODES``.
+        finer_bits: so many bits more in each field of the covariance, for finer steps.
+
+    Raises:
+        ValueError: there is no such code, or it has no such widths.
+
+    >>> [len(contract_of(code).pages) for code in ("MeanOnly", "Cholesky", "Float32")]
+    [3, 4, 11]
+    """
+    if code not in CODES:
+        raise ValueError(f"code must be one of {', '.join(CODES)}, got {code!r}")
+    if code == DEFAULT.covariance_code and not finer_bits:
+        return DEFAULT
+    signals = (*SERVICE, *CODES[code].signals(finer_bits))
+    return Contract(paged(signals), covariance_code=code)

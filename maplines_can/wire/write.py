@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import EncodeError
 from ..gaussian import nearest_covariance
 from ..line import Kind, Slot, Status
-from .cholesky import STATE_SIGNALS, CholeskyCode
+from .codes import CovarianceCode
 from .e2e import CRC_BYTES, record_crc, record_crc_one
-from .layout import BURST, PAGE, Layout
+from .layout import BURST, PAGE, STATE_SIGNALS, Layout
 from .packing import Packing
 
 __all__ = ["RecordWriter"]
@@ -24,7 +24,7 @@ FEW = 8
 class RecordWriter:
     """Writes records of a layout."""
 
-    def __init__(self, layout: Layout, packing: Packing, covariance: CholeskyCode) -> None:
+    def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self.layout = layout
         self._mean = [layout[name] for name in STATE_SIGNALS]
         self._factor = np.array([field.factor for field in self._mean])
@@ -68,8 +68,17 @@ class RecordWriter:
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
         clipped = self._put_extent(raw, rest, n)
+        wish = self._sayable(wish)
         self._put_gaussian(raw, mean, cov, wish, clipped, broken, cover)
         return self._sealed(raw, data_ids, n)
+
+    def _sayable(self, wish: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n,) the most that the covariance code can say of what is wished."""
+        most = self._covariance.status
+        if most == Status.FULL:
+            return wish
+        bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
+        return np.where(bare, wish, most)
 
     def rounded(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
         """(..., 4) means as they will be decoded."""

@@ -21,108 +21,61 @@ mean is positive semidefinite.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from itertools import chain
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import LayoutError
-from .layout import Field, Layout
+from ...errors import LayoutError
+from ..contract import SignalSpec
+from ..layout import Layout
+from .code import Array, Coded
+from .log_cholesky import BLOCK, LogCholesky, exp2_table, lookup, lookup_one
 
-__all__ = ["STATE_SIGNALS", "CholeskyCode", "Coded"]
-
-#: DBC signals of the mean, in the order of the states.
-STATE_SIGNALS = ("YOff", "Beta", "C0", "C1")
+__all__ = ["CholeskyCode"]
 
 #: Room for the rounding of whoever checks the guarantee with another algorithm.
 MARGIN = 1e-6
-#: Rows worked on at a time: all arrays of a block stay in the cache.
-BLOCK = 2048
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Coded:
-    """Covariances as raw values, and what happened to them.
-
-    Args:
-        raw: (N,) values by signal.
-        saturated: (N,) a pivot was lifted, to keep a ratio or itself in range.
-        covered: (N,) the decoded covariance covers what was to be sent.
-    """
-
-    raw: dict[str, NDArray[np.int64]]
-    saturated: NDArray[np.bool_]
-    covered: NDArray[np.bool_]
+INFLATION = SignalSpec(
+    "Inflation",
+    4,
+    1 / 96,
+    "octave",
+    "log2 of the factor on the whole covariance that makes up for the rounding: the decoded "
+    "covariance is 2^Inflation L L^T.",
+    "steps of 0.7 % of the variance; up to 11 %, more than the rounding ever needs",
+)
 
 
-class CholeskyCode:
-    """Covariances to raw values of a layout's pivots, ratios and inflation, and back.
+class CholeskyCode(LogCholesky):
+    """Pivots and ratios with feedback, and an inflation: the default of the wire."""
 
-    The order of the rows is in the names: ``RatioC0Beta`` says that C0 comes
-    after Beta.
-
-    Raises:
-        LayoutError: a pivot, a ratio or the inflation is missing.
-    """
+    name = "Cholesky"
+    about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
+    covering = True
 
     def __init__(self, layout: Layout) -> None:
-        below = {
-            row: [column for column in STATE_SIGNALS if f"Ratio{row}{column}" in layout.fields]
-            for row in STATE_SIGNALS
-        }
-        names = sorted(STATE_SIGNALS, key=lambda state: len(below[state]))
-        if [len(below[name]) for name in names] != [0, 1, 2, 3]:
-            raise LayoutError(
-                f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
-                f"pair of {', '.join(STATE_SIGNALS)}, but there are {below}"
-            )
-        #: States in the order of the rows, as indices into the mean.
-        self.order = [STATE_SIGNALS.index(name) for name in names]
-        self.pivots = [layout[f"Pivot{name}"] for name in names]
-        self.ratios = [
-            [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
-        ]
+        super().__init__(layout)
         self.inflation = layout["Inflation"]
-        self.fields: list[Field] = [*self.pivots, *chain(*self.ratios), self.inflation]
-        for field in self.fields:
-            if field.factor <= 0:
-                raise LayoutError(f"{layout.source}: signal {field.name} needs a positive factor")
-        if (condition := self._worst_condition()) > 1e13:
-            raise LayoutError(
-                f"{layout.source}: the ratios reach so far that a matrix could have the condition "
-                f"{condition:.0e}, which double precision cannot hold; make their ranges narrower"
-            )
-        self._sigma = [_exp2_table(field) for field in self.pivots]
-        self._variance_factor = _exp2_table(self.inflation)
+        self.fields.append(self.inflation)
+        if self.inflation.factor <= 0:
+            raise LayoutError(f"{layout.source}: signal Inflation needs a positive factor")
+        self._variance_factor = exp2_table(self.inflation)
         # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
         self._hopeless = np.empty(4)
         for state, pivot, ratios in zip(self.order, self.pivots, self.ratios, strict=True):
             reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
             self._hopeless[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach * 4
 
-    def _worst_condition(self) -> float:
-        """Bound on the condition of a decoded correlation matrix, whatever its bits."""
-        reach = np.zeros((4, 4))
-        for i, ratios in enumerate(self.ratios):
-            reach[i, :i] = [max(map(abs, ratio.physical_range)) for ratio in ratios]
-        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, the worst signs
-        norm = np.sqrt(1 + (reach**2).sum(axis=1))
-        return float(((inverse * norm) ** 2).sum())
+    @classmethod
+    def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
+        # The inflation needed shrinks with the steps, so it needs no bits of its own for that.
+        inflation = replace(INFLATION, factor=INFLATION.factor / 2.0**finer_bits)
+        return (*super().signals(finer_bits), inflation)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
-        """Code covariances so that none is decoded overconfident.
-
-        Args:
-            error: (N, 4, 4) what the decoded covariance must cover: the
-                covariance plus d d^T, with d the error of the decoded mean.
-            resolution: (4,) variances of the mean's own rounding, which are
-                added before the coding: they give singular matrices a floor.
-        """
         n = len(error)
         coded = Coded(
             {field.name: np.zeros(n, dtype=np.int64) for field in self.fields},
@@ -149,47 +102,13 @@ class CholeskyCode:
         return coded
 
     def widest(self) -> dict[str, int]:
-        """Raw values of the widest covariance: what a line without one carries."""
-        wide = [*self.pivots, self.inflation]
-        return {field.name: field.raw_max if field in wide else 0 for field in self.fields}
+        return super().widest() | {self.inflation.name: self.inflation.raw_max}
 
-    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        """(N, 4, 4) covariances; positive definite whatever the raw values.
+    def _factor(self, raw: Mapping[str, NDArray[np.int64]]) -> Any:
+        return lookup(self._variance_factor, self.inflation, raw[self.inflation.name])
 
-        Args:
-            raw: (N,) values by signal.
-        """
-        n = len(raw[self.inflation.name])
-        cov = np.empty((n, 4, 4))
-        for start in range(0, n, BLOCK):
-            rows = slice(start, start + BLOCK)
-            block = {field.name: raw[field.name][rows] for field in self.fields}
-            L = self._decode_rows(block)
-            factor = _lookup(self._variance_factor, self.inflation, block[self.inflation.name])
-            for i, j, value in _products(L, factor):
-                cov[rows, self.order[i], self.order[j]] = value
-                cov[rows, self.order[j], self.order[i]] = value
-        return cov
-
-    def decode_one(self, raw: Mapping[str, int]) -> Array:
-        """(4, 4) covariance: as ``decode`` to the last bit, without the cost of arrays."""
-        L = []
-        for table, pivot, ratios in zip(self._sigma, self.pivots, self.ratios, strict=True):
-            sigma = _lookup_one(table, pivot, raw[pivot.name])
-            L.append([ratio.physical_one(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
-        factor = _lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
-        cov = [[0.0] * 4 for _ in range(4)]
-        for i, j, value in _products(L, factor):
-            cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value
-        return np.array(cov)
-
-    def _decode_rows(self, raw: Mapping[str, NDArray[np.int64]]) -> list[list[Array]]:
-        """L' as rows of (N,) entries, without the inflation."""
-        L = []
-        for table, pivot, ratios in zip(self._sigma, self.pivots, self.ratios, strict=True):
-            sigma = _lookup(table, pivot, raw[pivot.name])
-            L.append([ratio.physical(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
-        return L
+    def _factor_one(self, raw: Mapping[str, int]) -> float:
+        return lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
 
     def _encode_block(
         self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
@@ -204,7 +123,7 @@ class CholeskyCode:
         needed = _largest_ratio(L, M)
         steps = (np.log2(needed) - self.inflation.offset) / self.inflation.factor
         inflation = self.inflation.limited(np.ceil(steps))
-        given = _lookup(self._variance_factor, self.inflation, inflation.astype(np.int64))
+        given = lookup(self._variance_factor, self.inflation, inflation.astype(np.int64))
         raw[self.inflation.name] = inflation
         for name, value in raw.items():
             coded.raw[name][rows] = value.astype(np.int64)
@@ -232,7 +151,7 @@ class CholeskyCode:
         A: list[list[Array]] = []
         decoded: list[list[Array]] = []
         saturated = np.zeros(len(S[0][0]), dtype=bool)
-        for i, (table, pivot) in enumerate(zip(self._sigma, self.pivots, strict=True)):
+        for i, (table, pivot) in enumerate(zip(self.sigmas, self.pivots, strict=True)):
             target: list[Array] = []
             for j in range(i):
                 rest = S[i][j] - sum(target[k] * L[j][k] for k in range(j))
@@ -241,7 +160,7 @@ class CholeskyCode:
             nearest = pivot.raw(np.log2(exact))
             chosen = pivot.limited(nearest)
             for _ in range(4):
-                sigma = _lookup(table, pivot, chosen.astype(np.int64))
+                sigma = lookup(table, pivot, chosen.astype(np.int64))
                 row, overflow = self._choose_ratios(i, target, sigma, A, raw)
                 over = overflow > 1
                 if not over.any():
@@ -288,17 +207,6 @@ class CholeskyCode:
         return row, overflow
 
 
-def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]:
-    """Lower triangle of ``factor L L^T``, for arrays and for single numbers alike."""
-    for i, row in enumerate(L):
-        scaled = [factor * entry for entry in row]
-        for j, column in enumerate(L[: i + 1]):
-            value = scaled[0] * column[0]
-            for k in range(1, j + 1):
-                value += scaled[k] * column[k]
-            yield i, j, value
-
-
 def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
     """(N,) largest eigenvalue of (L L^T)^-1 M and a little more, for rounding.
 
@@ -320,23 +228,3 @@ def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
     largest = np.linalg.eigvalsh(W, UPLO="L")[:, -1]
     margin = MARGIN + 32 * np.finfo(float).eps * amplification
     return np.maximum(largest, 0) * (1 + MARGIN) + margin
-
-
-def _exp2_table(field: Field) -> Array | None:
-    """2 to the physical value of each raw value; None where that would be too many."""
-    if field.raw_max - field.raw_min >= 1 << 16:
-        return None
-    return np.exp2(field.physical(np.arange(field.raw_min, field.raw_max + 1)))
-
-
-def _lookup(table: Array | None, field: Field, raw: NDArray[np.int64]) -> Array:
-    """2 to the physical value; a raw value beyond the DBC's range counts as the range's end."""
-    if table is None:
-        return np.exp2(field.physical(raw))
-    return table.take(raw - field.raw_min, mode="clip")
-
-
-def _lookup_one(table: Array | None, field: Field, raw: int) -> float:
-    if table is None:
-        return float(np.exp2(field.physical_one(raw)))
-    return table.item(min(max(raw - field.raw_min, 0), len(table) - 1))

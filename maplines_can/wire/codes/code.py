@@ -1,0 +1,104 @@
+"""What every covariance code has: raw values of its own signals, and what it guarantees."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...line import Status
+from ..contract import SignalSpec
+from ..layout import Field, Layout
+
+__all__ = ["Array", "Coded", "CovarianceCode", "nearest_raw"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Coded:
+    """Covariances as raw values, and what happened to them.
+
+    Args:
+        raw: (N,) values by signal.
+        saturated: (N,) a value met the end of its range.
+        covered: (N,) of a covering code: the decoded covariance covers what was to be sent; of
+            another: no value was cut. Where it is False the line must not be used.
+    """
+
+    raw: dict[str, NDArray[np.int64]]
+    saturated: NDArray[np.bool_]
+    covered: NDArray[np.bool_]
+
+
+class CovarianceCode(ABC):
+    """Covariances to raw values of a layout's signals, and back.
+
+    Args:
+        layout: whose signals the code uses.
+
+    Raises:
+        LayoutError: a signal is missing or does not serve.
+    """
+
+    #: As the DBC's attribute CovarianceCode names it.
+    name: ClassVar[str]
+    #: One line on what is sent.
+    about: ClassVar[str]
+    #: Whatever the bits, the decoded covariance is positive definite.
+    positive_definite: ClassVar[bool]
+    #: The decoded covariance less what was to be sent is positive semidefinite.
+    covering: ClassVar[bool]
+    #: The most that a line can say of its covariance.
+    status: ClassVar[Status] = Status.FULL
+    #: The signals that hold the covariance.
+    fields: list[Field]
+
+    @abstractmethod
+    def __init__(self, layout: Layout) -> None: ...
+
+    @classmethod
+    @abstractmethod
+    def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
+        """The signals of the code's DBC, for ``Contract``.
+
+        Args:
+            finer_bits: so many bits more in each field, all of them for finer steps;
+                negative for less.
+
+        Raises:
+            ValueError: the code has no such widths.
+        """
+
+    @abstractmethod
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        """Code covariances.
+
+        Args:
+            error: (N, 4, 4) positive semidefinite: what the decoded covariance is to cover, which
+                is the covariance plus d d^T, with d the error of the decoded mean.
+            resolution: (4,) variances of the mean's own rounding: a floor for singular matrices.
+        """
+
+    @abstractmethod
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """(N, 4, 4) covariances as the (N,) raw values of each signal say."""
+
+    def decode_one(self, raw: Mapping[str, int]) -> Array:
+        """(4, 4) covariance: as ``decode`` to the last bit."""
+        return self.decode({field.name: np.array([raw[field.name]]) for field in self.fields})[0]
+
+    def widest(self) -> dict[str, int]:
+        """Raw values of the widest covariance: what a line without one carries."""
+        return {field.name: 0 for field in self.fields}
+
+
+def nearest_raw(field: Field, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(N,) nearest raw values within the range, and which had to be cut to it."""
+    nearest = field.raw(physical)
+    limited = field.limited(nearest)
+    return limited.astype(np.int64), nearest != limited

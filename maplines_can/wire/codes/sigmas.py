@@ -1,0 +1,88 @@
+"""Less than a covariance: standard deviations only, or nothing besides the mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...line import VAGUE_SIGMA, Status
+from ..contract import SignalSpec
+from ..layout import STATE_SIGNALS, Layout
+from .code import Array, Coded, CovarianceCode
+from .log_correlation import sigma_signals
+
+__all__ = ["MeanOnly", "Sigmas"]
+
+
+class Sigmas(CovarianceCode):
+    """Four logarithmic standard deviations, rounded up.
+
+    They cover the variances. Correlations are not sent, and not covered: the
+    line's status is DIAGONAL.
+    """
+
+    name = "Sigmas"
+    about = "log2 of the standard deviations, rounded up; no correlations"
+    positive_definite = True
+    covering = False
+    status = Status.DIAGONAL
+
+    def __init__(self, layout: Layout) -> None:
+        self.fields = [layout[f"Sigma{state}"] for state in STATE_SIGNALS]
+
+    @classmethod
+    def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
+        return tuple(spec.finer(finer_bits) for spec in sigma_signals())
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        # A diagonal matrix covers another when each row's other entries fit into its surplus, in
+        # any units; in those of the mean's own resolution they are of one size.
+        unit = np.sqrt(resolution)
+        bound = (np.abs(error / (unit[:, None] * unit))).sum(axis=2) * unit**2
+        raw: dict[str, NDArray[np.int64]] = {}
+        cut = np.zeros(len(error), dtype=bool)
+        for i, field in enumerate(self.fields):
+            wanted = np.log2(np.maximum(bound[:, i], resolution[i])) / 2
+            steps = np.ceil((wanted - field.offset) / field.factor + 1e-6)
+            raw[field.name] = field.limited(steps).astype(np.int64)
+            cut |= steps > field.raw_max
+        return Coded(raw, cut, ~cut)
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        variance = [np.exp2(2 * field.physical(raw[field.name])) for field in self.fields]
+        return np.stack(variance, axis=-1)[:, :, None] * np.eye(4)
+
+    def widest(self) -> dict[str, int]:
+        return {field.name: field.raw_max for field in self.fields}
+
+
+class MeanOnly(CovarianceCode):
+    """No covariance at all: what most interfaces send. The line's status is UNKNOWN."""
+
+    name = "MeanOnly"
+    about = "the mean, and nothing of its covariance"
+    positive_definite = True
+    covering = False
+    status = Status.UNKNOWN
+
+    def __init__(self, layout: Layout) -> None:
+        self.fields = []
+
+    @classmethod
+    def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
+        if finer_bits:
+            raise ValueError(f"finer_bits must be 0 where no covariance is sent, got {finer_bits}")
+        return ()
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        n = len(error)
+        return Coded({}, np.zeros(n, dtype=bool), np.ones(n, dtype=bool))
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        n = len(next(iter(raw.values()))) if raw else 0
+        return np.tile(np.diag(np.square(VAGUE_SIGMA)), (n, 1, 1))
+
+    def decode_one(self, raw: Mapping[str, int]) -> Array:
+        return np.diag(np.square(VAGUE_SIGMA))
