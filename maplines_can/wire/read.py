@@ -22,6 +22,8 @@ __all__ = ["Batch", "RecordReader"]
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 
 LAST_STATUS, LAST_KIND = max(Status), max(Kind)
+#: Least eigenvalue that a repair gives to a correlation matrix.
+LEAST_VARIANCE = 1e-9
 _VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
@@ -142,7 +144,8 @@ class RecordReader:
             if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
                 return Reason.CONTENT
             if not _definite(cov):
-                cov = nearest_covariance(cov) + np.diag(self._resolution)
+                cov = nearest_covariance(cov)
+                cov += np.diag(np.maximum(self._resolution, LEAST_VARIANCE * cov.diagonal()))
                 status = Status.REPAIRED
         x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
         return MapLine(

@@ -1,0 +1,245 @@
+"""Covariance codes: what each guarantees, held to it, and the same signals as cantools reads."""
+
+from functools import cache
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+
+from maplines_can import Codec, MapLine, Slot, Status
+from maplines_can.errors import LayoutError
+from maplines_can.scenarios import SCENARIOS
+from maplines_can.study import hostile, judge, paper, road
+from maplines_can.study.round_trip import round_trip
+from maplines_can.wire import Layout
+from maplines_can.wire.codes import CODES
+from maplines_can.wire.codes.integer_cholesky import ORDER, UNIT
+from maplines_can.wire.signals import SERVICE, contract_of
+
+DBCS = Path(__file__).parents[1] / "dbc"
+WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
+
+
+def dbc_of(name):
+    return DBCS / ("maplines.dbc" if name == "Cholesky" else f"maplines-{name.lower()}.dbc")
+
+
+@cache
+def codec_of(name):
+    return Codec.from_dbc(dbc_of(name))
+
+
+@cache
+def lines_of(which):
+    return {"paper": paper, "road": road}[which](400, seed=5)
+
+
+def sent_and_decoded(name, means, covs):
+    codec = codec_of(name)
+    payloads = codec.encode_batch(means, covs)
+    return codec, payloads, codec.decode_batch(payloads)
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_every_code_has_a_dbc_that_names_it(name):
+    database = cantools.database.load_file(dbc_of(name))
+    assert database.dbc.attributes["CovarianceCode"].value == name
+    assert codec_of(name).covariance.name == name
+    names = {signal.name for message in database.messages for signal in message.signals}
+    assert {spec.name for spec in (*SERVICE, *CODES[name].signals())} <= names
+
+
+@pytest.mark.parametrize("which", ["paper", "road"])
+@pytest.mark.parametrize("name", CODES)
+def test_a_code_holds_what_it_promises(name, which):
+    """A covering code is never overconfident; and all that is sent by it is definite."""
+    means, covs = lines_of(which)
+    codec, _, batch = sent_and_decoded(name, means, covs)
+    assert batch.accepted.all()
+    usable = batch.status != Status.OUT_OF_RANGE
+    assert usable.mean() > 0.99
+    verdict = judge(
+        means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
+    )
+    if codec.covariance.covering:
+        assert not verdict.overconfident.any()
+        assert verdict.positive_definite.all()
+    if codec.covariance.positive_definite:
+        assert verdict.positive_definite.all()
+    assert set(batch.status[usable].tolist()) <= {codec.covariance.status, Status.SATURATED}
+
+
+@pytest.mark.parametrize("name", [name for name in CODES if CODES[name].covering])
+def test_a_covering_code_covers_hostile_covariances_or_says_that_it_cannot(name):
+    means, covs = hostile(1500, seed=11)
+    codec, _, batch = sent_and_decoded(name, means, covs)
+    usable = batch.status != Status.OUT_OF_RANGE
+    verdict = judge(
+        means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
+    )
+    assert not verdict.overconfident.any()
+    assert verdict.positive_definite.all()
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_any_bits_are_read_without_an_error_and_a_line_is_definite(name):
+    """One by one, as a receiver does: what is not definite is repaired, or refused."""
+    codec = codec_of(name)
+    rng = np.random.default_rng(3)
+    fields = codec.layout.fields.values()
+    lines = 0
+    for _ in range(300):
+        raw = {f.name: int(rng.integers(f.raw_min, f.raw_max, endpoint=True)) for f in fields}
+        raw |= {f"Page{p}": p for p in range(codec.layout.pages)}
+        raw |= {f"Burst{p}": raw["Counter"] for p in range(codec.layout.pages)}
+        raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
+        data = codec._writer._sealed_one(raw, codec.layout.channels[Slot.EGO_LEFT].data_id)
+        line = codec.decode_one(data, Slot.EGO_LEFT)
+        batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
+        assert isinstance(line, MapLine) == batch.accepted[0]
+        if isinstance(line, MapLine):
+            lines += 1
+            sigma = line.gaussian.sigma
+            np.linalg.cholesky(line.gaussian.cov / np.outer(sigma, sigma))
+            if line.status is Status.FULL:
+                assert np.array_equal(line.gaussian.cov, batch.cov[0])
+    assert lines
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_cantools_reads_the_same_signals(name):
+    """Every page, physical values; and it writes the same bytes."""
+    means, covs = (values[:20] for values in lines_of("road"))
+    codec, payloads, batch = sent_and_decoded(name, means, covs)
+    database = cantools.database.load_file(dbc_of(name))
+    for i, payload in enumerate(payloads):
+        signals = {}
+        for frame in codec.frames(payload, Slot.EGO_LEFT):
+            message = database.get_message_by_frame_id(frame.can_id)
+            page = message.decode(frame.data, decode_choices=False)
+            assert message.encode(page) == frame.data
+            signals |= page
+        assert [signals[state] for state in ("YOff", "Beta", "C0", "C1")] == batch.mean[i].tolist()
+        if name != "MeanOnly":
+            assert covariance_by_hand(name, signals) == pytest.approx(batch.cov[i], rel=1e-9)
+
+
+def covariance_by_hand(name, signals):
+    """From cantools' values, as the README of the DBCs tells."""
+    states = ("YOff", "Beta", "C0", "C1")
+    S = np.zeros((4, 4))
+    for i, one in enumerate(states):
+        for j, other in enumerate(states):
+            a, b = sorted((i, j))
+            pair = states[a] + states[b]
+            if name in ("Linear", "LinearNearest", "Float32"):
+                S[i, j] = signals[f"Cov{pair}"]
+            elif name == "Float16":
+                S[i, j] = np.array(signals[f"Cov{pair}Half"], dtype=np.uint16).view(np.float16)
+            elif name in ("LogCorrelation", "Sigmas"):
+                correlation = 1.0 if i == j else signals.get(f"Corr{pair}", 0.0)
+                S[i, j] = correlation * 2.0 ** (signals[f"Sigma{one}"] + signals[f"Sigma{other}"])
+    if name == "IntegerCholesky":
+        order = [states[i] for i in ORDER]
+        R = (
+            np.array(
+                [[signals.get(f"Root{row}{column}", 0.0) for column in order] for row in order]
+            )
+            * 2.0 ** signals["ScaleExponent"]
+        )
+        S[np.ix_(ORDER, ORDER)] = R.T @ R
+        S *= np.outer(UNIT, UNIT)
+    if name in ("Cholesky", "LogCholesky"):
+        rows = ["C1", "Beta", "YOff", "C0"]
+        L = np.zeros((4, 4))
+        for i, row in enumerate(rows):
+            L[i, i] = 2.0 ** signals[f"Pivot{row}"]
+            for j, column in enumerate(rows[:i]):
+                L[i, j] = signals[f"Ratio{row}{column}"] * L[i, i]
+        back = [rows.index(state) for state in states]
+        S = (2.0 ** signals.get("Inflation", 0.0) * L @ L.T)[np.ix_(back, back)]
+    return S
+
+
+def test_the_integer_factor_has_the_99_bits_of_sbas():
+    """DO-229, A.4.4.16: 3 for the exponent, 4 x 9 and 6 x 10."""
+    widths = [spec.bits for spec in CODES["IntegerCholesky"].signals()]
+    assert sum(widths) == 99
+    assert sorted(widths) == [3, *[9] * 4, *[10] * 6]
+
+
+def test_half_precision_loses_small_variances():
+    """The variance of c1 is below 6e-8: float16 has nothing for it, float32 has."""
+    means, covs = lines_of("road")
+    half, single = (sent_and_decoded(name, means, covs)[2].cov for name in ("Float16", "Float32"))
+    assert (half[:, 3, 3] == 0).mean() > 0.5
+    assert (single[:, 3, 3] > 0).all()
+    assert np.diagonal(single, axis1=1, axis2=2) == pytest.approx(
+        np.diagonal(covs, axis1=1, axis2=2), rel=0.02, abs=1e-9
+    )
+
+
+def test_feedback_is_what_holds_the_error_of_thin_matrices():
+    """With the same fields: rounding by itself is worse on nearly singular matrices, by far."""
+    means, covs = lines_of("paper")
+    found = {}
+    for name in ("Cholesky", "LogCholesky"):
+        codec, _, batch = sent_and_decoded(name, means, covs)
+        ok = batch.status == Status.FULL
+        verdict = judge(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
+        found[name] = np.quantile(verdict.kl_covered, 0.99)
+    assert found["LogCholesky"] > 20 * found["Cholesky"]
+
+
+def test_one_bit_more_in_each_field_is_a_quarter_of_the_divergence():
+    """KL of the rounding goes with the square of the step."""
+    means, covs = lines_of("road")
+    kl = []
+    for finer in (-1, 0, 1):
+        codec = Codec(Layout.from_text(contract_of("Cholesky", finer).dbc()))
+        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        kl.append(judge(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
+    assert kl[0] / kl[1] == pytest.approx(4, rel=0.15)
+    assert kl[1] / kl[2] == pytest.approx(4, rel=0.15)
+
+
+@pytest.mark.parametrize("name", WITH_WIDTHS)
+def test_widths_change_and_the_code_goes_on_working(name):
+    means, covs = lines_of("road")
+    for finer in (-1, 2):
+        contract = contract_of(name, finer)
+        codec = Codec(Layout.from_text(contract.dbc()))
+        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        assert batch.accepted.all()
+        if codec.covariance.covering:
+            usable = batch.status != Status.OUT_OF_RANGE
+            verdict = judge(
+                means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
+            )
+            assert not verdict.overconfident.any()
+
+
+@pytest.mark.parametrize("name", ["Float16", "Float32", "MeanOnly"])
+def test_a_code_without_widths_says_so(name):
+    with pytest.raises(ValueError, match="finer_bits must be 0"):
+        contract_of(name, 1)
+
+
+def test_errors_name_what_there_is():
+    with pytest.raises(ValueError, match="code must be one of Cholesky"):
+        contract_of("Magic")
+    with pytest.raises(ValueError, match="finer_bits cannot be -9"):
+        contract_of("Cholesky", -9)
+    text = contract_of("Sigmas").dbc().replace('"Sigmas"', '"LinearNearest"')
+    with pytest.raises(LayoutError, match="CovYOffYOff"):
+        Codec(Layout.from_text(text))
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_lines_travel_over_a_bus_with_every_dbc(name):
+    """Sent, received, and every received covariance definite."""
+    trip = round_trip(SCENARIOS["street-turn"], Codec.from_dbc(dbc_of(name)), seconds=0.3, rate=20)
+    assert {line.status for line in trip.lines} - {None}
+    assert all(line.mean is not None for line in trip.lines)
+    assert trip.lines_lost == 0
