@@ -15,7 +15,7 @@
 from .bus import Link, Receiver, Transmitter, read_log
 from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
 from .gaussian import Gaussian, nearest_covariance
-from .line import Component, Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
+from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
 from .mixture import GaussianMixture
 from .polyline import Polyline
 from .propagation import (
@@ -23,10 +23,14 @@ from .propagation import (
     MapError,
     Mixture,
     MonteCarlo,
+    Motion,
     Quadrature,
     Refit,
     SigmaPoints,
     Transform,
+    carried,
+    line_at,
+    pose_time_ns,
 )
 from .scenarios import SCENARIOS, Scenario, scenario
 from .wire import Batch, Codec, Decoder, Frame, Reason
@@ -35,7 +39,6 @@ __all__ = [
     "SCENARIOS",
     "Batch",
     "Codec",
-    "Component",
     "Decoder",
     "EncodeError",
     "Frame",
@@ -51,6 +54,7 @@ __all__ = [
     "MaplinesError",
     "Mixture",
     "MonteCarlo",
+    "Motion",
     "Polyline",
     "Quadrature",
     "Reason",
@@ -62,10 +66,13 @@ __all__ = [
     "Status",
     "Transform",
     "Transmitter",
+    "carried",
     "lateral",
     "lateral_jacobian",
+    "line_at",
     "moved",
     "nearest_covariance",
+    "pose_time_ns",
     "read_log",
     "scenario",
 ]

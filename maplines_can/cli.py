@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import logging
 import signal
@@ -12,6 +11,7 @@ import threading
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,20 +21,22 @@ from tqdm import tqdm
 
 from .bus import Link, Receiver, Transmitter, read_log
 from .errors import LogError, MaplinesError
-from .line import STATES, MapLine
+from .line import MapLine
 from .propagation import MapError
 from .scenarios import SCENARIOS, scenario
 from .study.figures import draw_figures
+from .study.listing import line_dict, line_text, slot_text, write_csv
 from .study.picture import draw_round_trip
-from .study.report import counts_text, trip_text
-from .study.round_trip import round_trip, scene_lines
-from .study.truth import as_csv, as_markdown, as_text, truth_table
+from .study.report import counts_text, parts_text, trip_text
+from .study.round_trip import round_trip
+from .study.sending import MAX_LOAD, chosen_parts, scene_lines
+from .study.truth import truth_table
+from .study.truth_text import as_csv, as_markdown, as_text
 from .wire import Codec, Decoder
 
 __all__ = ["main"]
 
 PICTURES = (".png", ".svg", ".pdf")
-UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -75,14 +77,10 @@ def _demo(arguments: argparse.Namespace) -> int:
         trip = round_trip(
             scene,
             codec,
-            lines=arguments.lines,
-            components=arguments.components,
-            seconds=arguments.seconds,
-            rate=arguments.rate,
-            fd=arguments.fd,
-            bitrate=arguments.bitrate or 500_000,
-            interface=interface,
+            **_sending(arguments),
             map_error=_map_error(arguments),
+            seconds=arguments.seconds,
+            interface=interface,
             tick=tick,
         )
     if arguments.plot:
@@ -98,10 +96,12 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _send(arguments: argparse.Namespace) -> int:
     codec = Codec.from_dbc(arguments.dbc)
+    scene = scenario(arguments.scenario)
+    parts = chosen_parts(scene, codec, **_sending(arguments))
     lines = scene_lines(
-        scenario(arguments.scenario),
+        scene,
         arguments.lines,
-        components=arguments.components,
+        components=[line.parts for line in parts],
         map_error=_map_error(arguments),
     )
     with Link(**_bus_settings(arguments)) as link:
@@ -118,13 +118,16 @@ def _send(arguments: argparse.Namespace) -> int:
                         f"{len(lines)} lines of {arguments.scenario} on {link.name}, {carrier}, "
                         f"{arguments.rate:g} Hz, {until}"
                     )
+                    for line in parts:
+                        _note(f"{slot_text(line.slot)}: {parts_text(line)}")
                 transmitter.wait()
         except KeyboardInterrupt:
             pass
         stats = transmitter.stats()
         if arguments.json:
-            late = stats.lateness._asdict()
-            print(json.dumps(stats._asdict() | {"lateness": late, "outages": link.outages}))
+            rest = {"lateness": stats.lateness._asdict(), "outages": link.outages}
+            rest["parts"] = [asdict(line) for line in parts]
+            print(json.dumps(stats._asdict() | rest))
         else:
             print(
                 f"sent {stats.lines} lines in {stats.frames} frames; {stats.down} lines given up "
@@ -150,7 +153,7 @@ def _receive(arguments: argparse.Namespace) -> int:
                 if line is None:
                     _note(f"nothing received for {arguments.timeout:g} s")
                     break
-                print(json.dumps(_line_dict(line)) if arguments.json else _line_text(line))
+                print(json.dumps(line_dict(line)) if arguments.json else line_text(line))
                 sys.stdout.flush()
                 left = None if left is None else left - 1
         except KeyboardInterrupt:
@@ -190,10 +193,10 @@ def _decode(arguments: argparse.Namespace) -> int:
 
     try:
         if arguments.csv:
-            _write_csv(lines())
+            write_csv(sys.stdout, lines())
         else:
             for channel, line in lines():
-                print(json.dumps(_line_dict(line) | {"channel": channel}))
+                print(json.dumps(line_dict(line) | {"channel": channel}))
     except KeyboardInterrupt:  # the counts so far are still of use
         status = 130
     total = sum((decoder.counts for decoder in decoders.values()), Counter())
@@ -269,55 +272,6 @@ def _scenarios(arguments: argparse.Namespace) -> int:
 # ---- what they print ------------------------------------------------------------------
 
 
-def _line_text(line: MapLine) -> str:
-    mean, sigma = line.gaussian.mean, line.gaussian.sigma
-    name = line.slot.name.replace("_", " ").lower()
-    return (
-        f"{(line.t_ns or 0) / 1e9:.3f}  {name:<10}  {line.status.name.lower():<9}  "
-        f"y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
-        f"{np.degrees(sigma[1]):.2f} deg  c0 {1e3 * mean[2]:+.3f} ± {1e3 * sigma[2]:.3f} /km  "
-        f"c1 {1e6 * mean[3]:+.2f} ± {1e6 * sigma[3]:.2f} /km^2  "
-        f"x {line.x_min:.0f}..{line.x_max:.0f} m  age {1e3 * line.age:.0f} ms"
-    )
-
-
-def _line_dict(line: MapLine) -> dict[str, Any]:
-    return {
-        "t": None if line.t_ns is None else line.t_ns / 1e9,
-        "slot": line.slot.name,
-        "kind": line.kind.name,
-        "status": line.status.name,
-        "x_min": line.x_min,
-        "x_max": line.x_max,
-        "age": line.age,
-        "components": 1 if line.mixture is None else len(line.mixture.weights),
-        "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
-        "cov": line.gaussian.cov.tolist(),
-        "mixture": None
-        if line.mixture is None
-        else {
-            "weights": line.mixture.weights.tolist(),
-            "means": line.mixture.means.tolist(),
-            "covs": line.mixture.covs.tolist(),
-        },
-    }
-
-
-def _write_csv(lines: Iterable[tuple[str, MapLine]]) -> None:
-    writer = csv.writer(sys.stdout, lineterminator="\n")
-    writer.writerow(
-        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components", *STATES]
-        + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER]
-    )
-    for channel, line in lines:
-        row = _line_dict(line)
-        writer.writerow(
-            [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
-            + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
-            + [row["cov"][i][j] for i, j in UPPER]
-        )
-
-
 def _milliseconds(values: Iterable[float]) -> str:
     return ", ".join(f"{1e3 * value:.2f}" for value in values) + " ms"
 
@@ -343,16 +297,24 @@ def _bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     return settings | ({"fd": True} if arguments.fd else {})
 
 
+def _sending(arguments: argparse.Namespace) -> dict[str, Any]:
+    names = ("lines", "components", "max_load", "rate", "fd")
+    settings = {name: getattr(arguments, name) for name in names}
+    return settings | {"bitrate": arguments.bitrate or 500_000}
+
+
 def _map_error(arguments: argparse.Namespace) -> MapError | None:
     if not arguments.map_error:
         return None
     return MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
 
 
-def _number(kind: type, least: float, most: float) -> Any:
-    """A type for argparse: a number of a kind within bounds, both allowed."""
+def _number(kind: type, least: float, most: float, word: str | None = None) -> Any:
+    """A type for argparse: a number of a kind within bounds, both allowed, or a word."""
 
     def parse(text: str) -> Any:
+        if text == word:
+            return word
         try:
             value = kind(text)
         except ValueError:
@@ -360,7 +322,8 @@ def _number(kind: type, least: float, most: float) -> Any:
         if not least <= value <= most:
             what = "a whole number" if kind is int else "a number"
             raise argparse.ArgumentTypeError(
-                f"must be {what} from {least:g} to {most:g}, got {text!r}"
+                f"must be {what} from {least:g} to {most:g}{f' or {word}' if word else ''}, "
+                f"got {text!r}"
             )
         return value
 
@@ -445,10 +408,17 @@ def _parser() -> argparse.ArgumentParser:
         )
         sub.add_argument(
             "--components",
-            type=_number(int, 1, 8),
+            type=_number(int, 1, 8, "auto"),
             default=1,
             metavar="K",
-            help="send each line as a Gaussian mixture of so many parts",
+            help="send each line as a Gaussian mixture of so many parts; auto: of as many as its "
+            "bend asks for and the bus allows",
+        )
+        sub.add_argument(
+            "--max-load",
+            type=_number(float, 1e-3, 1),
+            metavar="SHARE",
+            help=f"most of the bus's time that the lines may take; for auto {MAX_LOAD:g}",
         )
         sub.add_argument(
             "--map-error",

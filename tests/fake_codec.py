@@ -5,7 +5,7 @@ from collections import Counter
 from enum import Enum
 from typing import NamedTuple
 
-from maplines_can.line import Component, MapLine, Slot
+from maplines_can.line import MapLine, Slot
 
 PAGES = 4
 
@@ -25,7 +25,7 @@ class Reason(Enum):
 
 
 class FakeCodec:
-    """Page: number, counter, slot, component, age [ms], y_off [mm]."""
+    """Page: number, counter, slot, 0, age [ms], y_off [mm]."""
 
     def __init__(self):
         self.counters = Counter()
@@ -38,7 +38,7 @@ class FakeCodec:
             raise ValueError("x_max must not be 13 m")
         counter = self.counters[line.slot] = (self.counters[line.slot] + 1) % 256
         age, y = round(line.age * 1e3) % 2**16, round(line.gaussian.mean[0] * 1e3)
-        head = counter, line.slot, line.component.index, age, y
+        head = counter, line.slot, 0, age, y
         pages = [struct.pack("<BBBBHh", page, *head) for page in range(PAGES)]
         can_id = 0x100 + line.slot
         if fd:
@@ -65,7 +65,7 @@ class FakeDecoder:
         if not 0x100 <= can_id < 0x108 or len(data) not in (8, 32):
             return Reason.UNKNOWN_ID
         for start in range(0, len(data), 8):
-            page, counter, slot, component, age, y = struct.unpack_from("<BBBBHh", data, start)
+            page, counter, slot, _, age, y = struct.unpack_from("<BBBBHh", data, start)
             expected, of = self.bursts.get(slot, (0, counter))
             if page != 0 and (page, counter) != (expected, of):
                 self.bursts.pop(slot, None)
@@ -76,5 +76,4 @@ class FakeDecoder:
         self.lines += 1
         return MapLine.with_sigma(
             Slot(slot), [y / 1e3, 0, 0, 0], [1, 1, 1, 1], age=age / 1e3, t_ns=t_ns,
-            component=Component(component, component + 1, 1.0),
         )  # fmt: skip

@@ -33,7 +33,7 @@ from maplines_can.bus import (
 from maplines_can.bus.faults import Fault, fault_of, text_of
 from maplines_can.bus.timing import LatenessHistogram, Schedule
 from maplines_can.errors import BusError, LogError, MissingExtraError
-from maplines_can.line import Component, MapLine, Slot
+from maplines_can.line import MapLine, Slot
 from maplines_can.wire import Codec
 
 LONG = 20.0  # seconds that a test waits for something that must happen
@@ -443,26 +443,14 @@ def test_the_latest_value_wins(link, other):
             assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
 
 
-def test_the_parts_of_a_mixture_are_lines_of_their_own(link, other):
-    """A mixture of another size replaces all parts; retract takes all of them."""
-    codec = FakeCodec()
-
-    def part(index, count):
-        return line(component=Component(index, count, 1 / count))
-
-    with (
-        Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.02) as transmitter,
-    ):
-        transmitter.publish(part(index, 3) for index in range(3))
-        order = [x.component.index for x in collect(receiver, 9)]
-        assert order == [0, 1, 2] * 3
-        transmitter.publish(part(0, 1))
-        assert list(transmitter._outbox._published[Slot.EGO_LEFT]) == [0]
-        transmitter.retract(Slot.NEXT_LEFT)
-        assert transmitter._outbox._published
-        transmitter.retract(Slot.EGO_LEFT)
-        assert transmitter._outbox.wait(0.0) is None
+def test_a_retracted_line_is_not_sent_again(link):
+    """Another slot's line stays."""
+    transmitter = Transmitter(link, FakeCodec(), period=0.02)
+    transmitter.publish(line())
+    transmitter.retract(Slot.NEXT_LEFT)
+    assert transmitter._outbox.wait(0.0) is not None
+    transmitter.retract(Slot.EGO_LEFT)
+    assert transmitter._outbox.wait(0.0) is None
 
 
 class Recorder(FakeCodec):

@@ -14,7 +14,7 @@ import pytest
 from maplines_can import Codec, Link, Slot, Transmitter, scenario
 from maplines_can.cli import main
 from maplines_can.scenarios import SCENARIOS
-from maplines_can.study.round_trip import scene_lines
+from maplines_can.study.sending import scene_lines
 
 ROOT = Path(__file__).parents[1]
 
@@ -105,6 +105,38 @@ def test_a_mixture_goes_over_the_bus_and_back(capsys, channel):
     row = json.loads(capsys.readouterr().out.splitlines()[0])
     assert row["components"] == 3
     assert sum(row["mixture"]["weights"]) == 1
+
+
+def test_a_sender_chooses_its_parts(capsys):
+    """One for a good pose; in a turn as many as the bend asks for, or as the bound allows."""
+
+    def demo(name, *more):
+        command = ["demo", "--components", "auto", "--seconds", "0.1", "--rate", "50", "--json"]
+        assert main([*command, "--scenario", name, *more]) == 0
+        result = json.loads(capsys.readouterr().out)
+        return result["bus_load"], result["parts"]
+
+    assert [line["parts"] for line in demo("production")[1]] == [1] * 4
+    load, lines = demo("street-turn-10deg", "--max-load", "0.5")
+    assert load == pytest.approx(sum(line["parts"] for line in lines) * 4 * 135 * 50 / 500_000)
+    assert 0.5 - 4 * 135 * 50 / 500_000 < load <= 0.5
+    for line in demo("street-turn-10deg", "--fd")[1]:
+        assert line["nonlinearity_within"] <= 0.3 < line["nonlinearity"]
+
+
+def test_the_choice_is_printed(capsys, channel):
+    """By the demo under each line, by a sender before it starts, and in its counters."""
+    turn = ["--components", "auto", "--scenario", "street-turn-10deg", "--lines", "2", "--fd"]
+    assert main(["demo", "--seconds", "0.1", *turn]) == 0
+    send = ["send", "--interface", "virtual", "--channel", channel, "--rate", "50", "--count", "2"]
+    assert main([*send, *turn]) == 0
+    out, err = capsys.readouterr()
+    for text in (out, err):
+        assert "5 parts, nonlinearity 0.87, 0.26 within them" in text
+    assert main([*send, *turn, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [line["parts"] for line in result["parts"]] == [4, 5]
+    assert result["frames"] / result["lines"] > 4
 
 
 def test_figures_are_drawn_where_they_are_asked_for(capsys, tmp_path):
@@ -222,6 +254,8 @@ def test_scenarios_lists_them(capsys):
         pytest.param(["send", "--interface", "socketcan", "--channel", "nocan9"], "nocan9",
                      id="no-interface"),
         pytest.param(["receive", "--interface", "warp"], "warp", id="no-such-driver"),
+        pytest.param(["demo", "--components", "auto", "--max-load", "0.08"],
+                     "4 lines in 4 parts take 8.64 % of the bus", id="too-little-bus"),
     ],
 )  # fmt: skip
 def test_errors_are_one_clear_line(capsys, arguments, words):
@@ -239,6 +273,9 @@ def test_errors_are_one_clear_line(capsys, arguments, words):
         ["demo", "--scenario", "moon"],
         ["demo", "--rate", "0"],
         ["demo", "--lines", "9"],
+        ["demo", "--components", "9"],
+        ["demo", "--max-load", "0"],
+        ["send", "--components", "all"],
         ["send", "--count", "-1"],
         ["fly"],
         [],

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import least_squares
@@ -121,6 +121,7 @@ def test_points_without_a_cubic_are_refused(fit, points, words):
 
 @pytest.mark.parametrize("fit", [total_least_squares, robust])
 @given(arrays(int, st.tuples(st.integers(4, 9), st.just(2)), elements=st.integers(-9999, 9999)))
+@example(np.array([[-190, 0], [1, 0], [-1, 0], [0, 17], [-1, 0], [0, 0]]))
 @settings(max_examples=300)
 def test_any_points_give_a_line_or_are_refused(fit, points):
     """Points at random are mostly not a road; what comes out is finite or an IllPosedError."""
@@ -359,7 +360,7 @@ def worst_of_moving(refit, points, n=60):
     )
 
 
-POINTS = pytest.mark.parametrize("points", [4, 8, 51])
+POINTS = pytest.mark.parametrize("points", [4, 32, 51])
 
 
 @POINTS

@@ -133,7 +133,7 @@ def test_a_refit_of_four_points_of_a_line_is_the_moved_line(line, motion):
     x = np.linspace(0, 80, 9)
 
     assert np.allclose(
-        lateral(refit(motion), x), lateral(moved(line, motion, (0.0, 80.0)), x), atol=1e-9
+        lateral(refit(motion), x), lateral(moved(line, motion, (0.0, 80.0), 4), x), atol=1e-9
     )
 
 

@@ -11,8 +11,11 @@ from scipy import stats
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
 from maplines_can.scenarios import SCENARIOS, random_scenarios
-from maplines_can.study import truth
-from maplines_can.study.truth import Approximation, judged, truth_of, truth_table
+from maplines_can.study import judging
+from maplines_can.study.approximations import Approximation, representations, through_the_wire
+from maplines_can.study.judging import judged, truth_of
+from maplines_can.study.truth import refit_of, truth_table
+from maplines_can.study.truth_text import as_csv, as_markdown, as_text
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
 ROOT = np.array([[1, 0, 0, 0], [0.6, 0.8, 0, 0], [-0.3, 0.4, 0.9, 0], [0.2, -0.7, 0.1, 0.6]])
@@ -34,14 +37,14 @@ def gaussian_truth():
 def rows():
     """All scenes, coarse; by scene, representation and side of the wire."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(truth, "DRAWS", CLAIMS_N)
+        patch.setattr(judging, "DRAWS", CLAIMS_N)
         table = truth_table(n=CLAIMS_N)
     return {(row.scenario, row.representation, row.wire): row for row in table}
 
 
 @pytest.fixture
 def few(monkeypatch):
-    monkeypatch.setattr(truth, "DRAWS", 2000)
+    monkeypatch.setattr(judging, "DRAWS", 2000)
     return lambda seed=0: truth_table([scenario("street-turn")], n=2000, seed=seed)
 
 
@@ -142,7 +145,7 @@ def test_a_singular_covariance_has_no_volume(gaussian_truth):
 def test_the_region_is_the_fewest_cells_that_hold_the_mass():
     count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # of 100: 99 needs all but a 1
 
-    chosen = truth._densest(count)
+    chosen = judging._densest(count)
 
     assert count[chosen].sum() == 99
     assert count[~chosen].max() <= count[chosen].min()
@@ -184,7 +187,7 @@ def test_every_representation_before_and_after(few):
 def test_the_same_seed_gives_the_same_table(few):
     one, two, other = few(), few(), few(seed=1)
 
-    for write in (truth.as_csv, truth.as_text, truth.as_markdown):
+    for write in (as_csv, as_text, as_markdown):
         assert write(one) == write(two)
         assert write(one) != write(other)
 
@@ -192,7 +195,7 @@ def test_the_same_seed_gives_the_same_table(few):
 def test_csv_has_a_figure_and_an_error_in_each_column(few):
     rows = few()
 
-    read = list(csv.DictReader(io.StringIO(truth.as_csv(rows))))
+    read = list(csv.DictReader(io.StringIO(as_csv(rows))))
     assert len(read) == len(rows)
     assert len(read[0]) == 3 + 2 * (5 + 4 + 4)
     for line, row in zip(read, rows, strict=True):
@@ -207,10 +210,10 @@ def test_csv_has_a_figure_and_an_error_in_each_column(few):
 def test_markdown_is_one_table_and_text_shows_every_row(few):
     rows = few()
 
-    lines = truth.as_markdown(rows).splitlines()
+    lines = as_markdown(rows).splitlines()
     assert len(lines) == len(rows) + 2
     assert len({line.count("|") for line in lines}) == 1
-    text = truth.as_text(rows)
+    text = as_text(rows)
     assert all(text.count(f"\n{kind} ") >= 6 for kind in KINDS)
 
 
@@ -228,7 +231,7 @@ def test_what_does_not_fit_the_wire_is_refused():
     far = Approximation.gaussian([1e5, 0, 0, 0], COV)
 
     with pytest.raises(ValueError, match="does not fit the messages"):
-        truth.through_the_wire(far, Codec.from_dbc(), Slot.EGO_RIGHT, np.array([0.0, 80.0]))
+        through_the_wire(far, Codec.from_dbc(), Slot.EGO_RIGHT, np.array([0.0, 80.0]))
 
 
 # -- what docs/claims.md says ---------------------------------------------------
@@ -276,10 +279,10 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
     """Grow on the highway, fall in the turn, whose false positives grow all the same."""
     correlation = {}
     for name in SCENARIOS:
-        refit = truth._refit(scenario(name), Slot.EGO_RIGHT)
+        refit = refit_of(scenario(name), Slot.EGO_RIGHT)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            R = truth.representations(refit, scenario(name).ego, n=CLAIMS_N)["MonteCarlo"].covs[0]
+            R = representations(refit, scenario(name).ego, n=CLAIMS_N)["MonteCarlo"].covs[0]
         sigma = np.sqrt(R.diagonal())
         correlation[name] = abs(R / np.outer(sigma, sigma))[np.triu_indices(4, 1)].mean()
 

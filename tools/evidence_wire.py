@@ -4,6 +4,8 @@
     evidence_wire.py guarantee   1e6 random covariances: all definite, none overconfident
     evidence_wire.py quality     KL, lateral bands and saturation on the sets paper and road
     evidence_wire.py frames      1e7 damaged and random frames: nothing wrong, all accounted for
+    evidence_wire.py mixtures    1e6 random mixtures: as guarantee, of parts and whole; and a
+                                 tenth of them under loss, duplication and reordering
 
 Run it in the project's environment: python3 tools/run.py python tools/evidence_wire.py ...
 
@@ -15,6 +17,7 @@ import json
 import sys
 import time
 from collections import Counter
+from itertools import product
 
 import numpy as np
 from tqdm import tqdm
@@ -28,6 +31,13 @@ MS = 1_000_000
 #: Share of the mixed bursts that have one burst number: only the checksum tells their pages
 #: apart, and passes one in 65536. On a bus they are 16 periods apart and the time-out does.
 AGES_APART = 0.002
+PARTS = range(2, 9)
+#: Of the mixtures on a disturbed bus: shares of frames lost and doubled, how far frames are thrown
+#: out of order [ms], whether slots fall silent for a while, and the pace: 20 Hz, or 50 Hz on a
+#: faster bus, where the next mixture comes before the last one has timed out.
+TROUBLES = list(product([0, 0.01, 0.1, 0.3], [0, 0.01, 0.3], [0, 0.3, 3], [False, True], [1, 2.5]))
+#: Mixtures of one trouble, eight in a period, with a rest after them that ends all time-outs.
+SPELL, PERIOD_MS, REST_MS, FRAME_MS = 400, 50, 200, 0.25
 
 
 def guarantee(n, seed):
@@ -180,6 +190,155 @@ def damaged(rng, bursts):
     return "mixed FD record", [(0x348 + first % len(Slot), bytes(joined))]
 
 
+def mixtures(n, seed):
+    """Random mixtures, in bulk and on a disturbed bus."""
+    bulk = mixtures_in_bulk(n, seed)
+    bus = mixtures_on_a_bus(n // 10, seed)
+    return {"in bulk": bulk, "on a bus": bus, "met": bulk["met"] and bus["met"]}
+
+
+def mixtures_in_bulk(n, seed):
+    """Of parts and wholes: none not definite, none overconfident."""
+    codec, counts, failures = Codec.from_dbc(), Counter(), Counter()
+    largest = {"part": 0.0, "whole": 0.0}
+    bar = tqdm(total=n, unit=" mixtures", disable=not sys.stderr.isatty())
+    for k in PARTS:
+        count = n // len(PARTS) + (k - PARTS[0] < n % len(PARTS))
+        for start in range(0, count, CHUNK // k):
+            w, m, S = random_mixtures(min(CHUNK // k, count - start), k, [seed, k, start])
+            batch = codec.decode_batch(codec.encode_mixtures(w, m, S).reshape(-1, 32))
+            decoded_w = batch.component_weight.reshape(-1, k)
+            decoded = batch.mean.reshape(m.shape), batch.cov.reshape(S.shape)
+            stated = (batch.status != Status.OUT_OF_RANGE).reshape(-1, k)
+            of_parts = m.reshape(-1, 4), S.reshape(-1, 4, 4), batch.mean, batch.cov
+            of_wholes = *moments(w, m, S), *moments(decoded_w, *decoded)
+            for what, pair, in_range in (
+                ("part", of_parts, stated.ravel()),
+                ("whole", of_wholes, stated.all(axis=1)),
+            ):
+                verdict = judge(*pair, codec.resolution)
+                counts[f"{what}s"] += len(in_range)
+                counts[f"{what}s out of range"] += int((~in_range).sum())
+                failures[f"{what}s not positive definite"] += int(
+                    (~verdict.positive_definite).sum()
+                )
+                failures[f"{what}s overconfident"] += int(verdict.overconfident[in_range].sum())
+                ratio = verdict.largest_ratio[in_range].max(initial=largest[what])
+                largest[what] = float(ratio)
+            failures["records refused"] += int((~batch.accepted).sum())
+            failures["weights not of sum 1"] += int((decoded_w.sum(axis=1) != 1).sum())
+            bar.update(len(w))
+    bar.close()
+    ratios = {f"largest eigenvalue of S'^-1 (S + d d^T), {what}": largest[what] for what in largest}
+    return {**counts, **failures, **ratios, "met": not any(failures.values())}
+
+
+def mixtures_on_a_bus(n, seed):
+    """Lost, doubled and displaced frames: no mixture but those sent, each once and in order."""
+    codec, rng = Codec.from_dbc(), np.random.default_rng([seed, 9])
+    decoder, counters, made, wrong = codec.decoder(), Counter(), Counter(), Counter()
+    t_ms = 0.0
+    for spell in progress(range(-(-n // SPELL)), "spells of mixtures"):
+        trouble = TROUBLES[37 * spell % len(TROUBLES)]  # each in turn, the calm one first
+        sent, known = sent_mixtures(codec, rng, counters)
+        order, arrived = disturbed(rng, sent, trouble)
+        delivered, last = set(), {}
+        for at, frame in order:
+            answer = decoder.feed(frame.can_id, frame.data, round((t_ms + at) * MS))
+            if isinstance(answer, MapLine):
+                parts = answer.mixture.weights, answer.mixture.means, answer.mixture.covs
+                place = known.get((answer.slot, *(values.tobytes() for values in parts)))
+                wrong["delivered, not sent"] += place is None
+                wrong["delivered twice"] += place in delivered
+                wrong["delivered out of order"] += (place or 0) < last.get(answer.slot, 0)
+                delivered.add(place)
+                last[answer.slot] = place or 0
+        whole = {i for i in range(SPELL) if arrived[i] == len(sent[i])}
+        made["mixtures sent"] += SPELL
+        made["delivered"] += len(delivered)
+        made["not delivered, a frame lost"] += len(set(range(SPELL)) - whole - delivered)
+        made["not delivered, frames displaced or doubled"] += len(whole - delivered)
+        made["frames sent"] += sum(map(len, sent))
+        wrong["delivered, though a frame was lost"] += len(delivered - whole)
+        wrong["not delivered on a calm bus"] += 0 if any(trouble[:-1]) else len(whole - delivered)
+        t_ms += SPELL / len(Slot) * PERIOD_MS + REST_MS
+    decoder.expire(round((t_ms + REST_MS) * MS))
+    accounted = decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
+    wrong["frames not accounted for"] = decoder.frames - accounted
+    dropped = {reason.name: count for reason, count in decoder.counts.items()}
+    fates = {**made, "frames received": decoder.frames, "dropped": dropped}
+    return {**fates, **wrong, "met": not any(wrong.values())}
+
+
+def random_mixtures(n, k, seed):
+    """(n, k) weights down to 1e-13, and parts that spare nothing, next to each other or far."""
+    rng = np.random.default_rng(seed)
+    means, covs = hostile(n * k, rng)
+    means = means.reshape(n, k, 4)
+    apart = 10 ** rng.uniform(-5, 0, (n, 1, 1))  # of the range of each parameter
+    evenness = 10 ** rng.uniform(-2, 1, (n, 1))
+    weights = rng.standard_gamma(np.broadcast_to(evenness, (n, k))).clip(1e-12)
+    weights /= weights.sum(axis=1, keepdims=True)
+    return weights, means[:, :1] + apart * (means - means[:, :1]), covs.reshape(n, k, 4, 4)
+
+
+def moments(weights, means, covs):
+    """Mean (n, 4) and covariance (n, 4, 4) of mixtures."""
+    mean = np.einsum("nk,nki->ni", weights, means)
+    d = means - mean[:, None]
+    return mean, np.einsum("nk,nkij->nij", weights, covs + d[..., :, None] * d[..., None, :])
+
+
+def sent_mixtures(codec, rng, counters):
+    """The frames of a spell of mixtures, their slots in turn, and what each must be read as."""
+    sizes = rng.choice(PARTS, SPELL)
+    frames, known = [None] * SPELL, {}
+    first = np.zeros(SPELL, dtype=int)
+    for i, k in enumerate(sizes):
+        first[i] = counters[i % len(Slot)]
+        counters[i % len(Slot)] += int(k)
+    for k in PARTS:
+        (places,) = np.nonzero(sizes == k)
+        slots = places % len(Slot)
+        w, m, S = random_mixtures(len(places), k, rng)
+        payloads = codec.encode_mixtures(w, m, S, slot=slots, counter=first[places])
+        batch = codec.decode_batch(payloads.reshape(-1, 32), slot=np.repeat(slots, k))
+        for j, (place, slot) in enumerate(zip(places, slots, strict=True)):
+            of_it = slice(j * k, (j + 1) * k)
+            values = batch.component_weight[of_it], batch.mean[of_it], batch.cov[of_it]
+            known[Slot(slot), *(value.tobytes() for value in values)] = int(place)
+            records = [codec.frames(p, Slot(slot), fd=slot % 2 == 0) for p in payloads[j]]
+            frames[place] = [frame for record in records for frame in record]
+    return frames, known
+
+
+def disturbed(rng, sent, trouble):
+    """(time [ms], frame) in the order of arrival, and how many frames of each mixture came."""
+    loss, doubled, displaced_ms, silences, pace = trouble
+    arrivals, arrived = [], Counter()
+    silent_until = dict.fromkeys(range(len(Slot)), -1)
+    for cycle in range(SPELL // len(Slot)):
+        queue = []
+        for slot in range(len(Slot)):
+            i = cycle * len(Slot) + slot
+            if silences and rng.random() < 0.05:
+                silent_until[slot] = cycle + int(rng.integers(1, 30))
+            if cycle >= silent_until[slot]:
+                # Two senders at once, each with its slots one after the other.
+                at = slot // 2 + np.sort(rng.random(len(sent[i])))
+                queue += [(x, i, frame) for x, frame in zip(at, sent[i], strict=True)]
+        queue.sort(key=lambda entry: entry[:2])
+        for place, (_, i, frame) in enumerate(queue):
+            at = (cycle * PERIOD_MS + place * FRAME_MS) / pace
+            if rng.random() >= loss:
+                arrived[i] += 1
+                arrivals.append((at + rng.exponential(displaced_ms), frame))
+                if rng.random() < doubled:
+                    arrivals.append((at + FRAME_MS + rng.exponential(3 + displaced_ms), frame))
+    arrivals.sort(key=lambda entry: entry[0])
+    return arrivals, arrived
+
+
 def lookup(line):
     """What tells two lines apart."""
     return line.slot, line.gaussian.mean.tobytes(), line.gaussian.cov.tobytes()
@@ -200,7 +359,7 @@ def show(result, indent=0):
             show(value, indent + 4)
         else:
             text = f"{value:.6g}" if isinstance(value, float) else value
-            print(" " * indent + f"{key:<44}{text}")
+            print(" " * indent + f"{key:<48}{text}")
 
 
 def main():
@@ -211,9 +370,10 @@ def main():
         "guarantee": (guarantee, 10**6),
         "quality": (quality, 20_000),
         "frames": (frames, 10**7),
+        "mixtures": (mixtures, 10**6),
     }
     parser.add_argument("what", choices=jobs)
-    parser.add_argument("-n", type=int, help="how many; by default 1e6, 2e4 and 1e7")
+    parser.add_argument("-n", type=int, help="how many; by default 1e6, 2e4, 1e7 and 1e6")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="for machines")
     arguments = parser.parse_args()

@@ -1,7 +1,7 @@
 """The CAN bus: send lines, receive lines, read logs. The only door to python-can."""
 
 from .link import Link, Sent
-from .load import bus_load, frame_bits, frame_time
+from .load import bursts_within, bus_load, frame_bits, frame_time
 from .logs import LogFrame, read_log
 from .receiver import Receiver, ReceiverStats
 from .timing import Lateness
@@ -16,6 +16,7 @@ __all__ = [
     "Sent",
     "Transmitter",
     "TransmitterStats",
+    "bursts_within",
     "bus_load",
     "frame_bits",
     "frame_time",

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from .outbox import FrameLike
 
-__all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time"]
+__all__ = ["FrameBits", "bursts_within", "bus_load", "frame_bits", "frame_time"]
 
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
@@ -99,3 +100,28 @@ def bus_load(
     if period <= 0:
         raise ValueError(f"period must be positive [s], got {period!r}")
     return sum(frame_time(frame, bitrate, data_bitrate) for frame in frames) / period
+
+
+def bursts_within(
+    share: float,
+    burst: Iterable[FrameLike],
+    period: float,
+    bitrate: float,
+    data_bitrate: float | None = None,
+) -> int:
+    """How many bursts like this one fit into a share of the bus's time, each period.
+
+    Args:
+        share: of the bus's time, more than 0 and at most 1.
+        burst: its frames.
+        period: [s].
+        bitrate: of the arbitration [bit/s].
+        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+
+    Raises:
+        ValueError: the share is out of its range; the period or a rate is not positive.
+    """
+    if not 0 < share <= 1:
+        raise ValueError(f"share must be more than 0 and at most 1, got {share!r}")
+    # A share that they fill to the last bit is not overrun by the rounding of a quotient.
+    return math.floor(share / bus_load(burst, period, bitrate, data_bitrate) * (1 + 1e-12))

@@ -42,10 +42,10 @@ class Encoder(Protocol):
 
 
 class Burst(NamedTuple):
-    """The lines of one slot that are due: one, or the parts of a mixture."""
+    """The line of a slot that is due."""
 
     deadline: float  #: [s]
-    lines: Sequence[Sequence[FrameLike]]  #: the frames of each
+    frames: Sequence[FrameLike]  #: of all its parts, if it is a mixture
     skipped: int = 0  #: deadlines of the slot that were missed before this one
 
 
@@ -79,12 +79,12 @@ class Outbox:
     def __init__(self, codec: Encoder, period: float, *, fd: bool, count: int | None) -> None:
         self._codec, self._period, self._fd = codec, period, fd
         self._schedule: Schedule[Slot] = Schedule(period, count)
-        self._published: dict[Slot, dict[int, _Published]] = {}  # by component
+        self._published: dict[Slot, _Published] = {}
         self._new: set[Slot] = set()  # published since they were last encoded
         self._ahead: dict[Slot, Burst] = {}  # encoded, not due yet
 
     def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
-        """Take over lines; a mixture of another size replaces all parts of its slot.
+        """Take over lines, each instead of the last one of its slot.
 
         Args:
             lines: the new values.
@@ -92,20 +92,17 @@ class Outbox:
             age: of all of them [s]; None for each line's own.
         """
         for line in lines:
-            parts = self._published.setdefault(line.slot, {})
-            if not parts:
+            if line.slot not in self._published:
                 self._schedule.add(line.slot, line.slot / len(Slot), now)
-            elif next(iter(parts.values())).line.component.count != line.component.count:
-                parts.clear()
             own = line.age if age is None else age
-            parts[line.component.index] = _Published(line, own, now)
+            self._published[line.slot] = _Published(line, own, now)
             self._new.add(line.slot)
 
     def drop(self, slot: Slot) -> None:
-        """Forget all lines of a slot; there may be none."""
+        """Forget the line of a slot; there may be none."""
         self._schedule.remove(slot)
-        for place in (self._published, self._ahead):
-            place.pop(slot, None)
+        self._published.pop(slot, None)
+        self._ahead.pop(slot, None)
         self._new.discard(slot)
 
     @property
@@ -140,18 +137,13 @@ class Outbox:
                 deadlines[other] = then
         # In the order of sending: the counters are given here.
         order = sorted(deadlines, key=deadlines.__getitem__)
-        batch = [
-            part.line_at(deadlines[each])
-            for each in order
-            for _, part in sorted(self._published[each].items())
-        ]
-        encoded = iter(self._codec.encode_lines(batch, fd=self._fd))
-        for each in order:
-            lines = [next(encoded) for _ in self._published[each]]
-            self._ahead[each] = Burst(deadlines[each], lines)
+        batch = [self._published[each].line_at(deadlines[each]) for each in order]
+        encoded = self._codec.encode_lines(batch, fd=self._fd)
+        for each, frames in zip(order, encoded, strict=True):
+            self._ahead[each] = Burst(deadlines[each], frames)
         self._new -= deadlines.keys()
 
     def _may_go_along(self, slot: Slot, deadline: float, now: float) -> bool:
         if slot not in self._new:
             return deadline < now + self._period / 2
-        return deadline < min(p.at for p in self._published[slot].values()) + self._period
+        return deadline < self._published[slot].at + self._period

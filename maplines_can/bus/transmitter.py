@@ -97,12 +97,9 @@ class Transmitter(Running):
     def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
         """Send this line from now on, instead of the last one of its slot.
 
-        The parts of a mixture are told apart by ``line.component.index``; a part
-        of a mixture of another size replaces all parts of the slot.
-
         Args:
-            line: the line, or several that shall be taken over at the same moment,
-                as the parts of a mixture should; ages go on counting from this call.
+            line: the line, or several that shall be taken over at the same moment;
+                ages go on counting from this call.
             t_pose_ns: when the pose of the lines held, on the clock of
                 ``time.time_ns()`` [ns]; the age then counts from there and
                 ``line.age`` is ignored.
@@ -128,7 +125,7 @@ class Transmitter(Running):
             self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
-        """Send no more lines of this slot."""
+        """Send no more line of this slot."""
         with self._changed:
             self._outbox.drop(slot)
 
@@ -169,28 +166,25 @@ class Transmitter(Running):
             return None
 
     def _send(self, burst: Burst) -> None:
-        fates = {Sent.OK: 0, Sent.DOWN: 0, Sent.FULL: 0}
         sent = retries = 0
         answer = Sent.OK
         lateness = self._clock() - burst.deadline
-        for frames in burst.lines:
-            for frame in frames if answer is Sent.OK else ():
-                message = _message(frame)
+        for frame in burst.frames:
+            message = _message(frame)
+            answer = self._link.send(message)
+            while answer is Sent.FULL and self._clock() < burst.deadline + self._period:
+                time.sleep(RETRY)  # no event tells that a queue has room again
+                retries += 1
                 answer = self._link.send(message)
-                while answer is Sent.FULL and self._clock() < burst.deadline + self._period:
-                    time.sleep(RETRY)  # no event tells that a queue has room again
-                    retries += 1
-                    answer = self._link.send(message)
-                if answer is not Sent.OK:
-                    break
-                sent += 1
-            fates[answer] += 1
+            if answer is not Sent.OK:
+                break
+            sent += 1
         with self._changed:
             self._lateness.add(lateness)
             self._count(
-                lines=fates[Sent.OK],
-                down=fates[Sent.DOWN],
-                full=fates[Sent.FULL],
+                lines=answer is Sent.OK,
+                down=answer is Sent.DOWN,
+                full=answer is Sent.FULL,
                 overruns=burst.skipped,
                 frames=sent,
                 retries=retries,

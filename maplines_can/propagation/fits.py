@@ -278,7 +278,11 @@ def _least_squares(a: Array, b: Array, weights: Array) -> Array:
     """(N, 4) cubics with the least weighted sum of squared lateral residuals."""
     A = _powers(a)
     AtW = (A * weights[..., None]).swapaxes(-1, -2)
-    return np.asarray(np.linalg.solve(AtW @ A, AtW @ b[..., None])[..., 0], dtype=float)
+    try:
+        q = np.linalg.solve(AtW @ A, AtW @ b[..., None])
+    except np.linalg.LinAlgError:  # too few points have a weight: the least of the cubics that fit
+        q = np.linalg.pinv(AtW @ A, hermitian=True) @ (AtW @ b[..., None])
+    return np.asarray(q[..., 0], dtype=float)
 
 
 def _orthogonal(a: Array, b: Array, half: Array) -> Array:  # noqa: ARG001 - needs no metres

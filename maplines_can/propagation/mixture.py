@@ -14,7 +14,7 @@ from ..mixture import GaussianMixture
 from .sigma_points import SigmaPoints
 from .transform import Transform, values_at
 
-__all__ = ["Bend", "Mixture", "bend"]
+__all__ = ["Bend", "Mixture", "bend", "standard_split"]
 
 #: Splits of N(0, 1) into 1 to 8 parts of one variance: half of the symmetric weights, in steps of
 #: 1/32, and of the means. They minimise the criterion of DeMars, Bishop and Jah (J. Guidance,
@@ -107,10 +107,7 @@ class Mixture:
         """
         if direction is None and function is not None and self.k > 1:
             direction = bend(function, gaussian).direction
-        half_weights, half_means = (np.array(half) for half in SPLITS[self.k])
-        mirror = half_weights[: self.k // 2][::-1]
-        weights = np.append(half_weights, mirror) / WEIGHT_STEPS
-        offsets = np.append(half_means, -half_means[: self.k // 2][::-1])
+        weights, offsets = standard_split(self.k)
         u = np.zeros(gaussian.dimension) if direction is None else np.asarray(direction, float)
         norm = np.linalg.norm(u)
         u = u / norm if norm else u
@@ -118,6 +115,13 @@ class Mixture:
         cov = gaussian.cov - (weights @ offsets**2) * np.outer(step, step)
         components = tuple(Gaussian(gaussian.mean + offset * step, cov) for offset in offsets)
         return GaussianMixture(weights, components)
+
+
+def standard_split(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Weights (k,) and means (k,) of the parts of N(0, 1), from the least mean on."""
+    half_weights, half_means = (np.array(half) for half in SPLITS[k])
+    weights = np.append(half_weights, half_weights[: k // 2][::-1]) / WEIGHT_STEPS
+    return weights, np.append(half_means, -half_means[: k // 2][::-1])
 
 
 def bend(function: Callable[..., Any], gaussian: Gaussian) -> Bend:

@@ -6,9 +6,11 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from .listing import slot_text
 from .round_trip import LineResult, RoundTrip
+from .sending import LineParts
 
-__all__ = ["counts_text", "trip_text"]
+__all__ = ["counts_text", "parts_text", "trip_text"]
 
 
 def trip_text(trip: RoundTrip) -> str:
@@ -20,9 +22,8 @@ def trip_text(trip: RoundTrip) -> str:
         "",
         " " * 22 + "".join(f"{h:>21}" for h in head) + f"{'y at 80 m [m]':>21}",
     ]
-    for line in trip.lines:
-        name = line.slot.replace("_", " ").lower()
-        out.append(f"{name:<12}{'true':<10}" + _row(line, scales, is_true=True))
+    for line, parts in zip(trip.lines, trip.parts, strict=True):
+        out.append(f"{slot_text(line.slot):<12}{'true':<10}" + _row(line, scales, is_true=True))
         if line.mean is None:
             out.append(f"{'':<12}nothing received")
             continue
@@ -33,6 +34,7 @@ def trip_text(trip: RoundTrip) -> str:
             f"(untouched {line.kl:.4f}); at 80 m: mean {1e3 * _known(line.lateral_error_80m):+.2f} "
             f"mm, sigma x{ratio:.3f}"
         )
+        out.append(f"{'':<12}{parts_text(parts)}")
     jitter = trip.period_jitter
     out += [
         "",
@@ -57,6 +59,16 @@ def trip_text(trip: RoundTrip) -> str:
     if trip.cpu_share is not None:
         out.append(f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver")
     return "\n".join(out)
+
+
+def parts_text(line: LineParts) -> str:
+    """In how many parts a line goes, and how far from straight it is before and after."""
+    if line.parts == 1:
+        return f"1 part, nonlinearity {line.nonlinearity:.2f}"
+    return (
+        f"{line.parts} parts, nonlinearity {line.nonlinearity:.2f}, "
+        f"{line.nonlinearity_within:.2f} within them"
+    )
 
 
 def _row(line: LineResult, scales: Iterable[float], is_true: bool) -> str:

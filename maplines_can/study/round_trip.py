@@ -9,53 +9,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
-from ..gaussian import Gaussian
 from ..line import MapLine
-from ..mixture import GaussianMixture
-from ..propagation import MapError, Mixture, Refit, SigmaPoints, Transform
+from ..propagation import MapError
 from ..scenarios import Scenario
 from ..wire import Codec
 from .metrics import LATERAL_X, judge
+from .sending import LineParts, bus_pace, chosen_parts, scene_lines
 
-__all__ = ["LineResult", "RoundTrip", "round_trip", "scene_lines"]
-
-
-def scene_lines(
-    scenario: Scenario,
-    lines: int = 4,
-    *,
-    components: int = 1,
-    transform: Transform | None = None,
-    map_error: MapError | None = None,
-) -> list[MapLine]:
-    """The first lines of a scene as the car sends them; all share one refit.
-
-    Args:
-        scenario: the scene.
-        lines: how many.
-        components: parts of a Gaussian mixture for each line; 1 is a plain Gaussian.
-        transform: sigma points by default.
-        map_error: error of the map beside the pose's.
-    """
-    scene = scenario.lines[:lines]
-    polylines = [line.polyline for line in scene]
-    refit = Refit(polylines, scenario.ego.mean, scenario.window, map_error)
-    mixture = Mixture(components, transform or SigmaPoints())
-    weights, means, covs = mixture.moments(refit, scenario.ego)  # (k,), (k, L, 4), (k, L, 4, 4)
-    result = []
-    for i, (line, (low, high)) in enumerate(zip(scene, refit.x_range, strict=True)):
-        parts = tuple(Gaussian(m, S) for m, S in zip(means[:, i], covs[:, i], strict=True))
-        extent: dict[str, Any] = {"x_min": float(low), "x_max": float(high), "kind": line.kind}
-        if components == 1:
-            result.append(MapLine(line.slot, parts[0], **extent))
-        else:
-            result.append(MapLine.of_mixture(line.slot, GaussianMixture(weights, parts), **extent))
-    return result
+__all__ = ["LineResult", "RoundTrip", "round_trip"]
 
 
 @dataclass(frozen=True)
@@ -84,6 +50,7 @@ class RoundTrip:
     seconds: float
     rate: float  #: [1/s]
     lines: list[LineResult]
+    parts: list[LineParts]
     sent: dict[str, Any]
     received: dict[str, Any]
     lines_lost: int
@@ -97,9 +64,9 @@ class RoundTrip:
 
     def as_dict(self) -> dict[str, Any]:
         """All figures, for JSON."""
-        skipped = ("received_lines", "true_lines", "lines")
+        skipped = ("received_lines", "true_lines")
         figures = {key: value for key, value in vars(self).items() if key not in skipped}
-        return figures | {"lines": [asdict(line) for line in self.lines]}
+        return figures | {key: [asdict(x) for x in figures[key]] for key in ("lines", "parts")}
 
 
 class _Arrivals:
@@ -133,7 +100,8 @@ def round_trip(
     codec: Codec,
     *,
     lines: int = 4,
-    components: int = 1,
+    components: int | Literal["auto"] = 1,
+    max_load: float | None = None,
     seconds: float = 3.0,
     rate: float = 20.0,
     fd: bool = False,
@@ -148,7 +116,8 @@ def round_trip(
         scenario: the scene.
         codec: of both ends.
         lines: how many lines of the scene.
-        components: parts of a mixture for each line.
+        components: parts of a mixture for each line; "auto": see ``chosen_parts``.
+        max_load: most of the bus's time that the lines may take; see ``chosen_parts``.
         seconds: how long [s].
         rate: lines of each slot a second [1/s].
         fd: CAN FD frames.
@@ -159,8 +128,20 @@ def round_trip(
 
     Raises:
         BusError: the interface cannot be opened.
+        ValueError: the lines do not keep within ``max_load``.
     """
-    true_lines = scene_lines(scenario, lines, components=components, map_error=map_error)
+    parts = chosen_parts(
+        scenario,
+        codec,
+        lines,
+        components=components,
+        rate=rate,
+        fd=fd,
+        bitrate=bitrate,
+        max_load=max_load,
+    )
+    counts = [line.parts for line in parts]
+    true_lines = scene_lines(scenario, lines, components=counts, map_error=map_error)
     if interface is None:
         interface = {"interface": "virtual", "channel": f"maplines-{uuid.uuid4()}"}
     settings = {**interface, "fd": True} if fd else dict(interface)
@@ -191,11 +172,12 @@ def round_trip(
         seconds=elapsed,
         rate=rate,
         lines=_results(true_lines, arrivals.latest, codec),
+        parts=parts,
         sent=_sent(sent),
         received=_received(received),
         lines_lost=sent.lines - received.lines,
         frames_lost=sent.frames - received.frames,
-        bus_load=bus_load(frames, 1 / rate, bitrate, 4 * bitrate if fd else None),
+        bus_load=bus_load(frames, *bus_pace(rate, bitrate, fd=fd)),
         bitrate=bitrate,
         period_jitter=dict(zip(("median", "p99", "max"), jitter.tolist(), strict=True)),
         cpu_share=cpu / elapsed if _cpu_time_is_true() else None,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import EncodeError
 from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
-from ..line import Component, Kind, MapLine, Slot, Status
+from ..line import Kind, MapLine, Slot, Status
 from .codes import covariance_code
 from .decoder import Decoder
 from .layout import PAGE_BYTES, STATE_SIGNALS, Layout
 from .packing import Packing
 from .parts import deficit, quantized_weights
-from .read import Batch, RecordReader
+from .read import Batch, Part, RecordReader
 from .reassembly import Reason
 from .write import RecordWriter
 
@@ -26,6 +27,8 @@ __all__ = ["Codec", "Frame"]
 
 #: How long a burst may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
+#: What a record says of its line besides the Gaussian, by the names of MapLine.
+OF_THE_LINE = ("slot", "kind", "x_min", "x_max", "age", "status")
 
 
 class Frame(NamedTuple):
@@ -37,12 +40,15 @@ class Frame(NamedTuple):
     is_extended: bool = False
 
 
-class _Part(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class _Record:
     """What goes into one record of a line."""
 
     line: MapLine
     gaussian: Gaussian
-    component: Component
+    index: int
+    count: int
+    weight: float
     cover: NDArray[np.float64]  #: (4, 4) what else the decoded covariance must cover
 
 
@@ -199,16 +205,18 @@ class Codec:
             t_ns: when it was received [ns].
 
         Returns:
-            The line, or why the record is not accepted.
+            The line, or why the record is not accepted. Of a part of a mixture this is the
+            part's own Gaussian; see ``read_part``.
         """
+        part = self.read_part(payload, slot, t_ns)
+        return part if isinstance(part, Reason) else part.line
+
+    def read_part(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> Part | Reason:
+        """As ``decode_one``, with what the record says of the mixture that it is a part of."""
         channel = self.layout.channels.get(slot)
         if channel is None:
             raise EncodeError(f"{self.layout.source} has no message for slot {slot!r}")
         return self._reader.read_one(payload, slot, channel.data_id, t_ns)
-
-    def counter_of(self, payload: bytes) -> int:
-        """The counter of a record."""
-        return self._reader.counter_of(payload)
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """The frames of one line, to be sent back to back; advances the slot's counter.
@@ -226,36 +234,33 @@ class Codec:
         """The frames of each line; many at once cost hardly more than one."""
         if not lines:
             return []
-        split = [self._parts(line) for line in lines]
-        parts = [part for line_parts in split for part in line_parts]
+        split = [self._records(line) for line in lines]
+        records = [record for line_records in split for record in line_records]
         counters = []
         taken, modulus = self._counters.copy(), 2 ** self.layout["Counter"].length
-        for part in parts:
-            counters.append(taken[part.line.slot])
-            taken[part.line.slot] = (taken[part.line.slot] + 1) % modulus
+        for record in records:
+            counters.append(taken[record.line.slot])
+            taken[record.line.slot] = (taken[record.line.slot] + 1) % modulus
         rest: dict[str, ArrayLike] = {
-            "slot": [part.line.slot for part in parts],
-            "counter": counters,
-            "kind": [part.line.kind for part in parts],
-            "x_min": [part.line.x_min for part in parts],
-            "x_max": [part.line.x_max for part in parts],
-            "age": [part.line.age for part in parts],
-            "status": [part.line.status for part in parts],
-            "component_index": [part.component.index for part in parts],
-            "component_count": [part.component.count for part in parts],
-            "component_weight": [part.component.weight for part in parts],
+            name: [getattr(record.line, name) for record in records] for name in OF_THE_LINE
         }
         payloads = self._writer.write(
-            np.array([part.gaussian.mean for part in parts]),
-            np.array([part.gaussian.cov for part in parts]),
-            np.zeros(len(parts), dtype=bool),  # a Gaussian is definite from birth
-            rest,
-            np.array([part.cover for part in parts]),
+            np.array([record.gaussian.mean for record in records]),
+            np.array([record.gaussian.cov for record in records]),
+            np.zeros(len(records), dtype=bool),  # a Gaussian is definite from birth
+            rest
+            | {
+                "counter": counters,
+                "component_index": [record.index for record in records],
+                "component_count": [record.count for record in records],
+                "component_weight": [record.weight for record in records],
+            },
+            np.array([record.cover for record in records]),
         )
         left = iter(payloads)
         frames = [
-            [frame for _ in line_parts for frame in self.frames(next(left), line.slot, fd=fd)]
-            for line, line_parts in zip(lines, split, strict=True)
+            [frame for _ in line_records for frame in self.frames(next(left), line.slot, fd=fd)]
+            for line, line_records in zip(lines, split, strict=True)
         ]
         self._counters = taken
         return frames
@@ -319,13 +324,13 @@ class Codec:
         decoded = quantized_weights(weights, steps) / steps
         return decoded, deficit(weights, means, covs, decoded, self._writer.rounded(means))
 
-    def _parts(self, line: MapLine) -> list[_Part]:
+    def _records(self, line: MapLine) -> list[_Record]:
         if line.mixture is None:
-            return [_Part(line, line.gaussian, line.component, np.zeros((4, 4)))]
+            return [_Record(line, line.gaussian, 0, 1, 1.0, np.zeros((4, 4)))]
         mixture, k = line.mixture, len(line.mixture.weights)
         weights, cover = self._cover(mixture.weights[None], mixture.means[None], mixture.covs[None])
         return [
-            _Part(line, gaussian, Component(i, k, float(weights[0, i])), cover[0])
+            _Record(line, gaussian, i, k, float(weights[0, i]), cover[0])
             for i, gaussian in enumerate(mixture.components)
         ]
 

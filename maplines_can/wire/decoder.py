@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..line import Component, MapLine, Slot, Status
+from ..line import MapLine, Slot, Status
 from ..mixture import GaussianMixture
+from .read import Part
 from .reassembly import Reason, Reassembler, Record
 
 if TYPE_CHECKING:
@@ -35,8 +36,8 @@ class _Group:
 
     first: int  #: counter of the first part
     count: int
-    t_ns: int  #: of the part that came first
-    parts: dict[int, MapLine] = field(default_factory=dict)
+    t_ns: int  #: of the part that came last
+    parts: dict[int, Part] = field(default_factory=dict)
     frames: int = 0
 
 
@@ -95,57 +96,55 @@ class Decoder:
             self._give_up(slot, Reason.TIMEOUT)
 
     def _read(self, record: Record) -> MapLine | Reason:
-        line = self._codec.decode_one(record.payload, record.slot, record.t_ns)
-        if isinstance(line, Reason):
-            self.counts[line] += record.frames
-            return line
+        part = self._codec.read_part(record.payload, record.slot, record.t_ns)
+        if isinstance(part, Reason):
+            self.counts[part] += record.frames
+            return part
         self._reassembler.accept(record)
-        counter = self._codec.counter_of(record.payload)
+        counter = part.counter
         modulus = 2 ** self._codec.layout["Counter"].length
         gap = (counter - self._counters.get(record.slot, counter - 1)) % modulus
         if 0 < gap <= modulus // 2:  # else the sender has started anew
             self.lost += gap - 1
         self._counters[record.slot] = counter
-        first = (counter - line.component.index) % modulus
+        first = (counter - part.index) % modulus
         held = self._groups.get(record.slot)
         if held and self._is_old(held, record.t_ns):
             self._give_up(record.slot, Reason.TIMEOUT)
-        elif held and (held.first, held.count) != (first, line.component.count):
+        elif held and (held.first, held.count) != (first, part.count):
             self._give_up(record.slot, Reason.INCOMPLETE)
-        if line.component.count == 1:
+        if part.count == 1:
             self.lines += 1
             self.line_frames += record.frames
-            return line
-        return self._join(record, line, first)
+            return part.line
+        return self._join(record, part, first)
 
-    def _join(self, record: Record, part: MapLine, first: int) -> MapLine | Reason:
+    def _join(self, record: Record, part: Part, first: int) -> MapLine | Reason:
         """Take a part of a mixture: all parts of one line, by their counters, or none."""
-        group = self._groups.setdefault(
-            record.slot, _Group(first, part.component.count, record.t_ns)
-        )
-        if part.component.index in group.parts:
+        group = self._groups.setdefault(record.slot, _Group(first, part.count, record.t_ns))
+        if part.index in group.parts:
             self.counts[Reason.DUPLICATE] += record.frames
             return Reason.DUPLICATE
-        group.parts[part.component.index] = part
+        group.parts[part.index] = part
         group.frames += record.frames
+        group.t_ns = record.t_ns  # each part has the time of a burst: slow buses carry many parts
         if len(group.parts) < group.count:
             return Reason.PENDING
         parts = [group.parts[i] for i in range(group.count)]
-        weights = [part.component.weight for part in parts]
+        weights = [part.weight for part in parts]
         if abs(sum(weights) - 1) > 1e-9:
             self._give_up(record.slot, Reason.CONTENT)
             return Reason.CONTENT
         del self._groups[record.slot]
         self.lines += 1
         self.line_frames += group.frames
-        mixture = GaussianMixture(np.array(weights), tuple(part.gaussian for part in parts))
-        return replace(
-            part,
+        mixture = GaussianMixture(np.array(weights), tuple(part.line.gaussian for part in parts))
+        first = min((part.line for part in parts), key=lambda line: line.t_ns or 0)
+        return replace(  # whose age counts from when it came
+            first,
             gaussian=mixture.overall,
             mixture=mixture,
-            component=Component(),
-            status=max((part.status for part in parts), key=SEVERITY.index),
-            t_ns=group.t_ns,
+            status=max((part.line.status for part in parts), key=SEVERITY.index),
         )
 
     def _is_old(self, group: _Group, t_ns: int) -> bool:

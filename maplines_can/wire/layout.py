@@ -79,7 +79,8 @@ class Field:
         """(...,) physical values."""
         if self.is_float:
             pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
-            return pattern.view(np.float32).astype(float)
+            with np.errstate(invalid="ignore"):  # any bits may come, also those of a NaN
+                return pattern.view(np.float32).astype(float)
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
     def physical_one(self, raw: int) -> float:

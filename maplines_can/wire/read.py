@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..gaussian import Gaussian, nearest_covariance
-from ..line import VAGUE_SIGMA, Component, Kind, MapLine, Slot, Status
+from ..line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from .codes import CovarianceCode
 from .e2e import record_crc, record_crc_one
 from .layout import BURST, PAGE, STATE_SIGNALS, Layout
 from .packing import Packing
 from .reassembly import Reason
 
-__all__ = ["Batch", "RecordReader"]
+__all__ = ["Batch", "Part", "RecordReader"]
 
 #: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
@@ -57,6 +57,17 @@ class Batch:
         numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
         pairs = zip(VERDICTS, numbers.tolist(), strict=True)
         return Counter({reason: n for reason, n in pairs if reason and n})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What one record says: a line, or a part of one that is a mixture."""
+
+    line: MapLine
+    index: int  #: which part, from 0
+    count: int  #: of how many
+    weight: float
+    counter: int  #: of the record
 
 
 class RecordReader:
@@ -118,10 +129,8 @@ class RecordReader:
             counter=raw["Counter"],
         )
 
-    def read_one(
-        self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
-    ) -> MapLine | Reason:
-        """Read one record, without the cost of arrays; the line, or why it is not accepted."""
+    def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> Part | Reason:
+        """Read one record, without the cost of arrays; the part, or why it is not accepted."""
         raw, fields = self._packing.unpack_one(payload), self._fields
         burst = raw["Counter"] & self._burst_mask
         for page in range(self._pages):
@@ -148,7 +157,7 @@ class RecordReader:
                 cov += np.diag(np.maximum(self._resolution, LEAST_VARIANCE * cov.diagonal()))
                 status = Status.REPAIRED
         x_min, x_max = (fields[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
-        return MapLine(
+        line = MapLine(
             slot=slot,
             gaussian=Gaussian.trusted(mean, cov),
             kind=Kind(raw["Kind"]),
@@ -156,13 +165,9 @@ class RecordReader:
             x_max=x_max,
             age=fields["Age"].physical_one(raw["Age"]) / 1000,
             status=status,
-            component=Component(index, count, weight),
             t_ns=t_ns,
         )
-
-    def counter_of(self, payload: bytes) -> int:
-        """The counter of a record."""
-        return self._packing.unpack_field(payload, "Counter")
+        return Part(line, index, count, weight, raw["Counter"])
 
 
 def _definite(cov: NDArray[np.float64]) -> bool:

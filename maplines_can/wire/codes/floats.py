@@ -80,9 +80,10 @@ class Float32Triangle(CovarianceCode):
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
         cov = np.empty((len(raw[self.fields[0].name]), 4, 4))
-        for (i, j), field in self.entries.items():
-            value = raw[field.name].astype(self._pattern).view(self._type)
-            cov[:, i, j] = cov[:, j, i] = value
+        with np.errstate(invalid="ignore"):  # any bits may come, also those of a NaN
+            for (i, j), field in self.entries.items():
+                value = raw[field.name].astype(self._pattern).view(self._type)
+                cov[:, i, j] = cov[:, j, i] = value
         return cov
 
     def widest(self) -> dict[str, int]:

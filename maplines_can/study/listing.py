@@ -1,0 +1,72 @@
+"""Received lines as text, as JSON and as a table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from typing import Any, TextIO
+
+import numpy as np
+
+from ..line import STATES, MapLine
+
+__all__ = ["line_dict", "line_text", "slot_text", "write_csv"]
+
+UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
+
+
+def slot_text(slot: str) -> str:
+    """The name of a slot, as it is printed."""
+    return slot.replace("_", " ").lower()
+
+
+def line_text(line: MapLine) -> str:
+    """One row for a reader."""
+    slot = slot_text(line.slot.name)
+    mean, sigma = line.gaussian.mean, line.gaussian.sigma
+    return (
+        f"{(line.t_ns or 0) / 1e9:.3f}  {slot:<10}  {line.status.name.lower():<9}  "
+        f"y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
+        f"{np.degrees(sigma[1]):.2f} deg  c0 {1e3 * mean[2]:+.3f} ± {1e3 * sigma[2]:.3f} /km  "
+        f"c1 {1e6 * mean[3]:+.2f} ± {1e6 * sigma[3]:.2f} /km^2  "
+        f"x {line.x_min:.0f}..{line.x_max:.0f} m  age {1e3 * line.age:.0f} ms"
+    )
+
+
+def line_dict(line: MapLine) -> dict[str, Any]:
+    """All of a line, for JSON."""
+    return {
+        "t": None if line.t_ns is None else line.t_ns / 1e9,
+        "slot": line.slot.name,
+        "kind": line.kind.name,
+        "status": line.status.name,
+        "x_min": line.x_min,
+        "x_max": line.x_max,
+        "age": line.age,
+        "components": 1 if line.mixture is None else len(line.mixture.weights),
+        "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
+        "cov": line.gaussian.cov.tolist(),
+        "mixture": None
+        if line.mixture is None
+        else {
+            "weights": line.mixture.weights.tolist(),
+            "means": line.mixture.means.tolist(),
+            "covs": line.mixture.covs.tolist(),
+        },
+    }
+
+
+def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
+    """Channels and their lines as a table; of a mixture, mean and covariance of the whole."""
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components", *STATES]
+        + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER]
+    )
+    for channel, line in lines:
+        row = line_dict(line)
+        writer.writerow(
+            [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
+            + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
+            + [row["cov"][i][j] for i, j in UPPER]
+        )
