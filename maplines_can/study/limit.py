@@ -1,0 +1,323 @@
+"""How few bits could do: the rate-distortion bound of a source of Gaussians.
+
+A Gaussian of p components is sent at a mean KL divergence from the true to the decoded one. Where
+it is small it is a quadratic form, 2 KL = d^T F d, with F the Fisher information of the n
+parameters; then (Linder and Zamir, IEEE Trans. Inf. Theory 45(2), 1999, 533)
+
+    R(KL) = h_F - n/2 log2(2 pi e 2 KL / n)  bit,    h_F = h(theta) + E log2 sqrt(det F(theta))
+
+bounds the mean length of every code as KL goes to 0, and codes of long blocks attain it. Scalar
+steps lose at least 1/2 log2(2 pi e / 12) = 0.2546 bit per parameter against it. h_F, the entropy
+with respect to the Fisher volume, is the same in all coordinates. Here they are, with S = L L^T,
+the mean m, ln L_ii and t_ij = L_ij / L_ii for j < i. With L'^-1 L = 1 + A and z = L'^-1 (m - m'),
+2 KL = |z|^2 + 2 sum A_ii^2 + sum A_ij^2, where A_ii = d ln L_ii and A_ij = d t_ij up to terms of
+the other parameters whose Jacobian is 1. So
+
+    h_F = h(m, ln L_ii, t_ij) + p/2 bit - E log2 sqrt(det S)    n = p + p (p + 1) / 2: all
+    h_F = h(ln L_ii, t_ij)    + p/2 bit                         n = p (p + 1) / 2: covariance
+
+The second is of the covariances by themselves, KL(N(m, S) || N(m, S')): what the mean tells of
+them is not made use of. First less second is the mean's, given the covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.special import digamma, gammaln, ndtri
+
+__all__ = ["Limit", "limit_of"]
+
+Array = NDArray[np.float64]
+
+#: Disjoint parts of the samples: their scatter is the standard error, and how far they lie above
+#: the estimate of all samples tells the bias.
+BATCHES = 8
+#: Neighbours that tell the shape of a neighbourhood, for each dimension. Fewer follow a bent
+#: source more closely and know its shape less well: 4 to 30 differ by half a bit there.
+NEIGHBOURS = 10
+#: Rows worked on at a time; 14 dimensions take 60 MB.
+BLOCK = 1024
+#: Least eigenvalue of a correlation matrix whose coordinates are independent.
+COLLINEAR = 1e-9
+#: Sources that fill their n dimensions come out at 0.9 n and more, surfaces in them at 0.8 n.
+LEAST_DIMENSION = 0.85
+
+
+@dataclass(frozen=True)
+class Limit:
+    """The bound R(KL) of a source, with what is known of its errors.
+
+    Also of a source with a closed form, or of one that lies on a surface of ``dimension``.
+
+    >>> limit = Limit(entropy_bits=10.0, dimension=14)
+    >>> limit.bits([1e-3, 1e-4]).round(2)
+    array([70.75, 94.01])
+    >>> limit.kl(limit.bits(1e-3) + 14)  # a bit more for each parameter
+    array(0.00025)
+    """
+
+    entropy_bits: float  #: h_F [bit]; NaN where the source is singular
+    dimension: int  #: n, numbers in a Gaussian
+    entropy_se_bits: float = 0.0  #: standard error of h_F [bit]
+    bias_bits: float = 0.0  #: by how much h_F, and R with it, probably comes out too high [bit]
+    samples: int = 0  #: distinct ones that h_F was taken from
+    duplicates: int = 0  #: exact copies of others, left out
+    local_dimension: float = float("nan")  #: about how many dimensions the samples fill
+    caveat: str = ""  #: why h_F is not to be trusted; empty if nothing speaks against it
+
+    def bits(self, kl: ArrayLike) -> Array:
+        """(...,) least mean length of a message [bit] for mean divergences ``kl``.
+
+        For high rates: where it is no longer much more than ``dimension`` bits it means little.
+
+        Args:
+            kl: (...,) positive, KL(true || decoded) [nat].
+
+        Raises:
+            ValueError: a divergence is not positive.
+        """
+        kl = np.asarray(kl, dtype=float)
+        if not (kl > 0).all():
+            raise ValueError(f"kl must be positive [nat], got {kl!r}")
+        n = self.dimension
+        return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * np.e * 2 * kl / n))
+
+    def kl(self, bits: ArrayLike) -> Array:
+        """(...,) least mean divergence [nat] for mean lengths of a message [bit]."""
+        n = self.dimension
+        excess = (self.entropy_bits - np.asarray(bits, dtype=float)) * 2 / n
+        return np.asarray(n / (4 * np.pi * np.e) * 2**excess)
+
+
+def limit_of(
+    means: ArrayLike,
+    covs: ArrayLike,
+    *,
+    part: Literal["all", "covariance"] = "all",
+    resolution: ArrayLike | None = None,
+    k: int = 1,
+    seed: int = 0,
+) -> Limit:
+    """The bound of the source that Gaussians were drawn from, by nearest neighbours.
+
+    The entropy of the coordinates is that of each by itself, plus that of their normal scores,
+    less as many standard normal ones: exact, and heavy tails are gone. Either is taken from the
+    distances to the k-th neighbours (Kozachenko and Leonenko 1987; Kraskov, Stoegbauer and
+    Grassberger, Phys. Rev. E 69, 066138, 2004), of the scores in the metric of the neighbours'
+    own covariance, which follows a bent source (after Lord, Sun and Bollt, Chaos 28, 033114,
+    2018). What the same procedure makes too much or too little of a standard normal sample of
+    the same size is taken off.
+
+    What remains is too high where the source is finer than the neighbours are apart, for smooth
+    sources in proportion to N^(-2/n) (Berrett, Samworth and Yuan, Ann. Statist. 47, 288, 2019).
+    ``bias_bits`` is what that law makes of the step from N/8 samples to N: told, not taken off,
+    so ``entropy_bits`` is the high end and ``entropy_bits - bias_bits`` the likely low end. On
+    sources with closed forms the truth lay between them, up to the standard errors (the bias has
+    some three times that of the entropy), but for sources a tenth as thick as wide, or thinner:
+    theirs lay lower still.
+
+    A source on a surface of fewer than n dimensions has no h_F (it is minus infinity), and
+    its bound rises by less than n/2 log2 10 bit a decade. Exact ties come back as NaN; where the
+    samples only look so, by ``local_dimension``, the ``caveat`` says it, and against the high end
+    a code looks better than it is.
+
+    h_F depends neither on the order of the components nor on their units, but its bias does on
+    the order: take one whose ratios are small.
+
+    20 000 samples of 14 dimensions take 15 s, 100 000 take 4 min, half of it for the normal sample,
+    which is kept for the next set of this size; 200 and 300 MB.
+
+    Args:
+        means: (N, p); not looked at for the part "covariance".
+        covs: (N, p, p) positive definite. N of at least 160 n.
+        part: "all", n = p + p (p + 1) / 2 parameters, or "covariance", n = p (p + 1) / 2, by
+            themselves.
+        resolution: (p,) variances added to each covariance, as ``judge`` does; none by default.
+        k: which neighbour, 1 to 10. More than 1 smooth more, and save little of the error.
+        seed: of the split into batches and of the normal samples.
+
+    Raises:
+        ValueError: a shape or value is wrong, a covariance is singular, too few distinct samples.
+
+    >>> rng = np.random.default_rng(1)
+    >>> sigma = 2 ** rng.uniform(0, 10, size=2000)  # 10 octaves, and KL = (ln sigma'/sigma)^2
+    >>> limit = limit_of(np.zeros((2000, 1)), sigma[:, None, None] ** 2, part="covariance")
+    >>> print(f"{limit.entropy_bits:.1f}; exactly {0.5 + np.log2(10 * np.log(2)):.1f}")
+    3.3; exactly 3.3
+    """
+    if not 1 <= k <= NEIGHBOURS:
+        raise ValueError(f"k must be from 1 to {NEIGHBOURS}, got {k!r}")
+    theta, log_volume, names = _coordinates(means, covs, part, resolution)
+    given, n = theta.shape
+    _, first = np.unique(theta, axis=0, return_index=True)
+    first = np.random.default_rng(seed).permutation(np.sort(first))
+    if len(first) < 2 * BATCHES * NEIGHBOURS * n:
+        raise ValueError(
+            f"{n} parameters take at least {2 * BATCHES * NEIGHBOURS * n} distinct samples, "
+            f"got {len(first)} distinct ones of {given}; draw more"
+        )
+    theta, log_volume = theta[first], log_volume[first]
+    samples = len(theta)
+    sizes = {"dimension": n, "samples": samples, "duplicates": given - samples}
+    if reason := _singular(theta, names):
+        return Limit(float("nan"), **sizes, entropy_se_bits=float("nan"), caveat=reason)
+
+    h, parts, filled = _estimates(theta, log_volume, k)
+    error, error_parts, normal_filled = _of_normal(samples, n, k, seed)
+    shrinkage = BATCHES ** (-2 / n)
+    step = parts.mean() - h - (np.mean(error_parts) - error)
+    se = np.sqrt((parts.var(ddof=1) + np.var(error_parts, ddof=1)) / BATCHES)
+    local_dimension = n * filled / normal_filled
+    caveat = ""
+    if local_dimension < LEAST_DIMENSION * n:
+        caveat = (
+            f"the samples fill about {local_dimension:.1f} of {n} dimensions: the true bound is "
+            "lower, and rises more slowly as KL falls"
+        )
+    return Limit(
+        entropy_bits=float((h - error) / np.log(2)),
+        entropy_se_bits=float(se / np.log(2)),
+        bias_bits=float(step * shrinkage / (1 - shrinkage) / np.log(2)),
+        local_dimension=float(local_dimension),
+        caveat=caveat,
+        **sizes,
+    )
+
+
+def _coordinates(
+    means: ArrayLike, covs: ArrayLike, part: str, resolution: ArrayLike | None
+) -> tuple[Array, Array, list[str]]:
+    """Coordinates (N, n), the logarithm of the Fisher volume of each (N,), and their names."""
+    if part not in ("all", "covariance"):
+        raise ValueError(f"part must be 'all' or 'covariance', got {part!r}")
+    m, S = np.asarray(means, dtype=float), np.asarray(covs, dtype=float)
+    if m.ndim != 2 or m.size == 0 or S.shape != (*m.shape, m.shape[1]):
+        raise ValueError(
+            f"means and covs must have shapes (N, p) and (N, p, p), got {m.shape} and {S.shape}"
+        )
+    if not np.isfinite(m).all() or not np.isfinite(S).all():
+        raise ValueError("means and covs must be finite")
+    p = m.shape[1]
+    if resolution is not None:
+        F = np.asarray(resolution, dtype=float)
+        if F.shape != (p,) or not (F >= 0).all():
+            raise ValueError(
+                f"resolution must have shape ({p},) and values of 0 or more, got {resolution!r}"
+            )
+        S = S + np.diag(F)
+    try:
+        L = np.asarray(np.linalg.cholesky(S), dtype=float)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "covs must be positive definite: a singular one cannot be told at any finite rate; "
+            "add the resolution of the means, Codec.resolution"
+        ) from None
+    log_pivots = np.log(np.einsum("nii->ni", L))
+    i, j = np.tril_indices(p, -1)
+    theta = np.column_stack([log_pivots, L[:, i, j] / L[:, i, i]])
+    names = [f"ln L_{a}{a}" for a in range(p)]
+    names += [f"t_{a}{b}" for a, b in zip(i, j, strict=True)]
+    log_volume = np.full(len(m), p / 2 * np.log(2))
+    if part == "all":
+        theta = np.column_stack([m, theta])
+        names = [f"m_{a}" for a in range(p)] + names
+        log_volume -= log_pivots.sum(axis=1)
+    return theta, log_volume, names
+
+
+def _singular(theta: Array, names: Sequence[str]) -> str:
+    """Why the entropy of (N, n) coordinates is minus infinity; empty if it is not."""
+    for x, name in zip(theta.T, names, strict=True):
+        _, count = np.unique(x, return_counts=True)
+        if count.max() > NEIGHBOURS // 2:
+            share = count.max() / len(x)
+            return f"singular: {name} has one and the same value in {share:.1%} of the samples"
+    values, vectors = np.linalg.eigh(np.atleast_2d(np.corrcoef(_normal_scores(theta).T)))
+    if values[0] < COLLINEAR:
+        tied = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
+        return f"singular: {', '.join(tied)} determine each other"
+    return ""
+
+
+def _estimates(theta: Array, log_volume: Array, k: int) -> tuple[float, Array, float]:
+    """Entropy [nat] of all coordinates, of each batch (BATCHES,), and the dimension they fill.
+
+    Args:
+        theta: (N, n) coordinates, in no order.
+        log_volume: (N,) logarithm of what a unit of their volume counts.
+        k: which neighbour.
+    """
+    h, local_dimension = _entropy(theta, k)
+    size = len(theta) // BATCHES
+    parts = [slice(i * size, (i + 1) * size) for i in range(BATCHES)]
+    h_parts = np.array([_entropy(theta[part], k)[0] + log_volume[part].mean() for part in parts])
+    return h + float(log_volume.mean()), h_parts, local_dimension
+
+
+@lru_cache
+def _of_normal(samples: int, n: int, k: int, seed: int) -> tuple[float, tuple[float, ...], float]:
+    """``_estimates`` of a standard normal sample: its errors, for they are to be 0."""
+    x = np.random.default_rng([seed, samples, n]).standard_normal((samples, n))
+    # Counted by the density at the points themselves: then their fluctuation is no error.
+    log_density = -((x**2).sum(axis=1) + n * np.log(2 * np.pi)) / 2
+    error, error_parts, local_dimension = _estimates(x, log_density, k)
+    return error, tuple(error_parts.tolist()), local_dimension
+
+
+def _entropy(theta: Array, k: int) -> tuple[float, float]:
+    """Differential entropy [nat] of (N, n) coordinates as it comes; the dimension they fill."""
+    # A few neighbours are close enough along a line, and spare the estimate single near ties.
+    single = sum(_neighbours(x[:, None], NEIGHBOURS // 2, shaped=False)[0] for x in theta.T)
+    scores = _normal_scores(theta)
+    root = np.asarray(np.linalg.cholesky(np.atleast_2d(np.cov(scores.T))), dtype=float)
+    white = np.asarray(np.linalg.solve(root, scores.T).T, dtype=float)
+    joint, local_dimension = _neighbours(white, k, shaped=True)
+    joint += np.log(root.diagonal()).sum()
+    return single + joint - theta.shape[1] / 2 * np.log(2 * np.pi * np.e), local_dimension
+
+
+def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
+    """Entropy [nat] of (N, n) points by their k-th neighbours, and the dimension they fill.
+
+    The dimension is that of Levina and Bickel (2004), averaged as MacKay and Ghahramani do.
+
+    Args:
+        x: (N, n) points.
+        k: which neighbour.
+        shaped: distances in the metric of the neighbours' covariance, else of the points.
+    """
+    samples, n = x.shape
+    near = NEIGHBOURS * n if shaped else k
+    tree = cKDTree(x)
+    log_radius = log_ratio = 0.0
+    for start in range(0, samples, BLOCK):
+        centre = x[start : start + BLOCK]
+        distance, index = tree.query(centre, k=near + 1)
+        distance = distance[:, 1:]  # the first is the point itself
+        if not shaped:
+            log_radius += n * np.log(distance[:, k - 1]).sum()
+            continue
+        ratio = distance[:, NEIGHBOURS - 1, None] / distance[:, : NEIGHBOURS - 1]
+        log_ratio += np.log(ratio).mean(axis=1).sum()
+        d = np.swapaxes(x[index[:, 1:]] - centre[:, None], 1, 2)  # (B, n, near)
+        spread = d - d.mean(axis=2, keepdims=True)
+        L = np.linalg.cholesky(spread @ np.swapaxes(spread, 1, 2) / near)
+        squared = (np.linalg.solve(L, d) ** 2).sum(axis=1)
+        log_radius += n / 2 * np.log(np.partition(squared, k - 1, axis=1)[:, k - 1]).sum()
+        log_radius += np.log(np.einsum("bii->bi", L)).sum()
+    log_ball = n / 2 * np.log(np.pi) - gammaln(n / 2 + 1)
+    entropy = digamma(samples) - digamma(k) + log_ball + log_radius / samples
+    return float(entropy), samples / log_ratio if shaped else float("nan")
+
+
+def _normal_scores(theta: Array) -> Array:
+    """(N, n) coordinates, each stretched to a standard normal distribution."""
+    rank = np.argsort(np.argsort(theta, axis=0), axis=0)
+    return np.asarray(ndtri((rank + 0.5) / len(theta)), dtype=float)

@@ -1,0 +1,319 @@
+"""What production messages lose by rounding: formulas, cantools and counting agree."""
+
+import argparse
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+
+from maplines_can.line import STATES, lateral
+from maplines_can.study import Gaussians, road
+from maplines_can.study.production import (
+    DISTANCES,
+    PRODUCTION,
+    default_message,
+    measured,
+    production_table,
+    rms,
+    worst,
+)
+from maplines_can.study.production_command import add_production
+from maplines_can.study.production_text import as_csv, as_markdown, as_records, as_text
+from maplines_can.wire import Layout
+
+MOBILEYE, TESLA, FORD, GM_EGO, HONDA = (PRODUCTION[i] for i in (0, 1, 3, 6, 8))
+ALL = [
+    pytest.param(message, id=message.name.replace(" ", "-"))
+    for message in (*PRODUCTION, default_message())
+]
+X = np.array(DISTANCES)
+
+
+@pytest.fixture(scope="module")
+def rows():
+    return production_table()
+
+
+def of(rows, message):
+    return next(row for row in rows if row.message.name == message.name)
+
+
+def lines_within(message, n, seed=0):
+    """Lines of small heading that fill the message's ranges and fit them."""
+    rng = np.random.default_rng(seed)
+    ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.fields]
+    low, high = np.array(ends).T
+    values = rng.uniform(low, high, size=(n, 4))
+    values[:, 1] *= 1e-2 / high[1]  # the formulas are of a line along the car's axis
+    sides = rng.choice([-1.0, 1.0], size=(n, 4))
+    return message.read(values, sides)
+
+
+# -- formulas ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("message", "x", "expected"),
+    [
+        pytest.param(
+            TESLA, 50.0, 0.0175 + 0.0008 * 50 + 1e-5 * 50**2 + 1.2e-7 * 50**3, id="tesla-polynomial"
+        ),
+        pytest.param(
+            FORD, 80.0, 0.005 + 0.00025 * 80 + 1e-5 * 80**2 / 2 + 1.25e-7 * 80**3 / 6, id="ford"
+        ),
+        pytest.param(
+            MOBILEYE, 80.0, 1 / 512 + 80 / 2048 + 80**2 / 2_048_000 + 80**3 / 2**29, id="mobileye"
+        ),
+        pytest.param(GM_EGO, 0.0, 0.025, id="gm-beside-the-car"),
+    ],
+)
+def test_the_worst_case_by_hand(message, x, expected):
+    """Half a step of each signal, as published, adds up."""
+    assert worst(message, x) == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_other_reading_by_hand():
+    """Read as curvatures, Tesla's steps weigh a half and a sixth as much."""
+    by_hand = 0.0175 + 0.0008 * 50 + 1e-5 * 50**2 / 2 + 1.2e-7 * 50**3 / 6
+
+    assert worst(TESLA, 50.0, polynomial=False) == pytest.approx(by_hand, rel=1e-9)
+
+
+@pytest.mark.parametrize("message", ALL)
+def test_the_formulas_are_what_rounding_does(message):
+    """The rms within five sampling errors, and no error beyond the worst case."""
+    n = 50_000
+    lines = lines_within(message, n)
+    read, clipped = message.rounded(lines)
+    if None in message.fields:
+        read[:, 3] = lines[:, 3]
+    error = lateral(read[:, None, :], X) - lateral(lines[:, None, :], X)
+    fits = ~clipped.any(axis=1)
+
+    assert fits.mean() > 0.99
+    # The kurtosis of a sum of uniform errors is at most 3; 1e-4 is what tan(beta)^2 adds.
+    tolerance = 5 * np.sqrt(2 / (4 * n)) + 2e-4
+    assert np.sqrt((error[fits] ** 2).mean(axis=0)) == pytest.approx(rms(message, X), rel=tolerance)
+    assert (np.abs(error[fits]).max(axis=0) <= worst(message, X) * (1 + 2e-4)).all()
+
+
+@pytest.mark.parametrize("message", ALL)
+def test_what_is_read_is_sent_again_unchanged(message):
+    """Rounding twice is rounding once, and a conversion and its inverse are none."""
+    lines = lines_within(message, 1000)
+    once, _ = message.rounded(lines)
+    twice, clipped = message.rounded(once)
+
+    assert message.read(message.sent(lines), lines) == pytest.approx(lines, rel=1e-12)
+    assert not clipped.any()
+    assert twice == pytest.approx(once, rel=1e-9, abs=1e-12)
+
+
+# -- outside witnesses ------------------------------------------------------------
+
+#: Typed from the published widths and factors; the places in the frame are our own.
+DBCS = {
+    "tesla": """VERSION ""
+BU_: ECU
+BO_ 569 Lane: 8 ECU
+ SG_ A : 0|8@1+ (0.035,-3.5) [-3.5|3.5] "m" ECU
+ SG_ B : 8|8@1+ (0.0016,-0.2) [-0.2|0.2] "rad" ECU
+ SG_ C : 16|8@1+ (2E-05,-0.0025) [-0.0025|0.0025] "m-1" ECU
+ SG_ D : 24|8@1+ (2.4E-07,-3E-05) [-3E-05|3E-05] "m-2" ECU
+""",
+    "ford": """VERSION ""
+BU_: ECU
+BO_ 979 Path: 8 ECU
+ SG_ A : 0|10@1+ (0.01,-5.12) [-5.12|5.11] "m" ECU
+ SG_ B : 10|11@1+ (0.0005,-0.5) [-0.5|0.5235] "rad" ECU
+ SG_ C : 21|11@1+ (2E-05,-0.02) [-0.02|0.02094] "1/m" ECU
+ SG_ D : 32|13@1+ (2.5E-07,-0.001024) [-0.001024|0.00102375] "1/m2" ECU
+""",
+    "mobileye": """VERSION ""
+BU_: ECU
+BO_ 1894 Line: 8 ECU
+ SG_ A : 0|16@1- (0.00390625,0) [-128|127] "m" ECU
+ SG_ B : 16|16@1+ (0.0009765625,-31.9990234375) [-0.357|0.357] "" ECU
+ SG_ C : 32|16@1+ (9.765625E-07,-0.0319990234375) [-0.02|0.02] "1/m" ECU
+ SG_ D : 48|16@1+ (3.725290298461914E-09,-0.00012206658720970154) [-0.00012|0.00012] "1/m2" ECU
+""",
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("tesla", TESLA), ("ford", FORD), ("mobileye", MOBILEYE)]
+)
+def test_cantools_rounds_to_the_same_lines(name, message):
+    """Through the bytes of a DBC with the published figures, and back."""
+    dbc = cantools.database.load_string(DBCS[name], "dbc").messages[0]
+    for line in lines_within(message, 300):
+        y_off, beta, c0, c1 = line
+        sent = (y_off, beta, c0, c1) if name == "ford" else (y_off, np.tan(beta), c0 / 2, c1 / 6)
+        a, b, c, d = dbc.decode(
+            dbc.encode(dict(zip("ABCD", sent, strict=True)), strict=False)
+        ).values()
+        expected = (a, b, c, d) if name == "ford" else (a, np.arctan(b), 2 * c, 6 * d)
+
+        assert message.rounded(line)[0] == pytest.approx(expected, rel=1e-9, abs=1e-15)
+
+
+def test_a_rounded_factor_is_a_bias():
+    """The page's example: zero heading, read with 0.000977 for 1/1024, is 0.7 m at 50 m."""
+    (_, zero, _, _) = MOBILEYE.sent([0.0, 0.0, 0.0, 0.0])
+    raw = MOBILEYE.fields[1].raw(zero)
+
+    assert raw == 32767
+    assert raw * 0.000977 - 31.999023 == pytest.approx(0.01434, abs=5e-6)
+
+
+# -- this project's own message -----------------------------------------------------
+
+
+def test_the_default_is_the_dbc():
+    """Widths, factors and the covariance's bits come from the layout, and from an edited one."""
+    layout = Layout.from_dbc()
+    coarse = dict(layout.fields) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
+
+    message = default_message(layout)
+    changed = default_message(replace(layout, fields=coarse))
+
+    assert message.fields == tuple(layout[name] for name in ("YOff", "Beta", "C0", "C1"))
+    assert message.uncertainty == "covariance, 105 b"  # dbc/README.md, the table of the codes
+    assert changed.bits == message.bits - layout["C1"].length + 16
+    assert worst(changed, 80.0) > worst(message, 80.0) + 0.03
+
+
+# -- counting ---------------------------------------------------------------------
+
+
+def test_what_does_not_fit_is_counted_and_left_out():
+    """One line too far aside, one too curved, one in both ways, and one that fits."""
+    mean = np.array(
+        [[10, 0, 0, 0], [1, 0, 0.02, 0], [-10, 0, -0.02, 0], [1.01, 0, 0, 0]], dtype=float
+    )
+    lines = Gaussians(mean, np.tile(np.diag([0.1, 0.01, 1e-4, 1e-6]) ** 2, (4, 1, 1)))
+    row = measured(TESLA, lines, lines)
+    read, _ = TESLA.rounded(mean)
+
+    assert row.clipped == (2, 0, 2, 0)
+    assert (row.lines, row.fit, row.judged) == (4, 1, (1, 1, 1))
+    assert read[0, 0] == pytest.approx(3.5)
+    # 1.01 m is nearest to 129 steps of 0.035 m above -3.5 m; the rest rounds to zero.
+    assert row.measured_rms == pytest.approx([1.015 - 1.01] * 3, abs=1e-9)
+    assert row.rounding_kl[0] == pytest.approx((0.005 / 0.1) ** 2 / 2, rel=1e-6)
+
+
+def test_a_line_is_not_judged_where_it_has_turned_away():
+    """A radius of 30 m reaches 20 m within 45 deg, and not 50 m."""
+    mean = np.array([[1.0, 0.0, 1 / 30, 0.0]])
+    lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
+    row = measured(default_message(), lines, lines)
+
+    assert row.judged == (1, 0, 0)
+    assert np.isnan(row.measured_rms[1:]).all()
+
+
+def test_nothing_fits():
+    """Then nothing is judged, and the writers say so."""
+    mean = np.array([[30.0, 0.0, 0.0, 0.0]])
+    lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
+    row = measured(TESLA, lines, lines)
+
+    assert row.fit == 0
+    assert "- / - / -" in as_markdown([row])
+    assert as_records([row])[0]["measured_rms_at_80m_m"] is None
+
+
+def test_the_side_of_a_distance_is_kept():
+    """GM sends how far the line is, and which line it is tells the side."""
+    read, clipped = GM_EGO.rounded([[1.76, 0, 0, 0], [-1.76, 0, 0, 0]])
+
+    assert read[:, 0] == pytest.approx([1.75, -1.75])
+    assert not clipped.any()
+
+
+# -- the table --------------------------------------------------------------------
+
+
+def test_the_table_on_the_set(rows):
+    """Measured rms is the formula's, to what sampling and slanted lines allow."""
+    for row in rows:
+        fewest = min(row.judged)
+        tolerance = 5 * np.sqrt(2 / (4 * fewest)) + 0.05
+
+        assert row.measured_rms == pytest.approx(row.rms, rel=tolerance), row.message.name
+    assert len(rows) == len(PRODUCTION) + 1
+    assert rows[-1].fit == rows[-1].lines
+
+
+def test_the_missing_rate_outweighs_the_rounding(rows):
+    """Of Honda's line the rate is not read: what that loses is given apart."""
+    row = of(rows, HONDA)
+
+    assert row.truncated_rms[2] > 10 * row.measured_rms[2]
+    assert all(r.truncated_rms is None for r in rows if None not in r.message.fields)
+
+
+def test_each_row_says_where_it_is_from():
+    """No figure without its source, and none uncertain that does not say so."""
+    for message in (*PRODUCTION, default_message()):
+        assert all((message.source, message.certainty, message.uncertainty))
+        assert message.documented or "uncertain" in message.certainty
+
+
+def test_the_same_seed_gives_the_same_table():
+    """And another one other lines."""
+    first, again, other = (as_csv(production_table(100, seed)) for seed in (1, 1, 2))
+
+    assert first == again != other
+    with pytest.raises(ValueError, match="100 lines or more"):
+        production_table(99)
+
+
+def test_the_set_is_the_study_s_own():
+    """Sigmas beside the errors are those of sets.road, for a line at x = 0 its first one."""
+    row, lines = production_table(100, 3)[-1], road(100, 3)
+    near = np.sqrt(lines.cov[:, 0, 0])
+
+    assert row.lines == row.fit == len(lines.mean) == 100
+    assert np.median(near) < row.sigma_median[0] < row.sigma_median[1] < row.sigma_median[2]
+
+
+def test_writers_agree(rows):
+    """CSV, JSON and both kinds of text tell of the same rows."""
+    table = list(csv.DictReader(io.StringIO(as_csv(rows))))
+    records = as_records(rows)
+
+    assert [row["message"] for row in table] == [r.message.name for r in rows]
+    assert float(table[1]["worst_at_50m_m"]) == pytest.approx(0.0975)
+    assert records[-1]["c1_factor"] == Layout.from_dbc()["C1"].factor
+    assert {f"{state}_bits" for state in STATES} <= set(records[0])
+    for text in (as_text(rows), as_markdown(rows)):
+        assert all(text.count(f"{r.message.maker} {r.message.name}") >= 4 for r in rows)
+
+
+@pytest.mark.parametrize("form", ["--json", "--markdown", "--csv", None])
+def test_the_command(form, capsys):
+    """It prints one form at a time."""
+    parser = argparse.ArgumentParser()
+    add_production(parser.add_subparsers())
+    arguments = parser.parse_args(["production", "--n", "100", *([form] if form else [])])
+
+    assert arguments.run(arguments) == 0
+    out = capsys.readouterr().out
+    if form == "--json":
+        assert len(json.loads(out)) == len(PRODUCTION) + 1
+    assert ("| --- |" in out) == (form == "--markdown")
+
+
+def test_the_page_has_what_the_command_prints(rows):
+    """docs/bits.md, the section on production messages."""
+    page = (Path(__file__).parents[1] / "docs" / "bits.md").read_text(encoding="utf-8")
+
+    for table in as_markdown(rows).split("\n\n"):
+        assert table.strip() in page
