@@ -4,10 +4,12 @@ __all__ = [
     "BusError",
     "EncodeError",
     "IllPosedError",
+    "KeyMaterialError",
     "LayoutError",
     "LogError",
     "MaplinesError",
     "MissingExtraError",
+    "StudyError",
 ]
 
 
@@ -27,6 +29,10 @@ class EncodeError(MaplinesError, ValueError):
     """A value has no place on the wire, and nothing may stand for it."""
 
 
+class KeyMaterialError(MaplinesError, ValueError):
+    """A secret key is missing or is none; the message never holds what was read."""
+
+
 class MissingExtraError(MaplinesError, ImportError):
     """A package of an optional extra is not installed; the message names the extra."""
 
@@ -37,3 +43,7 @@ class BusError(MaplinesError, OSError):
 
 class LogError(MaplinesError, OSError):
     """A log file cannot be read, or not all of it; what is good was read before."""
+
+
+class StudyError(MaplinesError, ValueError):
+    """A study cannot be made as asked: of this file, in this directory, with these workers."""

@@ -16,6 +16,8 @@ LAYERS = [
 ]
 #: Who may import it. matplotlib and scipy.stats cost a second, and stay out of the start.
 DOORS = {"can": {"bus"}, "cantools": {"wire"}, "matplotlib": {"study"}, "tqdm": {"cli"}}
+DOORS |= {"cryptography": {"wire"}}
+DOORS |= {"bokeh": {"study"}, "distributed": {"study"}, "pyarrow": {"study"}}
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
 
 

@@ -9,8 +9,9 @@ from typing import Any, TextIO
 import numpy as np
 
 from ..line import STATES, MapLine
+from ..wire import SlotStats
 
-__all__ = ["line_dict", "line_text", "slot_text", "write_csv"]
+__all__ = ["check_dict", "check_text", "line_dict", "line_text", "slot_text", "write_csv"]
 
 UPPER = [(i, j) for i in range(4) for j in range(i, 4)]
 
@@ -54,6 +55,22 @@ def line_dict(line: MapLine) -> dict[str, Any]:
             "covs": line.mixture.covs.tolist(),
         },
     }
+
+
+def check_text(stats: SlotStats) -> str:
+    """What the records of a slot are worth, and why."""
+    return (
+        f"{stats.state.name}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
+        f"{stats.wrong_sequence} wrong sequence, {stats.errors} errors, "
+        f"{stats.no_new_data} cycles without data"
+        + ("; TWO SENDERS on this slot, or a path that doubles frames" * stats.two_senders)
+    )
+
+
+def check_dict(stats: SlotStats) -> dict[str, Any]:
+    """All of it, for JSON."""
+    status = None if stats.status is None else stats.status.name
+    return stats._asdict() | {"state": stats.state.name, "status": status}
 
 
 def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:

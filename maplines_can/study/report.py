@@ -10,7 +10,7 @@ from .listing import slot_text
 from .round_trip import LineResult, RoundTrip
 from .sending import LineParts
 
-__all__ = ["counts_text", "parts_text", "trip_text"]
+__all__ = ["counts_text", "faults_text", "parts_text", "trip_text"]
 
 
 def trip_text(trip: RoundTrip) -> str:
@@ -51,14 +51,24 @@ def trip_text(trip: RoundTrip) -> str:
             )
             if trip.sent[key]
         ),
+        *([f"faults    {faults_text(trip.faults)}"] if trip.faults else []),
         f"bus load  {100 * trip.bus_load:.1f} % at {trip.bitrate / 1000:g} kbit/s"
-        + (f" and {4 * trip.bitrate / 1e6:g} Mbit/s" if trip.carrier == "CAN FD" else ""),
+        + (f" and {4 * trip.bitrate / 1e6:g} Mbit/s" if trip.carrier.startswith("CAN FD") else ""),
         f"period    {1e3 / trip.rate:g} ms, off by {1e3 * jitter['median']:.2f} ms in the median, "
         f"{1e3 * jitter['p99']:.2f} ms at 99 %",
     ]
     if trip.cpu_share is not None:
         out.append(f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver")
     return "\n".join(out)
+
+
+def faults_text(done: Mapping[str, int]) -> str:
+    """What faults did to the frames, those that did anything."""
+    kinds = {name: n for name, n in done.items() if name not in ("frames", "passed", "held")}
+    return (
+        f"of {done['frames']} frames: {counts_text(kinds)}; {done['passed']} passed on, "
+        f"{done['held']} held back"
+    )
 
 
 def parts_text(line: LineParts) -> str:

@@ -13,13 +13,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
+from ..bus import Faults, Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
 from ..line import MapLine
 from ..propagation import MapError
 from ..scenarios import Scenario
 from ..wire import Codec
 from .metrics import LATERAL_X, judge
-from .sending import LineParts, bus_pace, chosen_parts, scene_lines
+from .sending import LineParts, bus_pace, carrier_text, chosen_parts, scene_lines
 
 __all__ = ["LineResult", "RoundTrip", "round_trip"]
 
@@ -59,6 +59,7 @@ class RoundTrip:
     bitrate: int  #: [bit/s]
     period_jitter: dict[str, float]  #: |time between a slot's lines - period| [s]
     cpu_share: float | None  #: of one core, sender and receiver; None where it cannot be told
+    faults: dict[str, int] | None = None  #: what they did; None where there were none
     received_lines: Mapping[str, MapLine] = field(repr=False, default_factory=dict)
     true_lines: Sequence[MapLine] = field(repr=False, default=())
 
@@ -108,6 +109,7 @@ def round_trip(
     bitrate: int = 500_000,
     interface: Mapping[str, Any] | None = None,
     map_error: MapError | None = None,
+    faults: Faults | None = None,
     tick: Callable[[float], object] | None = None,
 ) -> RoundTrip:
     """Send the lines of a scene over a bus for a while and receive them.
@@ -124,6 +126,8 @@ def round_trip(
         bitrate: for which the bus load is stated [bit/s].
         interface: settings of ``can.Bus``; None for python-can's in-process bus.
         map_error: error of the map beside the pose's.
+        faults: what happens to the frames on their way: at the receiver's end, unless their
+            direction is "send".
         tick: called about ten times a second with the time gone [s].
 
     Raises:
@@ -148,9 +152,12 @@ def round_trip(
     arrivals = _Arrivals(1 / rate)
     count = max(1, round(seconds * rate))
     cpu, start = time.process_time(), time.monotonic()
-    with Link(**settings) as out, Link(**settings) as back:
+    of_out, of_back = (faults, None) if faults and faults.direction == "send" else (None, faults)
+    with Link(faults=of_out, **settings) as out, Link(faults=of_back, **settings) as back:
         transmitter = Transmitter(out, codec, period=1 / rate, fd=fd, count=count)
-        receiver = Receiver(back, codec.decoder(), on_line=arrivals.take, can_ids=codec.can_ids)
+        # With faults none is filtered away, so that every frame is counted in the end.
+        can_ids = None if faults else codec.can_ids
+        receiver = Receiver(back, codec.decoder(), on_line=arrivals.take, can_ids=can_ids)
         with receiver:
             try:
                 with transmitter:
@@ -161,6 +168,7 @@ def round_trip(
             except KeyboardInterrupt:  # what there is, is shown
                 pass
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
+        done = (out.faults or back.faults) if faults else None
     elapsed = time.monotonic() - start
     cpu = time.process_time() - cpu
     sent, received = transmitter.stats(), receiver.stats()
@@ -168,7 +176,7 @@ def round_trip(
     frames = chain(*codec.encode_lines(true_lines, fd=fd))
     return RoundTrip(
         scenario=scenario.name,
-        carrier="CAN FD" if fd else "classic CAN",
+        carrier=carrier_text(codec, fd=fd),
         seconds=elapsed,
         rate=rate,
         lines=_results(true_lines, arrivals.latest, codec),
@@ -176,14 +184,19 @@ def round_trip(
         sent=_sent(sent),
         received=_received(received),
         lines_lost=sent.lines - received.lines,
-        frames_lost=sent.frames - received.frames,
+        frames_lost=sent.frames + _added(done) - received.frames,
         bus_load=bus_load(frames, *bus_pace(rate, bitrate, fd=fd)),
         bitrate=bitrate,
         period_jitter=dict(zip(("median", "p99", "max"), jitter.tolist(), strict=True)),
         cpu_share=cpu / elapsed if _cpu_time_is_true() else None,
+        faults=done,
         received_lines=arrivals.latest,
         true_lines=true_lines,
     )
+
+
+def _added(done: Mapping[str, int] | None) -> int:
+    return done["duplicated"] + done["flooded"] if done else 0
 
 
 def _cpu_time_is_true() -> bool:

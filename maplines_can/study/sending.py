@@ -17,7 +17,7 @@ from ..propagation.part_counts import nonlinearity_within
 from ..scenarios import Scenario
 from ..wire import Codec
 
-__all__ = ["MAX_LOAD", "LineParts", "bus_pace", "chosen_parts", "scene_lines"]
+__all__ = ["MAX_LOAD", "LineParts", "bus_pace", "carrier_text", "chosen_parts", "scene_lines"]
 
 #: Most of the bus's time for lines whose parts are chosen.
 MAX_LOAD = 0.3
@@ -120,6 +120,12 @@ def chosen_parts(
         LineParts(line.slot.name, k, amount, nonlinearity_within(amount, k))
         for line, k, amount in zip(scene, counts, amounts, strict=True)
     ]
+
+
+def carrier_text(codec: Codec, *, fd: bool) -> str:
+    """What the lines travel on, for reports."""
+    authenticated = ", authenticated" if codec.authenticator else ""
+    return f"{'CAN FD' if fd else 'classic CAN'}{authenticated}"
 
 
 def bus_pace(rate: float, bitrate: int, *, fd: bool) -> tuple[float, float, float | None]:
