@@ -8,9 +8,10 @@ import logging
 import signal
 import sys
 import threading
+import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -19,23 +20,37 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from .bus import Link, Receiver, Transmitter, read_log
+from .bus import (
+    Faults,
+    Link,
+    Receiver,
+    Transmitter,
+    key_from_env,
+    key_from_file,
+    read_log,
+)
 from .errors import LogError, MaplinesError
-from .line import MapLine
+from .line import MapLine, Slot
 from .propagation import MapError
 from .scenarios import SCENARIOS, scenario
+from .study.design_command import add_design
 from .study.figures import draw_figures
-from .study.listing import line_dict, line_text, slot_text, write_csv
+from .study.listing import check_dict, check_text, line_dict, line_text, slot_text, write_csv
 from .study.picture import draw_round_trip
-from .study.report import counts_text, parts_text, trip_text
+from .study.production_command import add_production
+from .study.report import counts_text, faults_text, parts_text, trip_text
+from .study.report_command import add_report
 from .study.round_trip import round_trip
-from .study.sending import MAX_LOAD, chosen_parts, scene_lines
+from .study.sending import MAX_LOAD, carrier_text, chosen_parts, scene_lines
+from .study.sweep_command import add_study
 from .study.truth import truth_table
 from .study.truth_text import as_csv, as_markdown, as_text
-from .wire import Codec, Decoder
+from .wire import Authenticator, Codec, Decoder, E2EState, Key, SlotStats
 
 __all__ = ["main"]
 
+#: How often a silent bus is looked at for slots that go INVALID [s].
+WATCH = 0.05
 PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -43,6 +58,8 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command; returns its exit status: 0, 1 for an error, 2 for wrong usage."""
     parser = _parser()
     arguments = parser.parse_args(argv)
+    if getattr(arguments, "keys", None):
+        arguments.fd = True  # classic CAN has no room for a MAC
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # a kill ends as Ctrl-C does
@@ -62,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    codec = Codec.from_dbc(arguments.dbc)
+    codec = _codec(arguments)
     scene = scenario(arguments.scenario)
     alone = arguments.interface == "virtual" and arguments.channel is None
     interface = None if alone else _bus_settings(arguments)
@@ -81,6 +98,7 @@ def _demo(arguments: argparse.Namespace) -> int:
             map_error=_map_error(arguments),
             seconds=arguments.seconds,
             interface=interface,
+            faults=arguments.faults,
             tick=tick,
         )
     if arguments.plot:
@@ -95,7 +113,7 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 
 def _send(arguments: argparse.Namespace) -> int:
-    codec = Codec.from_dbc(arguments.dbc)
+    codec = _codec(arguments)
     scene = scenario(arguments.scenario)
     parts = chosen_parts(scene, codec, **_sending(arguments))
     lines = scene_lines(
@@ -104,7 +122,7 @@ def _send(arguments: argparse.Namespace) -> int:
         components=[line.parts for line in parts],
         map_error=_map_error(arguments),
     )
-    with Link(**_bus_settings(arguments)) as link:
+    with Link(**_bus_settings(arguments), faults=arguments.faults) as link:
         transmitter = Transmitter(
             link, codec, period=1 / arguments.rate, fd=arguments.fd, count=arguments.count
         )
@@ -113,7 +131,7 @@ def _send(arguments: argparse.Namespace) -> int:
                 transmitter.publish(lines)
                 if not arguments.json:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
-                    carrier = "CAN FD" if arguments.fd else "classic CAN"
+                    carrier = carrier_text(codec, fd=arguments.fd)
                     _note(
                         f"{len(lines)} lines of {arguments.scenario} on {link.name}, {carrier}, "
                         f"{arguments.rate:g} Hz, {until}"
@@ -123,10 +141,11 @@ def _send(arguments: argparse.Namespace) -> int:
                 transmitter.wait()
         except KeyboardInterrupt:
             pass
-        stats = transmitter.stats()
+        stats, faults = transmitter.stats(), link.faults
         if arguments.json:
             rest = {"lateness": stats.lateness._asdict(), "outages": link.outages}
             rest["parts"] = [asdict(line) for line in parts]
+            rest |= {"faults": faults} if faults else {}
             print(json.dumps(stats._asdict() | rest))
         else:
             print(
@@ -134,41 +153,66 @@ def _send(arguments: argparse.Namespace) -> int:
                 f"while the interface was down, {stats.full} with a full queue, "
                 f"{stats.overruns} periods overrun"
             )
+            if faults:
+                print(f"faults: {faults_text(faults)}")
             print(f"late by {_milliseconds(stats.lateness)} (median, 99 %, most)")
         return 0
 
 
 def _receive(arguments: argparse.Namespace) -> int:
-    codec = Codec.from_dbc(arguments.dbc)
+    codec = _codec(arguments)
     left = arguments.count
     with (
-        Link(**_bus_settings(arguments)) as link,
+        Link(**_bus_settings(arguments), faults=arguments.faults) as link,
         Receiver(link, codec.decoder(), can_ids=codec.can_ids) as receiver,
     ):
         if not arguments.json:
             _note(f"listening on {link.name}; Ctrl-C ends")
         try:
-            while left is None or left > 0:
-                line = receiver.get(arguments.timeout)
-                if line is None:
-                    _note(f"nothing received for {arguments.timeout:g} s")
-                    break
-                print(json.dumps(line_dict(line)) if arguments.json else line_text(line))
+            for line, check in _arriving(receiver, arguments.timeout):
+                row = line_dict(line) | {"e2e": check_dict(check)}
+                print(json.dumps(row) if arguments.json else line_text(line))
                 sys.stdout.flush()
                 left = None if left is None else left - 1
+                if left == 0:
+                    break
         except KeyboardInterrupt:
             pass
-        stats = receiver.stats()
+        stats, faults, slots = receiver.stats(), link.faults, receiver.slots()
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     _note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
         f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting"
     )
+    for slot, check in slots.items():
+        _note(f"{slot_text(slot.name)}: {check_text(check)}")
+    if faults:
+        _note(f"faults: {faults_text(faults)}")
     return 0 if left in (None, 0) else 1
 
 
+def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
+    """Lines with the checks of their slots; says when a slot's state changes, in silence too."""
+    states: dict[Slot, tuple[E2EState, bool]] = {}
+    last = time.monotonic()
+    while True:
+        line = receiver.get(WATCH if timeout is None else min(WATCH, timeout))
+        slots = receiver.slots()
+        for slot, check in slots.items():
+            state = check.state, check.two_senders
+            if states.get(slot) != state:
+                states[slot] = state
+                _note(f"{slot_text(slot.name)}: {check_text(check)}")
+        if line is not None:
+            last = time.monotonic()
+            yield line, slots[line.slot]
+        elif timeout is not None and time.monotonic() - last >= timeout:
+            _note(f"nothing received for {timeout:g} s")
+            return
+
+
 def _decode(arguments: argparse.Namespace) -> int:
-    codec = Codec.from_dbc(arguments.dbc)
+    codec = _codec(arguments, clock=None)  # a log is as old as it is
     decoders: dict[str, Decoder] = {}
     status = 0
 
@@ -210,12 +254,7 @@ def _decode(arguments: argparse.Namespace) -> int:
 
 
 def _figures(arguments: argparse.Namespace) -> int:
-    with tqdm(total=1, unit=" figures", disable=not sys.stderr.isatty()) as bar:
-
-        def progress(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with _counted(" figures") as progress:
         paths = draw_figures(
             Path(arguments.out),
             seed=arguments.seed,
@@ -232,12 +271,7 @@ def _figures(arguments: argparse.Namespace) -> int:
 
 def _truth(arguments: argparse.Namespace) -> int:
     scenes = [scenario(name) for name in arguments.scenario or SCENARIOS]
-    with tqdm(total=1, unit=" scenes", disable=not sys.stderr.isatty()) as bar:
-
-        def progress(done: float, total: float) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
+    with _counted(" rows") as progress:
         rows = truth_table(
             scenes,
             n=arguments.samples,
@@ -287,7 +321,40 @@ def _progress(total: float, unit: str) -> AbstractContextManager[Any]:
     return tqdm(total=total, bar_format=shape, leave=False)
 
 
+@contextmanager
+def _counted(unit: str) -> Iterator[Callable[[float, float], None]]:
+    """A progress bar that is told how much of how much is done."""
+    with tqdm(total=1, unit=unit, disable=not sys.stderr.isatty()) as bar:
+
+        def progress(done: float, total: float) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield progress
+
+
 # ---- what they are asked ----------------------------------------------------------------
+
+
+def _codec(arguments: argparse.Namespace, clock: Callable[[], int] | None = time.time_ns) -> Codec:
+    keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
+    if not keys:
+        return Codec.from_dbc(arguments.dbc)
+    window = getattr(arguments, "freshness_window", 1.0)
+    if "rate" in arguments:  # lines are encoded up to a period ahead
+        window = max(window, 1 / arguments.rate)
+    authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
+    return Codec.from_dbc(arguments.dbc, authenticator)
+
+
+def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:
+    """A type for argparse: where a key is, after its number if that is not 1."""
+
+    def parse(text: str) -> tuple[Any, str, int]:
+        key_id, colon, name = text.partition(":")
+        return (read, name, int(key_id)) if colon and key_id.isdecimal() else (read, text, 1)
+
+    return parse
 
 
 def _bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -328,6 +395,13 @@ def _number(kind: type, least: float, most: float, word: str | None = None) -> A
         return value
 
     return parse
+
+
+def _faults(text: str) -> Faults:
+    try:
+        return Faults.parse(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 _natural = _number(int, 1, 10**9)
@@ -392,6 +466,10 @@ def _parser() -> argparse.ArgumentParser:
         "Judge each representation of a line against a million samples, before and after the wire.",
         "maplines truth --scenario street-turn-10deg --format csv > truth.csv",
     )
+    studies = add_study(jobs, _counted)
+    add_report(studies)
+    add_production(studies)
+    add_design(jobs, _counted)
     list_ = job("scenarios", _scenarios, "List the scenes.", "maplines scenarios --json")
 
     for sub in (demo, send):
@@ -437,6 +515,15 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("--channel", help="channel of the interface, such as vcan0")
         sub.add_argument("--bitrate", type=_natural, help="[bit/s]")
         sub.add_argument("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
+        sub.add_argument(
+            "--faults",
+            type=_faults,
+            metavar="SPEC",
+            help="spoil the bus by rates: loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02,seed=7; also "
+            "late=0.1,delay=0.02,jitter=0.01 [s]; garbage=0.01; flood=1000,flood_ids=0x340+0 "
+            "[1/s]; or by a script, script=FILE, with lines such as 'loss 3' and 'flip 20-29 3'; a "
+            "wrong key is answered with the right ones",
+        )
     figures.add_argument("--out", required=True, metavar="DIR", help="where to put them")
     truth.add_argument(
         "--scenario",
@@ -450,11 +537,37 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument(
             "--samples", type=_number(int, 1000, 10**7), default=samples, help="Monte Carlo draws"
         )
+    for sub in (demo, send, receive, decode):
+        sub.add_argument(
+            "--key-file",
+            action="append",
+            dest="keys",
+            type=_key_from(key_from_file),
+            metavar="[ID:]FILE",
+            help="authenticate (AUTOSAR SecOC, CAN FD only) with the key whose 32 or 64 hex digits "
+            "are in this file, number 1 if no other is given; the first key is sent with, all are "
+            "accepted",
+        )
+        sub.add_argument(
+            "--key-env",
+            action="append",
+            dest="keys",
+            type=_key_from(key_from_env),
+            metavar="[ID:]NAME",
+            help="the same, from an environment variable",
+        )
     for sub in (demo, send, receive, decode, figures, truth):
         sub.add_argument("--dbc", help="another DBC than the project's own")
     demo.add_argument("--seconds", type=_seconds, default=3.0, help="how long [s]")
     demo.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")
     send.add_argument("--count", type=_natural, help="send each line so many times, then end")
+    receive.add_argument(
+        "--freshness-window",
+        type=_seconds,
+        default=1.0,
+        metavar="S",
+        help="with a key, how far a frame's time may be from this machine's clock [s]",
+    )
     receive.add_argument("--count", type=_natural, help="end after so many lines")
     receive.add_argument("--timeout", type=_seconds, help="end when nothing comes for so long [s]")
     decode.add_argument("log", help="a log that python-can reads: .asc .blf .csv .log .mf4 .trc")

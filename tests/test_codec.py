@@ -212,7 +212,7 @@ def test_cantools_reads_what_we_write_and_writes_what_we_read(codec):
 
 def covariance_by_hand(signals):
     """The decoding as a reader of the DBC's page would do it, from cantools' values."""
-    names = ["C1", "Beta", "YOff", "C0"]
+    names = ["C1", "C0", "YOff", "Beta"]
     L = np.zeros((4, 4))
     for i, row in enumerate(names):
         L[i, i] = 2.0 ** signals[f"Pivot{row}"]
@@ -350,10 +350,10 @@ def test_no_records_at_all(codec):
     [
         pytest.param((r"(YOff[^(]*)\(0.0009765625,0\)(.*)\[-32\|31.9990234375\]",
                       r"\1(0.001953125,0)\2[-64|63.998046875]"), "mean", id="factor-of-y_off"),
-        pytest.param((r"(RatioBetaC1[^(]*)\(0.0625,0\)(.*)\[-128\|127.9375\]",
-                      r"\1(0.125,0)\2[-256|255.875]"), "cov", id="factor-of-a-ratio"),
-        pytest.param((r"(Inflation[^:]*: \d+\|)4(@1\+ )\([^)]*\) \[[^]]*\]",
-                      r"\g<1>3\2(0.02,0) [0|0.14]"), "cov", id="width-of-the-inflation"),
+        pytest.param((r"(RatioYOffC1[^(]*)\(0.0390625,0\)(.*)\[-5\|4.9609375\]",
+                      r"\1(0.078125,0)\2[-10|9.921875]"), "cov", id="factor-of-a-ratio"),
+        pytest.param((r"(Inflation[^:]*: \d+\|)3(@1\+ )\([^)]*\) \[[^]]*\]",
+                      r"\g<1>2\2(0.03,0) [0|0.09]"), "cov", id="width-of-the-inflation"),
     ],
 )  # fmt: skip
 def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
@@ -372,7 +372,7 @@ def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
 
 def test_a_coarse_inflation_is_made_up_by_wider_pivots(tmp_path):
     """Where the DBC leaves next to no inflation, the pivots are lifted instead."""
-    starved = (r"(Inflation[^:]*: \d+\|4@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.015]")
+    starved = (r"(Inflation[^:]*: \d+\|3@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.007]")
     codec = Codec.from_dbc(edited(tmp_path, starved))
     batch, _ = check_guarantee(codec, *road(2000, seed=7))
     assert (batch.status == Status.FULL).mean() > 0.9
@@ -382,10 +382,10 @@ def test_another_order_of_rows_is_in_the_names(tmp_path):
     """Renaming Ratio<row><column> and the pivots reorders the rows; still covered."""
 
     def edits():
-        for name in ("PivotC1", "PivotBeta", "RatioYOffC1", "RatioYOffBeta"):
-            other = name[:-2] + "Beta" if name.endswith("C1") else name[:-4] + "C1"
-            yield name, other
-        yield "RatioBetaC1", "RatioC1Beta"
+        for name in ("Pivot", "RatioYOff", "RatioBeta"):
+            yield f"{name}C1", f"{name}C0"
+            yield f"{name}C0", f"{name}C1"
+        yield "RatioC0C1", "RatioC1C0"
 
     text = DBC.read_text()
     table = dict(edits())
@@ -397,7 +397,7 @@ def test_another_order_of_rows_is_in_the_names(tmp_path):
     path.write_text(text)
     codec = Codec.from_dbc(path)
     assert [("YOff", "Beta", "C0", "C1")[i] for i in codec._reader._covariance.order] == [
-        "Beta", "C1", "YOff", "C0",
+        "C0", "C1", "YOff", "Beta",
     ]  # fmt: skip
     check_guarantee(codec, *road(500, seed=8))
 
@@ -428,7 +428,7 @@ def test_motorola_signals_work_alike(tmp_path):
     [
         pytest.param((r"SG_ Beta m0", "SG_ Heading m0"), "Beta|Heading", id="mean-missing"),
         pytest.param((r' SG_ Burst1 .*\n', ""), "Burst", id="burst-missing"),
-        pytest.param((r' SG_ RatioC0YOff.*\n', ""), "RatioC0YOff|ratios", id="ratio-missing"),
+        pytest.param((r' SG_ RatioBetaYOff.*\n', ""), "RatioBetaYOff|ratios", id="ratio-missing"),
         pytest.param((r'BA_ "MapLineSlot" .*\n', ""), "MapLineSlot", id="no-slots"),
         pytest.param((r'BA_ "MapLineSlot" BO_ 832 0', 'BA_ "MapLineSlot" BO_ 832 9'),
                      "0 to 7", id="slot-9"),
@@ -441,7 +441,7 @@ def test_motorola_signals_work_alike(tmp_path):
         pytest.param((r"SG_ Page M", "SG_ Page "), "overlapping", id="no-mux"),
         pytest.param((r"\(0.054,-32\)", "(-0.054,-4)"), "positive factor", id="negative-factor"),
         pytest.param((r"BO_ 832 EgoLeft: 8", "BO_ 832 EgoLeft: 7"), "EgoLeft", id="seven-bytes"),
-        pytest.param((r"(RatioC0Beta[^(]*)\(0.0625,0\) \[[^]]*\]", r"\1(64,0) [-524288|524224]"),
+        pytest.param((r"(RatioBetaC0[^(]*)\(0.0390625,0\) \[[^]]*\]", r"\1(64,0) [-1e6|1e6]"),
                      "double precision", id="ratio-too-wide"),
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
     ],

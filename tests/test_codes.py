@@ -151,7 +151,7 @@ def covariance_by_hand(name, signals):
         S[np.ix_(ORDER, ORDER)] = R.T @ R
         S *= np.outer(UNIT, UNIT)
     if name in ("Cholesky", "LogCholesky"):
-        rows = ["C1", "Beta", "YOff", "C0"]
+        rows = ["C1", "C0", "YOff", "Beta"]
         L = np.zeros((4, 4))
         for i, row in enumerate(rows):
             L[i, i] = 2.0 ** signals[f"Pivot{row}"]

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from maplines_can.wire.codes import CODES
-from maplines_can.wire.signals import DEFAULT, contract_of
+from maplines_can.wire.signals import DEFAULT, SECURED, contract_of
 
 FOLDER = Path(__file__).resolve().parents[1] / "dbc"
 
@@ -23,6 +23,7 @@ def wanted():
         before, after = page.split(begin)[0], page.split(end)[1]
         page = f"{before}{begin}{table}{end}{after}"
     files = {FOLDER / file_name(code): contract_of(code).dbc() for code in CODES}
+    files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
     return files | {FOLDER / "README.md": page}
 
 

@@ -17,7 +17,9 @@ from can.interfaces.virtual import VirtualBus
 from can.typechecking import CanFilter
 
 from ..errors import BusError
+from .fault_plan import Faults
 from .faults import Fault, fault_of, text_of
+from .faulty import FaultyBus, bare
 from .port import Port
 
 __all__ = ["Link", "Sent"]
@@ -47,6 +49,7 @@ class Link:
         opener: returns a new open bus; called again after each loss.
         on_event: called with (up, what happened) by the thread that noticed.
         backoff: shortest and longest pause between two attempts to reopen [s].
+        faults: what to do to the frames that are sent and received, for tests; see ``Faults``.
         settings: instead of an opener, the settings of ``can.Bus`` (interface,
             channel, bitrate, fd, config_context, ...).  What is missing or None
             comes from python-can's environment variables and configuration files.
@@ -75,6 +78,7 @@ class Link:
         *,
         on_event: Callable[[bool, str], None] | None = None,
         backoff: tuple[float, float] = (0.1, 1.0),
+        faults: Faults | None = None,
         clock: Callable[[], float] = time.monotonic,
         **settings: Any,
     ) -> None:
@@ -87,11 +91,13 @@ class Link:
         self._failing: dict[str, float] = {}  # since when send or recv fails for unclear reasons
         self._retry_at, self._pause, self._lost_at = 0.0, backoff[0], 0.0
         self._look_at = clock()
+        self._faults = faults
+        self._faulty: FaultyBus | None = None
         #: True from opening or return until the next loss.
         self.up = True
         #: How many times the interface was lost.
         self.outages = 0
-        self._bus: can.BusABC | None = self._port.open()
+        self._bus: can.BusABC | None = self._open()
 
     @property
     def name(self) -> str:
@@ -103,6 +109,11 @@ class Link:
         """Whether CAN FD frames can be sent."""
         return self._port.fd
 
+    @property
+    def faults(self) -> dict[str, int]:
+        """What the faults did so far, by name (``FaultyBus.as_dict``); empty without any."""
+        return self._faulty.as_dict() if self._faulty else {}
+
     def send(self, message: can.Message) -> Sent:
         """Hand one frame to the interface; answers at once, whatever became of it.
 
@@ -113,7 +124,7 @@ class Link:
         if bus is None:
             return Sent.DOWN
         # To most drivers None is "do not wait"; the virtual bus would wait for ever.
-        timeout = 0.01 if isinstance(bus, VirtualBus) else None
+        timeout = 0.01 if isinstance(bare(bus), VirtualBus) else None
         try:
             with self._send_lock:
                 bus.send(message, timeout=timeout)
@@ -186,10 +197,17 @@ class Link:
                 raise BusError(f"{self.name} is closed; stop its users before its link")
             if self._bus is None and self._clock() >= self._retry_at:
                 try:
-                    self._bus = self._port.open(self._filters)
+                    self._bus = self._open()
                 except BusError:
                     self._postpone()
             return self._bus
+
+    def _open(self) -> can.BusABC:
+        bus = self._port.open(self._filters)
+        if self._faults is None:
+            return bus
+        self._faulty = FaultyBus(bus, self._faults, previous=self._faulty)
+        return self._faulty
 
     def _worked(self, bus: can.BusABC, way: str) -> None:
         """A send or recv went well: the proof that a reopened interface is really back."""
@@ -218,7 +236,8 @@ class Link:
                 ) from error
             # The kernel names every loss by its number; what python-can says
             # without one is "Transmit buffer full", for as long as nobody acknowledges.
-            if fault is Fault.FULL or (fault is Fault.UNCLEAR and isinstance(bus, SocketcanBus)):
+            silent = fault is Fault.UNCLEAR and isinstance(bare(bus), SocketcanBus)
+            if fault is Fault.FULL or silent:
                 return Sent.FULL
             if fault is not Fault.LOST:
                 since = self._failing.setdefault(way, self._clock())

@@ -15,7 +15,7 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from cantools.database.conversion import BaseConversion
 
 from ..line import Slot
-from .layout import BURST, PAGE, PAGE_BYTES, fd_length
+from .layout import BURST, PAGE, PAGE_BYTES, SECURED_SIGNALS, fd_length
 
 __all__ = ["Contract", "SignalSpec", "paged"]
 
@@ -63,6 +63,8 @@ class SignalSpec:
         """Least and greatest physical value."""
         low = -(2 ** (self.bits - 1)) if self.signed else 0
         high = low + 2**self.bits - 1
+        if self.factor == 1 and self.offset == 0:  # exact, where a float has too few digits
+            return low, high
         return _plain(low * self.factor + self.offset), _plain(high * self.factor + self.offset)
 
 
@@ -78,7 +80,8 @@ class Contract:
 
     Each page ends with its number, so that the first page can begin with the
     header of E2E profile 5; before it the other pages repeat the burst number, which
-    in the first one is the low bits of Counter. Everything is little-endian.
+    in the first one is the low bits of Counter. Everything is little-endian, but for what
+    an authenticated message adds, which is as AUTOSAR has it.
 
     Args:
         pages: the signals of each page, in the order of their bits.
@@ -87,6 +90,12 @@ class Contract:
         first_data_id: E2E data ID of slot 0; the others follow.
         cycle_ms: cycle time [ms].
         covariance_code: which code the covariance is written in.
+        slots: that have messages.
+        first_secured_can_id: of the authenticated FD message of slot 0; the others follow.
+            None for a bus without.
+        first_secured_data_id: SecOC data ID of slot 0; the others follow.
+        freshness_bytes: of the freshness value that are sent, 1 to 7.
+        mac_bytes: of the MAC that are sent, 1 to 8.
     """
 
     pages: tuple[tuple[SignalSpec, ...], ...]
@@ -95,6 +104,11 @@ class Contract:
     first_data_id: int = 0x4D40
     cycle_ms: int = 50
     covariance_code: str = "Cholesky"
+    slots: tuple[Slot, ...] = tuple(Slot)
+    first_secured_can_id: int | None = None
+    first_secured_data_id: int = 0x4D50
+    freshness_bytes: int = SECURED_SIGNALS["Freshness"]
+    mac_bytes: int = SECURED_SIGNALS["Mac"]
 
     def __post_init__(self) -> None:
         for number in range(len(self.pages)):
@@ -110,10 +124,14 @@ class Contract:
     def dbc(self) -> str:
         """The text of the DBC."""
         definitions = _attribute_definitions()
+        if self.first_secured_can_id is None:
+            del definitions["SecOCDataId"]
         carriers = [self._classic]
         if len(self.pages) * PAGE_BYTES <= LARGEST_FD_PAYLOAD:
             carriers.append(self._fd)
-        messages = [message(slot) for slot in Slot for message in carriers]
+        if self.first_secured_can_id is not None:
+            carriers.append(self._secured)
+        messages = [message(slot) for slot in self.slots for message in carriers]
         database = Database(
             messages=messages,
             nodes=[
@@ -176,15 +194,39 @@ class Contract:
         return self._message(_slot_name(slot), self.first_can_id + slot, PAGE_BYTES, signals, about)
 
     def _fd(self, slot: Slot) -> Message:
+        length = fd_length(PAGE_BYTES * len(self.pages))
+        name = _slot_name(slot) + "Fd"
+        about = f"The {_slot_words(slot)} line: the pages of {_slot_name(slot)} laid end to end."
+        can_id, signals = self.first_fd_can_id + slot, self._end_to_end()
+        return self._message(name, can_id, length, signals, about, is_fd=True)
+
+    def _secured(self, slot: Slot) -> Message:
+        specs = _secured_specs(self.freshness_bytes, self.mac_bytes)
+        tail = sum(spec.bits for spec in specs) // 8
+        length = fd_length(PAGE_BYTES * len(self.pages) + tail)
+        signals, start = self._end_to_end(), 8 * (length - tail)
+        for spec in specs:
+            signals.append(_signal(spec, start + 7, big_endian=True))
+            start += spec.bits
+        name = _slot_name(slot) + "SecOc"
+        about = (
+            f"The {_slot_words(slot)} line, authenticated (AUTOSAR SecOC, AES-CMAC): "
+            f"{_slot_name(slot)}Fd, then the key's number, the freshness value and the MAC over "
+            "SecOCDataId, all bytes before Freshness, and the freshness value in 64 bits."
+        )
+        can_id = (self.first_secured_can_id or 0) + slot
+        data_id = self.first_secured_data_id + slot
+        return self._message(
+            name, can_id, length, signals, about, is_fd=True, secured_data_id=data_id
+        )
+
+    def _end_to_end(self) -> list[Signal]:
         signals = []
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
                 suffix = str(number) if spec.name == PAGE else ""
                 signals.append(_signal(spec, start + 8 * PAGE_BYTES * number, suffix=suffix))
-        length = fd_length(PAGE_BYTES * len(self.pages))
-        name = _slot_name(slot) + "Fd"
-        about = f"The {_slot_words(slot)} line: the pages of {_slot_name(slot)} laid end to end."
-        return self._message(name, self.first_fd_can_id + slot, length, signals, about, is_fd=True)
+        return signals
 
     def _message(
         self,
@@ -194,9 +236,12 @@ class Contract:
         signals: list[Signal],
         about: str,
         is_fd: bool = False,
+        secured_data_id: int | None = None,
     ) -> Message:
         definitions = _attribute_definitions()
         slot = can_id - (self.first_fd_can_id if is_fd else self.first_can_id)
+        if secured_data_id is not None:
+            slot = secured_data_id - self.first_secured_data_id
         values: dict[str, Any] = {
             "MapLineSlot": slot,
             "E2EDataId": self.first_data_id + slot,
@@ -204,6 +249,8 @@ class Contract:
             "GenMsgSendType": 0,
             "VFrameFormat": 14 if is_fd else 0,
         }
+        if secured_data_id is not None:
+            values["SecOCDataId"] = secured_data_id
         return Message(
             frame_id=can_id,
             name=name,
@@ -278,6 +325,37 @@ def _fullest(sizes: Sequence[int], space: int) -> set[int]:
     return set(reached[max(reached)])
 
 
+def _secured_specs(freshness_bytes: int, mac_bytes: int) -> tuple[SignalSpec, ...]:
+    return (
+        SignalSpec(
+            "KeyId",
+            8,
+            1,
+            "",
+            "Number of the key of the MAC, which covers it.",
+            "a byte: the old key and the new one, and room to number them on",
+        ),
+        SignalSpec(
+            "Freshness",
+            8 * freshness_bytes,
+            1,
+            "us",
+            "Low bytes of the freshness value: the sender's time since 1970, and always more than "
+            "in the frame before.",
+            "7 bytes last 2283 years, so each frame says all of it and none is needed to "
+            "synchronise; a record of 32 bytes leaves 16 in the next length of CAN FD",
+        ),
+        SignalSpec(
+            "Mac",
+            8 * mac_bytes,
+            1,
+            "",
+            "First bytes of the AES-CMAC (RFC 4493).",
+            "64 bits, the least that NIST SP 800-38B advises without an analysis of guesses",
+        ),
+    )
+
+
 def _page_spec(bits: int) -> SignalSpec:
     return SignalSpec(PAGE, bits, 1, "", "Page of the record: the multiplexer.", "as many as pages")
 
@@ -290,12 +368,20 @@ def _slot_words(slot: Slot) -> str:
     return slot.name.replace("_", " ").lower()
 
 
-def _signal(spec: SignalSpec, start: int, suffix: str = "", **multiplexing: Any) -> Signal:
+def _signal(
+    spec: SignalSpec,
+    start: int,
+    suffix: str = "",
+    *,
+    big_endian: bool = False,
+    **multiplexing: Any,
+) -> Signal:
     low, high = (None, None) if spec.is_float else spec.range
     return Signal(
         name=spec.name + suffix,
         start=start,
         length=spec.bits,
+        byte_order="big_endian" if big_endian else "little_endian",
         is_signed=spec.signed,
         conversion=BaseConversion.factory(
             scale=_plain(spec.factor),
@@ -319,6 +405,7 @@ def _attribute_definitions() -> OrderedDict[str, Any]:
         DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
         DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
         DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
+        DbcAttributeDefinition("SecOCDataId", 0, "BO_", "INT", 0, 0xFFFF),
         DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
         DbcAttributeDefinition(
             "GenMsgSendType", "Cyclic", "BO_", "ENUM", choices=["Cyclic", "Event", "IfActive"]

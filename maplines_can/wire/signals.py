@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 from ..line import Kind, Status
 from .codes import CODES
 from .codes.cholesky import CholeskyCode
 from .contract import Contract, SignalSpec, paged
 
-__all__ = ["DEFAULT", "SERVICE", "contract_of"]
+__all__ = ["DEFAULT", "SECURED", "SERVICE", "contract_of"]
 
 
 _PROTECTION = (
@@ -150,24 +153,37 @@ DEFAULT = Contract(
         _COVARIANCE[5:],
     )
 )
+#: What ``dbc/maplines-secoc.dbc`` describes: the same, and an authenticated message for each slot.
+SECURED = replace(DEFAULT, first_secured_can_id=0x350)
 
 
-def contract_of(code: str, finer_bits: int = 0) -> Contract:
+def contract_of(
+    code: str, finer_bits: int = 0, field_bits: Mapping[str, int] | None = None
+) -> Contract:
     """The contract of any covariance code, in as few pages as it fits.
 
     Args:
         code: a name of ``CODES``.
         finer_bits: so many bits more in each field of the covariance, for finer steps.
+        field_bits: so many bits more in single fields, by name, over the same range: of the
+            covariance or of the mean.
 
     Raises:
-        ValueError: there is no such code, or it has no such widths.
+        ValueError: there is no such code or field, or it has no such widths.
 
     >>> [len(contract_of(code).pages) for code in ("MeanOnly", "Cholesky", "Float32")]
     [3, 4, 11]
     """
     if code not in CODES:
         raise ValueError(f"code must be one of {', '.join(CODES)}, got {code!r}")
-    if code == DEFAULT.covariance_code and not finer_bits:
+    if code == DEFAULT.covariance_code and not finer_bits and not field_bits:
         return DEFAULT
     signals = (*SERVICE, *CODES[code].signals(finer_bits))
+    if field_bits:
+        names = [spec.name for spec in (*_MEAN, *signals[len(SERVICE) :])]
+        if unknown := [name for name in field_bits if name not in names]:
+            raise ValueError(
+                f"field_bits must be of {', '.join(names)}, got {', '.join(map(repr, unknown))}"
+            )
+        signals = tuple(spec.finer(field_bits.get(spec.name, 0)) for spec in signals)
     return Contract(paged(signals), covariance_code=code)

@@ -20,13 +20,36 @@ from ..contract import SignalSpec
 from ..layout import STATE_SIGNALS, Field, Layout
 from .code import Array, Coded, CovarianceCode, nearest_raw
 
-__all__ = ["BLOCK", "PIVOTS_AND_RATIOS", "LogCholesky", "lookup"]
+__all__ = [
+    "BLOCK",
+    "PIVOTS_AND_RATIOS",
+    "LogCholesky",
+    "lookup",
+    "pivot_signal",
+    "ratio_signal",
+]
 
 #: Rows worked on at a time: all arrays of a block stay in the cache.
 BLOCK = 2048
 
 
-def _ratio(row: str, column: str, bits: int, factor: float) -> SignalSpec:
+def ratio_signal(
+    row: str, column: str, bits: int, factor: float, zero: float = 0.5, why: str = ""
+) -> SignalSpec:
+    """The signal of an entry left of the diagonal.
+
+    Args:
+        row: state of the row.
+        column: state of the column.
+        bits: width.
+        factor: step.
+        zero: where in the range 0 lies, from 0 at its low end to 1 at its high one.
+        why: what the range is made for.
+    """
+    offset = -(2.0**bits) * zero * factor
+    signed = zero == 0.5
+    ends = offset, offset + 2**bits * factor
+    reach = f"+-{ends[1]:g}" if signed else f"{ends[0]:g} to {ends[1]:g}"
     return SignalSpec(
         f"Ratio{row}{column}",
         bits,
@@ -34,37 +57,60 @@ def _ratio(row: str, column: str, bits: int, factor: float) -> SignalSpec:
         "",
         f"Part of {row} that goes with {column}: entry ({row}, {column}) of the lower Cholesky "
         f"factor of the covariance, divided by the pivot of {row}.",
-        f"step 1/{round(1 / factor)}: the expected KL of its rounding is step^2/24; range "
-        f"+-{2 ** (bits - 1) * factor:g}, as far as a pose-only covariance drives it",
-        signed=True,
+        f"step {_fraction(factor)}: the expected KL of its rounding is step^2/24; range "
+        f"{reach}, {why or 'as far as a pose-only covariance drives it'}",
+        offset=0.0 if signed else offset,
+        signed=signed,
     )
 
 
-def _pivot(state: str, unit: str, of: str, factor: float, offset: int) -> SignalSpec:
+def _fraction(factor: float) -> str:
+    numerator, denominator = factor.as_integer_ratio()
+    return f"{numerator}/{denominator}" if 1 < denominator < 10**6 else f"{factor:g}"
+
+
+def pivot_signal(
+    state: str, given: tuple[str, ...], bits: int, factor: float, offset: float
+) -> SignalSpec:
+    """The signal of a diagonal entry.
+
+    Args:
+        state: of the row.
+        given: states of the rows before it.
+        bits: width.
+        factor: step [octave].
+        offset: low end of the range [octave].
+    """
+    unit = UNITS[state]
+    *first, last = given or ("",)
+    of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
     return SignalSpec(
         f"Pivot{state}",
-        9,
+        bits,
         factor,
         "octave",
         f"log2 of the standard deviation of {state} [{unit}]{of}.",
-        f"from the resolution of the mean's own grid, 2^{offset} {unit}, upwards in steps of "
-        f"{100 * (2**factor - 1):.1f} %",
+        f"from the resolution of the mean's own grid, 2^{offset:g} {unit}, upwards in steps of "
+        f"{100 * (2**factor - 1):.2g} %",
         offset=float(offset),
     )
 
 
-#: The rows of the default wire: why this order, these ranges and steps, is told in dbc/README.md.
+#: Units of the states.
+UNITS = dict(zip(STATE_SIGNALS, ("m", "rad", "1/m", "1/m^2"), strict=True))
+#: The rows of the default wire. They are what ``maplines design`` makes of the targets in
+#: dbc/README.md, where also is told why this order, these ranges and steps.
 PIVOTS_AND_RATIOS = (
-    _pivot("C1", "1/m^2", "", 0.054, -32),
-    _pivot("Beta", "rad", " given C1", 0.034, -18),
-    _ratio("Beta", "C1", 12, 1 / 16),
-    _ratio("YOff", "C1", 8, 1 / 16),
-    _ratio("YOff", "Beta", 9, 1 / 32),
-    _pivot("YOff", "m", " given C1 and Beta", 0.034, -12),
-    _pivot("C0", "1/m", " given C1, Beta and YOff", 0.04, -23),
-    _ratio("C0", "C1", 14, 1 / 16),
-    _ratio("C0", "Beta", 14, 1 / 16),
-    _ratio("C0", "YOff", 8, 1 / 16),
+    pivot_signal("C1", (), 9, 0.054, -32),
+    pivot_signal("C0", ("C1",), 9, 0.0401, -23),
+    ratio_signal("C0", "C1", 12, 1 / 32, zero=5 / 8),
+    pivot_signal("YOff", ("C1", "C0"), 9, 0.034, -12),
+    ratio_signal("YOff", "C1", 8, 5 / 128),
+    ratio_signal("YOff", "C0", 8, 3 / 64),
+    pivot_signal("Beta", ("C1", "C0", "YOff"), 9, 0.0341, -18),
+    ratio_signal("Beta", "C1", 15, 3 / 64, zero=1 / 8),
+    ratio_signal("Beta", "C0", 15, 5 / 128),
+    ratio_signal("Beta", "YOff", 8, 1 / 32, zero=3 / 8),
 )
 
 
@@ -165,7 +211,9 @@ class LogCholesky(CovarianceCode):
         return np.array(cov)
 
     def widest(self) -> dict[str, int]:
-        return super().widest() | {pivot.name: pivot.raw_max for pivot in self.pivots}
+        pivots = {pivot.name: pivot.raw_max for pivot in self.pivots}
+        none = {ratio.name: int(ratio.limited(ratio.raw(0.0))) for ratio in chain(*self.ratios)}
+        return super().widest() | pivots | none
 
     def _factor(self, raw: Mapping[str, NDArray[np.int64]]) -> Any:
         """(N,) what multiplies ``L' L'^T``."""

@@ -1,0 +1,278 @@
+"""Fault injection as a bus: wraps any python-can bus, and is one."""
+
+from __future__ import annotations
+
+import copy
+import math
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import can
+from can.typechecking import CanFilters
+
+from .fault_plan import Faults, Mishap
+from .mischief import Mischief
+
+__all__ = ["FaultyBus", "bare"]
+
+
+class _Carried(NamedTuple):
+    """A message as `Mischief` sees it."""
+
+    can_id: int
+    data: bytes
+    is_fd: bool
+    is_extended: bool
+    message: can.Message | None = None  #: as it came; None of a flood
+    at: float = 0.0  #: when it came [s]
+
+
+class FaultyBus(can.BusABC):
+    """A python-can bus that loses, repeats, delays, reorders, damages and floods frames.
+
+    It wraps another bus, of any interface, and does to the frames that are sent and
+    received through it what the faults say.  Error and remote frames pass as they are.
+    What is delayed has the later time stamp.
+
+    Delays and floods of what is sent need something that sends: a thread, or with
+    a clock of one's own the calls of `pump`.  At the end (`shutdown`) what is still
+    held back is sent.  Filters of CAN IDs work before the faults, and again after them.
+
+    Args:
+        bus: is shut down with this one.
+        faults: which; or their text, as of ``Faults.parse``.
+        clock: a clock that is never set back [s]; by default the system's.
+        previous: a bus that was lost; its random numbers and counts go on.
+
+    Raises:
+        ValueError: the text is wrong.
+
+    >>> import can
+    >>> faults = "loss=0.5,seed=1"
+    >>> with (
+    ...     can.Bus(interface="virtual", channel="doc-faults") as sender,
+    ...     FaultyBus(can.Bus(interface="virtual", channel="doc-faults"), faults) as bus,
+    ... ):
+    ...     for number in range(100):
+    ...         sender.send(can.Message(arbitration_id=number, is_extended_id=False))
+    ...     received = [message for message in iter(lambda: bus.recv(0), None)]
+    >>> len(received), bus.counts[Mishap.LOST]
+    (44, 56)
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        faults: Faults | str,
+        *,
+        clock: Callable[[], float] | None = None,
+        previous: FaultyBus | None = None,
+    ) -> None:
+        if isinstance(faults, str):
+            faults = Faults.parse(faults)
+        self.bus, self.faults = bus, faults
+        self._clock = clock or time.monotonic
+        self._own_thread = clock is None
+        #: What happens to what is sent and received; None: nothing.
+        self.sending, self.receiving = _mischief(faults, "send"), _mischief(faults, "receive")
+        self.unsent = 0  #: frames that the interface would not take, or that came too late
+        if previous is not None:
+            self.sending, self.receiving = previous.sending, previous.receiving
+            self.unsent = previous.unsent
+        self._changed = threading.Condition()  # guards the sending
+        self._outgoing: deque[_Carried] = deque()
+        self._unfinished: can.Message | None = None
+        self._thread: threading.Thread | None = None
+        self._closing = False
+        self._incoming: deque[can.Message] = deque()
+        self._epoch = time.time() - self._clock()  # from the clock to time stamps
+        super().__init__(channel=bus.channel_info, can_filters=bus.filters)
+        self.channel_info = f"{bus.channel_info} with faults"
+        if faults.flood:  # it does not wait for the first frame
+            for mischief in filter(None, () if previous else (self.sending, self.receiving)):
+                mischief.due(self._clock())
+            if self._own_thread and self.sending is not None:
+                with self._changed:
+                    self._start_thread()
+
+    @property
+    def counts(self) -> Counter[Mishap]:
+        """What was done so far, in both directions."""
+        return sum((m.counts for m in (self.sending, self.receiving) if m), Counter())
+
+    def as_dict(self) -> dict[str, int]:
+        """All counters of both directions, for machines."""
+        total: Counter[str] = Counter()
+        for mischief in (self.sending, self.receiving):
+            total.update(mischief.as_dict() if mischief else {})
+        return {**total, "unsent": self.unsent}
+
+    # ---- sending -------------------------------------------------------------------
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send what becomes of a message.
+
+        Raises:
+            can.CanError: as of the wrapped bus.  Who then sends the same message again
+                goes on where it stopped.
+        """
+        if self.sending is None or msg.is_error_frame or msg.is_remote_frame:
+            self.bus.send(msg, timeout)
+            return
+        with self._changed:
+            now = self._clock()
+            if msg is not self._unfinished:  # else its fate is decided: the queue was full
+                self.unsent += len(self._outgoing)
+                self._outgoing = deque(self.sending.apply(_carried(msg, now), now))
+                self._unfinished = msg
+            while self._outgoing:
+                self._hand_over(self._outgoing[0], now, timeout)
+                self._outgoing.popleft()
+            self._unfinished = None
+            if self._own_thread and self.sending.next_due < math.inf:
+                self._start_thread()
+
+    def pump(self) -> None:
+        """Send what is due by now; only with a clock of one's own is there any need to."""
+        with self._changed:
+            if self.sending is not None and not self._closing:
+                now = self._clock()
+                self._send_or_count(self.sending.due(now), now)
+
+    def _hand_over(self, frame: _Carried, now: float, timeout: float | None) -> None:
+        try:
+            self.bus.send(self._message(frame, now), timeout)
+        except (can.CanError, OSError):
+            if frame.message is not None:
+                raise
+            self.unsent += 1  # a flood is nobody's to try again
+
+    def _send_or_count(self, frames: list[_Carried], now: float) -> None:
+        for frame in frames:
+            try:
+                self._hand_over(frame, now, 0.01)
+            except (can.CanError, OSError, ValueError):
+                self.unsent += 1
+
+    def _start_thread(self) -> None:
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._run, name="faulty bus", daemon=True)
+            self._thread.start()
+        self._changed.notify_all()
+
+    def _run(self) -> None:
+        with self._changed:
+            while not self._closing and self.sending is not None:
+                wait = self.sending.next_due - self._clock()
+                if wait > 0:
+                    self._changed.wait(min(wait, threading.TIMEOUT_MAX))
+                else:
+                    self.pump()
+
+    # ---- receiving -----------------------------------------------------------------
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if self.receiving is None:
+            return self.bus.recv(timeout), True
+        end = math.inf if timeout is None else time.monotonic() + timeout
+        while not self._incoming:  # a frame that is lost does not mean that no more are there
+            wait = min(self.receiving.next_due - self._clock(), end - time.monotonic())
+            message = self.bus.recv(None if wait == math.inf else max(0.0, wait))
+            now = self._clock()
+            if message is None:
+                self._take(self.receiving.due(now), now)
+                break
+            if message.is_error_frame or message.is_remote_frame:
+                return message, True
+            self._epoch = message.timestamp - now
+            self._take(self.receiving.apply(_carried(message, now), now), now)
+        return (self._incoming.popleft() if self._incoming else None), True
+
+    def _take(self, frames: list[_Carried], now: float) -> None:
+        messages = (self._message(frame, now) for frame in frames)
+        # The ID may not be the one that passed the filter of the wrapped bus.
+        self._incoming.extend(filter(self._matches_filters, messages))
+
+    def _message(self, frame: _Carried, now: float) -> can.Message:
+        if frame.message is None:
+            message = can.Message(timestamp=now + self._epoch, check=False)
+        else:
+            message = copy.copy(frame.message)
+            message.timestamp += now - frame.at
+        message.arbitration_id, message.is_extended_id = frame.can_id, frame.is_extended
+        message.data, message.dlc = bytearray(frame.data), len(frame.data)
+        return message
+
+    # ---- what the wrapped bus is -----------------------------------------------------
+
+    def shutdown(self) -> None:
+        """Send what is held back, and shut down the wrapped bus; any number of times."""
+        if self._is_shutdown:
+            return
+        super().shutdown()
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+            if self.sending is not None:
+                self._send_or_count(self.sending.flush(), self._clock())
+        if self._thread is not None:
+            self._thread.join()
+        self.bus.shutdown()
+
+    def _apply_filters(self, filters: CanFilters | None) -> None:
+        self.bus.set_filters(filters)
+
+    def flush_tx_buffer(self) -> None:
+        """As of the wrapped bus."""
+        self.bus.flush_tx_buffer()
+
+    def fileno(self) -> int:
+        """As of the wrapped bus, where what can be read there is what comes.
+
+        Raises:
+            NotImplementedError: frames that are received may be held back here.
+        """
+        if self.receiving is not None:
+            raise NotImplementedError("a bus that holds back frames has no file descriptor")
+        return self.bus.fileno()
+
+    @property
+    def protocol(self) -> can.CanProtocol:
+        """As of the wrapped bus."""
+        return self.bus.protocol
+
+    @property
+    def state(self) -> can.BusState:
+        """As of the wrapped bus."""
+        return self.bus.state
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        self.bus.state = new_state
+
+
+def bare(bus: can.BusABC) -> can.BusABC:
+    """The bus itself, without the faulty ones around it."""
+    while isinstance(bus, FaultyBus):
+        bus = bus.bus
+    return bus
+
+
+def _mischief(faults: Faults, way: str) -> Mischief[_Carried] | None:
+    if faults.direction not in ("both", way):
+        return None
+    return Mischief(faults, stream=way, frame=_Carried)
+
+
+def _carried(message: can.Message, now: float) -> _Carried:
+    return _Carried(
+        message.arbitration_id,
+        bytes(message.data),
+        message.is_fd,
+        message.is_extended_id,
+        message,
+        now,
+    )

@@ -1,0 +1,95 @@
+#!/usr/bin/env python3
+"""Show what wires to order are worth.
+
+    evidence_design.py frames    3, 4 and 5 classic frames for the set road: bits and figures
+    evidence_design.py default   dbc/maplines.dbc is what its targets lead to, field by field
+
+Run it in the project's environment: python3 tools/run.py python tools/evidence_design.py ...
+
+Ends with a nonzero status where a bound is missed.
+"""
+
+import argparse
+import sys
+import time
+
+from tqdm import tqdm
+
+from maplines_can.study.design import design, sets_of
+from maplines_can.study.wire_plan import Targets
+from maplines_can.wire.layout import STATE_SIGNALS
+from maplines_can.wire.signals import DEFAULT
+
+#: Of dbc/README.md.
+OF_THE_DEFAULT = Targets(
+    frames=4,
+    keep_mean=True,
+    max_saturated=0.002,
+    sigmas={"y_off": 41.0, "beta": 0.65, "c0": 0.17, "c1": 0.047},
+)
+HELD_OUT_SEED = 1_000_003
+
+
+def frames(n):
+    """The wires of some lengths, and whether three frames keep to a divergence of 0.02."""
+    sets, held_out = (sets_of("road", n, seed) for seed in (0, HELD_OUT_SEED))
+    held_out |= sets_of("paper", n, HELD_OUT_SEED)
+    met = True
+    for count in (3, 4, 5):
+        made = told(sets, Targets(frames=count), held_out)
+        figures = made.measured["road"]
+        met &= count > 3 or figures.kl_mean <= 0.02
+        met &= not any(f.not_definite or f.overconfident for f in made.measured.values())
+    return met
+
+
+def default(n):
+    """The search of the default once more."""
+    sets, held_out = (sets_of("both", n, seed) for seed in (1, 1 + HELD_OUT_SEED))
+    made = told(sets, OF_THE_DEFAULT, held_out)
+    found, own = of_covariance(made.contract), of_covariance(DEFAULT)
+    for name in sorted({*found, *own}):
+        if found.get(name) != own.get(name):
+            print(f"{name}: {found.get(name)} instead of {own.get(name)} (bits, factor, range)")
+    return found == own
+
+
+def told(sets, targets, held_out):
+    started = time.perf_counter()
+    with tqdm(total=100, unit=" %", disable=not sys.stderr.isatty(), leave=False) as bar:
+        made = design(
+            sets,
+            targets,
+            held_out=held_out,
+            progress=lambda done, _: bar.update(round(100 * done) - bar.n),
+        )
+    print(f"{made.text()}\n{time.perf_counter() - started:.1f} s\n")
+    return made
+
+
+def of_covariance(contract):
+    kept = (*STATE_SIGNALS, "Inflation")
+    return {
+        spec.name: (spec.bits, spec.factor, spec.range)
+        for page in contract.pages
+        for spec in page
+        if spec.name in kept or spec.name.startswith(("Pivot", "Ratio"))
+    }
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    jobs = {"frames": (frames, 5000), "default": (default, 15_000)}
+    parser.add_argument("what", choices=jobs)
+    parser.add_argument("-n", type=int, help="lines of each set; by default 5000 and 15000")
+    arguments = parser.parse_args()
+    job, n = jobs[arguments.what]
+    met = job(arguments.n or n)
+    print("met" if met else "missed")
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,477 @@
+#!/usr/bin/env python3
+"""Hours on a bad bus: what is delivered was sent, bit for bit and once, and the sums are right.
+
+    soak.py             1e6 lines as classic CAN and 1e6 as CAN FD with 10 % of the frames lost,
+                        5 % doubled, 5 % out of order and 2 % damaged; a tenth of them over
+                        python-can's virtual bus, and some in real time through Transmitter and
+                        Receiver; then what the checksum leaves of 4e6 records of each damage
+    soak.py --lines N   another number of lines
+    soak.py --only classic fd bus threads checksum
+
+Eight lines at 20 Hz: the time of the bus is computed, not waited for. Damaged are frames by one to
+three flipped bits, a payload cut short, a wrong length, or a flipped bit of the CAN ID, a quarter
+each. On a real bus the controllers drop nearly all of these by the checksum of the frame; here they
+do not, as if a gateway or a driver had done the damage behind them.
+
+Run it in the project's environment: python3 tools/run.py python tools/soak.py
+
+Ends with a nonzero status where a promise is broken.
+"""
+
+import argparse
+import json
+import resource
+import sys
+import time
+import uuid
+from collections import Counter
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import can
+import numpy as np
+from tqdm import tqdm
+
+from maplines_can.bus import Faults, FaultyBus, Link, Mischief, Mishap, Receiver, Transmitter
+from maplines_can.line import Kind, MapLine, Slot, Status
+from maplines_can.study import road
+from maplines_can.wire import Codec
+from maplines_can.wire.e2e import record_crc
+from maplines_can.wire.layout import PAGE_BYTES
+
+FAULTS = "loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02"
+CHUNK = 8192
+#: Between the lines, slot after slot, and between the pages of one.
+STEP_NS, PAGE_NS = 50_000_000 // len(Slot), 250_000
+#: Lines are drawn up to these means [m, rad, 1/m, 1/m^2], with so many covariances of road lines.
+MOST, SOME = (30, 0.4, 0.1, 0.02), 512
+#: Growth of the process that counts as flat, and chunks before it is looked at. A byte kept of
+#: each frame would be 4 MiB.
+FLAT_MIB, WARM_UP = 4.0, 8
+
+
+class Page(NamedTuple):
+    """A frame that knows where it comes from."""
+
+    can_id: int
+    data: bytes
+    is_fd: bool
+    is_extended: bool
+    line: int
+    page: int
+    sent_id: int
+    sent: bytes
+
+    @property
+    def intact(self):
+        """It came as it was sent."""
+        return self.data == self.sent and self.can_id == self.sent_id
+
+
+class Chunk:
+    """Lines that are sent one after the other, and what became of them."""
+
+    def __init__(self, codec, start, n, seed):
+        rng = np.random.default_rng([seed, start])
+        means = rng.uniform(-1, 1, (n, 4)) * MOST
+        covs = some_covs(seed)[rng.integers(SOME, size=n)] * rng.uniform(0.5, 2, (n, 1, 1))
+        self.start = start
+        numbers = np.arange(start, start + n)
+        self.slots = numbers % len(Slot)
+        self.payloads = codec.encode_batch(
+            means,
+            covs,
+            slot=self.slots,
+            counter=numbers // len(Slot) % 256,
+            kind=rng.integers(len(Kind), size=n),
+            x_min=8.0 * rng.integers(-4, 0, n),
+            x_max=8.0 * rng.integers(0, 32, n),
+            age=0.008 * rng.integers(0, 31, n),
+        )
+        self.batch = codec.decode_batch(self.payloads, slot=self.slots)
+        self.arrived, self.damaged, self.delivered = (bytearray(n) for _ in range(3))
+
+    def expected(self, line):
+        """What must be read of a line, to the last bit."""
+        i, batch = line - self.start, self.batch
+        return (
+            Slot(self.slots[i]),
+            Kind(batch.kind[i]),
+            Status(batch.status[i]),
+            *(float(values[i]) for values in (batch.x_min, batch.x_max, batch.age)),
+            batch.mean[i].tobytes(),
+            batch.cov[i].tobytes(),
+        )
+
+    def fates(self, pages):
+        """Lines by what became of them."""
+        whole, fates = 2**pages - 1, Counter()
+        for arrived, damaged, delivered in zip(
+            self.arrived, self.damaged, self.delivered, strict=True
+        ):
+            missing = whole & ~arrived
+            if delivered:
+                fates["delivered"] += 1
+            elif missing & ~damaged:
+                fates["lost: a frame was lost"] += 1
+            elif missing:
+                fates["lost: a frame was damaged"] += 1
+            else:
+                fates["lost: all frames came, one too late or damaged as well"] += 1
+        return fates
+
+
+@cache
+def some_covs(seed):
+    return road(SOME, seed)[1]
+
+
+def read_of(line):
+    """As ``Chunk.expected``, of a line that was received."""
+    return (
+        *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age),
+        line.gaussian.mean.tobytes(),
+        line.gaussian.cov.tobytes(),
+    )
+
+
+def stream(n, seed, fd, faults):
+    """Lines through the faults into a decoder."""
+    codec = Codec.from_dbc()
+    decoder, mischief = codec.decoder(), Mischief(replace(faults, seed=seed))
+    pages = 1 if fd else codec.layout.pages
+    chunks, fates, wrong, examples = [], Counter(), Counter(), []
+    first, last = {}, {}
+    memory = []
+
+    def receive(frame, t_ns):
+        answer = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+        chunk = chunks[-1] if frame.line >= chunks[-1].start else chunks[0]
+        i = frame.line - chunk.start
+        if frame.intact:
+            chunk.arrived[i] |= 1 << frame.page
+        else:
+            chunk.damaged[i] |= 1 << frame.page
+        if not isinstance(answer, MapLine):
+            return
+        if read_of(answer) != chunk.expected(frame.line):
+            wrong["lines that were not sent"] += 1
+            examples.append(f"line {frame.line} of {answer.slot.name}, completed by {frame}")
+            return
+        wrong["lines delivered twice"] += chunk.delivered[i]
+        wrong["lines delivered out of order"] += frame.line < last.get(answer.slot, 0)
+        chunk.delivered[i] = 1
+        first.setdefault(answer.slot, frame.line)
+        last[answer.slot] = max(frame.line, last.get(answer.slot, 0))
+
+    for start in progress(range(0, n, CHUNK), "CAN FD" if fd else "classic CAN"):
+        chunks.append(Chunk(codec, start, min(CHUNK, n - start), seed))
+        for i, payload in enumerate(chunks[-1].payloads):
+            line, t_ns = start + i, (start + i) * STEP_NS
+            for page, frame in enumerate(codec.frames(payload, Slot(line % len(Slot)), fd=fd)):
+                sent = Page(*frame, line, page, frame.can_id, frame.data)
+                for out in mischief.apply(sent, 1e-9 * t_ns):
+                    receive(out, t_ns)
+                t_ns += PAGE_NS
+        if len(chunks) > 1:
+            fates += chunks.pop(0).fates(pages)
+        memory.append(memory_mib())
+    for out in mischief.flush():
+        receive(out, n * STEP_NS)
+    decoder.expire(2 * n * STEP_NS)
+    for chunk in chunks:
+        fates += chunk.fates(pages)
+
+    done = mischief.counts
+    ends = sum(
+        len(range(slot, first[slot], len(Slot))) + len(range(last[slot] + 8, n, len(Slot)))
+        for slot in first
+    )
+    sums = {
+        "lines sent, less delivered and lost": n - sum(fates.values()),
+        "lines delivered, less those of the decoder": fates["delivered"] - decoder.lines,
+        "lines lost, less those missing by their counters": sum(
+            count for fate, count in fates.items() if fate != "delivered"
+        )
+        - decoder.lost
+        - ends,
+        "frames sent and doubled, less lost and received": mischief.frames
+        + done[Mishap.DUPLICATED]
+        - done[Mishap.LOST]
+        - decoder.frames,
+        "frames received, less those of lines and dropped": decoder.frames
+        - decoder.line_frames
+        - sum(decoder.counts.values()),
+    }
+    grown = max(memory[WARM_UP:], default=0.0) - max(memory[:WARM_UP])
+    return {
+        "bus time [h]": n * STEP_NS / 3.6e12,
+        "lines sent": n,
+        **dict(sorted(fates.items())),
+        "share delivered": fates["delivered"] / n,
+        "share of which a good copy of each frame came, expected": good_copy(faults) ** pages,
+        "frames": {"sent": mischief.frames} | {what.name.lower(): done[what] for what in Mishap},
+        "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
+        **{key: wrong[key] for key in WRONGS},
+        **({"examples": examples[:5]} if examples else {}),
+        "sums that must be 0": sums,
+        "wraps of the 8-bit counters": wraps(n, 256),
+        "wraps of the 4-bit burst numbers": wraps(n, 16),
+        "memory [MiB]": memory[-1],
+        "memory grown by [MiB]": max(0.0, grown),
+        "met": not any(wrong.values()) and not any(sums.values()) and grown < FLAT_MIB,
+    }
+
+
+def good_copy(faults):
+    """How likely a frame comes undamaged, once or twice."""
+    good = 1 - faults.flip - faults.truncate - faults.wrong_dlc - faults.wrong_id - faults.garbage
+    return (1 - faults.loss) * (1 - (1 - good) * (1 - faults.duplicate * good))
+
+
+def wraps(n, modulus):
+    """How often the counters of all slots together have begun anew."""
+    return sum((len(range(slot, n, len(Slot))) - 1) // modulus for slot in Slot)
+
+
+WRONGS = ("lines that were not sent", "lines delivered twice", "lines delivered out of order")
+
+
+def classic(n, seed, faults):
+    """Four frames a line."""
+    return stream(n, seed, False, faults)
+
+
+def fd(n, seed, faults):
+    """One frame a line."""
+    return stream(n, seed, True, faults)
+
+
+def bus(n, seed, faults):
+    """A tenth of the lines over python-can's virtual bus, in computed time."""
+    n = max(1, n // 10)
+    codec, now = Codec.from_dbc(), 0.0
+    decoder, channel = codec.decoder(), f"soak-{uuid.uuid4()}"
+    known, delivered, wrong = {}, set(), Counter()
+    faults = replace(faults, late=0.01, delay=0.002, jitter=0.003, seed=seed)
+    sent = received = 0
+    with (
+        can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) as sender,
+        FaultyBus(
+            can.Bus(interface="virtual", channel=channel), faults, clock=lambda: now
+        ) as receiver,
+    ):
+
+        def receive():
+            nonlocal received
+            while (message := receiver.recv(0)) is not None:
+                received += 1
+                answer = decoder.feed(
+                    message.arbitration_id, bytes(message.data), round(message.timestamp * 1e9)
+                )
+                if isinstance(answer, MapLine):
+                    line = known.get(read_of(answer))
+                    wrong["lines that were not sent"] += line is None
+                    wrong["lines delivered twice"] += line in delivered
+                    delivered.add(line)
+
+        for start in progress(range(0, n, CHUNK), "virtual bus"):
+            chunk = Chunk(codec, start, min(CHUNK, n - start), seed)
+            known |= {chunk.expected(start + i): start + i for i in range(len(chunk.payloads))}
+            for i, payload in enumerate(chunk.payloads):
+                now = (start + i) * STEP_NS * 1e-9
+                for frame in codec.frames(payload, Slot((start + i) % len(Slot))):
+                    sender.send(message_of(frame, now))
+                    sent += 1
+                    receive()
+                    now += PAGE_NS * 1e-9
+        now += 1.0
+        receive()
+        done = receiver.as_dict()
+    accounted = decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
+    sums = {
+        "frames sent and doubled, less lost, held and received": sent
+        + done["duplicated"]
+        - done["lost"]
+        - done["held"]
+        - received,
+        "frames received, less those accounted for": received - accounted,
+    }
+    return {
+        "bus time [h]": n * STEP_NS / 3.6e12,
+        "lines sent": n,
+        "delivered": len(delivered),
+        "missing by their counters": decoder.lost,
+        "frames": done,
+        "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
+        **{key: wrong[key] for key in WRONGS[:2]},
+        "sums that must be 0": sums,
+        "met": not any(wrong.values()) and not any(sums.values()),
+    }
+
+
+def threads(n, seed, faults):
+    """In real time: Transmitter, a link with faults, Receiver; at most 3000 lines."""
+    codec, channel, received = Codec.from_dbc(), f"soak-{uuid.uuid4()}", []
+    chunk = Chunk(codec, 0, len(Slot), seed)
+    lines = [codec.decode_one(chunk.payloads[slot].tobytes(), slot) for slot in Slot]
+    expected = {
+        line.slot: read_of(codec.decode_one(b"".join(f.data for f in frames), line.slot))[-2:]
+        for line, frames in zip(lines, Codec.from_dbc().encode_lines(lines), strict=True)
+    }
+    count = max(1, min(3000, n) // len(Slot))
+    with (
+        Link(interface="virtual", channel=channel) as out,
+        Link(interface="virtual", channel=channel, faults=replace(faults, seed=seed)) as back,
+        Receiver(back, codec.decoder(), on_line=received.append) as receiver,
+    ):
+        with (
+            Transmitter(out, codec, period=0.01, count=count) as transmitter,
+            tqdm(total=count, desc="in real time", disable=not sys.stderr.isatty()) as bar,
+        ):
+            transmitter.publish(lines)
+            while not transmitter.wait(0.1):
+                bar.update(transmitter.stats().lines // len(Slot) - bar.n)
+        sent, end = transmitter.stats(), time.monotonic() + 10
+        while back.faults["frames"] < sent.frames and time.monotonic() < end:
+            time.sleep(0.01)
+        receiver.stop()
+        stats, done = receiver.stats(), back.faults
+    wrong = sum(read_of(line)[-2:] != expected[line.slot] for line in received)
+    sums = {
+        "frames sent, less those that came": sent.frames - done["frames"],
+        "frames sent and doubled, less lost, held and received": sent.frames
+        + done["duplicated"]
+        - done["lost"]
+        - done["held"]
+        - stats.frames,
+    }
+    return {
+        "lines sent": sent.lines,
+        "delivered": stats.lines,
+        "missing by their counters": stats.lost,
+        "frames": done,
+        "dropped by the decoder": {r.name.lower(): c for r, c in stats.counts.items()},
+        WRONGS[0]: wrong,
+        "sums that must be 0": sums,
+        "met": not (wrong or any(sums.values())) and 0 < stats.lines <= sent.lines,
+    }
+
+
+def checksum(n, seed, faults):  # noqa: ARG001
+    """How many damaged records CRC-16 lets through, of four times as many as lines.
+
+    Flips of up to three bits and bursts of up to 16 bits: none, by the distance of the code
+    (Koopman and Chakravarty, Cyclic Redundancy Code (CRC) Polynomial Selection For Embedded
+    Networks, DSN 2004: 0x1021 has distance 4 up to 32751 bits). Pages of random bytes: 2^-16.
+    """
+    n, codec, rng = 4 * n, Codec.from_dbc(), np.random.default_rng([seed, 16])
+    size, offset = codec.layout.record_bytes, codec.layout.crc_offset
+    pool = Chunk(codec, 0, CHUNK, seed).payloads
+    ids = np.array([codec.layout.channels[slot].data_id for slot in Slot])
+    checked, passed = Counter(), Counter()
+
+    def check(what, damaged, good, data_ids):
+        stored = damaged[:, offset] + 256 * damaged[:, offset + 1].astype(int)
+        changed = (damaged != good).any(axis=1)
+        checked[what] += int(changed.sum())
+        passed[what] += int((changed & (stored == record_crc(damaged, data_ids, offset))).sum())
+
+    for start in progress(range(0, n, CHUNK), "checksum"):
+        count = min(CHUNK, n - start)
+        which = rng.integers(len(pool), size=count)
+        good, data_ids = pool[which], ids[which % len(Slot)]
+        rows = np.arange(count)
+        damaged = good.copy()
+        for k in range(3):
+            bit = rng.integers(8 * size, size=count)
+            hit = rng.integers(3, size=count) >= k
+            damaged[rows, bit // 8] ^= (hit << bit % 8).astype(np.uint8)
+        check(FLIPS, damaged, good, data_ids)
+        bits = np.unpackbits(good, axis=1)
+        first = rng.integers(8 * size - 15, size=count)
+        pattern = rng.integers(2, size=(count, 16)).astype(np.uint8)
+        for k in range(16):
+            bits[rows, first + k] ^= pattern[:, k]
+        check(BURSTS, np.packbits(bits, axis=1), good, data_ids)
+        damaged = good.copy()
+        page = rng.integers(size // PAGE_BYTES, size=count)
+        places = page[:, None] * PAGE_BYTES + np.arange(PAGE_BYTES)
+        damaged[rows[:, None], places] = rng.integers(256, size=places.shape)
+        check(GARBAGE, damaged, good, data_ids)
+    promised = checked[GARBAGE] / 2**16
+    return {
+        "records damaged": dict(checked),
+        "of good checksum": dict(passed),
+        "promised of random pages": promised,
+        "met": not passed[FLIPS]
+        and not passed[BURSTS]
+        and abs(passed[GARBAGE] - promised) <= 5 * max(1, promised) ** 0.5,
+    }
+
+
+FLIPS, BURSTS, GARBAGE = "1 to 3 flipped bits", "bursts of up to 16 bits", "a page of random bytes"
+
+
+def message_of(frame, t):
+    return can.Message(
+        t, frame.can_id, is_extended_id=frame.is_extended, is_fd=frame.is_fd, data=frame.data
+    )
+
+
+def memory_mib():
+    """What the process has now, where Linux tells it; else the most it ever had [MiB]."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        return pages * resource.getpagesize() / 2**20
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def progress(steps, what):
+    return tqdm(steps, desc=what, disable=not sys.stderr.isatty())
+
+
+def show(result, indent=0):
+    for key, value in result.items():
+        if isinstance(value, dict):
+            print(" " * indent + f"{key}:")
+            show(value, indent + 4)
+        else:
+            text = f"{value:.6g}" if isinstance(value, float) else value
+            print(" " * indent + f"{key:<60}{text}")
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parts = {part.__name__: part for part in (classic, fd, bus, threads, checksum)}
+    parser.add_argument("--lines", type=int, default=10**6, help="how many; 1e6 by default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--faults", default=FAULTS, metavar="SPEC", help=f"by default {FAULTS}")
+    parser.add_argument("--only", nargs="+", choices=parts, default=list(parts), metavar="PART")
+    parser.add_argument("--json", action="store_true", help="for machines")
+    arguments = parser.parse_args()
+    if arguments.lines < len(Slot):
+        parser.error(f"--lines must be {len(Slot)} or more")
+    try:
+        faults = Faults.parse(arguments.faults)
+    except ValueError as error:
+        parser.error(str(error))
+    if faults.flood or faults.delay or faults.jitter or faults.depth > CHUNK // 2:
+        parser.error(f"--faults may neither flood nor delay, and reorder by {CHUNK // 2} frames")
+    result = {"faults": arguments.faults}
+    for name in arguments.only:
+        started = time.perf_counter()
+        result[name] = parts[name](arguments.lines, arguments.seed, faults)
+        result[name]["seconds"] = time.perf_counter() - started
+    result["met"] = all(result[name]["met"] for name in arguments.only)
+    print(json.dumps(result, indent=2)) if arguments.json else show(result)
+    return 0 if result["met"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
