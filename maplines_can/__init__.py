@@ -12,7 +12,16 @@
 (True, np.True_)
 """
 
-from .bus import Link, Receiver, Transmitter, read_log
+from .bus import (
+    Link,
+    Monitor,
+    Receiver,
+    SlotView,
+    Transmitter,
+    key_from_env,
+    key_from_file,
+    read_log,
+)
 from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
 from .gaussian import Gaussian, nearest_covariance
 from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
@@ -33,18 +42,33 @@ from .propagation import (
     pose_time_ns,
 )
 from .scenarios import SCENARIOS, Scenario, scenario
-from .wire import Batch, Codec, Decoder, Frame, Reason
+from .wire import (
+    Authenticator,
+    Batch,
+    Codec,
+    Decoder,
+    E2EConfig,
+    E2EState,
+    Frame,
+    Key,
+    ProfileStatus,
+    Reason,
+)
 
 __all__ = [
     "SCENARIOS",
+    "Authenticator",
     "Batch",
     "Codec",
     "Decoder",
+    "E2EConfig",
+    "E2EState",
     "EncodeError",
     "Frame",
     "Gaussian",
     "GaussianMixture",
     "IllPosedError",
+    "Key",
     "Kind",
     "LayoutError",
     "Linear",
@@ -53,9 +77,11 @@ __all__ = [
     "MapLine",
     "MaplinesError",
     "Mixture",
+    "Monitor",
     "MonteCarlo",
     "Motion",
     "Polyline",
+    "ProfileStatus",
     "Quadrature",
     "Reason",
     "Receiver",
@@ -63,10 +89,13 @@ __all__ = [
     "Scenario",
     "SigmaPoints",
     "Slot",
+    "SlotView",
     "Status",
     "Transform",
     "Transmitter",
     "carried",
+    "key_from_env",
+    "key_from_file",
     "lateral",
     "lateral_jacobian",
     "line_at",

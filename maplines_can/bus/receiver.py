@@ -9,8 +9,10 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from enum import Enum
 from typing import Any, NamedTuple, Protocol, Self
 
-from ..line import MapLine
+from ..line import MapLine, Slot
+from ..wire import SlotCheck, SlotStats
 from .link import Link
+from .monitor import STALE_CYCLES, Monitor, SlotView
 from .worker import Running, Worker
 
 __all__ = ["Receiver", "ReceiverStats"]
@@ -26,6 +28,8 @@ class FrameDecoder(Protocol):
     def counts(self) -> Mapping[Any, int]: ...
     @property
     def lost(self) -> int: ...
+    @property
+    def checks(self) -> Mapping[Slot, SlotCheck]: ...
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> MapLine | Enum: ...
@@ -51,6 +55,9 @@ class Receiver(Running):
     iteration (``for line in receiver``, ends after `stop`) or `get`, after `stop` too.  The newest
     ``queue_size`` lines wait; older ones are dropped and counted as overflowed,
     for a stale line is worth less than the memory.
+
+    A controller needs neither: `latest` has the newest line of a slot at any time,
+    with its age, its E2E state, and whether it has grown stale.
 
     Frames that this host sent are lines like any other: SocketCAN marks those
     of *every* local program in the same way, and a link hears its own only if
@@ -86,12 +93,14 @@ class Receiver(Running):
         if queue_size < 1:
             raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
         self._link, self._decoder, self._on_line = link, decoder, on_line
+        self._monitor = Monitor(decoder)
         self._can_ids = can_ids
         self._changed = threading.Condition()  # guards all that follows
         self._queue: deque[MapLine] = deque(maxlen=queue_size)
         self._lines = self._frames = 0
         self._error_frames = self._remote_frames = self._overflowed = 0
         self._stopping = self._ended = False
+        self._last_ns = self._last_monotonic_ns = 0  # of the last frame, by its clock and by ours
         self._worker = Worker("maplines receive", self._run, at_end=self._wake_all)
 
     def get(self, timeout: float | None = None) -> MapLine | None:
@@ -113,6 +122,38 @@ class Receiver(Running):
     def __iter__(self) -> Iterator[MapLine]:
         while (line := self.get()) is not None:
             yield line
+
+    def latest(
+        self, slot: Slot, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SlotView:
+        """The newest line of a slot with its age, its E2E state, and whether it is stale.
+
+        One call for each cycle of a controller; from any thread, beside all other ways to
+        the lines.
+
+        Args:
+            slot: which line.
+            now_ns: on the clock of the frames' time stamps [ns]; by default the stamp
+                of the last frame of any slot and the time since, so that neither an adapter
+                with a clock of its own nor a host whose clock is set makes a line young.
+            stale_cycles: after how many cycle times without a newer one a line is stale;
+                see ``Codec.decoder`` for the cycle time.
+
+        Raises:
+            ValueError: the DBC has no such slot.
+        """
+        with self._changed:
+            return self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+
+    def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
+        """What is known of each slot on which anything came."""
+        with self._changed:
+            return self._monitor.slots(self._now(now_ns))
+
+    def _now(self, now_ns: int | None) -> int:
+        if now_ns is not None:
+            return now_ns
+        return self._last_ns + time.monotonic_ns() - self._last_monotonic_ns
 
     def stats(self) -> ReceiverStats:
         """A consistent copy of all counters."""
@@ -151,10 +192,12 @@ class Receiver(Running):
                 self._remote_frames += 1
                 return
             self._frames += 1
-            line = self._decoder.feed(
+            t_ns = round(message.timestamp * 1e9) or time.time_ns()
+            self._last_ns, self._last_monotonic_ns = t_ns, time.monotonic_ns()
+            line = self._monitor.feed(
                 message.arbitration_id,
                 bytes(message.data),
-                round(message.timestamp * 1e9) or time.time_ns(),
+                t_ns,
                 is_extended=message.is_extended_id,
             )
             if not isinstance(line, MapLine):

@@ -28,12 +28,13 @@ class Worker:
         self._work, self._at_end = work, at_end
         self._error: Exception | None = None
         self._told = False
+        self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @property
     def alive(self) -> bool:
         """Whether the thread is started and has not ended."""
-        return self._thread.is_alive()
+        return self._thread.ident is not None and not self._ended.is_set()
 
     def start(self) -> None:
         """Start the thread, once."""
@@ -42,7 +43,8 @@ class Worker:
     def join(self, timeout: float | None = None) -> None:
         """Wait for the end; returns at once in the thread itself or if it never started."""
         if self.alive and self._thread is not threading.current_thread():
-            self._thread.join(timeout)
+            # Thread.join, ended by Ctrl-C, takes a thread that runs for dead (Python 3.11).
+            self._ended.wait(timeout)
 
     def check(self, *, again: bool = True) -> None:
         """Raise the error of the thread, if any; with ``again=False`` only if nobody knows it.
@@ -60,7 +62,10 @@ class Worker:
         except Exception as error:  # noqa: BLE001 - kept, and raised where the caller sees it
             self._error = error
         finally:
-            self._at_end()
+            try:
+                self._at_end()
+            finally:
+                self._ended.set()
 
 
 class Running(ABC):

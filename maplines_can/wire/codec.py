@@ -11,16 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import EncodeError
+from ..errors import EncodeError, LayoutError
 from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Kind, MapLine, Slot, Status
 from .codes import covariance_code
 from .decoder import Decoder
-from .layout import PAGE_BYTES, STATE_SIGNALS, Layout
+from .e2e_state import E2EConfig
+from .layout import PAGE_BYTES, STATE_SIGNALS, Channel, Layout, default_dbc_path
 from .packing import Packing
 from .parts import deficit, quantized_weights
 from .read import Batch, Part, RecordReader
 from .reassembly import Reason
+from .secoc import Authenticator, Verifier
 from .write import RecordWriter
 
 __all__ = ["Codec", "Frame"]
@@ -64,6 +66,11 @@ class Codec:
 
     Args:
         layout: from ``Layout.from_dbc``; most callers use ``Codec.from_dbc``.
+        authenticator: has the keys; with it the codec sends authenticated frames only, and
+            its decoders accept no others. None for a bus without authentication.
+
+    Raises:
+        LayoutError: there is an authenticator, and the DBC has no authenticated message.
 
     >>> codec = Codec.from_dbc()
     >>> payload = codec.encode_batch([[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])])
@@ -74,8 +81,14 @@ class Codec:
     (array([ True]), np.float64(1.75), np.float64(0.102))
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, authenticator: Authenticator | None = None) -> None:
         self.layout = layout
+        self.authenticator = authenticator
+        if authenticator is not None and layout.secured is None:
+            raise LayoutError(
+                f"{layout.source} has no authenticated message (SecOCDataId), and classic CAN and "
+                "plain CAN FD are not authenticated; take maplines-secoc.dbc, or no key"
+            )
         packing = Packing(list(layout.fields.values()), layout.record_bytes)
         #: The code of the covariance that the DBC names, with what it guarantees.
         self.covariance = covariance_code(layout)
@@ -84,13 +97,19 @@ class Codec:
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
-    def from_dbc(cls, path: str | Path | None = None) -> Codec:
+    def from_dbc(
+        cls, path: str | Path | None = None, authenticator: Authenticator | None = None
+    ) -> Codec:
         """The codec of a DBC; without a path, of the project's own.
+
+        That is ``maplines.dbc``, and with an authenticator ``maplines-secoc.dbc``.
 
         Raises:
             LayoutError: the DBC is missing or does not describe a map line.
         """
-        return cls(Layout.from_dbc(path))
+        if path is None and authenticator is not None:
+            path = default_dbc_path("maplines-secoc.dbc")
+        return cls(Layout.from_dbc(path), authenticator)
 
     @property
     def can_ids(self) -> frozenset[int]:
@@ -223,10 +242,11 @@ class Codec:
 
         Args:
             line: what to send.
-            fd: one CAN FD frame instead of the pages of the classic message.
+            fd: one CAN FD frame instead of the pages of the classic message; with an
+                authenticator an authenticated one.
 
         Raises:
-            EncodeError: the DBC has no such message.
+            EncodeError: the DBC has no such message, or it is not authenticated.
         """
         return self.encode_lines([line], fd=fd)[0]
 
@@ -335,8 +355,10 @@ class Codec:
         ]
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
-        """The frames that carry one record."""
+        """The frames that carry one record; authenticated ones have a freshness value each."""
         channel = self.layout.channels.get(slot)
+        if self.authenticator is not None:
+            return [self._secured_frame(payload.tobytes(), slot, channel, fd)]
         can_id = None if channel is None else channel.fd_can_id if fd else channel.can_id
         if channel is None or can_id is None:
             carrier = "CAN FD" if fd else "classic"
@@ -350,20 +372,62 @@ class Codec:
             for start in range(0, len(data), PAGE_BYTES)
         ]
 
-    def decoder(self, *, timeout_ms: float | None = None) -> Decoder:
+    def _secured_frame(self, record: bytes, slot: Slot, channel: Channel | None, fd: bool) -> Frame:
+        form, authenticator = self.layout.secured, self.authenticator
+        if not fd:
+            raise EncodeError(
+                "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
+            )
+        if not (channel and form and authenticator) or channel.secured_can_id is None:
+            raise EncodeError(
+                f"{self.layout.source} has no authenticated message for slot {slot!r}"
+            )
+        data = authenticator.secure(record, channel.secured_data_id, form)
+        return Frame(channel.secured_can_id, data, True, channel.secured_is_extended)
+
+    def verifier(self) -> Verifier | None:
+        """What a receiver knows of freshness; None without an authenticator."""
+        if self.authenticator is None or self.layout.secured is None:
+            return None
+        return Verifier(self.authenticator, self.layout.secured)
+
+    def decoder(
+        self,
+        *,
+        timeout_ms: float | None = None,
+        cycle_ms: float | None = None,
+        e2e: E2EConfig | None = None,
+    ) -> Decoder:
         """A receiver's state.
 
         Args:
             timeout_ms: how long a burst may take, and how long a sender that starts
                 anew may be taken for an old one [ms]; by default half the DBC's longest
                 cycle time, or 50 ms where it states none.
+            cycle_ms: how often the lines of a slot come [ms], for the E2E state and for what
+                is stale; by default the cycle time that the DBC states for it, or 100 ms.
+            e2e: windows and bounds of the E2E state machines.
         """
+        channels = self.layout.channels
         if timeout_ms is None:
-            cycles = [channel.cycle_ms for channel in self.layout.channels.values()]
+            cycles = [channel.cycle_ms for channel in channels.values()]
             timeout_ms = max(cycles) / 2 or DEFAULT_TIMEOUT_MS
-        if not timeout_ms > 0:
-            raise ValueError(f"timeout_ms must be more than 0 ms, got {timeout_ms!r}")
-        return Decoder(self, int(timeout_ms * 1e6))
+        for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
+            if value is not None and not 0 < value < np.inf:
+                raise ValueError(f"{name} must be more than 0 ms, got {value!r}")
+        cycles_ns = {
+            slot: int(1e6 * (cycle_ms or channel.cycle_ms or 2 * DEFAULT_TIMEOUT_MS))
+            for slot, channel in channels.items()
+        }
+        counters = 2 ** self.layout["Counter"].length
+        if e2e is None:
+            e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, counters // 4))
+        elif e2e.max_delta_counter >= counters // 2:
+            raise ValueError(
+                f"max_delta_counter must be less than {counters // 2}, half of the counters of "
+                f"{self.layout.source}, got {e2e.max_delta_counter}"
+            )
+        return Decoder(self, int(timeout_ms * 1e6), cycles_ns, e2e)
 
 
 def _checked(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -10,14 +11,18 @@ import numpy as np
 
 from ..line import MapLine, Slot, Status
 from ..mixture import GaussianMixture
+from .e2e_state import E2EConfig, ProfileStatus
 from .read import Part
-from .reassembly import Reason, Reassembler, Record
+from .reassembly import NOT_BELIEVED, Reason, Reassembler, Record
+from .slot_check import SlotCheck
 
 if TYPE_CHECKING:
     from .codec import Codec
 
 __all__ = ["Decoder"]
 
+
+PENDING, REPEATED = Reason.PENDING, ProfileStatus.REPEATED  # looked up here, once
 
 #: The status of a mixture is that of its worst part.
 SEVERITY = (
@@ -46,18 +51,39 @@ class Decoder:
 
     Made by ``Codec.decoder``. At any time
     ``frames == line_frames + sum(counts.values()) + pending``.
+
+    Each record is checked by its counter after AUTOSAR E2E, and ``checks`` says what the
+    lines of each slot are worth. The check keeps back the record that was delivered last
+    (REPEATED), and nothing else: what to do with a line of a slot that is not VALID is
+    the consumer's decision.
+
+    With an authenticator the MAC is checked before anything else, and what is not
+    authentic moves nothing: neither a line, nor a burst, nor a check.
     """
 
-    def __init__(self, codec: Codec, timeout_ns: int) -> None:
+    def __init__(
+        self, codec: Codec, timeout_ns: int, cycles_ns: Mapping[Slot, int], e2e: E2EConfig
+    ) -> None:
         self._codec = codec
-        self._reassembler = Reassembler(codec.layout, timeout_ns)
+        #: What tells whether a frame is authentic, where the codec asks for it.
+        self.verifier = codec.verifier()
+        self._reassembler = Reassembler(codec.layout, timeout_ns, self.verifier)
         self._timeout_ns = timeout_ns
-        self._counters: dict[Slot, int] = {}
         self._groups: dict[Slot, _Group] = {}
+        self._modulus = 2 ** codec.layout["Counter"].length
         self.frames = 0  #: frames fed
         self.lines = 0  #: lines delivered
         self.line_frames = 0  #: frames of the lines delivered
-        self.lost = 0  #: records missing between those read, by their counters
+        #: What the records of each slot are worth, for all slots of the DBC.
+        self.checks: Mapping[Slot, SlotCheck] = {
+            slot: SlotCheck(e2e, self._modulus, codec.layout.pages, cycle_ns)
+            for slot, cycle_ns in cycles_ns.items()
+        }
+
+    @property
+    def lost(self) -> int:
+        """Records missing between those read, by their counters."""
+        return sum(check.lost for check in self.checks.values())
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -86,6 +112,8 @@ class Decoder:
         self.frames += 1
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason):
+            if record is not PENDING:
+                self._check_dropped(record, can_id, t_ns, is_extended)
             return record
         return self._read(record)
 
@@ -95,19 +123,31 @@ class Decoder:
         for slot in [s for s, group in self._groups.items() if self._is_old(group, t_ns)]:
             self._give_up(slot, Reason.TIMEOUT)
 
+    def _check_dropped(self, reason: Reason, can_id: int, t_ns: int, is_extended: bool) -> None:
+        known = self._codec.layout.page_of_id.get((can_id, is_extended))
+        if known is None or reason in NOT_BELIEVED:
+            return  # as in AUTOSAR: what is not authentic does not reach the E2E check
+        if self.verifier is not None and reason is Reason.LENGTH:
+            return
+        slot, is_fd = known
+        if reason in (Reason.LENGTH, Reason.PAGE):
+            self.checks[slot].failed(t_ns)
+        else:  # DUPLICATE or STALE
+            frames = self._codec.layout.pages if is_fd else 1
+            self.checks[slot].dropped(reason, frames, t_ns)
+
     def _read(self, record: Record) -> MapLine | Reason:
         part = self._codec.read_part(record.payload, record.slot, record.t_ns)
+        check = self.checks[record.slot]
         if isinstance(part, Reason):
             self.counts[part] += record.frames
+            check.failed(record.t_ns)
             return part
+        if check.received(part.counter, record.t_ns) is REPEATED:
+            self.counts[Reason.DUPLICATE] += record.frames
+            return Reason.DUPLICATE
         self._reassembler.accept(record)
-        counter = part.counter
-        modulus = 2 ** self._codec.layout["Counter"].length
-        gap = (counter - self._counters.get(record.slot, counter - 1)) % modulus
-        if 0 < gap <= modulus // 2:  # else the sender has started anew
-            self.lost += gap - 1
-        self._counters[record.slot] = counter
-        first = (counter - part.index) % modulus
+        first = (part.counter - part.index) % self._modulus
         held = self._groups.get(record.slot)
         if held and self._is_old(held, record.t_ns):
             self._give_up(record.slot, Reason.TIMEOUT)
@@ -136,12 +176,13 @@ class Decoder:
             self._give_up(record.slot, Reason.CONTENT)
             return Reason.CONTENT
         del self._groups[record.slot]
+        self.checks[record.slot].delivered(group.count)
         self.lines += 1
         self.line_frames += group.frames
         mixture = GaussianMixture(np.array(weights), tuple(part.line.gaussian for part in parts))
-        first = min((part.line for part in parts), key=lambda line: line.t_ns or 0)
+        oldest = min((part.line for part in parts), key=lambda line: line.t_ns or 0)
         return replace(  # whose age counts from when it came
-            first,
+            oldest,
             gaussian=mixture.overall,
             mixture=mixture,
             status=max((part.line.status for part in parts), key=SEVERITY.index),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -23,6 +24,7 @@ __all__ = [
     "Channel",
     "Field",
     "Layout",
+    "SecuredForm",
     "default_dbc_path",
     "fd_length",
 ]
@@ -38,6 +40,8 @@ SERVICE_SIGNALS = (
     *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
     *("ComponentIndex", "ComponentCount", "ComponentWeight"),
 )
+#: What an authenticated message ends with, in this order, and the most bytes of each.
+SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,29 @@ class Field:
 
 
 @dataclass(frozen=True)
+class SecuredForm:
+    """The bytes of an authenticated message: AUTOSAR's secured I-PDU.
+
+    The authentic I-PDU (the record, padding, the key's number in the last byte), then the
+    low bytes of the freshness value, then the first bytes of the MAC.
+
+    Args:
+        length: of the payload.
+        freshness_bytes: of the freshness value, 1 to 7.
+        mac_bytes: of the MAC, 1 to 8.
+    """
+
+    length: int
+    freshness_bytes: int
+    mac_bytes: int
+
+    @property
+    def authentic_bytes(self) -> int:
+        """Length of the authentic I-PDU."""
+        return self.length - self.freshness_bytes - self.mac_bytes
+
+
+@dataclass(frozen=True)
 class Channel:
     """Where the lines of one slot travel.
 
@@ -112,6 +139,9 @@ class Channel:
         fd_length: payload length of the FD message, the record and padding.
         data_id: what the checksum is salted with, so that no line passes for another.
         cycle_ms: cycle time that the DBC asks for [ms].
+        secured_can_id: CAN ID of the authenticated CAN FD message, or None.
+        secured_is_extended: the authenticated ID has 29 bits.
+        secured_data_id: AUTOSAR's SecOC data ID, which the MAC covers.
     """
 
     slot: Slot
@@ -123,6 +153,9 @@ class Channel:
     fd_length: int
     data_id: int
     cycle_ms: int
+    secured_can_id: int | None = None
+    secured_is_extended: bool = False
+    secured_data_id: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +173,7 @@ class Layout:
         channels: by slot.
         covariance_code: which code the covariance is written in.
         source: the file.
+        secured: the bytes of the authenticated messages; None where there are none.
     """
 
     fields: Mapping[str, Field]
@@ -147,6 +181,7 @@ class Layout:
     channels: Mapping[Slot, Channel]
     covariance_code: str
     source: str
+    secured: SecuredForm | None = None
 
     @property
     def record_bytes(self) -> int:
@@ -169,14 +204,25 @@ class Layout:
 
     @cached_property
     def page_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
-        """(CAN ID, extended) to (slot, whether it is the FD message)."""
+        """(CAN ID, extended) to (slot, whether the message holds the whole record)."""
         ids = {}
         for channel in self.channels.values():
             if channel.can_id is not None:
                 ids[channel.can_id, channel.is_extended] = (channel.slot, False)
             if channel.fd_can_id is not None:
                 ids[channel.fd_can_id, channel.fd_is_extended] = (channel.slot, True)
+            if channel.secured_can_id is not None:
+                ids[channel.secured_can_id, channel.secured_is_extended] = (channel.slot, True)
         return ids
+
+    @cached_property
+    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
+        """(CAN ID, extended) of each authenticated message to its SecOC data ID."""
+        return {
+            (channel.secured_can_id, channel.secured_is_extended): channel.secured_data_id
+            for channel in self.channels.values()
+            if channel.secured_can_id is not None
+        }
 
     def __getitem__(self, name: str) -> Field:
         try:
@@ -223,18 +269,24 @@ class Layout:
         return _layout(database, source)
 
 
-def default_dbc_path() -> Path:
-    """Where ``maplines.dbc`` is: inside an installed package, else in the checkout.
+class Carrier(Enum):
+    """Which message of a slot."""
+
+    CLASSIC, FD, SECURED = range(3)
+
+
+def default_dbc_path(name: str = "maplines.dbc") -> Path:
+    """Where a DBC of the project is: inside an installed package, else in the checkout.
 
     Raises:
         LayoutError: in neither place.
     """
-    packaged = resources.files(__package__.partition(".")[0]) / "dbc" / "maplines.dbc"
-    checkout = Path(__file__).parents[2] / "dbc" / "maplines.dbc"
+    packaged = resources.files(__package__.partition(".")[0]) / "dbc" / name
+    checkout = Path(__file__).parents[2] / "dbc" / name
     for path in (Path(str(packaged)), checkout):
         if path.is_file():
             return path
-    raise LayoutError(f"maplines.dbc is neither at {packaged} nor at {checkout}; reinstall")
+    raise LayoutError(f"{name} is neither at {packaged} nor at {checkout}; reinstall")
 
 
 def fd_length(length: int) -> int:
@@ -248,7 +300,8 @@ def fd_length(length: int) -> int:
 
 def _layout(database: Database, source: str) -> Layout:
     records: dict[str, dict[str, Field]] = {}
-    found: dict[Slot, dict[bool, Message]] = {}
+    found: dict[Slot, dict[Carrier, Message]] = {}
+    forms: dict[str, SecuredForm] = {}
     for message in database.messages:
         attributes = message.dbc.attributes if message.dbc else {}
         if "MapLineSlot" not in attributes:
@@ -260,7 +313,10 @@ def _layout(database: Database, source: str) -> Layout:
                 f"{source}: message {message.name}: MapLineSlot must be 0 to {len(Slot) - 1}, "
                 f"got {attributes['MapLineSlot'].value}"
             ) from None
-        if found.setdefault(slot, {}).setdefault(message.is_fd, message) is not message:
+        carrier = Carrier.FD if message.is_fd else Carrier.CLASSIC
+        if "SecOCDataId" in attributes:
+            carrier, forms[message.name] = Carrier.SECURED, _secured_form(message, source)
+        if found.setdefault(slot, {}).setdefault(carrier, message) is not message:
             raise LayoutError(f"{source}: slot {slot.name} has two messages of the same carrier")
         records[message.name] = _record(message, source)
     if not records:
@@ -275,6 +331,8 @@ def _layout(database: Database, source: str) -> Layout:
                 f"{source}: messages {first} and {name} must hold the same signals at the same "
                 f"places, but {', '.join(differing)} differ"
             )
+    if len(set(forms.values())) > 1:
+        raise LayoutError(f"{source}: messages {', '.join(forms)} must have the same lengths")
     code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
     return Layout(
         fields=fields,
@@ -282,11 +340,39 @@ def _layout(database: Database, source: str) -> Layout:
         channels={slot: _channel(slot, found[slot], source) for slot in sorted(found)},
         covariance_code="Cholesky" if code is None else str(code.value),
         source=source,
+        secured=next(iter(forms.values()), None),
     )
 
 
-def _channel(slot: Slot, carriers: dict[bool, Message], source: str) -> Channel:
-    classic, fd = carriers.get(False), carriers.get(True)
+def _secured_form(message: Message, source: str) -> SecuredForm:
+    """Lengths of the freshness value and the MAC, which must lie where AUTOSAR has them."""
+    where = f"{source}: message {message.name}"
+    signals = {signal.name: signal for signal in message.signals}
+    end, sizes = message.length, {}
+    for name, most in reversed(SECURED_SIGNALS.items()):
+        signal = signals.get(name)
+        size, odd_bits = divmod(signal.length if signal else 0, 8)
+        end -= size
+        motorola = signal is not None and signal.byte_order == "big_endian"
+        if (
+            signal is None
+            or odd_bits
+            or not 1 <= size <= most
+            or signal.start != 8 * end + (7 if motorola else 0)
+            or not (motorola or size == 1)
+        ):
+            raise LayoutError(
+                f"{where}: must end with {', '.join(SECURED_SIGNALS)}, Motorola, of whole bytes; "
+                f"{name} has 1 to {most} bytes"
+            )
+        sizes[name] = size
+    if not message.is_fd or message.length != fd_length(message.length):
+        raise LayoutError(f"{where}: must be a CAN FD message, of a length that CAN FD has")
+    return SecuredForm(message.length, sizes["Freshness"], sizes["Mac"])
+
+
+def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Channel:
+    classic, fd, secured = (carriers.get(carrier) for carrier in Carrier)
     data_ids: set[Any] = set()
     for message in carriers.values():
         attributes = message.dbc.attributes if message.dbc else {}
@@ -297,7 +383,7 @@ def _channel(slot: Slot, carriers: dict[bool, Message], source: str) -> Channel:
             f"{source}: slot {slot.name}: its messages need the same attribute E2EDataId, "
             "0 to 65535"
         )
-    message = next(m for m in (classic, fd) if m is not None)
+    message = next(m for m in (classic, fd, secured) if m is not None)
     return Channel(
         slot=slot,
         name=message.name,
@@ -308,15 +394,26 @@ def _channel(slot: Slot, carriers: dict[bool, Message], source: str) -> Channel:
         fd_length=fd_length(fd.length) if fd else 0,
         data_id=int(data_id),
         cycle_ms=int(message.cycle_time or 0),
+        secured_can_id=secured.frame_id if secured else None,
+        secured_is_extended=bool(secured and secured.is_extended_frame),
+        secured_data_id=_secured_data_id(secured, source) if secured else 0,
     )
 
 
+def _secured_data_id(message: Message, source: str) -> int:
+    value = int(message.dbc.attributes["SecOCDataId"].value) if message.dbc else -1
+    if not 0 <= value <= 0xFFFF:
+        raise LayoutError(f"{source}: message {message.name}: SecOCDataId must be 0 to 65535")
+    return value
+
+
 def _record(message: Message, source: str) -> dict[str, Field]:
-    """Fields of a message at their places in the record, the same for both carriers."""
+    """Fields of a message at their places in the record, the same for all carriers."""
     where = f"{source}: message {message.name}"
     multiplexers = [signal for signal in message.signals if signal.is_multiplexer]
     if not multiplexers:
-        fields = [_field(signal, where) for signal in message.signals]
+        own = [signal for signal in message.signals if signal.name not in SECURED_SIGNALS]
+        fields = [_field(signal, where) for signal in own]
     else:
         if len(multiplexers) > 1 or multiplexers[0].name != PAGE:
             raise LayoutError(f"{where}: must have one multiplexer, named {PAGE}")

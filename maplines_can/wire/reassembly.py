@@ -31,6 +31,17 @@ class Reason(Enum):
     MIXED = "the pages of its record do not belong together"
     CRC = "the checksum of its record does not hold"
     CONTENT = "its record says what no sender may say"
+    UNAUTHENTICATED = "its message has no MAC, and this receiver asks for one"
+    KEY = "its MAC is made with a key that this receiver does not have"
+    MAC = "its MAC does not hold"
+    REPLAY = "its MAC holds, but its freshness value is not newer than the last one accepted"
+    AGE = "its MAC holds, but its freshness value is not of this time"
+
+
+#: Of frames that say nothing of a line, since nobody knows who sent them or when.
+NOT_BELIEVED = frozenset(
+    {Reason.UNAUTHENTICATED, Reason.KEY, Reason.MAC, Reason.REPLAY, Reason.AGE}
+)
 
 
 class Record(NamedTuple):
@@ -65,10 +76,18 @@ class Reassembler:
     Args:
         layout: which IDs and how many pages.
         timeout_ns: how long a burst may take [ns].
+        verify: from an authenticated payload and its data ID to the record, or why not; with
+            it nothing else is taken, and without it nothing that is authenticated.
     """
 
-    def __init__(self, layout: Layout, timeout_ns: int) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        timeout_ns: int,
+        verify: Callable[[bytes, int], bytes | Reason] | None = None,
+    ) -> None:
         self._ids = layout.page_of_id
+        self._data_id_of_secured, self._verify = layout.data_id_of_secured, verify
         self._pages = layout.pages
         self._record_bytes = layout.record_bytes
         self._timeout_ns = timeout_ns
@@ -98,6 +117,9 @@ class Reassembler:
         if known is None:
             return self._dropped(Reason.FOREIGN)
         slot, is_fd = known
+        data_id = self._data_id_of_secured.get((can_id, is_extended))
+        if data_id is not None or self._verify is not None:
+            return self._feed_secured(slot, data_id, bytes(data), t_ns)
         if is_fd:
             if len(data) < self._record_bytes:
                 return self._dropped(Reason.LENGTH)
@@ -117,6 +139,18 @@ class Reassembler:
         """Give up the bursts that have taken too long by now."""
         for slot in self._held:
             self._expire_slot(slot, t_ns)
+
+    def _feed_secured(
+        self, slot: Slot, data_id: int | None, data: bytes, t_ns: int
+    ) -> Record | Reason:
+        if data_id is None:
+            return self._dropped(Reason.UNAUTHENTICATED)
+        if self._verify is None:
+            return self._dropped(Reason.KEY)
+        payload = self._verify(data, data_id)
+        if isinstance(payload, Reason):
+            return self._dropped(payload)
+        return self._feed_record(slot, payload[: self._record_bytes], t_ns)
 
     def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record | Reason:
         number = self._read_burst[0](payload[:PAGE_BYTES])
