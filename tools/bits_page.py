@@ -1,0 +1,197 @@
+#!/usr/bin/env python3
+"""Write the tables of docs/bits.md from those of a study, and from designs to order.
+
+    maplines study run --out sweep --n 200000
+    python tools/bits_page.py sweep
+
+Run it in the project's environment: python3 tools/run.py python tools/bits_page.py sweep
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from maplines_can.study.design import design, sets_of
+from maplines_can.study.wire_plan import Targets
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
+HELD_OUT_SEED = 1_000_003
+SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range")
+TARGETS = (1e-2, 1e-3, 1e-4)
+
+
+def main():
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="what 'maplines study run --out' was given")
+    folder = parser.parse_args().folder
+    names = ("summary", "fields", "terms", "limit")
+    summary, fields, terms, limit = (
+        pq.read_table(folder / f"{name}.parquet").to_pylist() for name in names
+    )
+    n, seed = summary[0]["n"], summary[0]["seed"]
+    sections = {
+        "source": f"    maplines study run --out sweep --n {n} --seed {seed}\n"
+        "    python tools/bits_page.py sweep",
+        "paper": codes([row for row in summary if row["set"] == "paper"]),
+        "road": codes([row for row in summary if row["set"] == "road"]),
+        "theory": theory(summary, terms),
+        "limit": over_the_limit(summary, limit),
+        "fields": of_fields(fields),
+        "designs": designs(),
+    }
+    text = PAGE.read_text()
+    for name, table in sections.items():
+        begin, end = (
+            f"<!-- {name}: written by tools/bits_page.py -->\n",
+            f"\n<!-- end of {name} -->",
+        )
+        before, rest = text.split(begin)
+        text = f"{before}{begin}{table}{end}{rest.split(end)[1]}"
+    PAGE.write_text(text)
+    print(f"docs/{PAGE.name}: written")
+    return 0
+
+
+def table(head, rows):
+    """Markdown; the first column is words."""
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def codes(rows):
+    """All codes as they are, and the default at other widths."""
+    head = ["code", "bits", "frames", "not definite", "overconfident", "saturated", "out of range"]
+    head += ["KL mean", "KL 99 %", "sigma at 80 m: 50 %", "99 %"]
+    body = []
+    for row in rows:
+        if row["finer_bits"] and row["code"] != "Cholesky":
+            continue
+        finer = f" {row['finer_bits']:+d}" if row["finer_bits"] else ""
+        body.append(
+            [
+                f"{row['code']}{finer}",
+                str(row["covariance_bits"]),
+                str(row["classic_frames"]),
+                *(share(row[name]) for name in SHARES),
+                *(number(row[name]) for name in ("kl_mean", "kl_p99")),
+                *(number(row[f"sigma_ratio_p{p}_80"], 4) for p in (50, 99)),
+            ]
+        )
+    return table(head, body)
+
+
+def theory(summary, terms):
+    """The default code: measured KL of the rounding over what is foretold."""
+    of_code = [row for row in summary if row["code"] == "Cholesky"]
+    body = [
+        [
+            f"{row['set']}, {row['finer_bits']:+d} bits a field",
+            f"{row['kl_before_inflation_mean']:.4g}",
+            f"{row['kl_theory']:.4g}",
+            f"{row['kl_before_inflation_mean'] / row['kl_theory']:.3f}",
+            ", ".join(
+                f"{term['field']} {term['kl_mean'] / term['kl_theory']:.2f}"
+                for term in terms
+                if (term["set"], term["finer_bits"], term["code"])
+                == (row["set"], row["finer_bits"], row["code"])
+                and abs(term["kl_mean"] / term["kl_theory"] - 1) > 0.03
+            )
+            or "none",
+        ]
+        for row in of_code
+    ]
+    head = ["set and width", "measured", "foretold", "ratio", "fields off by more than 3 %"]
+    return table(head, body)
+
+
+def over_the_limit(summary, limit):
+    """Bits of the default code's covariance at each KL, and how many fewer could do."""
+    body = []
+    for name in dict.fromkeys(row["set"] for row in limit):
+        widths = [row for row in summary if (row["set"], row["code"]) == (name, "Cholesky")]
+        # Bits are linear in log KL: four times less for each bit more in all fields.
+        slope, offset = np.polyfit(
+            [np.log2(row["kl_untouched_mean"]) for row in widths],
+            [row["covariance_bits"] for row in widths],
+            1,
+        )
+        for kl in TARGETS:
+            (row,) = (
+                row
+                for row in limit
+                if (row["set"], row["part"]) == (name, "covariance")
+                and abs(row["kl"] / kl - 1) < 1e-9
+            )
+            spent = slope * np.log2(kl) + offset
+            low, high = sorted((row["bits"], row["bits"] - row["bias_bits"]))
+            body.append(
+                [
+                    f"{name}, {kl:g}",
+                    f"{spent:.0f}",
+                    f"{low:.0f} to {high:.0f}",
+                    f"{spent - high:.0f} to {spent - low:.0f}",
+                ]
+            )
+    return table(["set and KL", "bits of the default code", "limit [bit]", "over the limit"], body)
+
+
+def of_fields(fields):
+    """KL with a bit less and a bit more in each field."""
+    body = []
+    for name in dict.fromkeys(row["field"] for row in fields):
+        cells = []
+        for which in ("road", "paper"):
+            of_field = {
+                row["delta_bits"]: row
+                for row in fields
+                if (row["set"], row["field"]) == (which, name)
+            }
+            cells += [f"{of_field[d]['kl_change_mean']:+.1e}" for d in (-1, 1)]
+        body.append([name, *cells])
+    head = ["field", "road, a bit less", "a bit more", "paper, a bit less", "a bit more"]
+    return table(head, body)
+
+
+def designs():
+    """What 3, 4 and 5 classic frames hold."""
+    sets = sets_of("road", 5000, 0)
+    held_out = sets_of("both", 5000, HELD_OUT_SEED)
+    body = []
+    for frames in (3, 4, 5):
+        made = design(sets, Targets(frames=frames), held_out=held_out)
+        bits = {spec.name: spec.bits for page in made.contract.pages for spec in page}
+        mean = sum(bits[name] for name in ("YOff", "Beta", "C0", "C1"))
+        cov = sum(b for name, b in bits.items() if name.startswith(("Pivot", "Ratio", "Infl")))
+        road, paper = made.measured["road"], made.measured["paper"]
+        body.append(
+            [
+                f"{frames} frames",
+                str(mean),
+                str(cov),
+                number(road.kl_mean),
+                number(road.kl_p99),
+                share(road.saturated),
+                f"{1e3 * road.lateral_error:.3g} mm",
+                number(paper.kl_mean),
+                share(paper.saturated),
+            ]
+        )
+    head = ["made for *road*", "bits of the mean", "of the covariance", "road: KL mean", "99 %"]
+    return table([*head, "saturated", "error at 80 m", "paper: KL mean", "saturated"], body)
+
+
+def share(value):
+    return f"{100 * value:.3g} %" if value else "0"
+
+
+def number(value, digits=3):
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
