@@ -33,18 +33,18 @@ from .errors import LogError, MaplinesError
 from .line import MapLine, Slot
 from .propagation import MapError
 from .scenarios import SCENARIOS, scenario
-from .study.design_command import add_design
-from .study.figures import draw_figures
+from .study.design.command import add_design
+from .study.figures.paper import draw_figures
+from .study.figures.picture import draw_round_trip
 from .study.listing import check_dict, check_text, line_dict, line_text, slot_text, write_csv
-from .study.picture import draw_round_trip
-from .study.production_command import add_production
+from .study.page.command import add_report
+from .study.production.command import add_production
 from .study.report import counts_text, faults_text, parts_text, trip_text
-from .study.report_command import add_report
 from .study.round_trip import round_trip
 from .study.sending import MAX_LOAD, carrier_text, chosen_parts, scene_lines
-from .study.sweep_command import add_study
-from .study.truth import truth_table
-from .study.truth_text import as_csv, as_markdown, as_text
+from .study.sweep.command import add_study
+from .study.truth.table import truth_table
+from .study.truth.text import as_csv, as_markdown, as_text
 from .wire import Authenticator, Codec, Decoder, E2EState, Key, SlotStats
 
 __all__ = ["main"]
@@ -183,6 +183,15 @@ def _receive(arguments: argparse.Namespace) -> int:
     _note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
         f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting"
+        + "".join(
+            f"; {n} {what}"
+            for n, what in (
+                (stats.error_frames, "error frames"),
+                (stats.remote_frames, "remote frames"),
+                (stats.overflowed, "lines dropped because they were not fetched"),
+            )
+            if n
+        )
     )
     for slot, check in slots.items():
         _note(f"{slot_text(slot.name)}: {check_text(check)}")

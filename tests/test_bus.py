@@ -31,6 +31,7 @@ from maplines_can.bus import (
     read_log,
 )
 from maplines_can.bus.faults import Fault, fault_of, text_of
+from maplines_can.bus.stamp_clock import StampClock
 from maplines_can.bus.timing import LatenessHistogram, Schedule
 from maplines_can.errors import BusError, LogError, MissingExtraError
 from maplines_can.line import MapLine, Slot
@@ -1325,3 +1326,25 @@ def test_under_random_flapping_it_ends_up_working(vcan):
             pass
         collect(receiver, 50)
     assert events == [False, True] * link.outages
+
+
+def test_frames_that_waited_do_not_make_now_earlier():
+    """A process that was stopped takes its backlog: now is when it is taken, not when it came."""
+    clock, second = StampClock(), 1_000_000_000
+    clock.heard(100 * second, 0)
+    for i in range(50):  # 2.5 s of frames, taken at once after 3 s
+        clock.heard(100 * second + i * second // 20, 3 * second + i * 10_000)
+        assert clock.now(3 * second) >= 103 * second - 1_000_000
+
+
+def test_a_clock_that_was_set_back_is_believed_after_a_second():
+    """Until then lines look older than they are; a clock set forward is believed at once."""
+    clock, second = StampClock(), 1_000_000_000
+    for i in range(40):
+        clock.heard(100 * second + i * second // 20, i * second // 20)
+    for i in range(40, 80):
+        clock.heard(50 * second + i * second // 20, i * second // 20)
+        believed = clock.now(i * second // 20) == 50 * second + i * second // 20
+        assert believed == (i >= 61)
+    clock.heard(900 * second, 4 * second)
+    assert clock.now(4 * second) == 900 * second

@@ -13,9 +13,9 @@ from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import hostile, judge, paper, road
-from maplines_can.study.design import design, figures_of
-from maplines_can.study.design_command import add_design
-from maplines_can.study.sensitivity import (
+from maplines_can.study.design.command import add_design
+from maplines_can.study.design.search import design, figures_of
+from maplines_can.study.design.sensitivity import (
     RatioSpread,
     Width,
     blurs,
@@ -23,8 +23,8 @@ from maplines_can.study.sensitivity import (
     inflation_width,
     rows_of,
 )
+from maplines_can.study.design.wire_plan import Targets, allocated
 from maplines_can.study.sets import Gaussians
-from maplines_can.study.wire_plan import Targets, allocated
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.codes import CODES
 

@@ -16,7 +16,8 @@ from maplines_can.errors import MissingExtraError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import lateral
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
-from maplines_can.study import figures, panels
+from maplines_can.study.figures import panels
+from maplines_can.study.figures import paper as figures
 
 SAMPLES = 1500
 PLANS = {plan.number: plan for plan in figures.FIGURES}

@@ -16,9 +16,9 @@ from browser import CHROMIUM, Browser
 from maplines_can.errors import MissingExtraError, StudyError
 from maplines_can.line import Status, lateral, lateral_jacobian
 from maplines_can.study import LATERAL_X, judge, paper
-from maplines_can.study.html_report import write_report
-from maplines_can.study.report_command import add_report
-from maplines_can.study.report_tables import COLUMNS, read_tables
+from maplines_can.study.page.command import add_report
+from maplines_can.study.page.page import write_report
+from maplines_can.study.page.tables import COLUMNS, read_tables
 from maplines_can.wire import Codec
 from maplines_can.wire.codes import CODES
 from maplines_can.wire.layout import Layout
@@ -240,9 +240,9 @@ def test_what_a_sweep_left_out_is_said(rows, tmp_path):
 
 def test_the_tables_of_a_sweep_are_read(tmp_path):
     """The names of the columns are the same on both sides."""
-    from maplines_can.study.plan import Study
     from maplines_can.study.sets import line_set
-    from maplines_can.study.sweep import run_study
+    from maplines_can.study.sweep.plan import Study
+    from maplines_can.study.sweep.run import run_study
 
     study = Study(
         [line_set("paper")], codes=("Cholesky", "Linear"), finer_bits=(0,), n=200, chunk_size=200,
@@ -260,8 +260,8 @@ def test_the_tables_of_a_sweep_are_read(tmp_path):
 
 def test_an_infinite_kl_has_its_place_and_its_share(folder):
     """Marked above the axis, for each width; the finite median of the same code is below."""
-    from maplines_can.study.html_parts import looks
-    from maplines_can.study.html_plots import kl_plot
+    from maplines_can.study.page.parts import looks
+    from maplines_can.study.page.plots import kl_plot
 
     tables = read_tables(folder)
     plot = kl_plot(tables, "paper", looks(tables.codes))
@@ -281,7 +281,7 @@ def test_an_infinite_kl_has_its_place_and_its_share(folder):
 
 def test_worst_cases_are_the_lines_and_their_bands(folder):
     """l(x) and 3 sigma to first order; where a variance is negative there is a cross."""
-    from maplines_can.study.html_cases import worst_key, worst_plots
+    from maplines_can.study.page.cases import worst_key, worst_plots
 
     tables = read_tables(folder)
     keys = [worst_key(row) for row in tables.worst if row["set"] == "paper"]
@@ -307,7 +307,7 @@ def test_worst_cases_are_the_lines_and_their_bands(folder):
 
 def test_fields_stand_by_what_a_bit_less_costs(folder):
     """The dearest on top."""
-    from maplines_can.study.html_cases import fields_plot
+    from maplines_can.study.page.cases import fields_plot
 
     plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
 

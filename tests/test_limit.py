@@ -6,9 +6,9 @@ from scipy import stats
 from scipy.special import digamma
 
 from maplines_can.gaussian import Gaussian
-from maplines_can.study import limit as limit_module
-from maplines_can.study.limit import Limit, limit_of
 from maplines_can.study.sets import paper
+from maplines_can.study.sweep import limit as limit_module
+from maplines_can.study.sweep.limit import Limit, limit_of
 
 LN2 = np.log(2)
 NORMAL_BITS = np.log2(2 * np.pi * np.e) / 2  # entropy of a standard normal number

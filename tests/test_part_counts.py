@@ -13,9 +13,9 @@ from maplines_can.bus import bursts_within, bus_load
 from maplines_can.propagation import bend, part_counts
 from maplines_can.propagation.mixture import SPLITS, Mixture
 from maplines_can.propagation.part_counts import nonlinearity_within
-from maplines_can.study.approximations import Approximation
-from maplines_can.study.judging import judged, truth_of
 from maplines_can.study.sending import MAX_LOAD, chosen_parts, scene_lines
+from maplines_can.study.truth.approximations import Approximation
+from maplines_can.study.truth.judging import judged, truth_of
 from maplines_can.wire import Frame
 
 amounts = st.lists(st.floats(0, 1), min_size=1, max_size=8)

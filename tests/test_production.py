@@ -13,7 +13,8 @@ import pytest
 
 from maplines_can.line import STATES, lateral
 from maplines_can.study import Gaussians, road
-from maplines_can.study.production import (
+from maplines_can.study.production.command import add_production
+from maplines_can.study.production.messages import (
     DISTANCES,
     PRODUCTION,
     default_message,
@@ -22,8 +23,7 @@ from maplines_can.study.production import (
     rms,
     worst,
 )
-from maplines_can.study.production_command import add_production
-from maplines_can.study.production_text import as_csv, as_markdown, as_records, as_text
+from maplines_can.study.production.text import as_csv, as_markdown, as_records, as_text
 from maplines_can.wire import Layout
 
 MOBILEYE, TESLA, FORD, GM_EGO, HONDA = (PRODUCTION[i] for i in (0, 1, 3, 6, 8))

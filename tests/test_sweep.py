@@ -24,7 +24,6 @@ from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, Quadrature, Refit, SigmaPoints
 from maplines_can.scenarios import SCENARIOS, pose
 from maplines_can.study import judge, road
-from maplines_can.study.engines import Task, _check_versions, in_processes
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.metrics import (
     KL_BINS,
@@ -34,12 +33,13 @@ from maplines_can.study.metrics import (
     kl_terms,
     share_se,
 )
-from maplines_can.study.plan import Plan, codec_of, theory
 from maplines_can.study.roads import lines_of_roads, random_roads
 from maplines_can.study.sets import DrawnChunk, DrawnSet, line_set
-from maplines_can.study.sweep import Study, run_study
-from maplines_can.study.sweep_command import add_study
-from maplines_can.study.tables import SCHEMAS, TABLES, read_table, summary_text
+from maplines_can.study.sweep.command import add_study
+from maplines_can.study.sweep.engines import Task, _check_versions, in_processes
+from maplines_can.study.sweep.plan import Plan, codec_of, theory
+from maplines_can.study.sweep.run import Study, run_study
+from maplines_can.study.sweep.tables import SCHEMAS, TABLES, read_table, summary_text
 from maplines_can.wire.signals import contract_of
 
 CODES = ("Cholesky", "Sigmas")
@@ -679,7 +679,7 @@ class Deadly(Task):
 
 def test_a_task_that_kills_each_process_is_given_up(monkeypatch):
     """With advice, and not for ever tried again."""
-    monkeypatch.setattr("maplines_can.study.engines.DEATHS", 1)
+    monkeypatch.setattr("maplines_can.study.sweep.engines.DEATHS", 1)
 
     with pytest.raises(StudyError, match=r"died 2 times in a row; make chunks smaller"):
         list(in_processes(iter([Deadly()]), 1))
@@ -795,7 +795,7 @@ def test_a_scheduler_that_is_not_there_is_told(tmp_path, monkeypatch):
     """In one line, with its address."""
     pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("maplines_can.study.engines.PATIENCE", 0.2)
+    monkeypatch.setattr("maplines_can.study.sweep.engines.PATIENCE", 0.2)
 
     with pytest.raises(StudyError, match=r"no Dask scheduler at tcp://127\.0\.0\.1:9"):
         run_study(small(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
@@ -823,7 +823,7 @@ SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e
 def test_the_command_prints_what_came_out(tmp_path, capsys, monkeypatch):
     """A table for people, rows for machines; the second time nothing is done again."""
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("maplines_can.study.sweep_command.DEFAULTS", {"fields_n": 0, "limit_n": 0})
+    monkeypatch.setattr("maplines_can.study.sweep.command.DEFAULTS", {"fields_n": 0, "limit_n": 0})
     status, seen = command("--out", tmp_path / "out", *SMALL)
     text = capsys.readouterr().out
 

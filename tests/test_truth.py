@@ -11,11 +11,11 @@ from scipy import stats
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
 from maplines_can.scenarios import SCENARIOS, random_scenarios
-from maplines_can.study import judging
-from maplines_can.study.approximations import Approximation, representations, through_the_wire
-from maplines_can.study.judging import judged, truth_of
-from maplines_can.study.truth import refit_of, truth_table
-from maplines_can.study.truth_text import as_csv, as_markdown, as_text
+from maplines_can.study.truth import judging
+from maplines_can.study.truth.approximations import Approximation, representations, through_the_wire
+from maplines_can.study.truth.judging import judged, truth_of
+from maplines_can.study.truth.table import refit_of, truth_table
+from maplines_can.study.truth.text import as_csv, as_markdown, as_text
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
 ROOT = np.array([[1, 0, 0, 0], [0.6, 0.8, 0, 0], [-0.3, 0.4, 0.9, 0], [0.2, -0.7, 0.1, 0.6]])

@@ -15,8 +15,8 @@ import time
 
 from tqdm import tqdm
 
-from maplines_can.study.design import design, sets_of
-from maplines_can.study.wire_plan import Targets
+from maplines_can.study.design.search import design, sets_of
+from maplines_can.study.design.wire_plan import Targets
 from maplines_can.wire.layout import STATE_SIGNALS
 from maplines_can.wire.signals import DEFAULT
 

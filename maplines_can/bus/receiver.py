@@ -13,6 +13,7 @@ from ..line import MapLine, Slot
 from ..wire import SlotCheck, SlotStats
 from .link import Link
 from .monitor import STALE_CYCLES, Monitor, SlotView
+from .stamp_clock import StampClock
 from .worker import Running, Worker
 
 __all__ = ["Receiver", "ReceiverStats"]
@@ -100,7 +101,7 @@ class Receiver(Running):
         self._lines = self._frames = 0
         self._error_frames = self._remote_frames = self._overflowed = 0
         self._stopping = self._ended = False
-        self._last_ns = self._last_monotonic_ns = 0  # of the last frame, by its clock and by ours
+        self._stamps = StampClock()
         self._worker = Worker("maplines receive", self._run, at_end=self._wake_all)
 
     def get(self, timeout: float | None = None) -> MapLine | None:
@@ -153,7 +154,7 @@ class Receiver(Running):
     def _now(self, now_ns: int | None) -> int:
         if now_ns is not None:
             return now_ns
-        return self._last_ns + time.monotonic_ns() - self._last_monotonic_ns
+        return self._stamps.now(time.monotonic_ns())
 
     def stats(self) -> ReceiverStats:
         """A consistent copy of all counters."""
@@ -193,7 +194,7 @@ class Receiver(Running):
                 return
             self._frames += 1
             t_ns = round(message.timestamp * 1e9) or time.time_ns()
-            self._last_ns, self._last_monotonic_ns = t_ns, time.monotonic_ns()
+            self._stamps.heard(t_ns, time.monotonic_ns())
             line = self._monitor.feed(
                 message.arbitration_id,
                 bytes(message.data),

@@ -1,0 +1,1 @@
+"""What production lane messages lose by rounding."""

@@ -1,0 +1,1 @@
+"""The quantization study: sets through codes and widths, into tables."""

@@ -1,0 +1,1 @@
+"""How well each representation of a line stands for its true distribution."""
