@@ -116,6 +116,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         array([3., 1.])
         """
         keep = np.asarray(indices, dtype=int)
+        if keep.ndim != 1 or not ((keep >= 0) & (keep < self.dimension)).all():
+            raise ValueError(
+                f"indices must be (k,) from 0 to {self.dimension - 1}, got {indices!r}"
+            )
         return Gaussian(self.mean[keep], self.cov[np.ix_(keep, keep)])
 
     def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
@@ -139,6 +143,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         1 less this share are the false negatives of a Gaussian that stands for
         the distribution of the samples (Map Line Interface, section IV).
         """
+        if not 0 < mass < 1:
+            raise ValueError(f"mass must be more than 0 and less than 1, got {mass!r}")
+        if not np.size(samples):
+            raise ValueError("samples must be (N, n) with N >= 1, got none")
         chi2_quantile = 2 * gammaincinv(self.dimension / 2, mass)
         inside = self.mahalanobis(samples) ** 2 <= chi2_quantile
         return float(np.mean(inside))
@@ -275,11 +283,21 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
     Args:
         cov: (..., n, n) symmetric, variances of 0 or more.
 
+    Raises:
+        ValueError: a shape, a value, a variance or the symmetry is wrong.
+
     >>> nearest_covariance([[1, 2], [2, 1]])
     array([[1.5, 1.5],
            [1.5, 1.5]])
     """
+    rounding = rounding_of(cov)
     S = np.asarray(cov, dtype=float)
+    if S.ndim < 2 or S.shape[-1] != S.shape[-2] or not np.isfinite(S).all():
+        raise ValueError(f"cov must be finite with shape (..., n, n), got {cov!r}")
+    if (np.diagonal(S, axis1=-2, axis2=-1) < 0).any():
+        raise ValueError(f"cov must have variances of 0 or more, got {cov!r}")
+    if asymmetric(S, rounding).any():
+        raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
     scale = _scale(S)
     scale2 = scale[..., :, None] * scale[..., None, :]
     values, vectors = np.linalg.eigh(S / scale2)

@@ -121,6 +121,8 @@ class MapLine:
             )
         if not 0 <= self.age < np.inf:
             raise ValueError(f"age must be 0 s or more and finite, got {self.age!r}")
+        if self.t_ns is not None and self.t_ns != self.t_ns // 1:
+            raise ValueError(f"t_ns must be whole [ns], or None at a sender, got {self.t_ns!r}")
 
     @classmethod
     def mean_only(cls, slot: Slot, mean: ArrayLike, **rest: Any) -> MapLine:
@@ -135,7 +137,10 @@ class MapLine:
     @classmethod
     def with_sigma(cls, slot: Slot, mean: ArrayLike, sigma: ArrayLike, **rest: Any) -> MapLine:
         """A line of which the mean and the standard deviations are known."""
-        variances = np.square(np.asarray(sigma, dtype=float))
+        sigmas = np.asarray(sigma, dtype=float)
+        if not (sigmas >= 0).all():
+            raise ValueError(f"sigma must be 0 or more, got {sigma!r}")
+        variances = np.square(sigmas)
         gaussian = Gaussian(np.asarray(mean, dtype=float), np.diag(variances))
         return cls(slot, gaussian, status=Status.DIAGONAL, **rest)
 
@@ -171,7 +176,7 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
 
 def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """(..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
-    beta = np.asarray(parameters, dtype=float)[..., 1]
+    _, beta, _, _ = np.moveaxis(np.asarray(parameters, dtype=float), -1, 0)
     x, beta = np.broadcast_arrays(np.asarray(x, dtype=float), beta)
     return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
 
@@ -243,13 +248,15 @@ def moved_or_nan(
 ) -> NDArray[np.float64]:
     """As ``moved``, with a row of NaN for a line that no cubic follows: for moment transforms."""
     x_min, x_max = window
-    if points < 4 or not x_min < x_max:
+    if points < 4 or not -np.inf < x_min < x_max < np.inf:
         raise ValueError(f"needs 4 points or more in a window, got {points} points in {window} m")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
         nodes = np.linspace(1, -1, points)
     x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
     lines, motion = np.asarray(parameters, dtype=float), np.asarray(motion, dtype=float)
+    if motion.shape[-1:] != (3,):
+        raise ValueError(f"motion must have shape (..., 3), got {motion.shape}")
     dx, dy, heading = (motion[..., i, None] for i in range(3))
     s, t = x - dx, lateral(lines[..., None, :], x) - dy  # (..., points)
     c, d = np.cos(heading), np.sin(heading)

@@ -10,6 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["Polyline", "to_ego"]
 
+#: More than this no map has, and hardly a machine.
+MOST_POINTS = 10**7
+
 
 @dataclass(frozen=True, eq=False)
 class Polyline:
@@ -56,6 +59,11 @@ class Polyline:
         if not spacing > 0:
             raise ValueError(f"spacing must be more than 0 m, got {spacing!r}")
         distance = self.distance
+        if distance[-1] / spacing > MOST_POINTS:
+            raise ValueError(
+                f"spacing must be {distance[-1] / MOST_POINTS:g} m or more for a line of "
+                f"{distance[-1]:g} m ({MOST_POINTS:g} points), got {spacing!r}"
+            )
         s = np.linspace(0, distance[-1], max(1, int(np.ceil(distance[-1] / spacing))) + 1)
         return Polyline(np.column_stack([np.interp(s, distance, p) for p in self.points.T]))
 
@@ -66,6 +74,9 @@ class Polyline:
         where a road comes back near the car, its other branch is left out.
         Empty where no point of the line lies in the window.
         """
+        pose = np.asarray(pose, dtype=float)
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
         ego = to_ego(self.points, pose)
         return self.points[near_stretch(ego, [len(ego)], x_min, x_max)]
 

@@ -319,6 +319,7 @@ def test_interrupt_ends_cleanly(channel):
     """SIGINT to a sender: the counters, status 0, no traceback."""
     script = (
         "import os, signal, threading, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
         "from maplines_can.cli import main\n"
         "from maplines_can.bus import Link\n"
         "threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()\n"

@@ -116,6 +116,15 @@ def test_a_clock_that_is_set_back_stops_nothing(row_of, failures):
     assert row.lost == row.sent - row.delivered <= 1
 
 
+@pytest.fixture
+def interruptible():
+    """A Python that was started in the background ignores Ctrl-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_ctrl_c_while_waiting_leaves_a_worker_that_is_known_to_run():
     """Who then stops it waits for its end, and counts all that it did."""
     go = threading.Event()

@@ -170,6 +170,9 @@ class Faults:
     def __post_init__(self) -> None:
         object.__setattr__(self, "flood_ids", tuple(self.flood_ids))
         object.__setattr__(self, "script", tuple(self.script))
+        for action in self.script:
+            if not isinstance(action, Action):
+                raise TypeError(f"faults: script must be of Action.parse, got {action!r}")
         for name, (least, most, unit) in _RANGES.items():
             value = getattr(self, name)
             whole = name in _WHOLE

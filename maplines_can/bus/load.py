@@ -72,7 +72,7 @@ def frame_time(frame: FrameLike, bitrate: float, data_bitrate: float | None = No
         ValueError: a rate is not positive, or no frame has this length.
     """
     data_bitrate = bitrate if data_bitrate is None else data_bitrate
-    if bitrate <= 0 or data_bitrate <= 0:
+    if not (0 < bitrate < math.inf and 0 < data_bitrate < math.inf):
         raise ValueError(f"bit rates must be positive [bit/s], got {bitrate!r}, {data_bitrate!r}")
     bits = frame_bits(len(frame.data), is_extended=frame.is_extended, is_fd=frame.is_fd)
     return bits.nominal / bitrate + bits.data / data_bitrate
@@ -97,7 +97,7 @@ def bus_load(
     Raises:
         ValueError: the period or a rate is not positive.
     """
-    if period <= 0:
+    if not 0 < period < math.inf:
         raise ValueError(f"period must be positive [s], got {period!r}")
     return sum(frame_time(frame, bitrate, data_bitrate) for frame in frames) / period
 
@@ -123,5 +123,8 @@ def bursts_within(
     """
     if not 0 < share <= 1:
         raise ValueError(f"share must be more than 0 and at most 1, got {share!r}")
+    load = bus_load(burst, period, bitrate, data_bitrate)
+    if not load:
+        raise ValueError("burst must have a frame or more, got none")
     # A share that they fill to the last bit is not overrun by the rounding of a quotient.
-    return math.floor(share / bus_load(burst, period, bitrate, data_bitrate) * (1 + 1e-12))
+    return math.floor(share / load * (1 + 1e-12))

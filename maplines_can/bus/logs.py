@@ -31,6 +31,8 @@ _DAMAGE = (
 
 _SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc")
 
+#: How an .asc file begins.
+_ASC_HEADS = ("date", "base", "//")
 # A text reader that is started again takes the next line for a header; this one
 # is put before it, so that no record is lost.
 _HEADER_AGAIN = {".csv": "\n", ".asc": "internal events logged\n"}
@@ -107,6 +109,7 @@ class _Lines:
         self._file = file
         self._before: list[str] = []
         self.number = 0
+        self.first = ""
         self.torn: Exception | None = None
 
     def __iter__(self) -> Iterator[str]:
@@ -121,6 +124,7 @@ class _Lines:
             self.torn = error
             raise StopIteration from None
         self.number += 1
+        self.first = self.first or line
         return line
 
     def put_before(self, line: str) -> None:
@@ -148,6 +152,9 @@ def _read_text(path: Path, suffix: str, packed: bool) -> Iterator[LogFrame]:
                 first = first or f"line {lines.number}: {_words(error)}"
                 if suffix in _HEADER_AGAIN:
                     lines.put_before(_HEADER_AGAIN[suffix])
+    # python-can passes over what it cannot read in an .asc file.
+    if suffix == ".asc" and lines.first and not (good or lines.first.startswith(_ASC_HEADS)):
+        raise LogError(f"{path}: not a good .asc file: it has neither a header nor frames")
     if bad and not good:
         hint = "; it should be written by candump -L" if suffix == ".log" else ""
         raise LogError(f"{path}: none of {bad} records can be read ({first}){hint}")
@@ -159,6 +166,8 @@ def _read_text(path: Path, suffix: str, packed: bool) -> Iterator[LogFrame]:
 
 def _data_frames(message: can.Message) -> Iterator[LogFrame]:
     if not (message.is_error_frame or message.is_remote_frame):
+        if not 0 <= message.arbitration_id < 2**29:
+            raise ValueError(f"no CAN ID is {message.arbitration_id:#x}")
         yield LogFrame(
             message.arbitration_id,
             bytes(message.data),

@@ -97,6 +97,8 @@ class Monitor:
         if check is None:
             names = ", ".join(known.name for known in self._decoder.checks)
             raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
+        if now_ns != now_ns // 1:
+            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
         state = check.elapse(now_ns)
         line = self._lines.get(slot)
         age, stale = float("inf"), True

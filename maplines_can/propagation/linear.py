@@ -34,7 +34,7 @@ class Linear(Transform):
     step: float = 0.01
 
     def __post_init__(self) -> None:
-        if not self.step > 0:
+        if not 0 < self.step < np.inf:
             raise ValueError(f"step must be more than 0 standard deviations, got {self.step!r}")
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:

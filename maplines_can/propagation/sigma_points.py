@@ -40,6 +40,9 @@ class SigmaPoints(Transform):
     def __post_init__(self) -> None:
         if not 0 < self.alpha < np.inf:
             raise ValueError(f"alpha must be more than 0, got {self.alpha!r}")
+        for name in ("kappa", "beta"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} must be finite, got {getattr(self, name)!r}")
 
     def _scale(self, n: int) -> float:
         """The sum of n and lambda (eq. 4)."""

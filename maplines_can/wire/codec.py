@@ -304,6 +304,9 @@ class Codec:
         Returns:
             (N, k, record bytes) uint8; ``decode_batch`` reads them part by part.
         """
+        known = ("slot", "counter", "kind", "x_min", "x_max", "age", "status")
+        if unknown := rest.keys() - set(known):
+            raise TypeError(f"rest must be of {', '.join(known)}, got {', '.join(sorted(unknown))}")
         weights, means = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
         covs = np.asarray(covs, dtype=float)
         n, k = weights.shape

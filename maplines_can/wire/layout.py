@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -259,6 +260,11 @@ class Layout:
         Raises:
             LayoutError: the text is not a DBC, or describes no map line.
         """
+        if huge := _HUGE.search(text):
+            raise LayoutError(
+                f"{source}: is not a valid DBC: a place, length or range has 6 digits or more: "
+                f"{' '.join(huge[0].split())}"
+            )
         try:
             database = cantools.database.load_string(text, database_format="dbc", strict=True)
         except Exception as error:  # the parser raises many kinds, and all mean this
@@ -267,6 +273,14 @@ class Layout:
         if not isinstance(database, Database):
             raise LayoutError(f"{source}: is not a DBC of CAN messages")
         return _layout(database, source)
+
+
+#: Messages, signals and ranges of multiplexers with 6 digits and more where cantools makes lists
+#: as long as these numbers say; no bus has them.
+_HUGE = re.compile(
+    r"^[ \t]*(?:SG_[ \t][^:\n]*:|BO_[ \t][^:\n]*:|SG_MUL_VAL_[ \t][^;\n]*?)[ \t]*[\d|-]*\d{6}",
+    re.MULTILINE,
+)
 
 
 class Carrier(Enum):
@@ -460,6 +474,9 @@ def _low_bits(field: Field, name: str, length: int) -> Field:
 
 
 def _field(signal: Signal, where: str) -> Field:
+    numbers = (signal.scale, signal.offset, signal.minimum, signal.maximum)
+    if not all(number is None or abs(number) < 1e300 for number in numbers):  # a NaN neither
+        raise LayoutError(f"{where}: signal {signal.name} needs a finite factor, offset and range")
     factor, offset = float(signal.scale), float(signal.offset)
     if signal.is_float and (signal.length, factor, offset) != (32, 1, 0):
         raise LayoutError(
@@ -472,12 +489,13 @@ def _field(signal: Signal, where: str) -> Field:
         low, high = 0, 2**signal.length - 1
     if signal.length > (64 if signed else 63):
         raise LayoutError(f"{where}: signal {signal.name} has more than 63 bits; make it narrower")
-    if not factor or not np.isfinite([factor, offset]).all():
+    if not factor:
         raise LayoutError(f"{where}: signal {signal.name} needs a finite factor other than 0")
     bounds = sorted(
         (bound - offset) / factor for bound in (signal.minimum, signal.maximum) if bound is not None
     )
     if len(bounds) == 2 and not signal.is_float:  # the DBC's range, where it is the narrower
+        bounds = np.clip(bounds, -(2.0**65), 2.0**65).tolist()  # beyond all raw values
         slack = 1e-6  # a bound printed in decimals still admits the raw value that it means
         low = max(low, int(np.ceil(bounds[0] - slack)))
         high = max(low, min(high, int(np.floor(bounds[1] + slack))))

@@ -100,6 +100,10 @@ class Targets:
             value = getattr(self, name)
             if value is not None and not 0 < value < np.inf:
                 raise ValueError(f"{name} must be positive, got {value!r}")
+        if self.max_saturated > 1:
+            raise ValueError(
+                f"max_saturated must be a share, at most 1, got {self.max_saturated!r}"
+            )
         for what in ("ranges", "sigmas"):
             for state, value in getattr(self, what).items():
                 if state not in STATES or not 0 < value < np.inf:
