@@ -262,7 +262,7 @@ class Layout:
         """
         if huge := _HUGE.search(text):
             raise LayoutError(
-                f"{source}: is not a valid DBC: a place, length or range has 6 digits or more: "
+                f"{source}: is not a valid DBC: a place, length or range has too many digits: "
                 f"{' '.join(huge[0].split())}"
             )
         try:
@@ -275,10 +275,11 @@ class Layout:
         return _layout(database, source)
 
 
-#: Messages, signals and ranges of multiplexers with 6 digits and more where cantools makes lists
-#: as long as these numbers say; no bus has them.
+#: Messages with 5 digits, signals and ranges of multiplexers with 6 digits and more where cantools
+#: makes lists as long as these numbers say; no bus has them.
 _HUGE = re.compile(
-    r"^[ \t]*(?:SG_[ \t][^:\n]*:|BO_[ \t][^:\n]*:|SG_MUL_VAL_[ \t][^;\n]*?)[ \t]*[\d|-]*\d{6}",
+    r"^[ \t]*(?:BO_[ \t][^:\n]*:[ \t]*\d{5}"
+    r"|(?:SG_[ \t][^:\n]*:|SG_MUL_VAL_[ \t][^;\n]*?)[ \t]*[\d|-]*\d{6})",
     re.MULTILINE,
 )
 
