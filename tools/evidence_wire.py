@@ -20,6 +20,7 @@ from collections import Counter
 from itertools import product
 
 import numpy as np
+from telling import progress, show
 from tqdm import tqdm
 
 from maplines_can.line import MapLine, Slot, Status
@@ -348,20 +349,6 @@ def plain(value):
     return value if isinstance(value, (bool, int)) else float(value)
 
 
-def progress(steps, what):
-    return tqdm(steps, desc=what, disable=not sys.stderr.isatty())
-
-
-def show(result, indent=0):
-    for key, value in result.items():
-        if isinstance(value, dict):
-            print(" " * indent + f"{key}:")
-            show(value, indent + 4)
-        else:
-            text = f"{value:.6g}" if isinstance(value, float) else value
-            print(" " * indent + f"{key:<48}{text}")
-
-
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -381,7 +368,7 @@ def main():
     started = time.perf_counter()
     result = job(arguments.n or n, arguments.seed)
     result["seconds"] = time.perf_counter() - started
-    print(json.dumps(result, indent=2)) if arguments.json else show(result)
+    print(json.dumps(result, indent=2)) if arguments.json else show(result, 48)
     return 0 if result["met"] else 1
 
 

@@ -32,6 +32,7 @@ from typing import NamedTuple
 
 import can
 import numpy as np
+from telling import progress, show
 from tqdm import tqdm
 
 from maplines_can.bus import Faults, FaultyBus, Link, Mischief, Mishap, Receiver, Transmitter
@@ -442,20 +443,6 @@ def memory_mib():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def progress(steps, what):
-    return tqdm(steps, desc=what, disable=not sys.stderr.isatty())
-
-
-def show(result, indent=0):
-    for key, value in result.items():
-        if isinstance(value, dict):
-            print(" " * indent + f"{key}:")
-            show(value, indent + 4)
-        else:
-            text = f"{value:.6g}" if isinstance(value, float) else value
-            print(" " * indent + f"{key:<60}{text}")
-
-
 def main():
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -481,7 +468,7 @@ def main():
         result[name] = parts[name](arguments.lines, arguments.seed, faults)
         result[name]["seconds"] = time.perf_counter() - started
     result["met"] = all(result[name]["met"] for name in arguments.only)
-    print(json.dumps(result, indent=2)) if arguments.json else show(result)
+    print(json.dumps(result, indent=2)) if arguments.json else show(result, 60)
     return 0 if result["met"] else 1
 
 

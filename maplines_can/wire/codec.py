@@ -119,7 +119,7 @@ class Codec:
     @property
     def resolution(self) -> NDArray[np.float64]:
         """(4,) variances of the mean's own rounding, factor^2 / 12, in SI units squared."""
-        return self._writer.resolution
+        return self.layout.resolution
 
     # -- many lines at once ---------------------------------------------------
 

@@ -198,6 +198,11 @@ class Layout:
         if self["Counter"].length < self[f"{BURST}0"].length:
             raise LayoutError(f"{self.source}: Counter must be as wide as Burst or wider")
 
+    @cached_property
+    def resolution(self) -> NDArray[np.float64]:
+        """(4,) variances of the mean's own rounding, factor^2 / 12, in SI units squared."""
+        return np.array([self[name].factor ** 2 / 12 for name in STATE_SIGNALS])
+
     @property
     def crc_offset(self) -> int:
         """First byte of the checksum within the record."""

@@ -77,7 +77,7 @@ class RecordReader:
         self._fields = layout.fields
         self._pages = layout.pages
         self._mean = [layout[name] for name in STATE_SIGNALS]
-        self._resolution = np.array([field.factor**2 / 12 for field in self._mean])
+        self._resolution = layout.resolution
         self._covariance = covariance
         self._packing = packing
         self._crc_offset = layout.crc_offset

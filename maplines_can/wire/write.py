@@ -28,8 +28,6 @@ class RecordWriter:
         self.layout = layout
         self._mean = [layout[name] for name in STATE_SIGNALS]
         self._factor = np.array([field.factor for field in self._mean])
-        #: (4,) variances of the mean's own rounding.
-        self.resolution = self._factor**2 / 12
         self._covariance = covariance
         self._packing = packing
         self._crc_offset = layout.crc_offset
@@ -125,7 +123,7 @@ class RecordWriter:
             broken = broken & ~alone
         if cover is not None:
             error += cover
-        coded = self._covariance.encode(error, self.resolution)
+        coded = self._covariance.encode(error, self.layout.resolution)
         raw |= coded.raw
 
         bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)

@@ -6,7 +6,7 @@ import argparse
 import json
 import shlex
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +14,11 @@ import numpy as np
 
 from ...line import STATES
 from ..sets import Gaussians, line_set
+from ..sweep.command import Bar
 from .search import SETS, design, sets_of
 from .wire_plan import Targets
 
 __all__ = ["add_design"]
-
-#: A progress bar: from its unit to a context that is told how much of how much is done.
-Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
 
 ABOUT = """\
 Design a wire to order: find the widths and factors of all fields and the order of the rows of
