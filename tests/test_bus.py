@@ -7,10 +7,12 @@ import itertools
 import logging
 import queue
 import random
+import re
 import struct
 import subprocess
 import threading
 import time
+import zlib
 from pathlib import Path
 
 import can
@@ -1098,6 +1100,25 @@ def test_a_file_of_something_else_is_one_clear_error(tmp_path, suffix):
     if suffix == ".log":
         assert "none of 20 records can be read (line 1: " in text
         assert text.endswith("; it should be written by candump -L")
+
+
+@pytest.mark.parametrize("length", [0, 1, 15])
+def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(tmp_path, length):
+    """python-can would read it again and again."""
+    messages = [can.Message(timestamp=100 + i, arbitration_id=i, data=b"abc") for i in range(50)]
+    path = written(tmp_path / "drive.blf", messages)
+    content = path.read_bytes()
+    start = 144 + 32  # of the file's header, and of the only container's
+    objects = bytearray(zlib.decompress(content[start:]))
+    places = [match.start() for match in re.finditer(b"LOBJ", objects)]
+    objects[places[30] + 8 : places[30] + 12] = length.to_bytes(4, "little")
+    packed = zlib.compress(objects)
+    head = content[: 144 + 8] + (32 + len(packed)).to_bytes(4, "little") + content[144 + 12 : start]
+    path.write_bytes(head + packed)
+    frames, text = read_until_error(path)
+
+    assert [frame.can_id for frame in frames] == list(range(30))
+    assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
 def test_a_reader_that_never_gets_further_is_left(tmp_path):

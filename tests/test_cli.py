@@ -233,6 +233,77 @@ def test_decode_keeps_what_is_good_of_a_damaged_log(capsys, log):
     assert "damaged" in err
 
 
+def drive(path, *, cycle, channels=("can0",), cut=(), n=20):
+    """A candump log of one slot, a line each cycle [s]; the frames of some lines are cut out."""
+    (line,) = scene_lines(scenario("highway"), 1)
+    codecs = {channel: Codec.from_dbc() for channel in channels}
+    with can.Logger(path) as writer:
+        for k in range(n):
+            for channel, codec in codecs.items():
+                frames = codec.encode(line)
+                for frame in frames if (channel, k) not in cut else []:
+                    writer(message(frame, 1000 + k * cycle, channel))
+    return str(path)
+
+
+def slot_notes(capsys):
+    """What was said of slots at the end, on standard error."""
+    notes = capsys.readouterr().err.splitlines()
+    ends = [k for k, note in enumerate(notes) if "lost by their counters" in note]
+    return notes[ends[-1] + 1 :]
+
+
+def test_decode_says_what_each_slot_was_worth(capsys, tmp_path):
+    """Lines that were cut out are lost and missed; slots on which nothing came are left out."""
+    path = drive(tmp_path / "cut.log", cycle=0.05, cut={("can0", 8), ("can0", 13)})
+    assert main(["decode", path]) == 0
+    (note,) = slot_notes(capsys)
+    assert note == (
+        "maplines: ego left: VALID; 18 ok, 2 lost, 0 repeated, 0 wrong sequence, 0 errors, "
+        "2 cycles without data"
+    )
+
+
+def test_decode_names_the_channels_of_the_slots(capsys, tmp_path):
+    """Where there are several; now is when the log ends, for all of them."""
+    cut = {("can1", k) for k in range(10, 20)}
+    path = drive(tmp_path / "two.log", cycle=0.05, channels=("can0", "can1"), cut=cut)
+    assert main(["decode", path, "--csv"]) == 0
+    first, second = slot_notes(capsys)
+    assert first.startswith("maplines: can0 ego left: VALID; 20 ok, 0 lost")
+    assert second.startswith("maplines: can1 ego left: INVALID; 10 ok, 0 lost")
+    assert second.endswith("9 cycles without data")
+
+
+def test_decode_is_told_how_often_lines_come(capsys, tmp_path):
+    """A log of 2 Hz: nothing is missing from it but by the DBC's 20 Hz."""
+    path = drive(tmp_path / "slow.log", cycle=0.5)
+    assert main(["decode", path, "--cycle-ms", "500"]) == 0
+    (told,) = slot_notes(capsys)
+    assert main(["decode", path]) == 0
+    (untold,) = slot_notes(capsys)
+    assert told.startswith("maplines: ego left: VALID; 20 ok, 0 lost")
+    assert told.endswith(" 0 cycles without data")
+    assert not untold.startswith("maplines: ego left: VALID")
+    assert untold.endswith(f" {19 * 9} cycles without data")
+
+
+def test_receive_is_told_how_often_lines_come(capsys, channel):
+    """The slot of a slow sender is VALID for who knows of it, and for nobody else."""
+    bus = ["--interface", "virtual", "--channel", channel]
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.2) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("highway"), 1))
+        assert main(["receive", *bus, "--count", "8", "--cycle-ms", "200"]) == 0
+        (told,) = slot_notes(capsys)
+        assert main(["receive", *bus, "--count", "4"]) == 0
+        (untold,) = slot_notes(capsys)
+    assert told.startswith("maplines: ego left: VALID; 8 ok, 0 lost")
+    assert not untold.startswith("maplines: ego left: VALID")
+
+
 def test_scenarios_lists_them(capsys):
     """Names and a sentence each; JSON for machines."""
     assert main(["scenarios"]) == 0
@@ -277,6 +348,8 @@ def test_errors_are_one_clear_line(capsys, arguments, words):
         ["demo", "--max-load", "0"],
         ["send", "--components", "all"],
         ["send", "--count", "-1"],
+        ["receive", "--cycle-ms", "0.5"],
+        ["decode", "--cycle-ms", "nan", "drive.log"],
         ["fly"],
         [],
     ],

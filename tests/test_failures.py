@@ -4,11 +4,9 @@ Run them with ``tools/vcan python3 tools/run.py pytest -m socketcan``. The failu
 those of ``tools/failures.py``.
 """
 
-import importlib.util
 import shutil
 import signal
 import socket
-import sys
 import threading
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import pytest
 
 from maplines_can.bus.worker import Worker
 
-TOOL = Path(__file__).parents[1] / "tools" / "failures.py"
+TOOLS = Path(__file__).parents[1] / "tools"
 #: Backoff of a link, one period, eight good records, and a slow machine [s].
 SOON = 5.0
 
@@ -30,13 +28,13 @@ def failures():
     """The tool as a module, with outages no longer than it takes to see them."""
     if not has_vcan():
         pytest.skip("no vcan0 here: run inside tools/vcan")
-    spec = importlib.util.spec_from_file_location("failures", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["failures"] = module  # dataclasses look for it there
-    spec.loader.exec_module(module)
-    module.OUTAGE, module.QUEUES = 0.0, 1.8
-    yield module
-    del sys.modules["failures"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(TOOLS)
+        import failures
+
+        patch.setattr(failures, "OUTAGE", 0.0)
+        patch.setattr(failures, "QUEUES", 1.8)
+        yield failures
 
 
 @pytest.fixture

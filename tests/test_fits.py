@@ -1,4 +1,4 @@
-"""Total least squares and the robust fit, and what a fit and a move have to do with each other."""
+"""Total least squares and the robust fit, and what a turn of the frame does to a fit."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from maplines_can.line import lateral, line_of_cubic, moved
 from maplines_can.polyline import Polyline, to_ego
 from maplines_can.propagation import Linear, MapError, MonteCarlo, Quadrature, Refit, SigmaPoints
 from maplines_can.propagation.fits import Robust, TotalLeastSquares, robust, total_least_squares
-from maplines_can.scenarios import curve, random_scenarios, scenario
+from maplines_can.scenarios import random_scenarios, scenario
 
 X = np.linspace(-20.0, 80.0, 51)
 HIGHWAY = np.array([1.75, -0.02, 1 / 2000, 1e-6])
@@ -338,87 +338,6 @@ def test_a_turned_cubic_is_no_cubic(fit, name, noise, least, most):
     points = refit_of(name, noise=noise)[0].points[0]
 
     assert least < change_by_turn(fit, points) < most
-
-
-# Moving a line, and refitting the map points from the moved pose
-
-
-def worst_of_moving(refit, points, n=60):
-    """(n,) greatest difference over the window between a moved line and a refit [m]."""
-    rng = np.random.default_rng(6)
-    motions = rng.uniform(-1, 1, (n, 3))
-    motions[:8] = np.sign(motions[:8])  # corners: the longest way and the widest turn
-    motions *= [5.0, 5.0, np.radians(10)]
-    assert not refit.pose.any()  # so that a motion is the moved pose
-    got = moved(refit(refit.pose), motions, tuple(refit.x_range), points)
-    want = refit(motions)
-    return np.array(
-        [
-            apart(g, w, to_ego(refit.points[0], m))
-            for g, w, m in zip(got, want, motions, strict=True)
-        ]
-    )
-
-
-POINTS = pytest.mark.parametrize("points", [4, 32, 51])
-
-
-@POINTS
-@pytest.mark.parametrize("i", range(8))
-def test_a_moved_highway_line_is_a_refit_within_a_millimetre(points, i):
-    """100 m of radius 2000 m, moved by up to 5 m and 10 deg: seen 0.02 mm."""
-    assert worst_of_moving(refit_of("highway", i)[0], points).max() < 1e-4
-
-
-@POINTS
-def test_so_is_one_whose_map_points_scatter(points):
-    """With 5 cm of scatter in each map point: a refit weighs them a little otherwise."""
-    for i in range(8):
-        assert worst_of_moving(refit_of("highway", i, noise=0.05)[0], points).max() < 1e-3
-
-
-@POINTS
-@pytest.mark.parametrize(
-    ("radius", "view"),
-    [(2000, 100), (1000, 100), (500, 100), (300, 100), (200, 60), (100, 40)],
-)
-def test_so_is_an_arc_as_long_as_a_cubic_follows_it(points, radius, view):
-    s = np.linspace(-20.0, view - 20.0, 51)
-    arc = Polyline(curve(-1.75, 0.0, np.full(51, 1 / radius), s[1] - s[0], -20.0))
-
-    assert worst_of_moving(Refit(arc, np.zeros(3), (-21.0, 81.0)), points).max() < 1e-3
-
-
-@POINTS
-def test_so_are_random_roads_of_radius_500_and_more(points):
-    seen = 0
-    for scene in random_scenarios(100, seed=1):
-        p = scene.polylines[0].points
-        turn = np.diff(np.unwrap(np.arctan2(*np.diff(p, axis=0).T[::-1])))
-        if np.abs(turn).max() / np.hypot(*(p[1] - p[0])) < 1 / 500:
-            seen += 1
-            refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)
-            assert worst_of_moving(refit, points).max() < 1e-3
-    assert seen > 30
-
-
-@POINTS
-def test_a_moved_street_turn_is_not_and_more_points_are_no_help(points):
-    """It moves the cubic truly, but the cubic misses the road, and from elsewhere otherwise.
-
-    What moving cannot know is where the road is: it has the line alone. A shift without a
-    turn changes no fit, so there the two agree.
-    """
-    refit, _ = refit_of("street-turn")
-    road = refit.points[0]
-    line = refit(refit.pose)
-
-    assert 0.3 < worst_of_moving(refit, points).max() < 1.0
-    assert apart(line, line, road) == 0
-    assert np.abs(lateral(line, road[:, 0]) - road[:, 1]).max() > 0.1
-    shift = [5.0, -5.0, 0.0]
-    shifted = moved(line, shift, tuple(refit.x_range), points)
-    assert apart(shifted, refit(shift), to_ego(road, shift)) < 1e-9
 
 
 # Outliers

@@ -2,7 +2,8 @@
 
 The model knows which frames reached the receiver, and when. A line may be delivered only
 if it was sent, bit for bit, and all its frames were heard within the time-out; not twice and not
-backwards, as long as the numbers of bursts tell. A line on a calm bus is delivered.
+backwards, as long as the counters tell and the slot is not silent, or old lines alone come for more
+than a cycle. A line on a calm bus is delivered.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +22,10 @@ from maplines_can.wire import Reason
 MS = 1_000_000
 TIMEOUT = 25 * MS
 FRAME = MS // 4
-#: Bursts are numbered modulo 16: of two that are 7 or less apart the newer is known.
-TOLD_APART = 7
+#: Records are numbered modulo 256: of two that are less than 128 apart the newer is known.
+TOLD_APART = 127
+#: After so long without news an old line passes for news; and after so long of nothing but such.
+SILENCE, TAKEN_OVER = 500 * MS, 75 * MS
 SLOTS = st.sampled_from([Slot.EGO_LEFT, Slot.ROUTE])
 PLACES = st.integers(0, 2**16)
 
@@ -69,7 +72,7 @@ class Bus(RuleBasedStateMachine):
         self.heard = {}  # frames as they came, and when
         self.newest = dict.fromkeys(Slot, 0)  # record of which a frame came
         self.delivered = {slot: [] for slot in Slot}  # (line, time of its first frame)
-        self.since = {slot: set() for slot in Slot}  # lines heard since the one delivered last
+        self.since = {slot: {} for slot in Slot}  # lines heard since the last delivered, and when
         self.fed = 0
 
     # -- the sender ----------------------------------------------------------------
@@ -188,8 +191,9 @@ class Bus(RuleBasedStateMachine):
         self.receive(len(self.air))
         self.now = max(self.now, self.last) + 26 * MS  # also if the clock was set back by a little
         answers = [self.feed(on_air) for on_air in self.send_line(slot, parts, fd)]
-        anew = self.epoch[slot] > 0  # at the very counter that it had: taken for the old line
-        assert isinstance(answers[-1], MapLine) or (anew and Reason.DUPLICATE in answers), answers
+        anew = self.epoch[slot] > 0  # its counters look like those of old lines
+        late = Reason.DUPLICATE in answers or Reason.STALE in answers
+        assert isinstance(answers[-1], MapLine) or (anew and late), answers
         if isinstance(answers[-1], MapLine):
             self.epoch[slot] = 0
 
@@ -199,7 +203,7 @@ class Bus(RuleBasedStateMachine):
         frame = on_air.frame
         if on_air.line is not None:
             sent = self.sent[on_air.line]
-            self.since[sent.slot].add(on_air.line)
+            self.since[sent.slot].setdefault(on_air.line, self.now)
             if self.newest[sent.slot] - 1 - sent.records.start > TOLD_APART:
                 self.delivered[sent.slot].clear()  # so old that it passes for new
             self.newest[sent.slot] = max(self.newest[sent.slot], sent.records.stop)
@@ -227,22 +231,20 @@ class Bus(RuleBasedStateMachine):
                 all(any(abs(t - start) <= TIMEOUT for t in of_frame) for of_frame in times)
                 for start in starts
             ), f"line {number} was not heard as a whole in time"
-        before = self.delivered[line.slot]
-        # The time at which this line may begin: a mixture is late if its last part is.
-        newest = line.t_ns if parts == 1 else self.now
-        for other, t_ns in before:
-            if other == number:
-                assert abs(newest - t_ns) > TIMEOUT, "delivered twice"
+        before, heard = self.delivered[line.slot], self.since[line.slot]
         if before:
-            assert before[-1][0] != number or self.since[line.slot] != {number}, (
-                "the last one again"
-            )
             last, t_ns = before[-1]
-            apart = self.sent[last].records.stop - 1 - sent.records.start
-            if 0 < apart <= TOLD_APART and parts == 1:
-                assert abs(newest - t_ns) > TIMEOUT, "a line older than the one before it"
+            # The time at which this line may begin: a mixture is late if its last part is.
+            newest = line.t_ns if parts == 1 else self.now
+            begun = min((t for n, t in heard.items() if n not in (number, last)), default=self.now)
+            silent = abs(newest - t_ns) > SILENCE
+            if not silent and abs(self.now - begun) < TAKEN_OVER:
+                assert number not in [n for n, _ in before], "delivered twice"
+                apart = self.sent[last].records.stop - 1 - sent.records.start
+                assert not 0 < apart <= TOLD_APART, "a line older than the one before it"
+            assert last != number or set(heard) != {number}, "the last one again"
         before.append((number, line.t_ns))
-        self.since[line.slot] = set()
+        heard.clear()
 
     @invariant()
     def check_accounts(self):

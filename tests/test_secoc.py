@@ -249,6 +249,22 @@ def test_a_sender_that_starts_anew(clock, lines):
     assert "line" in names(feed(decoder, frames, NOW + 10 * S))
 
 
+@pytest.mark.parametrize("apart", [3, 77, 128, 200])
+def test_two_senders_with_the_same_key(clock, lines, apart):
+    """Both are authentic and always newer: all is delivered, never VALID for long, and reported."""
+    first, second, decoder = codec_of(clock=clock), codec_of(clock=clock), codec_of().decoder()
+    sent(second, clock, lines[0], apart)
+    answers = []
+    for _ in range(20):
+        answers += feed(decoder, sent(first, clock, lines[0], 1, 30 * MS), clock.now)
+        answers += feed(decoder, sent(second, clock, lines[0], 1, 30 * MS), clock.now)
+    check = decoder.checks[lines[0].slot]
+
+    assert names(answers) == ["line"] * 40
+    assert check.two_senders
+    assert check.state is not E2EState.VALID
+
+
 def decoder_last(decoder, frames):
     """Feed frames that are all good; returns the last freshness value."""
     answers = names(feed(decoder, frames))

@@ -7,12 +7,12 @@
 Run it in the project's environment: python3 tools/run.py python tools/bits_page.py sweep
 """
 
-import argparse
 import sys
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from telling import filled, parser_of
 
 from maplines_can.study.design.search import design, sets_of
 from maplines_can.study.design.wire_plan import Targets
@@ -24,9 +24,7 @@ TARGETS = (1e-2, 1e-3, 1e-4)
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, help="what 'maplines study run --out' was given")
     folder = parser.parse_args().folder
     names = ("summary", "fields", "terms", "limit")
@@ -44,15 +42,7 @@ def main():
         "fields": of_fields(fields),
         "designs": designs(),
     }
-    text = PAGE.read_text()
-    for name, table in sections.items():
-        begin, end = (
-            f"<!-- {name}: written by tools/bits_page.py -->\n",
-            f"\n<!-- end of {name} -->",
-        )
-        before, rest = text.split(begin)
-        text = f"{before}{begin}{table}{end}{rest.split(end)[1]}"
-    PAGE.write_text(text)
+    PAGE.write_text(filled(PAGE.read_text(), "bits_page.py", sections))
     print(f"docs/{PAGE.name}: written")
     return 0
 

@@ -9,11 +9,10 @@ Run it in the project's environment: python3 tools/run.py python tools/evidence_
 Ends with a nonzero status where a bound is missed.
 """
 
-import argparse
 import sys
 import time
 
-from tqdm import tqdm
+from telling import bar, parser_of
 
 from maplines_can.study.design.search import design, sets_of
 from maplines_can.study.design.wire_plan import Targets
@@ -56,12 +55,12 @@ def default(n):
 
 def told(sets, targets, held_out):
     started = time.perf_counter()
-    with tqdm(total=100, unit=" %", disable=not sys.stderr.isatty(), leave=False) as bar:
+    with bar(100, unit=" %", leave=False) as percents:
         made = design(
             sets,
             targets,
             held_out=held_out,
-            progress=lambda done, _: bar.update(round(100 * done) - bar.n),
+            progress=lambda done, _: percents.update(round(100 * done) - percents.n),
         )
     print(f"{made.text()}\n{time.perf_counter() - started:.1f} s\n")
     return made
@@ -78,9 +77,7 @@ def of_covariance(contract):
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     jobs = {"frames": (frames, 5000), "default": (default, 15_000)}
     parser.add_argument("what", choices=jobs)
     parser.add_argument("-n", type=int, help="lines of each set; by default 5000 and 15000")

@@ -9,14 +9,13 @@ Run it in the project's environment: python3 tools/run.py python tools/evidence_
 Each figure is the largest of all lines. Ends with a nonzero status where a bound is missed.
 """
 
-import argparse
 import json
 import sys
 import warnings
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
-from tqdm import tqdm
+from telling import bar, parser_of
 
 from maplines_can.line import STATES
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit, SigmaPoints
@@ -64,7 +63,7 @@ def sigma_points_and_filterpy(scene, refit):
     return worst
 
 
-def quadrature_and_draws(scene, refit, order, samples, seed, bar):
+def quadrature_and_draws(scene, refit, order, samples, seed, draws):
     """(4,) and (4,) largest differences of mean and sigma in sampling errors; draws lost."""
     mean, cov = Quadrature(order).moments(refit, scene.ego)
     sigma = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
@@ -74,7 +73,7 @@ def quadrature_and_draws(scene, refit, order, samples, seed, bar):
         z = (values - mean) / sigma
         sums += [(z**power).sum(axis=0) for power in (1, 2, 3, 4)]
         lost += ill_posed
-        bar.update(CHUNK)
+        draws.update(CHUNK)
     n = samples - lost
     m1, m2, m3, m4 = sums / n  # about the mean and in the sigmas of the quadrature
     variance = m2 - m1**2
@@ -87,12 +86,12 @@ def quadrature_and_draws(scene, refit, order, samples, seed, bar):
 
 def evidence(order, samples, seed):
     """The figures of each scenario, by name; four figures are those of y_off, beta, c0, c1."""
-    result, total, hidden = {}, samples * len(SCENARIOS), not sys.stderr.isatty()
-    with tqdm(total=total, unit=" draws", disable=hidden, leave=False) as bar:
+    result = {}
+    with bar(samples * len(SCENARIOS), unit=" draws", leave=False) as draws:
         for name, scene in SCENARIOS.items():
-            bar.set_description(name)
+            draws.set_description(name)
             refit = Refit(scene.polylines, scene.ego.mean, scene.window)
-            mean, sigma, lost = quadrature_and_draws(scene, refit, order, samples, seed, bar)
+            mean, sigma, lost = quadrature_and_draws(scene, refit, order, samples, seed, draws)
             result[name] = {
                 "lines": len(scene.lines),
                 "refit": refit_and_qr(scene, refit, scene.ego.sample(POSES, seed)).tolist(),
@@ -121,7 +120,7 @@ def show(result, order, samples):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = parser_of(__doc__)
     parser.add_argument("--json", action="store_true", help="for machines")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--samples", type=int, default=1_000_000, help="steps of 50,000")

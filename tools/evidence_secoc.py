@@ -15,8 +15,6 @@ too, where as many must pass as the bound says, and no more.
 Ends with a nonzero status where a bound is missed.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections import Counter
@@ -25,7 +23,7 @@ from functools import cache
 from itertools import count
 
 import numpy as np
-from tqdm import tqdm
+from telling import bar, ended, parser_of, progress
 
 from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
@@ -96,7 +94,7 @@ class Bus:
         counts, moved = Counter(), 0
         last = self.decoder.verifier.last_accepted
         before = sum(last.values())
-        for can_id, data in tqdm(attacks, name, total, disable=not sys.stderr.isatty()):
+        for can_id, data in progress(attacks, name, total):
             self.now += US
             answer = self.decoder.feed(can_id, data, self.now)
             if (total_now := sum(last.values())) != before:
@@ -172,7 +170,7 @@ def stripped(bus, rng, n):
 def reordered(rng, n):
     """True frames thrown about by up to half a second: who is overtaken is not accepted."""
     bus, wrong, counts = Bus(), 0, Counter()
-    with tqdm(total=n, desc="reordered", disable=not sys.stderr.isatty()) as bar:
+    with bar(n, "reordered") as frames:
         for begin in range(0, n, RECORDED):
             decoder, newest = bus.receiver.decoder(), {}
             place = np.argsort(np.arange(RECORDED) + rng.uniform(0, 80, RECORDED))[: n - begin]
@@ -184,7 +182,7 @@ def reordered(rng, n):
                 wrong += int(moved != (i > newest.get(frame.can_id, -1)))
                 newest[frame.can_id] = max(i, newest.get(frame.can_id, -1))
                 counts["LINE" if isinstance(answer, MapLine) else answer.name] += 1
-            bar.update(len(place))
+            frames.update(len(place))
     return {"frames": n, "accepted": wrong, "reasons": dict(counts)}
 
 
@@ -269,9 +267,7 @@ def best(rates, name, n, begin):
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--n", type=int, default=1_000_000, help="frames of each attack")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true", help="for machines")
@@ -287,20 +283,7 @@ def main():
         and not any(attack["accepted"] for attack in result["attacks"].values())
         and all(row["met"] for row in result["guesses of short MACs"].values())
     )
-    if arguments.json:
-        print(json.dumps(result, indent=2))
-    else:
-        show(result)
-    return int(not result["met"])
-
-
-def show(value, indent=0):
-    for key, inner in value.items():
-        if isinstance(inner, dict) and key != "reasons":
-            print(f"{' ' * indent}{key}")
-            show(inner, indent + 4)
-        else:
-            print(f"{' ' * indent}{key:<28} {inner}")
+    return ended(result, arguments.json, 40)
 
 
 if __name__ == "__main__":

@@ -12,16 +12,13 @@ Run it in the project's environment: python3 tools/run.py python tools/evidence_
 Ends with a nonzero status where a bound is missed.
 """
 
-import argparse
-import json
 import sys
 import time
 from collections import Counter
 from itertools import product
 
 import numpy as np
-from telling import progress, show
-from tqdm import tqdm
+from telling import bar, ended, parser_of, progress
 
 from maplines_can.line import MapLine, Slot, Status
 from maplines_can.study import LATERAL_X, hostile, judge, paper, road
@@ -120,7 +117,7 @@ def frames(n, seed):
     made = Counter()
     wrong = 0
     t_ns, done = 0, 0
-    with tqdm(total=n, unit=" frames", disable=not sys.stderr.isatty()) as bar:
+    with bar(n, unit=" frames") as fed:
         while done < n:
             kind, batch = damaged(rng, bursts)
             made[kind] += len(batch)
@@ -132,7 +129,7 @@ def frames(n, seed):
                     key = lookup(answer)
                     wrong += key not in known
             done += len(batch)
-            bar.update(len(batch))
+            fed.update(len(batch))
     accounted = decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
     return {
         "frames": decoder.frames,
@@ -202,7 +199,7 @@ def mixtures_in_bulk(n, seed):
     """Of parts and wholes: none not definite, none overconfident."""
     codec, counts, failures = Codec.from_dbc(), Counter(), Counter()
     largest = {"part": 0.0, "whole": 0.0}
-    bar = tqdm(total=n, unit=" mixtures", disable=not sys.stderr.isatty())
+    judged = bar(n, unit=" mixtures")
     for k in PARTS:
         count = n // len(PARTS) + (k - PARTS[0] < n % len(PARTS))
         for start in range(0, count, CHUNK // k):
@@ -228,8 +225,8 @@ def mixtures_in_bulk(n, seed):
                 largest[what] = float(ratio)
             failures["records refused"] += int((~batch.accepted).sum())
             failures["weights not of sum 1"] += int((decoded_w.sum(axis=1) != 1).sum())
-            bar.update(len(w))
-    bar.close()
+            judged.update(len(w))
+    judged.close()
     ratios = {f"largest eigenvalue of S'^-1 (S + d d^T), {what}": largest[what] for what in largest}
     return {**counts, **failures, **ratios, "met": not any(failures.values())}
 
@@ -350,9 +347,7 @@ def plain(value):
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     jobs = {
         "guarantee": (guarantee, 10**6),
         "quality": (quality, 20_000),
@@ -368,8 +363,7 @@ def main():
     started = time.perf_counter()
     result = job(arguments.n or n, arguments.seed)
     result["seconds"] = time.perf_counter() - started
-    print(json.dumps(result, indent=2)) if arguments.json else show(result, 48)
-    return 0 if result["met"] else 1
+    return ended(result, arguments.json, 48)
 
 
 if __name__ == "__main__":

@@ -32,6 +32,8 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
+from telling import parser_of
+
 CORPUS = Path(__file__).resolve().parents[1] / "tests" / "corpus"
 TARGETS = ("decoder", "logs", "dbc")
 #: Modules whose branches guide the fuzzer, and those whose lines decide what is kept.
@@ -44,9 +46,7 @@ PATIENCE = 20
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--seconds", type=int, default=600, help="how long to fuzz [s]")
     parser.add_argument("--work", type=Path, help="where all goes; a new folder in /tmp")

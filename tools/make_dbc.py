@@ -5,9 +5,10 @@ python tools/make_dbc.py            write them
 python tools/make_dbc.py --check    say whether they are up to date
 """
 
-import argparse
 import sys
 from pathlib import Path
+
+from telling import filled, parser_of
 
 from maplines_can.wire.codes import CODES
 from maplines_can.wire.signals import DEFAULT, SECURED, contract_of
@@ -17,11 +18,8 @@ FOLDER = Path(__file__).resolve().parents[1] / "dbc"
 
 def wanted():
     """The texts of all files."""
-    page = (FOLDER / "README.md").read_text()
-    for mark, table in (("fields", DEFAULT.table()), ("codes", codes_table())):
-        begin, end = f"<!-- {mark}: written by tools/make_dbc.py -->\n", f"\n<!-- end of {mark} -->"
-        before, after = page.split(begin)[0], page.split(end)[1]
-        page = f"{before}{begin}{table}{end}{after}"
+    tables = {"fields": DEFAULT.table(), "codes": codes_table()}
+    page = filled((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
     files = {FOLDER / file_name(code): contract_of(code).dbc() for code in CODES}
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
     return files | {FOLDER / "README.md": page}
@@ -52,9 +50,7 @@ def codes_table():
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
     check = parser.parse_args().check
     texts = wanted()

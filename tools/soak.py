@@ -18,8 +18,6 @@ Run it in the project's environment: python3 tools/run.py python tools/soak.py
 Ends with a nonzero status where a promise is broken.
 """
 
-import argparse
-import json
 import resource
 import sys
 import time
@@ -32,8 +30,7 @@ from typing import NamedTuple
 
 import can
 import numpy as np
-from telling import progress, show
-from tqdm import tqdm
+from telling import bar, ended, parser_of, progress
 
 from maplines_can.bus import Faults, FaultyBus, Link, Mischief, Mishap, Receiver, Transmitter
 from maplines_can.line import Kind, MapLine, Slot, Status
@@ -330,11 +327,11 @@ def threads(n, seed, faults):
     ):
         with (
             Transmitter(out, codec, period=0.01, count=count) as transmitter,
-            tqdm(total=count, desc="in real time", disable=not sys.stderr.isatty()) as bar,
+            bar(count, "in real time") as cycles,
         ):
             transmitter.publish(lines)
             while not transmitter.wait(0.1):
-                bar.update(transmitter.stats().lines // len(Slot) - bar.n)
+                cycles.update(transmitter.stats().lines // len(Slot) - cycles.n)
         sent, end = transmitter.stats(), time.monotonic() + 10
         while back.faults["frames"] < sent.frames and time.monotonic() < end:
             time.sleep(0.01)
@@ -444,9 +441,7 @@ def memory_mib():
 
 
 def main():
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of(__doc__)
     parts = {part.__name__: part for part in (classic, fd, bus, threads, checksum)}
     parser.add_argument("--lines", type=int, default=10**6, help="how many; 1e6 by default")
     parser.add_argument("--seed", type=int, default=0)
@@ -468,8 +463,7 @@ def main():
         result[name] = parts[name](arguments.lines, arguments.seed, faults)
         result[name]["seconds"] = time.perf_counter() - started
     result["met"] = all(result[name]["met"] for name in arguments.only)
-    print(json.dumps(result, indent=2)) if arguments.json else show(result, 60)
-    return 0 if result["met"] else 1
+    return ended(result, arguments.json, 60)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
 import can
-from can.io.blf import BLFParseError
+from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
 from can.io.generic import TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 
@@ -88,7 +88,8 @@ def _read_binary(path: Path, suffix: str, packed: bool) -> Iterator[LogFrame]:
             source: Any = path
             if suffix == ".blf":  # python-can leaves it open where it is not a BLF file
                 source = stack.enter_context((gzip.open if packed else open)(path, "rb"))
-            reader = stack.enter_context(MESSAGE_READERS[suffix](source))
+            open_reader = _BlfReader if suffix == ".blf" else MESSAGE_READERS[suffix]
+            reader = stack.enter_context(open_reader(source))
             for message in reader:
                 yield from _data_frames(message)
                 good += 1
@@ -100,6 +101,27 @@ def _read_binary(path: Path, suffix: str, packed: bool) -> Iterator[LogFrame]:
             raise LogError(f"{path}: {what} ({_words(error)}); the rest is not read") from error
     if missing > 0:
         raise LogError(f"{path}: cut off after {good} good records, {missing} bytes are missing")
+
+
+class _BlfReader(can.BLFReader):
+    """python-can's, which reads an object of length 0 for ever (its issue 1584)."""
+
+    def _parse_data(self, data: bytes) -> Iterator[can.Message]:
+        end = _first_without_length(data)
+        yield from super()._parse_data(data[:end])
+        if end is not None:
+            raise BLFParseError("an object is shorter than its own header")
+
+
+def _first_without_length(data: bytes) -> int | None:
+    """Where the first object begins that cannot be as short as it says."""
+    head, place = OBJ_HEADER_BASE_STRUCT, 0
+    while (place := data.find(b"LOBJ", place, place + 8)) >= 0 and place + head.size <= len(data):
+        size = head.unpack_from(data, place)[3]
+        if size < head.size:
+            return place
+        place += size
+    return None
 
 
 class _Lines:

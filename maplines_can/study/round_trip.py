@@ -157,7 +157,8 @@ def round_trip(
         transmitter = Transmitter(out, codec, period=1 / rate, fd=fd, count=count)
         # With faults none is filtered away, so that every frame is counted in the end.
         can_ids = None if faults else codec.can_ids
-        receiver = Receiver(back, codec.decoder(), on_line=arrivals.take, can_ids=can_ids)
+        decoder = codec.decoder(cycle_ms=1e3 / rate)
+        receiver = Receiver(back, decoder, on_line=arrivals.take, can_ids=can_ids)
         with receiver:
             try:
                 with transmitter:

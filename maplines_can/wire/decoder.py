@@ -11,7 +11,7 @@ import numpy as np
 
 from ..line import MapLine, Slot, Status
 from ..mixture import GaussianMixture
-from .e2e_state import E2EConfig, ProfileStatus
+from .e2e_state import E2EConfig
 from .read import Part
 from .reassembly import NOT_BELIEVED, Reason, Reassembler, Record
 from .slot_check import SlotCheck
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["Decoder"]
 
 
-PENDING, REPEATED = Reason.PENDING, ProfileStatus.REPEATED  # looked up here, once
+PENDING = Reason.PENDING  # looked up here, once
 
 #: The status of a mixture is that of its worst part.
 SEVERITY = (
@@ -53,9 +53,9 @@ class Decoder:
     ``frames == line_frames + sum(counts.values()) + pending``.
 
     Each record is checked by its counter after AUTOSAR E2E, and ``checks`` says what the
-    lines of each slot are worth. The check keeps back the record that was delivered last
-    (REPEATED), and nothing else: what to do with a line of a slot that is not VALID is
-    the consumer's decision.
+    lines of each slot are worth. The check keeps back the record that was delivered last and
+    those that came late, and nothing else: what to do with a line of a slot that is not VALID
+    is the consumer's decision.
 
     With an authenticator the MAC is checked before anything else, and what is not
     authentic moves nothing: neither a line, nor a burst, nor a check.
@@ -76,7 +76,13 @@ class Decoder:
         self.line_frames = 0  #: frames of the lines delivered
         #: What the records of each slot are worth, for all slots of the DBC.
         self.checks: Mapping[Slot, SlotCheck] = {
-            slot: SlotCheck(e2e, self._modulus, codec.layout.pages, cycle_ns)
+            slot: SlotCheck(
+                e2e,
+                self._modulus,
+                codec.layout.pages,
+                cycle_ns,
+                is_proven=self.verifier is not None,
+            )
             for slot, cycle_ns in cycles_ns.items()
         }
 
@@ -143,9 +149,9 @@ class Decoder:
             self.counts[part] += record.frames
             check.failed(record.t_ns)
             return part
-        if check.received(part.counter, record.t_ns) is REPEATED:
-            self.counts[Reason.DUPLICATE] += record.frames
-            return Reason.DUPLICATE
+        if late := check.received(part.counter, record.t_ns):
+            self.counts[late] += record.frames
+            return late
         self._reassembler.accept(record)
         first = (part.counter - part.index) % self._modulus
         held = self._groups.get(record.slot)

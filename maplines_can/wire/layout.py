@@ -265,7 +265,7 @@ class Layout:
         Raises:
             LayoutError: the text is not a DBC, or describes no map line.
         """
-        if huge := _HUGE.search(text):
+        if huge := _HUGE.search(_SAID.sub(" ", text)):
             raise LayoutError(
                 f"{source}: is not a valid DBC: a place, length or range has too many digits: "
                 f"{' '.join(huge[0].split())}"
@@ -280,12 +280,13 @@ class Layout:
         return _layout(database, source)
 
 
-#: Messages with 5 digits, signals and ranges of multiplexers with 6 digits and more where cantools
-#: makes lists as long as these numbers say; no bus has them.
+#: What a DBC says to people: texts and remarks, by cantools' tokens.
+_SAID = re.compile(r'"(?:\\"|[^"])*?"|//.*?\n', re.DOTALL)
+#: Messages of 5 digits, places and lengths of signals and ranges of multiplexers of 6 digits and
+#: more, where cantools makes lists as long as these numbers say; no bus has them.
 _HUGE = re.compile(
-    r"^[ \t]*(?:BO_[ \t][^:\n]*:[ \t]*\d{5}"
-    r"|(?:SG_[ \t][^:\n]*:|SG_MUL_VAL_[ \t][^;\n]*?)[ \t]*[\d|-]*\d{6})",
-    re.MULTILINE,
+    r":\s*[+-]?\d{5,}\s*\w|:[\s\d|+-]*\d{6}"
+    r"|SG_MUL_VAL_\b\s*[+-]?\d++\s*+\w++\s++\w++[\s\d,+-]*\d{6}"
 )
 
 

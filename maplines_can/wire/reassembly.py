@@ -70,8 +70,8 @@ class Reassembler:
     spoil its own burst, but neither ends another nor counts as delivered. Only
     ``accept`` does: it ends the older bursts of the slot, and for the length of a
     time-out pages of that burst are duplicates and those of older ones are stale.
-    After it, a sender that has started anew is heard at once. Memory is constant:
-    each slot has as many bursts as there are numbers.
+    After it their numbers say nothing, and the counters of records do. Memory is
+    constant: each slot has as many bursts as there are numbers.
 
     Args:
         layout: which IDs and how many pages.
@@ -189,7 +189,7 @@ class Reassembler:
         return None if self._is_newer(number, done[0]) else Reason.STALE
 
     def _is_newer(self, number: int, than: int) -> bool:
-        return 0 < (number - than) % self._bursts <= self._bursts // 2
+        return 0 < (number - than) % self._bursts < self._bursts // 2
 
     def _is_old(self, since_ns: int, t_ns: int) -> bool:
         # Time stamps may swap by a little; a clock that was set back makes all that was old.

@@ -10,6 +10,7 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from ...arguments import number
 from ...wire.codes import CODES
 from ..sets import DRAWN_SETS, line_set
 from .plan import Study
@@ -95,14 +96,16 @@ def add_study(subparsers: Any, bar: Bar | None = None) -> Any:
     add(
         "--finer",
         nargs="+",
-        type=_number(-8, 16),
+        type=number(int, -8, 16),
         metavar="BITS",
         help="so many bits more in each field, for finer steps; -2 -1 0 1 2 by default",
     )
-    add("--n", type=_number(1, 10**12), help="Gaussians of each drawn set; 1 000 000 by default")
-    add("--seed", type=_number(0, 2**32), default=0, help="of the draws; 0 by default")
-    add("--chunk", type=_number(100, 10**6), default=10_000, help="Gaussians at a time; 10 000")
-    add("--jobs", type=_number(1, 1024), help="processes; as many as processors by default")
+    add(
+        "--n", type=number(int, 1, 10**12), help="Gaussians of each drawn set; 1 000 000 by default"
+    )
+    add("--seed", type=number(int, 0, 2**32), default=0, help="of the draws; 0 by default")
+    add("--chunk", type=number(int, 100, 10**6), default=10_000, help="Gaussians at a time; 10 000")
+    add("--jobs", type=number(int, 1, 1024), help="processes; as many as processors by default")
     add("--scheduler", metavar="ADDRESS", help="let the workers of this Dask scheduler do it")
     add("--map", metavar="FILE", help="the lines that the poses of a file see")
     add(
@@ -168,23 +171,3 @@ def _run(arguments: argparse.Namespace, bar: Bar | None) -> int:
         print(summary_text(summary, read_table(directory, "terms")))
         print(f"\ntables: {directory.path}")
     return 0
-
-
-def _number(least: int, most: int) -> Callable[[str], int]:
-    """A type for argparse: a whole number within bounds, written as 1e7 too."""
-
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            try:
-                value = int(float(text)) if float(text).is_integer() else least - 1
-            except (ValueError, OverflowError):
-                value = least - 1
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(
-                f"must be a whole number from {least} to {most:g}, got {text!r}"
-            )
-        return value
-
-    return parse

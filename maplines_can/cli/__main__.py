@@ -1,0 +1,7 @@
+"""``python -m maplines_can.cli``."""
+
+import sys
+
+from . import main
+
+sys.exit(main())

@@ -1,0 +1,46 @@
+"""The command ``maplines figures``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from ..study.figures.paper import draw_figures
+from ..wire import Codec
+from .notes import counted
+from .options import add_dbc, add_draws, add_job, add_json
+
+__all__ = ["add_figures"]
+
+
+def add_figures(jobs: Any) -> None:
+    """Add the job ``figures`` to those of ``maplines``."""
+    parser = add_job(
+        jobs,
+        "figures",
+        _figures,
+        "Draw the figures of the paper, before and after the wire, as PNG and SVG.",
+        "maplines figures --out figures",
+    )
+    parser.add_argument("--out", required=True, metavar="DIR", help="where to put them")
+    add_draws(parser, samples=100_000)
+    add_dbc(parser)
+    add_json(parser)
+
+
+def _figures(arguments: argparse.Namespace) -> int:
+    with counted(" figures") as progress:
+        paths = draw_figures(
+            Path(arguments.out),
+            seed=arguments.seed,
+            samples=arguments.samples,
+            codec=Codec.from_dbc(arguments.dbc),
+            progress=progress,
+        )
+    if arguments.json:
+        print(json.dumps([str(path) for path in paths], indent=2))
+    else:
+        print(f"{len(paths)} files in {arguments.out}")
+    return 0

@@ -1,0 +1,119 @@
+"""The command ``maplines receive``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any
+
+from ..bus import Link, Receiver
+from ..line import MapLine, Slot
+from ..study.listing import check_dict, check_text, line_dict, line_text, slot_text
+from ..study.report import counts_text, faults_text
+from ..wire import E2EState, SlotStats
+from .notes import note
+from .options import (
+    add_bus,
+    add_codec,
+    add_cycle,
+    add_job,
+    add_json,
+    bus_settings,
+    decoder_of,
+    keyed_codec,
+    natural,
+    seconds,
+)
+
+__all__ = ["add_receive"]
+
+#: How often a silent bus is looked at for slots that go INVALID [s].
+WATCH = 0.05
+
+
+def add_receive(jobs: Any) -> None:
+    """Add the job ``receive`` to those of ``maplines``."""
+    parser = add_job(
+        jobs,
+        "receive",
+        _receive,
+        "Print the lines that arrive until Ctrl-C, then what was dropped and why.",
+        "maplines receive --interface socketcan --channel vcan0 --json",
+    )
+    add_bus(parser)
+    add_codec(parser)
+    add_cycle(parser)
+    parser.add_argument(
+        "--freshness-window",
+        type=seconds,
+        default=1.0,
+        metavar="S",
+        help="with a key, how far a frame's time may be from this machine's clock [s]",
+    )
+    parser.add_argument("--count", type=natural, help="end after so many lines")
+    parser.add_argument("--timeout", type=seconds, help="end when nothing comes for so long [s]")
+    add_json(parser)
+
+
+def _receive(arguments: argparse.Namespace) -> int:
+    codec = keyed_codec(arguments, window=arguments.freshness_window)
+    left = arguments.count
+    with (
+        Link(**bus_settings(arguments), faults=arguments.faults) as link,
+        Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
+    ):
+        if not arguments.json:
+            note(f"listening on {link.name}; Ctrl-C ends")
+        try:
+            for line, check in _arriving(receiver, arguments.timeout):
+                row = line_dict(line) | {"e2e": check_dict(check)}
+                print(json.dumps(row) if arguments.json else line_text(line))
+                sys.stdout.flush()
+                left = None if left is None else left - 1
+                if left == 0:
+                    break
+        except KeyboardInterrupt:
+            pass
+        stats, faults, slots = receiver.stats(), link.faults, receiver.slots()
+    dropped = {reason.name: n for reason, n in stats.counts.items()}
+    note(
+        f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
+        f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting"
+        + "".join(
+            f"; {n} {what}"
+            for n, what in (
+                (stats.error_frames, "error frames"),
+                (stats.remote_frames, "remote frames"),
+                (stats.overflowed, "lines dropped because they were not fetched"),
+            )
+            if n
+        )
+    )
+    for slot, check in slots.items():
+        note(f"{slot_text(slot.name)}: {check_text(check)}")
+    if faults:
+        note(f"faults: {faults_text(faults)}")
+    return 0 if left in (None, 0) else 1
+
+
+def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
+    """Lines with the checks of their slots; says when a slot's state changes, in silence too."""
+    states: dict[Slot, tuple[E2EState, bool]] = {}
+    last = time.monotonic()
+    while True:
+        line = receiver.get(WATCH if timeout is None else min(WATCH, timeout))
+        slots = receiver.slots()
+        for slot, check in slots.items():
+            state = check.state, check.two_senders
+            if states.get(slot) != state:
+                states[slot] = state
+                note(f"{slot_text(slot.name)}: {check_text(check)}")
+        if line is not None:
+            last = time.monotonic()
+            yield line, slots[line.slot]
+        elif timeout is not None and time.monotonic() - last >= timeout:
+            note(f"nothing received for {timeout:g} s")
+            return
