@@ -1300,6 +1300,29 @@ def test_socketcan_that_cannot_be_opened(vcan, before, settings, words):
 
 
 @pytest.mark.socketcan
+def test_an_interface_that_comes_back_without_can_fd_is_told_once(vcan):
+    """It is there and up again, so somebody has to know why no line comes."""
+    events = Outages()
+    ip("link set vcan1 up")
+    try:
+        with (
+            Link(interface="socketcan", channel="vcan1", fd=True, on_event=events) as link,
+            Receiver(link, FakeCodec().decoder()),
+        ):
+            ip("link set vcan1 down")
+            events.expect(False, "is lost")
+            ip("link set vcan1 mtu 16 up")
+            events.expect(False, "the interface has no CAN FD (its MTU is 16")
+            ip("link set vcan1 down")
+            ip("link set vcan1 mtu 72 up")
+            events.expect(True, "is back")
+            assert link.outages == 1
+    finally:
+        ip("link set vcan1 down")
+        ip("link set vcan1 mtu 72 up")
+
+
+@pytest.mark.socketcan
 def test_can_fd_on_classic_socketcan(vcan):
     """Told at construction where it can be told, else by the first frame."""
     with Link(interface="socketcan", channel="vcan2") as link:

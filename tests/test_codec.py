@@ -223,6 +223,12 @@ def covariance_by_hand(signals):
     return S[np.ix_(back, back)]
 
 
+@pytest.mark.parametrize("length", [0, 1, 31, 33, 64])
+def test_a_record_of_another_length_is_none(length):
+    """Whatever else is in it."""
+    assert default_codec().decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
+
+
 @settings(max_examples=300, deadline=None)
 @given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
 def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):

@@ -74,6 +74,7 @@ COMMANDS = {
         receive --timeout 0
         receive --timeout nan
         receive --count -1
+        receive --cycle-ms 0
         receive --interface warp
         receive --interface socketcan --channel nocan9
         receive --interface virtual --dbc {d}/binary.dbc
@@ -97,6 +98,7 @@ COMMANDS = {
         decode {d}/torn.log
         decode {d}/good.log --dbc {d}/overlap.dbc
         decode {d}/good.log --key-file {d}/short.key
+        decode {d}/good.log --cycle-ms nan
         decode {d}/good.log > /dev/full
         decode {d}/good.log --csv > /dev/full
     """,

@@ -20,7 +20,7 @@ from ..errors import BusError
 from .fault_plan import Faults
 from .faults import Fault, fault_of, text_of
 from .faulty import FaultyBus, bare
-from .port import Port
+from .port import Port, UnfitError
 
 __all__ = ["Link", "Sent"]
 
@@ -40,7 +40,8 @@ class Link:
 
     Losing it (set down, deleted, unplugged) and finding it again are each
     reported once: a warning of the logger ``maplines_can.bus``, a call of
-    ``on_event``, the property ``up`` and the counter ``outages``.  Looking for it
+    ``on_event``, the property ``up`` and the counter ``outages``; so is once, if it
+    comes back as something else, such as without CAN FD.  Looking for it
     happens inside `send` and `recv`: a link has no thread of its own.
 
     Any number of threads may send and one may receive, at the same time.
@@ -93,6 +94,7 @@ class Link:
         self._look_at = clock()
         self._faults = faults
         self._faulty: FaultyBus | None = None
+        self._unfit: str | None = None  # what it is since it came back, already told
         #: True from opening or return until the next loss.
         self.up = True
         #: How many times the interface was lost.
@@ -192,15 +194,21 @@ class Link:
         bus = self._bus
         if bus is not None:
             return bus
+        news = None
         with self._lock:
             if self._closed.is_set():
                 raise BusError(f"{self.name} is closed; stop its users before its link")
             if self._bus is None and self._clock() >= self._retry_at:
                 try:
                     self._bus = self._open()
-                except BusError:
+                except BusError as error:
                     self._postpone()
-            return self._bus
+                    if isinstance(error, UnfitError) and str(error) != self._unfit:
+                        news = self._unfit = str(error)
+            bus = self._bus
+        if news:
+            self._report(False, news)
+        return bus
 
     def _open(self) -> can.BusABC:
         bus = self._port.open(self._filters)
@@ -218,7 +226,7 @@ class Link:
         with self._lock:
             if self.up or bus is not self._bus:
                 return
-            self.up, self._pause = True, self._backoff[0]
+            self.up, self._pause, self._unfit = True, self._backoff[0], None
             text = f"{self.name} is back after {self._clock() - self._lost_at:.1f} s"
         self._report(True, text)
 

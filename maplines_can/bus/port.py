@@ -15,9 +15,13 @@ from ..errors import BusError
 from . import socketcan
 from .faults import text_of
 
-__all__ = ["Port"]
+__all__ = ["Port", "UnfitError"]
 
 _ERRORS = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError)
+
+
+class UnfitError(BusError):
+    """The interface is there and up, but not what was asked for: waiting alone does not help."""
 
 
 class Port:
@@ -50,11 +54,12 @@ class Port:
             filters: what to let through, as in ``can.BusABC.set_filters``.
 
         Raises:
-            BusError: it cannot be opened now; why, and what to do.
+            BusError: it cannot be opened now; why, and what to do. UnfitError where it is there.
         """
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
-            raise BusError(f"{self.name} cannot be opened: {problem}")
+            error = BusError if problem.is_outage else UnfitError
+            raise error(f"{self.name} cannot be opened: {problem.text}")
         index = socketcan.index(self._channel)  # before: better found deleted once too often
         try:
             bus = self._opener()

@@ -16,8 +16,9 @@ import contextlib
 import socket
 import struct
 import sys
+from typing import NamedTuple
 
-__all__ = ["index", "problem"]
+__all__ = ["Problem", "index", "problem"]
 
 _SIOCGIFFLAGS, _SIOCGIFMTU = 0x8913, 0x8921  # linux/sockios.h
 _IFF_UP = 1  # linux/if.h
@@ -31,7 +32,14 @@ def index(channel: str) -> int | None:
     return None
 
 
-def problem(channel: str, fd: bool) -> str | None:
+class Problem(NamedTuple):
+    """Why an interface cannot be used, with the cure."""
+
+    text: str
+    is_outage: bool = True  #: it is gone or down; otherwise it is there, and not what is asked for
+
+
+def problem(channel: str, fd: bool) -> Problem | None:
     """Why the interface cannot be used now, with the cure; None if it can.
 
     Args:
@@ -39,18 +47,19 @@ def problem(channel: str, fd: bool) -> str | None:
         fd: whether it must be able to carry CAN FD frames.
     """
     if index(channel) is None:
-        return "there is no such interface; 'ip -br link' lists those that are"
+        return Problem("there is no such interface; 'ip -br link' lists those that are")
     try:
         up = _ask(channel, _SIOCGIFFLAGS, "H") & _IFF_UP
         mtu = _ask(channel, _SIOCGIFMTU, "i")
     except OSError as error:  # deleted since the line above
-        return f"it cannot be asked: {error.strerror}"
+        return Problem(f"it cannot be asked: {error.strerror}")
     if not up:
-        return f"the interface is down; 'ip link set {channel} up'"
+        return Problem(f"the interface is down; 'ip link set {channel} up'")
     if fd and mtu < _CANFD_MTU:
-        return (
+        return Problem(
             f"the interface has no CAN FD (its MTU is {mtu}, CAN FD has {_CANFD_MTU}); enable it, "
-            "or open the interface with fd=False and send classic frames"
+            "or open the interface with fd=False and send classic frames",
+            is_outage=False,
         )
     return None
 

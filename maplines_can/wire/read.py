@@ -131,6 +131,8 @@ class RecordReader:
 
     def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> Part | Reason:
         """Read one record, without the cost of arrays; the part, or why it is not accepted."""
+        if len(payload) != self._packing.record_bytes:
+            return Reason.LENGTH
         raw, fields = self._packing.unpack_one(payload), self._fields
         burst = raw["Counter"] & self._burst_mask
         for page in range(self._pages):
