@@ -278,6 +278,7 @@ def fd_gone(row):
         ip("link set vcan1 down")
         row.detected = receiver.note("is lost", began) - began
         ip("link set vcan1 mtu 16 up")
+        told = receiver.note("the interface has no CAN FD", began)
         invalid = receiver.each_slot(": INVALID", began)
         heard = len(receiver.out)
 
@@ -288,7 +289,10 @@ def fd_gone(row):
         time.sleep(OUTAGE)  # longer than the longest pause between two attempts
         early = len(receiver.out) - heard
         stage.recovered(*after(repair))
-    row.seen = f"INVALID after {invalid - began:.2f} s; {early} lines until it has CAN FD again"
+    row.seen = (
+        f"INVALID after {invalid - began:.2f} s, the reason is told after {told - began:.2f} s; "
+        f"{early} lines until it has CAN FD again"
+    )
 
 
 def clock_back(row):
