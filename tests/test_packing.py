@@ -8,7 +8,7 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.wire.layout import Field
+from maplines_can.wire.field import Field
 from maplines_can.wire.packing import Packing
 
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)

@@ -27,7 +27,7 @@ from maplines_can.cli import _parser, main
 from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError, MissingExtraError
 from maplines_can.study.sending import scene_lines
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
-from maplines_can.wire.layout import SecuredForm
+from maplines_can.wire.channel import SecuredForm
 from maplines_can.wire.secoc import complete
 from maplines_can.wire.signals import SECURED, contract_of
 

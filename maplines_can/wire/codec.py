@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import EncodeError, LayoutError
 from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Kind, MapLine, Slot, Status
+from .channel import Channel
 from .codes import covariance_code
 from .decoder import Decoder
 from .e2e_state import E2EConfig
-from .layout import PAGE_BYTES, STATE_SIGNALS, Channel, Layout, default_dbc_path
+from .layout import PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
 from .packing import Packing
 from .parts import deficit, quantized_weights
 from .read import Batch, Part, RecordReader

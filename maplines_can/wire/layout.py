@@ -14,18 +14,17 @@ from typing import Any
 import cantools
 import numpy as np
 from cantools.database.can import Database, Message, Signal
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..errors import LayoutError
 from ..line import Slot
+from .channel import Channel, SecuredForm
+from .field import Field
 
 __all__ = [
     "PAGE_BYTES",
     "STATE_SIGNALS",
-    "Channel",
-    "Field",
     "Layout",
-    "SecuredForm",
     "default_dbc_path",
     "fd_length",
 ]
@@ -43,120 +42,6 @@ SERVICE_SIGNALS = (
 )
 #: What an authenticated message ends with, in this order, and the most bytes of each.
 SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
-
-
-@dataclass(frozen=True)
-class Field:
-    """One signal of a record, with the law between raw and physical values.
-
-    Args:
-        name: as in the DBC.
-        start: first bit within the record, numbered as the DBC numbers it.
-        length: bits; 1 to 64, unsigned 1 to 63.
-        big_endian: Motorola order; then ``start`` is the most significant bit.
-        signed: two's complement.
-        factor: physical = raw factor + offset.
-        offset: see factor.
-        unit: of the physical value.
-        raw_min: least raw value within the DBC's range.
-        raw_max: greatest raw value within the DBC's range.
-        is_float: the raw value is the pattern of an IEEE 754 number of 32 bits, and only
-            ``physical`` knows what it means.
-    """
-
-    name: str
-    start: int
-    length: int
-    big_endian: bool
-    signed: bool
-    factor: float
-    offset: float
-    unit: str
-    raw_min: int
-    raw_max: int
-    is_float: bool = False
-
-    def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
-        """(...,) nearest raw values, halves to even as cantools does; not limited to the range."""
-        return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
-
-    def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
-        """(...,) physical values."""
-        if self.is_float:
-            pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
-            with np.errstate(invalid="ignore"):  # any bits may come, also those of a NaN
-                return pattern.view(np.float32).astype(float)
-        return np.asarray(raw, dtype=float) * self.factor + self.offset
-
-    def physical_one(self, raw: int) -> float:
-        """The same for one value, without the cost of arrays."""
-        return raw * self.factor + self.offset
-
-    def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(...,) raw values brought into the range; the caller counts what was out of it."""
-        return raw.clip(self.raw_min, self.raw_max)
-
-    @property
-    def physical_range(self) -> tuple[float, float]:
-        """Least and greatest physical value."""
-        low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
-        return float(low), float(high)
-
-
-@dataclass(frozen=True)
-class SecuredForm:
-    """The bytes of an authenticated message: AUTOSAR's secured I-PDU.
-
-    The authentic I-PDU (the record, padding, the key's number in the last byte), then the
-    low bytes of the freshness value, then the first bytes of the MAC.
-
-    Args:
-        length: of the payload.
-        freshness_bytes: of the freshness value, 1 to 7.
-        mac_bytes: of the MAC, 1 to 8.
-    """
-
-    length: int
-    freshness_bytes: int
-    mac_bytes: int
-
-    @property
-    def authentic_bytes(self) -> int:
-        """Length of the authentic I-PDU."""
-        return self.length - self.freshness_bytes - self.mac_bytes
-
-
-@dataclass(frozen=True)
-class Channel:
-    """Where the lines of one slot travel.
-
-    Args:
-        slot: the line slot.
-        name: name of its classic message, or of its FD message where there is no other.
-        can_id: CAN ID of the classic message with its pages, or None.
-        fd_can_id: CAN ID of the CAN FD message, or None.
-        is_extended: the classic ID has 29 bits.
-        fd_is_extended: the CAN FD ID has 29 bits.
-        fd_length: payload length of the FD message, the record and padding.
-        data_id: what the checksum is salted with, so that no line passes for another.
-        cycle_ms: cycle time that the DBC asks for [ms].
-        secured_can_id: CAN ID of the authenticated CAN FD message, or None.
-        secured_is_extended: the authenticated ID has 29 bits.
-        secured_data_id: AUTOSAR's SecOC data ID, which the MAC covers.
-    """
-
-    slot: Slot
-    name: str
-    can_id: int | None
-    fd_can_id: int | None
-    is_extended: bool
-    fd_is_extended: bool
-    fd_length: int
-    data_id: int
-    cycle_ms: int
-    secured_can_id: int | None = None
-    secured_is_extended: bool = False
-    secured_data_id: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,12 +175,6 @@ _HUGE = re.compile(
 )
 
 
-class Carrier(Enum):
-    """Which message of a slot."""
-
-    CLASSIC, FD, SECURED = range(3)
-
-
 def default_dbc_path(name: str = "maplines.dbc") -> Path:
     """Where a DBC of the project is: inside an installed package, else in the checkout.
 
@@ -317,6 +196,12 @@ def fd_length(length: int) -> int:
     (24, 32)
     """
     return next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= length)
+
+
+class Carrier(Enum):
+    """Which message of a slot."""
+
+    CLASSIC, FD, SECURED = range(3)
 
 
 def _layout(database: Database, source: str) -> Layout:

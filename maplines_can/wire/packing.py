@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .layout import Field
+from .field import Field
 
 __all__ = ["Packing", "Piece", "pieces_of"]
 

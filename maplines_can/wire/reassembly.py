@@ -10,7 +10,8 @@ from typing import Literal, NamedTuple
 
 from ..errors import LayoutError
 from ..line import Slot
-from .layout import BURST, PAGE, PAGE_BYTES, Field, Layout
+from .field import Field
+from .layout import BURST, PAGE, PAGE_BYTES, Layout
 from .packing import pieces_of
 
 __all__ = ["Reason", "Reassembler", "Record"]

@@ -21,7 +21,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import EncodeError, KeyMaterialError, MissingExtraError
-from .layout import SecuredForm
+from .channel import SecuredForm
 from .reassembly import Reason
 
 __all__ = ["Authenticator", "Key", "Verifier", "complete"]

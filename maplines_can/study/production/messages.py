@@ -37,7 +37,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...line import STATES, lateral, lateral_jacobian
 from ...wire import Layout
 from ...wire.codes import CODES
-from ...wire.layout import STATE_SIGNALS, Field
+from ...wire.field import Field
+from ...wire.layout import STATE_SIGNALS
 from ..metrics import judge
 from ..sets import Gaussians, paper, road
 

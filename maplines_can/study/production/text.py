@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...line import STATES
-from ...wire.layout import Field
+from ...wire.field import Field
 from .messages import DISTANCES, KL_QUANTILES, Message, Row
 
 __all__ = ["as_csv", "as_markdown", "as_records", "as_text"]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ...line import Status
 from ..contract import SignalSpec
-from ..layout import Field, Layout
+from ..field import Field
+from ..layout import Layout
 
 __all__ = ["Array", "Coded", "CovarianceCode", "nearest_raw"]
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ...errors import LayoutError
 from ..contract import SignalSpec
-from ..layout import STATE_SIGNALS, Field, Layout
+from ..field import Field
+from ..layout import STATE_SIGNALS, Layout
 from .code import Array, Coded, CovarianceCode, nearest_raw
 
 __all__ = [
