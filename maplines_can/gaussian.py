@@ -10,11 +10,23 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import solve_triangular
 from scipy.special import gammaincinv
 
-__all__ = ["Gaussian", "asymmetric", "indefinite", "nearest_covariance", "square_root"]
+from .arrays import floats
+
+__all__ = [
+    "MOST_COV",
+    "Gaussian",
+    "asymmetric",
+    "indefinite",
+    "nearest_covariance",
+    "square_root",
+    "variances",
+]
 
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
 #: deviations, are taken for rounding; anything larger is the caller's mistake.
 ROUNDING = 1e-9
+#: Variances and covariances up to this can be added without leaving the floats.
+MOST_COV = 1e307
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +35,7 @@ class Gaussian:
 
     Args:
         mean: (n,) finite.
-        cov: (n, n) finite, symmetric and positive semidefinite, both up to
+        cov: (n, n) finite (up to 1e307), symmetric and positive semidefinite, both up to
             rounding (1e-9 of the standard deviations, 1e-5 for float32); zero
             variances and exactly singular matrices are legal.
 
@@ -45,11 +57,11 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
 
     def __post_init__(self) -> None:
         rounding = rounding_of(self.cov)
-        mean = np.array(self.mean, dtype=float)
-        cov = np.array(self.cov, dtype=float)
+        mean = np.array(floats(self.mean, "mean"))
+        cov = np.array(floats(self.cov, "cov"))
         if mean.ndim != 1 or mean.size == 0 or not np.isfinite(mean).all():
             raise ValueError(f"mean must be finite with shape (n,), got {mean!r}")
-        if cov.shape != (mean.size, mean.size) or not np.isfinite(cov).all():
+        if cov.shape != (mean.size, mean.size) or not (np.abs(cov) <= MOST_COV).all():
             raise ValueError(f"cov must be finite with shape {(mean.size,) * 2}, got {cov!r}")
         if (cov.diagonal() < 0).any():
             raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
@@ -115,11 +127,11 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         >>> Gaussian([1, 2, 3], np.diag([1, 4, 9])).marginal([2, 0]).mean
         array([3., 1.])
         """
-        keep = np.asarray(indices, dtype=int)
-        if keep.ndim != 1 or not ((keep >= 0) & (keep < self.dimension)).all():
-            raise ValueError(
-                f"indices must be (k,) from 0 to {self.dimension - 1}, got {indices!r}"
-            )
+        given = floats(indices, "indices")
+        known = (given >= 0) & (given < self.dimension) & (given == np.floor(given))
+        if given.ndim != 1 or not known.all():
+            raise ValueError(f"indices must be (k,) from 0 to {self.dimension - 1}, got {given!r}")
+        keep = given.astype(int)
         return Gaussian(self.mean[keep], self.cov[np.ix_(keep, keep)])
 
     def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
@@ -127,16 +139,18 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         normal = np.random.default_rng(seed).standard_normal((n, self.dimension))
         return self.mean + normal @ self.root.T
 
+    @np.errstate(over="ignore", invalid="ignore")
     def mahalanobis(self, x: ArrayLike) -> NDArray[np.float64]:
-        """(...,) distances of (..., n) points in standard deviations.
+        """(...,) distances of (..., n) points in standard deviations, infinite beyond 1e154.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance is singular.
         """
-        d = np.asarray(x, dtype=float) - self.mean
+        d = floats(x, "x") - self.mean
         z = solve_triangular(self._factor(), d.reshape(-1, self.dimension).T, lower=True)
         return np.sqrt((z**2).sum(axis=0)).reshape(d.shape[:-1])
 
+    @np.errstate(over="ignore")
     def coverage(self, samples: ArrayLike, mass: float = 0.99) -> float:
         """Share of (N, n) samples inside the central region that holds ``mass``.
 
@@ -233,6 +247,22 @@ def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.floa
     return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # a row without variance stays empty
 
 
+def variances(sigma: ArrayLike) -> NDArray[np.float64]:
+    """(...,) squares of standard deviations.
+
+    Raises:
+        ValueError: one is negative, not finite, or too large for its square to be a float.
+
+    >>> variances([0.5, 2.0])
+    array([0.25, 4.  ])
+    """
+    sigmas = floats(sigma, "sigma")
+    most = np.sqrt(MOST_COV)
+    if not ((sigmas >= 0) & (sigmas <= most)).all():
+        raise ValueError(f"sigma must be 0 or more and finite (up to {most:.2g}), got {sigmas!r}")
+    return np.square(sigmas)
+
+
 def rounding_of(cov: object) -> float:
     """Rounding to expect of a covariance: 1e-9, or 1e-5 where it comes in single precision."""
     return 1e-5 if getattr(cov, "dtype", None) in (np.float32, np.float16) else ROUNDING
@@ -291,8 +321,8 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
            [1.5, 1.5]])
     """
     rounding = rounding_of(cov)
-    S = np.asarray(cov, dtype=float)
-    if S.ndim < 2 or S.shape[-1] != S.shape[-2] or not np.isfinite(S).all():
+    S = floats(cov, "cov")
+    if S.ndim < 2 or S.shape[-1] != S.shape[-2] or not (np.abs(S) <= MOST_COV).all():
         raise ValueError(f"cov must be finite with shape (..., n, n), got {cov!r}")
     if (np.diagonal(S, axis1=-2, axis2=-1) < 0).any():
         raise ValueError(f"cov must have variances of 0 or more, got {cov!r}")

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import floats, number_text
 from .errors import IllPosedError
-from .gaussian import Gaussian
+from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
 
 __all__ = [
@@ -36,6 +37,11 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 
 #: A line must advance along the car's x axis by this share of its way (it lies within 80 deg).
 LEAST_ADVANCE = 0.17
+
+#: No age is longer [s]; in nanoseconds it is still a float.
+LONGEST_AGE = 1e99
+#: More points of a line need more memory than they are worth.
+MOST_POINTS = 10_000
 
 
 class Slot(IntEnum):
@@ -115,12 +121,15 @@ class MapLine:
         object.__setattr__(self, "status", Status(self.status))
         if self.gaussian.dimension != len(STATES):
             raise ValueError(f"gaussian must be over {STATES}, got {self.gaussian.dimension}-D")
-        if not (np.isfinite([self.x_min, self.x_max]).all() and self.x_min <= self.x_max):
+        numbers = floats([self.x_min, self.x_max, self.age], "x_min, x_max and age")
+        if not (np.isfinite(numbers[:2]).all() and self.x_min <= self.x_max):
             raise ValueError(
                 f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
             )
-        if not 0 <= self.age < np.inf:
-            raise ValueError(f"age must be 0 s or more and finite, got {self.age!r}")
+        if not 0 <= numbers[2] <= LONGEST_AGE:
+            raise ValueError(
+                f"age must be 0 s or more and finite (up to {LONGEST_AGE:g}), got {self.age!r}"
+            )
         if self.t_ns is not None and self.t_ns != self.t_ns // 1:
             raise ValueError(f"t_ns must be whole [ns], or None at a sender, got {self.t_ns!r}")
 
@@ -131,17 +140,13 @@ class MapLine:
         >>> MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]).status.name
         'UNKNOWN'
         """
-        vague = Gaussian(np.asarray(mean, dtype=float), np.diag(np.square(VAGUE_SIGMA)))
+        vague = Gaussian(floats(mean, "mean"), np.diag(np.square(VAGUE_SIGMA)))
         return cls(slot, vague, status=Status.UNKNOWN, **rest)
 
     @classmethod
     def with_sigma(cls, slot: Slot, mean: ArrayLike, sigma: ArrayLike, **rest: Any) -> MapLine:
         """A line of which the mean and the standard deviations are known."""
-        sigmas = np.asarray(sigma, dtype=float)
-        if not (sigmas >= 0).all():
-            raise ValueError(f"sigma must be 0 or more, got {sigma!r}")
-        variances = np.square(sigmas)
-        gaussian = Gaussian(np.asarray(mean, dtype=float), np.diag(variances))
+        gaussian = Gaussian(floats(mean, "mean"), np.diag(variances(sigma)))
         return cls(slot, gaussian, status=Status.DIAGONAL, **rest)
 
     @classmethod
@@ -156,11 +161,15 @@ class MapLine:
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
         """(...,) standard deviation of the lateral position at x [m], to first order."""
         J = lateral_jacobian(self.gaussian.mean, x)
-        return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """Lateral position l(x) of lines (Map Line Interface, eq. 1).
+
+    Infinite or NaN, without a warning, where x is, or where the value is beyond the floats.
 
     Args:
         parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].
@@ -169,16 +178,25 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
     array([1. , 1.5, 3. ])
     """
-    y_off, beta, c0, c1 = np.moveaxis(np.asarray(parameters, dtype=float), -1, 0)
-    x = np.asarray(x, dtype=float)
+    y_off, beta, c0, c1 = _states(parameters)
+    x = floats(x, "x")
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """(..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
-    _, beta, _, _ = np.moveaxis(np.asarray(parameters, dtype=float), -1, 0)
-    x, beta = np.broadcast_arrays(np.asarray(x, dtype=float), beta)
+    _, beta, _, _ = _states(parameters)
+    x, beta = np.broadcast_arrays(floats(x, "x"), beta)
     return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
+
+
+def _states(parameters: ArrayLike) -> NDArray[np.float64]:
+    """(4, ...) of (..., 4) lines."""
+    lines = floats(parameters, "parameters")
+    if lines.shape[-1:] != (len(STATES),):
+        raise ValueError(f"parameters must have shape (..., 4), got {lines.shape}")
+    return np.moveaxis(lines, -1, 0)
 
 
 def line_of_cubic(
@@ -222,10 +240,10 @@ def moved(
         parameters: (..., 4) lines in the old ego frame.
         motion: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
         window: where the line holds (x_min, x_max) in the old ego frame [m].
-        points: how many points of the line, 4 or more.
+        points: how many points of the line, 4 to 10 000.
 
     Raises:
-        ValueError: fewer than 4 points, or an empty window.
+        ValueError: fewer than 4 points or more than 10 000, an empty window, or a wrong shape.
         IllPosedError: seen from the new pose, a line doubles back or stands
             across the car (80 deg and more), or a number is NaN.
 
@@ -243,18 +261,24 @@ def moved(
     return lines
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def moved_or_nan(
     parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
     """As ``moved``, with a row of NaN for a line that no cubic follows: for moment transforms."""
-    x_min, x_max = window
+    x_min, x_max = (floats(end, "window").item() for end in window)
     if points < 4 or not -np.inf < x_min < x_max < np.inf:
-        raise ValueError(f"needs 4 points or more in a window, got {points} points in {window} m")
+        raise ValueError(
+            f"needs 4 points or more in a window, got {number_text(points)} points "
+            f"in ({x_min:g}, {x_max:g}) m"
+        )
+    if points > MOST_POINTS:
+        raise ValueError(f"needs {MOST_POINTS} points or fewer, got {number_text(points)}")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
         nodes = np.linspace(1, -1, points)
     x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
-    lines, motion = np.asarray(parameters, dtype=float), np.asarray(motion, dtype=float)
+    lines, motion = np.moveaxis(_states(parameters), 0, -1), floats(motion, "motion")
     if motion.shape[-1:] != (3,):
         raise ValueError(f"motion must have shape (..., 3), got {motion.shape}")
     dx, dy, heading = (motion[..., i, None] for i in range(3))
@@ -264,7 +288,7 @@ def moved_or_nan(
     advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])
     follows = advance > LEAST_ADVANCE * np.hypot(advance, np.diff(v, axis=-1))
     lost = ~(follows.all(axis=-1) & (np.abs(lines[..., 1]) < np.pi / 2))  # tan knows no backwards
-    u = np.where(lost[..., None], x, u)  # any places that can be fitted at; the fit is not used
+    u = np.where(lost[..., None], nodes, u)  # any places that can be fitted at; the fit is not used
     centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
     half = (u.max(axis=-1) - u.min(axis=-1)) / 2
     w = (u - centre[..., None]) / half[..., None]

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import floats
 from .gaussian import Gaussian
 
 __all__ = ["GaussianMixture"]
@@ -33,14 +34,14 @@ class GaussianMixture:
     components: tuple[Gaussian, ...]
 
     def __post_init__(self) -> None:
-        weights = np.array(self.weights, dtype=float)
+        weights = np.array(floats(self.weights, "weights"))
         components = tuple(self.components)
         if weights.shape != (len(components),) or not components:
             raise ValueError(
                 f"weights must have shape ({len(components)},), one for each component, "
                 f"got {weights.shape}"
             )
-        if not (weights > 0).all() or not abs(weights.sum() - 1) < 1e-9:
+        if not ((weights > 0) & (weights < 2)).all() or not abs(weights.sum() - 1) < 1e-9:
             raise ValueError(f"weights must be positive and of sum 1, got {weights!r}")
         if len({component.dimension for component in components}) > 1:
             raise ValueError("components must have one dimension")
@@ -89,7 +90,7 @@ class GaussianMixture:
         Raises:
             numpy.linalg.LinAlgError: a component is singular.
         """
-        x = np.asarray(x, dtype=float)
+        x = floats(x, "x")
         total = np.zeros(x.shape[:-1])
         for weight, component in zip(self.weights, self.components, strict=True):
             norm = np.sqrt(2 * np.pi) ** self.dimension * component.root.diagonal().prod()

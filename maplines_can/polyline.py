@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .arrays import floats, number_text
+
 __all__ = ["Polyline", "to_ego"]
 
 #: More than this no map has, and hardly a machine.
@@ -31,7 +33,7 @@ class Polyline:
     points: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        points = np.array(self.points, dtype=float)
+        points = np.array(floats(self.points, "points"))
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise ValueError(f"points must have shape (n, 2) with n >= 2, got {points.shape}")
         if not np.isfinite(points).all():
@@ -41,6 +43,7 @@ class Polyline:
         object.__setattr__(self, "points", points)
 
     @property
+    @np.errstate(over="ignore")
     def distance(self) -> NDArray[np.float64]:
         """(n,) way along the line up to each point [m]."""
         return np.append(0.0, np.hypot(*np.diff(self.points, axis=0).T).cumsum())
@@ -57,9 +60,10 @@ class Polyline:
         array([ 0. ,  2.5,  5. ,  7.5, 10. ])
         """
         if not spacing > 0:
-            raise ValueError(f"spacing must be more than 0 m, got {spacing!r}")
+            raise ValueError(f"spacing must be more than 0 m, got {number_text(spacing)}")
+        spacing = floats(spacing, "spacing").item()
         distance = self.distance
-        if distance[-1] / spacing > MOST_POINTS:
+        if distance[-1] > MOST_POINTS * spacing:
             raise ValueError(
                 f"spacing must be {distance[-1] / MOST_POINTS:g} m or more for a line of "
                 f"{distance[-1]:g} m ({MOST_POINTS:g} points), got {spacing!r}"
@@ -74,7 +78,8 @@ class Polyline:
         where a road comes back near the car, its other branch is left out.
         Empty where no point of the line lies in the window.
         """
-        pose = np.asarray(pose, dtype=float)
+        pose = floats(pose, "pose")
+        x_min, x_max = floats(x_min, "x_min").item(), floats(x_max, "x_max").item()
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
         ego = to_ego(self.points, pose)
@@ -115,6 +120,6 @@ def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     >>> to_ego([[0.0, 5.0]], [0.0, 0.0, np.pi / 2]).round(9) + 0.0
     array([[5., 0.]])
     """
-    e_x, e_y, e_h = np.asarray(pose, dtype=float)
+    e_x, e_y, e_h = floats(pose, "pose")
     c, s = np.cos(e_h), np.sin(e_h)
-    return (np.asarray(points, dtype=float) - [e_x, e_y]) @ np.array([[c, -s], [s, c]])
+    return (floats(points, "points") - [e_x, e_y]) @ np.array([[c, -s], [s, c]])

@@ -33,6 +33,7 @@ from maplines_can.bus import (
     read_log,
 )
 from maplines_can.bus.faults import Fault, fault_of, text_of
+from maplines_can.bus.outbox import AHEAD
 from maplines_can.bus.stamp_clock import StampClock
 from maplines_can.bus.timing import LatenessHistogram, Schedule
 from maplines_can.errors import BusError, LogError, MissingExtraError
@@ -486,23 +487,23 @@ def test_lines_are_encoded_together_and_ages_are_those_of_the_sending():
     """One call a period; each age counts to the line's own place in it."""
     port, clock, codec = FakePort(), Clock(), Recorder()
     with Link(port) as link:
-        transmitter = Transmitter(link, codec, period=0.8, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
         transmitter.publish([line(slot, age=0.1) for slot in Slot])
-        run_until(transmitter, clock, 1000.75)
+        run_until(transmitter, clock, 1000.075)
 
-        assert codec.batches == [[(slot, 1.75, round(0.1 + slot / 10, 9)) for slot in Slot]]
-        assert values(port) == [(100 + 100 * slot, 1750) for slot in Slot]
+        assert codec.batches == [[(slot, 1.75, round(0.1 + slot / 100, 9)) for slot in Slot]]
+        assert values(port) == [(100 + 10 * slot, 1750) for slot in Slot]
 
 
-@pytest.mark.parametrize("offset", [0.05, 0.35, 0.65])
+@pytest.mark.parametrize("offset", [0.005, 0.035, 0.065])
 def test_a_producer_of_the_same_period_is_never_behind(offset):
     """Wherever in the period it publishes: one call a period, no line waits longer than one."""
     port, clock, codec = FakePort(), Clock(), Recorder()
     with Link(port) as link:
-        transmitter = Transmitter(link, codec, period=0.8, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
         for k in range(10):
             transmitter.publish(line(slot, y=k) for slot in Slot)
-            run_until(transmitter, clock, 1000.0 + offset + 0.8 * k)
+            run_until(transmitter, clock, 1000.0 + offset + 0.08 * k)
             if k == 5:
                 values(port)
                 codec.batches.clear()
@@ -510,30 +511,45 @@ def test_a_producer_of_the_same_period_is_never_behind(offset):
         assert [len(batch) for batch in codec.batches] == [8] * 4
         for batch in codec.batches:
             assert len({y for _, y, _ in batch}) == 1
-            assert max(age for _, _, age in batch) < 0.8
+            assert max(age for _, _, age in batch) < 0.08
 
 
 def test_repetitions_are_encoded_half_a_period_ahead_at_most():
     port, clock, codec = FakePort(), Clock(), Recorder()
     with Link(port) as link:
-        transmitter = Transmitter(link, codec, period=0.8, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
         transmitter.publish(line(slot) for slot in Slot)
-        run_until(transmitter, clock, 1000.0 + 0.8 * 3 - 0.01)
+        run_until(transmitter, clock, 1000.0 + 0.08 * 3 - 0.001)
 
     assert [len(batch) for batch in codec.batches] == [8, 4, 4, 4, 4]
+
+
+@pytest.mark.parametrize("period", [1.0, 3.0, 60.0])
+def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period):
+    """A value that is published in time goes out at the next deadline; frames are stamped late."""
+    port, clock, codec = FakePort(), Clock(), Recorder()
+    with Link(port) as link:
+        transmitter = Transmitter(link, codec, period=period, clock=clock)
+        transmitter.publish(line(slot, y=1) for slot in Slot)
+        run_until(transmitter, clock, 1000.0 + period * 5 / 8 - AHEAD - 0.01)
+        transmitter.publish(line(slot, y=2) for slot in Slot)
+        run_until(transmitter, clock, 1000.0 + period * 0.99)
+
+    assert [y for _, y in values(port)] == [1000] * 5 + [2000] * 3
+    assert max(map(len, codec.batches)) <= 1 + AHEAD / (period / 8)
 
 
 def test_what_was_encoded_before_a_retract_is_not_sent_after_it():
     port, clock = FakePort(), Clock()
     with Link(port) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.8, clock=clock)
+        transmitter = Transmitter(link, FakeCodec(), period=0.08, clock=clock)
         transmitter.publish(line(slot, y=1) for slot in Slot)
-        run_until(transmitter, clock, 1000.05)
+        run_until(transmitter, clock, 1000.005)
         assert len(transmitter._outbox._ahead) == 7
         transmitter.retract(Slot.ROUTE)
-        run_until(transmitter, clock, 1000.5)
+        run_until(transmitter, clock, 1000.05)
         transmitter.publish(line(Slot.ROUTE, y=2))
-        run_until(transmitter, clock, 1000.75)
+        run_until(transmitter, clock, 1000.075)
 
         assert [y for _, y in values(port)] == [1000] * 7 + [2000]
 
@@ -1392,3 +1408,89 @@ def test_a_clock_that_was_set_back_is_believed_after_a_second():
         assert believed == (i >= 61)
     clock.heard(900 * second, 4 * second)
     assert clock.now(4 * second) == 900 * second
+
+
+MS = 1_000_000
+
+
+def test_a_backlog_at_the_start_is_not_taken_for_new():
+    """Its frames are taken at once; steady is a clock whose frames come as time goes by."""
+    clock = StampClock()
+    for i in range(41):  # 2 s of frames, the last of which waited for 0.9 s, in 4 ms
+        clock.heard(i * 50 * MS, i * MS // 10)
+        assert not clock.steady
+    for i in range(41, 60):  # and then as they come, 3 s after the first
+        at_ns = 3000 * MS + i * 50 * MS
+        clock.heard(at_ns + 2900 * MS, at_ns)
+        assert clock.steady == (i >= 45)
+        assert clock.now(at_ns) == at_ns + 2900 * MS
+
+
+@pytest.mark.parametrize("wait_ns", [0, 700 * MS])
+def test_a_queue_that_is_never_empty_is_lived_with(wait_ns):
+    """Frames without a pause, each of which waited as long, and some longer: steady in 0.2 s."""
+    clock = StampClock()
+    for i in range(2000):
+        at_ns = i * MS // 4
+        clock.heard(at_ns - wait_ns - i % 7 * 9 * MS, at_ns)
+        assert clock.steady == (at_ns >= 200 * MS)
+
+
+def test_a_slow_end_of_a_backlog_is_of_the_backlog():
+    """A callback that takes 35 ms for a line of 50 ms."""
+    clock = StampClock()
+    for i in range(40):
+        clock.heard(i * 50 * MS, i * 35 * MS)
+        assert not clock.steady
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+def test_a_clock_that_drifts_stays_steady(ppm):
+    """An adapter's quartz against ours, for an hour."""
+    clock = StampClock()
+    for i in range(36_000):
+        at_ns = i * 100 * MS
+        clock.heard(at_ns + at_ns * ppm // 10**6, at_ns)
+        assert clock.steady == (i >= 2)
+
+
+def test_the_latest_line_of_a_link_that_was_open_before_is_not_new(channel):
+    """The sender has died; then the receiver starts, and finds what waited in the queue."""
+    codec = Codec.from_dbc()
+    with (
+        Link(interface="virtual", channel=channel) as sender,
+        Link(interface="virtual", channel=channel) as late,
+    ):
+
+        def send(k, age):
+            line = MapLine.mean_only(Slot.EGO_LEFT, [k / 16, 0, 0, 0])
+            for frame in codec.encode(line):
+                sender.send(
+                    can.Message(
+                        timestamp=time.time() - age,
+                        arbitration_id=frame.can_id,
+                        data=frame.data,
+                        is_extended_id=False,
+                    )
+                )
+
+        for k in range(20):
+            send(k, 2 + (20 - k) * 0.05)
+        with Receiver(late, codec.decoder(cycle_ms=200)) as receiver:
+            for _ in range(20):
+                assert receiver.get(20.0) is not None
+            view = receiver.latest(Slot.EGO_LEFT)
+            assert (view.line.gaussian.mean[0], view.age, view.stale) == (19 / 16, np.inf, True)
+            assert not view.usable
+            assert receiver.latest(Slot.EGO_LEFT, now_ns=view.line.t_ns).usable  # who knows, says
+            deadline = time.monotonic() + 20.0
+            for k in itertools.count(20):
+                send(k, 0)
+                assert receiver.get(20.0) is not None
+                view = receiver.latest(Slot.EGO_LEFT)
+                if view.usable:
+                    break
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            assert k >= 24
+            assert view.age < 10.0

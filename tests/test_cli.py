@@ -233,6 +233,42 @@ def test_decode_keeps_what_is_good_of_a_damaged_log(capsys, log):
     assert "damaged" in err
 
 
+def test_decode_reads_so_many_channels_and_tells_of_the_rest(capsys, tmp_path):
+    """Names that are no channels must not fill the memory, and nothing goes silently."""
+    path = tmp_path / "names.log"
+    path.write_text("".join(f"({k}.0) v{k % 300} 340#0011223344556677\n" for k in range(600)))
+    assert main(["decode", str(path)]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"maplines: error: {path}: 88 frames are of channels beyond the first 256, and are not "
+        "read; split the log by channel"
+    )
+    assert "0 lines from 512 frames" in second
+
+
+@pytest.mark.parametrize(
+    ("text", "notes", "status"),
+    [
+        pytest.param("", ["0 lines from 0 frames"], 0, id="empty"),
+        pytest.param(";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines from 0"], 0, id="head"),
+        pytest.param(
+            "1) 2\n1) 0.5 0340 1 11\n", ["1 of 2 records", "1 frames", "1 errors"], 1, id="short"
+        ),
+    ],
+)
+def test_decode_of_a_trc_speaks_for_itself(tmp_path, text, notes, status):
+    """What python-can says of it in its own words is not seen."""
+    path = tmp_path / "a.trc"
+    path.write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "maplines_can.cli", "decode", str(path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    told = done.stderr.splitlines()
+    assert all(note in line for note, line in zip(notes, told, strict=True)), told
+    assert done.returncode == status
+
+
 def drive(path, *, cycle, channels=("can0",), cut=(), n=20):
     """A candump log of one slot, a line each cycle [s]; the frames of some lines are cut out."""
     (line,) = scene_lines(scenario("highway"), 1)

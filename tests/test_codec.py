@@ -480,3 +480,39 @@ def test_a_file_that_is_no_dbc(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(LayoutError, match=r"bad\.dbc"):
         Codec.from_dbc(path)
+
+
+LINE, COV = np.zeros((1, 4)), np.eye(4)[None] * 1e-4
+RECORD = np.zeros((1, 32), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda c: c.decoder(timeout_ms=1e308), r"at most an hour \(3600000 ms\), got 1e\+308"),
+        (lambda c: c.decoder(timeout_ms=3_600_001), "timeout_ms must be .* got 3600001"),
+        (lambda c: c.decoder(cycle_ms=10**400), "cycle_ms must be .* integer of about 1e400"),
+        (lambda c: c.encode_batch([[10**400, 0, 0, 0]], COV), "means must be numbers"),
+        (lambda c: c.encode_batch(LINE, [[[10**400] * 4] * 4]), "covs must be numbers"),
+        (lambda c: c.encode_batch(LINE, -COV + 1e308), "covs must be finite"),
+        (lambda c: c.encode_batch(LINE, COV, x_min=-(10**400)), "x_min must be numbers"),
+        (lambda c: c.encode_batch(LINE, COV, counter=10**400), "counter must be numbers"),
+        (lambda c: c.encode_batch(LINE, COV, slot=np.inf), "slot must be from 0 to 7, got inf"),
+        (lambda c: c.encode_batch(LINE, COV, slot=1e300), r"slot must be from 0 to 7, got 1e\+300"),
+        (lambda c: c.decode_batch(RECORD, np.nan), "slot must be from 0 to 7, got nan"),
+        (lambda c: c.encode_mixtures([10**400], LINE, COV), "weights must be numbers"),
+        (lambda c: c.encode_mixtures([1.0], LINE, COV), r"weights must have shape \(N, k\)"),
+        (lambda c: c.encode_mixtures([[1.0]], LINE[None], COV[None], age=10**400), "age must be"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_numbers_are_refused_in_words(make, words):
+    """By name and range, in a message that one can read, and without a warning beside it."""
+    with pytest.raises(ValueError, match=words) as refusal:
+        make(default_codec())
+    assert len(str(refusal.value)) < 400
+
+
+def test_a_time_of_an_hour_is_allowed():
+    """The bounds belong to the range."""
+    assert default_codec().decoder(timeout_ms=3_600_000, cycle_ms=3_600_000).lines == 0

@@ -114,6 +114,8 @@ SIGNAL = '@1+ (1,0) [0|15] "" E\n'
         pytest.param(
             f"{MESSAGE} SG_ a m1 : 0|4{SIGNAL} SG_MUL_VAL_ 0 a b1 0-1,\n0-2147483648;\n", id="range"
         ),
+        pytest.param('BA_DEF_ BO_ "A" INT 0 1e30865535;\n', id="exponent"),
+        pytest.param('BA_ "A" "1.5E30865535";\n', id="exponent-in-quotes"),
     ],
 )
 def test_a_dbc_that_asks_for_more_memory_than_there_is_is_refused(text):

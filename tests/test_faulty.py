@@ -4,7 +4,9 @@ import errno
 import itertools
 import json
 import math
+import os
 import queue
+import re
 import subprocess
 import sys
 import threading
@@ -275,7 +277,32 @@ def test_a_flood_has_its_rate_and_its_ids():
 def test_a_flood_of_an_hour_does_not_come_at_once():
     mischief = Mischief(Faults(flood=1000.0))
     mischief.due(0.0)
-    assert len(mischief.due(3600.0)) == pytest.approx(1000, abs=1)
+    (*batches, last) = iter(lambda: mischief.due(3600.0), [])
+    assert {len(batch) for batch in batches} == {32}
+    assert 32 * len(batches) + len(last) == pytest.approx(1000, abs=1)
+    assert mischief.left_out == pytest.approx(3599 * 1000, abs=1)
+    assert mischief.next_due > 3600.0
+
+
+def test_a_flood_of_next_to_nothing_never_comes():
+    mischief = Mischief(Faults(flood=5e-324))
+    assert mischief.due(0.0) == mischief.due(3600.0) == []
+
+
+def test_a_flood_is_drawn_from_ranges_as_from_their_ids():
+    """Of any length: no list of them is made."""
+
+    def ids(flood_ids):
+        mischief = Mischief(Faults(flood=1000.0, flood_ids=flood_ids))
+        mischief.due(0.0)
+        return [f.can_id for i in range(1, 501) for f in mischief.due(i / 100)]
+
+    some = ids((7, *range(0x340, 0x348), 9))
+    assert some == ids((7, range(0x340, 0x348), 9))
+    assert set(some) == {7, *range(0x340, 0x348), 9}
+    assert set(ids(range(5))) == set(range(5))
+    assert max(ids((0, range(0x20000000)))) > 0x10000000
+    assert Faults.parse("flood=1,flood_ids=0-0x1fffffff").flood_ids == (range(0x20000000),)
 
 
 # ---- scripts --------------------------------------------------------------------------
@@ -345,7 +372,7 @@ def test_a_spec_is_the_fields():
     )
     assert faults == Faults(
         loss=0.1, duplicate=0.2, flip=0.3, flip_bits=2, depth=5, flood=10,
-        flood_ids=(0x340, 0x341, 0x342, 7), direction="send", seed=16,
+        flood_ids=(range(0x340, 0x343), 7), direction="send", seed=16,
     )  # fmt: skip
 
 
@@ -372,6 +399,12 @@ def test_a_spec_is_the_fields():
         pytest.param("flood_ids=5-3", "CAN IDs in", id="ids-backwards"),
         pytest.param("direction=up", "direction must be both, send, receive, got 'up'", id="way"),
         pytest.param("seed=-1", "seed must be a whole number in [0, 1.84467e+19]", id="seed"),
+        pytest.param(f"seed=0x{'f' * 400}", "19], got more than 1e308", id="seed-of-400-digits"),
+        pytest.param(f"loss=0x{'f' * 400}", "1], got more than 1e308", id="loss-of-400-digits"),
+        pytest.param(f"corrupt=0x{'f' * 400}", "1], got more than 1e308", id="corrupt-of-400"),
+        pytest.param(
+            "script=/dev/zero", "/dev/zero must have 1,000,000 bytes at most", id="endless"
+        ),
         pytest.param("script=/nowhere", "script /nowhere cannot be read: No such", id="script"),
     ],
 )
@@ -392,6 +425,10 @@ def test_a_wrong_spec_is_told(text, words):
         ("flood 1", "'flood' is unknown"),
         ("loss 0", "frames must be N or N-M from 1 on, got 0-0"),
         ("loss 5-3", "frames must be N or N-M from 1 on, got 5-3"),
+        ("loss 1-", "frames must be N or N-M from 1 on, got '1-'"),
+        (f"loss {'9' * 5000}", "frames must be N or N-M from 1 on, got '999"),
+        (f"loss 1 0x{'f' * 400}", "'loss' takes no value, got more than 1e308"),
+        (f"wrong_id 1 0x{'f' * 400}", "must be in [0, 5.36871e+08], got more than 1e308"),
         ("loss x", "frames must be N or N-M from 1 on, got 'x'"),
         ("loss 1 2", "'loss' takes no value, got 2"),
         ("reorder 1 0", "must be in [1, 10000] frames, got 0"),
@@ -407,6 +444,38 @@ def test_a_wrong_line_of_a_script_is_told(tmp_path, line, words):
     with pytest.raises(ValueError, match=r"faults: .*faults.txt, line 2: ") as caught:
         Faults.parse(f"script={path}")
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"),
+    [
+        ("loss", None, "loss must be in [0, 1], got None"),
+        ("seed", "1", "seed must be a whole number in [0, 1.84467e+19], got '1'"),
+        ("flood_ids", None, "flood_ids must be a tuple, got None"),
+        ("flood_ids", ("a",), "flood_ids must be CAN IDs in [0, 0x1fffffff] or ranges"),
+        ("flood_ids", (0.5,), "or ranges of them, got 0.5"),
+        ("script", 3, "script must be a tuple, got 3"),
+        ("script", ["loss 3"], "script must be of Action.parse, got 'loss 3'"),
+    ],
+)
+def test_a_value_of_another_kind_is_told(field, value, words):
+    with pytest.raises(TypeError, match="faults: ") as caught:
+        Faults(**{field: value})
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("ids", [range(0), range(-1, 3), range(3, 0x20000001), 0x20000000, -1])
+def test_ids_that_no_bus_has_are_refused(ids):
+    with pytest.raises(ValueError, match=r"flood_ids must be CAN IDs in \[0, 0x1fffffff\], got"):
+        Faults(flood_ids=(0, ids))
+
+
+def test_a_script_may_be_a_pipe(tmp_path):
+    """As a shell makes it of <(command)."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    threading.Thread(target=path.write_text, args=("loss 3\n",), daemon=True).start()
+    assert Faults.parse(f"script={path}").script == (Action(Mishap.LOST, 3, 3),)
 
 
 # ---- a bus ----------------------------------------------------------------------------
@@ -514,6 +583,47 @@ def test_a_flood_needs_no_frame(channel, other, direction):
             assert (other if direction == "send" else bus).recv(LONG).arbitration_id == 5
 
 
+@pytest.mark.parametrize("direction", ["send", "receive", "both"])
+def test_a_flood_that_is_too_fast_lets_others_in(direction):
+    """Sending, receiving and the end have their turn; what is left out is counted."""
+    inner = Slow()
+    bus = FaultyBus(inner, f"flood=1e6,flood_ids=5,direction={direction}")
+    done = threading.Event()
+
+    def use():
+        start = time.monotonic()
+        while time.monotonic() < start + 1.5:  # a second is made up for
+            bus.send(message(1))
+            bus.recv(0.001)
+        bus.shutdown()
+        done.set()
+
+    threading.Thread(target=use, daemon=True).start()
+    assert done.wait(LONG)
+    told = bus.as_dict()
+    assert told["flooded"] > 0
+    assert told["left_out"] > 0
+    assert len(bus._incoming) <= 32
+    if direction == "send":
+        assert bus.sending.frames == inner.sent - told["flooded"] > 0
+
+
+def test_a_pump_that_is_too_slow_stops(clock):
+    """After a tenth of a second of its clock; what is still due is sent by the next."""
+    inner = Slow()
+
+    def goes_on():
+        clock.now += 1e-3
+        return clock.now
+
+    with FaultyBus(inner, "flood=1e5,direction=send", clock=goes_on) as bus:
+        clock.now += 1.0
+        start = clock.now
+        bus.pump()
+        assert 0.1 < clock.now - start < 0.2
+        assert 0 < inner.sent < 10_000
+
+
 def test_what_is_held_back_is_sent_at_the_end(channel, other):
     bus = faulty(channel, "reorder=1,depth=1000,direction=send")
     for number in range(5):
@@ -561,6 +671,7 @@ class Stubborn(can.BusABC):
         super().__init__(channel="stubborn")
         self.full, self.sent = list(full), queue.SimpleQueue()
         self.gone, self._state = False, can.BusState.PASSIVE
+        self.received = []
         self.channel_info = "stubborn"
 
     def send(self, msg, timeout=None):  # noqa: ARG002
@@ -570,8 +681,10 @@ class Stubborn(can.BusABC):
             raise OSError(errno.ENODEV, "No such device")
         self.sent.put(msg.data[0])
 
-    def _recv_internal(self, timeout):  # noqa: ARG002
-        return None, True
+    def _recv_internal(self, timeout):
+        if not self.received:
+            time.sleep(min(timeout, 0.01))
+        return (self.received.pop(0) if self.received else None), True
 
     def fileno(self):
         return 7
@@ -586,6 +699,82 @@ class Stubborn(can.BusABC):
     @state.setter
     def state(self, new_state):
         self._state = new_state
+
+
+class Slow(can.BusABC):
+    """A bus that always has a frame, and takes its time to send one."""
+
+    def __init__(self):
+        super().__init__(channel="slow")
+        self.channel_info, self.sent = "slow", 0
+
+    def send(self, msg, timeout=None):  # noqa: ARG002
+        time.sleep(1e-5)
+        self.sent += 1
+
+    def _recv_internal(self, timeout):  # noqa: ARG002
+        time.sleep(1e-5)
+        return message(1, timestamp=time.time()), False
+
+
+@pytest.mark.parametrize("faults", ["loss=1", "delay=60", "wrong_id=1"])
+@pytest.mark.parametrize("timeout", [0, 0.1])
+def test_recv_keeps_its_time_on_a_busy_bus(faults, timeout):
+    """Though frames keep coming, of which none is left."""
+    done = threading.Event()
+    with FaultyBus(Slow(), f"{faults},direction=receive") as bus:
+        bus.set_filters([{"can_id": 0x340, "can_mask": 0x7FF}])
+
+        def use():
+            assert bus.recv(timeout) is None
+            done.set()
+
+        threading.Thread(target=use, daemon=True).start()
+        assert done.wait(LONG)
+
+
+def test_a_receiver_on_a_busy_bus_that_loses_all_can_be_stopped():
+    with Link(Slow, faults=Faults(loss=1.0)) as link:
+        with Receiver(link, default_codec().decoder()) as receiver:
+            pass
+        assert receiver.stats().frames == 0
+
+
+@pytest.mark.parametrize(
+    ("age", "left"),
+    [
+        pytest.param(6.0, 0.0, id="over"),
+        pytest.param(3.0, 2.0, id="waited"),
+        pytest.param(0.0, 5.0, id="new"),
+        pytest.param(3600.0, 5.0, id="another-clock"),
+        pytest.param(-3.0, 5.0, id="of-the-future"),
+    ],
+)
+def test_a_delay_counts_from_the_time_stamp(age, left):
+    """Of a frame that waited for `recv`, if the stamp can be one of this clock."""
+    inner = Stubborn()
+    with FaultyBus(inner, "delay=5,direction=receive") as bus:
+        inner.received = [message(7, timestamp=time.time() - age)]
+        late = bus.recv(0)
+        if left:
+            assert late is None
+            assert bus.receiving.next_due - time.monotonic() == pytest.approx(left, abs=1)
+        else:
+            assert late.timestamp == pytest.approx(time.time(), abs=1)
+
+
+@pytest.mark.parametrize(
+    ("bus", "faults", "words"),
+    [
+        (None, "loss=0.1", "bus must be a python-can bus, got None"),
+        (lambda: "vcan0", "loss=0.1", "bus must be a python-can bus, got 'vcan0'"),
+        (Slow, None, "faults must be Faults or a text such as 'loss=0.1', got None"),
+    ],
+)
+def test_a_bus_of_nothing_is_told(bus, faults, words):
+    with pytest.raises(TypeError) as caught:
+        FaultyBus(bus and bus(), faults)
+    assert str(caught.value) == words
 
 
 def test_a_frame_that_is_tried_again_suffers_once():
@@ -758,7 +947,14 @@ def test_the_demo_tells_what_was_done(capsys):
     assert result["frames_lost"] == done["lost"] + done["held"] > 0
     assert result["lines_lost"] > 0
     assert main(command) == 0
-    assert f"faults    of {done['frames']} frames: " in capsys.readouterr().out
+    told = capsys.readouterr().out
+    (sent,) = re.findall(r"^sent .* (\d+) frames$", told, re.MULTILINE)
+    (lost,) = re.findall(r"^lost .* (\d+) frames$", told, re.MULTILINE)
+    (line,) = re.findall(r"^faults    .*", told, re.MULTILINE)
+    done = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)", line)}
+    assert done["frames"] == int(sent)
+    assert done["lost"] + done["held"] == int(lost)
+    assert done["frames"] + done["duplicated"] == done["passed"] + done["lost"] + done["held"]
 
 
 def test_send_and_receive_tell_what_was_done(capsys, channel):

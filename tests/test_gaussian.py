@@ -274,3 +274,37 @@ def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p, q):
 
     assert np.isclose((p.wasserstein(q) / unit) ** 2, squared, atol=1e-7)
     assert np.isclose((q.wasserstein(p) / unit) ** 2, squared, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Gaussian([10**400, 0], np.eye(2)), "mean must be numbers .* about 1e400"),
+        (lambda: Gaussian([0], [[-(10**400)]]), "cov must be numbers .* about -1e400"),
+        (lambda: Gaussian([0], [[10**5000]]), "about 1e5000"),
+        (lambda: Gaussian(np.array([1j]), [[1]]), "mean must be real"),
+        (lambda: Gaussian([0, 0], np.eye(2) * 1e308), "cov must be finite"),
+        (lambda: Gaussian([0, 0], [[1, 1e308], [-1e308, 1]]), "cov must be finite"),
+        (lambda: nearest_covariance([[10**400]]), "cov must be numbers"),
+        (lambda: nearest_covariance([[1, 1e308], [-1e308, 1]]), "cov must be finite"),
+        (lambda: Gaussian([0], [[1]]).mahalanobis([10**400]), "x must be numbers"),
+        (lambda: Gaussian([0], [[1]]).marginal([10**400]), "indices must be numbers"),
+        (lambda: Gaussian([0], [[1]]).marginal([1e300]), "indices must be"),
+        (lambda: Gaussian([0], [[1]]).marginal([0.5]), "indices must be"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_numbers_are_refused_in_words(make, words):
+    """By name and range, in a message that one can read, and without a warning beside it."""
+    with pytest.raises(ValueError, match=words) as refusal:
+        make()
+    assert len(str(refusal.value)) < 200
+
+
+@pytest.mark.filterwarnings("error")
+def test_distances_beyond_the_floats_are_infinite():
+    """A far point is outside of everything."""
+    unit = Gaussian([0.0], [[1.0]])
+
+    assert unit.mahalanobis([-1e308]) == np.inf
+    assert unit.coverage([[-1e308], [0.0]]) == 0.5

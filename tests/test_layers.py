@@ -7,7 +7,7 @@ import pytest
 
 PACKAGE = Path(__file__).parents[1] / "maplines_can"
 LAYERS = [
-    ["errors", "arguments"],
+    ["errors", "arguments", "arrays"],
     ["gaussian", "mixture", "line", "polyline"],
     ["scenarios", "propagation", "wire", "maps"],
     ["bus", "ego", "consumers"],

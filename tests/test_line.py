@@ -260,3 +260,59 @@ def test_a_line_with_sigmas_has_no_correlations():
     assert line.status == Status.DIAGONAL
     assert line.x_max == 50
     assert np.array_equal(line.gaussian.cov, np.diag(np.square([0.1, 0.01, 0, 1e-6])))
+
+
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: MapLine.mean_only(0, [HUGE, 0, 0, 0]), "mean must be numbers .* about 1e400"),
+        (lambda: MapLine.mean_only(0, np.array([1j, 0, 0, 0])), "mean must be real"),
+        (lambda: MapLine.with_sigma(0, np.zeros(4), [-HUGE] * 4), "sigma must .* about -1e400"),
+        (lambda: MapLine.with_sigma(0, np.zeros(4), [1e200] * 4), r"finite \(up to 3.2e\+153\)"),
+        (
+            lambda: MapLine.mean_only(0, np.zeros(4), x_max=HUGE),
+            "x_max and age must be numbers .* about 1e400",
+        ),
+        (lambda: MapLine.mean_only(0, np.zeros(4), age=HUGE), "age .* integer of about 1e400"),
+        (lambda: lateral(np.zeros(4), HUGE), "x must be numbers .* about 1e400"),
+        (lambda: lateral(np.zeros(3), 1.0), r"parameters must have shape \(..., 4\), got \(3,\)"),
+        (lambda: lateral_jacobian(1.0, 1.0), r"parameters must have shape \(..., 4\), got \(\)"),
+        (lambda: moved(3.0, np.zeros(3), (0, 80)), r"parameters must have shape \(..., 4\)"),
+        (lambda: moved(np.zeros(4), [HUGE, 0, 0], (0, 80)), "motion must be numbers"),
+        (lambda: moved(np.zeros(4), np.zeros(3), (0, HUGE)), "window must be numbers .* 1e400"),
+        (lambda: moved(np.zeros(4), np.zeros(3), (0, 80), -HUGE), "about -1e400 points"),
+        (lambda: moved(np.zeros(4), np.zeros(3), (0, 80), 10**9), "10000 points or fewer"),
+        (lambda: moved(np.zeros(4), np.zeros(3), (0, 5e-324)), "no cubic"),
+        (lambda: moved([1e308] * 4, [1e308] * 3, (-1e308, 1e308)), "no cubic"),
+        (lambda: moved(np.zeros(4), [np.inf, 0, 0], (0, 80)), "no cubic"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_numbers_are_refused_in_words(make, words):
+    """By name and range, in a message that one can read, and without a warning beside it."""
+    with pytest.raises(ValueError, match=words) as refusal:
+        make()
+    assert len(str(refusal.value)) < 200
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_of_single_precision_are_numbers():
+    """Their range is not that of the bounds."""
+    one = np.float32(1.0)
+    line = MapLine.mean_only(Slot.EGO_LEFT, [one, 0, 0, 0], x_min=one, x_max=2 * one, age=one)
+
+    assert moved(line.gaussian.mean, [0, one, 0], (one, 2 * one))[0] == pytest.approx(0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_line_beyond_the_floats_is_infinite_or_nan():
+    """As its docstring says, and without a warning."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6])
+
+    assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()
+    assert not np.isfinite(line.y_sigma([np.inf, 1e308])).any()
+    assert not np.isfinite(lateral(np.full(4, 1e200), -1e308))
+    assert not np.isfinite(lateral_jacobian(np.zeros(4), 1e308)[3])

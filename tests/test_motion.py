@@ -158,7 +158,13 @@ def test_speed_and_yaw_rate_may_correlate_exactly():
         (lambda: Motion(1.0, np.inf), "yaw_rate must be finite, got inf"),
         (lambda: Motion(1.0, 0.0, np.eye(3)), r"cov must be finite with shape \(2, 2\)"),
         (lambda: Motion(1.0, 0.0, [[1, 2], [2, 1]]), "cov must be positive semidefinite"),
-        (lambda: Motion.with_sigma(1.0, 0.0, (np.nan, 1.0)), "cov must be finite"),
+        (lambda: Motion.with_sigma(1.0, 0.0, (np.nan, 1.0)), "sigma must be 0 or more and finite"),
+        (lambda: Motion.with_sigma(1.0, 0.0, (-0.1, 1.0)), "sigma must be 0 or more and finite"),
+        (lambda: Motion.with_sigma(1.0, 0.0, (1e200, 1.0)), "sigma must be 0 or more and finite"),
+        (lambda: Motion(-(10**400), 0.0), "speed must be numbers .* about -1e400"),
+        (lambda: Motion(1.0, 0.0).over(10**400), "dt must be numbers .* about 1e400"),
+        (lambda: Motion(1.0, 0.0).over(0.1, 1e200), "sigma must be 0 or more and finite"),
+        (lambda: Motion(1e300, 0.0).over(1e300), "the function has no value"),
         (lambda: Motion(1.0, 0.0).over(np.nan), r"dt must be finite \[s\], got nan"),
         (lambda: Motion(1.0, 0.0).over(0.1, -0.1), "time_sigma must be 0 s or more"),
         (lambda: Motion(1.0, 0.0).over(0.1, np.nan), "time_sigma must be 0 s or more"),
@@ -622,3 +628,13 @@ def test_ten_seconds_are_lawful():
     now = line_at(received(), 10_960_000_000, Motion(0.5, 0.0))
 
     assert now.x_max == pytest.approx(75.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_time_of_hundreds_of_digits_is_told_by_its_size():
+    """Beyond the floats too, and without its digits."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
+
+    with pytest.raises(ValueError, match=r"within 10 s .* an integer of about 1e400") as refusal:
+        line_at(line, 10**400, Motion(1.0, 0.0))
+    assert len(str(refusal.value)) < 250

@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, Transmitter, scenario
 from maplines_can.bus import key_from_env, key_from_file
+from maplines_can.bus.outbox import AHEAD, Outbox
 from maplines_can.cli import _parser, main
 from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError, MissingExtraError
 from maplines_can.study.sending import scene_lines
@@ -459,18 +460,75 @@ def test_a_key_that_others_do_not_have(clock, lines):
     assert names(feed(twice, [renumbered, *frames])) == ["MAC", "line"]
 
 
+def test_the_steps_of_a_key_change(clock, lines):
+    """Those of docs/security.md: no line is lost, and in the end the old key is none any more."""
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
+    decoder = receiver.decoder()
+    answers = feed(decoder, sent(sender, clock, lines[0], 2))
+    receiver.authenticator.add(new)
+    sender.authenticator.add(new)
+    late = sent(sender, clock, lines[0], 1)
+    sender.authenticator.use(2)
+    answers += feed(decoder, late + sent(sender, clock, lines[0], 2), clock.now)
+    receiver.authenticator.retire(1)
+    sender.authenticator.retire(1)
+    answers += feed(decoder, sent(sender, clock, lines[0], 1), clock.now)
+    forged = sent(codec_of(old, clock=clock), clock, lines[0], 1)
+
+    assert names(answers) == ["line"] * 6
+    assert names(feed(decoder, forged)) == ["KEY"]
+    assert [a.authenticator.keys for a in (sender, receiver)] == [(new,), (new,)]
+    assert receiver.authenticator.active == new
+
+
+def test_the_page_tells_the_steps_of_a_key_change():
+    """The code of docs/security.md, run as it stands."""
+    (steps,) = re.findall("```python\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = (Authenticator(old, clock=time.time_ns) for _ in range(2))
+    sender.secure(bytes(32), DATA_ID, FORM)
+    exec(steps, {"sender": sender, "receiver": receiver, "new": new})  # noqa: S102 - our own page
+
+    assert sender.keys == receiver.keys == (new,)
+
+
+def test_who_sends_keeps_the_key_it_sends_with(clock, lines):
+    """And who has never sent keeps one; the first of those that are left is then sent with."""
+    first, second, third = (Key(SECRET, number) for number in (7, 2, 3))
+    authenticator = codec_of(first, second, third, clock=clock).authenticator
+    authenticator.retire(7)
+    assert authenticator.active == second
+    Codec.from_dbc(None, authenticator).encode(lines[0], fd=True)
+    with pytest.raises(ValueError, match=r"one of \[3\], got 2; the key that is in use, 2, cannot"):
+        authenticator.retire(2)
+    authenticator.retire(3)
+
+
 @pytest.mark.parametrize(
     ("act", "message"),
     [
         (lambda _: Authenticator(), "needs a key or more"),
         (lambda _: Authenticator(Key(SECRET, 1), Key(OTHER, 1)), r"key_id 1 is taken by Key\("),
-        (lambda _: Authenticator(Key(SECRET), window_ns=0), "window_ns must be more than 0"),
-        (lambda _: Authenticator(Key(SECRET), not_before=-1), "not_before must be from 0"),
-        (lambda _: Authenticator(Key(SECRET), not_before=2**63), "not_before must be from 0"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=0), "must be at least 1000 ns .* got 0;"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=1), "a second is 1_000_000_000"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),
+        (lambda _: Authenticator(Key(SECRET), window_ns="1"), "window_ns must .* got '1'"),
+        (lambda _: Authenticator(Key(SECRET), not_before=-1), r"from 0 to 2\^63 - 1 us, got -1"),
+        (lambda _: Authenticator(Key(SECRET), not_before=2**63), "not_before must be a whole"),
+        (lambda _: Authenticator(Key(SECRET), not_before=1.5), "a whole number .* us, got 1.5"),
+        (lambda _: Authenticator(Key(SECRET), clock=time.time), r"time_ns, got \d+\.\d+ from <"),
+        (lambda _: Authenticator(Key(SECRET), clock=lambda: 1e18), r"int, .* got 1e\+18 from <"),
+        (lambda _: Authenticator(Key(SECRET), clock=5), "clock must be a function .* from 5$"),
         (lambda a: a.use(3), r"key_id must be one of \[1\], got 3; add it"),
-        (lambda a: a.retire(1), r"in use, 1, cannot be retired"),
+        (lambda a: a.retire(1), r"one of \[\], got 1; the key that is in use, 1, cannot be"),
+        (lambda a: a.retire(2), r"one of \[\], got 2"),
         (lambda _: Key(SECRET, 256), "key_id must be a whole number from 0 to 255, got 256"),
+        (lambda _: Key(SECRET, "1"), "from 0 to 255, got a str"),
         (lambda _: Key(SECRET[:15]), "must have 16 or 32 bytes .* got 15"),
+        (lambda _: Key(SECRET.hex()), r"must be bytes, got a str; Key\.from_hex reads hex digits"),
+        (lambda _: Key.from_hex(SECRET), "a key must be text of hex digits, got a bytes"),
         (lambda _: Key(bytes(16)), "a single byte repeated"),
     ],
 )
@@ -578,15 +636,53 @@ def test_no_text_of_any_object_holds_the_key(clock, lines):
         check_secret(whole_traceback(error))
 
 
-def test_no_traceback_of_a_bad_key_holds_it(tmp_path, monkeypatch):
-    """Not even with the locals of every frame of ours."""
-    monkeypatch.setenv("CAR_KEY", SECRET.hex() + "0")
-    path = key_file(tmp_path, SECRET.hex().encode() + b"zz")
-    for act in (lambda: key_from_env("CAR_KEY"), lambda: key_from_file(path)):
-        try:
+@pytest.mark.parametrize(
+    "act",
+    [
+        pytest.param(lambda _: key_from_env("CAR_KEY_AND_MORE"), id="too-long"),
+        pytest.param(lambda path: key_from_file(path.with_suffix(".bad")), id="no-digits"),
+        pytest.param(lambda path: key_from_file(path, 300), id="number-in-file"),
+        pytest.param(lambda _: key_from_env("CAR_KEY", "1"), id="number-in-env"),
+        pytest.param(lambda _: Key.from_hex(SECRET.hex(), None), id="number-of-hex"),
+        pytest.param(lambda _: Key(1, SECRET), id="the-wrong-way-round"),
+        pytest.param(lambda _: Key(SECRET[:15]), id="too-short"),
+        pytest.param(lambda _: Key(list(SECRET)), id="list"),
+        pytest.param(lambda _: Key(SECRET.hex()), id="hex-for-bytes"),
+        pytest.param(lambda _: Key.from_hex(SECRET), id="bytes-for-hex"),
+        pytest.param(lambda _: Authenticator(SECRET), id="no-key"),
+        pytest.param(lambda _: Authenticator(Key(SECRET)).add(SECRET), id="no-key-added"),
+        pytest.param(lambda _: key_from_file(SECRET.hex()), id="key-for-file"),
+        pytest.param(lambda _: key_from_env(SECRET.hex()), id="key-for-env"),
+    ],
+)
+def test_no_traceback_of_a_bad_key_holds_it(tmp_path, monkeypatch, act):
+    """Not even with the locals of every frame of ours, and their repr works."""
+    monkeypatch.setenv("CAR_KEY", SECRET.hex())
+    monkeypatch.setenv("CAR_KEY_AND_MORE", SECRET.hex() + "0")
+    path = key_file(tmp_path, SECRET.hex().encode())
+    path.with_suffix(".bad").write_bytes(SECRET.hex().encode() + b"zz")
+    path.with_suffix(".bad").chmod(0o600)
+    with pytest.raises((KeyMaterialError, TypeError)) as caught:
+        act(path)
+    check_traceback(caught.value)
+
+
+def test_no_traceback_without_cryptography_holds_a_key(tmp_path, monkeypatch):
+    """The key was read by then."""
+    monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
+    monkeypatch.setenv("CAR_KEY", SECRET.hex())
+    path = key_file(tmp_path, SECRET.hex().encode())
+    for act in (lambda: key_from_env("CAR_KEY"), lambda: key_from_file(path), lambda: Key(SECRET)):
+        with pytest.raises(MissingExtraError) as caught:
             act()
-        except KeyMaterialError as error:
-            check_secret(whole_traceback(error))
+        check_traceback(caught.value)
+
+
+def check_traceback(error):
+    text = whole_traceback(error)
+    assert "path = " in text or "monkeypatch = " in text  # locals are there
+    assert "repr() failed" not in text
+    check_secret(text)
 
 
 def whole_traceback(error):
@@ -594,13 +690,71 @@ def whole_traceback(error):
     return "".join(report.format())
 
 
+COLONS = ":".join(f"{byte:02x}" for byte in SECRET)
+HEX = SECRET.hex()
+
+
 @pytest.mark.parametrize("option", ["--key-file", "--key-env"])
-def test_a_key_on_the_command_line_is_not_repeated(capsys, option):
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(HEX, HEX.upper(), f"0x{HEX}", f"./{HEX}", f"{HEX}.key", f"2:{HEX}", f"{HEX}:a"),
+        *(HEX[:-1], HEX * 9, COLONS, f"12:{COLONS}"),
+        *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
+    ],
+)
+def test_a_key_on_the_command_line_is_not_repeated(capsys, option, text):
     """Who gives the key itself instead of its file is told so, without it."""
-    assert main(["demo", option, SECRET.hex()]) == 1
+    assert main(["demo", option, text]) == 1
     out, err = capsys.readouterr()
     assert "looks like a key itself" in err
-    check_secret(out + err)
+    check_typed(out + err)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["demo", f"--key={HEX}"],
+        ["demo", f"--key=0x{HEX.upper()}"],
+        ["demo", "--key", HEX],
+        ["demo", "--keyfile", HEX],
+        ["demo", "--key-files", COLONS],
+        ["demo", f"-k{HEX}"],
+        ["demo", "--key-env", "A", HEX],
+        ["demo", "--key-env", "A", *COLONS.split(":")],
+        ["demo", "--rate", HEX],
+        ["receive", f"--key={HEX[:-1]}"],
+        ["study", "report", "--out", "a", "b", f"--key={HEX}"],
+        [HEX],
+    ],
+)
+def test_a_wrong_command_line_is_not_repeated_where_it_may_hold_a_key(capsys, words):
+    """No option is taken by its beginning, and what may be a key is left out of errors."""
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    out, err = capsys.readouterr()
+    assert "(hidden)" in err
+    check_typed(out + err)
+
+
+def check_typed(text):
+    """As check_secret, however the digits are set apart."""
+    check_secret(text)
+    check_secret(re.sub("[^0-9A-Za-z]", "", text))
+
+
+def test_a_wrong_command_line_is_told_as_ever(capsys):
+    """What cannot be a key is repeated."""
+    with pytest.raises(SystemExit, match="2"):
+        main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
+    assert "arguments: --keyfile car.key --key 2024-10-11\n" in capsys.readouterr().err
+
+
+def test_a_name_like_a_key_is_a_name_where_there_is_such_a_thing(tmp_path, monkeypatch):
+    """Files and variables may be named by numbers of their own."""
+    path = key_file(tmp_path, HEX.encode()).rename(tmp_path / f"{OTHER.hex()}.key")
+    monkeypatch.setenv("F47AC10B58CC4372A5670E02", HEX)
+    assert key_from_file(path) == key_from_env("F47AC10B58CC4372A5670E02") == Key(SECRET)
 
 
 # ---- over a bus ----------------------------------------------------------------------------------
@@ -636,6 +790,22 @@ def test_over_a_bus_with_an_attacker_and_a_key_change(channel):
     assert stats.counts[Reason.REPLAY] >= len(heard) > 15
     assert stats.counts[Reason.MAC] >= len(heard) - 2
     assert stats.frames == stats.lines + sum(stats.counts.values())
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05, 0.4, 3.0, 3600.0])
+def test_a_slow_sender_signs_just_before_it_sends(clock, period):
+    """At any rate no line is older than a tenth of a second, so the window can be narrow."""
+    sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
+    decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
+    outbox = Outbox(sender, period, fd=True, count=3)
+    outbox.put(scene_lines(scenario("highway"), 8), 0.0)
+    now, answers = 0.0, []
+    while not outbox.over:
+        now += outbox.wait(now) + 1e-6
+        clock.now = NOW + round(now * S)
+        answers += feed(decoder, outbox.take(now).frames, clock.now)
+
+    assert names(answers) == ["line"] * 24
 
 
 def changed(message, data):

@@ -31,6 +31,7 @@ COMMANDS = {
         demo --max-load 0.001
         demo --dbc {d}/nowhere.dbc
         demo --dbc {d}
+        demo --dbc /dev/zero
         demo --dbc {d}/empty.dbc
         demo --dbc {d}/binary.dbc
         demo --dbc {d}/missing-signal.dbc
@@ -47,6 +48,10 @@ COMMANDS = {
         demo --faults what
         demo --faults script={d}/nowhere
         demo --faults script={d}/binary.dbc
+        demo --faults script=/dev/zero
+        demo --faults script={d}/half-range.faults
+        demo --faults script={d}/huge.faults
+        demo --faults flood=1,flood_ids=0-0x20000000
         demo --key-file {d}/nowhere
         demo --key-file {d}/short.key
         demo --key-file {d}/open.key
@@ -216,6 +221,8 @@ def files(folder):
         "open.key": bytes(range(16)).hex(),
         "good.key": bytes(range(16)).hex(),
         "good.log": "".join(f"(1000.0) can0 {f.can_id:X}#{f.data.hex()}\n" for f in frames),
+        "half-range.faults": "loss 1-\n",
+        "huge.faults": f"wrong_id 1 0x{'f' * 400}\n",
         "torn.log": "(1000.0) can0 340#00000000000000\n(1000.1) can0 34\n",
         "empty.csv": "",
         "header.csv": "mean_0,mean_1,mean_2,mean_3\n",

@@ -203,6 +203,7 @@ def stream(n, seed, fd, faults):
         - decoder.line_frames
         - sum(decoder.counts.values()),
     }
+    seen_twice = sum(check.two_senders for check in decoder.checks.values())
     grown = max(memory[WARM_UP:], default=0.0) - max(memory[:WARM_UP])
     return {
         "bus time [h]": n * STEP_NS / 3.6e12,
@@ -213,13 +214,17 @@ def stream(n, seed, fd, faults):
         "frames": {"sent": mischief.frames} | {what.name.lower(): done[what] for what in Mishap},
         "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
         **{key: wrong[key] for key in WRONGS},
+        "slots on which two senders are seen": seen_twice,
         **({"examples": examples[:5]} if examples else {}),
         "sums that must be 0": sums,
         "wraps of the 8-bit counters": wraps(n, 256),
         "wraps of the 4-bit burst numbers": wraps(n, 16),
         "memory [MiB]": memory[-1],
         "memory grown by [MiB]": max(0.0, grown),
-        "met": not any(wrong.values()) and not any(sums.values()) and grown < FLAT_MIB,
+        "met": not any(wrong.values())
+        and not any(sums.values())
+        and not seen_twice
+        and grown < FLAT_MIB,
     }
 
 

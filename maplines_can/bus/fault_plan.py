@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
 from enum import Enum
 from pathlib import Path
 from typing import Any, Self
 
-__all__ = ["DAMAGES", "LAST_EXTENDED_ID", "LAST_ID", "LENGTHS", "Action", "Faults", "Mishap"]
+__all__ = [
+    "DAMAGES",
+    "LAST_EXTENDED_ID",
+    "LAST_ID",
+    "LENGTHS",
+    "Action",
+    "Faults",
+    "Mishap",
+    "range_of",
+]
 
 #: Payloads that a frame can have [bytes]; classic CAN ends at 8.
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
@@ -60,6 +71,10 @@ _RANGES = {
 }
 _WHOLE = {"depth", "flip_bits", "seed"}
 _DIRECTIONS = ("both", "send", "receive")
+#: Frames of a script, N or N-M.
+_FRAMES = re.compile(r"([0-9]{1,18})(?:-([0-9]{1,18}))?")
+#: Most bytes of a script; ten thousands of lines.
+LARGEST_SCRIPT = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +107,15 @@ class Action:
         if value is None:
             return
         if self.what not in _VALUES:
-            raise ValueError(f"{word!r} takes no value, got {value:g}")
+            raise ValueError(f"{word!r} takes no value, got {_shown(value)}")
         if self.what is not Mishap.DELAYED and value != value // 1:  # true for NaN too
-            raise ValueError(f"the value of {word!r} must be a whole number, got {value:g}")
+            raise ValueError(f"the value of {word!r} must be a whole number, got {_shown(value)}")
         lengths = self.what in (Mishap.TRUNCATED, Mishap.WRONG_DLC)
         least, most, unit = _VALUES[self.what]
         if not least <= value <= most or (lengths and value not in LENGTHS):
             allowed = f"in [{least:g}, {most:g}] {unit}".rstrip()
             allowed += f", a length of CAN: {', '.join(map(str, LENGTHS))}" if lengths else ""
-            raise ValueError(f"the value of {word!r} must be {allowed}, got {value:g}")
+            raise ValueError(f"the value of {word!r} must be {allowed}, got {_shown(value)}")
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -115,11 +130,11 @@ class Action:
         what = _WORDS.get(_SHORT.get(words[0], words[0]))
         if what is None:
             raise ValueError(f"{words[0]!r} is unknown; use {', '.join(_WORDS)}")
-        first, _, last = words[1].partition("-")
-        if not (first.isdecimal() and (last or first).isdecimal()):
+        frames = _FRAMES.fullmatch(words[1])
+        if frames is None:
             raise ValueError(f"frames must be N or N-M from 1 on, got {words[1]!r}")
         value = None if len(words) == 2 else _number(f"the value of {words[0]!r}", words[2])
-        return cls(what, int(first), int(last or first), value)
+        return cls(what, int(frames[1]), int(frames[2] or frames[1]), value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +151,7 @@ class Faults:
 
     Raises:
         ValueError: a value is out of its range, or the rates of damage exceed 1 together.
+        TypeError: a value is of another kind.
 
     >>> faults = Faults.parse("loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02,seed=7")
     >>> faults.duplicate, faults.flip, faults.wrong_id
@@ -162,33 +178,46 @@ class Faults:
     wrong_id: float = 0.0  #: rate of frames with one flipped bit in their CAN ID
     garbage: float = 0.0  #: rate of frames whose payload is replaced by random bytes
     flood: float = 0.0  #: frames of random bytes that come besides [1/s]
-    flood_ids: tuple[int, ...] = (0,)  #: their CAN IDs, drawn; 0 goes before all others
+    #: Their CAN IDs and ranges of such, drawn; 0 goes before all others.
+    flood_ids: tuple[int | range, ...] = (0,)
     direction: str = "both"  #: of a bus's frames: "send", "receive" or "both"
     seed: int = 0
     script: tuple[Action, ...] = ()  #: what is done to single frames
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "flood_ids", tuple(self.flood_ids))
-        object.__setattr__(self, "script", tuple(self.script))
+        one = isinstance(self.flood_ids, range)
+        object.__setattr__(self, "flood_ids", (self.flood_ids,) if one else _all(self, "flood_ids"))
+        object.__setattr__(self, "script", _all(self, "script"))
         for action in self.script:
             if not isinstance(action, Action):
                 raise TypeError(f"faults: script must be of Action.parse, got {action!r}")
         for name, (least, most, unit) in _RANGES.items():
             value = getattr(self, name)
             whole = name in _WHOLE
-            if not least <= value <= most or (whole and value != int(value)):
-                kind = "a whole number " if whole else ""
-                allowed = f"{kind}in [{least:g}, {most:g}] {unit}".rstrip()
-                raise ValueError(f"faults: {name} must be {allowed}, got {value:g}")
+            kind = "a whole number " if whole else ""
+            allowed = f"{kind}in [{least:g}, {most:g}] {unit}".rstrip()
+            try:
+                fits = least <= value <= most and not (whole and value != int(value))
+            except TypeError:
+                raise TypeError(f"faults: {name} must be {allowed}, got {value!r}") from None
+            if not fits:
+                raise ValueError(f"faults: {name} must be {allowed}, got {_shown(value)}")
         damage = sum(getattr(self, what.value) for what in DAMAGES)
         if damage > 1 + 1e-9:
             names = ", ".join(what.value for what in DAMAGES)
             raise ValueError(f"faults: {names} must be 1 together at most, got {damage:g}")
-        if not self.flood_ids or not all(0 <= i <= LAST_EXTENDED_ID for i in self.flood_ids):
-            ids = "+".join(f"{i:#x}" for i in self.flood_ids) or "none"
-            raise ValueError(
-                f"faults: flood_ids must be CAN IDs in [0, {LAST_EXTENDED_ID:#x}], got {ids}"
-            )
+        allowed = f"CAN IDs in [0, {LAST_EXTENDED_ID:#x}]"
+        if not self.flood_ids:
+            raise ValueError(f"faults: flood_ids must be {allowed}, got none")
+        for ids in self.flood_ids:
+            try:
+                part = range_of(ids)
+            except TypeError:
+                wrong = f"faults: flood_ids must be {allowed} or ranges of them, got {ids!r}"
+                raise TypeError(wrong) from None
+            if not part or not all(0 <= end <= LAST_EXTENDED_ID for end in (part[0], part[-1])):
+                got = ids if isinstance(ids, range) else f"{ids:#x}"
+                raise ValueError(f"faults: flood_ids must be {allowed}, got {got}")
         if self.direction not in _DIRECTIONS:
             raise ValueError(
                 f"faults: direction must be {', '.join(_DIRECTIONS)}, got {self.direction!r}"
@@ -230,9 +259,14 @@ class Faults:
             if given := sorted(values.keys() & set(_CORRUPT)):
                 raise ValueError(f"faults: corrupt stands for {given[0]} too; give one of them")
             if not 0 <= corrupt <= 1:
-                raise ValueError(f"faults: corrupt must be in [0, 1], got {corrupt:g}")
+                raise ValueError(f"faults: corrupt must be in [0, 1], got {_shown(corrupt)}")
             values |= dict.fromkeys(_CORRUPT, corrupt / len(_CORRUPT))
         return cls(**values)
+
+
+def range_of(ids: int | range) -> range:
+    """A CAN ID as a range; a range as it is."""
+    return ids if isinstance(ids, range) else range(ids, ids + 1)
 
 
 def _value(name: str, text: str) -> Any:
@@ -246,7 +280,7 @@ def _value(name: str, text: str) -> Any:
     if name == "script":
         return _read_script(Path(text))
     if name == "flood_ids":
-        return tuple(can_id for part in text.split("+") for can_id in _ids(part))
+        return tuple(_ids(part) for part in text.split("+"))
     number = _number(f"faults: {name}", text)
     return int(number) if name in _WHOLE and number == number // 1 else number
 
@@ -258,7 +292,22 @@ def _number(what: str, text: str) -> float:
         raise ValueError(f"{what} must be a number, got {text!r}") from None
 
 
-def _ids(text: str) -> range:
+def _shown(number: float) -> str:
+    """A number for a message, however many digits it has."""
+    try:
+        return f"{number:g}"
+    except OverflowError:  # of a whole number
+        return "more than 1e308" if number > 0 else "less than -1e308"
+
+
+def _all(faults: Faults, name: str) -> tuple[Any, ...]:
+    values = getattr(faults, name)
+    if not isinstance(values, Iterable):
+        raise TypeError(f"faults: {name} must be a tuple, got {values!r}")
+    return tuple(values)
+
+
+def _ids(text: str) -> int | range:
     try:
         first, *more = (int(part, 0) for part in text.split("-"))
         (last,) = more or (first,)
@@ -268,20 +317,25 @@ def _ids(text: str) -> range:
         raise ValueError(
             f"faults: flood_ids must be CAN IDs in [0, {LAST_EXTENDED_ID:#x}], got {text!r}"
         )
-    return range(first, last + 1)
+    return range(first, last + 1) if more else first
 
 
 def _read_script(path: Path) -> tuple[Action, ...]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        with path.open("rb") as file:  # a pipe or device may never end
+            data = file.read(LARGEST_SCRIPT + 1)
+        if len(data) > LARGEST_SCRIPT:
+            most = f"{LARGEST_SCRIPT:,} bytes"
+            raise ValueError(f"faults: the script {path} must have {most} at most")
+        text = data.decode()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is not text"
         raise ValueError(f"faults: the script {path} cannot be read: {why}") from error
     actions = []
-    for number, line in enumerate(lines, start=1):
-        if text := line.partition("#")[0].strip():
+    for number, line in enumerate(text.splitlines(), start=1):
+        if words := line.partition("#")[0].strip():
             try:
-                actions.append(Action.parse(text))
+                actions.append(Action.parse(words))
             except ValueError as error:
                 raise ValueError(f"faults: {path}, line {number}: {error}") from error
     return tuple(actions)

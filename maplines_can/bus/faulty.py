@@ -18,6 +18,13 @@ from .mischief import Mischief
 
 __all__ = ["FaultyBus", "bare"]
 
+#: Frames that come to nothing for which `recv` goes on though its time is over.
+PATIENCE = 1000
+#: A frame whose time stamp is older was stamped by another clock [s].
+LONGEST_WAIT = 10.0
+#: Longest that `pump` sends a flood that is faster than it [s].
+LONGEST_PUMP = 0.1
+
 
 class _Carried(NamedTuple):
     """A message as `Mischief` sees it."""
@@ -35,7 +42,9 @@ class FaultyBus(can.BusABC):
 
     It wraps another bus, of any interface, and does to the frames that are sent and
     received through it what the faults say.  Error and remote frames pass as they are.
-    What is delayed has the later time stamp.
+    What is delayed has the later time stamp.  What is received is delayed from its time
+    stamp on, if that is of the system's clock and at most ten seconds ago; if not, and
+    with a clock of one's own, from the moment when `recv` comes upon it.
 
     Delays and floods of what is sent need something that sends: a thread, or with
     a clock of one's own the calls of `pump`.  At the end (`shutdown`) what is still
@@ -49,6 +58,7 @@ class FaultyBus(can.BusABC):
 
     Raises:
         ValueError: the text is wrong.
+        TypeError: the bus or the faults are none.
 
     >>> import can
     >>> faults = "loss=0.5,seed=1"
@@ -73,6 +83,10 @@ class FaultyBus(can.BusABC):
     ) -> None:
         if isinstance(faults, str):
             faults = Faults.parse(faults)
+        if not isinstance(bus, can.BusABC):
+            raise TypeError(f"bus must be a python-can bus, got {bus!r}")
+        if not isinstance(faults, Faults):
+            raise TypeError(f"faults must be Faults or a text such as 'loss=0.1', got {faults!r}")
         self.bus, self.faults = bus, faults
         self._clock = clock or time.monotonic
         self._own_thread = clock is None
@@ -136,11 +150,21 @@ class FaultyBus(can.BusABC):
                 self._start_thread()
 
     def pump(self) -> None:
-        """Send what is due by now; only with a clock of one's own is there any need to."""
+        """Send what is due by now; only with a clock of one's own is there any need to.
+
+        Of a flood that is too fast, what can be sent in a tenth of a second of that clock.
+        """
+        now = self._clock()
+        while self._send_due(now) and self._clock() - now < LONGEST_PUMP:
+            pass
+
+    def _send_due(self, now: float) -> bool:
+        """Send a batch of what is due by now; whether there is more."""
         with self._changed:
-            if self.sending is not None and not self._closing:
-                now = self._clock()
-                self._send_or_count(self.sending.due(now), now)
+            if self.sending is None or self._closing:
+                return False
+            self._send_or_count(self.sending.due(now), now)
+            return self.sending.next_due <= now
 
     def _hand_over(self, frame: _Carried, now: float, timeout: float | None) -> None:
         try:
@@ -166,11 +190,12 @@ class FaultyBus(can.BusABC):
     def _run(self) -> None:
         with self._changed:
             while not self._closing and self.sending is not None:
-                wait = self.sending.next_due - self._clock()
-                if wait > 0:
-                    self._changed.wait(min(wait, threading.TIMEOUT_MAX))
-                else:
-                    self.pump()
+                start = self._clock()
+                self._send_due(start)
+                end = self._clock()
+                # A flood that is too fast leaves half of the time to those who wait for the lock.
+                wait = max(self.sending.next_due - end, end - start)
+                self._changed.wait(min(wait, threading.TIMEOUT_MAX))
 
     # ---- receiving -----------------------------------------------------------------
 
@@ -178,8 +203,11 @@ class FaultyBus(can.BusABC):
         if self.receiving is None:
             return self.bus.recv(timeout), True
         end = math.inf if timeout is None else time.monotonic() + timeout
-        while not self._incoming:  # a frame that is lost does not mean that no more are there
-            wait = min(self.receiving.next_due - self._clock(), end - time.monotonic())
+        patience = PATIENCE  # a frame that is lost does not mean that no more are there
+        while not self._incoming and patience:
+            left = end - time.monotonic()
+            patience -= left <= 0
+            wait = min(self.receiving.next_due - self._clock(), left)
             message = self.bus.recv(None if wait == math.inf else max(0.0, wait))
             now = self._clock()
             if message is None:
@@ -187,9 +215,15 @@ class FaultyBus(can.BusABC):
                 break
             if message.is_error_frame or message.is_remote_frame:
                 return message, True
-            self._epoch = message.timestamp - now
-            self._take(self.receiving.apply(_carried(message, now), now), now)
+            came = now - self._waited(message)
+            self._epoch = message.timestamp - came
+            self._take(self.receiving.apply(_carried(message, came), came), came)
         return (self._incoming.popleft() if self._incoming else None), True
+
+    def _waited(self, message: can.Message) -> float:
+        """How long a message was in the queue of the interface, where that can be told [s]."""
+        waited = time.time() - message.timestamp if self._own_thread else 0.0
+        return waited if 0 < waited <= LONGEST_WAIT else 0.0
 
     def _take(self, frames: list[_Carried], now: float) -> None:
         messages = (self._message(frame, now) for frame in frames)

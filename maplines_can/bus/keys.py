@@ -10,18 +10,28 @@ from pathlib import Path
 from ..errors import KeyMaterialError
 from ..wire import Key
 
-__all__ = ["key_from_env", "key_from_file"]
+__all__ = ["key_from_env", "key_from_file", "without_keys"]
+
+#: What may be a key, or a part of one: 16 hex digits or more, set apart by one character at most,
+#: but for the first two: so the end of a word before them is none of them.
+KEY_LIKE = re.compile(r"[0-9A-Fa-f]{2}(?:[^0-9A-Za-z/\\]?[0-9A-Fa-f]){14,}")
 
 
 def key_from_file(path: str | Path, key_id: int = 1) -> Key:
     """A key from a file that holds its 32 or 64 hex digits and nothing else.
 
+    Args:
+        path: of the file. The error for a key in its place does not repeat it.
+        key_id: see ``Key``.
+
     Raises:
-        KeyMaterialError: the file cannot be read, others may read it too, or it holds no key.
+        KeyMaterialError: the file cannot be read, everybody may read it, or it holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
     path = Path(path)
-    _refuse_a_key(path.name, "a file")
+    if KEY_LIKE.search(path.name) and not os.path.exists(path):
+        del path  # a traceback may show what still has a name
+        raise KeyMaterialError(_TYPED.format("a file"))
     try:
         mode = path.stat().st_mode
         if os.name != "nt" and mode & stat.S_IROTH:  # elsewhere the mode says nothing
@@ -38,20 +48,32 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
 def key_from_env(name: str, key_id: int = 1) -> Key:
     """A key from an environment variable that holds its 32 or 64 hex digits.
 
+    Args:
+        name: of the variable. The error for a key in its place does not repeat it.
+        key_id: see ``Key``.
+
     Raises:
         KeyMaterialError: there is no such variable, or it holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
-    _refuse_a_key(name, "an environment variable")
     if name not in os.environ:
+        if KEY_LIKE.search(name):
+            del name  # a traceback may show what still has a name
+            raise KeyMaterialError(_TYPED.format("an environment variable"))
         raise KeyMaterialError(f"environment variable {name} is not set; it must hold the key")
     return Key.from_hex(os.environ[name], key_id, f"environment variable {name}")
 
 
-def _refuse_a_key(name: str, place: str) -> None:
-    if re.fullmatch("(?:[0-9A-Fa-f]{2}){8,}", name):  # and do not repeat it in the error
-        del name
-        raise KeyMaterialError(
-            f"what should name {place} looks like a key itself; put the key into {place}, name "
-            "that, and make a new key: others may have seen this one"
-        )
+def without_keys(text: str) -> str:
+    """A text without what may be a key in it.
+
+    >>> without_keys("unrecognized arguments: --keyfile 00112233-44556677 --rate 10")
+    'unrecognized arguments: --keyfile (hidden) --rate 10'
+    """
+    return KEY_LIKE.sub("(hidden)", text)
+
+
+_TYPED = (
+    "what should name {0} looks like a key itself, and there is no such thing; put the key into "
+    "{0}, name that, and make a new key: others may have seen this one"
+)

@@ -124,6 +124,18 @@ def _first_without_length(data: bytes) -> int | None:
     return None
 
 
+class _TrcReader(can.TRCReader):
+    """python-can's, which tells only its logger of a record that is too short.
+
+    Where there is no record it takes the last line of the header, or of an empty file, for one.
+    """
+
+    def _parse_line(self, line: str) -> can.Message | None:
+        if not line or line.startswith(";"):
+            return None
+        return self._parse_cols(tuple(line.split(maxsplit=self._num_columns)))
+
+
 class _Lines:
     """The lines of a text log, counted; stands in for python-can's text file."""
 
@@ -161,7 +173,8 @@ def _read_text(path: Path, suffix: str, packed: bool) -> Iterator[LogFrame]:
     # A stray byte must cost its own line only, hence errors="replace".
     with (gzip.open if packed else open)(path, "rt", encoding="utf-8", errors="replace") as file:
         lines = _Lines(cast(IO[str], file))
-        reader = MESSAGE_READERS[suffix](cast(Any, lines))
+        open_reader = _TrcReader if suffix == ".trc" else MESSAGE_READERS[suffix]
+        reader = open_reader(cast(Any, lines))
         while lines.number > last:  # a reader that fails without reading on never gets further
             last = lines.number
             try:

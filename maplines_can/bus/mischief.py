@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable
 from itertools import accumulate
@@ -18,13 +19,15 @@ from random import Random
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 from ..wire import Frame
-from .fault_plan import DAMAGES, LAST_ID, LENGTHS, Action, Faults, Mishap
+from .fault_plan import DAMAGES, LAST_ID, LENGTHS, Action, Faults, Mishap, range_of
 from .outbox import FrameLike
 
 __all__ = ["Mischief"]
 
 #: Of a flood that nobody asked for in this time, what is older is left out [s].
-FLOOD_AT_ONCE = 1.0
+FLOOD_KEPT = 1.0
+#: Most frames of a flood that come out at once, so that what asks for them stays its own master.
+FLOOD_BATCH = 32
 
 
 class _Frame(FrameLike, Protocol):
@@ -73,8 +76,11 @@ class Mischief(Generic[F]):
         self._late: list[tuple[float, int, F]] = []  # until when [s]
         self._entries = 0
         self._flood_at: float | None = None
+        self._flood_ids = [range_of(ids) for ids in faults.flood_ids]
+        self._flood_ends = list(accumulate(map(len, self._flood_ids)))
         self.frames = 0  #: given
         self.passed = 0  #: handed out, those of a flood included
+        self.left_out = 0  #: frames of a flood that nobody asked for in time
         self.counts: Counter[Mishap] = Counter()  #: what was done
 
     @property
@@ -112,7 +118,11 @@ class Mischief(Generic[F]):
         return out
 
     def due(self, now: float) -> list[F]:
-        """What comes out by ``now`` [s] though no frame came: delayed ones and the flood."""
+        """What comes out by ``now`` [s] though no frame came: delayed ones and the flood.
+
+        Of a flood 32 frames come at most; more are there while ``next_due <= now``.  What
+        was due more than a second ago is left out.
+        """
         out: list[F] = []
         self._release(now, out)
         self.passed += len(out)
@@ -129,7 +139,8 @@ class Mischief(Generic[F]):
     def as_dict(self) -> dict[str, int]:
         """All counters, for machines: what went in and out, and what was done."""
         done = {what.name.lower(): self.counts[what] for what in Mishap}
-        return {"frames": self.frames, "passed": self.passed, "held": self.held} | done
+        sums = {"frames": self.frames, "passed": self.passed, "held": self.held}
+        return {**sums, **done, "left_out": self.left_out}
 
     # ---- rates ---------------------------------------------------------------------
 
@@ -157,10 +168,16 @@ class Mischief(Generic[F]):
         step = 1 / self._faults.flood
         if self._flood_at is None:  # the first call starts the clock
             self._flood_at = now + step
-        self._flood_at = max(self._flood_at, now - FLOOD_AT_ONCE)
-        ids, made = self._faults.flood_ids, []
-        while self._flood_at <= now:
-            can_id = ids[int(self._random.random() * len(ids))]
+        late = now - FLOOD_KEPT - self._flood_at
+        if late > 0:
+            missed = math.ceil(late / step)
+            self.left_out += missed
+            self._flood_at += missed * step
+        made: list[F] = []
+        while self._flood_at <= now and len(made) < FLOOD_BATCH:
+            number = int(self._random.random() * self._flood_ends[-1])
+            part = bisect_right(self._flood_ends, number)
+            can_id = self._flood_ids[part][number - self._flood_ends[part]]
             made.append(self._make(can_id, self._random.randbytes(8), False, can_id > LAST_ID))
             self._flood_at += step
         self.counts[Mishap.FLOODED] += len(made)

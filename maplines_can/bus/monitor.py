@@ -35,15 +35,15 @@ class SlotView(NamedTuple):
     stale: bool  #: nothing newer came for some cycle times, or there is no line
     state: E2EState  #: what the records of the slot are worth
     status: ProfileStatus | None  #: of the last check; None before the first
-    two_senders: bool  #: two senders were heard on the slot at some time
+    two_senders: bool  #: two senders were heard on the slot in the last 256 cycles
 
     @property
     def usable(self) -> bool:
-        """Whether the E2E state is VALID and the line is not stale.
+        """Whether the E2E state is VALID, the line is not stale, and there is one sender.
 
         Of what the line itself says nothing: see ``line.status``.
         """
-        return self.state is E2EState.VALID and not self.stale
+        return self.state is E2EState.VALID and not self.stale and not self.two_senders
 
 
 class Monitor:

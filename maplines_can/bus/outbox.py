@@ -9,7 +9,11 @@ from typing import NamedTuple, Protocol
 from ..line import MapLine, Slot
 from .timing import Schedule
 
-__all__ = ["Burst", "Encoder", "FrameLike", "Outbox"]
+__all__ = ["AHEAD", "Burst", "Encoder", "FrameLike", "Outbox"]
+
+#: How long before its deadline a line is encoded at most, and so stamped and signed [s]: a small
+#: part of the second in which a receiver must get an authenticated frame.
+AHEAD = 0.1
 
 
 class FrameLike(Protocol):
@@ -68,6 +72,9 @@ class Outbox:
     is due within half a period.  A producer that publishes once a period is so
     never behind, and its lines are encoded once a period.  A line encoded ahead
     has the age of its own deadline.
+
+    None is encoded more than `AHEAD` before its deadline.  So a slow sender makes a few
+    lines at a time, ten times a second at most, from values that are as new.
 
     Args:
         codec: makes the frames.
@@ -144,6 +151,7 @@ class Outbox:
         self._new -= deadlines.keys()
 
     def _may_go_along(self, slot: Slot, deadline: float, now: float) -> bool:
-        if slot not in self._new:
-            return deadline < now + self._period / 2
-        return deadline < self._published[slot].at + self._period
+        until = now + self._period / 2
+        if slot in self._new:
+            until = self._published[slot].at + self._period
+        return deadline < min(until, now + AHEAD)

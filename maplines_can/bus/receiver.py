@@ -137,6 +137,9 @@ class Receiver(Running):
             now_ns: on the clock of the frames' time stamps [ns]; by default the stamp
                 of the last frame of any slot and the time since, so that neither an adapter
                 with a clock of its own nor a host whose clock is set makes a line young.
+                As long as frames may be of a backlog, such as that of a link that was open
+                before, what time it is on that clock is not known: the age is infinite and the
+                line stale, until frames have come for 0.2 s as fast as time goes by.
             stale_cycles: after how many cycle times without a newer one a line is stale;
                 see ``Codec.decoder`` for the cycle time.
 
@@ -144,10 +147,12 @@ class Receiver(Running):
             ValueError: the DBC has no such slot.
         """
         with self._changed:
-            return self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+            view = self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+            known = now_ns is not None or self._stamps.steady
+        return view if known else view._replace(age=float("inf"), stale=True)
 
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
-        """What is known of each slot on which anything came."""
+        """What is known of each slot on which anything came; ``now_ns`` as for `latest`."""
         with self._changed:
             return self._monitor.slots(self._now(now_ns))
 

@@ -47,7 +47,8 @@ class Transmitter(Running):
     is sent again, older and older.
 
     The latest value wins, as it is when the line is encoded: at its deadline, or
-    with another line before it (`outbox.Outbox`).  The age is that of the sending.
+    with another line up to 0.1 s before it (`outbox.Outbox`).  The age is that of the
+    sending; the freshness of an authenticated line is that of the encoding.
 
     Nothing is sent half: after a frame that could not be sent, the rest of its
     burst is not sent either, the line is counted as ``down`` or ``full``, and the

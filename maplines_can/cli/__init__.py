@@ -18,6 +18,7 @@ from .decode import add_decode
 from .demo import add_demo
 from .figures import add_figures
 from .notes import counted, note
+from .options import Parser
 from .receive import add_receive
 from .scenarios import add_scenarios
 from .send import add_send
@@ -47,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="maplines",
         description="The lines of a digital map on a CAN bus, with their uncertainty.",
         epilog="Begin with 'maplines demo'. Each job explains itself: maplines JOB --help.",

@@ -22,6 +22,9 @@ from .options import add_codec, add_cycle, add_job, decoder_of, keyed_codec
 
 __all__ = ["add_decode"]
 
+#: More channels no log of a car has; each needs a decoder, some 16 kB.
+MOST_CHANNELS = 256
+
 
 def add_decode(jobs: Any) -> None:
     """Add the job ``decode`` to those of ``maplines``."""
@@ -41,13 +44,16 @@ def add_decode(jobs: Any) -> None:
 def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
     decoders: dict[str, Decoder] = {}
-    last_ns = status = 0
+    last_ns = status = beyond = 0
 
     def lines() -> Iterator[tuple[str, MapLine]]:
-        nonlocal last_ns, status
+        nonlocal last_ns, status, beyond
         try:
             for frame in tqdm(read_log(arguments.log), unit=" frames", disable=not watched()):
                 if frame.channel not in decoders:
+                    if len(decoders) == MOST_CHANNELS:
+                        beyond += 1
+                        continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
                 last_ns = frame.t_ns
                 answer = decoders[frame.channel].feed(
@@ -57,6 +63,12 @@ def _decode(arguments: argparse.Namespace) -> int:
                     yield frame.channel, answer
         except LogError as error:  # what is good came first
             note(f"error: {error}")
+            status = 1
+        if beyond:
+            note(
+                f"error: {arguments.log}: {beyond} frames are of channels beyond the first "
+                f"{MOST_CHANNELS}, and are not read; split the log by channel"
+            )
             status = 1
         for decoder in decoders.values():
             decoder.expire(last_ns + 10**18)  # nothing more comes

@@ -50,7 +50,7 @@ def add_demo(jobs: Any) -> None:
 
 
 def _demo(arguments: argparse.Namespace) -> int:
-    codec = keyed_codec(arguments, window=max(1.0, 1 / arguments.rate))
+    codec = keyed_codec(arguments)
     scene = scenario(arguments.scenario)
     alone = arguments.interface == "virtual" and arguments.channel is None
     if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:

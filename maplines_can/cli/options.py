@@ -5,18 +5,20 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ..arguments import number
 from ..bus import Faults, key_from_env, key_from_file
+from ..bus.keys import without_keys
 from ..propagation import MapError
 from ..scenarios import SCENARIOS
 from ..study.sending import MAX_LOAD
 from ..wire import Authenticator, Codec, Decoder, Key
 
 __all__ = [
+    "Parser",
     "add_bus",
     "add_codec",
     "add_cycle",
@@ -36,6 +38,20 @@ __all__ = [
 
 natural = number(int, 1, 10**9)
 seconds = number(float, 1e-3, 1e6)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser, with subparsers of its kind, that does not repeat a key that was typed.
+
+    No option is taken by its beginning: ``--key`` is none.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        """End with usage and message, but for what may be a key in it."""
+        super().error(without_keys(message))
 
 
 def add_job(
@@ -209,7 +225,8 @@ def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str
 
     def parse(text: str) -> tuple[Any, str, int]:
         key_id, colon, name = text.partition(":")
-        return (read, name, int(key_id)) if colon and key_id.isdecimal() else (read, text, 1)
+        numbered = colon and key_id.isdecimal() and len(key_id) <= 3  # longer ones may be a key
+        return (read, name, int(key_id)) if numbered else (read, text, 1)
 
     return parse
 

@@ -46,8 +46,7 @@ def add_send(jobs: Any) -> None:
 
 
 def _send(arguments: argparse.Namespace) -> int:
-    # Lines are encoded up to a period ahead.
-    codec = keyed_codec(arguments, window=max(1.0, 1 / arguments.rate))
+    codec = keyed_codec(arguments)
     scene = scenario(arguments.scenario)
     parts = chosen_parts(scene, codec, **sending(arguments))
     lines = scene_lines(

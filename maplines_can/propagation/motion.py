@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from ..gaussian import Gaussian
+from ..arrays import floats, number_text
+from ..gaussian import Gaussian, variances
 from ..line import STATES, MapLine, Status, lateral, moved, moved_or_nan
 from ..mixture import GaussianMixture
 from .sigma_points import SigmaPoints
@@ -57,7 +58,7 @@ class Motion:
 
     def __post_init__(self) -> None:
         for name in ("speed", "yaw_rate"):
-            if not np.isfinite(getattr(self, name)):
+            if not np.isfinite(floats(getattr(self, name), name)):
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)!r}")
         object.__setattr__(self, "cov", Gaussian(np.zeros(2), self.cov).cov)
 
@@ -68,7 +69,7 @@ class Motion:
         >>> Motion.with_sigma(20.0, 0.1, sigma=(0.2, 0.01)).over(0.1).sigma.round(4)
         array([0.02 , 0.001, 0.001])
         """
-        return cls(speed, yaw_rate, np.diag(np.square(np.asarray(sigma, dtype=float))))
+        return cls(speed, yaw_rate, np.diag(variances(sigma)))
 
     def over(
         self, dt: float, time_sigma: float = 0.0, transform: Transform = SIGMA_POINTS
@@ -89,13 +90,14 @@ class Motion:
         >>> Motion(10.0, np.pi / 2).over(1.0).mean.round(3)  # a quarter of a circle
         array([6.366, 6.366, 1.571])
         """
-        if not np.isfinite(dt):
+        if not np.isfinite(floats(dt, "dt")):
             raise ValueError(f"dt must be finite [s], got {dt!r}")
-        if not 0 <= time_sigma < np.inf:
+        if not 0 <= floats(time_sigma, "time_sigma") < np.inf:
             raise ValueError(f"time_sigma must be 0 s or more and finite, got {time_sigma!r}")
         rates = Gaussian(np.array([self.speed, self.yaw_rate]), self.cov)
-        time = Gaussian(np.array([dt]), np.array([[time_sigma**2]]))
-        return transform(_arc, _independent(rates, time))
+        time = Gaussian(np.array([dt]), np.array([[variances(time_sigma)]]))
+        with np.errstate(over="ignore", invalid="ignore"):  # the result's birth refuses it
+            return transform(_arc, _independent(rates, time))
 
 
 def _arc(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -142,7 +144,8 @@ def carried(
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return moved_or_nan(points[:, : len(STATES)], points[:, len(STATES) :], window)
 
-    return transform(move, _independent(gaussian, displacement))
+    with np.errstate(over="ignore", invalid="ignore"):  # the result's birth refuses it
+        return transform(move, _independent(gaussian, displacement))
 
 
 def line_at(
@@ -190,12 +193,14 @@ def line_at(
     >>> now.gaussian.mean.round(4) + 0.0, round(now.x_max, 2), now.age  # 0.1 s and 2 m on
     (array([1.77, 0.01, 0.  , 0.  ]), 77.94, 0.0)
     """
-    dt = (t_ns - pose_time_ns(line)) * 1e-9
-    if not abs(dt) <= LONGEST:
+    away_ns = t_ns - pose_time_ns(line)
+    if not abs(away_ns) <= LONGEST * 1e9:
         raise ValueError(
-            f"t_ns must be within {LONGEST:g} s of the line's pose, got {t_ns!r}, which is "
-            f"{dt:g} s from it; give a time [ns] of the clock that line.t_ns={line.t_ns} is of"
+            f"t_ns must be within {LONGEST:g} s of the line's pose, got {number_text(t_ns)}, which "
+            f"is {number_text(away_ns)} ns from it; give a time [ns] of the clock that "
+            f"line.t_ns={number_text(line.t_ns)} is of"
         )
+    dt = away_ns * 1e-9
     if isinstance(motion, Motion):
         displacement = motion.over(dt, time_sigma)
     elif time_sigma:

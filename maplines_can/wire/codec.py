@@ -6,13 +6,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import floats, number_text
 from ..errors import EncodeError, LayoutError
-from ..gaussian import Gaussian, asymmetric, indefinite, rounding_of
+from ..gaussian import MOST_COV, Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Kind, MapLine, Slot, Status
 from .channel import Channel
 from .codes import covariance_code
@@ -30,6 +31,8 @@ __all__ = ["Codec", "Frame"]
 
 #: How long a burst may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
+#: Longer than an hour neither a burst nor a cycle takes [ms].
+LONGEST_MS = 3_600_000
 #: What a record says of its line besides the Gaussian, by the names of MapLine.
 OF_THE_LINE = ("slot", "kind", "x_min", "x_max", "age", "status")
 
@@ -189,6 +192,7 @@ class Codec:
             "component_count": component_count,
             "component_weight": component_weight,
         }
+        rest = {name: _numbers(name, values) for name, values in rest.items()}
         return self._writer.write(mean, cov, broken, rest)
 
     def decode_batch(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
@@ -211,7 +215,7 @@ class Codec:
             )
         if payloads.dtype != np.uint8:
             raise ValueError(f"payloads must be uint8, got {payloads.dtype}")
-        data_ids = self._writer.data_ids(slot, len(payloads))
+        data_ids = self._writer.data_ids(_numbers("slot", slot), len(payloads))
         return self._reader.read(payloads, data_ids)
 
     # -- one line at a time ---------------------------------------------------
@@ -308,17 +312,21 @@ class Codec:
         known = ("slot", "counter", "kind", "x_min", "x_max", "age", "status")
         if unknown := rest.keys() - set(known):
             raise TypeError(f"rest must be of {', '.join(known)}, got {', '.join(sorted(unknown))}")
-        weights, means = np.asarray(weights, dtype=float), np.asarray(means, dtype=float)
-        covs = np.asarray(covs, dtype=float)
+        weights, means = floats(weights, "weights"), floats(means, "means")
+        covs = floats(covs, "covs")
+        if weights.ndim != 2:
+            raise ValueError(f"weights must have shape (N, k), got {weights.shape}")
         n, k = weights.shape
         if means.shape != (n, k, 4) or covs.shape != (n, k, 4, 4):
             raise ValueError(
                 f"means and covs must have shapes {(n, k, 4)} and {(n, k, 4, 4)}, as the weights, "
                 f"got {means.shape} and {covs.shape}"
             )
-        if not (weights > 0).all() or not np.allclose(weights.sum(axis=1), 1, atol=1e-9):
+        lawful = ((weights > 0) & (weights < 2)).all()
+        if not lawful or not np.allclose(weights.sum(axis=1), 1, atol=1e-9):
             raise ValueError("weights must be positive and each row of sum 1")
         mean, cov, broken = _checked(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        rest = {name: _numbers(name, values) for name, values in rest.items()}
         decoded_weights, cover = self._cover(weights, means, covs)
         first = rest.pop("counter", np.arange(n) * k)
         flat = {name: np.repeat(np.broadcast_to(value, n), k) for name, value in rest.items()}
@@ -411,14 +419,21 @@ class Codec:
             cycle_ms: how often the lines of a slot come [ms], for the E2E state and for what
                 is stale; by default the cycle time that the DBC states for it, or 100 ms.
             e2e: windows and bounds of the E2E state machines.
+
+        Raises:
+            ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the
+                DBC's counter.
         """
         channels = self.layout.channels
         if timeout_ms is None:
             cycles = [channel.cycle_ms for channel in channels.values()]
             timeout_ms = max(cycles) / 2 or DEFAULT_TIMEOUT_MS
         for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
-            if value is not None and not 0 < value < np.inf:
-                raise ValueError(f"{name} must be more than 0 ms, got {value!r}")
+            if value is not None and not 0 < value <= LONGEST_MS:
+                raise ValueError(
+                    f"{name} must be more than 0 ms and at most an hour ({LONGEST_MS} ms), "
+                    f"got {number_text(value)}"
+                )
         cycles_ns = {
             slot: int(1e6 * (cycle_ms or channel.cycle_ms or 2 * DEFAULT_TIMEOUT_MS))
             for slot, channel in channels.items()
@@ -439,19 +454,32 @@ def _checked(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     """Means, covariances, and which of these are indefinite."""
     rounding = rounding_of(covs)
-    mean = np.asarray(means, dtype=float)
+    mean = floats(means, "means")
     if mean.ndim != 2 or mean.shape[1] != len(STATE_SIGNALS):
         raise ValueError(f"means must have shape (N, 4), got {mean.shape}")
     n = len(mean)
-    cov = np.zeros((n, 4, 4)) if covs is None else np.asarray(covs, dtype=float)
+    cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")
     if cov.shape != (n, 4, 4):
         raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
-    _refuse("means must be finite", ~np.isfinite(mean).all(axis=1), mean)
-    _refuse("covs must be finite", ~np.isfinite(cov).all(axis=(1, 2)), cov)
+    _refuse("means must be finite", np.asarray(~np.isfinite(mean).all(axis=1)), mean)
+    too_large = np.asarray(~(np.abs(cov) <= MOST_COV).all(axis=(1, 2)))  # or NaN
+    _refuse("covs must be finite", too_large, cov)
     negative = (np.einsum("nii->ni", cov) < 0).any(axis=1)
     _refuse("covs must have variances of 0 or more", negative, cov)
     _refuse("covs must be symmetric", asymmetric(cov, rounding), cov)
     return mean, (cov + cov.transpose(0, 2, 1)) / 2, indefinite(cov, rounding)
+
+
+def _numbers(name: str, values: ArrayLike) -> NDArray[Any]:
+    """What goes with the lines, as an array; integers stay integers."""
+    given = np.asarray(values)
+    if given.dtype.kind in "Oc":  # such as integers beyond 64 bits
+        given = floats(values, name)
+    if name == "slot" and given.dtype.kind == "f":
+        bad = ~((given >= 0) & (given <= max(Slot)))
+        if bad.any():
+            raise EncodeError(f"slot must be from 0 to {max(Slot)}, got {given[bad].flat[0]:g}")
+    return given
 
 
 def _refuse(what: str, bad: NDArray[np.bool_], rows: NDArray[np.float64]) -> None:

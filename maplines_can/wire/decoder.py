@@ -135,12 +135,11 @@ class Decoder:
             return  # as in AUTOSAR: what is not authentic does not reach the E2E check
         if self.verifier is not None and reason is Reason.LENGTH:
             return
-        slot, is_fd = known
+        slot, _ = known
         if reason in (Reason.LENGTH, Reason.PAGE):
             self.checks[slot].failed(t_ns)
-        else:  # DUPLICATE or STALE
-            frames = self._codec.layout.pages if is_fd else 1
-            self.checks[slot].dropped(reason, frames, t_ns)
+        else:  # DUPLICATE
+            self.checks[slot].doubled(t_ns)
 
     def _read(self, record: Record) -> MapLine | Reason:
         part = self._codec.read_part(record.payload, record.slot, record.t_ns)
@@ -149,12 +148,14 @@ class Decoder:
             self.counts[part] += record.frames
             check.failed(record.t_ns)
             return part
-        if late := check.received(part.counter, record.t_ns):
-            self.counts[late] += record.frames
-            return late
-        self._reassembler.accept(record)
-        first = (part.counter - part.index) % self._modulus
+        self._reassembler.remember(record)
         held = self._groups.get(record.slot)
+        if late := check.received(part.counter, hash(record.payload), record.t_ns):
+            self.counts[late] += record.frames
+            if late is Reason.STALE and held and self._is_within(held, part.counter):
+                self._give_up(record.slot, Reason.INCOMPLETE)  # two senders, or out of order
+            return late
+        first = (part.counter - part.index) % self._modulus
         if held and self._is_old(held, record.t_ns):
             self._give_up(record.slot, Reason.TIMEOUT)
         elif held and (held.first, held.count) != (first, part.count):
@@ -193,6 +194,9 @@ class Decoder:
             mixture=mixture,
             status=max((part.line.status for part in parts), key=SEVERITY.index),
         )
+
+    def _is_within(self, group: _Group, counter: int) -> bool:
+        return (counter - group.first) % self._modulus < group.count
 
     def _is_old(self, group: _Group, t_ns: int) -> bool:
         return abs(t_ns - group.t_ns) > self._timeout_ns

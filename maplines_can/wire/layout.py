@@ -31,6 +31,10 @@ __all__ = [
 
 #: A page is one classic CAN frame.
 PAGE_BYTES = 8
+#: Most bytes of a DBC; those of whole cars have a few million.
+LARGEST_DBC = 64_000_000
+#: Longest cycle time of a message: an hour.
+LONGEST_CYCLE_MS = 3_600_000
 #: Signals that each page carries: which page of which burst it is.
 PAGE, BURST = "Page", "Burst"
 #: DBC signals of the mean, in the order of the states.
@@ -128,13 +132,21 @@ class Layout:
         """Read a layout; without a path, the project's own ``maplines.dbc``.
 
         Raises:
-            LayoutError: the file is missing, is not a DBC, or describes no map line.
+            LayoutError: the file is missing, is larger than 64 MB, is not a DBC, or describes
+                no map line.
         """
         path = default_dbc_path() if path is None else Path(path)
         try:
-            text = path.read_bytes().decode("cp1252")  # what DBC tools write
+            with path.open("rb") as file:  # a pipe or device may never end
+                data = file.read(LARGEST_DBC + 1)
         except OSError as error:
             raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
+        if len(data) > LARGEST_DBC:
+            raise LayoutError(
+                f"{path}: is too large: a DBC must have {LARGEST_DBC:,} bytes at most"
+            )
+        try:
+            text = data.decode("cp1252")  # what DBC tools write
         except UnicodeDecodeError as error:
             raise LayoutError(f"{path}: is not a valid DBC: {error}") from error
         return cls.from_text(text, str(path))
@@ -150,7 +162,7 @@ class Layout:
         Raises:
             LayoutError: the text is not a DBC, or describes no map line.
         """
-        if huge := _HUGE.search(_SAID.sub(" ", text)):
+        if huge := _LONG.search(text) or _HUGE.search(_SAID.sub(" ", text)):
             raise LayoutError(
                 f"{source}: is not a valid DBC: a place, length or range has too many digits: "
                 f"{' '.join(huge[0].split())}"
@@ -165,6 +177,8 @@ class Layout:
         return _layout(database, source)
 
 
+#: Exponents that take cantools for ever where it wants whole numbers, also within quotes.
+_LONG = re.compile(r"(?<![\w.])\d[\d.]*[eE]\+?\d{4}")
 #: What a DBC says to people: texts and remarks, by cantools' tokens.
 _SAID = re.compile(r'"(?:\\"|[^"])*?"|//.*?\n', re.DOTALL)
 #: Messages of 5 digits, places and lengths of signals and ranges of multiplexers of 6 digits and
@@ -212,13 +226,8 @@ def _layout(database: Database, source: str) -> Layout:
         attributes = message.dbc.attributes if message.dbc else {}
         if "MapLineSlot" not in attributes:
             continue
-        try:
-            slot = Slot(int(attributes["MapLineSlot"].value))
-        except ValueError:
-            raise LayoutError(
-                f"{source}: message {message.name}: MapLineSlot must be 0 to {len(Slot) - 1}, "
-                f"got {attributes['MapLineSlot'].value}"
-            ) from None
+        where = f"{source}: message {message.name}: MapLineSlot"
+        slot = Slot(_whole(attributes["MapLineSlot"].value, where, len(Slot) - 1))
         carrier = Carrier.FD if message.is_fd else Carrier.CLASSIC
         if "SecOCDataId" in attributes:
             carrier, forms[message.name] = Carrier.SECURED, _secured_form(message, source)
@@ -284,12 +293,12 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
         attributes = message.dbc.attributes if message.dbc else {}
         data_ids.add(attributes["E2EDataId"].value if "E2EDataId" in attributes else None)
     data_id = data_ids.pop()
-    if data_ids or data_id is None or not 0 <= int(data_id) <= 0xFFFF:
+    if data_ids or data_id is None:
         raise LayoutError(
-            f"{source}: slot {slot.name}: its messages need the same attribute E2EDataId, "
-            "0 to 65535"
+            f"{source}: slot {slot.name}: its messages need the same attribute E2EDataId"
         )
     message = next(m for m in (classic, fd, secured) if m is not None)
+    where = f"{source}: message {message.name}"
     return Channel(
         slot=slot,
         name=message.name,
@@ -298,8 +307,8 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
         is_extended=bool(classic and classic.is_extended_frame),
         fd_is_extended=bool(fd and fd.is_extended_frame),
         fd_length=fd_length(fd.length) if fd else 0,
-        data_id=int(data_id),
-        cycle_ms=int(message.cycle_time or 0),
+        data_id=_whole(data_id, f"{where}: E2EDataId", 0xFFFF),
+        cycle_ms=_whole(message.cycle_time or 0, f"{where}: GenMsgCycleTime", LONGEST_CYCLE_MS),
         secured_can_id=secured.frame_id if secured else None,
         secured_is_extended=bool(secured and secured.is_extended_frame),
         secured_data_id=_secured_data_id(secured, source) if secured else 0,
@@ -307,10 +316,19 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
 
 
 def _secured_data_id(message: Message, source: str) -> int:
-    value = int(message.dbc.attributes["SecOCDataId"].value) if message.dbc else -1
-    if not 0 <= value <= 0xFFFF:
-        raise LayoutError(f"{source}: message {message.name}: SecOCDataId must be 0 to 65535")
-    return value
+    value = message.dbc.attributes["SecOCDataId"].value if message.dbc else -1
+    return _whole(value, f"{source}: message {message.name}: SecOCDataId", 0xFFFF)
+
+
+def _whole(value: Any, what: str, most: int) -> int:
+    """The value of an attribute, whatever it is, as a whole number up to ``most``."""
+    try:
+        number = int(value)
+    except (ValueError, TypeError, OverflowError):
+        number = -1
+    if not 0 <= number <= most:
+        raise LayoutError(f"{what} must be a whole number from 0 to {most}, got {value!r}")
+    return number
 
 
 def _record(message: Message, source: str) -> dict[str, Field]:

@@ -24,11 +24,11 @@ class Reason(Enum):
     FOREIGN = "its CAN ID carries no map line"
     LENGTH = "its payload has the wrong length"
     PAGE = "its page number is not in the DBC"
-    DUPLICATE = "its page is there already, or its line was already delivered"
+    DUPLICATE = "its page or its line came already"
     REPLACED = "another frame of the same burst and page took its place"
-    STALE = "a newer line of its slot was already delivered"
-    INCOMPLETE = "a newer line was delivered before its burst was complete"
-    TIMEOUT = "the rest of its burst did not come in time"
+    STALE = "a line of its slot that is as new or newer was already delivered"
+    INCOMPLETE = "a part of another line came before its own was complete"
+    TIMEOUT = "the rest of its burst or line did not come in time"
     MIXED = "the pages of its record do not belong together"
     CRC = "the checksum of its record does not hold"
     CONTENT = "its record says what no sender may say"
@@ -67,12 +67,11 @@ class Reassembler:
     """Pages to records, a state machine per slot; time is an argument.
 
     Pages are gathered by burst number, each burst by itself, until it is whole
-    or times out. Nothing that was not accepted moves anything: a damaged page may
-    spoil its own burst, but neither ends another nor counts as delivered. Only
-    ``accept`` does: it ends the older bursts of the slot, and for the length of a
-    time-out pages of that burst are duplicates and those of older ones are stale.
-    After it their numbers say nothing, and the counters of records do. Memory is
-    constant: each slot has as many bursts as there are numbers.
+    or times out. Nothing moves anything else: a damaged page may spoil its own
+    burst, but neither ends another nor counts as delivered. ``remember`` says which
+    records hold; for the length of a time-out their pages are duplicates.
+    Whether a record is news its counter says, which is not the business of this class.
+    Memory is constant: each slot has as many bursts as there are numbers.
 
     Args:
         layout: which IDs and how many pages.
@@ -96,7 +95,7 @@ class Reassembler:
         self._read_burst = [_reader(layout[f"{BURST}{page}"]) for page in range(layout.pages)]
         self._bursts = 2 ** layout[f"{BURST}0"].length
         self._held: dict[Slot, dict[int, _Burst]] = {slot: {} for slot in layout.channels}
-        self._done: dict[Slot, tuple[int, int]] = {}  # number and time
+        self._whole: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.channels}
         #: Frames by what became of them; those of delivered lines are not in it.
         self.counts: Counter[Reason] = Counter()
 
@@ -129,12 +128,13 @@ class Reassembler:
             return self._dropped(Reason.LENGTH)
         return self._feed_page(slot, bytes(data), t_ns)
 
-    def accept(self, record: Record) -> None:
-        """The record is good: what is older than it has no more use."""
-        self._done[record.slot] = record.burst, record.t_ns
-        held = self._held[record.slot]
-        for number in [n for n in held if not self._is_newer(n, record.burst)]:
-            self._give_up(record.slot, number, Reason.INCOMPLETE)
+    def remember(self, record: Record) -> None:
+        """The record holds: its pages are known, and those of the next bursts are not."""
+        whole = self._whole[record.slot]
+        whole[record.burst] = record
+        for number in [n for n in whole if (n - record.burst) % self._bursts < self._bursts // 2]:
+            if number != record.burst:
+                del whole[number]
 
     def expire(self, t_ns: int) -> None:
         """Give up the bursts that have taken too long by now."""
@@ -153,20 +153,17 @@ class Reassembler:
             return self._dropped(payload)
         return self._feed_record(slot, payload[: self._record_bytes], t_ns)
 
-    def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record | Reason:
-        number = self._read_burst[0](payload[:PAGE_BYTES])
-        if late := self._late(slot, number, t_ns):
-            return self._dropped(late)
-        return Record(slot, payload, t_ns, 1, number)
+    def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record:
+        return Record(slot, payload, t_ns, 1, self._read_burst[0](payload[:PAGE_BYTES]))
 
     def _feed_page(self, slot: Slot, data: bytes, t_ns: int) -> Record | Reason:
         page = self._read_page(data)
         if page >= self._pages:
             return self._dropped(Reason.PAGE)
         number = self._read_burst[page](data)
-        if late := self._late(slot, number, t_ns):
-            return self._dropped(late)
         self._expire_slot(slot, t_ns)
+        if number not in self._held[slot] and self._is_known(slot, number, page, data, t_ns):
+            return self._dropped(Reason.DUPLICATE)
         burst = self._held[slot].setdefault(number, _Burst(t_ns, {}))
         before = burst.pages.get(page)
         if before == data:
@@ -180,17 +177,12 @@ class Reassembler:
         payload = b"".join(burst.pages[i] for i in range(self._pages))
         return Record(slot, payload, burst.t_ns, self._pages, number)
 
-    def _late(self, slot: Slot, number: int, t_ns: int) -> Reason | None:
-        """Whether a burst is the last accepted one again, or an older one."""
-        done = self._done.get(slot)
-        if done is None or self._is_old(done[1], t_ns):
-            return None
-        if done[0] == number:
-            return Reason.DUPLICATE
-        return None if self._is_newer(number, done[0]) else Reason.STALE
-
-    def _is_newer(self, number: int, than: int) -> bool:
-        return 0 < (number - than) % self._bursts < self._bursts // 2
+    def _is_known(self, slot: Slot, number: int, page: int, data: bytes, t_ns: int) -> bool:
+        """Whether a page is of a record that was whole a moment ago."""
+        record = self._whole[slot].get(number)
+        if record is None or self._is_old(record.t_ns, t_ns):
+            return False
+        return record.payload[page * PAGE_BYTES : (page + 1) * PAGE_BYTES] == data
 
     def _is_old(self, since_ns: int, t_ns: int) -> bool:
         # Time stamps may swap by a little; a clock that was set back makes all that was old.

@@ -16,6 +16,7 @@ stored. What it guards against and what it does not is told in docs/security.md.
 from __future__ import annotations
 
 import hmac
+import math
 import re
 from collections.abc import Callable
 from typing import Any
@@ -37,14 +38,16 @@ class Key:
     """A secret for AES-CMAC, with the number by which frames name it.
 
     The secret itself is not kept where Python can show it: ``repr`` has the number
-    and a fingerprint, which tells two keys apart and says nothing of either.
+    and a fingerprint, which tells two keys apart and says nothing of either. No error holds
+    it, nor do the locals of a frame of ours that an error has left.
 
     Args:
         secret: 16 or 32 random bytes.
         key_id: its number on the wire, 0 to 255.
 
     Raises:
-        KeyMaterialError: the secret is too short, too long, or one byte repeated.
+        KeyMaterialError: the secret is no bytes, too short, too long, or one byte repeated, or
+            the number is none.
         MissingExtraError: the package cryptography is not installed.
 
     >>> Key(bytes(range(16)), key_id=7)
@@ -59,17 +62,29 @@ AES-256), got 4 characters
     __slots__ = ("_base", "_check", "fingerprint", "key_id")
 
     def __init__(self, secret: bytes, key_id: int = 1) -> None:
-        if not (isinstance(key_id, int) and 0 <= key_id <= 255):
-            raise KeyMaterialError(f"key_id must be a whole number from 0 to 255, got {key_id!r}")
-        if len(secret) not in SECRET_BYTES:
-            raise KeyMaterialError(
-                f"a key must have 16 or 32 bytes (AES-128 or AES-256), got {len(secret)}"
-            )
-        if len(set(secret)) == 1:
-            raise KeyMaterialError("a key must be random; this one is a single byte repeated")
-        self._base = _cmac(bytes(secret))
+        self.key_id, self.fingerprint = -1, "none"  # what a traceback shows of a key refused
+        try:
+            whole = isinstance(key_id, int)  # else it may be the secret, in the wrong place
+            if not (whole and 0 <= key_id <= 255):
+                got = repr(key_id) if whole else f"a {type(key_id).__name__}"
+                raise KeyMaterialError(f"key_id must be a whole number from 0 to 255, got {got}")
+            if not isinstance(secret, bytes | bytearray | memoryview):
+                raise KeyMaterialError(
+                    f"a key must be bytes, got a {type(secret).__name__}; Key.from_hex reads hex "
+                    "digits"
+                )
+            if len(secret) not in SECRET_BYTES:
+                raise KeyMaterialError(
+                    f"a key must have 16 or 32 bytes (AES-128 or AES-256), got {len(secret)}"
+                )
+            if len(set(secret)) == 1:
+                raise KeyMaterialError("a key must be random; this one is a single byte repeated")
+            aes, cmac = _primitives()
+            self._base = cmac(aes(bytes(secret)))
+            self.key_id = int(key_id)
+        finally:
+            del secret, key_id  # a traceback may show what still has a name
         self._check = self.mac(b"maplines_can")  # shorter than any data that is sent
-        self.key_id = key_id
         self.fingerprint = self._check[:3].hex()
 
     @classmethod
@@ -81,17 +96,23 @@ AES-256), got 4 characters
             key_id: see ``Key``.
             source: what errors call it; they never hold the text.
         """
-        digits = text.strip()
-        length, good = len(digits), re.fullmatch("[0-9A-Fa-f]*", digits) is not None
-        secret = bytes.fromhex(digits) if good and length / 2 in SECRET_BYTES else b""
-        del text, digits  # a traceback may show what still has a name
-        if not secret:
-            odd = "" if good else ", not all of them hex digits"
-            raise KeyMaterialError(
-                f"{source} must hold 32 or 64 hex digits (AES-128 or AES-256), got {length} "
-                f"characters{odd}"
-            )
-        return cls(secret, key_id)
+        try:
+            if not isinstance(text, str):
+                raise KeyMaterialError(
+                    f"{source} must be text of hex digits, got a {type(text).__name__}; Key takes "
+                    "bytes"
+                )
+            text = text.strip()
+            length, good = len(text), re.fullmatch("[0-9A-Fa-f]*", text) is not None
+            if not good or length / 2 not in SECRET_BYTES:
+                odd = "" if good else ", not all of them hex digits"
+                raise KeyMaterialError(
+                    f"{source} must hold 32 or 64 hex digits (AES-128 or AES-256), got {length} "
+                    f"characters{odd}"
+                )
+            return cls(bytes.fromhex(text), key_id)
+        finally:
+            del text  # a traceback may show what still has a name
 
     def mac(self, data: bytes) -> bytes:
         """(16,) the whole AES-CMAC of some bytes."""
@@ -122,23 +143,27 @@ AES-256), got 4 characters
 class Authenticator:
     """The keys of a sender or a receiver, and the freshness values that a sender gives.
 
-    Keys may change while it is in use: ``add`` the new key to all receivers, ``use`` it at
-    the sender, ``retire`` the old one when no frame of it is on its way. A frame
+    Keys may change while it is in use: ``add`` the new key to all receivers and the sender,
+    ``use`` it at the sender, ``retire`` the old one when no frame of it is on its way. A frame
     names its key, so no line is lost.
 
     One thread sends with it; any may receive, and any may change the keys.
 
     Args:
         keys: the first is sent with; all are received with.
-        clock: time since 1970 [ns], such as ``time.time_ns``; any counter that grows over
-            restarts does too. A receiver may go without: see ``Verifier``.
-        window_ns: how far a frame's freshness may be from the receiver's clock [ns]. More
-            than the two clocks differ and a frame may wait.
+        clock: time since 1970 as an int [ns], such as ``time.time_ns``; any counter that grows
+            over restarts does too. It is tried once at birth. A receiver may go without: see
+            ``Verifier``.
+        window_ns: how far a frame's freshness may be from the receiver's clock [ns], 1000 or
+            more. More than the two clocks differ and a frame may wait, the 0.1 s included
+            that a ``Transmitter`` signs ahead.
         not_before: freshness values up to it are neither given nor accepted: the last one
             before a restart, for who has no clock to rely on [us].
 
     Raises:
-        ValueError: there is no key, two have the same number, or a bound is out of range.
+        TypeError: what should be a key is none.
+        ValueError: there is no key, two have the same number, the clock does not give whole
+            nanoseconds, or a bound is out of range.
 
     >>> form = SecuredForm(length=48, freshness_bytes=7, mac_bytes=8)
     >>> sender = Authenticator(Key(bytes(range(16))), clock=lambda: 1_000_000)
@@ -148,6 +173,16 @@ class Authenticator:
     (True, 'REPLAY')
     >>> verify(payload, 0x4D51).name, verify(payload[:47], 0x4D50).name
     ('MAC', 'LENGTH')
+
+    A key change, with a receiver that never sends:
+
+    >>> receiver, new = Authenticator(Key(bytes(range(16)))), Key(bytes(range(1, 17)), key_id=2)
+    >>> receiver.add(new)
+    >>> sender.add(new)
+    >>> sender.use(2)
+    >>> receiver.retire(1)
+    >>> sender.active == receiver.active == new
+    True
     """
 
     def __init__(
@@ -159,10 +194,25 @@ class Authenticator:
     ) -> None:
         if not keys:
             raise ValueError("an authenticator needs a key or more")
-        if not window_ns > 0:
-            raise ValueError(f"window_ns must be more than 0 ns, got {window_ns!r}")
-        if not 0 <= not_before <= MOST_FRESHNESS:
-            raise ValueError(f"not_before must be from 0 to 2^63 - 1 us, got {not_before!r}")
+        if strange := [type(key).__name__ for key in keys if not isinstance(key, Key)]:
+            del keys  # one may be a bare secret
+            raise TypeError(f"keys must be of the class Key, got a {strange[0]}; make a Key of it")
+        now = clock() if callable(clock) else None
+        if clock is not None and not isinstance(now, int):
+            raise ValueError(
+                "clock must be a function that gives whole nanoseconds as an int, such as "
+                f"time.time_ns, got {now!r} from {clock!r}"
+            )
+        if not (isinstance(window_ns, int | float) and 1000 <= window_ns < math.inf):
+            raise ValueError(
+                f"window_ns must be at least 1000 ns and finite, got {window_ns!r}; a second is "
+                "1_000_000_000"
+            )
+        if not (isinstance(not_before, int) and 0 <= not_before <= MOST_FRESHNESS):
+            raise ValueError(
+                f"not_before must be a whole number (int) from 0 to 2^63 - 1 us, got "
+                f"{not_before!r}; it is what last_sent was, or a last value accepted"
+            )
         self._keys: dict[int, Key] = {}
         for key in keys:
             self.add(key)
@@ -191,8 +241,13 @@ class Authenticator:
         """Accept this key too.
 
         Raises:
+            TypeError: it is no ``Key``.
             ValueError: another key has its number: frames of the two could not be told apart.
         """
+        if not isinstance(key, Key):
+            strange = type(key).__name__
+            del key  # it may be a bare secret
+            raise TypeError(f"key must be of the class Key, got a {strange}; make a Key of it")
         if self._keys.setdefault(key.key_id, key) != key:
             raise ValueError(
                 f"key_id {key.key_id} is taken by {self._keys[key.key_id]!r}; number the new key "
@@ -212,14 +267,23 @@ class Authenticator:
     def retire(self, key_id: int) -> None:
         """Accept this key no more.
 
+        Who has sent must ``use`` another key before. Who has not may retire any but the
+        last; the one that was added first of those that are left is then ``active``.
+
         Raises:
-            ValueError: it is the one that is sent with, or there is none.
+            ValueError: it is the one that is sent with or the last one, or there is none.
         """
-        if key_id not in self._keys or key_id == self._active.key_id:
+        kept = set()
+        if self.last_sent > self.not_before or len(self._keys) == 1:
+            kept = {self._active.key_id}
+        if key_id not in self._keys.keys() - kept:
+            in_use = f"; the key that is in use, {self._active.key_id}, cannot be retired"
             raise ValueError(
-                f"key_id must be one of {sorted(self._keys.keys() - {self._active.key_id})}, got "
-                f"{key_id!r}; the key that is in use, {self._active.key_id}, cannot be retired"
+                f"key_id must be one of {sorted(self._keys.keys() - kept)}, got {key_id!r}"
+                f"{in_use if kept else ''}"
             )
+        if key_id == self._active.key_id:
+            self._active = next(key for key in self._keys.values() if key.key_id != key_id)
         del self._keys[key_id]
 
     def now(self) -> int | None:
@@ -313,7 +377,7 @@ def _authenticated(data_id: int, authentic: bytes, freshness: int) -> bytes:
     )
 
 
-def _cmac(secret: bytes) -> Any:
+def _primitives() -> tuple[Any, Any]:
     try:
         from cryptography.hazmat.primitives.ciphers.algorithms import AES
         from cryptography.hazmat.primitives.cmac import CMAC
@@ -321,4 +385,4 @@ def _cmac(secret: bytes) -> Any:
         raise MissingExtraError(
             'authentication needs cryptography: pip install "maplines_can[secoc]"'
         ) from error
-    return CMAC(AES(secret))
+    return AES, CMAC

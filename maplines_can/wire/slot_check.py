@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from .e2e_state import E2EConfig, E2EState, ProfileStatus, StateMachine, check
 from .reassembly import Reason
+from .second_sender import SecondSender
 
 __all__ = ["SlotCheck", "SlotStats"]
 
@@ -16,11 +17,6 @@ OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 GRACE = 1.5
 #: So many records in a row that are behind are a sender that has started anew.
 TAKEN_OVER = 3
-#: Traces of a second sender, so near each other, that make it certain. A burst that a gateway holds
-#: up leaves one or two; two senders leave one in each cycle of the slower.
-CERTAIN = 8
-#: Most good records between two traces.
-NEAR = 32
 
 
 class SlotStats(NamedTuple):
@@ -34,7 +30,7 @@ class SlotStats(NamedTuple):
     wrong_sequence: int
     errors: int
     no_new_data: int  #: cycles without a record
-    two_senders: bool
+    two_senders: bool  #: seen in the last 256 cycles
 
 
 class _Behind(NamedTuple):
@@ -43,6 +39,14 @@ class _Behind(NamedTuple):
     last: int  #: counter of the last
     since_ns: int  #: time of the first
     records: int = 1
+
+
+class _Heard(NamedTuple):
+    """A record that came."""
+
+    place: int  #: in the sequence, counted on where the counter comes round
+    content: int
+    is_news: bool
 
 
 class SlotCheck:
@@ -57,17 +61,16 @@ class SlotCheck:
     - A counter that jumps is a sender that has started anew, or another one. What the window
       holds is of another sequence: it is cleared, so VALID is left at once and comes back
       after ``min_ok_state_invalid`` OKs. A jump forward is delivered. A step back may be
-      an old line that came late: it is not delivered unless it is the third in a row, 1.5
-      cycles after the first, with nothing of the other sequence between, or no news came
-      for a whole window. A sender that starts anew so loses two lines, before it is VALID.
+      an old line that came late: it is not delivered unless it is the third of a sequence,
+      1.5 cycles after the first, with nothing else between, or no news came for a
+      whole window. A sender that starts anew so loses two lines, before it is VALID.
     - REPEATED is, for a mixture, any record of the last one delivered; and it stays
       REPEATED however long the slot was silent. A burst that a gateway held back and a sender
       that has started anew at that very counter look the same; to refuse the
       first line of the latter costs a cycle, to take the former for news a wrong line.
 
-    Two senders show by sequences that both go on: between two good records there is, again
-    and again, one of another sequence. The lines of one of the two are delivered. A path on
-    which all comes twice looks like that too.
+    For the last half round of counters it is known what came, so that a copy of a record,
+    a record that fills a gap and one that another sender must have sent can be told.
 
     Args:
         config: windows and bounds.
@@ -90,7 +93,6 @@ class SlotCheck:
         self.statuses: Counter[ProfileStatus] = Counter()  #: checks by outcome
         self.status: ProfileStatus | None = None  #: of the last check
         self.lost = 0  #: records missing between those that came, by their counters
-        self.two_senders = False  #: certain since some time
         self._machine = StateMachine(config)
         self._is_proven = is_proven
         self._max_delta, self._modulus, self._pages = config.max_delta_counter, modulus, pages
@@ -102,17 +104,30 @@ class SlotCheck:
         self._news_ns = 0  # its time
         self._behind: _Behind | None = None  # since then
         self._left: int | None = None  # the counter at which a sequence was left last
+        self._place = 0  # of the last news in the sequence
+        self._heard: dict[int, _Heard] = {}  # by counter
         self._span = 1  # records of the line that was delivered last, if with the last record
-        self._late_frames = 0  # since the last record
-        self._traces = self._good_at_trace = 0
+        self._largest = 1  # records of a line so far
+        self._doubled_frames = 0  # since the last record
+        self._second = SecondSender(cycle_ns)
 
     @property
     def state(self) -> E2EState:
         """What the slot is worth now, as far as time has elapsed."""
         return self._machine.state
 
-    def received(self, counter: int, t_ns: int) -> Reason | None:
+    @property
+    def two_senders(self) -> bool:
+        """Whether two senders were heard in the last 256 cycles."""
+        return self._second.is_certain
+
+    def received(self, counter: int, content: int, t_ns: int) -> Reason | None:
         """Check a record whose checksum holds.
+
+        Args:
+            counter: its own.
+            content: equal where the whole record is, such as a hash.
+            t_ns: when it came [ns].
 
         Returns:
             None where it is news; DUPLICATE or STALE where it is not to be delivered.
@@ -120,44 +135,51 @@ class SlotCheck:
         self._arrive(t_ns)
         last = self._counter
         status = check(counter, last, self._max_delta, self._modulus)
+        ahead = 1 if last is None else (counter - last) % self._modulus
         if status is not OK and last is not None:
             behind = (last - counter) % self._modulus
-            if late := self._why_late(counter, behind, t_ns):
-                self._late(self._pages)
-                self._step(REPEATED if late is Reason.DUPLICATE else WRONGSEQUENCE)
+            if late := self._why_late(counter, content, behind, t_ns):
+                self._step(REPEATED if behind < self._span else WRONGSEQUENCE)
                 return late
-            starts_anew = status is WRONGSEQUENCE and counter == 0
-            if behind > self._modulus // 2 and not starts_anew:
-                self.lost += self._modulus - behind - 1
             if self._left is not None and check(counter, self._left, 1, self._modulus) is OK:
-                self._trace()
+                self._second.proof(t_ns)  # back to where it was left
             self._left = last
+            if ahead >= self._modulus // 2:
+                ahead = 2 * self._modulus  # what was heard before is of another sequence
+            elif status is OKSOMELOST or counter != 0:  # a sender starts anew at 0
+                self.lost += ahead - 1
             if status is WRONGSEQUENCE:
                 self._machine.clear()
+        self._place += ahead
+        self._heard[counter] = _Heard(self._place, content, is_news=True)
         self._counter, self._news_ns, self._behind = counter, t_ns, None
+        self._second.news()
         self._span = 1
-        self._late_frames = 0
+        self._doubled_frames = 0
         self._step(status)
         return None
 
     def delivered(self, records: int) -> None:
         """The last record was the last of a line of so many."""
         self._span = records
+        self._largest = max(self._largest, records)
 
     def failed(self, t_ns: int) -> None:
         """What came was no record that holds."""
         self._arrive(t_ns)
         self._step(ERROR)
 
-    def dropped(self, reason: Reason, frames: int, t_ns: int) -> None:
-        """Reassembly dropped frames as late; so many as make a record are one check."""
-        if self._late(frames):
+    def doubled(self, t_ns: int) -> None:
+        """A frame came again; so many as make a record are one check."""
+        self._doubled_frames += 1
+        if self._doubled_frames % self._pages == 0:
             self._arrive(t_ns)
-            again = reason is Reason.DUPLICATE
-            self._step(REPEATED if again else WRONGSEQUENCE)
+            self._second.copy(t_ns)
+            self._step(REPEATED)
 
     def elapse(self, t_ns: int) -> E2EState:
         """Count NONEWDATA for the cycles that have gone by without a record until ``t_ns`` [ns]."""
+        self._second.elapse(t_ns)
         if self._due_ns is None:
             return self.state
         missed = (t_ns - self._due_ns) // self.cycle_ns + 1
@@ -188,6 +210,7 @@ class SlotCheck:
         )
 
     def _arrive(self, t_ns: int) -> None:
+        self._second.elapse(t_ns)
         due_ns = t_ns + self._grace_ns
         if self._due_ns is not None:
             if t_ns >= self._due_ns:
@@ -201,42 +224,47 @@ class SlotCheck:
         self.statuses[status] += 1
         self._machine.step(status)
 
-    def _follows(self, counter: int, last: int) -> bool:
-        return check(counter, last, self._max_delta, self._modulus) in (OK, OKSOMELOST)
-
-    def _why_late(self, counter: int, behind: int, t_ns: int) -> Reason | None:
+    def _why_late(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
         """Why a record that is not the next is no news; None where it is."""
+        place = self._place - behind
+        heard = self._came(counter, place)
+        is_copy = heard is not None and heard.content == content
         if behind < self._span:
-            return Reason.DUPLICATE
+            (self._second.copy if is_copy else self._second.proof)(t_ns)
+            return Reason.DUPLICATE if is_copy else Reason.STALE
         if self._is_proven or behind > self._modulus // 2:
             return None
-        was_silent = abs(t_ns - self._news_ns) > self._silence_ns
-        return None if was_silent or self._goes_on(counter, t_ns) else Reason.STALE
+        if abs(t_ns - self._news_ns) > self._silence_ns:
+            return None
+        if heard is not None and is_copy:
+            if heard.is_news:
+                self._second.copy(t_ns)
+            return Reason.DUPLICATE
+        if heard is None:
+            self._heard[counter] = _Heard(place, content, is_news=False)
+        if heard is not None or self._is_of_its_own(counter, behind):
+            self._second.proof(t_ns)
+        return None if self._goes_on(counter, t_ns) else Reason.STALE
+
+    def _came(self, counter: int, place: int) -> _Heard | None:
+        """What came with a counter, if it was at that place of the sequence."""
+        heard = self._heard.get(counter % self._modulus)
+        return heard if heard and heard.place == place else None
+
+    def _is_of_its_own(self, counter: int, behind: int) -> bool:
+        """Whether a record that came far behind does not fill a gap between news."""
+        before = self._came(counter - 1, self._place - behind - 1)
+        fills = before is not None and before.is_news
+        return behind > self._max_delta * self._largest and not fills
 
     def _goes_on(self, counter: int, t_ns: int) -> bool:
         """Whether a record that is behind belongs to a sequence that has taken over."""
         behind = self._behind
-        if behind is None or not self._follows(counter, behind.last):
+        if behind is None or check(counter, behind.last, 1, self._modulus) is not OK:
             self._behind = _Behind(counter, t_ns)
             return False
         behind = self._behind = behind._replace(last=counter, records=behind.records + 1)
         if behind.records < TAKEN_OVER or abs(t_ns - behind.since_ns) < self._grace_ns:
             return False
-        self._traces = max(0, self._traces - 1)  # what it left was none of a second sender
+        self._second.withdraw()
         return True
-
-    def _late(self, frames: int) -> bool:
-        """Whether frames that bring no news make up one more record."""
-        before = self._late_frames // self._pages
-        self._late_frames += frames
-        now = self._late_frames // self._pages
-        if not before and now:  # once a record: what is stuck repeats itself, and nothing goes on
-            self._trace()
-        return now > before
-
-    def _trace(self) -> None:
-        good = self.statuses[OK]
-        if good - self._good_at_trace > NEAR:
-            self._traces = 0
-        self._traces, self._good_at_trace = self._traces + 1, good
-        self.two_senders |= self._traces >= CERTAIN

@@ -28,10 +28,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import LayoutError
 from ..contract import SignalSpec
 from ..layout import Layout
-from .code import Array, Coded
+from .code import Array, Coded, check_octaves
 from .log_cholesky import BLOCK, LogCholesky, exp2_table, lookup, lookup_one
 
 __all__ = ["CholeskyCode"]
@@ -60,8 +59,7 @@ class CholeskyCode(LogCholesky):
         super().__init__(layout)
         self.inflation = layout["Inflation"]
         self.fields.append(self.inflation)
-        if self.inflation.factor <= 0:
-            raise LayoutError(f"{layout.source}: signal Inflation needs a positive factor")
+        check_octaves(layout, [self.inflation])
         self._variance_factor = exp2_table(self.inflation)
         # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
         self._hopeless = np.empty(4)

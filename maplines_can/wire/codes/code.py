@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import LayoutError
 from ...line import Status
 from ..contract import SignalSpec
 from ..field import Field
 from ..layout import Layout
 
-__all__ = ["Array", "Coded", "CovarianceCode", "nearest_raw"]
+__all__ = ["Array", "Coded", "CovarianceCode", "check_octaves", "nearest_raw"]
 
 Array = NDArray[np.float64]
+#: Farthest power of 2 that a field may say: its square and products of four stay finite.
+FARTHEST_OCTAVE = 200
 
 
 @dataclass(frozen=True)
@@ -103,3 +106,21 @@ def nearest_raw(field: Field, physical: Array) -> tuple[NDArray[np.int64], NDArr
     nearest = field.raw(physical)
     limited = field.limited(nearest)
     return limited.astype(np.int64), nearest != limited
+
+
+def check_octaves(layout: Layout, fields: Sequence[Field]) -> None:
+    """Refuse fields that are powers of 2 beyond what floats hold, whatever their bits.
+
+    Raises:
+        LayoutError: a factor is not positive, or a field reaches too far.
+    """
+    for field in fields:
+        if field.factor <= 0:
+            raise LayoutError(f"{layout.source}: signal {field.name} needs a positive factor")
+        least = -(2 ** (field.length - 1)) if field.signed else 0
+        ends = field.physical([least, least + 2**field.length - 1])
+        if not np.abs(ends).max() <= FARTHEST_OCTAVE:
+            raise LayoutError(
+                f"{layout.source}: signal {field.name} reaches from 2^{ends[0]:g} to "
+                f"2^{ends[1]:g}; it must stay within 2^-{FARTHEST_OCTAVE} and 2^{FARTHEST_OCTAVE}"
+            )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...errors import LayoutError
 from ..contract import SignalSpec
 from ..layout import STATE_SIGNALS, Layout
-from .code import Array, Coded, CovarianceCode
+from .code import Array, Coded, CovarianceCode, check_octaves
 
 __all__ = ["IntegerCholesky"]
 
@@ -50,6 +50,7 @@ class IntegerCholesky(CovarianceCode):
             (i, j): layout[_name(i, j)] for i in range(4) for j in range(i, 4)
         }  # of the upper triangle
         self.fields = [self.exponent, *self.entries.values()]
+        check_octaves(layout, [self.exponent])
         for field in self.entries.values():
             if field.factor <= 0 or field.offset:
                 raise LayoutError(

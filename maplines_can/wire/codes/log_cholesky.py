@@ -19,7 +19,7 @@ from ...errors import LayoutError
 from ..contract import SignalSpec
 from ..field import Field
 from ..layout import STATE_SIGNALS, Layout
-from .code import Array, Coded, CovarianceCode, nearest_raw
+from .code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
 
 __all__ = [
     "BLOCK",
@@ -153,6 +153,7 @@ class LogCholesky(CovarianceCode):
                 f"{layout.source}: the ratios reach so far that a matrix could have the condition "
                 f"{condition:.0e}, which double precision cannot hold; make their ranges narrower"
             )
+        check_octaves(layout, self.pivots)
         self.sigmas = [exp2_table(field) for field in self.pivots]
 
     def _worst_condition(self) -> float:

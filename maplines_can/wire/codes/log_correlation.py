@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..contract import SignalSpec
 from ..layout import STATE_SIGNALS, Layout
-from .code import Array, Coded, CovarianceCode, nearest_raw
+from .code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
 from .linear import UNITS
 
 __all__ = ["LogCorrelation", "sigma_signals"]
@@ -55,6 +55,7 @@ class LogCorrelation(CovarianceCode):
             for j in range(i + 1, 4)
         }
         self.fields = [*self.sigmas, *self.correlations.values()]
+        check_octaves(layout, self.sigmas)
 
     @classmethod
     def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:

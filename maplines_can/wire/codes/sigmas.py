@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...line import VAGUE_SIGMA, Status
 from ..contract import SignalSpec
 from ..layout import STATE_SIGNALS, Layout
-from .code import Array, Coded, CovarianceCode
+from .code import Array, Coded, CovarianceCode, check_octaves
 from .log_correlation import sigma_signals
 
 __all__ = ["MeanOnly", "Sigmas"]
@@ -31,6 +31,7 @@ class Sigmas(CovarianceCode):
 
     def __init__(self, layout: Layout) -> None:
         self.fields = [layout[f"Sigma{state}"] for state in STATE_SIGNALS]
+        check_octaves(layout, self.fields)
 
     @classmethod
     def signals(cls, finer_bits: int = 0) -> tuple[SignalSpec, ...]:

@@ -1,0 +1,56 @@
+"""Numbers as they are taken from a caller: as floats, or refused in words."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__all__ = ["LARGEST", "floats", "number_text"]
+
+#: The largest float, 1.8e308.
+LARGEST = sys.float_info.max
+#: An integer of more bits is told by its size, not by its digits.
+SHORT_BITS = 128
+
+
+def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
+    """The values as an array of floats; without a copy where they are one.
+
+    Args:
+        values: of any shape.
+        name: of the argument, for the message.
+
+    Raises:
+        ValueError: a number is complex, or an integer beyond the largest float.
+
+    >>> floats([1, 2.5], "x")
+    array([1. , 2.5])
+    >>> floats([0, 10**400], "x")
+    Traceback (most recent call last):
+    ...
+    ValueError: x must be numbers from -1.8e+308 to 1.8e+308, got an integer of about 1e400
+    """
+    if getattr(getattr(values, "dtype", None), "kind", "") == "c":
+        raise ValueError(f"{name} must be real, got {values!r}")
+    try:
+        return np.asarray(values, dtype=float)
+    except OverflowError:
+        given = np.asarray(values, dtype=object).ravel().tolist()
+        worst = next(x for x in given if isinstance(x, int) and abs(x) > LARGEST)
+        raise ValueError(
+            f"{name} must be numbers from {-LARGEST:.2g} to {LARGEST:.2g}, got {number_text(worst)}"
+        ) from None
+
+
+def number_text(value: object) -> str:
+    """How a message shows what was given: an integer of hundreds of digits by its size.
+
+    >>> number_text(0.5), number_text(-(10**400))
+    ('0.5', 'an integer of about -1e400')
+    """
+    if isinstance(value, int) and value.bit_length() > SHORT_BITS:
+        sign = "-" if value < 0 else ""
+        return f"an integer of about {sign}1e{round(value.bit_length() * np.log10(2))}"
+    return repr(value)
