@@ -937,7 +937,11 @@ def test_other_records_are_authenticated_too(tmp_path, clock, code):
         (r"SG_ KeyId : 263\|8@0", "SG_ KeyId : 263|7@0", "KeyId has 1 to 1 bytes"),
         (r"SG_ Freshness :.*\n", "", "must end with KeyId, Freshness, Mac"),
         (r"EgoLeftSecOc: 48", "EgoLeftSecOc: 64", "must end with KeyId, Freshness, Mac"),
-        (r'"SecOCDataId" BO_ 848 \d+', '"SecOCDataId" BO_ 848 70000', "SecOCDataId must be a whole"),
+        (
+            r'"SecOCDataId" BO_ 848 \d+',
+            '"SecOCDataId" BO_ 848 70000',
+            "SecOCDataId must be a whole",
+        ),
         (r'"VFrameFormat" BO_ 848 14', '"VFrameFormat" BO_ 848 0', "must be a CAN FD message"),
     ],
 )

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..arrays import floats
 from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, STATES, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
@@ -87,7 +88,7 @@ class Refit:
         window: tuple[float, float],
         map_error: MapError | None = None,
     ) -> None:
-        self.pose = np.array(pose, dtype=float)
+        self.pose = np.array(floats(pose, "pose"))
         if self.pose.shape != (3,) or not np.isfinite(self.pose).all():
             raise ValueError(f"pose must be finite with shape (3,), got {self.pose!r}")
         x_min, x_max = window
@@ -146,7 +147,7 @@ class Refit:
         Raises:
             IllPosedError: a single pose from which the points double back.
         """
-        poses = np.asarray(poses, dtype=float)
+        poses = floats(poses, "poses")
         if poses.ndim == 1:
             line = self(poses[None])[0]
             if np.isnan(line).any():
