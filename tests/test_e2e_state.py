@@ -384,6 +384,17 @@ def test_a_sender_that_starts_anew(at, silence):
     check_accounts(decoder)
 
 
+@pytest.mark.parametrize("fd", [False, True])
+def test_a_sender_that_starts_anew_with_the_same_lines_is_heard_after_half_a_second(fd):
+    """Bit for bit they are copies of old ones: until nothing was new for ten cycles."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(60), fd=fd)
+    answers, _ = run(decoder, range(60), t_ns, fd=fd)
+    assert answers[:10] == [Reason.DUPLICATE] * 10
+    assert all(isinstance(answer, MapLine) for answer in answers[10:])
+    assert not decoder.checks[SLOT].two_senders
+
+
 def test_senders_that_start_anew_again_and_again_are_not_two():
     """Each time two lines are kept back, a trace of a second sender but for what follows."""
     decoder, t_ns = default_codec().decoder(), 0
