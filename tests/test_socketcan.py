@@ -77,7 +77,8 @@ def receive(channel, fd, act, lines):
             done.set()
 
     with Link(interface="socketcan", channel=channel, fd=fd) as link:
-        receiver = Receiver(link, Codec.from_dbc().decoder(), on_line=take)
+        # A guest that does not run for a while must not lose a line here by the time-out.
+        receiver = Receiver(link, Codec.from_dbc().decoder(timeout_ms=1000), on_line=take)
         with receiver:
             act()
             assert done.wait(30), f"{len(heard)} of {lines} lines"
