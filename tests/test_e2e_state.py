@@ -458,14 +458,18 @@ def test_a_sender_that_starts_anew_at_that_very_counter_loses_one_line():
     assert all(isinstance(answer, MapLine) for answer in answers[1:])
 
 
-def test_a_sender_that_is_stuck():
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("lines", [20, 31, 32, 33, 64])
+def test_a_sender_that_is_stuck(lines, fd):
     """The same record for ever is one line, INVALID after a while, and not two senders."""
     decoder = default_codec().decoder()
-    _, t_ns = run(decoder, range(20))
-    answers, _ = run(decoder, [19] * 30, t_ns)
+    _, t_ns = run(decoder, range(lines), fd=fd)
+    answers, t_ns = run(decoder, [lines - 1] * 30, t_ns, fd=fd)
     slot = decoder.checks[SLOT]
     assert set(answers) == {Reason.DUPLICATE}
     assert (slot.state, slot.statuses[REPEATED], slot.two_senders) == (INVALID, 30, False)
+    run(decoder, range(lines, lines + 40), t_ns, fd=fd)
+    assert not slot.two_senders
     check_accounts(decoder)
 
 

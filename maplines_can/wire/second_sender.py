@@ -41,7 +41,7 @@ class SecondSender:
             self._news, self._copies = 1, 0
 
     def copy(self, t_ns: int) -> None:
-        """A record that was news came again."""
+        """A record that was news came again for the first time: what is stuck leaves one."""
         self._copies += 1
         if self._news >= NEWS and self._copies >= COPIES:
             self.is_certain, self._certain_ns = True, t_ns

@@ -47,6 +47,7 @@ class _Heard(NamedTuple):
     place: int  #: in the sequence, counted on where the counter comes round
     content: int
     is_news: bool
+    is_first: bool  #: news of which no copy came so far
 
 
 class SlotCheck:
@@ -151,7 +152,7 @@ class SlotCheck:
             if status is WRONGSEQUENCE:
                 self._machine.clear()
         self._place += ahead
-        self._heard[counter] = _Heard(self._place, content, is_news=True)
+        self._heard[counter] = _Heard(self._place, content, is_news=True, is_first=True)
         self._counter, self._news_ns, self._behind = counter, t_ns, None
         self._second.news()
         self._span = 1
@@ -174,7 +175,8 @@ class SlotCheck:
         self._doubled_frames += 1
         if self._doubled_frames % self._pages == 0:
             self._arrive(t_ns)
-            self._second.copy(t_ns)
+            if self._doubled_frames == self._pages:
+                self._second.copy(t_ns)
             self._step(REPEATED)
 
     def elapse(self, t_ns: int) -> E2EState:
@@ -229,19 +231,21 @@ class SlotCheck:
         place = self._place - behind
         heard = self._came(counter, place)
         is_copy = heard is not None and heard.content == content
+        if heard is not None and is_copy and heard.is_first:
+            self._heard[counter] = heard._replace(is_first=False)
+            self._second.copy(t_ns)
         if behind < self._span:
-            (self._second.copy if is_copy else self._second.proof)(t_ns)
+            if not is_copy:
+                self._second.proof(t_ns)
             return Reason.DUPLICATE if is_copy else Reason.STALE
         if self._is_proven or behind > self._modulus // 2:
             return None
         if abs(t_ns - self._news_ns) > self._silence_ns:
             return None
-        if heard is not None and is_copy:
-            if heard.is_news:
-                self._second.copy(t_ns)
+        if is_copy:
             return Reason.DUPLICATE
         if heard is None:
-            self._heard[counter] = _Heard(place, content, is_news=False)
+            self._heard[counter] = _Heard(place, content, is_news=False, is_first=False)
         if heard is not None or self._is_of_its_own(counter, behind):
             self._second.proof(t_ns)
         return None if self._goes_on(counter, t_ns) else Reason.STALE
