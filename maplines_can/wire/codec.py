@@ -19,7 +19,7 @@ from .channel import Channel
 from .codes import covariance_code
 from .decoder import Decoder
 from .e2e_state import E2EConfig
-from .layout import PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
+from .layout import LONGEST_MS, PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
 from .packing import Packing
 from .parts import deficit, quantized_weights
 from .read import Batch, Part, RecordReader
@@ -31,8 +31,6 @@ __all__ = ["Codec", "Frame"]
 
 #: How long a burst may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
-#: Longer than an hour neither a burst nor a cycle takes [ms].
-LONGEST_MS = 3_600_000
 #: What a record says of its line besides the Gaussian, by the names of MapLine.
 OF_THE_LINE = ("slot", "kind", "x_min", "x_max", "age", "status")
 

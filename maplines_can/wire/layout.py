@@ -33,8 +33,8 @@ __all__ = [
 PAGE_BYTES = 8
 #: Most bytes of a DBC; those of whole cars have a few million.
 LARGEST_DBC = 64_000_000
-#: Longest cycle time of a message: an hour.
-LONGEST_CYCLE_MS = 3_600_000
+#: Longer than an hour neither a burst nor a cycle takes [ms].
+LONGEST_MS = 3_600_000
 #: Signals that each page carries: which page of which burst it is.
 PAGE, BURST = "Page", "Burst"
 #: DBC signals of the mean, in the order of the states.
@@ -308,7 +308,7 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
         fd_is_extended=bool(fd and fd.is_extended_frame),
         fd_length=fd_length(fd.length) if fd else 0,
         data_id=_whole(data_id, f"{where}: E2EDataId", 0xFFFF),
-        cycle_ms=_whole(message.cycle_time or 0, f"{where}: GenMsgCycleTime", LONGEST_CYCLE_MS),
+        cycle_ms=_whole(message.cycle_time or 0, f"{where}: GenMsgCycleTime", LONGEST_MS),
         secured_can_id=secured.frame_id if secured else None,
         secured_is_extended=bool(secured and secured.is_extended_frame),
         secured_data_id=_secured_data_id(secured, source) if secured else 0,
