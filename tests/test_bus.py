@@ -40,7 +40,7 @@ from maplines_can.errors import BusError, LogError, MissingExtraError
 from maplines_can.line import MapLine, Slot
 from maplines_can.wire import Codec
 
-LONG = 20.0  # seconds that a test waits for something that must happen
+LONG = 120.0  # seconds that a test waits for something that must happen
 CHANNELS = (f"test-{number}" for number in itertools.count())
 
 
@@ -1240,8 +1240,9 @@ def test_a_socketcan_interface_goes_and_comes_back(vcan, fd, how, caplog):
         collect(receiver, 20)
         for _ in range(2):
             ip(f"link set {vcan} down" if how == "down" else f"link del {vcan}")
-            sender_events.expect(False, "is lost (N")
-            receiver_events.expect(False, "is lost (N")
+            # By the error of the socket, or because the link looked first and it was not there.
+            sender_events.expect(False, "is lost (")
+            receiver_events.expect(False, "is lost (")
             while receiver.get(0.0):
                 pass
             set_up(vcan)

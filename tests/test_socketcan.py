@@ -20,6 +20,7 @@ from maplines_can.study.round_trip import scene_lines
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 START, END = 0x7FE, 0x7FF
 CYCLES = 25
+HOUR_MS = 3_600_000
 
 
 def has_vcan():
@@ -59,7 +60,7 @@ class Candump:
     def stop(self):
         with can.Bus(interface="socketcan", channel=self.channel) as bus:
             bus.send(can.Message(arbitration_id=END, is_extended_id=False))
-        assert self.seen[END].wait(10)
+        assert self.seen[END].wait(300)
         self.process.terminate()
         self.thread.join()
         self.process.wait()
@@ -77,11 +78,11 @@ def receive(channel, fd, act, lines):
             done.set()
 
     with Link(interface="socketcan", channel=channel, fd=fd) as link:
-        # A guest that does not run for a while must not lose a line here by the time-out.
-        receiver = Receiver(link, Codec.from_dbc().decoder(timeout_ms=1000), on_line=take)
+        # No time-out: contents are compared here, and how fast the guest runs is no part of that.
+        receiver = Receiver(link, Codec.from_dbc().decoder(timeout_ms=HOUR_MS), on_line=take)
         with receiver:
             act()
-            assert done.wait(30), f"{len(heard)} of {lines} lines"
+            assert done.wait(300), f"{len(heard)} of {lines} lines"
         return heard, receiver.stats()
 
 
@@ -98,7 +99,7 @@ def test_what_is_sent_is_what_candump_and_cantools_say(tmp_path, channel, fd):
         ):
             for line in lines:
                 transmitter.publish(line)
-            assert transmitter.wait(30)
+            assert transmitter.wait(300)
 
     total = CYCLES * len(lines)
     heard, stats = receive(channel, fd, send, total)
