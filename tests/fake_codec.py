@@ -30,7 +30,9 @@ class FakeCodec:
     def __init__(self):
         self.counters = Counter()
 
-    def encode_lines(self, lines, *, fd=False):
+    def encode_lines(self, lines, *, fd=False, counters=None):
+        if counters is not None:
+            self.counters = Counter(counters)
         return [self.encode(line, fd=fd) for line in lines]
 
     def encode(self, line, *, fd=False):

@@ -33,7 +33,7 @@ from maplines_can.bus import (
     read_log,
 )
 from maplines_can.bus.faults import Fault, fault_of, text_of
-from maplines_can.bus.outbox import AHEAD
+from maplines_can.bus.outbox import AHEAD, Outbox
 from maplines_can.bus.stamp_clock import StampClock
 from maplines_can.bus.timing import LatenessHistogram, Schedule
 from maplines_can.errors import BusError, LogError, MissingExtraError
@@ -464,9 +464,9 @@ class Recorder(FakeCodec):
         super().__init__()
         self.batches = []
 
-    def encode_lines(self, lines, *, fd=False):
+    def encode_lines(self, lines, *, fd=False, counters=None):
         self.batches.append([(x.slot, x.gaussian.mean[0], round(x.age, 9)) for x in lines])
-        return super().encode_lines(lines, fd=fd)
+        return super().encode_lines(lines, fd=fd, counters=counters)
 
 
 def run_until(transmitter, clock, end):
@@ -1495,3 +1495,24 @@ def test_the_latest_line_of_a_link_that_was_open_before_is_not_new(channel):
                 time.sleep(0.05)
             assert k >= 24
             assert view.age < 10.0
+
+
+# ---- what is encoded ahead ----------------------------------------------------------------
+
+
+@given(st.lists(st.sampled_from([0.2, 0.9, 1.1, 2.7]), min_size=1, max_size=30), st.integers(1, 3))
+def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps, drop_every):
+    """Frames that were encoded ahead and never sent do not count as lost lines."""
+    codec, period, now = Codec.from_dbc(), 0.05, 100.0
+    outbox = Outbox(codec, period, fd=True, count=None)
+    decoder = codec.decoder(cycle_ms=1e3 * period)
+    for number, step in enumerate(steps):
+        outbox.put([line(slot) for slot in (Slot.EGO_LEFT, Slot.ROUTE)], now)
+        if number % drop_every == 0:
+            outbox.drop(Slot.ROUTE)
+        now += step * period
+        while (burst := outbox.take(now)) is not None:
+            for frame in burst.frames:
+                decoder.feed(frame.can_id, frame.data, round(1e9 * now))
+    assert decoder.lost == 0
+    assert not any(decoder.counts.values())

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
@@ -40,9 +41,9 @@ class Encoder(Protocol):
     """What the transmitter needs of ``wire.Codec``."""
 
     def encode_lines(
-        self, lines: Sequence[MapLine], *, fd: bool = False
+        self, lines: Sequence[MapLine], *, fd: bool = False, counters: Mapping[Slot, int]
     ) -> Sequence[Sequence[FrameLike]]:
-        """The frames of each line; advances the counters of their slots."""
+        """The frames of each line, which begin with the counter of their slot."""
 
 
 class Burst(NamedTuple):
@@ -50,6 +51,7 @@ class Burst(NamedTuple):
 
     deadline: float  #: [s]
     frames: Sequence[FrameLike]  #: of all its parts, if it is a mixture
+    records: int  #: that they carry
     skipped: int = 0  #: deadlines of the slot that were missed before this one
 
 
@@ -73,6 +75,9 @@ class Outbox:
     never behind, and its lines are encoded once a period.  A line encoded ahead
     has the age of its own deadline.
 
+    A line that is encoded ahead and then not sent, because its deadline was skipped or its slot
+    was dropped, leaves no gap in the counters: they advance when it is taken.
+
     None is encoded more than `AHEAD` before its deadline.  So a slow sender makes a few
     lines at a time, ten times a second at most, from values that are as new.
 
@@ -89,6 +94,7 @@ class Outbox:
         self._published: dict[Slot, _Published] = {}
         self._new: set[Slot] = set()  # published since they were last encoded
         self._ahead: dict[Slot, Burst] = {}  # encoded, not due yet
+        self._counters: Counter[Slot] = Counter()  # of the next record to be sent
 
     def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
         """Take over lines, each instead of the last one of its slot.
@@ -134,6 +140,7 @@ class Outbox:
         if burst is None or burst.deadline != due.deadline:  # its own was skipped
             self._encode(due.key, due.deadline)
             burst = self._ahead.pop(due.key)
+        self._counters[due.key] += burst.records
         return burst._replace(skipped=due.skipped)
 
     def _encode(self, slot: Slot, deadline: float) -> None:
@@ -142,12 +149,12 @@ class Outbox:
             then = self._schedule.deadline(other)
             if self._may_go_along(other, then, deadline):
                 deadlines[other] = then
-        # In the order of sending: the counters are given here.
         order = sorted(deadlines, key=deadlines.__getitem__)
         batch = [self._published[each].line_at(deadlines[each]) for each in order]
-        encoded = self._codec.encode_lines(batch, fd=self._fd)
-        for each, frames in zip(order, encoded, strict=True):
-            self._ahead[each] = Burst(deadlines[each], frames)
+        encoded = self._codec.encode_lines(batch, fd=self._fd, counters=self._counters)
+        for line, frames in zip(batch, encoded, strict=True):
+            records = 1 if line.mixture is None else len(line.mixture.weights)
+            self._ahead[line.slot] = Burst(deadlines[line.slot], frames, records)
         self._new -= deadlines.keys()
 
     def _may_go_along(self, slot: Slot, deadline: float, now: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -253,16 +253,30 @@ class Codec:
         """
         return self.encode_lines([line], fd=fd)[0]
 
-    def encode_lines(self, lines: Sequence[MapLine], *, fd: bool = False) -> list[list[Frame]]:
-        """The frames of each line; many at once cost hardly more than one."""
+    def encode_lines(
+        self,
+        lines: Sequence[MapLine],
+        *,
+        fd: bool = False,
+        counters: Mapping[Slot, int] | None = None,
+    ) -> list[list[Frame]]:
+        """The frames of each line; many at once cost hardly more than one.
+
+        Args:
+            lines: what to send.
+            fd: see ``encode``.
+            counters: of the first record of each slot, for a sender that may discard what it has
+                encoded; None: the codec's own, which advance.
+        """
         if not lines:
             return []
         split = [self._records(line) for line in lines]
         records = [record for line_records in split for record in line_records]
-        counters = []
-        taken, modulus = self._counters.copy(), 2 ** self.layout["Counter"].length
+        given: list[int] = []
+        taken: Counter[Slot] = Counter(self._counters if counters is None else counters)
+        modulus = 2 ** self.layout["Counter"].length
         for record in records:
-            counters.append(taken[record.line.slot])
+            given.append(taken[record.line.slot] % modulus)
             taken[record.line.slot] = (taken[record.line.slot] + 1) % modulus
         rest: dict[str, ArrayLike] = {
             name: [getattr(record.line, name) for record in records] for name in OF_THE_LINE
@@ -273,7 +287,7 @@ class Codec:
             np.zeros(len(records), dtype=bool),  # a Gaussian is definite from birth
             rest
             | {
-                "counter": counters,
+                "counter": given,
                 "component_index": [record.index for record in records],
                 "component_count": [record.count for record in records],
                 "component_weight": [record.weight for record in records],
@@ -285,7 +299,8 @@ class Codec:
             [frame for _ in line_records for frame in self.frames(next(left), line.slot, fd=fd)]
             for line, line_records in zip(lines, split, strict=True)
         ]
-        self._counters = taken
+        if counters is None:
+            self._counters = taken
         return frames
 
     def encode_mixtures(
