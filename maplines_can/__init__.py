@@ -12,19 +12,10 @@
 (True, np.True_)
 """
 
-from .bus import (
-    Link,
-    Monitor,
-    Receiver,
-    SlotView,
-    Transmitter,
-    key_from_env,
-    key_from_file,
-    read_log,
-)
+from .bus import Link, Receiver, Transmitter, key_from_env, key_from_file, read_log
 from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
 from .gaussian import Gaussian, nearest_covariance
-from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, moved
+from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, transform_line
 from .mixture import GaussianMixture
 from .polyline import Polyline
 from .propagation import (
@@ -37,9 +28,9 @@ from .propagation import (
     Refit,
     SigmaPoints,
     Transform,
-    carried,
-    line_at,
     pose_time_ns,
+    predict,
+    predict_to,
 )
 from .scenarios import SCENARIOS, Scenario, scenario
 from .wire import (
@@ -51,8 +42,10 @@ from .wire import (
     E2EState,
     Frame,
     Key,
+    Monitor,
     ProfileStatus,
     Reason,
+    SlotView,
 )
 
 __all__ = [
@@ -93,17 +86,17 @@ __all__ = [
     "Status",
     "Transform",
     "Transmitter",
-    "carried",
     "key_from_env",
     "key_from_file",
     "lateral",
     "lateral_jacobian",
-    "line_at",
-    "moved",
     "nearest_covariance",
     "pose_time_ns",
+    "predict",
+    "predict_to",
     "read_log",
     "scenario",
+    "transform_line",
 ]
 
 __version__ = "0.1.0"

@@ -24,8 +24,8 @@ __all__ = [
     "lateral",
     "lateral_jacobian",
     "line_of_cubic",
-    "moved",
-    "moved_or_nan",
+    "transform_line",
+    "transform_line_or_nan",
 ]
 
 #: The line's parameters, in the order of every mean and covariance.
@@ -224,7 +224,7 @@ def line_of_cubic(
     return np.moveaxis(lines, 0, -1)
 
 
-def moved(
+def transform_line(
     parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
     """Lines as seen from another pose (Map Line Interface, section III-A-1).
@@ -247,10 +247,10 @@ def moved(
         IllPosedError: seen from the new pose, a line doubles back or stands
             across the car (80 deg and more), or a number is NaN.
 
-    >>> moved([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
+    >>> transform_line([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     """
-    lines = moved_or_nan(parameters, motion, window, points)
+    lines = transform_line_or_nan(parameters, motion, window, points)
     lost = np.isnan(lines).any(axis=-1)
     if lost.any():
         worst = np.broadcast_to(np.asarray(motion, dtype=float), (*lost.shape, 3))[lost][0]
@@ -262,7 +262,7 @@ def moved(
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def moved_or_nan(
+def transform_line_or_nan(
     parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
     """As ``moved``, with a row of NaN for a line that no cubic follows: for moment transforms."""

@@ -21,7 +21,7 @@ class Reason(Enum):
     PENDING = "page kept"
     DONE = "line complete"
     UNKNOWN_ID = "not ours"
-    BROKEN = "burst not complete"
+    BROKEN = "transfer not complete"
 
 
 class FakeCodec:
@@ -55,7 +55,7 @@ class FakeDecoder:
     def __init__(self):
         self.counts = Counter()
         self.lines = self.frames = self.lost = 0
-        self.bursts = {}
+        self.transfers = {}
 
     def feed(self, can_id, data, t_ns, *, is_extended=False):  # noqa: ARG002
         self.frames += 1
@@ -68,11 +68,11 @@ class FakeDecoder:
             return Reason.UNKNOWN_ID
         for start in range(0, len(data), 8):
             page, counter, slot, _, age, y = struct.unpack_from("<BBBBHh", data, start)
-            expected, of = self.bursts.get(slot, (0, counter))
+            expected, of = self.transfers.get(slot, (0, counter))
             if page != 0 and (page, counter) != (expected, of):
-                self.bursts.pop(slot, None)
+                self.transfers.pop(slot, None)
                 return Reason.BROKEN
-            self.bursts[slot] = page + 1, counter
+            self.transfers[slot] = page + 1, counter
         if page + 1 < PAGES:
             return Reason.PENDING
         self.lines += 1

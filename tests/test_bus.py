@@ -32,10 +32,10 @@ from maplines_can.bus import (
     frame_time,
     read_log,
 )
-from maplines_can.bus.faults import Fault, fault_of, text_of
-from maplines_can.bus.outbox import AHEAD, Outbox
+from maplines_can.bus.driver_errors import Fault, classify_error, error_text
+from maplines_can.bus.schedule import LatenessHistogram, Schedule
 from maplines_can.bus.stamp_clock import StampClock
-from maplines_can.bus.timing import LatenessHistogram, Schedule
+from maplines_can.bus.tx_queue import AHEAD, TxQueue
 from maplines_can.errors import BusError, LogError, MissingExtraError
 from maplines_can.line import MapLine, Slot
 from maplines_can.wire import Codec
@@ -146,13 +146,13 @@ def caused_by(error, cause):
 )
 def test_fault_of_an_error(error, fault):
     """The system's number decides, wherever in the chain of causes it is."""
-    assert fault is fault_of(error)
+    assert fault is classify_error(error)
 
 
 def test_text_of_an_error_is_the_system_s():
-    assert text_of(caused_by(can.CanOperationError("Failed [19]"), GONE)) == "No such device"
-    assert text_of(can.CanOperationError("two\nlines")) == "two lines"
-    assert text_of(can.CanTimeoutError()) == "CanTimeoutError"
+    assert error_text(caused_by(can.CanOperationError("Failed [19]"), GONE)) == "No such device"
+    assert error_text(can.CanOperationError("two\nlines")) == "two lines"
+    assert error_text(can.CanTimeoutError()) == "CanTimeoutError"
 
 
 # ---- schedule -----------------------------------------------------------------------
@@ -260,7 +260,7 @@ def test_attempts_to_reopen_back_off():
             attempts.append(clock.now - start)
             raise GONE
 
-        link._port._opener = refuse
+        link._factory._opener = refuse
         for step in range(1, 4000):
             clock.now = start + step * 1e-3
             link.send(FRAME)
@@ -406,7 +406,7 @@ def collect(receiver, n):
     return lines
 
 
-def burst(sent, n=PAGES):
+def transfer(sent, n=PAGES):
     """(page, counter) of the next n frames that a fake bus was given."""
     return [tuple(sent.get(timeout=LONG).data[:2]) for _ in range(n)]
 
@@ -452,9 +452,9 @@ def test_a_retracted_line_is_not_sent_again(link):
     transmitter = Transmitter(link, FakeCodec(), period=0.02)
     transmitter.publish(line())
     transmitter.retract(Slot.NEXT_LEFT)
-    assert transmitter._outbox.wait(0.0) is not None
+    assert transmitter._tx_queue.wait(0.0) is not None
     transmitter.retract(Slot.EGO_LEFT)
-    assert transmitter._outbox.wait(0.0) is None
+    assert transmitter._tx_queue.wait(0.0) is None
 
 
 class Recorder(FakeCodec):
@@ -471,7 +471,7 @@ class Recorder(FakeCodec):
 
 def run_until(transmitter, clock, end):
     """What the thread does until then, with perfect timing."""
-    while clock.now + (step := transmitter._outbox.wait(clock.now)) < end:
+    while clock.now + (step := transmitter._tx_queue.wait(clock.now)) < end:
         clock.now += step
         transmitter._send(transmitter._next())
     clock.now = end
@@ -545,7 +545,7 @@ def test_what_was_encoded_before_a_retract_is_not_sent_after_it():
         transmitter = Transmitter(link, FakeCodec(), period=0.08, clock=clock)
         transmitter.publish(line(slot, y=1) for slot in Slot)
         run_until(transmitter, clock, 1000.005)
-        assert len(transmitter._outbox._ahead) == 7
+        assert len(transmitter._tx_queue._ahead) == 7
         transmitter.retract(Slot.ROUTE)
         run_until(transmitter, clock, 1000.05)
         transmitter.publish(line(Slot.ROUTE, y=2))
@@ -571,15 +571,15 @@ def test_a_time_of_another_clock_is_refused(link, t_pose_ns):
 
 @pytest.mark.parametrize("lost_at", range(PAGES))
 def test_nothing_is_sent_half(lost_at):
-    """After a loss in a burst its other pages are never sent; a new burst follows."""
+    """After a loss in a transfer its other pages are never sent; a new transfer follows."""
     port = FakePort(*[None] * lost_at, GONE)
     with (
         Link(port, backoff=(0.001, 0.001)) as link,
         Transmitter(link, FakeCodec(), period=0.01) as transmitter,
     ):
         transmitter.publish(line())
-        assert burst(port.sent, lost_at) == [(page, 1) for page in range(lost_at)]
-        later = burst(port.sent)
+        assert transfer(port.sent, lost_at) == [(page, 1) for page in range(lost_at)]
+        later = transfer(port.sent)
         assert [page for page, _ in later] == [0, 1, 2, 3]
         assert len({counter for _, counter in later} - {1}) == 1
         transmitter.stop()
@@ -591,17 +591,17 @@ def test_nothing_is_sent_half(lost_at):
 
 
 def test_a_full_queue_is_waited_for():
-    """The burst goes on where it was when there is room again."""
+    """The transfer goes on where it was when there is room again."""
     port = FakePort(None, FULL, FULL, FULL)
     with Link(port) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:
         transmitter.publish(line())
-        assert burst(port.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
+        assert transfer(port.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
 
     assert transmitter.stats()[:6] == (1, 0, 0, 0, PAGES, 3)
 
 
 def test_a_queue_that_stays_full_costs_the_line_its_period():
-    """Given up when the next burst is due, counted, and not a loss of the interface."""
+    """Given up when the next transfer is due, counted, and not a loss of the interface."""
     port = FakePort(None, *[FULL] * 10_000)
     with Link(port) as link:
         transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2)
@@ -1257,7 +1257,7 @@ def test_a_socketcan_interface_goes_and_comes_back(vcan, fd, how, caplog):
 
 @pytest.mark.socketcan
 def test_an_independent_socket_sees_no_half_burst(vcan):
-    """After the return nothing comes of the burst in which it went, and no page is left out."""
+    """After the return nothing comes of the transfer in which it went, and no page is left out."""
     events, raw = Outages(), can.Bus(interface="socketcan", channel=vcan)
     with (
         Link(interface="socketcan", channel=vcan, on_event=events) as link,
@@ -1292,7 +1292,7 @@ def test_a_socket_that_has_gone_silent_is_found(vcan):
         Link(interface="socketcan", channel=vcan, on_event=events) as other,
         Receiver(other, codec.decoder()) as receiver,
     ):
-        other._port._index = -1  # as if it had been opened before the one that is there now
+        other._factory._index = -1  # as if it had been opened before the one that is there now
         events.expect(False, "it was deleted")
         events.expect(True, "is back")
         with Link(interface="socketcan", channel=vcan) as link:
@@ -1504,15 +1504,15 @@ def test_the_latest_line_of_a_link_that_was_open_before_is_not_new(channel):
 def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps, drop_every):
     """Frames that were encoded ahead and never sent do not count as lost lines."""
     codec, period, now = Codec.from_dbc(), 0.05, 100.0
-    outbox = Outbox(codec, period, fd=True, count=None)
+    tx_queue = TxQueue(codec, period, fd=True, count=None)
     decoder = codec.decoder(cycle_ms=1e3 * period)
     for number, step in enumerate(steps):
-        outbox.put([line(slot) for slot in (Slot.EGO_LEFT, Slot.ROUTE)], now)
+        tx_queue.put([line(slot) for slot in (Slot.EGO_LEFT, Slot.ROUTE)], now)
         if number % drop_every == 0:
-            outbox.drop(Slot.ROUTE)
+            tx_queue.drop(Slot.ROUTE)
         now += step * period
-        while (burst := outbox.take(now)) is not None:
-            for frame in burst.frames:
+        while (transfer := tx_queue.take(now)) is not None:
+            for frame in transfer.frames:
                 decoder.feed(frame.can_id, frame.data, round(1e9 * now))
     assert decoder.lost == 0
     assert not any(decoder.counts.values())

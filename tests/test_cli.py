@@ -13,8 +13,8 @@ import pytest
 
 from maplines_can import Codec, Link, Slot, Transmitter, scenario
 from maplines_can.cli import main
+from maplines_can.cli.sending import scene_lines
 from maplines_can.scenarios import SCENARIOS
-from maplines_can.study.sending import scene_lines
 
 ROOT = Path(__file__).parents[1]
 
@@ -121,7 +121,7 @@ def test_a_sender_chooses_its_parts(capsys):
     assert load == pytest.approx(sum(line["parts"] for line in lines) * 4 * 135 * 50 / 500_000)
     assert 0.5 - 4 * 135 * 50 / 500_000 < load <= 0.5
     for line in demo("street-turn-10deg", "--fd")[1]:
-        assert line["nonlinearity_within"] <= 0.3 < line["nonlinearity"]
+        assert line["remaining_nonlinearity"] <= 0.3 < line["nonlinearity"]
 
 
 def test_the_choice_is_printed(capsys, channel):

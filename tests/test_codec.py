@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from maplines_can.errors import EncodeError, LayoutError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.study import hostile, judge, paper, road
+from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.wire import Codec, Reason
 
 LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
@@ -22,7 +22,7 @@ def check_guarantee(codec, means, covs):
     batch = codec.decode_batch(payloads)
     assert batch.accepted.all()
     stated = batch.status != Status.OUT_OF_RANGE
-    verdict = judge(means, covs, batch.mean, batch.cov, codec.resolution)
+    verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
     assert verdict.positive_definite.all()
     assert not verdict.overconfident[stated].any()
     return batch, verdict
@@ -30,7 +30,7 @@ def check_guarantee(codec, means, covs):
 
 def test_a_hundred_thousand_hostile_covariances(codec):
     """Sigmas over the whole range, condition to 1e10, exactly singular, means at the limits."""
-    batch, _ = check_guarantee(codec, *hostile(100_000, seed=1))
+    batch, _ = check_guarantee(codec, *adversarial(100_000, seed=1))
     assert (batch.status == Status.OUT_OF_RANGE).mean() < 0.01
     assert set(np.unique(batch.status)) <= {Status.FULL, Status.SATURATED, Status.OUT_OF_RANGE}
 
@@ -71,7 +71,7 @@ def test_kl_of_the_rounding_is_what_the_theory_says(codec):
     covs = np.einsum("nki,nkj->nij", root, root)
     means = np.zeros((n, 4))
     batch = codec.decode_batch(codec.encode_batch(means, covs))
-    names = [f.name for f in codec.layout.fields.values()]
+    names = [f.name for f in codec.layout.signals.values()]
     pivots = [codec.layout[name].factor for name in names if name.startswith("Pivot")]
     ratios = [codec.layout[name].factor for name in names if name.startswith("Ratio")]
     theory = sum((p * np.log(2)) ** 2 / 12 for p in pivots) + sum(r**2 / 24 for r in ratios)
@@ -79,7 +79,7 @@ def test_kl_of_the_rounding_is_what_the_theory_says(codec):
     inflation = 2.0 ** codec.layout["Inflation"].physical(raw["Inflation"])
     plain = batch.cov / inflation[:, None, None]
     keep = batch.status == Status.FULL
-    measured = judge(means, covs, means, plain, codec.resolution).kl_covered[keep].mean()
+    measured = evaluate(means, covs, means, plain, codec.resolution).kl_covered[keep].mean()
     # An error of n samples of a divergence whose spread is about its mean: 1 / sqrt(n) = 0.5 %.
     assert measured == pytest.approx(theory, rel=0.03)
 
@@ -234,9 +234,11 @@ def test_a_record_of_another_length_is_none(length):
 def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
     """decode_one and decode_batch agree to the last bit, or on the reason."""
     codec = default_codec()
-    if honest:  # make the bytes pass: the right pages, bursts and checksum
+    if honest:  # make the bytes pass: the right pages, transfers and checksum
         raw = codec._reader._packing.unpack_one(data)
-        raw |= {f"Page{p}": p for p in range(4)} | {f"Burst{p}": raw["Counter"] for p in range(4)}
+        raw |= {f"Page{p}": p for p in range(4)} | {
+            f"TransferId{p}": raw["Counter"] for p in range(4)
+        }
         data = codec._writer._sealed_one(raw, codec.layout.channels[slot].data_id)
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
     one = codec.decode_one(data, slot)
@@ -249,7 +251,7 @@ def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
         assert np.array_equal(one.gaussian.cov, batch.cov[0])
         assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
         assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
-        part = codec.read_part(data, slot)
+        part = codec.read_record(data, slot)
         assert (part.index, part.count, part.weight) == (
             batch.component_index[0],
             batch.component_count[0],
@@ -433,7 +435,7 @@ def test_motorola_signals_work_alike(tmp_path):
     ("edit", "words"),
     [
         pytest.param((r"SG_ Beta m0", "SG_ Heading m0"), "Beta|Heading", id="mean-missing"),
-        pytest.param((r' SG_ Burst1 .*\n', ""), "Burst", id="burst-missing"),
+        pytest.param((r' SG_ TransferId1 .*\n', ""), "TransferId", id="transfer-missing"),
         pytest.param((r' SG_ RatioBetaYOff.*\n', ""), "RatioBetaYOff|ratios", id="ratio-missing"),
         pytest.param((r'BA_ "MapLineSlot" .*\n', ""), "MapLineSlot", id="no-slots"),
         pytest.param((r'BA_ "MapLineSlot" BO_ 832 0', 'BA_ "MapLineSlot" BO_ 832 9'),

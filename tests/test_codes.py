@@ -10,24 +10,27 @@ import pytest
 from maplines_can import Codec, MapLine, Slot, Status
 from maplines_can.errors import LayoutError
 from maplines_can.scenarios import SCENARIOS
-from maplines_can.study import hostile, judge, paper, road
+from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.study.codes import CODES
+from maplines_can.study.codes.integer_cholesky import ORDER, UNIT
+from maplines_can.study.dbc.covariance_spec import covariance_signals
+from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
 from maplines_can.wire import Layout
-from maplines_can.wire.codes import CODES
-from maplines_can.wire.codes.integer_cholesky import ORDER, UNIT
-from maplines_can.wire.signals import SERVICE, contract_of
 
-DBCS = Path(__file__).parents[1] / "dbc"
+ROOT = Path(__file__).parents[1]
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
 
 def dbc_of(name):
-    return DBCS / ("maplines.dbc" if name == "Cholesky" else f"maplines-{name.lower()}.dbc")
+    if name == "Cholesky":
+        return ROOT / "dbc" / "maplines.dbc"
+    return ROOT / "maplines_can" / "study" / "dbc" / f"maplines-{name.lower()}.dbc"
 
 
 @cache
 def codec_of(name):
-    return Codec.from_dbc(dbc_of(name))
+    return Codec.from_dbc(dbc_of(name), codes=CODES)
 
 
 @cache
@@ -47,7 +50,7 @@ def test_every_code_has_a_dbc_that_names_it(name):
     assert database.dbc.attributes["CovarianceCode"].value == name
     assert codec_of(name).covariance.name == name
     names = {signal.name for message in database.messages for signal in message.signals}
-    assert {spec.name for spec in (*SERVICE, *CODES[name].signals())} <= names
+    assert {spec.name for spec in (*SERVICE, *covariance_signals(name))} <= names
 
 
 @pytest.mark.parametrize("which", ["paper", "road"])
@@ -59,7 +62,7 @@ def test_a_code_holds_what_it_promises(name, which):
     assert batch.accepted.all()
     usable = batch.status != Status.OUT_OF_RANGE
     assert usable.mean() > 0.99
-    verdict = judge(
+    verdict = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
     )
     if codec.covariance.covering:
@@ -72,10 +75,10 @@ def test_a_code_holds_what_it_promises(name, which):
 
 @pytest.mark.parametrize("name", [name for name in CODES if CODES[name].covering])
 def test_a_covering_code_covers_hostile_covariances_or_says_that_it_cannot(name):
-    means, covs = hostile(1500, seed=11)
+    means, covs = adversarial(1500, seed=11)
     codec, _, batch = sent_and_decoded(name, means, covs)
     usable = batch.status != Status.OUT_OF_RANGE
-    verdict = judge(
+    verdict = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
     )
     assert not verdict.overconfident.any()
@@ -87,12 +90,12 @@ def test_any_bits_are_read_without_an_error_and_a_line_is_definite(name):
     """One by one, as a receiver does: what is not definite is repaired, or refused."""
     codec = codec_of(name)
     rng = np.random.default_rng(3)
-    fields = codec.layout.fields.values()
+    fields = codec.layout.signals.values()
     lines = 0
     for _ in range(300):
         raw = {f.name: int(rng.integers(f.raw_min, f.raw_max, endpoint=True)) for f in fields}
         raw |= {f"Page{p}": p for p in range(codec.layout.pages)}
-        raw |= {f"Burst{p}": raw["Counter"] for p in range(codec.layout.pages)}
+        raw |= {f"TransferId{p}": raw["Counter"] for p in range(codec.layout.pages)}
         raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
         data = codec._writer._sealed_one(raw, codec.layout.channels[Slot.EGO_LEFT].data_id)
         line = codec.decode_one(data, Slot.EGO_LEFT)
@@ -164,7 +167,7 @@ def covariance_by_hand(name, signals):
 
 def test_the_integer_factor_has_the_99_bits_of_sbas():
     """DO-229, A.4.4.16: 3 for the exponent, 4 x 9 and 6 x 10."""
-    widths = [spec.bits for spec in CODES["IntegerCholesky"].signals()]
+    widths = [spec.bits for spec in covariance_signals("IntegerCholesky")]
     assert sum(widths) == 99
     assert sorted(widths) == [3, *[9] * 4, *[10] * 6]
 
@@ -187,7 +190,7 @@ def test_feedback_is_what_holds_the_error_of_thin_matrices():
     for name in ("Cholesky", "LogCholesky"):
         codec, _, batch = sent_and_decoded(name, means, covs)
         ok = batch.status == Status.FULL
-        verdict = judge(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
+        verdict = evaluate(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
         found[name] = np.quantile(verdict.kl_covered, 0.99)
     assert found["LogCholesky"] > 20 * found["Cholesky"]
 
@@ -197,9 +200,9 @@ def test_one_bit_more_in_each_field_is_a_quarter_of_the_divergence():
     means, covs = lines_of("road")
     kl = []
     for finer in (-1, 0, 1):
-        codec = Codec(Layout.from_text(contract_of("Cholesky", finer).dbc()))
+        codec = Codec(Layout.from_text(dbc_writer_for("Cholesky", finer).dbc()), codes=CODES)
         batch = codec.decode_batch(codec.encode_batch(means, covs))
-        kl.append(judge(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
+        kl.append(evaluate(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
     assert kl[0] / kl[1] == pytest.approx(4, rel=0.15)
     assert kl[1] / kl[2] == pytest.approx(4, rel=0.15)
 
@@ -208,13 +211,13 @@ def test_one_bit_more_in_each_field_is_a_quarter_of_the_divergence():
 def test_widths_change_and_the_code_goes_on_working(name):
     means, covs = lines_of("road")
     for finer in (-1, 2):
-        contract = contract_of(name, finer)
-        codec = Codec(Layout.from_text(contract.dbc()))
+        writer = dbc_writer_for(name, finer)
+        codec = Codec(Layout.from_text(writer.dbc()), codes=CODES)
         batch = codec.decode_batch(codec.encode_batch(means, covs))
         assert batch.accepted.all()
         if codec.covariance.covering:
             usable = batch.status != Status.OUT_OF_RANGE
-            verdict = judge(
+            verdict = evaluate(
                 means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
             )
             assert not verdict.overconfident.any()
@@ -223,23 +226,25 @@ def test_widths_change_and_the_code_goes_on_working(name):
 @pytest.mark.parametrize("name", ["Float16", "Float32", "MeanOnly"])
 def test_a_code_without_widths_says_so(name):
     with pytest.raises(ValueError, match="finer_bits must be 0"):
-        contract_of(name, 1)
+        dbc_writer_for(name, 1)
 
 
 def test_errors_name_what_there_is():
     with pytest.raises(ValueError, match="code must be one of Cholesky"):
-        contract_of("Magic")
+        dbc_writer_for("Magic")
     with pytest.raises(ValueError, match="finer_bits cannot be -9"):
-        contract_of("Cholesky", -9)
-    text = contract_of("Sigmas").dbc().replace('"Sigmas"', '"LinearNearest"')
+        dbc_writer_for("Cholesky", -9)
+    text = dbc_writer_for("Sigmas").dbc().replace('"Sigmas"', '"LinearNearest"')
     with pytest.raises(LayoutError, match="CovYOffYOff"):
-        Codec(Layout.from_text(text))
+        Codec(Layout.from_text(text), codes=CODES)
 
 
 @pytest.mark.parametrize("name", CODES)
 def test_lines_travel_over_a_bus_with_every_dbc(name):
     """Sent, received, and every received covariance definite."""
-    trip = round_trip(SCENARIOS["street-turn"], Codec.from_dbc(dbc_of(name)), seconds=0.3, rate=20)
+    trip = round_trip(
+        SCENARIOS["street-turn"], Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3, rate=20
+    )
     assert {line.status for line in trip.lines} - {None}
     assert all(line.mean is not None for line in trip.lines)
     assert trip.lines_lost == 0

@@ -9,10 +9,10 @@ import pytest
 
 from maplines_can.errors import LayoutError
 from maplines_can.line import Kind, Slot, Status
+from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
+from maplines_can.study.dbc.record_spec import DEFAULT
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.contract import Contract, SignalSpec
-from maplines_can.wire.layout import default_dbc_path
-from maplines_can.wire.signals import DEFAULT
+from maplines_can.wire.message.layout import default_dbc_path
 
 ROOT = Path(__file__).parents[1]
 
@@ -82,13 +82,13 @@ def test_a_page_that_is_too_full_is_refused():
     """The description itself is checked."""
     wide = SignalSpec("Wide", 59, 1, "", "", "")
     with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
-        Contract(((wide,), (wide,), (wide,), (wide,)))
+        DbcWriter(((wide,), (wide,), (wide,), (wide,)))
 
 
 def test_a_contract_of_another_shape_works(tmp_path):
     """Pages in another order and other IDs: written, loaded, sent, received."""
     first, second, third, fourth = DEFAULT.pages
-    other = Contract(
+    other = DbcWriter(
         (first, fourth, third, second), first_can_id=0x100, first_fd_can_id=0x108, cycle_ms=20
     )
     path = tmp_path / "other.dbc"

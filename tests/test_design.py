@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from maplines_can.bus import Link, Receiver, Transmitter
+from maplines_can.cli.design import add_design
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import Kind, MapLine, Slot, Status
-from maplines_can.study import hostile, judge, paper, road
-from maplines_can.study.design.command import add_design
+from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.study.codes import CODES
 from maplines_can.study.design.search import design, figures_of
 from maplines_can.study.design.sensitivity import (
     RatioSpread,
@@ -26,7 +27,6 @@ from maplines_can.study.design.sensitivity import (
 from maplines_can.study.design.wire_plan import Targets, allocated
 from maplines_can.study.sets import Gaussians
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.codes import CODES
 
 N = 1500
 FRAMES = (3, 4, 5)
@@ -93,13 +93,13 @@ def test_each_design_fills_its_frames(designs, folder, frames):
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-@pytest.mark.parametrize("make", [paper, road, hostile])
+@pytest.mark.parametrize("make", [paper, road, adversarial])
 def test_no_design_is_overconfident(folder, frames, make):
     """On what it was made for, on what it was not, and on what spares nothing."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = make(800, 9)
     batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
-    verdict = judge(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
+    verdict = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
     assert batch.accepted.all()
     assert verdict.positive_definite.all()
     assert not verdict.overconfident[batch.status != Status.OUT_OF_RANGE].any()
@@ -156,7 +156,7 @@ def test_a_design_is_sent_and_received(folder, others, frames, fd):
 def test_a_signal_of_zero_means_zero(folder):
     """Ranges are not the same to both sides, but what does not go together says so exactly."""
     codec = Codec.from_dbc(folder / "frames3.dbc")
-    ratios = [field for name, field in codec.layout.fields.items() if name.startswith("Ratio")]
+    ratios = [field for name, field in codec.layout.signals.items() if name.startswith("Ratio")]
     assert len(ratios) == 6
     assert all(field.physical(field.raw(0.0)) == 0 for field in ratios)
     cov = np.diag([0.04, 1e-4, 1e-6, 1e-9])[None]

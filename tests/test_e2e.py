@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.wire.e2e import record_crc, record_crc_one
+from maplines_can.wire.protection.e2e import record_crc, record_crc_one
 
 
 @given(st.binary(min_size=4, max_size=64), st.integers(0, 0xFFFF), st.data())

@@ -21,8 +21,8 @@ from maplines_can import Codec, Link, MapLine, Monitor, Receiver, Slot, Transmit
 from maplines_can.bus import Sent
 from maplines_can.cli import main
 from maplines_can.study import road
-from maplines_can.wire import E2EConfig, E2EState, ProfileStatus, Reason, SlotCheck
-from maplines_can.wire.e2e_state import StateMachine, check
+from maplines_can.wire import E2EConfig, E2EState, ProfileStatus, Reason, SequenceCheck
+from maplines_can.wire.protection.e2e_state import StateMachine, check
 
 MS = 1_000_000
 CYCLE = 50 * MS
@@ -309,9 +309,9 @@ def frames(counter, fd=False, which=None):
     return default_codec().frames(record(counter, which=which), SLOT, fd=fd)
 
 
-def feed(decoder, burst, t_ns):
-    """The answer to the last frame of a burst, its frames 0.25 ms apart."""
-    answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(burst)]
+def feed(decoder, transfer, t_ns):
+    """The answer to the last frame of a transfer, its frames 0.25 ms apart."""
+    answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(transfer)]
     return answers[-1]
 
 
@@ -450,7 +450,7 @@ def test_a_burst_that_comes_again_is_never_delivered_twice(later_ms, fd):
 
 
 def test_a_sender_that_starts_anew_at_that_very_counter_loses_one_line():
-    """It cannot be told from a burst that was held up, so its first line is refused."""
+    """It cannot be told from a transfer that was held up, so its first line is refused."""
     decoder = default_codec().decoder()
     run(decoder, [0])
     answers, _ = run(decoder, [0, 1, 2], t_ns=100 * CYCLE)
@@ -481,9 +481,9 @@ def test_damaged_records_end_valid(fd):
     slot = decoder.checks[SLOT]
     for k in range(3):
         assert slot.state is VALID
-        burst = frames(20 + 2 * k, fd)
-        broken = burst[0]._replace(data=bytes([burst[0].data[0] ^ 1, *burst[0].data[1:]]))
-        assert feed(decoder, [broken, *burst[1:]], t_ns) is Reason.CRC
+        transfer = frames(20 + 2 * k, fd)
+        broken = transfer[0]._replace(data=bytes([transfer[0].data[0] ^ 1, *transfer[0].data[1:]]))
+        assert feed(decoder, [broken, *transfer[1:]], t_ns) is Reason.CRC
         (line,), t_ns = run(decoder, [21 + 2 * k], t_ns + CYCLE, fd=fd)
         assert isinstance(line, MapLine)
     assert slot.state is INVALID
@@ -542,20 +542,20 @@ def test_each_part_of_a_mixture_is_a_check(k, fd):
 def two_senders(decoder, offset_ms, apart, *, fd=False, every=1, k=1, cycles=40, loss=0.0):
     """Two senders of a slot, the second later by an offset and ahead by some counters."""
     rng = np.random.default_rng(3)
-    bursts = []
+    transfers = []
     for cycle in range(cycles):
         senders = [(0, 0)] + ([(offset_ms, apart)] if cycle % every == 0 else [])
         for sender, (ms, ahead) in enumerate(senders):
             counter = (cycle // (every if sender else 1) * k + ahead) % 256
-            burst = (
+            transfer = (
                 frames(counter, fd, which=(counter + 100 * sender) % 256)
                 if k == 1
                 else mixture_frames(counter, k, fd, seed=sender)
             )
-            bursts.append((cycle * CYCLE + ms * MS, burst))
-    for t_ns, burst in bursts:
+            transfers.append((cycle * CYCLE + ms * MS, transfer))
+    for t_ns, transfer in transfers:
         if rng.random() >= loss:
-            feed(decoder, burst, t_ns)
+            feed(decoder, transfer, t_ns)
     return decoder.checks[SLOT]
 
 
@@ -603,12 +603,12 @@ def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
             counter, anew = 0, anew + 1
         elif fate < 0.01:
             t_ns += int(rng.integers(1, 40)) * CYCLE
-        burst = (
+        transfer = (
             frames(counter, fd, which=(counter + 50 * anew) % 256)
             if k == 1
             else mixture_frames(counter, k, fd, seed=anew)
         )
-        for i, frame in enumerate(burst):
+        for i, frame in enumerate(transfer):
             at = t_ns + i * MS // 4
             late = int(rng.integers(1, 300)) * MS
             fate = rng.random()
@@ -664,7 +664,7 @@ def test_a_slot_with_two_senders_is_not_usable(every):
 @pytest.mark.parametrize(("good", "certain"), [(10, True), (30, True), (40, False)])
 def test_proofs_that_are_far_apart_do_not_add_up(good, certain):
     """Another record with a counter that was there, now and then, is an accident."""
-    slot, t_ns = SlotCheck(E2EConfig(), 256, 4, CYCLE), 0
+    slot, t_ns = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0
     for k in range(12 * good):
         slot.received(k % 256, k, t_ns)
         if k % good == 0:
@@ -677,7 +677,7 @@ def test_proofs_that_are_far_apart_do_not_add_up(good, certain):
 def test_all_that_comes_twice(share, certain):
     """As two senders of the same lines would do, and one line in a hundred is lost."""
     rng = np.random.default_rng(5)
-    slot = SlotCheck(E2EConfig(), 256, 4, CYCLE)
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in range(400):
         for again in (False, True):
             if rng.random() < (share if again else 1) * 0.99:
@@ -701,7 +701,7 @@ def test_a_second_sender_that_has_gone_is_forgotten():
 
 def test_a_line_lost_a_round_after_another_is_counted():
     """Where the counter stood at the last loss says nothing a round later."""
-    slot = SlotCheck(E2EConfig(), 256, 4, CYCLE)
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in [*range(11), *range(12, 256 + 10), *range(256 + 11, 256 + 20)]:
         slot.received(k % 256, k % 256, k * CYCLE)
     assert slot.lost == 2
@@ -713,7 +713,7 @@ def test_a_line_lost_a_round_after_another_is_counted():
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=20))
 def test_cycles_without_data_do_not_depend_on_who_asks(steps_ms):
     """One falls due 1.5 cycles after the last record, and one each cycle after that."""
-    asked, once = (SlotCheck(E2EConfig(), 256, 4, CYCLE) for _ in range(2))
+    asked, once = (SequenceCheck(E2EConfig(), 256, 4, CYCLE) for _ in range(2))
     now = 0
     for slot in (asked, once):
         for k in range(10):
@@ -729,7 +729,7 @@ def test_cycles_without_data_do_not_depend_on_who_asks(steps_ms):
 
 def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid():
     """Silence is counted from the new time on."""
-    slot = SlotCheck(E2EConfig(), 256, 4, CYCLE)
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in range(10):
         slot.received(k, k, 10**18 + k * CYCLE)
     assert slot.elapse(5) is VALID
@@ -739,7 +739,7 @@ def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid():
 @pytest.mark.parametrize("asks_every_ms", [None, 10, 50, 200])
 def test_a_backlog_is_not_missed_twice(asks_every_ms):
     """A receiver that was stopped takes old frames after it was asked: they were missed once."""
-    slot, now, asked = SlotCheck(E2EConfig(), 256, 4, CYCLE), 0, 0
+    slot, now, asked = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0, 0
     for k in range(10):
         slot.received(k, k, k * CYCLE)
     stopped, now = 9 * CYCLE, 9 * CYCLE + 2000 * MS

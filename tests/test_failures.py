@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from maplines_can.bus.worker import Worker
+from maplines_can.bus.background import Worker
 
 TOOLS = Path(__file__).parents[1] / "tools"
 

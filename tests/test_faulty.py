@@ -21,21 +21,12 @@ from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.bus import (
-    Action,
-    Faults,
-    FaultyBus,
-    Link,
-    Mischief,
-    Mishap,
-    Receiver,
-    Sent,
-    Transmitter,
-)
-from maplines_can.bus.fault_plan import LENGTHS
+from maplines_can.bus import Link, Receiver, Sent, Transmitter
 from maplines_can.cli import main
 from maplines_can.line import MapLine, Slot
 from maplines_can.study import road
+from maplines_can.testing import Action, FaultInjector, FaultKind, Faults, FaultyBus, FaultyOpener
+from maplines_can.testing.faults import LENGTHS
 from maplines_can.wire import Frame
 
 ROOT = Path(__file__).parents[1]
@@ -52,16 +43,16 @@ def number_of(frame):
     return int.from_bytes(frame.data, "big")
 
 
-def run(mischief, frames, step=0.0):
+def run(injector, frames, step=0.0):
     """All that comes out, ``step`` [s] between two frames, and at the end what is held back."""
-    out = [f for i, frame in enumerate(frames) for f in mischief.apply(frame, i * step)]
-    return out + mischief.flush()
+    out = [f for i, frame in enumerate(frames) for f in injector.apply(frame, i * step)]
+    return out + injector.flush()
 
 
-def check_sums(mischief):
-    done = mischief.counts
-    came = mischief.frames + done[Mishap.DUPLICATED] + done[Mishap.FLOODED]
-    assert came == mischief.passed + done[Mishap.LOST] + mischief.held
+def check_sums(injector):
+    done = injector.counts
+    came = injector.frames + done[FaultKind.DUPLICATED] + done[FaultKind.FLOODED]
+    assert came == injector.passed + done[FaultKind.LOST] + injector.held
 
 
 def bits_apart(a, b):
@@ -90,57 +81,57 @@ def garbage(before, after):
 @pytest.mark.parametrize(
     ("field", "what", "law"),
     [
-        pytest.param("flip", Mishap.FLIPPED, flipped, id="flip"),
-        pytest.param("truncate", Mishap.TRUNCATED, truncated, id="truncate"),
-        pytest.param("wrong_dlc", Mishap.WRONG_DLC, truncated, id="wrong-dlc-of-full-frames"),
-        pytest.param("wrong_id", Mishap.WRONG_ID, wrong_id, id="wrong-id"),
-        pytest.param("garbage", Mishap.GARBAGE, garbage, id="garbage"),
+        pytest.param("flip", FaultKind.FLIPPED, flipped, id="flip"),
+        pytest.param("truncate", FaultKind.TRUNCATED, truncated, id="truncate"),
+        pytest.param("wrong_dlc", FaultKind.WRONG_DLC, truncated, id="wrong-dlc-of-full-frames"),
+        pytest.param("wrong_id", FaultKind.WRONG_ID, wrong_id, id="wrong-id"),
+        pytest.param("garbage", FaultKind.GARBAGE, garbage, id="garbage"),
     ],
 )
 def test_damage_at_rate_1_hits_every_frame(field, what, law):
     """In its place, in its way, and counted."""
-    mischief = Mischief(Faults(**{field: 1.0}))
+    injector = FaultInjector(Faults(**{field: 1.0}))
     frames = numbered(500)
-    out = run(mischief, frames)
+    out = run(injector, frames)
     assert len(out) == 500
     assert all(law(*pair) for pair in zip(frames, out, strict=True))
-    assert mischief.counts == {what: 500}
+    assert injector.counts == {what: 500}
 
 
 def test_loss_at_rate_1_leaves_nothing():
-    mischief = Mischief(Faults(loss=1.0, duplicate=1.0, reorder=1.0))
-    assert run(mischief, numbered(100)) == []
-    assert mischief.counts == {Mishap.LOST: 100}
+    injector = FaultInjector(Faults(loss=1.0, duplicate=1.0, reorder=1.0))
+    assert run(injector, numbered(100)) == []
+    assert injector.counts == {FaultKind.LOST: 100}
 
 
 def test_duplicates_at_rate_1():
-    mischief = Mischief(Faults(duplicate=1.0))
+    injector = FaultInjector(Faults(duplicate=1.0))
     frames = numbered(100)
-    assert run(mischief, frames) == [frame for frame in frames for _ in range(2)]
-    assert mischief.counts == {Mishap.DUPLICATED: 100}
+    assert run(injector, frames) == [frame for frame in frames for _ in range(2)]
+    assert injector.counts == {FaultKind.DUPLICATED: 100}
 
 
 def test_reordering_at_rate_1():
     """All are held back by up to three frames: none is lost, and none further."""
-    mischief = Mischief(Faults(reorder=1.0, depth=3))
-    out = [number_of(frame) for frame in run(mischief, numbered(1000))]
+    injector = FaultInjector(Faults(reorder=1.0, depth=3))
+    out = [number_of(frame) for frame in run(injector, numbered(1000))]
     assert sorted(out) == list(range(1000))
     assert out != sorted(out)
-    assert mischief.counts == {Mishap.REORDERED: 1000}
+    assert injector.counts == {FaultKind.REORDERED: 1000}
 
 
 def test_nothing_happens_by_default():
-    mischief = Mischief(Faults())
+    injector = FaultInjector(Faults())
     frames = numbered(1000)
-    assert run(mischief, frames) == frames
-    assert mischief.counts == {}
+    assert run(injector, frames) == frames
+    assert injector.counts == {}
 
 
 def test_a_length_of_can_fd_stays_one():
     """Whatever is cut or filled can be sent by an interface."""
     for field in ("truncate", "wrong_dlc"):
         frames = [Frame(0x348, bytes([255] * 32), True) for _ in range(500)]
-        out = run(Mischief(Faults(**{field: 1.0})), frames)
+        out = run(FaultInjector(Faults(**{field: 1.0})), frames)
         lengths = {len(frame.data) for frame in out}
         longest = 24 if field == "truncate" else 64
         assert lengths == {n for n in LENGTHS if n <= longest and n != 32}
@@ -149,15 +140,15 @@ def test_a_length_of_can_fd_stays_one():
 
 
 def test_what_cannot_be_damaged_is_not_counted():
-    mischief = Mischief(Faults(flip=0.4, truncate=0.3, garbage=0.3))
+    injector = FaultInjector(Faults(flip=0.4, truncate=0.3, garbage=0.3))
     frames = [Frame(1, b"")] * 50
-    assert run(mischief, frames) == frames
-    assert mischief.counts == {}
+    assert run(injector, frames) == frames
+    assert injector.counts == {}
 
 
 def test_29_bit_ids_stay_29_bit_ids():
     frames = [Frame(0x18FF3400, b"data", False, True)] * 300
-    out = run(Mischief(Faults(wrong_id=1.0)), frames)
+    out = run(FaultInjector(Faults(wrong_id=1.0)), frames)
     assert all(frame.is_extended and frame.can_id <= 0x1FFFFFFF for frame in out)
     assert len({frame.can_id for frame in out}) == 29
 
@@ -168,31 +159,31 @@ def test_29_bit_ids_stay_29_bit_ids():
 def test_rates_are_kept():
     """Each within five standard deviations of the binomial law."""
     faults = Faults.parse(f"{MIX},garbage=0.03,late=0.2,delay=1")
-    mischief, n = Mischief(faults), 50_000
-    run(mischief, numbered(n))
-    kept = n - mischief.counts[Mishap.LOST]
-    copies = kept + mischief.counts[Mishap.DUPLICATED]
-    on_time = copies - mischief.counts[Mishap.REORDERED]
+    injector, n = FaultInjector(faults), 50_000
+    run(injector, numbered(n))
+    kept = n - injector.counts[FaultKind.LOST]
+    copies = kept + injector.counts[FaultKind.DUPLICATED]
+    on_time = copies - injector.counts[FaultKind.REORDERED]
     for what, rate, of in (
-        (Mishap.LOST, 0.1, n),
-        (Mishap.DUPLICATED, 0.05, kept),
-        (Mishap.REORDERED, 0.05, copies),
-        (Mishap.FLIPPED, 0.005, copies),
-        (Mishap.TRUNCATED, 0.005, copies),
-        (Mishap.WRONG_DLC, 0.005, copies),
-        (Mishap.WRONG_ID, 0.005, copies),
-        (Mishap.GARBAGE, 0.03, copies),
-        (Mishap.DELAYED, 0.2, on_time),
+        (FaultKind.LOST, 0.1, n),
+        (FaultKind.DUPLICATED, 0.05, kept),
+        (FaultKind.REORDERED, 0.05, copies),
+        (FaultKind.FLIPPED, 0.005, copies),
+        (FaultKind.TRUNCATED, 0.005, copies),
+        (FaultKind.WRONG_DLC, 0.005, copies),
+        (FaultKind.WRONG_ID, 0.005, copies),
+        (FaultKind.GARBAGE, 0.03, copies),
+        (FaultKind.DELAYED, 0.2, on_time),
     ):
         sigma = math.sqrt(of * rate * (1 - rate))
-        assert mischief.counts[what] == pytest.approx(of * rate, abs=5 * sigma), what
+        assert injector.counts[what] == pytest.approx(of * rate, abs=5 * sigma), what
 
 
 def test_the_seed_decides():
     """The same again, another one for another seed, and for the other direction."""
 
     def outcome(seed, stream=""):
-        return run(Mischief(Faults.parse(f"{MIX},seed={seed}"), stream=stream), numbered(500))
+        return run(FaultInjector(Faults.parse(f"{MIX},seed={seed}"), stream=stream), numbered(500))
 
     assert outcome(1) == outcome(1)
     assert outcome(1) != outcome(2)
@@ -202,9 +193,9 @@ def test_the_seed_decides():
 @given(st.integers(1, 9), st.integers(0, 2**32))
 def test_no_frame_is_held_back_too_far(depth, seed):
     """None comes after one that was sent more than ``depth`` later."""
-    mischief = Mischief(Faults(reorder=0.4, depth=depth, seed=seed))
+    injector = FaultInjector(Faults(reorder=0.4, depth=depth, seed=seed))
     newest = 0
-    for frame in run(mischief, numbered(60)):
+    for frame in run(injector, numbered(60)):
         assert newest - number_of(frame) <= depth
         newest = max(newest, number_of(frame))
 
@@ -224,17 +215,17 @@ FAULTS = st.builds(
 @given(FAULTS)
 def test_every_frame_is_accounted_for(faults):
     """Given, doubled and flooded ones are lost, held back or handed out, at any time."""
-    mischief = Mischief(faults)
+    injector = FaultInjector(faults)
     handed_out = 0
     for i, frame in enumerate(numbered(100)):
-        handed_out += len(mischief.apply(frame, i * 1e-3))
-        handed_out += len(mischief.due(i * 1e-3 + 5e-4))
-        check_sums(mischief)
-    handed_out += len(mischief.flush())
-    check_sums(mischief)
-    assert mischief.held == 0
-    assert handed_out == mischief.passed
-    assert mischief.as_dict()["passed"] == mischief.passed
+        handed_out += len(injector.apply(frame, i * 1e-3))
+        handed_out += len(injector.due(i * 1e-3 + 5e-4))
+        check_sums(injector)
+    handed_out += len(injector.flush())
+    check_sums(injector)
+    assert injector.held == 0
+    assert handed_out == injector.passed
+    assert injector.as_dict()["passed"] == injector.passed
 
 
 # ---- time -----------------------------------------------------------------------------
@@ -242,19 +233,19 @@ def test_every_frame_is_accounted_for(faults):
 
 def test_a_delayed_frame_comes_when_its_time_has_come():
     """Time is an argument: nobody sleeps."""
-    mischief = Mischief(Faults(delay=0.02))
+    injector = FaultInjector(Faults(delay=0.02))
     (a, b) = numbered(2)
-    assert mischief.apply(a, 1.0) == []
-    assert mischief.next_due == pytest.approx(1.02)
-    assert mischief.due(1.019) == []
-    assert mischief.apply(b, 1.021) == [a]
-    assert mischief.due(2.0) == [b]
-    assert mischief.next_due == math.inf
+    assert injector.apply(a, 1.0) == []
+    assert injector.next_due == pytest.approx(1.02)
+    assert injector.due(1.019) == []
+    assert injector.apply(b, 1.021) == [a]
+    assert injector.due(2.0) == [b]
+    assert injector.next_due == math.inf
 
 
 def test_jitter_lets_frames_overtake_each_other():
-    mischief = Mischief(Faults(delay=0.1, jitter=0.05, seed=3))
-    out = run(mischief, numbered(200), step=0.001)
+    injector = FaultInjector(Faults(delay=0.1, jitter=0.05, seed=3))
+    out = run(injector, numbered(200), step=0.001)
     late = [number_of(frame) for frame in out]
     assert sorted(late) == list(range(200))
     assert late != sorted(late)
@@ -262,40 +253,40 @@ def test_jitter_lets_frames_overtake_each_other():
 
 def test_a_flood_has_its_rate_and_its_ids():
     """250 frames a second for two seconds, from the first moment on."""
-    mischief = Mischief(Faults(flood=250.0, flood_ids=(0, 0x340, 0x18FF0000)))
-    mischief.due(10.0)
-    out = [frame for i in range(1, 201) for frame in mischief.due(10.0 + i / 100)]
+    injector = FaultInjector(Faults(flood=250.0, flood_ids=(0, 0x340, 0x18FF0000)))
+    injector.due(10.0)
+    out = [frame for i in range(1, 201) for frame in injector.due(10.0 + i / 100)]
     assert len(out) == pytest.approx(500, abs=1)
     assert {(f.can_id, f.is_extended) for f in out} == {
         (0, False),
         (0x340, False),
         (0x18FF0000, True),
     }
-    assert mischief.counts == {Mishap.FLOODED: len(out)}
+    assert injector.counts == {FaultKind.FLOODED: len(out)}
 
 
 def test_a_flood_of_an_hour_does_not_come_at_once():
-    mischief = Mischief(Faults(flood=1000.0))
-    mischief.due(0.0)
-    (*batches, last) = iter(lambda: mischief.due(3600.0), [])
+    injector = FaultInjector(Faults(flood=1000.0))
+    injector.due(0.0)
+    (*batches, last) = iter(lambda: injector.due(3600.0), [])
     assert {len(batch) for batch in batches} == {32}
     assert 32 * len(batches) + len(last) == pytest.approx(1000, abs=1)
-    assert mischief.left_out == pytest.approx(3599 * 1000, abs=1)
-    assert mischief.next_due > 3600.0
+    assert injector.left_out == pytest.approx(3599 * 1000, abs=1)
+    assert injector.next_due > 3600.0
 
 
 def test_a_flood_of_next_to_nothing_never_comes():
-    mischief = Mischief(Faults(flood=5e-324))
-    assert mischief.due(0.0) == mischief.due(3600.0) == []
+    injector = FaultInjector(Faults(flood=5e-324))
+    assert injector.due(0.0) == injector.due(3600.0) == []
 
 
 def test_a_flood_is_drawn_from_ranges_as_from_their_ids():
     """Of any length: no list of them is made."""
 
     def ids(flood_ids):
-        mischief = Mischief(Faults(flood=1000.0, flood_ids=flood_ids))
-        mischief.due(0.0)
-        return [f.can_id for i in range(1, 501) for f in mischief.due(i / 100)]
+        injector = FaultInjector(Faults(flood=1000.0, flood_ids=flood_ids))
+        injector.due(0.0)
+        return [f.can_id for i in range(1, 501) for f in injector.due(i / 100)]
 
     some = ids((7, *range(0x340, 0x348), 9))
     assert some == ids((7, range(0x340, 0x348), 9))
@@ -325,7 +316,7 @@ def test_a_flood_is_drawn_from_ranges_as_from_their_ids():
 def test_a_script_says_what_happens_to_which_frame(script, numbers):
     """Frames are counted from 1; 10 ms lie between two."""
     faults = Faults(script=[Action.parse(line) for line in script.splitlines()])
-    out = run(Mischief(faults), numbered(7)[1:], step=0.01)
+    out = run(FaultInjector(faults), numbered(7)[1:], step=0.01)
     assert [number_of(frame) for frame in out] == numbers
 
 
@@ -343,13 +334,13 @@ def test_a_script_says_what_happens_to_which_frame(script, numbers):
     ],
 )
 def test_a_script_damages_as_it_says(line, law):
-    (frame,) = run(Mischief(Faults(script=[Action.parse(line)])), [Frame(0x340, bytes(8))])
+    (frame,) = run(FaultInjector(Faults(script=[Action.parse(line)])), [Frame(0x340, bytes(8))])
     assert law(frame)
 
 
 def test_rates_are_for_the_frames_that_the_script_does_not_name():
     faults = Faults(loss=1.0, script=[Action.parse("dup 2")])
-    assert [number_of(f) for f in run(Mischief(faults), numbered(9))] == [1, 1]
+    assert [number_of(f) for f in run(FaultInjector(faults), numbered(9))] == [1, 1]
 
 
 def test_a_script_from_a_file(tmp_path):
@@ -357,8 +348,8 @@ def test_a_script_from_a_file(tmp_path):
     path = tmp_path / "faults.txt"
     path.write_text("# what frame value\n\nloss 3  # gone\nflip 20-29 3\n")
     assert Faults.parse(f"script={path},seed=3").script == (
-        Action(Mishap.LOST, 3, 3),
-        Action(Mishap.FLIPPED, 20, 29, 3),
+        Action(FaultKind.LOST, 3, 3),
+        Action(FaultKind.FLIPPED, 20, 29, 3),
     )
 
 
@@ -475,7 +466,7 @@ def test_a_script_may_be_a_pipe(tmp_path):
     path = tmp_path / "pipe"
     os.mkfifo(path)
     threading.Thread(target=path.write_text, args=("loss 3\n",), daemon=True).start()
-    assert Faults.parse(f"script={path}").script == (Action(Mishap.LOST, 3, 3),)
+    assert Faults.parse(f"script={path}").script == (Action(FaultKind.LOST, 3, 3),)
 
 
 # ---- a bus ----------------------------------------------------------------------------
@@ -531,7 +522,7 @@ def test_a_bus_in_one_direction_or_both(channel, other, direction):
         received, sent = len(all_of(bus)), len(all_of(other))
         assert (received < 80) == (direction != "send")
         assert (sent < 80) == (direction != "receive")
-        assert bus.counts[Mishap.LOST] == 200 - received - sent
+        assert bus.counts[FaultKind.LOST] == 200 - received - sent
         assert bus.as_dict()["passed"] + bus.as_dict()["lost"] == bus.as_dict()["frames"]
 
 
@@ -787,7 +778,7 @@ def test_a_frame_that_is_tried_again_suffers_once():
                 bus.send(tried)
         bus.send(tried)
         assert [inner.sent.get(timeout=0) for _ in range(inner.sent.qsize())] == [1, 1]
-        assert bus.counts == {Mishap.DUPLICATED: 1}
+        assert bus.counts == {FaultKind.DUPLICATED: 1}
         bus.send(tried)  # the same object once more is another frame
         assert inner.sent.qsize() == 2
         assert bus.as_dict()["frames"] == 2
@@ -824,7 +815,8 @@ def test_a_link_that_comes_back_goes_on(clock):
         return opened[-1]
 
     faults = Faults(loss=0.5, seed=4)
-    with Link(opener, faults=faults, clock=clock) as link:
+    faulty_opener = FaultyOpener(faults, opener)
+    with Link(faulty_opener, clock=clock) as link:
         for number in range(20):
             link.send(message(number))
         opened[0].gone = True
@@ -835,16 +827,11 @@ def test_a_link_that_comes_back_goes_on(clock):
             link.send(message(number))
         assert link.outages == 1
         assert len(opened) == 2
-        total = link.faults
-    straight = Mischief(faults, stream="send")
+        total = faulty_opener.as_dict()
+    straight = FaultInjector(faults, stream="send")
     for frame in numbered(total["frames"]):
         straight.apply(frame)
-    assert total["lost"] == straight.counts[Mishap.LOST]
-
-
-def test_without_faults_a_link_has_none(channel):
-    with Link(interface="virtual", channel=channel) as link:
-        assert link.faults == {}
+    assert total["lost"] == straight.counts[FaultKind.LOST]
 
 
 # ---- lines through it -------------------------------------------------------------------
@@ -876,7 +863,7 @@ def test_whatever_the_mischief_lines_are_sent_ones_and_come_once(faults, fd):
     """Bit for bit; and every frame is accounted for, by the faults and by the decoder."""
     frames, known = sent_lines(fd=fd)
     codec = default_codec()
-    mischief, decoder, delivered = Mischief(faults), codec.decoder(), []
+    injector, decoder, delivered = FaultInjector(faults), codec.decoder(), []
 
     def receive(out, now):
         for frame in out:
@@ -887,14 +874,14 @@ def test_whatever_the_mischief_lines_are_sent_ones_and_come_once(faults, fd):
                 delivered.append(key_of(answer))
 
     now = 0.0
-    for burst in frames:
-        for frame in burst:
+    for transfer in frames:
+        for frame in transfer:
             now += 0.5e-3
-            receive(mischief.apply(frame, now), now)
-    receive(mischief.flush(), now)
+            receive(injector.apply(frame, now), now)
+    receive(injector.flush(), now)
     assert set(delivered) <= set(known)
     assert len(delivered) == len(set(delivered)) == decoder.lines
-    assert decoder.frames == mischief.passed
+    assert decoder.frames == injector.passed
     assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
 
 

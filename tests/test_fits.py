@@ -9,11 +9,11 @@ from scipy.optimize import least_squares
 from strategies import mild_lines, motions
 
 from maplines_can.errors import IllPosedError
-from maplines_can.line import lateral, line_of_cubic, moved
+from maplines_can.line import lateral, line_of_cubic, transform_line
 from maplines_can.polyline import Polyline, to_ego
 from maplines_can.propagation import Linear, MapError, MonteCarlo, Quadrature, Refit, SigmaPoints
-from maplines_can.propagation.fits import Robust, TotalLeastSquares, robust, total_least_squares
 from maplines_can.scenarios import random_scenarios, scenario
+from maplines_can.study.fits import Robust, TotalLeastSquares, robust, total_least_squares
 
 X = np.linspace(-20.0, 80.0, 51)
 HIGHWAY = np.array([1.75, -0.02, 1 / 2000, 1e-6])
@@ -84,7 +84,7 @@ def test_four_points_of_a_line_give_the_moved_line_whatever_the_distance(line, m
     """The paper's experiment (section III-A-1): seen from elsewhere, and all fits agree."""
     nodes = 30 + 50 * np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     seen = to_ego(line_points(line, nodes), motion)
-    expected = moved(line, motion, window=(-20.0, 80.0), points=4)
+    expected = transform_line(line, motion, window=(-20.0, 80.0), points=4)
 
     for fit in (ordinary, total_least_squares, robust):
         np.testing.assert_allclose(fit(seen), expected, rtol=0, atol=1e-9)
@@ -98,7 +98,7 @@ def test_four_points_agree_on_a_street_turn_too():
     a, b = refit.x_range
     nodes = (a + b) / 2 + (b - a) / 2 * np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     seen = to_ego(line_points(line, nodes), motion)
-    expected = moved(line, motion, window=(a, b), points=4)
+    expected = transform_line(line, motion, window=(a, b), points=4)
 
     for fit in (ordinary, total_least_squares, robust):
         np.testing.assert_allclose(fit(seen), expected, rtol=0, atol=1e-9)
@@ -274,7 +274,7 @@ def test_points_too_far_from_any_cubic_do_not_converge():
     refit, _ = refit_of("highway")
     function = TotalLeastSquares(refit)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("maplines_can.propagation.fits.STEPS", 0)
+        patch.setattr("maplines_can.study.fits.STEPS", 0)
         assert np.isnan(function(np.zeros((2, 3)))).all()
         with pytest.raises(IllPosedError, match="does not converge"):
             function(np.zeros(3))
@@ -315,7 +315,7 @@ def test_the_orthogonal_distance_is_invariant_and_the_lateral_is_not():
     """The objective at a curve and its points, both turned: a straight line stays a cubic."""
     points = paired(0.5, 80.0)
     line, turned = np.array([2.1, 0.01, 0.0, 0.0]), to_ego(points, TURN)
-    seen = moved(line, TURN, window=(0.0, 80.0))
+    seen = transform_line(line, TURN, window=(0.0, 80.0))
 
     before, after = squared_distances(line, points), squared_distances(seen, turned)
     assert after == pytest.approx(before, rel=1e-9)

@@ -13,16 +13,17 @@ import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 
+from maplines_can.cli.report import add_report
 from maplines_can.errors import MissingExtraError, StudyError
 from maplines_can.line import Status, lateral, lateral_jacobian
-from maplines_can.study import LATERAL_X, judge, paper
-from maplines_can.study.page.command import add_report
-from maplines_can.study.page.page import write_report
-from maplines_can.study.page.tables import COLUMNS, read_tables
+from maplines_can.study import LATERAL_X, evaluate, paper
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.covariance_spec import covariance_signals
+from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.study.report.page import write_report
+from maplines_can.study.report.tables import COLUMNS, read_tables
 from maplines_can.wire import Codec
-from maplines_can.wire.codes import CODES
-from maplines_can.wire.layout import Layout
-from maplines_can.wire.signals import contract_of
+from maplines_can.wire.message.layout import Layout
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -42,10 +43,10 @@ def share(name, which):
 
 def rows_of(set_, code, finer_bits, mean, cov):
     """The code's own rows of summary and worst; infinities stay as they are."""
-    codec = Codec(Layout.from_text(contract_of(code, finer_bits).dbc(), code))
+    codec = Codec(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code))
     batch = codec.decode_batch(codec.encode_batch(mean, cov))
-    verdict = judge(mean, cov, batch.mean, batch.cov, codec.resolution)
-    kl, bits = verdict.kl_covered, sum(s.bits for s in CODES[code].signals(finer_bits))
+    verdict = evaluate(mean, cov, batch.mean, batch.cov, codec.resolution)
+    kl, bits = verdict.kl_covered, sum(s.bits for s in covariance_signals(code, finer_bits))
     row = {"set": set_, "code": code, "finer_bits": finer_bits, "n": len(mean), "seed": 0}
     row |= {"covariance_bits": bits, "record_bits": 8 * codec.layout.record_bytes}
     row |= {"classic_frames": codec.layout.pages, "seconds": 0.1, "gaussians_per_second": 4e3}
@@ -260,8 +261,8 @@ def test_the_tables_of_a_sweep_are_read(tmp_path):
 
 def test_an_infinite_kl_has_its_place_and_its_share(folder):
     """Marked above the axis, for each width; the finite median of the same code is below."""
-    from maplines_can.study.page.parts import looks
-    from maplines_can.study.page.plots import kl_plot
+    from maplines_can.study.report.parts import looks
+    from maplines_can.study.report.plots import kl_plot
 
     tables = read_tables(folder)
     plot = kl_plot(tables, "paper", looks(tables.codes))
@@ -281,7 +282,7 @@ def test_an_infinite_kl_has_its_place_and_its_share(folder):
 
 def test_worst_cases_are_the_lines_and_their_bands(folder):
     """l(x) and 3 sigma to first order; where a variance is negative there is a cross."""
-    from maplines_can.study.page.cases import worst_key, worst_plots
+    from maplines_can.cli.trip_text.cases import worst_key, worst_plots
 
     tables = read_tables(folder)
     keys = [worst_key(row) for row in tables.worst if row["set"] == "paper"]
@@ -307,7 +308,7 @@ def test_worst_cases_are_the_lines_and_their_bands(folder):
 
 def test_fields_stand_by_what_a_bit_less_costs(folder):
     """The dearest on top."""
-    from maplines_can.study.page.cases import fields_plot
+    from maplines_can.cli.trip_text.cases import fields_plot
 
     plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
 

@@ -21,7 +21,7 @@ from maplines_can.line import (
     lateral,
     lateral_jacobian,
     line_of_cubic,
-    moved,
+    transform_line,
 )
 from maplines_can.polyline import to_ego
 
@@ -112,7 +112,9 @@ def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(line, centr
 @given(mild_lines())
 def test_a_car_that_stands_still_sees_the_same_line(line):
     """No motion changes nothing but rounding: 1 nm anywhere in the window."""
-    assert np.allclose(lateral(moved(line, [0, 0, 0], WINDOW), X), lateral(line, X), atol=1e-9)
+    assert np.allclose(
+        lateral(transform_line(line, [0, 0, 0], WINDOW), X), lateral(line, X), atol=1e-9
+    )
 
 
 @given(mild_lines(), motions(metres=50, degrees=0), st.integers(4, 12))
@@ -122,7 +124,7 @@ def test_a_shift_is_exact(line, motion, points):
     shifted = polynomial(line)(Polynomial([dx, 1.0])) - dy
 
     assert np.allclose(
-        lateral(moved(line, motion, WINDOW, points), X), shifted(X), rtol=1e-9, atol=1e-9
+        lateral(transform_line(line, motion, WINDOW, points), X), shifted(X), rtol=1e-9, atol=1e-9
     )
 
 
@@ -132,7 +134,7 @@ def test_through_four_points_the_fit_is_exact_at_them(line, motion):
     x = 40 + 40 * np.cos(np.pi * np.array([1, 3, 5, 7]) / 8)
     u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
 
-    assert np.allclose(lateral(moved(line, motion, WINDOW, points=4), u), v, atol=1e-9)
+    assert np.allclose(lateral(transform_line(line, motion, WINDOW, points=4), u), v, atol=1e-9)
 
 
 @given(mild_lines(), motions(), st.integers(5, 20))
@@ -143,14 +145,14 @@ def test_through_more_points_it_is_the_least_squares_fit(line, motion, points):
     fitted = line_of(Polynomial.fit(u, v, 3).convert())
 
     assert np.allclose(
-        lateral(moved(line, motion, WINDOW, points), X), lateral(fitted, X), atol=1e-8
+        lateral(transform_line(line, motion, WINDOW, points), X), lateral(fitted, X), atol=1e-8
     )
 
 
 @given(mild_lines(), motions(), st.integers(4, 8), st.floats(0, 1))
 def test_a_moved_line_follows_the_turned_curve(line, motion, points, share):
     """Up to 5 m and 10 deg, the curve itself, met by root finding, is within 1 mm."""
-    new = moved(line, motion, WINDOW, points)
+    new = transform_line(line, motion, WINDOW, points)
     (first, _), (last, _) = to_ego([[x, lateral(line, x)] for x in WINDOW], motion)
     u = first + share * (last - first)
 
@@ -164,8 +166,8 @@ def test_a_moved_line_follows_the_turned_curve(line, motion, points, share):
 @given(mild_lines(), motions(metres=1.0, degrees=1.0))
 def test_there_and_back_is_the_same_line(line, motion):
     """A cycle's motion undone gives the line back within a hundredth of a millimetre."""
-    there = moved(line, motion, WINDOW)
-    back = moved(there, inverse(motion), (-motion[0], 80 - motion[0]))
+    there = transform_line(line, motion, WINDOW)
+    back = transform_line(there, inverse(motion), (-motion[0], 80 - motion[0]))
 
     x = np.linspace(*WINDOW, 17)
     assert np.allclose(lateral(back, x), lateral(line, x), atol=1e-5)
@@ -175,37 +177,37 @@ def test_lines_and_motions_move_together():
     """Lines (..., 4) and motions (..., 3) broadcast, each as it would alone."""
     lines = np.array([[1.0, 0.1, 1e-3, 1e-6], [2.0, -0.1, -1e-3, 0]])
     way = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
-    together = moved(lines, way, WINDOW)
+    together = transform_line(lines, way, WINDOW)
 
     assert together.shape == (3, 2, 4)
     for i, j in np.ndindex(3, 2):
-        assert np.allclose(together[i, j], moved(lines[j], way[i, 0], WINDOW), rtol=1e-12)
+        assert np.allclose(together[i, j], transform_line(lines[j], way[i, 0], WINDOW), rtol=1e-12)
 
 
 @pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
 def test_moved_needs_a_window(window):
     """An empty window holds no points of the line."""
     with pytest.raises(ValueError, match=r"needs 4 points or more in a window, got 32 points in"):
-        moved(np.zeros(4), np.zeros(3), window)
+        transform_line(np.zeros(4), np.zeros(3), window)
 
 
 def test_moved_needs_four_points():
     """A cubic has four coefficients."""
     with pytest.raises(ValueError, match="needs 4 points or more in a window, got 3 points"):
-        moved(np.zeros(4), np.zeros(3), WINDOW, points=3)
+        transform_line(np.zeros(4), np.zeros(3), WINDOW, points=3)
 
 
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])
 def test_a_line_across_the_car_is_refused(degrees):
     """No cubic y(x) follows a line that stands across: it is said, not returned wild."""
     with pytest.raises(IllPosedError, match="stands across the car after the motion"):
-        moved([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+        transform_line([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
 
 @pytest.mark.parametrize("degrees", [79, 180, -101])
 def test_a_line_aslant_or_behind_is_not_refused(degrees):
     """Within 80 deg of the axis a straight line is a straight line, seen backwards too."""
-    y_off, beta, c0, c1 = moved([0.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+    y_off, beta, c0, c1 = transform_line([0.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
     assert abs(y_off) < 1e-9
     assert np.isclose(np.tan(beta), -np.tan(np.radians(degrees)), atol=1e-9)
@@ -280,14 +282,20 @@ HUGE = 10**400
         (lambda: lateral(np.zeros(4), HUGE), "x must be numbers .* about 1e400"),
         (lambda: lateral(np.zeros(3), 1.0), r"parameters must have shape \(..., 4\), got \(3,\)"),
         (lambda: lateral_jacobian(1.0, 1.0), r"parameters must have shape \(..., 4\), got \(\)"),
-        (lambda: moved(3.0, np.zeros(3), (0, 80)), r"parameters must have shape \(..., 4\)"),
-        (lambda: moved(np.zeros(4), [HUGE, 0, 0], (0, 80)), "motion must be numbers"),
-        (lambda: moved(np.zeros(4), np.zeros(3), (0, HUGE)), "window must be numbers .* 1e400"),
-        (lambda: moved(np.zeros(4), np.zeros(3), (0, 80), -HUGE), "about -1e400 points"),
-        (lambda: moved(np.zeros(4), np.zeros(3), (0, 80), 10**9), "10000 points or fewer"),
-        (lambda: moved(np.zeros(4), np.zeros(3), (0, 5e-324)), "no cubic"),
-        (lambda: moved([1e308] * 4, [1e308] * 3, (-1e308, 1e308)), "no cubic"),
-        (lambda: moved(np.zeros(4), [np.inf, 0, 0], (0, 80)), "no cubic"),
+        (
+            lambda: transform_line(3.0, np.zeros(3), (0, 80)),
+            r"parameters must have shape \(..., 4\)",
+        ),
+        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "motion must be numbers"),
+        (
+            lambda: transform_line(np.zeros(4), np.zeros(3), (0, HUGE)),
+            "window must be numbers .* 1e400",
+        ),
+        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), -HUGE), "about -1e400 points"),
+        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), 10**9), "10000 points or fewer"),
+        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 5e-324)), "no cubic"),
+        (lambda: transform_line([1e308] * 4, [1e308] * 3, (-1e308, 1e308)), "no cubic"),
+        (lambda: transform_line(np.zeros(4), [np.inf, 0, 0], (0, 80)), "no cubic"),
     ],
 )
 @pytest.mark.filterwarnings("error")
@@ -304,7 +312,7 @@ def test_numbers_of_single_precision_are_numbers():
     one = np.float32(1.0)
     line = MapLine.mean_only(Slot.EGO_LEFT, [one, 0, 0, 0], x_min=one, x_max=2 * one, age=one)
 
-    assert moved(line.gaussian.mean, [0, one, 0], (one, 2 * one))[0] == pytest.approx(0)
+    assert transform_line(line.gaussian.mean, [0, one, 0], (one, 2 * one))[0] == pytest.approx(0)
 
 
 @pytest.mark.filterwarnings("error")

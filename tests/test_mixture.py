@@ -11,10 +11,10 @@ from scipy.optimize import minimize
 
 from maplines_can import Gaussian, MapLine, Refit, SigmaPoints, Slot, Status, scenario
 from maplines_can.mixture import GaussianMixture
-from maplines_can.propagation.mixture import SPLITS, Mixture, bend
-from maplines_can.study import hostile, judge
+from maplines_can.propagation.mixture import SPLITS, Mixture, nonlinearity
+from maplines_can.study import adversarial, evaluate
 from maplines_can.wire import Codec, Reason
-from maplines_can.wire.parts import quantized_weights
+from maplines_can.wire.message.components import quantized_weights
 
 
 def criterion(weights, means, sigma, factor):
@@ -102,10 +102,10 @@ def test_a_refit_bends_with_the_heading():
     """On the highway the direction is the heading, to a degree."""
     scene = scenario("highway-10deg")
     refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)
-    direction, amount = bend(refit, scene.ego)
+    direction, amount = nonlinearity(refit, scene.ego)
     assert abs(direction[2]) > np.cos(np.radians(1))
     assert amount > 0.9  # c0 hardly depends on the heading in first order
-    assert bend(lambda x: 2 * x, scene.ego).amount == pytest.approx(0, abs=1e-9)
+    assert nonlinearity(lambda x: 2 * x, scene.ego).amount == pytest.approx(0, abs=1e-9)
 
 
 def test_one_part_is_the_transform_itself():
@@ -133,7 +133,7 @@ def test_quantized_weights_add_up(weights):
 
 
 def random_mixtures(n, k, seed):
-    means, covs = hostile(n * k, seed, at_limit_share=0.02)
+    means, covs = adversarial(n * k, seed, at_limit_share=0.02)
     spread = 0.05 * (means - means.reshape(n, k, 4)[:, :1].repeat(k, axis=1).reshape(-1, 4))
     means = means.reshape(n, k, 4)[:, :1] * 0.5 + spread.reshape(n, k, 4)
     weights = np.random.default_rng([seed, 7]).dirichlet(np.full(k, 2.0), n) + 1e-3
@@ -153,7 +153,7 @@ def test_no_part_and_no_whole_is_overconfident(k):
     payloads = default_codec().encode_mixtures(weights, means, covs)
     batch = default_codec().decode_batch(payloads.reshape(-1, 32))
     assert batch.accepted.all()
-    parts = judge(
+    parts = evaluate(
         means.reshape(-1, 4),
         covs.reshape(-1, 4, 4),
         batch.mean,
@@ -167,7 +167,7 @@ def test_no_part_and_no_whole_is_overconfident(k):
     assert (w.sum(axis=1) == 1).all()
     mean, cov = whole(weights, means, covs)
     decoded = whole(w, batch.mean.reshape(-1, k, 4), batch.cov.reshape(-1, k, 4, 4))
-    verdict = judge(mean, cov, *decoded, default_codec().resolution)
+    verdict = evaluate(mean, cov, *decoded, default_codec().resolution)
     assert not verdict.overconfident[stated.reshape(-1, k).all(axis=1)].any()
 
 

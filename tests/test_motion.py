@@ -19,13 +19,13 @@ from maplines_can.line import (
     Status,
     lateral,
     lateral_jacobian,
-    moved,
-    moved_or_nan,
+    transform_line,
+    transform_line_or_nan,
 )
 from maplines_can.mixture import GaussianMixture
 from maplines_can.polyline import Polyline, to_ego
 from maplines_can.propagation import Linear, Mixture, MonteCarlo, Refit, SigmaPoints
-from maplines_can.propagation.motion import Motion, carried, line_at, pose_time_ns
+from maplines_can.propagation.motion import Motion, pose_time_ns, predict, predict_to
 from maplines_can.scenarios import SCENARIOS, curve, random_scenarios
 
 N = 200_000
@@ -205,7 +205,9 @@ def apart(road, points=32, window=None):
     ends = np.column_stack([window, lateral(line, window)])
     u = np.array([to_ego(ends, motion)[:, 0] for motion in far])
     x = u[:, :1] + (u[:, 1:] - u[:, :1]) * np.linspace(0, 1, 33)
-    d = lateral(moved(line, far, window, points)[:, None], x) - lateral(refit(far)[:, None], x)
+    d = lateral(transform_line(line, far, window, points)[:, None], x) - lateral(
+        refit(far)[:, None], x
+    )
     return np.abs(d).max(), np.abs(road[:, 1] - lateral(line, road[:, 0])).max()
 
 
@@ -288,7 +290,7 @@ def test_a_street_turn_is_not_and_neither_was_its_cubic(name, i, points):
     assert 0.1 < of_cubic < misfit / 5
     assert misfit > 4.0
     for shift in ([4.0, -3.0, 0.0], [5.0, -5.0, 0.0]):
-        shifted, x = moved(line, shift, window, points), to_ego(road, shift)[:, 0]
+        shifted, x = transform_line(line, shift, window, points), to_ego(road, shift)[:, 0]
         assert np.allclose(lateral(shifted, x), lateral(refit(shift), x), rtol=0, atol=1e-9)
         assert np.allclose(lateral(shifted, X), lateral(refit(shift), X), rtol=1e-9, atol=1e-8)
 
@@ -302,7 +304,7 @@ def test_the_whole_way_agrees_with_draws_of_pose_and_motion(name, displacement):
     """
     n, way = 20_000, DISPLACEMENTS[displacement]
     window, refit, line = line_of_scene(name)
-    now = carried(line, way, window)
+    now = predict(line, way, window)
     pose, step = SCENARIOS[name].ego.sample(n, seed=1), way.sample(n, seed=2)
     z = np.exp(1j * pose[:, 2]) * (step[:, 0] + 1j * step[:, 1])
     drawn = refit(pose + np.column_stack([z.real, z.imag, step[:, 2]]))
@@ -322,7 +324,7 @@ def test_the_whole_way_agrees_with_draws_of_pose_and_motion(name, displacement):
 
 def test_a_car_that_stands_carries_nothing_away():
     """No motion: mean and covariance are the same, to rounding."""
-    same = carried(LINE, STANDING, WINDOW)
+    same = predict(LINE, STANDING, WINDOW)
 
     assert (np.abs(same.mean - MEAN) <= 1e-11 * SIGMA).all()
     assert (np.abs(same.cov - LINE.cov) <= 1e-9 * np.outer(SIGMA, SIGMA)).all()
@@ -333,7 +335,7 @@ def test_nor_does_it_of_a_line_that_is_known_in_part(cov):
     """Of any rank: a covariance that is singular or nearly so is not blurred by the motion's."""
     cov, _ = cov
     line = Gaussian(MEAN, cov)
-    same = carried(line, STANDING, WINDOW)
+    same = predict(line, STANDING, WINDOW)
     sigma = line.sigma + 1e-7 * SIGMA
 
     assert (np.abs(same.cov - line.cov) <= 1e-6 * np.outer(sigma, sigma)).all()
@@ -345,7 +347,7 @@ def test_a_line_keeps_its_thin_directions():
     L = np.diag([0.1, 1e-4, 1e-6, 1e-8])
     L[1:, 0], L[2:, 1], L[3, 2] = [1e-2, 1e-4, 1e-6], [1e-6, 1e-8], 1e-8
     thin = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)
-    now = carried(thin, known(2.0, 0.1, 0.0), WINDOW)
+    now = predict(thin, known(2.0, 0.1, 0.0), WINDOW)
 
     expected = 2 * np.log(L.diagonal()).sum()
     assert 2 * np.log(now.root.diagonal()).sum() == pytest.approx(expected, abs=1e-3)
@@ -356,12 +358,14 @@ def test_a_straight_line_turns_by_the_heading(heading_deg):
     """beta' = beta - heading, and the variances add up: exactly."""
     line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)
     turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)
-    now = carried(line, turn, WINDOW)
+    now = predict(line, turn, WINDOW)
     beta = 0.1 - np.radians(heading_deg)
 
     assert now.mean[1] == pytest.approx(beta, abs=1e-12)
     assert now.cov[1, 1] == pytest.approx(0.01**2 + 0.02**2, rel=1e-9)
-    assert moved(line.mean, turn.mean, WINDOW)[0] == pytest.approx(2 * np.cos(0.1) / np.cos(beta))
+    assert transform_line(line.mean, turn.mean, WINDOW)[0] == pytest.approx(
+        2 * np.cos(0.1) / np.cos(beta)
+    )
     assert np.abs(now.mean[2:]).max() < 1e-12
 
 
@@ -369,7 +373,7 @@ def test_a_straight_line_is_shifted_by_the_way():
     """y_off' = y_off + tan(beta) x - y: the mean and the variance, exactly."""
     line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)
     way = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)
-    now = carried(line, way, WINDOW)
+    now = predict(line, way, WINDOW)
     slope = np.tan(0.1)
 
     assert np.allclose(now.mean, [2.0 + 3 * slope - 0.5, 0.1, 0, 0], atol=1e-12)
@@ -382,8 +386,8 @@ def test_a_carried_line_is_that_of_many_draws(name, way):
     """Within 5 sampling errors, and what 15 points leave out: 1 % of sigma in the mean, and
     sigmas from 1 % less to 3 % more, and in a street turn 15 % more for c1."""
     window, _, line = line_of_scene(name)
-    got = carried(line, DISPLACEMENTS[way], window)
-    want = carried(line, DISPLACEMENTS[way], window, MonteCarlo(N, seed=4))
+    got = predict(line, DISPLACEMENTS[way], window)
+    want = predict(line, DISPLACEMENTS[way], window, MonteCarlo(N, seed=4))
     ratio, more = got.sigma / want.sigma, [0.03, 0.03, 0.03, 0.15 if "turn" in name else 0.03]
 
     assert (np.abs(got.mean - want.mean) <= (5 / np.sqrt(N) + 0.01) * want.sigma).all()
@@ -394,7 +398,7 @@ def test_a_carried_line_is_that_of_many_draws(name, way):
 @given(mild_lines(), motions(), covariances())
 def test_a_carried_covariance_is_one(line, way, cov):
     """Symmetric and positive semidefinite, of whatever ranks line and displacement are."""
-    now = carried(Gaussian(line, cov[0]), Gaussian(way, cov[1]), WINDOW)
+    now = predict(Gaussian(line, cov[0]), Gaussian(way, cov[1]), WINDOW)
 
     scale = np.where(now.sigma > 0, now.sigma, 1.0)
     assert np.array_equal(now.cov, now.cov.T)
@@ -405,8 +409,8 @@ def test_a_carried_covariance_is_one(line, way, cov):
 def test_there_and_back_is_the_same_gaussian(line, way, cov):
     """A known way undone: mean within 0.1 mm, sigma within 0.1 %."""
     line = Gaussian(line, cov[0])
-    there = carried(line, known(*way), WINDOW)
-    back = carried(there, known(*inverse(way)), (-way[0], 80.0 - way[0]))
+    there = predict(line, known(*way), WINDOW)
+    back = predict(there, known(*inverse(way)), (-way[0], 80.0 - way[0]))
 
     assert np.allclose(lateral(back.mean, X), lateral(line.mean, X), atol=1e-4)
     assert np.allclose(y_sigma(back), y_sigma(line), rtol=1e-3, atol=1e-4)
@@ -416,7 +420,7 @@ def test_there_and_back_is_the_same_gaussian(line, way, cov):
 def test_a_motion_known_less_leaves_a_line_known_less(line, way, cov, factor):
     """The lateral sigma never shrinks, but for a thousandth of second order."""
     line = Gaussian(line, cov[0])
-    less, more = (carried(line, Gaussian(way, k * cov[1]), WINDOW) for k in (1, factor))
+    less, more = (predict(line, Gaussian(way, k * cov[1]), WINDOW) for k in (1, factor))
 
     assert (y_sigma(more) >= 0.999 * y_sigma(less) - 1e-9).all()
 
@@ -424,12 +428,12 @@ def test_a_motion_known_less_leaves_a_line_known_less(line, way, cov, factor):
 def test_a_line_that_no_cubic_follows_is_refused():
     """At the mean it stands across; or where a wide heading has points, which Linear has not."""
     with pytest.raises(IllPosedError, match="no value at"):
-        carried(LINE, known(0.0, 0.0, np.radians(85)), WINDOW)
+        predict(LINE, known(0.0, 0.0, np.radians(85)), WINDOW)
     wide = Gaussian(MEAN, np.diag([0.1, 0.7, 1e-4, 1e-6]) ** 2)
     with pytest.raises(IllPosedError, match="narrow the Gaussian"):
-        carried(wide, STANDING, WINDOW)
+        predict(wide, STANDING, WINDOW)
 
-    assert np.allclose(carried(wide, STANDING, WINDOW, Linear()).mean, MEAN, atol=1e-9)
+    assert np.allclose(predict(wide, STANDING, WINDOW, Linear()).mean, MEAN, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -443,7 +447,7 @@ def test_a_line_that_no_cubic_follows_is_refused():
 def test_what_is_no_line_and_no_displacement_is_refused_in_words(line, displacement, window, words):
     """Mistaken for each other, or without a window."""
     with pytest.raises(ValueError, match=words):
-        carried(line, displacement, window)
+        predict(line, displacement, window)
 
 
 # ---- vectors of lines, for the transforms
@@ -455,12 +459,12 @@ def test_lines_that_no_cubic_follows_are_rows_of_nan():
     ways = np.array(
         [[1, 0, 0.1], [0, 0, 0], [0, 0, 1.5], [np.nan, 0, 0], [0, 0, 1.6], [1e99, 0, 0]]
     )
-    got = moved_or_nan(lines, ways, WINDOW)
+    got = transform_line_or_nan(lines, ways, WINDOW)
 
     assert np.array_equal(np.isnan(got).all(axis=1), [False, True, True, True, True, True])
-    assert np.array_equal(got[0], moved(lines[0], ways[0], WINDOW))
+    assert np.array_equal(got[0], transform_line(lines[0], ways[0], WINDOW))
     with pytest.raises(IllPosedError, match=r"after the motion \[0\.\s+0\.\s+1\.5\]"):
-        moved(lines[[0, 2]], ways[[0, 2]], WINDOW)
+        transform_line(lines[[0, 2]], ways[[0, 2]], WINDOW)
 
 
 # ---- a received line
@@ -470,8 +474,8 @@ def test_a_line_is_carried_from_the_time_of_its_pose():
     """0.04 s before its reception to 0.06 s after it: 0.1 s, as carried by hand."""
     motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
     line = received(kind=Kind.DASHED, status=Status.REPAIRED, x_min=-8.0, x_max=72.0)
-    now = line_at(line, 1_060_000_000, motion, time_sigma=0.005)
-    by_hand = carried(LINE, motion.over(0.1, 0.005), (-8.0, 72.0))
+    now = predict_to(line, 1_060_000_000, motion, time_sigma=0.005)
+    by_hand = predict(LINE, motion.over(0.1, 0.005), (-8.0, 72.0))
 
     assert pose_time_ns(line) == 960_000_000
     assert np.array_equal(now.gaussian.mean, by_hand.mean)
@@ -483,26 +487,26 @@ def test_a_line_is_carried_from_the_time_of_its_pose():
 def test_the_transform_is_the_caller_s_choice(part):
     """For a line and for a mixture's parts."""
     way = DISPLACEMENTS["far"]
-    now = line_at(replace(received(), mixture=part), 0, way, transform=Linear())
+    now = predict_to(replace(received(), mixture=part), 0, way, transform=Linear())
 
-    assert np.array_equal(now.gaussian.mean, carried(LINE, way, WINDOW, Linear()).mean)
+    assert np.array_equal(now.gaussian.mean, predict(LINE, way, WINDOW, Linear()).mean)
 
 
 def test_a_displacement_may_be_given_itself():
     """As odometry that integrates by itself has it, sideways too."""
     way = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)
-    now = line_at(received(), 1_060_000_000, way)
+    now = predict_to(received(), 1_060_000_000, way)
 
-    assert np.array_equal(now.gaussian.mean, carried(LINE, way, WINDOW).mean)
+    assert np.array_equal(now.gaussian.mean, predict(LINE, way, WINDOW).mean)
     with pytest.raises(ValueError, match=r"time_sigma must be 0 with a displacement, got 0\.01"):
-        line_at(received(), 1_060_000_000, way, time_sigma=0.01)
+        predict_to(received(), 1_060_000_000, way, time_sigma=0.01)
     with pytest.raises(ValueError, match="displacement must be over"):
-        line_at(received(), 1_060_000_000, LINE)
+        predict_to(received(), 1_060_000_000, LINE)
 
 
 def test_at_the_time_of_its_pose_a_line_is_what_it_was():
     """Extent and Gaussian, whatever is not known of the motion; with the time of its pose."""
-    now = line_at(received(), 960_000_000, Motion.with_sigma(30.0, 0.3, (5.0, 0.5)))
+    now = predict_to(received(), 960_000_000, Motion.with_sigma(30.0, 0.3, (5.0, 0.5)))
 
     assert (now.x_min, now.x_max, now.age, now.t_ns) == (0.0, 80.0, 0.0, 960_000_000)
     assert np.allclose(now.gaussian.cov, LINE.cov, rtol=1e-9)
@@ -510,7 +514,7 @@ def test_at_the_time_of_its_pose_a_line_is_what_it_was():
 
 def test_a_time_before_the_pose_is_lawful():
     """An older camera image: the car was further back, and the line is known less there too."""
-    before = line_at(received(), 900_000_000, Motion.with_sigma(20.0, 0.0, (0.0, 0.2)))
+    before = predict_to(received(), 900_000_000, Motion.with_sigma(20.0, 0.0, (0.0, 0.2)))
 
     assert (before.x_min, before.x_max) == pytest.approx((1.2, 81.2), abs=0.3)
     assert before.gaussian.mean[0] == pytest.approx(lateral(MEAN, -1.2), abs=1e-3)
@@ -522,8 +526,8 @@ def test_two_steps_are_one(first_ms, second_ms, speed, yaw_rate):
     """A carried line has the time that it was carried to, and no age: it is carried from there."""
     motion, line = Motion(speed, yaw_rate), received()
     times = pose_time_ns(line) + 10**6 * np.cumsum([first_ms, second_ms])
-    one = line_at(line, int(times[1]), motion)
-    two = line_at(line_at(line, int(times[0]), motion), int(times[1]), motion)
+    one = predict_to(line, int(times[1]), motion)
+    two = predict_to(predict_to(line, int(times[0]), motion), int(times[1]), motion)
 
     x = np.linspace(one.x_min, one.x_max, 9)
     assert np.allclose(two.y(x), one.y(x), atol=1e-3)
@@ -537,7 +541,7 @@ def test_the_extent_moves_with_the_line_and_claims_no_more():
     sigma, R = np.array([0.1, 0.2, 0.01]), np.array([[1, 0.8, 0], [0.8, 1, 0.5], [0, 0.5, 1]])
     way = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))
     line = received(x_min=-8.0)
-    now = line_at(line, 960_000_000, way)
+    now = predict_to(line, 960_000_000, way)
     ends = np.array([[x, line.y(x)] for x in (-8.0, 80.0)])
     drawn = np.array([to_ego(ends, draw)[:, 0] for draw in way.sample(20_000, seed=3)])
 
@@ -545,14 +549,14 @@ def test_the_extent_moves_with_the_line_and_claims_no_more():
     assert np.allclose(got, mean + [3, -3] * drawn.std(axis=0), atol=0.05)
     assert (drawn[:, 0] <= now.x_min).mean() > 0.99
     assert (drawn[:, 1] >= now.x_max).mean() > 0.99
-    lost = line_at(line, 960_000_000, Gaussian(np.zeros(3), np.diag([50.0, 1.0, 0.0]) ** 2))
+    lost = predict_to(line, 960_000_000, Gaussian(np.zeros(3), np.diag([50.0, 1.0, 0.0]) ** 2))
     assert lost.x_min == lost.x_max == pytest.approx(36.0)
 
 
 def test_a_line_seen_backwards_begins_where_it_ended():
     """After a U-turn x_min is still less than x_max."""
     way = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)
-    now = line_at(received(), 960_000_000, way)
+    now = predict_to(received(), 960_000_000, way)
     inwards = 3 * 0.01 * lateral(MEAN, [80.0, 0.0])  # a turn moves the far end more
 
     assert np.allclose([now.x_min, now.x_max], [-80.0, 0.0] + inwards * [1, -1], atol=1e-9)
@@ -561,7 +565,7 @@ def test_a_line_seen_backwards_begins_where_it_ended():
 
 def test_a_line_that_holds_at_a_point_can_be_carried():
     """On the wire a short extent may have both ends in one step."""
-    now = line_at(received(x_min=24.0, x_max=24.0), 960_000_000, known(2.0, 0.0, 0.01))
+    now = predict_to(received(x_min=24.0, x_max=24.0), 960_000_000, known(2.0, 0.0, 0.01))
     u, v = to_ego([24.0, lateral(MEAN, 24.0)], [2.0, 0.0, 0.01])
 
     assert now.x_min == now.x_max == pytest.approx(u, abs=1e-9)
@@ -575,11 +579,11 @@ def test_each_part_of_a_mixture_is_carried():
     parts = Mixture(3)(refit, scene.ego)
     extent = {"x_min": window[0], "x_max": window[1], "age": 0.05, "t_ns": 0}
     line = MapLine.of_mixture(Slot.ROUTE, parts, **extent)
-    now = line_at(line, 50_000_000, motion)
+    now = predict_to(line, 50_000_000, motion)
 
     assert np.array_equal(now.mixture.weights, parts.weights)
     for got, part in zip(now.mixture.components, parts.components, strict=True):
-        assert np.array_equal(got.mean, carried(part, motion.over(0.1), window).mean)
+        assert np.array_equal(got.mean, predict(part, motion.over(0.1), window).mean)
     assert np.array_equal(now.gaussian.cov, now.mixture.overall.cov)
     assert isinstance(now.mixture, GaussianMixture)
 
@@ -588,18 +592,18 @@ def test_a_mean_alone_is_moved_and_claims_as_little_as_before():
     """Its covariance stands for "unknown", before and after."""
     line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
     motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
-    now = line_at(line, 1_060_000_000, motion)
+    now = predict_to(line, 1_060_000_000, motion)
 
     assert now.status == Status.UNKNOWN
     assert np.array_equal(now.gaussian.sigma, VAGUE_SIGMA)
-    assert np.array_equal(now.gaussian.mean, moved(MEAN, motion.over(0.1).mean, WINDOW))
+    assert np.array_equal(now.gaussian.mean, transform_line(MEAN, motion.over(0.1).mean, WINDOW))
 
 
 def test_a_line_out_of_range_changes_its_time_alone():
     """There is nothing in it that could be moved, and it comes off the bus: no error."""
     across = Gaussian([0.0, 0.4999, 0.125, 0.03], np.diag(np.square(VAGUE_SIGMA)))
     line = replace(received(), gaussian=across, status=Status.OUT_OF_RANGE)
-    now = line_at(line, 1_060_000_000, Motion(20.0, 0.1))
+    now = predict_to(line, 1_060_000_000, Motion(20.0, 0.1))
 
     assert (now.status, now.gaussian) == (Status.OUT_OF_RANGE, across)
     assert (now.t_ns, now.age) == (1_060_000_000, 0.0)
@@ -609,7 +613,7 @@ def test_a_line_that_was_never_received_has_no_time():
     """The sender's own: the message tells what to do."""
     line = MapLine(Slot.EGO_LEFT, LINE, age=0.04)
 
-    for call in (lambda: pose_time_ns(line), lambda: line_at(line, 0, Motion(1.0, 0.0))):
+    for call in (lambda: pose_time_ns(line), lambda: predict_to(line, 0, Motion(1.0, 0.0))):
         with pytest.raises(ValueError, match=r"line\.t_ns must be .* got None; set it with"):
             call()
 
@@ -620,12 +624,12 @@ def test_a_time_of_another_clock_is_refused(t_ns):
     line = received(t_ns=1_000_000_000) if t_ns else received(t_ns=1_700_000_000_000_000_000)
 
     with pytest.raises(ValueError, match=r"t_ns must be within 10 s .* line\.t_ns=1"):
-        line_at(line, t_ns, Motion(1.0, 0.0))
+        predict_to(line, t_ns, Motion(1.0, 0.0))
 
 
 def test_ten_seconds_are_lawful():
     """To the edge, for a car that hardly moves."""
-    now = line_at(received(), 10_960_000_000, Motion(0.5, 0.0))
+    now = predict_to(received(), 10_960_000_000, Motion(0.5, 0.0))
 
     assert now.x_max == pytest.approx(75.0)
 
@@ -636,5 +640,5 @@ def test_a_time_of_hundreds_of_digits_is_told_by_its_size():
     line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
 
     with pytest.raises(ValueError, match=r"within 10 s .* an integer of about 1e400") as refusal:
-        line_at(line, 10**400, Motion(1.0, 0.0))
+        predict_to(line, 10**400, Motion(1.0, 0.0))
     assert len(str(refusal.value)) < 250

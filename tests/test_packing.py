@@ -3,13 +3,13 @@
 import cantools
 import numpy as np
 import pytest
-from cantools.database.can import Message, Signal
+from cantools.database.can import Message
 from cantools.database.conversion import BaseConversion
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.wire.field import Field
-from maplines_can.wire.packing import Packing
+from maplines_can.wire.message.packing import Packing
+from maplines_can.wire.message.signals import Signal
 
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 
@@ -36,7 +36,7 @@ def layouts(draw):
         signed = draw(st.booleans()) or bits == 64
         low = -(2 ** (bits - 1)) if signed else 0
         fields.append(
-            Field(f"S{i}", start, bits, big_endian, signed, 1.0, 0.0, "", low, low + 2**bits - 1)
+            Signal(f"S{i}", start, bits, big_endian, signed, 1.0, 0.0, "", low, low + 2**bits - 1)
         )
     return length, fields
 
@@ -76,7 +76,7 @@ def test_any_layout_reads_and_writes_as_cantools_does(layout, seed):
 
 def test_blocks_do_not_show():
     """More records than one block: each is read and written as if alone."""
-    field = Field("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
+    field = Signal("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
     packing = Packing([field], 8)
     raw = np.random.default_rng(0).integers(-4096, 4096, 10_000)
     payloads = packing.pack({"A": raw}, len(raw))
@@ -88,7 +88,7 @@ def test_blocks_do_not_show():
 @pytest.mark.parametrize("n", [0, 1])
 def test_none_and_one(n):
     """No records give no records."""
-    packing = Packing([Field("A", 0, 8, False, False, 1.0, 0.0, "", 0, 255)], 8)
+    packing = Packing([Signal("A", 0, 8, False, False, 1.0, 0.0, "", 0, 255)], 8)
     payloads = packing.pack({"A": np.full(n, 7)}, n)
     assert payloads.shape == (n, 8)
     assert packing.unpack(payloads)["A"].tolist() == [7] * n
@@ -96,8 +96,8 @@ def test_none_and_one(n):
 
 def test_values_beyond_the_field_do_not_reach_its_neighbours():
     """Only the low bits of a value are written."""
-    a = Field("A", 0, 4, False, False, 1.0, 0.0, "", 0, 15)
-    b = Field("B", 4, 4, False, False, 1.0, 0.0, "", 0, 15)
+    a = Signal("A", 0, 4, False, False, 1.0, 0.0, "", 0, 15)
+    b = Signal("B", 4, 4, False, False, 1.0, 0.0, "", 0, 15)
     packing = Packing([a, b], 8)
     payload = packing.pack({"A": np.array([0x1F]), "B": np.array([2])}, 1)
     assert payload[0, 0] == 0x2F

@@ -11,9 +11,9 @@ import cantools
 import numpy as np
 import pytest
 
+from maplines_can.cli.production import add_production
 from maplines_can.line import STATES, lateral
 from maplines_can.study import Gaussians, road
-from maplines_can.study.production.command import add_production
 from maplines_can.study.production.messages import (
     DISTANCES,
     PRODUCTION,
@@ -177,7 +177,7 @@ def test_a_rounded_factor_is_a_bias():
 def test_the_default_is_the_dbc():
     """Widths, factors and the covariance's bits come from the layout, and from an edited one."""
     layout = Layout.from_dbc()
-    coarse = dict(layout.fields) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
+    coarse = dict(layout.signals) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
 
     message = default_message(layout)
     changed = default_message(replace(layout, fields=coarse))

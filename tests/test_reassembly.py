@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 @cache
-def bursts(n=40, slot=Slot.EGO_LEFT, fd=False):
+def transfers(n=40, slot=Slot.EGO_LEFT, fd=False):
     """Frames of n lines of one slot, all different."""
     codec = default_codec()
     means, covs = road(n, seed=2)
@@ -49,7 +49,7 @@ def check_accounts(decoder, frames):
 def test_a_burst_becomes_a_line(codec):
     """Three pages wait, the fourth delivers; the line bears the time of the first."""
     decoder = codec.decoder()
-    *waiting, line = feed(decoder, bursts()[0], t_ns=7)
+    *waiting, line = feed(decoder, transfers()[0], t_ns=7)
     assert waiting == [Reason.PENDING] * 3
     assert isinstance(line, MapLine)
     assert line.t_ns == 7
@@ -58,20 +58,20 @@ def test_a_burst_becomes_a_line(codec):
 
 @pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (2, 3, 0, 1)])
 def test_pages_in_any_order(codec, order):
-    """Reordering within a burst does not matter."""
+    """Reordering within a transfer does not matter."""
     decoder = codec.decoder()
-    answers = feed(decoder, [bursts()[0][page] for page in order])
+    answers = feed(decoder, [transfers()[0][page] for page in order])
     assert isinstance(answers[-1], MapLine)
-    direct = codec.decode_one(b"".join(f.data for f in bursts()[0]), Slot.EGO_LEFT)
+    direct = codec.decode_one(b"".join(f.data for f in transfers()[0]), Slot.EGO_LEFT)
     assert np.array_equal(answers[-1].gaussian.cov, direct.gaussian.cov)
 
 
 @pytest.mark.parametrize("lost", range(4))
 def test_a_lost_page_loses_its_line_only(codec, lost):
-    """The next burst is delivered; the pages of the broken one wait, and then are counted."""
+    """The next transfer is delivered; the pages of the broken one wait, and then are counted."""
     decoder = codec.decoder()
-    broken = [f for i, f in enumerate(bursts()[1]) if i != lost]
-    answers = feed(decoder, [*bursts()[0], *broken, *bursts()[2]])
+    broken = [f for i, f in enumerate(transfers()[1]) if i != lost]
+    answers = feed(decoder, [*transfers()[0], *broken, *transfers()[2]])
     assert sum(isinstance(a, MapLine) for a in answers) == 2
     assert decoder.pending == 3
     decoder.expire(26 * MS)
@@ -81,10 +81,10 @@ def test_a_lost_page_loses_its_line_only(codec, lost):
 
 
 def test_duplicates_are_dropped(codec):
-    """A page twice, and a whole burst twice, deliver one line."""
+    """A page twice, and a whole transfer twice, deliver one line."""
     decoder = codec.decoder()
-    twice = [frame for frame in bursts()[0] for _ in range(2)]
-    answers = feed(decoder, [*twice, *bursts()[0]])
+    twice = [frame for frame in transfers()[0] for _ in range(2)]
+    answers = feed(decoder, [*twice, *transfers()[0]])
     assert sum(isinstance(a, MapLine) for a in answers) == 1
     assert decoder.counts == {Reason.DUPLICATE: 8}
     check_accounts(decoder, 12)
@@ -93,7 +93,7 @@ def test_duplicates_are_dropped(codec):
 def test_an_fd_frame_twice_is_delivered_once(codec):
     """The counter tells a repeated record where there are no pages."""
     decoder = codec.decoder()
-    (frame,) = bursts(fd=True)[0]
+    (frame,) = transfers(fd=True)[0]
     answers = feed(decoder, [frame, frame])
     assert isinstance(answers[0], MapLine)
     assert answers[1] is Reason.DUPLICATE
@@ -103,15 +103,15 @@ def test_an_fd_frame_twice_is_delivered_once(codec):
 def test_a_late_burst_is_not_delivered_after_a_newer_one(codec):
     """A consumer never sees time go backwards."""
     decoder = codec.decoder()
-    answers = feed(decoder, [*bursts()[5], *bursts()[4], *bursts()[6]])
+    answers = feed(decoder, [*transfers()[5], *transfers()[4], *transfers()[6]])
     assert sum(isinstance(a, MapLine) for a in answers) == 2
     assert decoder.counts == {Reason.STALE: 4}
 
 
 def test_a_slow_burst_times_out(codec):
-    """Pages further apart than the time-out are not one burst."""
+    """Pages further apart than the time-out are not one transfer."""
     decoder = codec.decoder(timeout_ms=10)
-    a, b, c, d = bursts()[0]
+    a, b, c, d = transfers()[0]
     assert decoder.feed(a.can_id, a.data, 0) is Reason.PENDING
     assert decoder.feed(b.can_id, b.data, 11 * MS) is Reason.PENDING
     assert decoder.counts == {Reason.TIMEOUT: 1}
@@ -125,24 +125,24 @@ def test_a_slow_burst_times_out(codec):
 def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec):
     """A step back is taken for an old line, until the lines after it have come for a while."""
     decoder = codec.decoder(timeout_ms=50)
-    assert isinstance(feed(decoder, bursts()[5])[-1], MapLine)
-    assert feed(decoder, bursts()[0], t_ns=20 * MS)[-1] is Reason.STALE
-    assert feed(decoder, bursts()[1], t_ns=70 * MS)[-1] is Reason.STALE
-    assert isinstance(feed(decoder, bursts()[2], t_ns=120 * MS)[-1], MapLine)
+    assert isinstance(feed(decoder, transfers()[5])[-1], MapLine)
+    assert feed(decoder, transfers()[0], t_ns=20 * MS)[-1] is Reason.STALE
+    assert feed(decoder, transfers()[1], t_ns=70 * MS)[-1] is Reason.STALE
+    assert isinstance(feed(decoder, transfers()[2], t_ns=120 * MS)[-1], MapLine)
 
 
 def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec):
-    """What was held is given up, and the next burst is delivered."""
+    """What was held is given up, and the next transfer is delivered."""
     decoder = codec.decoder()
-    feed(decoder, bursts()[0][:2], t_ns=10**12)
-    assert isinstance(feed(decoder, bursts()[1], t_ns=5)[-1], MapLine)
+    feed(decoder, transfers()[0][:2], t_ns=10**12)
+    assert isinstance(feed(decoder, transfers()[1], t_ns=5)[-1], MapLine)
     assert decoder.counts == {Reason.TIMEOUT: 2}
 
 
 def test_slots_interleave(codec):
     """Eight lines page by page in turn: eight lines."""
     decoder = codec.decoder()
-    frames = [bursts(slot=slot)[0] for slot in Slot]
+    frames = [transfers(slot=slot)[0] for slot in Slot]
     answers = feed(decoder, [frames[slot][page] for page in range(4) for slot in Slot])
     lines = [a for a in answers if isinstance(a, MapLine)]
     assert [line.slot for line in lines] == list(Slot)
@@ -171,24 +171,24 @@ def test_frames_that_are_no_pages(codec, can_id, data, is_extended, reason):
 
 def test_an_fd_frame_may_be_padded(codec):
     """A gateway may send 48 or 64 bytes; the record is the first 32."""
-    (frame,) = bursts(fd=True)[0]
+    (frame,) = transfers(fd=True)[0]
     assert isinstance(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0), MapLine)
 
 
 def test_a_gateway_repacks_without_decoding(codec):
     """Four pages laid end to end are the FD payload, and the other way round."""
-    for pages, (fd,) in zip(bursts(), bursts(fd=True), strict=True):
+    for pages, (fd,) in zip(transfers(), transfers(fd=True), strict=True):
         assert b"".join(frame.data for frame in pages) == fd.data
 
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("bit", range(0, 256, 5))
 def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
-    """Wherever it is, the burst is dropped and the next one delivered."""
+    """Wherever it is, the transfer is dropped and the next one delivered."""
     decoder = codec.decoder()
-    broken = with_a_flipped_bit(bursts(fd=fd)[0], bit)
+    broken = with_a_flipped_bit(transfers(fd=fd)[0], bit)
     assert not any(isinstance(a, MapLine) for a in feed(decoder, broken))
-    later = feed(decoder, bursts(fd=fd)[1], t_ns=100 * MS)
+    later = feed(decoder, transfers(fd=fd)[1], t_ns=100 * MS)
     assert isinstance(later[-1], MapLine)
     check_accounts(decoder, 2 * len(broken))
 
@@ -198,9 +198,9 @@ def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
 def test_a_damaged_record_does_not_cost_the_good_one_after_it(codec, fd, bit):
     """The same record, first with a flipped bit and at once whole: it is delivered."""
     decoder = codec.decoder()
-    broken = with_a_flipped_bit(bursts(fd=fd)[3], bit)
+    broken = with_a_flipped_bit(transfers(fd=fd)[3], bit)
     feed(decoder, broken)
-    answers = feed(decoder, [*bursts(fd=fd)[3], *bursts(fd=fd)[4]], t_ns=10_000)
+    answers = feed(decoder, [*transfers(fd=fd)[3], *transfers(fd=fd)[4]], t_ns=10_000)
     assert sum(isinstance(answer, MapLine) for answer in answers) == 2
 
 
@@ -211,17 +211,17 @@ def test_random_frames_on_its_id_do_not_silence_a_line(codec, fd):
     decoder = codec.decoder()
     delivered = 0
     for k in range(400):
-        burst = bursts(256, fd=fd)[k % 256]
+        transfer = transfers(256, fd=fd)[k % 256]
         t_ns = k * 20 * MS
-        delivered += isinstance(feed(decoder, burst, t_ns)[-1], MapLine)
-        decoder.feed(burst[0].can_id, rng.bytes(32 if fd else 8), t_ns + 10 * MS)
+        delivered += isinstance(feed(decoder, transfer, t_ns)[-1], MapLine)
+        decoder.feed(transfer[0].can_id, rng.bytes(32 if fd else 8), t_ns + 10 * MS)
     assert delivered >= 380
 
 
 def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec):
-    """Sixteen lines apart the burst number is the same; the checksum tells them apart."""
+    """Sixteen lines apart the transfer number is the same; the checksum tells them apart."""
     decoder = codec.decoder()
-    mixed = [*bursts()[0][:2], *bursts()[16][2:]]
+    mixed = [*transfers()[0][:2], *transfers()[16][2:]]
     assert feed(decoder, mixed)[-1] is Reason.CRC
     check_accounts(decoder, 4)
 
@@ -231,10 +231,10 @@ def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec):
 def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed, fd):
     """Loss, duplication, local reordering, corruption and foreign frames at random."""
     rng = np.random.default_rng(seed)
-    sent = bursts(fd=fd)
-    payloads = {b"".join(frame.data for frame in burst): i for i, burst in enumerate(sent)}
+    sent = transfers(fd=fd)
+    payloads = {b"".join(frame.data for frame in transfer): i for i, transfer in enumerate(sent)}
     stream = []
-    for frame in (frame for burst in sent for frame in burst):
+    for frame in (frame for transfer in sent for frame in transfer):
         fate = rng.random()
         if fate < 0.1:
             continue
@@ -273,10 +273,10 @@ def test_no_bytes_from_the_bus_can_raise(frames):
 
 
 def test_memory_does_not_grow(codec):
-    """A slot holds as many bursts as there are numbers, whatever comes."""
+    """A slot holds as many transfers as there are numbers, whatever comes."""
     decoder = codec.decoder()
     for i in range(5000):
-        page = bursts()[i % 40][i % 4]
+        page = transfers()[i % 40][i % 4]
         decoder.feed(page.can_id, page.data, i * MS)
     assert decoder.pending <= 4 * 16
     assert isinstance(decoder.counts, Counter)

@@ -212,11 +212,11 @@ class Bus(RuleBasedStateMachine):
         answer = self.decoder.feed(frame.can_id, frame.data, self.now)
         self.fed += 1
         if isinstance(answer, MapLine):
-            self.judge(answer)
+            self.evaluate(answer)
         self.check_accounts()
         return answer
 
-    def judge(self, line):
+    def evaluate(self, line):
         same = [i for i, sent in enumerate(self.sent) if sent.bits == bits_of(line)]
         assert len(same) == 1, "a line that was not sent"
         (number,) = same

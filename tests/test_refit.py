@@ -8,7 +8,7 @@ from strategies import mild_lines, motions
 
 from maplines_can.errors import IllPosedError
 from maplines_can.gaussian import Gaussian
-from maplines_can.line import lateral, moved
+from maplines_can.line import lateral, transform_line
 from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, MonteCarlo, Refit
 from maplines_can.scenarios import SCENARIOS, random_scenarios, scenario
@@ -133,7 +133,9 @@ def test_a_refit_of_four_points_of_a_line_is_the_moved_line(line, motion):
     x = np.linspace(0, 80, 9)
 
     assert np.allclose(
-        lateral(refit(motion), x), lateral(moved(line, motion, (0.0, 80.0), 4), x), atol=1e-9
+        lateral(refit(motion), x),
+        lateral(transform_line(line, motion, (0.0, 80.0), 4), x),
+        atol=1e-9,
     )
 
 

@@ -23,14 +23,14 @@ from hypothesis import strategies as st
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, Transmitter, scenario
 from maplines_can.bus import key_from_env, key_from_file
-from maplines_can.bus.outbox import AHEAD, Outbox
+from maplines_can.bus.tx_queue import AHEAD, TxQueue
 from maplines_can.cli import _parser, main
+from maplines_can.cli.sending import scene_lines
 from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError, MissingExtraError
-from maplines_can.study.sending import scene_lines
+from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
-from maplines_can.wire.channel import SecuredForm
-from maplines_can.wire.secoc import complete
-from maplines_can.wire.signals import SECURED, contract_of
+from maplines_can.wire.message.channel import SecuredForm
+from maplines_can.wire.protection.secoc import complete
 
 ROOT = Path(__file__).parents[1]
 SECRET = bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c")  # of RFC 4493
@@ -797,13 +797,13 @@ def test_a_slow_sender_signs_just_before_it_sends(clock, period):
     """At any rate no line is older than a tenth of a second, so the window can be narrow."""
     sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
     decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
-    outbox = Outbox(sender, period, fd=True, count=3)
-    outbox.put(scene_lines(scenario("highway"), 8), 0.0)
+    tx_queue = TxQueue(sender, period, fd=True, count=3)
+    tx_queue.put(scene_lines(scenario("highway"), 8), 0.0)
     now, answers = 0.0, []
-    while not outbox.over:
-        now += outbox.wait(now) + 1e-6
+    while not tx_queue.over:
+        now += tx_queue.wait(now) + 1e-6
         clock.now = NOW + round(now * S)
-        answers += feed(decoder, outbox.take(now).frames, clock.now)
+        answers += feed(decoder, tx_queue.take(now).frames, clock.now)
 
     assert names(answers) == ["line"] * 24
 
@@ -919,7 +919,7 @@ def test_the_record_is_the_same():
 def test_other_records_are_authenticated_too(tmp_path, clock, code):
     """Of 24 bytes, with padding that the MAC covers, and of 48, which fill the largest frame."""
     path = tmp_path / "other.dbc"
-    path.write_text(replace(contract_of(code), first_secured_can_id=0x350).dbc())
+    path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
     codec = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock))
     (line,) = scene_lines(scenario("highway"), 1)
     (frame,) = codec.encode(line, fd=True)

@@ -18,29 +18,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
+from maplines_can.cli.study import add_study
 from maplines_can.errors import MaplinesError, StudyError
 from maplines_can.gaussian import Gaussian
 from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, Quadrature, Refit, SigmaPoints
 from maplines_can.scenarios import SCENARIOS, pose
-from maplines_can.study import judge, road
+from maplines_can.study import evaluate, road
+from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.study.files import GaussianFile, read_map
-from maplines_can.study.metrics import (
-    KL_BINS,
-    RATIO_BINS,
-    Figure,
-    Score,
-    kl_terms,
-    share_se,
-)
+from maplines_can.study.metrics import KL_BINS, RATIO_BINS, Figure, Score, kl_terms, share_se
 from maplines_can.study.roads import lines_of_roads, random_roads
 from maplines_can.study.sets import DrawnChunk, DrawnSet, line_set
-from maplines_can.study.sweep.command import add_study
 from maplines_can.study.sweep.engines import Task, _check_versions, in_processes
 from maplines_can.study.sweep.plan import Plan, codec_of, theory
 from maplines_can.study.sweep.run import Study, run_study
 from maplines_can.study.sweep.tables import SCHEMAS, TABLES, read_table, summary_text
-from maplines_can.wire.signals import contract_of
 
 CODES = ("Cholesky", "Sigmas")
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
@@ -155,7 +148,7 @@ def test_scores_of_parts_add_up_to_that_of_all(codec):
 
     def score(rows):
         batch = codec.decode_batch(codec.encode_batch(means[rows], covs[rows]))
-        verdict = judge(means[rows], covs[rows], batch.mean, batch.cov, codec.resolution)
+        verdict = evaluate(means[rows], covs[rows], batch.mean, batch.cov, codec.resolution)
         return Score.of(verdict, batch.status, batch.accepted, np.zeros(len(batch.mean), bool))
 
     whole, parts = score(slice(None)), score(slice(100)) + score(slice(100, None))
@@ -198,7 +191,7 @@ def test_a_road_across_the_car_gives_no_line():
     assert np.isfinite(means[[0, 2]]).all()
 
 
-@pytest.mark.parametrize("name", ["paper", "road", "hostile"])
+@pytest.mark.parametrize("name", ["paper", "road", "adversarial"])
 def test_a_chunk_is_a_function_of_its_place_and_size(name):
     """Twice the same; another set, seed, place or size is another chunk."""
     first, again = (DrawnChunk(name, 7, 3, 60).gaussians() for _ in range(2))
@@ -459,15 +452,15 @@ def test_a_single_field_is_wider_over_the_same_range():
     def fields(contract):
         return {spec.name: spec for page in contract.pages for spec in page}
 
-    plain = fields(contract_of("Cholesky"))
+    plain = fields(dbc_writer_for("Cholesky"))
     for name in ("RatioC0C1", "YOff"):
-        wider = fields(contract_of("Cholesky", 0, {name: 1}))
+        wider = fields(dbc_writer_for("Cholesky", 0, {name: 1}))
         assert wider[name].bits == plain[name].bits + 1
         assert wider[name].range[0] == plain[name].range[0]
         assert wider[name].factor == plain[name].factor / 2
         assert {**wider, name: None} == {**plain, name: None}
     with pytest.raises(ValueError, match="field_bits must be of YOff"):
-        contract_of("Cholesky", 0, {"Crc": 1})
+        dbc_writer_for("Cholesky", 0, {"Crc": 1})
 
 
 def test_the_theory_of_equal_steps_is_the_one_of_the_notes():
@@ -509,7 +502,7 @@ def test_the_summary_is_what_judging_all_at_once_gives(undisturbed):
     means, covs = (np.concatenate(arrays) for arrays in zip(*chunks, strict=True))
     codec = codec_of(Plan("Cholesky"))
     batch = codec.decode_batch(codec.encode_batch(means, covs))
-    verdict = judge(means, covs, batch.mean, batch.cov, codec.resolution)
+    verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
     row = undisturbed["summary"][0]
 
     assert (row["set"], row["code"], row["finer_bits"], row["n"]) == ("road", "Cholesky", 0, 400)
@@ -823,7 +816,7 @@ SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e
 def test_the_command_prints_what_came_out(tmp_path, capsys, monkeypatch):
     """A table for people, rows for machines; the second time nothing is done again."""
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("maplines_can.study.sweep.command.DEFAULTS", {"fields_n": 0, "limit_n": 0})
+    monkeypatch.setattr("maplines_can.cli.study.DEFAULTS", {"fields_n": 0, "limit_n": 0})
     status, seen = command("--out", tmp_path / "out", *SMALL)
     text = capsys.readouterr().out
 

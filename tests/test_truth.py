@@ -11,11 +11,15 @@ from scipy import stats
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
 from maplines_can.scenarios import SCENARIOS, random_scenarios
-from maplines_can.study.truth import judging
-from maplines_can.study.truth.approximations import Approximation, representations, through_the_wire
-from maplines_can.study.truth.judging import judged, truth_of
-from maplines_can.study.truth.table import refit_of, truth_table
-from maplines_can.study.truth.text import as_csv, as_markdown, as_text
+from maplines_can.study.accuracy import evaluation as judging
+from maplines_can.study.accuracy.approximations import (
+    Approximation,
+    representations,
+    through_the_wire,
+)
+from maplines_can.study.accuracy.evaluation import judged, truth_of
+from maplines_can.study.accuracy.table import accuracy_table, refit_of
+from maplines_can.study.accuracy.text import as_csv, as_markdown, as_text
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
 ROOT = np.array([[1, 0, 0, 0], [0.6, 0.8, 0, 0], [-0.3, 0.4, 0.9, 0], [0.2, -0.7, 0.1, 0.6]])
@@ -38,14 +42,14 @@ def rows():
     """All scenes, coarse; by scene, representation and side of the wire."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(judging, "DRAWS", CLAIMS_N)
-        table = truth_table(n=CLAIMS_N)
+        table = accuracy_table(n=CLAIMS_N)
     return {(row.scenario, row.representation, row.wire): row for row in table}
 
 
 @pytest.fixture
 def few(monkeypatch):
     monkeypatch.setattr(judging, "DRAWS", 2000)
-    return lambda seed=0: truth_table([scenario("street-turn")], n=2000, seed=seed)
+    return lambda seed=0: accuracy_table([scenario("street-turn")], n=2000, seed=seed)
 
 
 # -- definitions ----------------------------------------------------------------
@@ -175,7 +179,7 @@ def test_draws_beyond_the_grid_are_outside(gaussian_truth):
 
 def test_every_representation_before_and_after(few):
     seen = []
-    rows = truth_table(
+    rows = accuracy_table(
         [scenario("street-turn")], n=2000, progress=lambda done, of: seen.append((done, of))
     )
 
@@ -219,12 +223,12 @@ def test_markdown_is_one_table_and_text_shows_every_row(few):
 
 def test_a_scene_without_the_line_is_refused():
     with pytest.raises(ValueError, match="no line ROUTE; there are EGO_LEFT"):
-        truth_table(list(random_scenarios(1)), n=1000, slot=Slot.ROUTE)
+        accuracy_table(list(random_scenarios(1)), n=1000, slot=Slot.ROUTE)
 
 
 def test_too_few_samples_are_refused():
     with pytest.raises(ValueError, match="n must be 100 or more, got 50"):
-        truth_table([scenario("production")], n=50)
+        accuracy_table([scenario("production")], n=50)
 
 
 def test_what_does_not_fit_the_wire_is_refused():
@@ -339,7 +343,7 @@ def test_the_wire_costs_few_false_negatives(rows, name, kind):
 
 def test_the_wire_costs_the_production_car_few_false_positives():
     """Its c0 is known to a step of the mean's grid, and its c1 goes with beta by 0.9995."""
-    table = truth_table([scenario("production")], n=300_000)
+    table = accuracy_table([scenario("production")], n=300_000)
     found = {(row.representation, row.wire): row.false_positives for row in table}
     for kind in ("SigmaPoints", "Quadrature", "MonteCarlo"):
         assert found[kind, "after"] - found[kind, "before"] < 0.02

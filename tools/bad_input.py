@@ -35,7 +35,7 @@ from telling import parser_of
 import maplines_can as ml
 from maplines_can import bus, propagation, wire
 from maplines_can.errors import MaplinesError
-from maplines_can.wire.signals import DEFAULT
+from maplines_can.study.dbc.record_spec import DEFAULT
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Longest that a command may take, and a scenario that ends by itself [s].

@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 import maplines_can as ml
-from maplines_can.wire.signals import DEFAULT
+from maplines_can.study.dbc.record_spec import DEFAULT
 
 #: In these {d} is a folder with bad files, {f} a good file where a folder should be.
 COMMANDS = {

@@ -63,7 +63,7 @@ from maplines_can.propagation import Refit, SigmaPoints
 from maplines_can.scenarios import parallel, scenario
 from maplines_can.study.sets import road
 from maplines_can.wire import Codec, default_dbc_path
-from maplines_can.wire.packing import Packing
+from maplines_can.wire.message.packing import Packing
 
 #: Lateral places of a full scene, one line for each slot [m].
 OFFSETS = (3.5, 0.0, 7.0, -3.5, 1.75, 10.5, -7.0, -1.75)
@@ -223,7 +223,7 @@ class Traffic:
 def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Packing and unpacking alone, physical values to bytes and back."""
     traffic = Traffic(sizes.lines, seed)
-    fields = traffic.codec.layout.fields
+    fields = traffic.codec.layout.signals
     packing = Packing(list(fields.values()), traffic.codec.layout.record_bytes)
     physical = packing.physical(traffic.payloads)
 

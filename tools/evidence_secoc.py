@@ -25,11 +25,11 @@ from itertools import count
 import numpy as np
 from telling import bar, ended, parser_of, progress
 
+from maplines_can.cli.sending import scene_lines
 from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
-from maplines_can.study.sending import scene_lines
+from maplines_can.study.dbc.record_spec import SECURED
 from maplines_can.wire import Authenticator, Codec, Key, Layout, Reason
-from maplines_can.wire.signals import SECURED
 
 US, MS = 1_000, 1_000_000
 START = 1_750_000_000 * 10**9

@@ -21,7 +21,7 @@ import numpy as np
 from telling import bar, ended, parser_of, progress
 
 from maplines_can.line import MapLine, Slot, Status
-from maplines_can.study import LATERAL_X, hostile, judge, paper, road
+from maplines_can.study import LATERAL_X, adversarial, evaluate, paper, road
 from maplines_can.wire import Codec
 
 CHUNK = 50_000
@@ -44,9 +44,9 @@ def guarantee(n, seed):
     not_definite = overconfident = refused = 0
     largest = 0.0
     for start in progress(range(0, n, CHUNK), "covariances"):
-        means, covs = hostile(min(CHUNK, n - start), seed + start)
+        means, covs = adversarial(min(CHUNK, n - start), seed + start)
         batch = codec.decode_batch(codec.encode_batch(means, covs))
-        verdict = judge(means, covs, batch.mean, batch.cov, codec.resolution)
+        verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
         stated = batch.status != Status.OUT_OF_RANGE
         not_definite += int((~verdict.positive_definite).sum())
         overconfident += int(verdict.overconfident[stated].sum())
@@ -70,7 +70,7 @@ def quality(n, seed):
     for name, make in (("paper", paper), ("road", road)):
         means, covs = make(n, seed)
         batch = codec.decode_batch(codec.encode_batch(means, covs))
-        verdict = judge(means, covs, batch.mean, batch.cov, codec.resolution)
+        verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
         figures = {
             "cases": len(means),
             "KL mean": verdict.kl_covered.mean(),
@@ -214,7 +214,7 @@ def mixtures_in_bulk(n, seed):
                 ("part", of_parts, stated.ravel()),
                 ("whole", of_wholes, stated.all(axis=1)),
             ):
-                verdict = judge(*pair, codec.resolution)
+                verdict = evaluate(*pair, codec.resolution)
                 counts[f"{what}s"] += len(in_range)
                 counts[f"{what}s out of range"] += int((~in_range).sum())
                 failures[f"{what}s not positive definite"] += int(
@@ -271,7 +271,7 @@ def mixtures_on_a_bus(n, seed):
 def random_mixtures(n, k, seed):
     """(n, k) weights down to 1e-13, and parts that spare nothing, next to each other or far."""
     rng = np.random.default_rng(seed)
-    means, covs = hostile(n * k, rng)
+    means, covs = adversarial(n * k, rng)
     means = means.reshape(n, k, 4)
     apart = 10 ** rng.uniform(-5, 0, (n, 1, 1))  # of the range of each parameter
     evenness = 10 ** rng.uniform(-2, 1, (n, 1))

@@ -20,10 +20,10 @@ from pathlib import Path
 
 import can
 
+from maplines_can.cli.listing import line_dict
+from maplines_can.cli.sending import scene_lines
 from maplines_can.line import MapLine, Slot
 from maplines_can.scenarios import scenario
-from maplines_can.study.listing import line_dict
-from maplines_can.study.sending import scene_lines
 from maplines_can.wire import Codec
 
 MAPLINES = [sys.executable, "-m", "maplines_can.cli"]

@@ -18,14 +18,15 @@ from pathlib import Path
 import can
 import numpy as np
 
-from maplines_can.bus import Monitor, read_log
+from maplines_can.bus import read_log
 from maplines_can.errors import EncodeError, LayoutError, LogError
 from maplines_can.line import MapLine, Slot, Status
-from maplines_can.wire import Authenticator, Codec, Key, Layout, Reason
-from maplines_can.wire.e2e import CRC_BYTES, record_crc_one
-from maplines_can.wire.layout import BURST, PAGE, PAGE_BYTES
-from maplines_can.wire.packing import Packing
-from maplines_can.wire.signals import DEFAULT, contract_of
+from maplines_can.study.codes import CODES as STUDY_CODES
+from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.wire import Authenticator, Codec, Key, Layout, Monitor, Reason
+from maplines_can.wire.message.layout import BURST, PAGE, PAGE_BYTES
+from maplines_can.wire.message.packing import Packing
+from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc_one
 
 MS = 1_000_000
 #: DBCs that the decoder is fuzzed with: a code that is definite by itself, others that are not,
@@ -78,8 +79,8 @@ def codec_of(name):
         keys = Authenticator(Key(_SECRET), clock=None)
         codec = Codec.from_dbc(authenticator=keys)
     else:
-        codec = Codec(Layout.from_text(contract_of(name).dbc(), name))
-    return codec, Packing(list(codec.layout.fields.values()), codec.layout.record_bytes)
+        codec = Codec(Layout.from_text(dbc_writer_for(name).dbc(), name), codes=STUDY_CODES)
+    return codec, Packing(list(codec.layout.signals.values()), codec.layout.record_bytes)
 
 
 def repaired(codec, packing, content, slot, counter, **fields):
@@ -355,7 +356,7 @@ def dbc(data):
     """The text of a DBC: a layout, or LayoutError; and a layout that is taken can be used."""
     text = data.decode("cp1252", "replace")
     try:
-        codec = Codec(Layout.from_text(text, "fuzz"))
+        codec = Codec(Layout.from_text(text, "fuzz"), codes=STUDY_CODES)
     except LayoutError as error:
         must("\n" not in str(error), "the message has more than one line")
         return Counter(LayoutError=1)
@@ -385,7 +386,7 @@ def dbc(data):
 
 def short_dbc(code, secured=False):
     """The DBC of one slot, without what it only tells people."""
-    contract = contract_of(code)
+    contract = dbc_writer_for(code)
     settings = {"pages": contract.pages, "covariance_code": code, "slots": (Slot.EGO_LEFT,)}
     if secured:
         settings["first_secured_can_id"] = 0x350

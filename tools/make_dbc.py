@@ -10,26 +10,30 @@ from pathlib import Path
 
 from telling import filled, parser_of
 
-from maplines_can.wire.codes import CODES
-from maplines_can.wire.signals import DEFAULT, SECURED, contract_of
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.covariance_spec import covariance_signals
+from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 
-FOLDER = Path(__file__).resolve().parents[1] / "dbc"
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "dbc"
+#: Where the DBCs of the comparison codes are.
+STUDY = ROOT / "maplines_can" / "study" / "dbc"
 
 
 def wanted():
     """The texts of all files."""
     tables = {"fields": DEFAULT.table(), "codes": codes_table()}
     page = filled((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
-    files = {FOLDER / file_name(code): contract_of(code).dbc() for code in CODES}
+    files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
     return files | {FOLDER / "README.md": page}
 
 
-def file_name(code):
-    """``maplines.dbc`` for the default, else ``maplines-<code>.dbc``."""
+def path_of(code):
+    """``maplines.dbc`` for the default, else ``maplines-<code>.dbc`` of the study."""
     if code == DEFAULT.covariance_code:
-        return "maplines.dbc"
-    return f"maplines-{code.lower()}.dbc"
+        return FOLDER / "maplines.dbc"
+    return STUDY / f"maplines-{code.lower()}.dbc"
 
 
 def codes_table():
@@ -40,10 +44,10 @@ def codes_table():
         "|---|---|---|---|---|---|---|",
     ]
     for name, code in CODES.items():
-        bits = sum(spec.bits for spec in code.signals())
+        bits = sum(spec.bits for spec in covariance_signals(name))
         rows.append(
-            f"| {name} | `{file_name(name)}` | {code.about} | {bits} | "
-            f"{len(contract_of(name).pages)} | {'yes' if code.positive_definite else 'no'} | "
+            f"| {name} | `{path_of(name).name}` | {code.about} | {bits} | "
+            f"{len(dbc_writer_for(name).pages)} | {'yes' if code.positive_definite else 'no'} | "
             f"{'yes' if code.covering else 'no'} |"
         )
     return "\n".join(rows)

@@ -32,12 +32,13 @@ import can
 import numpy as np
 from telling import bar, ended, parser_of, progress
 
-from maplines_can.bus import Faults, FaultyBus, Link, Mischief, Mishap, Receiver, Transmitter
+from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import road
+from maplines_can.testing import FaultInjector, FaultKind, Faults, FaultyBus
 from maplines_can.wire import Codec
-from maplines_can.wire.e2e import CRC_BYTES, record_crc
-from maplines_can.wire.layout import PAGE_BYTES
+from maplines_can.wire.message.layout import PAGE_BYTES
+from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc
 
 FAULTS = "loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02"
 CHUNK = 8192
@@ -138,7 +139,7 @@ def read_of(line):
 def stream(n, seed, fd, faults):
     """Lines through the faults into a decoder."""
     codec = Codec.from_dbc()
-    decoder, mischief = codec.decoder(), Mischief(replace(faults, seed=seed))
+    decoder, injector = codec.decoder(), FaultInjector(replace(faults, seed=seed))
     pages = 1 if fd else codec.layout.pages
     chunks, fates, wrong, examples = [], Counter(), Counter(), []
     first, last = {}, {}
@@ -170,19 +171,19 @@ def stream(n, seed, fd, faults):
             line, t_ns = start + i, (start + i) * STEP_NS
             for page, frame in enumerate(codec.frames(payload, Slot(line % len(Slot)), fd=fd)):
                 sent = Page(*frame, line, page, frame.can_id, frame.data)
-                for out in mischief.apply(sent, 1e-9 * t_ns):
+                for out in injector.apply(sent, 1e-9 * t_ns):
                     receive(out, t_ns)
                 t_ns += PAGE_NS
         if len(chunks) > 1:
             fates += chunks.pop(0).fates(pages)
         memory.append(memory_mib())
-    for out in mischief.flush():
+    for out in injector.flush():
         receive(out, n * STEP_NS)
     decoder.expire(2 * n * STEP_NS)
     for chunk in chunks:
         fates += chunk.fates(pages)
 
-    done = mischief.counts
+    done = injector.counts
     ends = sum(
         len(range(slot, first[slot], len(Slot))) + len(range(last[slot] + 8, n, len(Slot)))
         for slot in first
@@ -195,9 +196,9 @@ def stream(n, seed, fd, faults):
         )
         - decoder.lost
         - ends,
-        "frames sent and doubled, less lost and received": mischief.frames
-        + done[Mishap.DUPLICATED]
-        - done[Mishap.LOST]
+        "frames sent and doubled, less lost and received": injector.frames
+        + done[FaultKind.DUPLICATED]
+        - done[FaultKind.LOST]
         - decoder.frames,
         "frames received, less those of lines and dropped": decoder.frames
         - decoder.line_frames
@@ -211,7 +212,7 @@ def stream(n, seed, fd, faults):
         **dict(sorted(fates.items())),
         "share delivered": fates["delivered"] / n,
         "share of which a good copy of each frame came, expected": good_copy(faults) ** pages,
-        "frames": {"sent": mischief.frames} | {what.name.lower(): done[what] for what in Mishap},
+        "frames": {"sent": injector.frames} | {what.name.lower(): done[what] for what in FaultKind},
         "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
         **{key: wrong[key] for key in WRONGS},
         "slots on which two senders are seen": seen_twice,

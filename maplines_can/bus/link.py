@@ -12,15 +12,11 @@ from types import TracebackType
 from typing import Any
 
 import can
-from can.interfaces.socketcan import SocketcanBus
-from can.interfaces.virtual import VirtualBus
 from can.typechecking import CanFilter
 
 from ..errors import BusError
-from .fault_plan import Faults
-from .faults import Fault, fault_of, text_of
-from .faulty import FaultyBus, bare
-from .port import Port, UnfitError
+from .bus_factory import BusFactory, UnsuitableInterfaceError
+from .driver_errors import Fault, classify_error, error_text
 
 __all__ = ["Link", "Sent"]
 
@@ -47,12 +43,11 @@ class Link:
     Any number of threads may send and one may receive, at the same time.
 
     Args:
-        opener: returns a new open bus; called again after each loss.
+        opener: returns a new open bus; called again after each loss, with the settings if
+            there are any. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
         on_event: called with (up, what happened) by the thread that noticed.
         backoff: shortest and longest pause between two attempts to reopen [s].
-        faults: what to do to the frames that are sent and received, for tests; see ``Faults``.
-        settings: instead of an opener, the settings of ``can.Bus`` (interface,
-            channel, bitrate, fd, config_context, ...).  What is missing or None
+        settings: of ``can.Bus`` (interface, channel, bitrate, fd, config_context, ...).  What is missing or None
             comes from python-can's environment variables and configuration files.
 
     Raises:
@@ -74,16 +69,15 @@ class Link:
 
     def __init__(
         self,
-        opener: Callable[[], can.BusABC] | None = None,
+        opener: Callable[..., can.BusABC] | None = None,
         /,
         *,
         on_event: Callable[[bool, str], None] | None = None,
         backoff: tuple[float, float] = (0.1, 1.0),
-        faults: Faults | None = None,
         clock: Callable[[], float] = time.monotonic,
         **settings: Any,
     ) -> None:
-        self._port = Port(opener, settings)
+        self._factory = BusFactory(opener, settings)
         self._on_event, self._backoff, self._clock = on_event, backoff, clock
         self._lock = threading.Lock()  # guards the state below
         self._send_lock = threading.Lock()  # python-can's buses are not safe for threads
@@ -92,29 +86,22 @@ class Link:
         self._failing: dict[str, float] = {}  # since when send or recv fails for unclear reasons
         self._retry_at, self._pause, self._lost_at = 0.0, backoff[0], 0.0
         self._look_at = clock()
-        self._faults = faults
-        self._faulty: FaultyBus | None = None
-        self._unfit: str | None = None  # what it is since it came back, already told
+        self._unsuitable: str | None = None  # what it is since it came back, already told
         #: True from opening or return until the next loss.
         self.up = True
         #: How many times the interface was lost.
         self.outages = 0
-        self._bus: can.BusABC | None = self._open()
+        self._bus: can.BusABC | None = self._factory.open(self._filters)
 
     @property
     def name(self) -> str:
         """Interface and channel, for messages."""
-        return self._port.name
+        return self._factory.name
 
     @property
     def fd(self) -> bool:
         """Whether CAN FD frames can be sent."""
-        return self._port.fd
-
-    @property
-    def faults(self) -> dict[str, int]:
-        """What the faults did so far, by name (``FaultyBus.as_dict``); empty without any."""
-        return self._faulty.as_dict() if self._faulty else {}
+        return self._factory.fd
 
     def send(self, message: can.Message) -> Sent:
         """Hand one frame to the interface; answers at once, whatever became of it.
@@ -126,7 +113,7 @@ class Link:
         if bus is None:
             return Sent.DOWN
         # To most drivers None is "do not wait"; the virtual bus would wait for ever.
-        timeout = 0.01 if isinstance(bare(bus), VirtualBus) else None
+        timeout = 0.01 if self._factory.is_virtual else None
         try:
             with self._send_lock:
                 bus.send(message, timeout=timeout)
@@ -200,22 +187,18 @@ class Link:
                 raise BusError(f"{self.name} is closed; stop its users before its link")
             if self._bus is None and self._clock() >= self._retry_at:
                 try:
-                    self._bus = self._open()
+                    self._bus = self._factory.open(self._filters)
                 except BusError as error:
                     self._postpone()
-                    if isinstance(error, UnfitError) and str(error) != self._unfit:
-                        news = self._unfit = str(error)
+                    if (
+                        isinstance(error, UnsuitableInterfaceError)
+                        and str(error) != self._unsuitable
+                    ):
+                        news = self._unsuitable = str(error)
             bus = self._bus
         if news:
             self._report(False, news)
         return bus
-
-    def _open(self) -> can.BusABC:
-        bus = self._port.open(self._filters)
-        if self._faults is None:
-            return bus
-        self._faulty = FaultyBus(bus, self._faults, previous=self._faulty)
-        return self._faulty
 
     def _worked(self, bus: can.BusABC, way: str) -> None:
         """A send or recv went well: the proof that a reopened interface is really back."""
@@ -226,7 +209,7 @@ class Link:
         with self._lock:
             if self.up or bus is not self._bus:
                 return
-            self.up, self._pause, self._unfit = True, self._backoff[0], None
+            self.up, self._pause, self._unsuitable = True, self._backoff[0], None
             text = f"{self.name} is back after {self._clock() - self._lost_at:.1f} s"
         self._report(True, text)
 
@@ -236,22 +219,22 @@ class Link:
                 return Sent.DOWN  # an echo of what another thread has already dealt with
             if isinstance(error, ValueError) and not isinstance(error, OSError):
                 raise error  # the message itself is wrong: the caller's mistake
-            fault = fault_of(error)
+            fault = classify_error(error)
             if fault is Fault.REFUSED and way == "send":
                 raise BusError(
-                    f"{self.name} refuses the frame: {text_of(error)}; a CAN FD frame needs an "
+                    f"{self.name} refuses the frame: {error_text(error)}; a CAN FD frame needs an "
                     "interface with CAN FD that is opened with fd=True"
                 ) from error
             # The kernel names every loss by its number; what python-can says
             # without one is "Transmit buffer full", for as long as nobody acknowledges.
-            silent = fault is Fault.UNCLEAR and isinstance(bare(bus), SocketcanBus)
+            silent = fault is Fault.UNCLEAR and self._factory.is_socketcan
             if fault is Fault.FULL or silent:
                 return Sent.FULL
             if fault is not Fault.LOST:
                 since = self._failing.setdefault(way, self._clock())
                 if self._clock() - since < self.PATIENCE:
                     return Sent.FULL
-        self._lose(bus, text_of(error))
+        self._lose(bus, error_text(error))
         return Sent.DOWN
 
     def _lose(self, bus: can.BusABC, reason: str) -> None:
@@ -275,7 +258,7 @@ class Link:
         now = self._clock()
         if now >= self._look_at:
             self._look_at = now + 1.0
-            if self._port.deleted():
+            if self._factory.deleted():
                 self._lose(bus, "it was deleted")
 
     def _postpone(self) -> None:

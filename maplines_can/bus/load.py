@@ -6,9 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from .outbox import FrameLike
+from .tx_queue import FrameLike
 
-__all__ = ["FrameBits", "bursts_within", "bus_load", "frame_bits", "frame_time"]
+__all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time", "transfers_within"]
 
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
@@ -102,18 +102,18 @@ def bus_load(
     return sum(frame_time(frame, bitrate, data_bitrate) for frame in frames) / period
 
 
-def bursts_within(
+def transfers_within(
     share: float,
-    burst: Iterable[FrameLike],
+    transfer: Iterable[FrameLike],
     period: float,
     bitrate: float,
     data_bitrate: float | None = None,
 ) -> int:
-    """How many bursts like this one fit into a share of the bus's time, each period.
+    """How many transfers like this one fit into a share of the bus's time, each period.
 
     Args:
         share: of the bus's time, more than 0 and at most 1.
-        burst: its frames.
+        transfer: its frames.
         period: [s].
         bitrate: of the arbitration [bit/s].
         data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
@@ -123,8 +123,8 @@ def bursts_within(
     """
     if not 0 < share <= 1:
         raise ValueError(f"share must be more than 0 and at most 1, got {share!r}")
-    load = bus_load(burst, period, bitrate, data_bitrate)
+    load = bus_load(transfer, period, bitrate, data_bitrate)
     if not load:
-        raise ValueError("burst must have a frame or more, got none")
+        raise ValueError("transfer must have a frame or more, got none")
     # A share that they fill to the last bit is not overrun by the rounding of a quotient.
     return math.floor(share / load * (1 + 1e-12))

@@ -10,11 +10,11 @@ from enum import Enum
 from typing import Any, NamedTuple, Protocol, Self
 
 from ..line import MapLine, Slot
-from ..wire import SlotCheck, SlotStats
+from ..wire import SequenceCheck, SlotStats
+from ..wire.reception.monitor import STALE_CYCLES, Monitor, SlotView
+from .background import Running, Worker
 from .link import Link
-from .monitor import STALE_CYCLES, Monitor, SlotView
 from .stamp_clock import StampClock
-from .worker import Running, Worker
 
 __all__ = ["Receiver", "ReceiverStats"]
 
@@ -30,7 +30,7 @@ class FrameDecoder(Protocol):
     @property
     def lost(self) -> int: ...
     @property
-    def checks(self) -> Mapping[Slot, SlotCheck]: ...
+    def checks(self) -> Mapping[Slot, SequenceCheck]: ...
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> MapLine | Enum: ...

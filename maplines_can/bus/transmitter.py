@@ -11,10 +11,10 @@ import can
 
 from ..errors import BusError
 from ..line import MapLine, Slot
+from .background import Running, Worker
 from .link import Link, Sent
-from .outbox import Burst, Encoder, FrameLike, Outbox
-from .timing import Lateness, LatenessHistogram
-from .worker import Running, Worker
+from .schedule import Lateness, LatenessHistogram
+from .tx_queue import Encoder, FrameLike, Transfer, TxQueue
 
 __all__ = ["Transmitter", "TransmitterStats"]
 
@@ -29,7 +29,7 @@ class TransmitterStats(NamedTuple):
     down: int = 0  #: given up because the interface was gone
     full: int = 0  #: given up because the transmit queue stayed full for a period
     overruns: int = 0  #: deadlines of slots skipped because the thread was a period late
-    frames: int = 0  #: handed to the interface, those of unfinished bursts included
+    frames: int = 0  #: handed to the interface, those of unfinished transfers included
     retries: int = 0  #: times that a frame met a full queue and was tried again
     lateness: Lateness = Lateness()  #: of the first frame of each slot, after its deadline
 
@@ -47,12 +47,12 @@ class Transmitter(Running):
     is sent again, older and older.
 
     The latest value wins, as it is when the line is encoded: at its deadline, or
-    with another line up to 0.1 s before it (`outbox.Outbox`).  The age is that of the
+    with another line up to 0.1 s before it (`tx_queue.TxQueue`).  The age is that of the
     sending; the freshness of an authenticated line is that of the encoding.
 
     Nothing is sent half: after a frame that could not be sent, the rest of its
-    burst is not sent either, the line is counted as ``down`` or ``full``, and the
-    next period begins a burst of its own.  A full queue is waited for until the
+    transfer is not sent either, the line is counted as ``down`` or ``full``, and the
+    next period begins a transfer of its own.  A full queue is waited for until the
     line's next deadline.
 
     Args:
@@ -89,7 +89,7 @@ class Transmitter(Running):
             )
         self._link, self._period, self._clock = link, period, clock
         self._changed = threading.Condition()  # guards all that follows
-        self._outbox = Outbox(codec, period, fd=fd, count=count)
+        self._tx_queue = TxQueue(codec, period, fd=fd, count=count)
         self._counts = TransmitterStats()
         self._lateness = LatenessHistogram()
         self._stopping = False
@@ -122,13 +122,13 @@ class Transmitter(Running):
                 )
         lines = [line] if isinstance(line, MapLine) else list(line)
         with self._changed:
-            self._outbox.put(lines, self._clock(), age)
+            self._tx_queue.put(lines, self._clock(), age)
             self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
         """Send no more line of this slot."""
         with self._changed:
-            self._outbox.drop(slot)
+            self._tx_queue.drop(slot)
 
     def stats(self) -> TransmitterStats:
         """A consistent copy of all counters."""
@@ -153,27 +153,27 @@ class Transmitter(Running):
     # ---- the thread --------------------------------------------------------------
 
     def _run(self) -> None:
-        while (burst := self._next()) is not None:
-            self._send(burst)
+        while (transfer := self._next()) is not None:
+            self._send(transfer)
 
-    def _next(self) -> Burst | None:
+    def _next(self) -> Transfer | None:
         with self._changed:
-            while not (self._stopping or self._outbox.over):
+            while not (self._stopping or self._tx_queue.over):
                 now = self._clock()
-                burst = self._outbox.take(now)
-                if burst is not None:
-                    return burst
-                self._changed.wait(self._outbox.wait(now))
+                transfer = self._tx_queue.take(now)
+                if transfer is not None:
+                    return transfer
+                self._changed.wait(self._tx_queue.wait(now))
             return None
 
-    def _send(self, burst: Burst) -> None:
+    def _send(self, transfer: Transfer) -> None:
         sent = retries = 0
         answer = Sent.OK
-        lateness = self._clock() - burst.deadline
-        for frame in burst.frames:
+        lateness = self._clock() - transfer.deadline
+        for frame in transfer.frames:
             message = _message(frame)
             answer = self._link.send(message)
-            while answer is Sent.FULL and self._clock() < burst.deadline + self._period:
+            while answer is Sent.FULL and self._clock() < transfer.deadline + self._period:
                 time.sleep(RETRY)  # no event tells that a queue has room again
                 retries += 1
                 answer = self._link.send(message)
@@ -186,7 +186,7 @@ class Transmitter(Running):
                 lines=answer is Sent.OK,
                 down=answer is Sent.DOWN,
                 full=answer is Sent.FULL,
-                overruns=burst.skipped,
+                overruns=transfer.skipped,
                 frames=sent,
                 retries=retries,
             )

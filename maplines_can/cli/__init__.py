@@ -10,19 +10,19 @@ import threading
 from importlib.metadata import version
 
 from ..errors import MaplinesError
-from ..study.design.command import add_design
-from ..study.page.command import add_report
-from ..study.production.command import add_production
-from ..study.sweep.command import add_study
+from .accuracy import add_truth
 from .decode import add_decode
 from .demo import add_demo
+from .design import add_design
 from .figures import add_figures
-from .notes import counted, note
 from .options import Parser
+from .production import add_production
+from .progress import note, progress_bar
 from .receive import add_receive
+from .report import add_report
 from .scenarios import add_scenarios
 from .send import add_send
-from .truth import add_truth
+from .study import add_study
 
 __all__ = ["main"]
 
@@ -63,9 +63,9 @@ def _parser() -> argparse.ArgumentParser:
     add_decode(jobs)
     add_figures(jobs)
     add_truth(jobs)
-    studies = add_study(jobs, counted)
+    studies = add_study(jobs, progress_bar)
     add_report(studies)
     add_production(studies)
-    add_design(jobs, counted)
+    add_design(jobs, progress_bar)
     add_scenarios(jobs)
     return parser

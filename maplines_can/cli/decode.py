@@ -14,11 +14,11 @@ from tqdm import tqdm
 from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
-from ..study.listing import check_text, line_dict, slot_text, write_csv
-from ..study.report import counts_text
 from ..wire import Decoder
-from .notes import note, watched
+from .listing import check_text, line_dict, slot_text, write_csv
 from .options import add_codec, add_cycle, add_job, decoder_of, keyed_codec
+from .progress import note, watched
+from .trip_text import counts_text
 
 __all__ = ["add_decode"]
 

@@ -11,9 +11,7 @@ from tqdm import tqdm
 
 from ..scenarios import scenario
 from ..study.figures.picture import draw_round_trip
-from ..study.report import trip_text
 from ..study.round_trip import round_trip
-from .notes import watched
 from .options import (
     add_bus,
     add_codec,
@@ -26,6 +24,8 @@ from .options import (
     seconds,
     sending,
 )
+from .progress import watched
+from .trip_text import trip_text
 
 __all__ = ["add_demo"]
 

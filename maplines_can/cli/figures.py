@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ..study.figures.paper import draw_figures
-from ..wire import Codec
-from .notes import counted
-from .options import add_dbc, add_draws, add_job, add_json
+from .options import add_dbc, add_draws, add_job, add_json, codec_from
+from .progress import progress_bar
 
 __all__ = ["add_figures"]
 
@@ -31,12 +30,12 @@ def add_figures(jobs: Any) -> None:
 
 
 def _figures(arguments: argparse.Namespace) -> int:
-    with counted(" figures") as progress:
+    with progress_bar(" figures") as progress:
         paths = draw_figures(
             Path(arguments.out),
             seed=arguments.seed,
             samples=arguments.samples,
-            codec=Codec.from_dbc(arguments.dbc),
+            codec=codec_from(arguments.dbc),
             progress=progress,
         )
     if arguments.json:

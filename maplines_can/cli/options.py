@@ -5,17 +5,20 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
-from ..arguments import number
-from ..bus import Faults, key_from_env, key_from_file
+from ..bus import key_from_env, key_from_file
 from ..bus.keys import without_keys
 from ..propagation import MapError
 from ..scenarios import SCENARIOS
-from ..study.sending import MAX_LOAD
-from ..wire import Authenticator, Codec, Decoder, Key
+from ..wire import CODES, Authenticator, Codec, Decoder, Key, Layout
+from .arguments import number
+from .sending import MAX_LOAD
+
+if TYPE_CHECKING:
+    from ..testing import Faults, FaultyOpener
 
 __all__ = [
     "Parser",
@@ -28,7 +31,10 @@ __all__ = [
     "add_json",
     "add_sending",
     "bus_settings",
+    "codec_from",
     "decoder_of",
+    "fault_counts",
+    "fault_opener",
     "keyed_codec",
     "map_error",
     "natural",
@@ -114,7 +120,7 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
 
 
 def sending(arguments: argparse.Namespace) -> dict[str, Any]:
-    """How the lines are sent, for ``chosen_parts`` and ``round_trip``."""
+    """How the lines are sent, for ``choose_components`` and ``round_trip``."""
     names = ("lines", "components", "max_load", "rate", "fd")
     settings = {name: getattr(arguments, name) for name in names}
     return settings | {"bitrate": arguments.bitrate or 500_000}
@@ -161,7 +167,23 @@ def bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     return settings | ({"fd": True} if arguments.fd else {})
 
 
+def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
+    """Return the opener of ``--faults`` for ``Link``; None without faults."""
+    if arguments.faults is None:
+        return None
+    from ..testing import FaultyOpener
+
+    return FaultyOpener(arguments.faults)
+
+
+def fault_counts(opener: FaultyOpener | None) -> dict[str, int]:
+    """Return what the faults did so far; empty without faults."""
+    return {} if opener is None else opener.as_dict()
+
+
 def _faults(text: str) -> Faults:
+    from ..testing import Faults
+
     try:
         return Faults.parse(text)
     except ValueError as error:
@@ -215,9 +237,25 @@ def keyed_codec(
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     if not keys:
-        return Codec.from_dbc(arguments.dbc)
+        return codec_from(arguments.dbc)
     authenticator = Authenticator(*keys, clock=clock, window_ns=round(1e9 * window))
-    return Codec.from_dbc(arguments.dbc, authenticator)
+    return codec_from(arguments.dbc, authenticator)
+
+
+def codec_from(path: str | None, authenticator: Authenticator | None = None) -> Codec:
+    """Return the codec of a DBC; the study's codes are imported only if the DBC names one.
+
+    Raises:
+        LayoutError: see ``Codec.from_dbc``.
+    """
+    if path is None:
+        return Codec.from_dbc(None, authenticator)
+    layout = Layout.from_dbc(path)
+    if layout.covariance_code in CODES:
+        return Codec(layout, authenticator)
+    from ..study.codes import CODES as STUDY_CODES
+
+    return Codec(layout, authenticator, STUDY_CODES)
 
 
 def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:
@@ -238,7 +276,7 @@ def add_cycle(parser: argparse.ArgumentParser) -> None:
         type=number(float, 1, 60_000),
         metavar="MS",
         help="how often the sender sends each line [ms], such as 500 for --rate 2: by this cycles "
-        "without data are counted and slots judged; by default what the DBC states, 50 in the "
+        "without data are progress_bar and slots judged; by default what the DBC states, 50 in the "
         "project's own",
     )
 

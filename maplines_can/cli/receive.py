@@ -11,10 +11,8 @@ from typing import Any
 
 from ..bus import Link, Receiver
 from ..line import MapLine, Slot
-from ..study.listing import check_dict, check_text, line_dict, line_text, slot_text
-from ..study.report import counts_text, faults_text
 from ..wire import E2EState, SlotStats
-from .notes import note
+from .listing import check_dict, check_text, line_dict, line_text, slot_text
 from .options import (
     add_bus,
     add_codec,
@@ -23,10 +21,14 @@ from .options import (
     add_json,
     bus_settings,
     decoder_of,
+    fault_counts,
+    fault_opener,
     keyed_codec,
     natural,
     seconds,
 )
+from .progress import note
+from .trip_text import counts_text, faults_text
 
 __all__ = ["add_receive"]
 
@@ -61,8 +63,9 @@ def add_receive(jobs: Any) -> None:
 def _receive(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, window=arguments.freshness_window)
     left = arguments.count
+    opener = fault_opener(arguments)
     with (
-        Link(**bus_settings(arguments), faults=arguments.faults) as link,
+        Link(opener, **bus_settings(arguments)) as link,
         Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
     ):
         if not arguments.json:
@@ -77,7 +80,7 @@ def _receive(arguments: argparse.Namespace) -> int:
                     break
         except KeyboardInterrupt:
             pass
-        stats, faults, slots = receiver.stats(), link.faults, receiver.slots()
+        stats, faults, slots = receiver.stats(), fault_counts(opener), receiver.slots()
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "

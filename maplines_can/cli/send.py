@@ -9,10 +9,7 @@ from typing import Any
 
 from ..bus import Link, Transmitter
 from ..scenarios import scenario
-from ..study.listing import slot_text
-from ..study.report import faults_text, parts_text
-from ..study.sending import carrier_text, chosen_parts, scene_lines
-from .notes import note
+from .listing import slot_text
 from .options import (
     add_bus,
     add_codec,
@@ -20,11 +17,16 @@ from .options import (
     add_json,
     add_sending,
     bus_settings,
+    fault_counts,
+    fault_opener,
     keyed_codec,
     map_error,
     natural,
     sending,
 )
+from .progress import note
+from .sending import carrier_text, choose_components, scene_lines
+from .trip_text import components_text, faults_text
 
 __all__ = ["add_send"]
 
@@ -48,14 +50,15 @@ def add_send(jobs: Any) -> None:
 def _send(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
     scene = scenario(arguments.scenario)
-    parts = chosen_parts(scene, codec, **sending(arguments))
+    parts = choose_components(scene, codec, **sending(arguments))
     lines = scene_lines(
         scene,
         arguments.lines,
         components=[line.parts for line in parts],
         map_error=map_error(arguments),
     )
-    with Link(**bus_settings(arguments), faults=arguments.faults) as link:
+    opener = fault_opener(arguments)
+    with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
             link, codec, period=1 / arguments.rate, fd=arguments.fd, count=arguments.count
         )
@@ -70,11 +73,11 @@ def _send(arguments: argparse.Namespace) -> int:
                         f"{arguments.rate:g} Hz, {until}"
                     )
                     for line in parts:
-                        note(f"{slot_text(line.slot)}: {parts_text(line)}")
+                        note(f"{slot_text(line.slot)}: {components_text(line)}")
                 transmitter.wait()
         except KeyboardInterrupt:
             pass
-        stats, faults = transmitter.stats(), link.faults
+        stats, faults = transmitter.stats(), fault_counts(opener)
         if arguments.json:
             rest = {"lateness": stats.lateness._asdict(), "outages": link.outages}
             rest["parts"] = [asdict(line) for line in parts]

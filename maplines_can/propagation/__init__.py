@@ -1,11 +1,10 @@
 """From the Gaussian of a pose to the Gaussian of a line, and from one time to another."""
 
-from .fits import Robust, TotalLeastSquares, robust, total_least_squares
+from .component_counts import component_counts
 from .linear import Linear
-from .mixture import Mixture, bend
+from .mixture import Mixture, nonlinearity
 from .monte_carlo import MonteCarlo, Samples
-from .motion import Motion, carried, line_at, pose_time_ns
-from .part_counts import part_counts
+from .motion import Motion, pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
 from .refit import MapError, Refit
 from .sigma_points import SigmaPoints
@@ -20,16 +19,12 @@ __all__ = [
     "Motion",
     "Quadrature",
     "Refit",
-    "Robust",
     "Samples",
     "SigmaPoints",
-    "TotalLeastSquares",
     "Transform",
-    "bend",
-    "carried",
-    "line_at",
-    "part_counts",
+    "component_counts",
+    "nonlinearity",
     "pose_time_ns",
-    "robust",
-    "total_least_squares",
+    "predict",
+    "predict_to",
 ]

@@ -14,7 +14,7 @@ from ..mixture import GaussianMixture
 from .sigma_points import SigmaPoints
 from .transform import Transform, values_at
 
-__all__ = ["Bend", "Mixture", "bend", "standard_split"]
+__all__ = ["Mixture", "Nonlinearity", "nonlinearity", "standard_split"]
 
 #: Splits of N(0, 1) into 1 to 8 parts of one variance: half of the symmetric weights, in steps of
 #: 1/32, and of the means. They minimise the criterion of DeMars, Bishop and Jah (J. Guidance,
@@ -39,7 +39,7 @@ WEIGHT_STEPS = 32
 REACH = np.sqrt(3.0)
 
 
-class Bend(NamedTuple):
+class Nonlinearity(NamedTuple):
     """Where a function departs most from its tangent, within a Gaussian."""
 
     direction: NDArray[np.float64]  #: (n,) unit vector among standardised variables
@@ -106,7 +106,7 @@ class Mixture:
             direction: (n,) along this direction of the standardised variables instead.
         """
         if direction is None and function is not None and self.k > 1:
-            direction = bend(function, gaussian).direction
+            direction = nonlinearity(function, gaussian).direction
         weights, offsets = standard_split(self.k)
         u = np.zeros(gaussian.dimension) if direction is None else np.asarray(direction, float)
         norm = np.linalg.norm(u)
@@ -124,7 +124,7 @@ def standard_split(k: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return weights, np.append(half_means, -half_means[: k // 2][::-1])
 
 
-def bend(function: Callable[..., Any], gaussian: Gaussian) -> Bend:
+def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlinearity:
     """The direction in which the function's second-order part is largest.
 
     Second differences at sqrt(3) standard deviations give a symmetric matrix for
@@ -166,4 +166,4 @@ def bend(function: Callable[..., Any], gaussian: Gaussian) -> Bend:
             break
         best = next_ / norm
     along = np.einsum("oij,i,j->o", H, best, best)
-    return Bend(best, float(np.abs(along).max(initial=0.0) / np.sqrt(2)))
+    return Nonlinearity(best, float(np.abs(along).max(initial=0.0) / np.sqrt(2)))

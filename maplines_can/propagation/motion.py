@@ -11,12 +11,12 @@ from scipy.linalg import block_diag
 
 from ..arrays import floats, number_text
 from ..gaussian import Gaussian, variances
-from ..line import STATES, MapLine, Status, lateral, moved, moved_or_nan
+from ..line import STATES, MapLine, Status, lateral, transform_line, transform_line_or_nan
 from ..mixture import GaussianMixture
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["Motion", "carried", "line_at", "pose_time_ns"]
+__all__ = ["Motion", "pose_time_ns", "predict", "predict_to"]
 
 #: Its 15 points err on the wide side. Against a million draws, with a heading known to 5 deg: on a
 #: highway means within 0.4 % of sigma, sigmas from none less to 1.3 % more; in a street turn the
@@ -108,7 +108,7 @@ def _arc(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2), turn])
 
 
-def carried(
+def predict(
     gaussian: Gaussian,
     displacement: Gaussian,
     window: tuple[float, float],
@@ -133,7 +133,7 @@ def carried(
             no points far from the mean.
 
     >>> line = Gaussian([1.75, 0.0, 0.001, 0.0], np.diag([0.1, 0.01, 1e-4, 1e-6]) ** 2)
-    >>> now = carried(line, Motion.with_sigma(20.0, 0.0, (0.5, 0.05)).over(0.1), (0.0, 80.0))
+    >>> now = predict(line, Motion.with_sigma(20.0, 0.0, (0.5, 0.05)).over(0.1), (0.0, 80.0))
     >>> now.mean[:2].round(3), now.sigma[:2].round(3)
     (array([1.752, 0.002]), array([0.102, 0.011]))
     """
@@ -142,13 +142,13 @@ def carried(
     _check_displacement(displacement)
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return moved_or_nan(points[:, : len(STATES)], points[:, len(STATES) :], window)
+        return transform_line_or_nan(points[:, : len(STATES)], points[:, len(STATES) :], window)
 
     with np.errstate(over="ignore", invalid="ignore"):  # the result's birth refuses it
         return transform(move, _independent(gaussian, displacement))
 
 
-def line_at(
+def predict_to(
     line: MapLine,
     t_ns: int,
     motion: Motion | Gaussian,
@@ -189,7 +189,7 @@ def line_at(
 
     >>> line = MapLine(0, Gaussian([1.75, 0.01, 0, 0], np.diag([0.1, 0.01, 1e-4, 1e-6]) ** 2),
     ...                x_max=80.0, age=0.04, t_ns=1_000_000_000)
-    >>> now = line_at(line, 1_060_000_000, Motion.with_sigma(20.0, 0.0, (0.2, 0.01)))
+    >>> now = predict_to(line, 1_060_000_000, Motion.with_sigma(20.0, 0.0, (0.2, 0.01)))
     >>> now.gaussian.mean.round(4) + 0.0, round(now.x_max, 2), now.age  # 0.1 s and 2 m on
     (array([1.77, 0.01, 0.  , 0.  ]), 77.94, 0.0)
     """
@@ -220,11 +220,11 @@ def line_at(
     gaussian, mixture = line.gaussian, line.mixture
     if line.status == Status.UNKNOWN:
         mixture = None
-        gaussian = Gaussian(moved(gaussian.mean, displacement.mean, window), gaussian.cov)
+        gaussian = Gaussian(transform_line(gaussian.mean, displacement.mean, window), gaussian.cov)
     elif mixture is None:
-        gaussian = carried(gaussian, displacement, window, transform)
+        gaussian = predict(gaussian, displacement, window, transform)
     else:
-        parts = (carried(part, displacement, window, transform) for part in mixture.components)
+        parts = (predict(part, displacement, window, transform) for part in mixture.components)
         mixture = GaussianMixture(mixture.weights, tuple(parts))
         gaussian = mixture.overall
     return replace(
@@ -248,7 +248,7 @@ def pose_time_ns(line: MapLine) -> int:
     if line.t_ns is None:
         raise ValueError(
             "line.t_ns must be the time of its reception [ns], got None; set it with "
-            "dataclasses.replace(line, t_ns=...), or use carried(line.gaussian, displacement, ...)"
+            "dataclasses.replace(line, t_ns=...), or use predict(line.gaussian, displacement, ...)"
         )
     return line.t_ns - round(line.age * 1e9)
 

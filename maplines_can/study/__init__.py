@@ -1,6 +1,6 @@
 """What the wire costs: sets of Gaussians, and figures of merit."""
 
-from .metrics import LATERAL_X, Judgement, judge
-from .sets import Gaussians, hostile, paper, road
+from .metrics import LATERAL_X, Evaluation, evaluate
+from .sets import Gaussians, adversarial, paper, road
 
-__all__ = ["LATERAL_X", "Gaussians", "Judgement", "hostile", "judge", "paper", "road"]
+__all__ = ["LATERAL_X", "Evaluation", "Gaussians", "adversarial", "evaluate", "paper", "road"]

@@ -22,10 +22,10 @@ __all__ = [
     "LATERAL_X",
     "RATIO_BINS",
     "Bins",
+    "Evaluation",
     "Figure",
-    "Judgement",
     "Score",
-    "judge",
+    "evaluate",
     "kl_terms",
     "share_se",
 ]
@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement:
+class Evaluation:
     """Each figure for each Gaussian; X places ahead."""
 
     positive_definite: NDArray[np.bool_]  #: (N,) the decoded covariance has a Cholesky factor
@@ -53,9 +53,9 @@ class Judgement:
         return ~(self.largest_ratio <= 1)
 
 
-def judge(
+def evaluate(
     mean: Array, cov: Array, decoded_mean: Array, decoded_cov: Array, resolution: Array
-) -> Judgement:
+) -> Evaluation:
     """Compare decoded Gaussians with the true ones.
 
     Args:
@@ -96,7 +96,7 @@ def judge(
     decoded_variance = np.einsum("nxi,nij,nxj->nx", J_decoded, decoded_cov, J_decoded)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         sigma_ratio = np.sqrt(decoded_variance / variance)  # NaN where a variance is negative
-    return Judgement(
+    return Evaluation(
         positive_definite=definite,
         largest_ratio=np.asarray(np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1]) + none,
         kl_covered=divergence(target, np.zeros_like(z)) + none,
@@ -340,7 +340,7 @@ class Score:
     @classmethod
     def of(
         cls,
-        verdict: Judgement,
+        verdict: Evaluation,
         status: NDArray[np.int64],
         accepted: NDArray[np.bool_],
         clipped: NDArray[np.bool_],

@@ -13,13 +13,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..bus import Faults, Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
+from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
+from ..cli.sending import LineComponents, bus_pace, carrier_text, choose_components, scene_lines
 from ..line import MapLine
 from ..propagation import MapError
 from ..scenarios import Scenario
+from ..testing import Faults, FaultyOpener
 from ..wire import Codec
-from .metrics import LATERAL_X, judge
-from .sending import LineParts, bus_pace, carrier_text, chosen_parts, scene_lines
+from .metrics import LATERAL_X, evaluate
 
 __all__ = ["LineResult", "RoundTrip", "round_trip"]
 
@@ -50,7 +51,7 @@ class RoundTrip:
     seconds: float
     rate: float  #: [1/s]
     lines: list[LineResult]
-    parts: list[LineParts]
+    parts: list[LineComponents]
     sent: dict[str, Any]
     received: dict[str, Any]
     lines_lost: int
@@ -118,8 +119,8 @@ def round_trip(
         scenario: the scene.
         codec: of both ends.
         lines: how many lines of the scene.
-        components: parts of a mixture for each line; "auto": see ``chosen_parts``.
-        max_load: most of the bus's time that the lines may take; see ``chosen_parts``.
+        components: parts of a mixture for each line; "auto": see ``choose_components``.
+        max_load: most of the bus's time that the lines may take; see ``choose_components``.
         seconds: how long [s].
         rate: lines of each slot a second [1/s].
         fd: CAN FD frames.
@@ -134,7 +135,7 @@ def round_trip(
         BusError: the interface cannot be opened.
         ValueError: the lines do not keep within ``max_load``.
     """
-    parts = chosen_parts(
+    parts = choose_components(
         scenario,
         codec,
         lines,
@@ -152,8 +153,9 @@ def round_trip(
     arrivals = _Arrivals(1 / rate)
     count = max(1, round(seconds * rate))
     cpu, start = time.process_time(), time.monotonic()
-    of_out, of_back = (faults, None) if faults and faults.direction == "send" else (None, faults)
-    with Link(faults=of_out, **settings) as out, Link(faults=of_back, **settings) as back:
+    opener = FaultyOpener(faults) if faults else None
+    of_out, of_back = (opener, None) if faults and faults.direction == "send" else (None, opener)
+    with Link(of_out, **settings) as out, Link(of_back, **settings) as back:
         transmitter = Transmitter(out, codec, period=1 / rate, fd=fd, count=count)
         # With faults none is filtered away, so that every frame is counted in the end.
         can_ids = None if faults else codec.can_ids
@@ -169,7 +171,7 @@ def round_trip(
             except KeyboardInterrupt:  # what there is, is shown
                 pass
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
-        done = (out.faults or back.faults) if faults else None
+        done = opener.as_dict() if opener else None
     elapsed = time.monotonic() - start
     cpu = time.process_time() - cpu
     sent, received = transmitter.stats(), receiver.stats()
@@ -226,7 +228,7 @@ def _results(
         )
         back = latest.get(true.slot.name)
         if back is not None:
-            verdict = judge(
+            verdict = evaluate(
                 true.gaussian.mean[None],
                 true.gaussian.cov[None],
                 back.gaussian.mean[None],

@@ -34,7 +34,7 @@ __all__ = [
     "LineSet",
     "PoseChunk",
     "PoseSet",
-    "hostile",
+    "adversarial",
     "line_set",
     "paper",
     "road",
@@ -62,7 +62,7 @@ def road(n: int, seed: int = 0) -> Gaussians:
     return _gathered(_lines(n, seed, with_map_error=True), n)
 
 
-def hostile(
+def adversarial(
     n: int, seed: Seed = 0, singular_share: float = 0.1, at_limit_share: float = 0.1
 ) -> Gaussians:
     """Random covariances that spare nothing.
@@ -123,7 +123,7 @@ def _gathered(lines: Iterator[tuple[NDArray[np.float64], ...]], n: int) -> Gauss
 # ---- sets of any size, in chunks ------------------------------------------------------
 
 #: Sets that are drawn, by name; the place is part of the seed, so append only.
-DRAWN_SETS = ("paper", "road", "hostile")
+DRAWN_SETS = ("paper", "road", "adversarial")
 
 
 class Chunk(ABC):
@@ -150,8 +150,8 @@ class DrawnChunk(Chunk):
     def gaussians(self) -> Gaussians:
         """``size`` Gaussians."""
         seed = [self.seed, self.index, 1 + DRAWN_SETS.index(self.name)]
-        if self.name == "hostile":
-            return hostile(self.size, seed)
+        if self.name == "adversarial":
+            return adversarial(self.size, seed)
         rng = np.random.default_rng(seed)
         with_map_error = self.name == "road"
         means, covs = np.empty((0, 4)), np.empty((0, 4, 4))

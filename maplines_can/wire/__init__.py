@@ -1,15 +1,17 @@
 """Gaussians of map lines to bytes on a CAN bus, and back, after a DBC."""
 
-from .codec import Codec, Frame
-from .decoder import Decoder
-from .e2e_state import E2EConfig, E2EState, ProfileStatus
-from .layout import Layout, default_dbc_path
-from .read import Batch
-from .reassembly import Reason
-from .secoc import Authenticator, Key, Verifier
-from .slot_check import SlotCheck, SlotStats
+from .codec import CODES, Codec, Frame
+from .message.layout import Layout, default_dbc_path
+from .message.reader import Batch
+from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
+from .protection.secoc import Authenticator, Key, Verifier
+from .reasons import Reason
+from .reception.decoder import Decoder
+from .reception.monitor import Monitor, SlotView
+from .reception.sequence import SequenceCheck, SlotStats
 
 __all__ = [
+    "CODES",
     "Authenticator",
     "Batch",
     "Codec",
@@ -19,10 +21,12 @@ __all__ = [
     "Frame",
     "Key",
     "Layout",
+    "Monitor",
     "ProfileStatus",
     "Reason",
-    "SlotCheck",
+    "SequenceCheck",
     "SlotStats",
+    "SlotView",
     "Verifier",
     "default_dbc_path",
 ]

@@ -15,22 +15,24 @@ from ..arrays import floats, number_text
 from ..errors import EncodeError, LayoutError
 from ..gaussian import MOST_COV, Gaussian, asymmetric, indefinite, rounding_of
 from ..line import Kind, MapLine, Slot, Status
-from .channel import Channel
-from .codes import covariance_code
-from .decoder import Decoder
-from .e2e_state import E2EConfig
-from .layout import LONGEST_MS, PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
-from .packing import Packing
-from .parts import deficit, quantized_weights
-from .read import Batch, Part, RecordReader
-from .reassembly import Reason
-from .secoc import Authenticator, Verifier
-from .write import RecordWriter
+from .covariance import CholeskyCode, CovarianceCode
+from .message.channel import Channel
+from .message.components import deficit, quantized_weights
+from .message.layout import LONGEST_MS, PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
+from .message.packing import Packing
+from .message.reader import Batch, Part, RecordReader
+from .message.writer import RecordWriter
+from .protection.e2e_state import E2EConfig
+from .protection.secoc import Authenticator, Verifier
+from .reasons import Reason
+from .reception.decoder import Decoder
 
-__all__ = ["Codec", "Frame"]
+__all__ = ["CODES", "Codec", "Frame"]
 
-#: How long a burst may take where the DBC states no cycle time [ms].
+#: How long a transfer may take where the DBC states no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
+#: Covariance codes of the product, by the name that a DBC's attribute CovarianceCode gives.
+CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}
 #: What a record says of its line besides the Gaussian, by the names of MapLine.
 OF_THE_LINE = ("slot", "kind", "x_min", "x_max", "age", "status")
 
@@ -70,6 +72,7 @@ class Codec:
         layout: from ``Layout.from_dbc``; most callers use ``Codec.from_dbc``.
         authenticator: has the keys; with it the codec sends authenticated frames only, and
             its decoders accept no others. None for a bus without authentication.
+        codes: covariance codes that the DBC may name, by name.
 
     Raises:
         LayoutError: there is an authenticator, and the DBC has no authenticated message.
@@ -83,7 +86,12 @@ class Codec:
     (array([ True]), np.float64(1.75), np.float64(0.102))
     """
 
-    def __init__(self, layout: Layout, authenticator: Authenticator | None = None) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        authenticator: Authenticator | None = None,
+        codes: Mapping[str, type[CovarianceCode]] = CODES,
+    ) -> None:
         self.layout = layout
         self.authenticator = authenticator
         if authenticator is not None and layout.secured is None:
@@ -91,16 +99,19 @@ class Codec:
                 f"{layout.source} has no authenticated message (SecOCDataId), and classic CAN and "
                 "plain CAN FD are not authenticated; take maplines-secoc.dbc, or no key"
             )
-        packing = Packing(list(layout.fields.values()), layout.record_bytes)
+        packing = Packing(list(layout.signals.values()), layout.record_bytes)
         #: The code of the covariance that the DBC names, with what it guarantees.
-        self.covariance = covariance_code(layout)
+        self.covariance = _covariance_code(layout, codes)
         self._writer = RecordWriter(layout, packing, self.covariance)
         self._reader = RecordReader(layout, packing, self.covariance)
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
     def from_dbc(
-        cls, path: str | Path | None = None, authenticator: Authenticator | None = None
+        cls,
+        path: str | Path | None = None,
+        authenticator: Authenticator | None = None,
+        codes: Mapping[str, type[CovarianceCode]] = CODES,
     ) -> Codec:
         """The codec of a DBC; without a path, of the project's own.
 
@@ -111,7 +122,7 @@ class Codec:
         """
         if path is None and authenticator is not None:
             path = default_dbc_path("maplines-secoc.dbc")
-        return cls(Layout.from_dbc(path), authenticator)
+        return cls(Layout.from_dbc(path), authenticator, codes)
 
     @property
     def can_ids(self) -> frozenset[int]:
@@ -228,12 +239,12 @@ class Codec:
 
         Returns:
             The line, or why the record is not accepted. Of a part of a mixture this is the
-            part's own Gaussian; see ``read_part``.
+            part's own Gaussian; see ``read_record``.
         """
-        part = self.read_part(payload, slot, t_ns)
+        part = self.read_record(payload, slot, t_ns)
         return part if isinstance(part, Reason) else part.line
 
-    def read_part(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> Part | Reason:
+    def read_record(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> Part | Reason:
         """As ``decode_one``, with what the record says of the mixture that it is a part of."""
         channel = self.layout.channels.get(slot)
         if channel is None:
@@ -426,7 +437,7 @@ class Codec:
         """A receiver's state.
 
         Args:
-            timeout_ms: how long a burst may take, and how long a sender that starts
+            timeout_ms: how long a transfer may take, and how long a sender that starts
                 anew may be taken for an old one [ms]; by default half the DBC's longest
                 cycle time, or 50 ms where it states none.
             cycle_ms: how often the lines of a slot come [ms], for the E2E state and for what
@@ -460,6 +471,17 @@ class Codec:
                 f"{self.layout.source}, got {e2e.max_delta_counter}"
             )
         return Decoder(self, int(timeout_ms * 1e6), cycles_ns, e2e)
+
+
+def _covariance_code(layout: Layout, codes: Mapping[str, type[CovarianceCode]]) -> CovarianceCode:
+    code = codes.get(layout.covariance_code)
+    if code is None:
+        raise LayoutError(
+            f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; there "
+            f"are {', '.join(codes)}; for those of the study, pass "
+            "codes=maplines_can.study.codes.CODES"
+        )
+    return code(layout)
 
 
 def _checked(

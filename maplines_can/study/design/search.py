@@ -20,11 +20,20 @@ import numpy as np
 from ...errors import LayoutError
 from ...line import Slot, Status
 from ...wire import Codec, Layout
-from ...wire.contract import Contract
-from ...wire.layout import STATE_SIGNALS
-from ..metrics import LATERAL_X, judge
+from ...wire.message.layout import STATE_SIGNALS
+from ..dbc.dbc_writer import DbcWriter
+from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road
-from .wire_plan import ENDS_AIM, LEAST_GAIN, MOST_FRAMES, PRICES, Plan, Planner, Prediction, Targets
+from .wire_plan import (
+    ENDS_AIM,
+    LEAST_GAIN,
+    MOST_FRAMES,
+    PRICES,
+    Plan,
+    Planner,
+    Prediction,
+    Targets,
+)
 
 __all__ = ["SETS", "Design", "Figures", "Targets", "design", "figures_of", "sets_of"]
 
@@ -61,7 +70,7 @@ class Figures:
 class Design:
     """A wire, and how good it is."""
 
-    contract: Contract
+    writer: DbcWriter
     targets: Targets
     order: tuple[str, ...]  #: rows of the covariance, as signals of the mean
     mean_bits: int
@@ -73,14 +82,14 @@ class Design:
     @property
     def frames(self) -> int:
         """Classic frames of a line."""
-        return len(self.contract.pages)
+        return len(self.writer.pages)
 
     def as_dict(self) -> dict[str, Any]:
         """All figures and all fields, for JSON."""
         fields = [
             {"name": spec.name, "page": page, "bits": spec.bits, "factor": spec.factor}
             | {"offset": spec.offset, "signed": spec.signed}
-            for page, specs in enumerate(self.contract.pages)
+            for page, specs in enumerate(self.writer.pages)
             for spec in specs
         ]
         targets = asdict(self.targets)
@@ -110,7 +119,7 @@ class Design:
             cells = [v.rjust(w) for v, w in zip(values, widths[1:], strict=True)]
             lines.append("  ".join([what.ljust(widths[0]), *cells]))
         lines.append("")
-        for spec in chain(*self.contract.pages):
+        for spec in chain(*self.writer.pages):
             if spec.name in STATE_SIGNALS or spec.name.startswith(("Pivot", "Ratio", "Inflation")):
                 low, high = spec.range
                 lines.append(
@@ -139,7 +148,7 @@ class Design:
             lines += ["Made by", "", f"    {command}", ""]
         lines += ["## Targets", "", *(f"- {text}" for text in self._targets_text()), ""]
         lines += ["## Figures", "", *self._figures_table(), "", "## Fields", ""]
-        return "\n".join([*lines, self.contract.table(), ""])
+        return "\n".join([*lines, self.writer.table(), ""])
 
     def _targets_text(self) -> list[str]:
         t = self.targets
@@ -191,7 +200,7 @@ class Design:
         """Write the DBC and the page beside it, with the same name and the suffix ``.md``."""
         dbc = Path(path).with_suffix(".dbc")
         page = dbc.with_suffix(".md")
-        dbc.write_text(self.contract.dbc())
+        dbc.write_text(self.writer.dbc())
         page.write_text(self.page(dbc.name, command))
         return dbc, page
 
@@ -236,16 +245,16 @@ def design(
         raise ValueError(f"sets must have {LEAST_LINES} lines or more to search with, and to judge")
     search = _Search(sets, targets, _Progress(progress))
     plan = search.full() if targets.max_kl is None else search.least()
-    contract = search.planner.contract(plan)
-    codec = _codec(contract)
+    writer = search.planner.writer(plan)
+    codec = _codec(writer)
     covariance_bits = sum(width.bits for width in plan.fields.values())
     result = Design(
-        contract=contract,
+        writer=writer,
         targets=targets,
         order=tuple(STATE_SIGNALS[i] for i in plan.order),
         mean_bits=sum(plan.mean),
         covariance_bits=covariance_bits,
-        spare_bits=search.planner.room(len(contract.pages)) - plan.bits,
+        spare_bits=search.planner.room(len(writer.pages)) - plan.bits,
         predicted=search.planner.predicted(plan),
         measured={name: figures_of(codec, lines) for name, lines in held_out.items()},
     )
@@ -260,7 +269,7 @@ LEAST_LINES = 100
 def figures_of(codec: Codec, lines: Gaussians) -> Figures:
     """What a codec makes of lines; those that say OUT_OF_RANGE count as that and nothing else."""
     batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
-    verdict = judge(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
+    verdict = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
     stated = batch.status != Status.OUT_OF_RANGE
     none = np.array([np.inf])
     kl, untouched, error = (
@@ -286,10 +295,10 @@ def figures_of(codec: Codec, lines: Gaussians) -> Figures:
     )
 
 
-def _codec(contract: Contract) -> Codec:
+def _codec(writer: DbcWriter) -> Codec:
     """Of one slot: all are alike, and a DBC of eight takes eight times as long to read."""
-    contract = replace(contract, slots=(Slot.EGO_LEFT,))
-    return Codec(Layout.from_text(contract.dbc(), "the DBC of the design"))
+    writer = replace(writer, slots=(Slot.EGO_LEFT,))
+    return Codec(Layout.from_text(writer.dbc(), "the DBC of the design"))
 
 
 class _Progress:
@@ -412,11 +421,11 @@ class _Search:
         self.progress.step()
         if self.planner.lateral_error(plan.mean) > self._targets.max_lateral:
             return None
-        contract = self.planner.contract(plan)
-        if len(contract.pages) > frames:
+        writer = self.planner.writer(plan)
+        if len(writer.pages) > frames:
             return None
         try:
-            codec = _codec(contract)
+            codec = _codec(writer)
         except LayoutError:  # its ratios reach further than double precision
             return None
         figures = [figures_of(codec, lines) for lines in self._sets.values()]

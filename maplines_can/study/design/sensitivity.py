@@ -21,7 +21,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.codes.cholesky import MARGIN
+from ...wire.covariance.cholesky import MARGIN
 
 __all__ = [
     "MAX_BITS",

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...line import STATES, lateral_jacobian
-from ...wire.codes.cholesky import CholeskyCode
-from ...wire.codes.log_cholesky import pivot_signal, ratio_signal
-from ...wire.contract import BURST_BITS, Contract, SignalSpec, paged
-from ...wire.layout import PAGE_BYTES, STATE_SIGNALS
-from ...wire.signals import SERVICE
+from ...wire.message.layout import PAGE_BYTES, STATE_SIGNALS
+from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
+from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
+from ..dbc.record_spec import SERVICE
 from ..sets import Gaussians
 from .sensitivity import (
     MIN_BITS,
@@ -213,13 +212,13 @@ class Planner:
     def room(self, frames: int) -> int:
         """Bits that so many frames leave for the mean and the covariance."""
         page_bits = max(1, (frames - 1).bit_length())
-        taken = page_bits * frames + BURST_BITS * (frames - 1)
+        taken = page_bits * frames + TRANSFER_ID_BITS * (frames - 1)
         return 8 * PAGE_BYTES * frames - taken - sum(spec.bits for spec in self._service)
 
-    def contract(self, plan: Plan) -> Contract:
+    def writer(self, plan: Plan) -> DbcWriter:
         """The wire of a plan, on as few pages as it fits."""
         signals = [*self._mean_signals(plan), *self._covariance_signals(plan)]
-        return Contract(paged([*self._service[:2], *signals, *self._service[2:]]))
+        return DbcWriter(paged([*self._service[:2], *signals, *self._service[2:]]))
 
     def _mean_signals(self, plan: Plan) -> list[SignalSpec]:
         if self.targets.keep_mean:
@@ -249,7 +248,7 @@ class Planner:
                     why = f"as far as all but {100 * width.beyond:.1g} % of the set drive it"
                 yield ratio_signal(names[i], column, width.bits, width.factor, width.zero, why)
         width = plan.fields[INFLATION]
-        (spec,) = (spec for spec in CholeskyCode.signals() if spec.name == INFLATION)
+        (spec,) = (spec for spec in covariance_signals("Cholesky") if spec.name == INFLATION)
         step, most = (100 * (2**octaves - 1) for octaves in (width.factor, width.end))
         why = f"steps of {step:.2g} % of the variance; up to {most:.2g} %, what the rounding needs"
         yield replace(spec, bits=width.bits, factor=width.factor, why=why)

@@ -36,10 +36,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...line import STATES, lateral, lateral_jacobian
 from ...wire import Layout
-from ...wire.codes import CODES
-from ...wire.field import Field
-from ...wire.layout import STATE_SIGNALS
-from ..metrics import judge
+from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.signals import Signal
+from ..dbc.covariance_spec import covariance_signals
+from ..metrics import evaluate
 from ..sets import Gaussians, paper, road
 
 __all__ = [
@@ -80,7 +80,7 @@ class Message:
 
     maker: str
     name: str
-    fields: tuple[Field | None, ...]
+    fields: tuple[Signal | None, ...]
     polynomial: bool
     documented: bool
     uncertainty: str
@@ -148,14 +148,14 @@ def _signal(
     offset: float = 0.0,
     signed: bool = False,
     limits: tuple[float, float] | None = None,
-) -> Field:
+) -> Signal:
     """A field; ``limits`` where the source prints a range narrower than the bits."""
     low, high = (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) if signed else (0, 2**bits - 1)
     if limits is not None:
         slack = 1e-6  # a limit printed in decimals still admits the raw value that it means
         low = max(low, int(np.ceil((limits[0] - offset) / factor - slack)))
         high = min(high, int(np.floor((limits[1] - offset) / factor + slack)))
-    return Field(
+    return Signal(
         name=name,
         start=0,  # of no matter here
         length=bits,
@@ -323,7 +323,9 @@ def default_message(layout: Layout | None = None) -> Message:
         layout: by default of ``dbc/maplines.dbc``.
     """
     layout = layout or Layout.from_dbc()
-    covariance = sum(layout[spec.name].length for spec in CODES[layout.covariance_code].signals())
+    covariance = sum(
+        layout[spec.name].length for spec in covariance_signals(layout.covariance_code)
+    )
     return Message(
         "this project",
         "MapLine",
@@ -471,7 +473,7 @@ def _rounding_kl(message: Message, lines: Gaussians) -> tuple[float, ...]:
     if not fits.any():
         return (np.nan,) * len(KL_QUANTILES)
     m, S, decoded = mean[fits], cov[fits], _rounded_alone(message, mean, read)[fits]
-    kl = judge(m, S, decoded, S, np.zeros(len(STATES))).kl
+    kl = evaluate(m, S, decoded, S, np.zeros(len(STATES))).kl
     return _floats(np.quantile(kl, KL_QUANTILES, method="inverted_cdf"))  # also of infinite ones
 
 

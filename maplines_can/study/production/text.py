@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...line import STATES
-from ...wire.field import Field
+from ...wire.message.signals import Signal
 from .messages import DISTANCES, KL_QUANTILES, Message, Row
 
 __all__ = ["as_csv", "as_markdown", "as_records", "as_text"]
@@ -155,7 +155,7 @@ def _reading(message: Message) -> str:
     )
 
 
-def _field_text(field: Field | None) -> str:
+def _field_text(field: Signal | None) -> str:
     """Width, factor, offset and range.
 
     >>> from .messages import PRODUCTION

@@ -12,9 +12,10 @@ import numpy as np
 
 from ...errors import StudyError
 from ...wire import Codec
-from ...wire.codes import CODES
-from ...wire.layout import STATE_SIGNALS, Layout
-from ...wire.signals import contract_of
+from ...wire.message.layout import STATE_SIGNALS, Layout
+from ..codes import CODES
+from ..dbc.covariance_spec import covariance_signals
+from ..dbc.record_spec import dbc_writer_for
 from ..sets import LineSet
 
 __all__ = [
@@ -52,7 +53,7 @@ class Study:
     Args:
         sets: of Gaussians, of different names.
         codes: of the covariance.
-        finer_bits: widths of the fields, as ``contract_of`` has them; a code without widths of
+        finer_bits: widths of the fields, as ``dbc_writer_for`` has them; a code without widths of
             choice takes part with 0 alone.
         n: Gaussians of each drawn set; files are taken whole.
         seed: of the draws.
@@ -103,7 +104,7 @@ class Study:
                 if finer_bits and not _has_widths(code):
                     continue
                 try:
-                    contract_of(code, finer_bits)
+                    dbc_writer_for(code, finer_bits)
                 except ValueError as error:
                     raise StudyError(f"{code} with {finer_bits:+d} bits: {error}") from error
                 plans.append(Plan(code, finer_bits))
@@ -114,7 +115,7 @@ class Study:
         """The default code with a bit more and less in each field of mean and covariance."""
         if DEFAULT_CODE not in self.codes:
             return []
-        names = [spec.name for spec in CODES[DEFAULT_CODE].signals()]
+        names = [spec.name for spec in covariance_signals(DEFAULT_CODE)]
         return [
             Plan(DEFAULT_CODE, 0, name, delta)
             for name in (*STATE_SIGNALS, *names)
@@ -149,7 +150,7 @@ class Study:
 
 def _has_widths(code: str) -> bool:
     try:
-        CODES[code].signals(1)
+        covariance_signals(code, 1)
     except ValueError:
         return False
     return True
@@ -168,26 +169,26 @@ def limit_key(place: int, part: str) -> str:
 @lru_cache(maxsize=256)
 def codec_of(plan: Plan) -> Codec:
     """The codec of a plan's own DBC."""
-    contract = contract_of(
+    writer = dbc_writer_for(
         plan.code, plan.finer_bits, {plan.field: plan.delta_bits} if plan.field else None
     )
-    return Codec(Layout.from_text(contract.dbc(), "the study's DBC"))
+    return Codec(Layout.from_text(writer.dbc(), "the study's DBC"), codes=CODES)
 
 
 def theory(codec: Codec) -> dict[str, float]:
     """Expected KL [nat] of the rounding of each field before any inflation, nothing saturated.
 
     A ratio of step D costs D^2 / 24, a pivot of D octaves (D ln 2)^2 / 12 (see
-    ``wire/codes/cholesky.py``), where its values spread over several steps; less where most
+    ``wire/covariance/cholesky.py``), where its values spread over several steps; less where most
     of them lie within one. Empty for a code that has no such theory. It leaves
     out that without feedback an error in one entry goes into those that lean on it.
     """
     if codec.covariance.name not in ("Cholesky", "LogCholesky"):
         return {}
-    ratios = {f.name: f.factor**2 / 24 for f in codec.covariance.fields if "Ratio" in f.name}
+    ratios = {f.name: f.factor**2 / 24 for f in codec.covariance.signals if "Ratio" in f.name}
     pivots = {
         f.name: (f.factor * np.log(2)) ** 2 / 12
-        for f in codec.covariance.fields
+        for f in codec.covariance.signals
         if "Pivot" in f.name
     }
     return pivots | ratios

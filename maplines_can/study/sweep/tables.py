@@ -13,7 +13,7 @@ from math import isnan
 from typing import Any
 
 from ...line import Status
-from ...wire.codes import CODES
+from ..codes import CODES
 from ..files import arrow
 from ..metrics import LATERAL_X, Figure, Score
 from ..sets import LineSet
@@ -167,7 +167,7 @@ def _add(scores: dict[Plan, Score], plan: Plan, data: Row) -> None:
 def _widths(plan: Plan) -> Row:
     codec = codec_of(plan)
     return {
-        "covariance_bits": sum(field.length for field in codec.covariance.fields),
+        "covariance_bits": sum(field.length for field in codec.covariance.signals),
         "record_bits": 8 * codec.layout.record_bytes,
         "classic_frames": codec.layout.pages,
     }

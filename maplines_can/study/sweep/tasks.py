@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...line import Status
-from ...wire.codes.cholesky import CholeskyCode
-from ...wire.packing import Packing
-from ...wire.read import Batch
-from ..metrics import Figure, Score, judge, kl_terms
+from ...wire.covariance.cholesky import CholeskyCode
+from ...wire.message.packing import Packing
+from ...wire.message.reader import Batch
+from ..metrics import Figure, Score, evaluate, kl_terms
 from ..sets import Chunk, Gaussians, LineSet
 from .engines import Task
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key
@@ -116,7 +116,7 @@ class _Trial:
         self.payloads = self.codec.encode_batch(*given)
         self.batch: Batch = self.codec.decode_batch(self.payloads)
         resolution = self.codec.resolution
-        self.verdict = judge(*given, self.batch.mean, self.batch.cov, resolution)
+        self.verdict = evaluate(*given, self.batch.mean, self.batch.cov, resolution)
         self.seconds = time.perf_counter() - started
 
     @property
@@ -160,14 +160,16 @@ class _Trial:
         d = mean - self.batch.mean
         target = cov + d[:, :, None] * d[:, None, :] + np.diag(self.codec.resolution)
         decoded = self.batch.cov / factor[:, None, None]
-        target, decoded = (S[rows][:, code.order][:, :, code.order] for S in (target, decoded))
+        target, decoded = (
+            S[rows][:, code.factor.order][:, :, code.factor.order] for S in (target, decoded)
+        )
         terms = kl_terms(target, decoded)
         figures = {"kl": Figure.of(terms.sum(axis=(1, 2)))}
         counts = {"n": int(rows.sum())}
         L = np.linalg.cholesky(decoded)
-        for i, pivot in enumerate(code.pivots):
+        for i, pivot in enumerate(code.factor.pivots):
             figures[pivot.name] = Figure.of(terms[:, i, i])
-            for j, ratio in enumerate(code.ratios[i]):
+            for j, ratio in enumerate(code.factor.ratios[i]):
                 figures[ratio.name] = Figure.of(terms[:, i, j])
                 zero = np.abs(L[:, i, j]) < ratio.factor / 2 * L[:, i, i]
                 counts[ratio.name] = int(zero.sum())
@@ -203,7 +205,7 @@ class LimitTask(Task):
 
     def content(self) -> bytes:
         """The limit, or why there is none."""
-        from .limit import limit_of  # scipy.spatial stays out of the start
+        from .limit import limit_of
 
         parts = [chunk.gaussians() for chunk in self.chunks]
         mean = np.concatenate([part.mean for part in parts])[: self.weight, ORDER]

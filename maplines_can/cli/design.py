@@ -1,0 +1,205 @@
+"""The command ``maplines design``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..line import STATES
+from ..study.design.search import SETS, design, sets_of
+from ..study.design.wire_plan import Targets
+from ..study.sets import Gaussians, line_set
+from .study import Bar
+
+__all__ = ["add_design"]
+
+ABOUT = """\
+Design a wire to order: find the widths and factors of all fields and the order of the rows of
+the covariance that meet a target, and write the DBC and the page that goes with it.
+
+Targets, one of them or both:
+  --frames N   the least divergence in N classic CAN frames
+  --max-kl X   the fewest bits with a divergence of at most X nat, mean over each set: 1e-2 is all
+               standard deviations 5 % too large, 1e-3 is 1.6 %, 1e-4 is 0.5 %
+
+for lines like those of a set:
+  paper        lines as the pose alone makes them uncertain: nearly singular covariances
+  road         the same with an uncertain map: what a real car would send
+  both         each counts alike
+  FILE         your own Gaussians, .npz, .csv or .parquet: mean (N, 4) and cov (N, 4, 4)
+
+Whatever the design, each decoded covariance is definite and covers the one that was sent. Lines
+that are not like those of the set are covered too, by a covariance that is wider than need be
+(status SATURATED), or say that they do not fit (OUT_OF_RANGE).
+
+Figures: predicted, from the fields' steps and ranges; measured, through the DBC and the codec on
+lines that the search has not seen.
+"""
+EXAMPLES = """\
+examples:
+  maplines design --frames 3 --set road --out short.dbc
+  maplines design --max-kl 1e-3 --set road --range y_off=16,beta=0.35 --out lean.dbc
+  maplines design --frames 4 --set both --keep-mean --json
+  maplines demo --dbc short.dbc
+"""
+HELD_OUT_SEED = 1_000_003
+
+
+def add_design(subparsers: Any, bar: Bar | None = None) -> argparse.ArgumentParser:
+    """Add the job ``design`` to those of ``maplines``.
+
+    Args:
+        subparsers: what ``ArgumentParser.add_subparsers`` returned.
+        bar: shows progress; without it there is none.
+    """
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "design",
+        help="Design a wire to order: so many frames, or so small a divergence.",
+        description=ABOUT,
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--frames", type=int, metavar="N", help="classic CAN frames of a line")
+    add("--max-kl", type=float, metavar="X", help="most divergence [nat]")
+    add("--set", dest="lines", default="both", metavar="SET", help="see above; both by default")
+    add(
+        "--range",
+        dest="ranges",
+        type=_of_states,
+        default={},
+        metavar="STATE=END,...",
+        help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]; the others "
+        "as in the project's own DBC, y_off=32,beta=0.5,c0=0.125,c1=0.03125",
+    )
+    add(
+        "--sigma",
+        dest="sigmas",
+        type=_of_states,
+        default={},
+        metavar="STATE=MOST,...",
+        help="greatest standard deviations; the others twice the greatest of the set",
+    )
+    add("--keep-mean", action="store_true", help="leave the mean as in the project's own DBC")
+    add(
+        "--max-lateral",
+        type=float,
+        default=Targets.max_lateral,
+        metavar="M",
+        help="most that rounding the mean may do to the lateral position at 80 m [m]; "
+        f"{Targets.max_lateral:g} by default",
+    )
+    add(
+        "--max-saturated",
+        type=float,
+        default=Targets.max_saturated,
+        metavar="SHARE",
+        help="most lines that may meet the end of a range; "
+        f"{Targets.max_saturated:g} by default. Fewer take wider ranges, and so bits",
+    )
+    add(
+        "--n",
+        type=int,
+        default=5000,
+        help="lines of each set, and as many again to judge by; 5000 by default. With few, the "
+        "ends of the ranges are guesses",
+    )
+    add("--seed", type=int, default=0, help="of the sets; 0 by default")
+    add("--out", default="design.dbc", metavar="FILE", help="the DBC; design.dbc by default")
+    add("--json", action="store_true", help="print all figures and fields for machines")
+    parser.set_defaults(run=lambda arguments: _run(arguments, bar))
+    return parser
+
+
+def _run(arguments: argparse.Namespace, bar: Bar | None) -> int:
+    targets = Targets(
+        frames=arguments.frames,
+        max_kl=arguments.max_kl,
+        ranges=arguments.ranges,
+        sigmas=arguments.sigmas,
+        keep_mean=arguments.keep_mean,
+        max_lateral=arguments.max_lateral,
+        max_saturated=arguments.max_saturated,
+    )
+    if Path(arguments.out).suffix.lower() != ".dbc":
+        raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
+    sets, held_out = _lines(arguments)
+    with nullcontext() if bar is None else bar(" %") as tell:
+        progress = None
+        if tell is not None:
+            progress = _percent(tell)
+        result = design(sets, targets, held_out=held_out, progress=progress)
+    dbc, page = result.write(arguments.out, _command(arguments))
+    if arguments.json:
+        print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
+    else:
+        print(result.text())
+        print(f"\n{dbc}: the wire\n{page}: what is in it")
+    return 0
+
+
+def _percent(tell: Callable[[int, int], None]) -> Callable[[float, float], None]:
+    return lambda done, total: tell(round(100 * done / total), 100)
+
+
+def _lines(
+    arguments: argparse.Namespace,
+) -> tuple[dict[str, Gaussians], dict[str, Gaussians] | None]:
+    """Lines to search with, and lines to judge by."""
+    if not 100 <= arguments.n <= 10**6:
+        raise ValueError(f"--n must be from 100 to 1000000, got {arguments.n}")
+    if arguments.lines in SETS:
+        return (
+            sets_of(arguments.lines, arguments.n, arguments.seed),
+            sets_of(arguments.lines, arguments.n, arguments.seed + HELD_OUT_SEED),
+        )
+    own = line_set(arguments.lines)
+    chunks = [chunk.gaussians() for chunk in own.chunks(arguments.n, 10_000, arguments.seed)]
+    means, covs = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
+    return {own.name: Gaussians(means, covs)}, None
+
+
+def _command(arguments: argparse.Namespace) -> str:
+    """The command as it would be typed."""
+    words = ["maplines", "design"]
+    for flag, value in (
+        ("--frames", arguments.frames),
+        ("--max-kl", arguments.max_kl),
+        ("--set", arguments.lines),
+        ("--range", ",".join(f"{k}={v:g}" for k, v in arguments.ranges.items())),
+        ("--sigma", ",".join(f"{k}={v:g}" for k, v in arguments.sigmas.items())),
+    ):
+        if value not in (None, ""):
+            words += [flag, f"{value:g}" if isinstance(value, float) else str(value)]
+    words += ["--keep-mean"] if arguments.keep_mean else []
+    for flag, number in (
+        ("--max-lateral", arguments.max_lateral),
+        ("--max-saturated", arguments.max_saturated),
+    ):
+        words += [flag, f"{number:g}"]
+    words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
+    return shlex.join([*words, Path(arguments.out).name])
+
+
+def _of_states(text: str) -> dict[str, float]:
+    """A type for argparse: numbers of some states."""
+    numbers = {}
+    for part in text.split(","):
+        state, _, number = part.partition("=")
+        try:
+            numbers[state.strip()] = float(number)
+        except ValueError:
+            numbers = {}
+            break
+    if not numbers or not set(numbers) <= set(STATES):
+        raise argparse.ArgumentTypeError(
+            f"must be numbers of {', '.join(STATES)}, such as y_off=16,beta=0.35, got {text!r}"
+        )
+    return numbers

@@ -1,0 +1,46 @@
+"""The command ``maplines study production``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import Any
+
+from ..study.production.messages import production_table
+from ..study.production.text import as_csv, as_markdown, as_records, as_text
+
+__all__ = ["add_production"]
+
+
+def add_production(subparsers: Any) -> argparse.ArgumentParser:
+    """Add the job ``production`` to the jobs of ``maplines study``.
+
+    Args:
+        subparsers: what ``ArgumentParser.add_subparsers`` returned.
+    """
+    about = "Lateral error of rounding in production lane messages, beside this project's own."
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "production",
+        help=about,
+        description=about,
+        epilog="example: maplines study production --markdown",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    parser.add_argument("--n", type=int, default=2000, help="lines, 100 or more")
+    parser.add_argument("--seed", type=int, default=0, help="of the roads and their errors")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--markdown", action="store_true", help="tables for a page")
+    form.add_argument("--csv", action="store_true", help="all figures as a table")
+    form.add_argument("--json", action="store_true", help="for machines")
+    parser.set_defaults(run=_production)
+    return parser
+
+
+def _production(arguments: argparse.Namespace) -> int:
+    rows = production_table(arguments.n, arguments.seed)
+    if arguments.json:
+        print(json.dumps(as_records(rows), indent=2))
+    else:
+        write = as_markdown if arguments.markdown else as_csv if arguments.csv else as_text
+        print(write(rows), end="")
+    return 0

@@ -1,0 +1,129 @@
+"""An integer Cholesky factor with a shared exponent, as SBAS Message Type 28.
+
+RTCA DO-229, A.4.4.16: ``R = 2^(scale exponent - 5) E`` with E upper triangular, four diagonal
+elements of 9 bits, six others of 10 bits, and a scale exponent of 3 bits, 99 in all; the covariance
+is ``R^T R``. The states have static units here, and the order c0, beta, y_off, c1. SBAS
+makes up for the rounding by a constant that it broadcasts besides; here the factor
+itself is made larger until it covers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import LayoutError
+from ...wire.covariance.code import Array, Coded, check_octaves
+from ...wire.message.layout import STATE_SIGNALS, Layout
+from .batch import BatchCode
+
+__all__ = ["IntegerCholesky", "entry_name"]
+
+#: States in the order of the factor, and the unit of each.
+ORDER = (2, 1, 0, 3)
+UNIT = np.array([2.0**-8, 2.0**-12, 2.0**-14, 2.0**-16])
+#: Least excess of what is coded over what it must cover, relative.
+MARGIN = 1e-6
+TRIES = 24
+
+
+def entry_name(i: int, j: int) -> str:
+    """Return the signal of an entry of the factor."""
+    return f"Root{STATE_SIGNALS[ORDER[i]]}{STATE_SIGNALS[ORDER[j]]}"
+
+
+class IntegerCholesky(BatchCode):
+    """The factor with the least exponent into which it fits, and large enough to cover.
+
+    Any bits with diagonal elements of 1 or more give a positive definite matrix.
+    """
+
+    name = "IntegerCholesky"
+    about = "integer Cholesky factor with a shared exponent (SBAS MT28), enlarged to cover"
+    positive_definite = False
+    covering = True
+
+    def __init__(self, layout: Layout) -> None:
+        self.exponent = layout["ScaleExponent"]
+        self.entries = {
+            (i, j): layout[entry_name(i, j)] for i in range(4) for j in range(i, 4)
+        }  # of the upper triangle
+        self.signals = (self.exponent, *self.entries.values())
+        check_octaves(layout, [self.exponent])
+        for signal in self.entries.values():
+            if signal.factor <= 0 or signal.offset:
+                raise LayoutError(
+                    f"{layout.source}: signal {signal.name} needs a positive factor and no offset"
+                )
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        n, order = len(error), list(ORDER)
+        with np.errstate(over="ignore"):
+            M = (error + np.diag(resolution)) / (UNIT[:, None] * UNIT)
+        M = M[:, order][:, :, order]
+        raw = {signal.name: np.zeros(n, dtype=np.int64) for signal in self.signals}
+        done = np.zeros(n, dtype=bool)
+        rows = np.flatnonzero(np.isfinite(M).all(axis=(1, 2)))
+        bump = np.full(n, 1.0)
+        for _ in range(TRIES):
+            if not len(rows):
+                break
+            values, fits = self._rounded(M[rows] * bump[rows, None, None])
+            decoded = self._unscaled(values)
+            ratio = np.full(len(rows), 2.0)
+            if fits.any():
+                ratio[fits] = _largest_ratio(decoded[fits], M[rows[fits]])
+            good = fits & (ratio <= 1)
+            for name, value in values.items():
+                raw[name][rows[good]] = value[good]
+            done[rows[good]] = True
+            bump[rows] *= np.where(good, 1.0, np.maximum(ratio, 1.0) * 1.01)
+            rows = rows[fits & ~good]
+        for name, widest in self.widest().items():
+            raw[name][~done] = widest
+        return Coded(raw, np.zeros(n, dtype=bool), done)
+
+    def _rounded(self, M: Array) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+        """Raw values of (n, 4, 4) matrices, with the least exponent that holds them."""
+        L = np.linalg.cholesky(M)
+        least = np.full(len(M), self.exponent.physical_range[0])
+        for (i, j), signal in self.entries.items():
+            reach = signal.physical_range[1]
+            with np.errstate(divide="ignore"):
+                least = np.maximum(least, np.log2(np.abs(L[:, j, i]) / reach))
+        exponent = np.ceil(least)
+        fits = exponent <= self.exponent.physical_range[1]
+        scale = np.exp2(exponent)
+        values = {self.exponent.name: (exponent - self.exponent.offset).astype(np.int64)}
+        for (i, j), signal in self.entries.items():
+            element = L[:, j, i] / scale / signal.factor
+            nearest = np.ceil(element - 1e-9) if i == j else np.rint(element)
+            values[signal.name] = signal.limited(nearest).astype(np.int64)
+        return values, fits
+
+    def _unscaled(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        R = np.zeros((len(raw[self.exponent.name]), 4, 4))
+        scale = np.exp2(self.exponent.physical(raw[self.exponent.name]))
+        for (i, j), signal in self.entries.items():
+            R[:, i, j] = signal.physical(raw[signal.name]) * scale
+        return R.transpose(0, 2, 1) @ R
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        cov = np.empty((len(raw[self.exponent.name]), 4, 4))
+        cov[:, np.array(ORDER)[:, None], np.array(ORDER)] = self._unscaled(raw)
+        cov *= UNIT[:, None] * UNIT
+        return (cov + cov.transpose(0, 2, 1)) / 2
+
+    def widest(self) -> dict[str, int]:
+        wide = {signal.name: signal.raw_max for (i, j), signal in self.entries.items() if i == j}
+        none = {signal.name: 0 for signal in self.signals}
+        return none | wide | {self.exponent.name: self.exponent.raw_max}
+
+
+def _largest_ratio(decoded: Array, M: Array) -> Array:
+    """(n,) largest eigenvalue of decoded^-1 M, and a little more for rounding."""
+    inverse = np.linalg.inv(np.linalg.cholesky(decoded))
+    ratio = np.linalg.eigvalsh(inverse @ M @ inverse.transpose(0, 2, 1))[:, -1]
+    return np.asarray(ratio * (1 + MARGIN), dtype=float)

@@ -1,0 +1,1 @@
+"""Descriptions of the signals, and the DBC that is written from them."""

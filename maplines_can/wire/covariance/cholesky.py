@@ -1,0 +1,217 @@
+"""The covariance code: log pivots and pivot-relative Cholesky rows, quantized with feedback.
+
+Write the covariance in the order of its rows as ``S = L L^T``, L lower
+triangular, and let ``S' = L' L'^T`` be what is decoded. With ``A = L'^-1 L``,
+
+    KL(N(0, S) || N(0, S')) = sum_i ((a_ii^2 - 1) / 2 - ln a_ii) + 1/2 sum_{i>j} a_ij^2,
+
+so the entries of A are the errors that count, each by itself. Sent are the
+pivots ``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the
+diagonal outwards, each ratio is chosen to bring its a_ij next to zero *given
+the rows as already decoded*; every a_ij then ends within half a step whatever
+the covariance, and the expected divergence is a constant of the code: a ratio
+of step D costs D^2 / 24, a pivot of step D (in octaves) costs (D ln 2)^2 / 12.
+
+Two things make the result cover what is sent. A ratio beyond its range lifts
+its pivot until it fits: that adds variance in the one direction that is
+thinner than the code can say, and nowhere else. And the whole is multiplied by
+2^inflation, the least for which S' minus the mean square error about the decoded
+mean is positive semidefinite.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..message.layout import Layout
+from .code import Array, Coded, CovarianceCode, check_octaves
+from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
+
+__all__ = ["CholeskyCode"]
+
+#: Room for the rounding of whoever checks the guarantee with another algorithm.
+MARGIN = 1e-6
+
+
+class CholeskyCode(CovarianceCode):
+    """Pivots and ratios with feedback, and an inflation: the default of the wire."""
+
+    name = "Cholesky"
+    about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
+    positive_definite = True
+    covering = True
+
+    def __init__(self, layout: Layout) -> None:
+        self.factor = CholeskyFactor(layout)
+        self.inflation = layout["Inflation"]
+        self.signals = (*self.factor.signals, self.inflation)
+        check_octaves(layout, [self.inflation])
+        self._variance_factor = exp2_table(self.inflation)
+        # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
+        self._unreachable = np.empty(4)
+        factor = self.factor
+        for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
+            reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
+            self._unreachable[state] = 2.0 ** (2 * pivot.physical_range[1]) * reach * 4
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        n = len(error)
+        coded = Coded(
+            {signal.name: np.zeros(n, dtype=np.int64) for signal in self.signals},
+            np.zeros(n, dtype=bool),
+            np.zeros(n, dtype=bool),
+        )
+        diagonal = np.einsum("nii->ni", error)
+        for start in range(0, n, BLOCK):
+            rows = np.arange(start, min(start + BLOCK, n))
+            rows = rows[(diagonal[rows] < self._unreachable).all(axis=1)]
+            scale = np.ones(len(rows))
+            # Once is enough unless a DBC leaves too little inflation for its steps, or a value
+            # meets the end of its range: then for a target that is larger by what was missing.
+            for _ in range(8):
+                excess = self._encode_block(error[rows], resolution, scale, rows, coded)
+                again = excess > 1
+                if not again.any():
+                    break
+                rows, scale = rows[again], (1.02 * scale * excess)[again]
+        lost = ~coded.covered
+        if lost.any():
+            for name, raw in self.widest().items():
+                coded.raw[name][lost] = raw
+        return coded
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        scale = lookup(self._variance_factor, self.inflation, raw[self.inflation.name])
+        return self.factor.decode(raw, scale)
+
+    def decode_one(self, raw: Mapping[str, int]) -> Array:
+        scale = lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
+        return self.factor.decode_one(raw, scale)
+
+    def widest(self) -> dict[str, int]:
+        return self.factor.widest() | {self.inflation.name: self.inflation.raw_max}
+
+    def _encode_block(
+        self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
+    ) -> Array:
+        """Code one block into ``coded``; returns what is missing of each inflation, 1 or less."""
+        order = self.factor.order
+        M = [[error[:, i, j].copy() for j in order] for i in order]
+        floor = [resolution[i] * scale for i in order]
+        target = [[scale * M[i][j] for j in range(i + 1)] for i in range(4)]
+        for i in range(4):
+            target[i][i] = target[i][i] + floor[i]
+        raw, L, lifted = self._quantize(target, floor)
+        needed = _largest_ratio(L, M)
+        steps = (np.log2(needed) - self.inflation.offset) / self.inflation.factor
+        inflation = self.inflation.limited(np.ceil(steps))
+        given = lookup(self._variance_factor, self.inflation, inflation.astype(np.int64))
+        raw[self.inflation.name] = inflation
+        for name, value in raw.items():
+            coded.raw[name][rows] = value.astype(np.int64)
+        excess = needed / given
+        coded.saturated[rows] = lifted
+        coded.covered[rows] = excess <= 1
+        return excess
+
+    def _quantize(
+        self, S: list[list[Array]], floor: list[Array]
+    ) -> tuple[dict[str, Array], list[list[Array]], NDArray[np.bool_]]:
+        """Cholesky's recursion and the quantization of its rows, in one pass.
+
+        Args:
+            S: rows of the lower triangle of the target, (N,) entries.
+            floor: least value of each squared pivot. What a diagonal matrix added to
+                a semidefinite one is a bound that rounding must not undercut.
+
+        Returns:
+            Raw pivots and ratios, the rows of L' that they decode to, and which
+            targets had a pivot lifted.
+        """
+        raw: dict[str, Array] = {}
+        L: list[list[Array]] = []
+        A: list[list[Array]] = []
+        decoded: list[list[Array]] = []
+        saturated = np.zeros(len(S[0][0]), dtype=bool)
+        for i, (table, pivot) in enumerate(
+            zip(self.factor.sigmas, self.factor.pivots, strict=True)
+        ):
+            target: list[Array] = []
+            for j in range(i):
+                rest = S[i][j] - sum(target[k] * L[j][k] for k in range(j))
+                target.append(rest / L[j][j])
+            exact = np.sqrt(np.maximum(S[i][i] - sum(x * x for x in target), floor[i]))
+            nearest = pivot.raw(np.log2(exact))
+            chosen = pivot.limited(nearest)
+            for _ in range(4):
+                sigma = lookup(table, pivot, chosen.astype(np.int64))
+                row, overflow = self._choose_ratios(i, target, sigma, A, raw)
+                over = overflow > 1
+                if not over.any():
+                    break
+                lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
+                chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
+            # A lifted pivot is variance of its own in the target: later rows lean on it less.
+            lifted = chosen > nearest
+            exact = np.where(lifted, sigma, exact)
+            saturated |= lifted
+            raw[pivot.name] = chosen
+            decoded.append([*row, sigma])
+            L.append([*target, exact])
+            A.append(
+                [(target[j] - sum(row[k] * A[k][j] for k in range(j, i))) / sigma for j in range(i)]
+                + [exact / sigma]
+            )
+        return raw, decoded, saturated
+
+    def _choose_ratios(
+        self, i: int, target: list[Array], sigma: Array, A: list[list[Array]], raw: dict[str, Array]
+    ) -> tuple[list[Array], Array]:
+        """Row i of L' left of its pivot, from the diagonal outwards.
+
+        Each ratio takes what is left of its target after the entries already chosen.
+
+        Returns:
+            The decoded entries, and by what factor the pivot is too small for them.
+        """
+        row = [sigma] * i
+        overflow = np.ones_like(sigma)
+        for j in reversed(range(i)):
+            ratio = self.factor.ratios[i][j]
+            rest = target[j] - sum(row[k] * A[k][j] for k in range(j + 1, i))
+            wanted = rest / (A[j][j] * sigma)
+            nearest = ratio.raw(wanted)
+            limited = ratio.limited(nearest)
+            beyond = nearest != limited
+            if beyond.any():
+                end = np.abs(ratio.physical(limited)) + ratio.factor / 2
+                overflow = np.maximum(overflow, np.where(beyond, np.abs(wanted) / end, 1.0))
+            raw[ratio.name] = limited
+            row[j] = ratio.physical(limited) * sigma
+        return row, overflow
+
+
+def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
+    """(N,) largest eigenvalue of (L L^T)^-1 M and a little more, for rounding.
+
+    The little grows with the condition of the factor, as the rounding does.
+    """
+    n = len(L)
+    X: list[list[Array]] = []  # rows of L^-1
+    for i in range(n):
+        inverse = 1 / L[i][i]
+        row = [-inverse * sum(L[i][k] * X[k][j] for k in range(j, i)) for j in range(i)]
+        X.append([*row, inverse])
+    W = np.empty((len(M[0][0]), n, n))
+    amplification = np.zeros(len(W))
+    for i in range(n):
+        XM = [sum(X[i][k] * M[k][j] for k in range(i + 1)) for j in range(n)]
+        for j in range(i + 1):
+            W[:, i, j] = sum(XM[k] * X[j][k] for k in range(j + 1))
+        amplification += sum(X[i][k] ** 2 * M[k][k] for k in range(i + 1))
+    largest = np.linalg.eigvalsh(W, UPLO="L")[:, -1]
+    margin = MARGIN + 32 * np.finfo(float).eps * amplification
+    return np.maximum(largest, 0) * (1 + MARGIN) + margin

@@ -1,0 +1,150 @@
+"""The Cholesky factor of a covariance as signals: log pivots, and rows over their pivots.
+
+Write the covariance in the order of its rows as ``S = L L^T``, L lower triangular. The signals are the
+pivots ``log2 L_ii`` and the ratios ``L_ij / L_ii`` (Pinheiro and Bates, Statistics and Computing 6,
+1996, with each row divided by its pivot). Any bits decode to a positive definite matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import chain
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import LayoutError
+from ..message.layout import STATE_SIGNALS, Layout
+from ..message.signals import Signal
+from .code import Array, check_octaves
+
+__all__ = ["BLOCK", "CholeskyFactor", "exp2_table", "lookup", "lookup_one"]
+
+#: Rows processed at a time: all arrays of a block stay in the cache.
+BLOCK = 2048
+#: Largest condition number of a decoded correlation matrix that double precision holds.
+LARGEST_CONDITION = 1e13
+
+
+class CholeskyFactor:
+    """The signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
+
+    The order of the rows is in the names: ``RatioC0Beta`` says that C0 comes after Beta.
+
+    Args:
+        layout: whose signals these are.
+
+    Raises:
+        LayoutError: a signal is missing, the ratios give no order of the rows, a factor is not
+            positive, or a decoded matrix could be too ill-conditioned.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        below = {
+            row: [column for column in STATE_SIGNALS if f"Ratio{row}{column}" in layout.signals]
+            for row in STATE_SIGNALS
+        }
+        names = sorted(STATE_SIGNALS, key=lambda state: len(below[state]))
+        if [len(below[name]) for name in names] != [0, 1, 2, 3]:
+            raise LayoutError(
+                f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
+                f"pair of {', '.join(STATE_SIGNALS)}, but there are {below}"
+            )
+        #: States in the order of the rows, as indices into the mean.
+        self.order = [STATE_SIGNALS.index(name) for name in names]
+        self.pivots = [layout[f"Pivot{name}"] for name in names]
+        self.ratios = [
+            [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
+        ]
+        self.signals: tuple[Signal, ...] = (*self.pivots, *chain(*self.ratios))
+        for signal in self.signals:
+            if signal.factor <= 0:
+                raise LayoutError(f"{layout.source}: signal {signal.name} needs a positive factor")
+        if (condition := self._largest_condition()) > LARGEST_CONDITION:
+            raise LayoutError(
+                f"{layout.source}: the ratios reach so far that a matrix could have the condition "
+                f"{condition:.0e}, which double precision cannot hold; make their ranges narrower"
+            )
+        check_octaves(layout, self.pivots)
+        #: Standard deviations by raw pivot, for ``lookup``.
+        self.sigmas = [exp2_table(signal) for signal in self.pivots]
+
+    def _largest_condition(self) -> float:
+        """Bound on the condition of a decoded correlation matrix, whatever its bits."""
+        reach = np.zeros((4, 4))
+        for i, ratios in enumerate(self.ratios):
+            reach[i, :i] = [max(map(abs, ratio.physical_range)) for ratio in ratios]
+        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, the worst signs
+        norm = np.sqrt(1 + (reach**2).sum(axis=1))
+        return float(((inverse * norm) ** 2).sum())
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None = None) -> Array:
+        """Return (N, 4, 4) covariances ``scale L L^T``.
+
+        Args:
+            raw: (N,) values by signal.
+            scale: (N,) factor on each covariance; None: 1.
+        """
+        n = len(raw[self.pivots[0].name])
+        cov = np.empty((n, 4, 4))
+        for start in range(0, n, BLOCK):
+            rows = slice(start, start + BLOCK)
+            block = {signal.name: raw[signal.name][rows] for signal in self.signals}
+            L = []
+            for table, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
+                sigma = lookup(table, pivot, block[pivot.name])
+                L.append([ratio.physical(block[ratio.name]) * sigma for ratio in ratios] + [sigma])
+            for i, j, value in _products(L, 1.0 if scale is None else scale[rows]):
+                cov[rows, self.order[i], self.order[j]] = value
+                cov[rows, self.order[j], self.order[i]] = value
+        return cov
+
+    def decode_one(self, raw: Mapping[str, int], scale: float = 1.0) -> Array:
+        """Return one (4, 4) covariance: as ``decode`` to the last bit."""
+        L = []
+        for table, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
+            sigma = lookup_one(table, pivot, raw[pivot.name])
+            L.append([ratio.physical_one(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
+        cov = [[0.0] * 4 for _ in range(4)]
+        for i, j, value in _products(L, scale):
+            cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value
+        return np.array(cov)
+
+    def widest(self) -> dict[str, int]:
+        """Return the raw values of the largest pivots without correlations."""
+        pivots = {pivot.name: pivot.raw_max for pivot in self.pivots}
+        none = {ratio.name: int(ratio.limited(ratio.raw(0.0))) for ratio in chain(*self.ratios)}
+        return pivots | none
+
+
+def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]:
+    """Yield the lower triangle of ``factor L L^T``, for arrays and single numbers alike."""
+    for i, row in enumerate(L):
+        scaled = [factor * entry for entry in row]
+        for j, column in enumerate(L[: i + 1]):
+            value = scaled[0] * column[0]
+            for k in range(1, j + 1):
+                value += scaled[k] * column[k]
+            yield i, j, value
+
+
+def exp2_table(signal: Signal) -> Array | None:
+    """Return 2 to the physical value of each raw value; None if there are more than 65 536."""
+    if signal.raw_max - signal.raw_min >= 1 << 16:
+        return None
+    return np.exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)))
+
+
+def lookup(table: Array | None, signal: Signal, raw: NDArray[np.int64]) -> Array:
+    """Return 2 to the physical value; a raw value outside the DBC's range counts as its end."""
+    if table is None:
+        return np.exp2(signal.physical(raw))
+    return table.take(raw - signal.raw_min, mode="clip")
+
+
+def lookup_one(table: Array | None, signal: Signal, raw: int) -> float:
+    """Return the same for one value, to the last bit."""
+    if table is None:
+        return float(np.exp2(signal.physical_one(raw)))
+    return table.item(min(max(raw - signal.raw_min, 0), len(table) - 1))

@@ -1,0 +1,1 @@
+"""DBC to layout, records to bytes, and back."""

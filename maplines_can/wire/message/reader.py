@@ -1,0 +1,180 @@
+"""Records to lines: many at once, or one as it comes from the bus."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...gaussian import Gaussian, nearest_covariance
+from ...line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
+from ..covariance import CovarianceCode
+from ..protection.e2e import record_crc, record_crc_one
+from ..reasons import Reason
+from .layout import PAGE, STATE_SIGNALS, TRANSFER_ID, Layout
+from .packing import Packing
+
+__all__ = ["Batch", "Part", "RecordReader"]
+
+#: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
+VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
+
+LAST_STATUS, LAST_KIND = max(Status), max(Kind)
+#: Least eigenvalue that a repair gives to a correlation matrix.
+LEAST_VARIANCE = 1e-9
+_VAGUE = np.diag(np.square(VAGUE_SIGMA))
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Many decoded records. Believe a row only where ``accepted`` is true."""
+
+    mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
+    #: (N, 4, 4), positive definite in every row where the covariance code guarantees it; else as
+    #: the bytes say, which ``Codec.decode_one`` and a receiver repair.
+    cov: NDArray[np.float64]
+    verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
+    status: NDArray[np.int64]  #: (N,) as ``Status``
+    kind: NDArray[np.int64]  #: (N,) as ``Kind``
+    x_min: NDArray[np.float64]  #: (N,) [m]; x_max where the extent is shorter than the steps
+    x_max: NDArray[np.float64]  #: (N,) [m]
+    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
+    component_index: NDArray[np.int64]  #: (N,)
+    component_count: NDArray[np.int64]  #: (N,)
+    component_weight: NDArray[np.float64]  #: (N,)
+    counter: NDArray[np.int64]  #: (N,)
+
+    @property
+    def accepted(self) -> NDArray[np.bool_]:
+        """(N,) records whose pages belong together, with a good checksum and lawful content."""
+        return self.verdict == 0
+
+    @property
+    def rejects(self) -> Counter[Reason]:
+        """Records that are not accepted, by reason."""
+        numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
+        pairs = zip(VERDICTS, numbers.tolist(), strict=True)
+        return Counter({reason: n for reason, n in pairs if reason and n})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """What one record says: a line, or a part of one that is a mixture."""
+
+    line: MapLine
+    index: int  #: which part, from 0
+    count: int  #: of how many
+    weight: float
+    counter: int  #: of the record
+
+
+class RecordReader:
+    """Reads records of a layout; both ways give the same bits."""
+
+    def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
+        self._fields = layout.signals
+        self._pages = layout.pages
+        self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._resolution = layout.resolution
+        self._covariance = covariance
+        self._packing = packing
+        self._crc_offset = layout.crc_offset
+        self._transfer_mask = 2 ** layout[f"{TRANSFER_ID}0"].length - 1
+
+    def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
+        """Read (N, record bytes), each with its (N,) data ID."""
+        n = len(payloads)
+        raw = self._packing.unpack(payloads)
+        mean = np.empty((n, len(self._mean)))
+        for i, signal in enumerate(self._mean):
+            mean[:, i] = signal.physical(raw[signal.name])
+        cov = self._covariance.decode(raw)
+        status = raw["Status"]
+        vague = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
+        if vague.any():
+            cov[vague] = _VAGUE
+
+        physical = {
+            name: self._fields[name].physical(raw[name])
+            for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
+        }
+        index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
+        transfer = raw["Counter"] & self._transfer_mask
+        verdict = np.zeros(n, dtype=np.int8)
+        unlawful = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
+        unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
+        if not self._covariance.positive_definite:
+            unlawful |= ~np.isfinite(cov).all(axis=(1, 2))
+            unlawful |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
+        verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
+        crc = record_crc(payloads, data_ids, self._crc_offset)
+        verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
+        for page in range(self._pages):
+            apart = (raw[f"{PAGE}{page}"] != page) | (raw[f"{TRANSFER_ID}{page}"] != transfer)
+            verdict[apart] = VERDICTS.index(Reason.MIXED)
+        return Batch(
+            mean=mean,
+            cov=cov,
+            verdict=verdict,
+            status=status,
+            kind=raw["Kind"],
+            x_min=np.minimum(physical["XMin"], physical["XMax"]),
+            x_max=physical["XMax"],
+            age=physical["Age"] / 1000,
+            component_index=index,
+            component_count=count,
+            component_weight=physical["ComponentWeight"],
+            counter=raw["Counter"],
+        )
+
+    def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> Part | Reason:
+        """Read one record, without the cost of arrays; the part, or why it is not accepted."""
+        if len(payload) != self._packing.record_bytes:
+            return Reason.LENGTH
+        raw, signals = self._packing.unpack_one(payload), self._fields
+        transfer = raw["Counter"] & self._transfer_mask
+        for page in range(self._pages):
+            if raw[f"{PAGE}{page}"] != page or raw[f"{TRANSFER_ID}{page}"] != transfer:
+                return Reason.MIXED
+        if raw["Crc"] != record_crc_one(payload, data_id, self._crc_offset):
+            return Reason.CRC
+        weight = signals["ComponentWeight"].physical_one(raw["ComponentWeight"])
+        index = raw["ComponentIndex"]
+        count = int(signals["ComponentCount"].physical_one(raw["ComponentCount"]))
+        if raw["Status"] > LAST_STATUS or raw["Kind"] > LAST_KIND:
+            return Reason.CONTENT
+        if index >= count or not 0 < weight <= 1:
+            return Reason.CONTENT
+        mean = np.array([signal.physical_one(raw[signal.name]) for signal in self._mean])
+        bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
+        cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
+        status = Status(raw["Status"])
+        if not (bare or self._covariance.positive_definite):
+            if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
+                return Reason.CONTENT
+            if not _definite(cov):
+                cov = nearest_covariance(cov)
+                cov += np.diag(np.maximum(self._resolution, LEAST_VARIANCE * cov.diagonal()))
+                status = Status.REPAIRED
+        x_min, x_max = (signals[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+        line = MapLine(
+            slot=slot,
+            gaussian=Gaussian.trusted(mean, cov),
+            kind=Kind(raw["Kind"]),
+            x_min=min(x_min, x_max),
+            x_max=x_max,
+            age=signals["Age"].physical_one(raw["Age"]) / 1000,
+            status=status,
+            t_ns=t_ns,
+        )
+        return Part(line, index, count, weight, raw["Counter"])
+
+
+def _definite(cov: NDArray[np.float64]) -> bool:
+    """Whether a (4, 4) matrix is positive definite beyond rounding."""
+    sigma = np.sqrt(cov.diagonal())
+    if not sigma.all():
+        return False
+    return bool(np.linalg.eigvalsh(cov / (sigma[:, None] * sigma))[0] > 1e-12)

@@ -1,0 +1,117 @@
+"""The newest line of each slot, and whether it may be used."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import NamedTuple, Protocol
+
+from ...line import MapLine, Slot
+from ..protection.e2e_state import E2EState, ProfileStatus
+from .sequence import SequenceCheck, SlotStats
+
+__all__ = ["Monitor", "SlotView"]
+
+#: A line is stale when nothing newer has come for so many cycle times: two lines in a row
+#: may be lost, at 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
+STALE_CYCLES = 3.0
+
+
+class CheckingDecoder(Protocol):
+    """What the monitor needs of ``wire.Decoder``."""
+
+    @property
+    def checks(self) -> Mapping[Slot, SequenceCheck]: ...
+    def feed(
+        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
+    ) -> MapLine | Enum: ...
+
+
+class SlotView(NamedTuple):
+    """What a consumer needs of a slot in one of its cycles."""
+
+    slot: Slot
+    line: MapLine | None  #: the newest; None before the first
+    age: float  #: from the time of the line's pose to now [s]; infinite where there is no line
+    stale: bool  #: nothing newer came for some cycle times, or there is no line
+    state: E2EState  #: what the records of the slot are worth
+    status: ProfileStatus | None  #: of the last check; None before the first
+    two_senders: bool  #: two senders were heard on the slot in the last 256 cycles
+
+    @property
+    def usable(self) -> bool:
+        """Whether the E2E state is VALID, the line is not stale, and there is one sender.
+
+        Of what the line itself says nothing: see ``line.status``.
+        """
+        return self.state is E2EState.VALID and not self.stale and not self.two_senders
+
+
+class Monitor:
+    """A decoder that keeps the newest line of each slot; time is an argument.
+
+    A ``Receiver`` has one behind its ``latest``. By itself it serves where there is
+    no bus, as in a simulator. Not safe for threads.
+
+    Args:
+        decoder: turns frames into lines.
+
+    >>> from maplines_can import Codec, Slot, MapLine
+    >>> codec = Codec.from_dbc()
+    >>> monitor = Monitor(codec.decoder())
+    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)):
+    ...     _ = monitor.feed(frame.can_id, frame.data, t_ns=0)
+    >>> view = monitor.latest(Slot.ROUTE, now_ns=60_000_000)
+    >>> view.state.name, round(view.age, 3), view.stale
+    ('INIT', 0.084, False)
+    >>> monitor.latest(Slot.ROUTE, now_ns=160_000_000).stale
+    True
+    """
+
+    def __init__(self, decoder: CheckingDecoder) -> None:
+        self._decoder = decoder
+        self._lines: dict[Slot, MapLine] = {}
+
+    def feed(
+        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
+    ) -> MapLine | Enum:
+        """Take a frame, as ``Decoder.feed``."""
+        answer = self._decoder.feed(can_id, data, t_ns, is_extended=is_extended)
+        if isinstance(answer, MapLine):
+            self._lines[answer.slot] = answer
+        return answer
+
+    def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
+        """The newest line of a slot; call it once in a cycle of your own, of any length.
+
+        Args:
+            slot: which line.
+            now_ns: on the clock of the frames' time stamps [ns]. A clock that was set
+                back makes all lines stale.
+            stale_cycles: after how many cycle times without a newer one a line is stale;
+                see ``Codec.decoder`` for the cycle time.
+
+        Raises:
+            ValueError: the DBC has no such slot.
+        """
+        check = self._decoder.checks.get(slot)
+        if check is None:
+            names = ", ".join(known.name for known in self._decoder.checks)
+            raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
+        if now_ns != now_ns // 1:
+            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
+        state = check.elapse(now_ns)
+        line = self._lines.get(slot)
+        age, stale = float("inf"), True
+        if line is not None and line.t_ns is not None:
+            waited_ns = now_ns - line.t_ns
+            age = line.age + waited_ns / 1e9
+            stale = abs(waited_ns) > stale_cycles * check.cycle_ns
+        return SlotView(Slot(slot), line, age, stale, state, check.status, check.two_senders)
+
+    def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
+        """What is known of each slot on which anything came."""
+        for check in self._decoder.checks.values():
+            check.elapse(now_ns)
+        stats = {slot: check.stats() for slot, check in self._decoder.checks.items()}
+        return {slot: known for slot, known in stats.items() if known.status is not None}
