@@ -20,7 +20,7 @@ from .message.channel import Channel
 from .message.components import deficit, quantized_weights
 from .message.layout import LONGEST_MS, PAGE_BYTES, STATE_SIGNALS, Layout, default_dbc_path
 from .message.packing import Packing
-from .message.reader import Batch, Part, RecordReader
+from .message.reader import Batch, DecodedRecord, RecordReader
 from .message.writer import RecordWriter
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
@@ -244,7 +244,7 @@ class Codec:
         part = self.read_record(payload, slot, t_ns)
         return part if isinstance(part, Reason) else part.line
 
-    def read_record(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> Part | Reason:
+    def read_record(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> DecodedRecord | Reason:
         """As ``decode_one``, with what the record says of the mixture that it is a part of."""
         channel = self.layout.channels.get(slot)
         if channel is None:
@@ -470,7 +470,8 @@ class Codec:
                 f"max_delta_counter must be less than {counters // 2}, half of the counters of "
                 f"{self.layout.source}, got {e2e.max_delta_counter}"
             )
-        return Decoder(self, int(timeout_ms * 1e6), cycles_ns, e2e)
+        timeout_ns = int(timeout_ms * 1e6)
+        return Decoder(self.layout, self._reader, self.verifier(), timeout_ns, cycles_ns, e2e)
 
 
 def _covariance_code(layout: Layout, codes: Mapping[str, type[CovarianceCode]]) -> CovarianceCode:

@@ -16,7 +16,7 @@ from ..reasons import Reason
 from .layout import PAGE, STATE_SIGNALS, TRANSFER_ID, Layout
 from .packing import Packing
 
-__all__ = ["Batch", "Part", "RecordReader"]
+__all__ = ["Batch", "DecodedRecord", "RecordReader"]
 
 #: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
@@ -60,7 +60,7 @@ class Batch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class DecodedRecord:
     """What one record says: a line, or a part of one that is a mixture."""
 
     line: MapLine
@@ -129,7 +129,7 @@ class RecordReader:
             counter=raw["Counter"],
         )
 
-    def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> Part | Reason:
+    def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> DecodedRecord | Reason:
         """Read one record, without the cost of arrays; the part, or why it is not accepted."""
         if len(payload) != self._packing.record_bytes:
             return Reason.LENGTH
@@ -169,7 +169,7 @@ class RecordReader:
             status=status,
             t_ns=t_ns,
         )
-        return Part(line, index, count, weight, raw["Counter"])
+        return DecodedRecord(line, index, count, weight, raw["Counter"])
 
 
 def _definite(cov: NDArray[np.float64]) -> bool:

@@ -1,66 +1,70 @@
-"""Evidence that two senders use one slot."""
+"""Diagnostic of two senders on one slot."""
 
 from __future__ import annotations
 
 __all__ = ["SenderConflict"]
 
-#: Proofs that make it certain, each within so many cycles of the one before. A transfer that a gateway
-#: holds up or a sender that starts anew leaves one or two.
-PROOFS, NEAR_CYCLES = 8, 32
-#: Of so many records, so many came a second time: that makes it certain, too.
-NEWS, COPIES = 32, 29
-#: It is forgotten after so many cycles without either.
-FORGOTTEN_CYCLES = 256
+#: Conflicts that make two senders certain, and the greatest distance between two of them [cycles].
+#: A gateway that delays a transfer, or a sender that restarts, causes one or two.
+CONFLICTS, NEAR_CYCLES = 8, 32
+#: Two senders are also certain if this many of the last new records came a second time.
+NEW_RECORDS, DUPLICATES = 32, 29
+#: A second sender is forgotten after this many cycles without evidence.
+FORGET_CYCLES = 256
 
 
 class SenderConflict:
-    """What two senders leave, told from what a bad bus does to the records of one.
+    """Evidence of a second sender, as opposed to what a bad bus does to the records of one.
 
-    A proof is a record that the first sender cannot have sent: one with the counter of another,
-    or of a sequence of its own; at most one counts in half a cycle, and between two news.
-    Two senders that send the same leave copies only; so does a path on which all comes
-    twice. Time is an argument.
+    A conflict is a record that the first sender cannot have sent: one with the counter of another
+    record, or of a sequence of its own. At most one counts in half a cycle, and at most one between
+    two new records. Two senders of the same content cause duplicates only; so does a path that
+    duplicates every frame. Time is an argument.
+
+    The delivery of lines does not depend on this diagnostic. ``SlotView.usable`` does: a second
+    sender whose counters are ahead by up to ``max_delta_counter`` passes the E2E check as lost
+    records do, and its lines are delivered while the state is VALID.
 
     Args:
-        cycle_ns: how often records come [ns].
+        cycle_ns: time between records [ns].
     """
 
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
-        self._proofs = self._news = self._copies = 0
-        self._proof_ns = self._certain_ns = -(2**62)
-        self._is_stuck = True  # nothing was new since the last proof
+        self._conflicts = self._new_records = self._duplicates = 0
+        self._conflict_ns = self._certain_ns = -(2**62)
+        self._is_blocked = True  # no new record since the last conflict
         #: Whether there are two senders, as far as is known now.
         self.is_certain = False
 
-    def news(self) -> None:
-        """A record was news."""
-        self._is_stuck = False
-        self._news += 1
-        if self._news > NEWS:
-            self._news, self._copies = 1, 0
+    def new(self) -> None:
+        """Count a new record."""
+        self._is_blocked = False
+        self._new_records += 1
+        if self._new_records > NEW_RECORDS:
+            self._new_records, self._duplicates = 1, 0
 
-    def copy(self, t_ns: int) -> None:
-        """A record that was news came again for the first time: what is stuck leaves one."""
-        self._copies += 1
-        if self._news >= NEWS and self._copies >= COPIES:
+    def duplicate(self, t_ns: int) -> None:
+        """Count the first duplicate of a new record; a sender that is stuck causes only one."""
+        self._duplicates += 1
+        if self._new_records >= NEW_RECORDS and self._duplicates >= DUPLICATES:
             self.is_certain, self._certain_ns = True, t_ns
 
-    def proof(self, t_ns: int) -> None:
-        """A record came that another sender must have sent."""
-        cycles = abs(t_ns - self._proof_ns) / self._cycle_ns
-        if cycles < 0.5 or self._is_stuck:
+    def conflict(self, t_ns: int) -> None:
+        """Count a record that another sender must have sent."""
+        cycles = abs(t_ns - self._conflict_ns) / self._cycle_ns
+        if cycles < 0.5 or self._is_blocked:
             return
-        self._proofs = self._proofs + 1 if cycles <= NEAR_CYCLES else 1
-        self._proof_ns, self._is_stuck = t_ns, True
-        if self._proofs >= PROOFS:
+        self._conflicts = self._conflicts + 1 if cycles <= NEAR_CYCLES else 1
+        self._conflict_ns, self._is_blocked = t_ns, True
+        if self._conflicts >= CONFLICTS:
             self.is_certain, self._certain_ns = True, t_ns
 
-    def withdraw(self) -> None:
-        """The last proof was none: the sequence has taken over, as of a sender that starts anew."""
-        self._proofs = max(0, self._proofs - 1)
+    def retract(self) -> None:
+        """Discount the last conflict: its sequence was that of a sender that restarted."""
+        self._conflicts = max(0, self._conflicts - 1)
 
     def elapse(self, t_ns: int) -> None:
-        """Forget what is long past."""
-        if self.is_certain and abs(t_ns - self._certain_ns) > FORGOTTEN_CYCLES * self._cycle_ns:
-            self.is_certain, self._proofs = False, 0
+        """Forget evidence that is too old at ``t_ns`` [ns]."""
+        if self.is_certain and abs(t_ns - self._certain_ns) > FORGET_CYCLES * self._cycle_ns:
+            self.is_certain, self._conflicts = False, 0

@@ -1,57 +1,47 @@
-"""The newest line of each slot, and whether it may be used."""
+"""Monitor of the newest line of each slot, and of whether it may be used."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from enum import Enum
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from ...line import MapLine, Slot
 from ..protection.e2e_state import E2EState, ProfileStatus
-from .sequence import SequenceCheck, SlotStats
+from ..reasons import Reason
+from .decoder import Decoder
+from .sequence import SlotStats
 
-__all__ = ["Monitor", "SlotView"]
+__all__ = ["STALE_CYCLES", "Monitor", "SlotView"]
 
-#: A line is stale when nothing newer has come for so many cycle times: two lines in a row
-#: may be lost, at 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
+#: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
+#: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
 STALE_CYCLES = 3.0
 
 
-class CheckingDecoder(Protocol):
-    """What the monitor needs of ``wire.Decoder``."""
-
-    @property
-    def checks(self) -> Mapping[Slot, SequenceCheck]: ...
-    def feed(
-        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
-    ) -> MapLine | Enum: ...
-
-
 class SlotView(NamedTuple):
-    """What a consumer needs of a slot in one of its cycles."""
+    """State of a slot as a consumer sees it in one of its cycles."""
 
     slot: Slot
     line: MapLine | None  #: the newest; None before the first
-    age: float  #: from the time of the line's pose to now [s]; infinite where there is no line
+    age: float  #: from the time of the line's pose to now [s]; infinite without a line
     stale: bool  #: nothing newer came for some cycle times, or there is no line
-    state: E2EState  #: what the records of the slot are worth
+    state: E2EState  #: of the slot
     status: ProfileStatus | None  #: of the last check; None before the first
-    two_senders: bool  #: two senders were heard on the slot in the last 256 cycles
+    two_senders: bool  #: two senders were detected on the slot in the last 256 cycles
 
     @property
     def usable(self) -> bool:
-        """Whether the E2E state is VALID, the line is not stale, and there is one sender.
+        """Whether the E2E state is VALID, the line is not stale, and the slot has one sender.
 
-        Of what the line itself says nothing: see ``line.status``.
+        This does not consider the content of the line: see ``line.status``.
         """
         return self.state is E2EState.VALID and not self.stale and not self.two_senders
 
 
 class Monitor:
-    """A decoder that keeps the newest line of each slot; time is an argument.
+    """Decoder that keeps the newest line of each slot; time is an argument.
 
-    A ``Receiver`` has one behind its ``latest``. By itself it serves where there is
-    no bus, as in a simulator. Not safe for threads.
+    ``Receiver.latest`` uses one. By itself it serves where there is no bus, as in a simulator.
+    It is not thread-safe.
 
     Args:
         decoder: turns frames into lines.
@@ -68,13 +58,13 @@ class Monitor:
     True
     """
 
-    def __init__(self, decoder: CheckingDecoder) -> None:
+    def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
         self._lines: dict[Slot, MapLine] = {}
 
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
-    ) -> MapLine | Enum:
+    ) -> MapLine | Reason:
         """Take a frame, as ``Decoder.feed``."""
         answer = self._decoder.feed(can_id, data, t_ns, is_extended=is_extended)
         if isinstance(answer, MapLine):
@@ -82,17 +72,17 @@ class Monitor:
         return answer
 
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
-        """The newest line of a slot; call it once in a cycle of your own, of any length.
+        """Return the newest line of a slot with its state.
 
         Args:
             slot: which line.
-            now_ns: on the clock of the frames' time stamps [ns]. A clock that was set
-                back makes all lines stale.
-            stale_cycles: after how many cycle times without a newer one a line is stale;
-                see ``Codec.decoder`` for the cycle time.
+            now_ns: current time on the clock of the frames' time stamps [ns]. If this clock is
+                set back, all lines are stale.
+            stale_cycles: number of cycle times without a newer line after which a line is
+                stale; see ``Codec.decoder`` for the cycle time.
 
         Raises:
-            ValueError: the DBC has no such slot.
+            ValueError: the DBC has no such slot, or ``now_ns`` is not a whole number.
         """
         check = self._decoder.checks.get(slot)
         if check is None:
@@ -110,7 +100,7 @@ class Monitor:
         return SlotView(Slot(slot), line, age, stale, state, check.status, check.two_senders)
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
-        """What is known of each slot on which anything came."""
+        """Return the checks of each slot on which anything was received."""
         for check in self._decoder.checks.values():
             check.elapse(now_ns)
         stats = {slot: check.stats() for slot, check in self._decoder.checks.items()}

@@ -1,4 +1,4 @@
-"""From frames to records: all pages of one transfer, or nothing."""
+"""Reassembly of records from frames: all pages of one transfer, or nothing."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from ...errors import LayoutError
 from ...line import Slot
 from ..message.layout import PAGE, PAGE_BYTES, TRANSFER_ID, Layout
 from ..message.packing import pieces_of
+from ..message.reader import DecodedRecord
 from ..message.signals import Signal
 from ..reasons import Reason
 
@@ -18,65 +19,74 @@ __all__ = ["Reassembler", "Record"]
 
 
 class Record(NamedTuple):
-    """A whole record of a slot, not yet checked."""
+    """A complete record of a slot, decoded or rejected."""
 
     slot: Slot
     payload: bytes
-    t_ns: int  #: of its first frame
-    frames: int  #: that carried it
-    transfer: int  #: its number
+    t_ns: int  #: time of its first frame [ns]
+    frames: int  #: frames that carried it
+    content: DecodedRecord | Reason
 
 
 @dataclass
 class _Transfer:
-    """The pages of one transfer that have come so far."""
+    """The pages of one transfer received so far."""
 
-    t_ns: int  #: of the first page
+    t_ns: int  #: time of the first page
     pages: dict[int, bytes]
 
 
 class Reassembler:
-    """Pages to records, a state machine per slot; time is an argument.
+    """Reassembler of multi-frame records, with one state per slot; time is an argument.
 
-    Pages are gathered by transfer number, each transfer by itself, until it is whole
-    or times out. Nothing moves anything else: a damaged page may spoil its own
-    transfer, but neither ends another nor counts as delivered. ``remember`` says which
-    records hold; for the length of a time-out their pages are duplicates.
-    Whether a record is news its counter says, which is not the business of this class.
-    Memory is constant: each slot has as many transfers as there are numbers.
+    Pages are collected by transfer ID, each transfer by itself, until it is complete or times
+    out. Transfers do not affect each other: a damaged page may damage its own transfer, but it
+    neither ends another one nor counts as delivered. For the length of a time-out, the pages of a
+    good record are known, and the same pages are duplicates::
+
+        page   0 1   2       0 1   3       2       0 1 2 3
+        ID     7 7   7       8 8   7       8       7 7 7 7
+        -----------------------------------------------------> time
+               transfer 7 is complete: |           duplicates
+               transfer 8 waits for page 3; it is dropped after the time-out
+
+    Whether a record is new is decided by its counter, see ``SequenceCheck``. Memory is constant:
+    each slot has as many transfers as there are transfer IDs.
 
     Args:
-        layout: which IDs and how many pages.
-        timeout_ns: how long a transfer may take [ns].
-        verify: from an authenticated payload and its data ID to the record, or why not; with
-            it nothing else is taken, and without it nothing that is authenticated.
+        layout: CAN IDs and pages.
+        read: decodes the payload of a slot's record received at a time [ns], or rejects it.
+        timeout_ns: longest time between the first and the last page of a transfer [ns].
+        verify: returns the record of an authenticated payload and its data ID, or the reason
+            why it is not authentic. With it nothing else is accepted; without it nothing that is
+            authenticated.
     """
 
     def __init__(
         self,
         layout: Layout,
+        read: Callable[[bytes, Slot, int], DecodedRecord | Reason],
         timeout_ns: int,
         verify: Callable[[bytes, int], bytes | Reason] | None = None,
     ) -> None:
-        self._ids = layout.page_of_id
-        self._data_id_of_secured, self._verify = layout.data_id_of_secured, verify
-        self._pages = layout.pages
-        self._record_bytes = layout.record_bytes
+        self._ids, self._data_id_of_secured = layout.page_of_id, layout.data_id_of_secured
+        self._read, self._verify = read, verify
+        self._pages, self._record_bytes = layout.pages, layout.record_bytes
         self._timeout_ns = timeout_ns
         self._read_page = _reader(layout[f"{PAGE}0"])
         self._read_transfer_id = [
             _reader(layout[f"{TRANSFER_ID}{page}"]) for page in range(layout.pages)
         ]
-        self._transfers = 2 ** layout[f"{TRANSFER_ID}0"].length
-        self._held: dict[Slot, dict[int, _Transfer]] = {slot: {} for slot in layout.channels}
-        self._whole: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.channels}
-        #: Frames by what became of them; those of delivered lines are not in it.
+        self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
+        self._incomplete: dict[Slot, dict[int, _Transfer]] = {slot: {} for slot in layout.channels}
+        self._complete: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.channels}
+        #: Frames dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
 
     @property
     def pending(self) -> int:
-        """Frames that are held."""
-        transfers = (transfer for held in self._held.values() for transfer in held.values())
+        """Frames of incomplete transfers."""
+        transfers = (t for of_slot in self._incomplete.values() for t in of_slot.values())
         return sum(len(transfer.pages) for transfer in transfers)
 
     def feed(
@@ -85,36 +95,27 @@ class Reassembler:
         """Take a frame.
 
         Returns:
-            The record that it completes, or what became of it.
+            The record that the frame completes, or the reason why it completes none. All reasons
+            but PENDING are counted.
         """
         known = self._ids.get((can_id, is_extended))
         if known is None:
             return self._dropped(Reason.FOREIGN)
-        slot, is_fd = known
+        slot, is_whole_record = known
         data_id = self._data_id_of_secured.get((can_id, is_extended))
         if data_id is not None or self._verify is not None:
             return self._feed_secured(slot, data_id, bytes(data), t_ns)
-        if is_fd:
+        if is_whole_record:
             if len(data) < self._record_bytes:
                 return self._dropped(Reason.LENGTH)
-            return self._feed_record(slot, bytes(data[: self._record_bytes]), t_ns)
+            return self._completed(slot, bytes(data[: self._record_bytes]), t_ns, 1)
         if len(data) != PAGE_BYTES:
             return self._dropped(Reason.LENGTH)
         return self._feed_page(slot, bytes(data), t_ns)
 
-    def remember(self, record: Record) -> None:
-        """The record holds: its pages are known, and those of the next transfers are not."""
-        whole = self._whole[record.slot]
-        whole[record.transfer] = record
-        for number in [
-            n for n in whole if (n - record.transfer) % self._transfers < self._transfers // 2
-        ]:
-            if number != record.transfer:
-                del whole[number]
-
     def expire(self, t_ns: int) -> None:
-        """Give up the transfers that have taken too long by now."""
-        for slot in self._held:
+        """Drop the transfers that have timed out at ``t_ns`` [ns]."""
+        for slot in self._incomplete:
             self._expire_slot(slot, t_ns)
 
     def _feed_secured(
@@ -127,20 +128,18 @@ class Reassembler:
         payload = self._verify(data, data_id)
         if isinstance(payload, Reason):
             return self._dropped(payload)
-        return self._feed_record(slot, payload[: self._record_bytes], t_ns)
-
-    def _feed_record(self, slot: Slot, payload: bytes, t_ns: int) -> Record:
-        return Record(slot, payload, t_ns, 1, self._read_transfer_id[0](payload[:PAGE_BYTES]))
+        return self._completed(slot, payload[: self._record_bytes], t_ns, 1)
 
     def _feed_page(self, slot: Slot, data: bytes, t_ns: int) -> Record | Reason:
         page = self._read_page(data)
         if page >= self._pages:
             return self._dropped(Reason.PAGE)
-        number = self._read_transfer_id[page](data)
+        transfer_id = self._read_transfer_id[page](data)
         self._expire_slot(slot, t_ns)
-        if number not in self._held[slot] and self._is_known(slot, number, page, data, t_ns):
+        incomplete = self._incomplete[slot]
+        if transfer_id not in incomplete and self._is_known(slot, transfer_id, page, data, t_ns):
             return self._dropped(Reason.DUPLICATE)
-        transfer = self._held[slot].setdefault(number, _Transfer(t_ns, {}))
+        transfer = incomplete.setdefault(transfer_id, _Transfer(t_ns, {}))
         before = transfer.pages.get(page)
         if before == data:
             return self._dropped(Reason.DUPLICATE)
@@ -149,39 +148,47 @@ class Reassembler:
         transfer.pages[page] = data
         if len(transfer.pages) < self._pages:
             return Reason.PENDING
-        del self._held[slot][number]
+        del incomplete[transfer_id]
         payload = b"".join(transfer.pages[i] for i in range(self._pages))
-        return Record(slot, payload, transfer.t_ns, self._pages, number)
+        return self._completed(slot, payload, transfer.t_ns, self._pages)
 
-    def _is_known(self, slot: Slot, number: int, page: int, data: bytes, t_ns: int) -> bool:
-        """Whether a page is of a record that was whole a moment ago."""
-        record = self._whole[slot].get(number)
+    def _completed(self, slot: Slot, payload: bytes, t_ns: int, frames: int) -> Record:
+        """Decode a record; remember a good one, and forget those half a round of IDs away."""
+        record = Record(slot, payload, t_ns, frames, self._read(payload, slot, t_ns))
+        if not isinstance(record.content, Reason):
+            complete, own = self._complete[slot], self._read_transfer_id[0](payload[:PAGE_BYTES])
+            complete[own] = record
+            half = self._transfer_ids // 2
+            for other in [i for i in complete if 0 < (i - own) % self._transfer_ids < half]:
+                del complete[other]
+        return record
+
+    def _is_known(self, slot: Slot, transfer_id: int, page: int, data: bytes, t_ns: int) -> bool:
+        """Return whether a page is one of a good record not older than the time-out."""
+        record = self._complete[slot].get(transfer_id)
         if record is None or self._is_old(record.t_ns, t_ns):
             return False
         return record.payload[page * PAGE_BYTES : (page + 1) * PAGE_BYTES] == data
 
     def _is_old(self, since_ns: int, t_ns: int) -> bool:
-        # Time stamps may swap by a little; a clock that was set back makes all that was old.
+        # Time stamps may be swapped slightly; if the clock is set back, everything is old.
         return abs(t_ns - since_ns) > self._timeout_ns
 
     def _expire_slot(self, slot: Slot, t_ns: int) -> None:
-        held = self._held[slot]
-        for number in [n for n, transfer in held.items() if self._is_old(transfer.t_ns, t_ns)]:
-            self._give_up(slot, number, Reason.TIMEOUT)
-
-    def _give_up(self, slot: Slot, number: int, reason: Reason) -> None:
-        self.counts[reason] += len(self._held[slot].pop(number).pages)
+        incomplete = self._incomplete[slot]
+        for i in [i for i, transfer in incomplete.items() if self._is_old(transfer.t_ns, t_ns)]:
+            self.counts[Reason.TIMEOUT] += len(incomplete.pop(i).pages)
 
     def _dropped(self, reason: Reason) -> Reason:
         self.counts[reason] += 1
         return reason
 
 
-def _reader(field: Signal) -> Callable[[bytes], int]:
-    """Reads one field out of the page in which it lies."""
-    (_, shift, bits, _), *more = pieces_of(field)
+def _reader(signal: Signal) -> Callable[[bytes], int]:
+    """Return a function that reads an unsigned signal from its page."""
+    (_, shift, bits, _), *more = pieces_of(signal)
     if more:
-        raise LayoutError(f"signal {field.name} must lie within a page")
-    order: Literal["big", "little"] = "big" if field.big_endian else "little"
+        raise LayoutError(f"signal {signal.name} must lie within a page")
+    order: Literal["big", "little"] = "big" if signal.big_endian else "little"
     mask = 2**bits - 1
     return lambda data: int.from_bytes(data, order) >> shift & mask

@@ -1,4 +1,4 @@
-"""What the records of one slot are worth: E2E checks, lost lines, a second sender."""
+"""Checks of the records of one slot: E2E state, lost records, late records and duplicates."""
 
 from __future__ import annotations
 
@@ -8,77 +8,92 @@ from typing import NamedTuple
 from ..protection.e2e_state import E2EConfig, E2EState, ProfileStatus, StateMachine, check
 from ..reasons import Reason
 from .conflict import SenderConflict
+from .deadline import ReceptionDeadline
+from .history import RecordHistory
 
 __all__ = ["SequenceCheck", "SlotStats"]
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 
-#: After so many cycles without a record the first is missed: its time may jitter by half a cycle.
-GRACE = 1.5
-#: So many records in a row that are behind are a sender that has started anew.
-TAKEN_OVER = 3
+#: This many consecutive records behind the last new one are those of a sender that restarted.
+RESTART_RECORDS = 3
 
 
 class SlotStats(NamedTuple):
-    """A copy of what is known of a slot."""
+    """Snapshot of the checks of a slot."""
 
     state: E2EState
     status: ProfileStatus | None  #: of the last check; None before the first
-    ok: int  #: records with the next counter, or one that lets some be missing
+    ok: int  #: records that follow the one before, or leave out some
     lost: int  #: records missing between those, by their counters
     repeated: int
     wrong_sequence: int
     errors: int
     no_new_data: int  #: cycles without a record
-    two_senders: bool  #: seen in the last 256 cycles
+    two_senders: bool  #: detected in the last 256 cycles
 
 
-class _Behind(NamedTuple):
-    """Records that came after a newer one, each following the one before."""
+class _Restart(NamedTuple):
+    """Consecutive records behind the last new one: late, or of a sender that restarted."""
 
     last: int  #: counter of the last
     since_ns: int  #: time of the first
     records: int = 1
 
 
-class _Heard(NamedTuple):
-    """A record that came."""
-
-    place: int  #: in the sequence, counted on where the counter comes round
-    content: int
-    is_news: bool
-    is_first: bool  #: news of which no copy came so far
-
-
 class SequenceCheck:
-    """The checks of one slot and its state machine; time is an argument.
+    """Checks of one slot, and its E2E state machine; time is an argument.
 
-    Each record that comes is one check. So is each cycle without one: NONEWDATA falls
-    due 1.5 cycles after the last record and every cycle after that, whoever asks and
-    however often; ``elapse`` brings it up to now.
+    Each record is one check. Each cycle without a record is a check too: NONEWDATA (see
+    ``ReceptionDeadline``); ``elapse`` brings the state up to a time.
+
+    A record whose checksum holds is admitted by its counter. ``last`` is the counter of the last
+    new record, ``span`` the number of records of the line that was delivered last (those of a
+    mixture), ``half`` half the number of counters; all differences are modulo the latter:
+
+    ======================== =================================== ============ =============
+    counter                  content                             decision     E2E status
+    ======================== =================================== ============ =============
+    last + 1                                                     new          OK
+    last + 2 .. + max_delta                                      new          OKSOMELOST
+    last + max_delta .. half                                     new, jump    WRONGSEQUENCE
+    last - span + 1 .. last  as received with that counter       DUPLICATE    REPEATED
+    last - span + 1 .. last  another one: conflict               STALE        REPEATED
+    last - half .. - span    as received with that counter       DUPLICATE    WRONGSEQUENCE
+    last - half .. - span    another one, no restart             STALE        WRONGSEQUENCE
+    last - half .. - span    another one, restart                new, jump    WRONGSEQUENCE
+    ======================== =================================== ============ =============
+
+    Behind by ``span`` or more, a record is late, or its sender has restarted. It is a restart once
+    three consecutive records came over 1.5 cycles with no new record between them::
+
+        new      new      restart: the first two records are lost, before the slot is VALID
+        41       42        0        1        2        3
+        |--------|--------|--------|--------|--------|-----> time
+                           STALE    STALE    new      new
+
+        new      new      late, held back by a gateway; the sender goes on
+        41       42        30 31 32  43
+        |--------|--------|||-------|-----> time
+                           STALE    new
+
+    It is also a restart if there was no new record for a whole window of the state machine. With
+    authentication it is a restart at once, since each record is newer than the last one.
 
     Two decisions go beyond AUTOSAR, both to the safe side:
 
-    - A counter that jumps is a sender that has started anew, or another one. What the window
-      holds is of another sequence: it is cleared, so VALID is left at once and comes back
-      after ``min_ok_state_invalid`` OKs. A jump forward is delivered. A step back may be
-      an old line that came late: it is not delivered unless it is the third of a sequence,
-      1.5 cycles after the first, with nothing else between, or no news came for a
-      whole window. A sender that starts anew so loses two lines, before it is VALID.
-    - REPEATED is, for a mixture, any record of the last one delivered; and it stays
-      REPEATED however long the slot was silent. A transfer that a gateway held back and a sender
-      that has started anew at that very counter look the same; to refuse the
-      first line of the latter costs a cycle, to take the former for news a wrong line.
-
-    For the last half round of counters it is known what came, so that a copy of a record,
-    a record that fills a gap and one that another sender must have sent can be told.
+    - After a jump, the window of the state machine is that of another sequence. It is cleared, so
+      VALID is left at once and regained after ``min_ok_state_invalid`` OKs.
+    - A record of the last line stays REPEATED however long the slot was silent. A transfer that a
+      gateway held back and a sender that restarted at exactly that counter look the same; to
+      refuse the latter costs one cycle, to accept the former gives a wrong line.
 
     Args:
         config: windows and bounds.
-        modulus: how many counters there are.
+        modulus: number of counters.
         pages: frames of a classic record.
-        cycle_ns: how often records come [ns]; those of a mixture count together.
-        is_proven: records are authentic and each newer than the last, so that none is old.
+        cycle_ns: time between records [ns]; those of a mixture count together.
+        is_authentic: records are authenticated, and each is newer than the last one.
     """
 
     def __init__(
@@ -88,116 +103,101 @@ class SequenceCheck:
         pages: int,
         cycle_ns: int,
         *,
-        is_proven: bool = False,
+        is_authentic: bool = False,
     ) -> None:
         self.cycle_ns = cycle_ns
         self.statuses: Counter[ProfileStatus] = Counter()  #: checks by outcome
         self.status: ProfileStatus | None = None  #: of the last check
-        self.lost = 0  #: records missing between those that came, by their counters
+        self.lost = 0  #: records missing between those received, by their counters
         self._machine = StateMachine(config)
-        self._is_proven = is_proven
+        self._deadline = ReceptionDeadline(cycle_ns)
+        self._history = RecordHistory(modulus)
+        self._conflict = SenderConflict(cycle_ns)
+        self._is_authentic = is_authentic
         self._max_delta, self._modulus, self._pages = config.max_delta_counter, modulus, pages
-        self._grace_ns = int(GRACE * cycle_ns)
-        self._silence_ns = config.window_size_valid * cycle_ns
-        self._due_ns: int | None = None  # when the next cycle is missed
-        self._is_counted = False  # up to then, by who asked: a backlog is not counted again
-        self._counter: int | None = None  # of the last record that was news
-        self._news_ns = 0  # its time
-        self._behind: _Behind | None = None  # since then
-        self._left: int | None = None  # the counter at which a sequence was left last
-        self._place = 0  # of the last news in the sequence
-        self._heard: dict[int, _Heard] = {}  # by counter
-        self._span = 1  # records of the line that was delivered last, if with the last record
-        self._largest = 1  # records of a line so far
-        self._doubled_frames = 0  # since the last record
-        self._second = SenderConflict(cycle_ns)
+        self._window_ns = config.window_size_valid * cycle_ns
+        self._last: int | None = None  # counter of the last new record
+        self._new_ns = 0  # its time
+        self._restart: _Restart | None = None  # records behind it since then
+        self._left: int | None = None  # counter at which the last jump left the sequence
+        self._span = 1  # records of the line delivered last, if its last record is the last new one
+        self._longest_line = 1  # greatest number of records of a line so far
+        self._duplicated_frames = 0  # since the last new record
 
     @property
     def state(self) -> E2EState:
-        """What the slot is worth now, as far as time has elapsed."""
+        """State of the slot, as far as time has elapsed."""
         return self._machine.state
 
     @property
     def two_senders(self) -> bool:
-        """Whether two senders were heard in the last 256 cycles."""
-        return self._second.is_certain
+        """Whether two senders were detected in the last 256 cycles."""
+        return self._conflict.is_certain
 
     def received(self, counter: int, content: int, t_ns: int) -> Reason | None:
         """Check a record whose checksum holds.
 
         Args:
-            counter: its own.
-            content: equal where the whole record is, such as a hash.
-            t_ns: when it came [ns].
+            counter: of the record.
+            content: equal for equal records, such as a hash.
+            t_ns: time of reception [ns].
 
         Returns:
-            None where it is news; DUPLICATE or STALE where it is not to be delivered.
+            None if the record is new; DUPLICATE or STALE if it must not be delivered.
         """
-        self._arrive(t_ns)
-        last = self._counter
-        status = check(counter, last, self._max_delta, self._modulus)
-        ahead = 1 if last is None else (counter - last) % self._modulus
-        if status is not OK and last is not None:
-            behind = (last - counter) % self._modulus
-            if late := self._why_late(counter, content, behind, t_ns):
+        self._record_arrived(t_ns)
+        status, ahead = check(counter, self._last, self._max_delta, self._modulus), 1
+        if status is not OK and self._last is not None:
+            ahead = (counter - self._last) % self._modulus
+            behind = self._modulus - ahead if ahead else 0
+            if behind <= self._modulus // 2 and (
+                reason := self._why_not_new(counter, content, behind, t_ns)
+            ):
                 self._step(REPEATED if behind < self._span else WRONGSEQUENCE)
-                return late
-            if self._left is not None and check(counter, self._left, 1, self._modulus) is OK:
-                self._second.proof(t_ns)  # back to where it was left
-            self._left = last
+                return reason
+            if self._left is not None and (counter - self._left) % self._modulus == 1:
+                self._conflict.conflict(t_ns)  # back to the sequence that the last jump left
+            self._left = self._last
             if ahead >= self._modulus // 2:
-                ahead = 2 * self._modulus  # what was heard before is of another sequence
-            elif status is OKSOMELOST or counter != 0:  # a sender starts anew at 0
+                ahead = 2 * self._modulus  # the history is that of another sequence
+            elif status is OKSOMELOST or counter != 0:  # a sender restarts at 0
                 self.lost += ahead - 1
             if status is WRONGSEQUENCE:
                 self._machine.clear()
-        self._place += ahead
-        self._heard[counter] = _Heard(self._place, content, is_news=True, is_first=True)
-        self._counter, self._news_ns, self._behind = counter, t_ns, None
-        self._second.news()
-        self._span = 1
-        self._doubled_frames = 0
+        self._history.add_new(counter, content, ahead)
+        self._conflict.new()
+        self._last, self._new_ns, self._restart = counter, t_ns, None
+        self._span, self._duplicated_frames = 1, 0
         self._step(status)
         return None
 
     def delivered(self, records: int) -> None:
-        """The last record was the last of a line of so many."""
+        """Note that the last record completed a line of this many records."""
         self._span = records
-        self._largest = max(self._largest, records)
+        self._longest_line = max(self._longest_line, records)
 
     def failed(self, t_ns: int) -> None:
-        """What came was no record that holds."""
-        self._arrive(t_ns)
+        """Check a record, or a frame, that is damaged."""
+        self._record_arrived(t_ns)
         self._step(ERROR)
 
-    def doubled(self, t_ns: int) -> None:
-        """A frame came again; so many as make a record are one check."""
-        self._doubled_frames += 1
-        if self._doubled_frames % self._pages == 0:
-            self._arrive(t_ns)
-            if self._doubled_frames == self._pages:
-                self._second.copy(t_ns)
+    def frame_duplicated(self, t_ns: int) -> None:
+        """Count a duplicated frame; as many as make a record are one check."""
+        self._duplicated_frames += 1
+        if self._duplicated_frames % self._pages == 0:
+            self._record_arrived(t_ns)
+            if self._duplicated_frames == self._pages:
+                self._conflict.duplicate(t_ns)
             self._step(REPEATED)
 
     def elapse(self, t_ns: int) -> E2EState:
-        """Count NONEWDATA for the cycles that have gone by without a record until ``t_ns`` [ns]."""
-        self._second.elapse(t_ns)
-        if self._due_ns is None:
-            return self.state
-        missed = (t_ns - self._due_ns) // self.cycle_ns + 1
-        if missed > 0:
-            self._due_ns += missed * self.cycle_ns
-            self.statuses[NONEWDATA] += missed
-            self.status = NONEWDATA
-            for _ in range(min(missed, self._machine.config.window_size_valid)):
-                self._machine.step(NONEWDATA)
-            self._is_counted = True
-        elif self._due_ns - t_ns > self._grace_ns + self.cycle_ns:  # the clock was set back
-            self._due_ns, self._is_counted = t_ns + self._grace_ns, False
+        """Check the cycles without a record up to ``t_ns`` [ns]; return the state."""
+        self._conflict.elapse(t_ns)
+        self._step_without_data(self._deadline.elapse(t_ns))
         return self.state
 
     def stats(self) -> SlotStats:
-        """A copy of all counters."""
+        """Return a snapshot of all counters."""
         n = self.statuses
         return SlotStats(
             state=self.state,
@@ -211,64 +211,57 @@ class SequenceCheck:
             two_senders=self.two_senders,
         )
 
-    def _arrive(self, t_ns: int) -> None:
-        self._second.elapse(t_ns)
-        due_ns = t_ns + self._grace_ns
-        if self._due_ns is not None:
-            if t_ns >= self._due_ns:
-                self.elapse(t_ns)
-            elif self._is_counted and due_ns < self._due_ns:
-                return
-        self._due_ns, self._is_counted = due_ns, False
+    def _record_arrived(self, t_ns: int) -> None:
+        self._conflict.elapse(t_ns)
+        self._step_without_data(self._deadline.record_arrived(t_ns))
 
     def _step(self, status: ProfileStatus) -> None:
         self.status = status
         self.statuses[status] += 1
         self._machine.step(status)
 
-    def _why_late(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
-        """Why a record that is not the next is no news; None where it is."""
-        place = self._place - behind
-        heard = self._came(counter, place)
-        is_copy = heard is not None and heard.content == content
-        if heard is not None and is_copy and heard.is_first:
-            self._heard[counter] = heard._replace(is_first=False)
-            self._second.copy(t_ns)
+    def _step_without_data(self, cycles: int) -> None:
+        if not cycles:
+            return
+        self.status = NONEWDATA
+        self.statuses[NONEWDATA] += cycles
+        for _ in range(min(cycles, self._machine.config.window_size_valid)):
+            self._machine.step(NONEWDATA)
+
+    def _why_not_new(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
+        """Return why a record ``behind`` the last new one is not delivered; None if it is new."""
+        is_duplicate = self._history.is_duplicate(counter, content, behind)
+        if is_duplicate and self._history.mark_duplicated(counter, behind):
+            self._conflict.duplicate(t_ns)
         if behind < self._span:
-            if not is_copy:
-                self._second.proof(t_ns)
-            return Reason.DUPLICATE if is_copy else Reason.STALE
-        if self._is_proven or behind > self._modulus // 2:
+            if not is_duplicate:
+                self._conflict.conflict(t_ns)
+            return Reason.DUPLICATE if is_duplicate else Reason.STALE
+        if self._is_authentic or abs(t_ns - self._new_ns) > self._window_ns:
             return None
-        if abs(t_ns - self._news_ns) > self._silence_ns:
-            return None
-        if is_copy:
+        if is_duplicate:
             return Reason.DUPLICATE
-        if heard is None:
-            self._heard[counter] = _Heard(place, content, is_news=False, is_first=False)
-        if heard is not None or self._is_of_its_own(counter, behind):
-            self._second.proof(t_ns)
-        return None if self._goes_on(counter, t_ns) else Reason.STALE
+        has_other = self._history.has_other(counter, content, behind)
+        self._history.add_late(counter, content, behind)
+        if has_other or self._is_of_another_sequence(counter, behind):
+            self._conflict.conflict(t_ns)
+        return None if self._is_restart(counter, t_ns) else Reason.STALE
 
-    def _came(self, counter: int, place: int) -> _Heard | None:
-        """What came with a counter, if it was at that place of the sequence."""
-        heard = self._heard.get(counter % self._modulus)
-        return heard if heard and heard.place == place else None
+    def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
+        """Return whether a record is too far behind to be late, and fills no gap."""
+        is_far = behind > self._max_delta * self._longest_line
+        return is_far and not self._history.fills_gap(counter, behind)
 
-    def _is_of_its_own(self, counter: int, behind: int) -> bool:
-        """Whether a record that came far behind does not fill a gap between news."""
-        before = self._came(counter - 1, self._place - behind - 1)
-        fills = before is not None and before.is_news
-        return behind > self._max_delta * self._largest and not fills
-
-    def _goes_on(self, counter: int, t_ns: int) -> bool:
-        """Whether a record that is behind belongs to a sequence that has taken over."""
-        behind = self._behind
-        if behind is None or check(counter, behind.last, 1, self._modulus) is not OK:
-            self._behind = _Behind(counter, t_ns)
+    def _is_restart(self, counter: int, t_ns: int) -> bool:
+        """Return whether the records behind the last new one are those of a restarted sender."""
+        restart = self._restart
+        if restart is None or (counter - restart.last) % self._modulus != 1:
+            self._restart = _Restart(counter, t_ns)
             return False
-        behind = self._behind = behind._replace(last=counter, records=behind.records + 1)
-        if behind.records < TAKEN_OVER or abs(t_ns - behind.since_ns) < self._grace_ns:
+        self._restart = restart._replace(last=counter, records=restart.records + 1)
+        if self._restart.records < RESTART_RECORDS:
             return False
-        self._second.withdraw()
+        if abs(t_ns - restart.since_ns) < self._deadline.grace_ns:
+            return False
+        self._conflict.retract()
         return True

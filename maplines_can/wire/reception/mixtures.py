@@ -1,0 +1,137 @@
+"""Assembly of Gaussian mixtures from the records of their components."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ...line import MapLine, Slot, Status
+from ...mixture import GaussianMixture
+from ..message.reader import DecodedRecord
+from ..reasons import Reason
+
+__all__ = ["CompleteLine", "MixtureAssembler"]
+
+#: The status of a mixture is that of its worst component; from best to worst.
+SEVERITY = (
+    Status.FULL,
+    Status.REPAIRED,
+    Status.SATURATED,
+    Status.DIAGONAL,
+    Status.UNKNOWN,
+    Status.OUT_OF_RANGE,
+)
+#: Weights are multiples of a power of two, so their sum is exact up to the DBC's factor.
+WEIGHT_TOLERANCE = 1e-9
+
+
+class CompleteLine(NamedTuple):
+    """A line with all its components."""
+
+    line: MapLine
+    records: int  #: components
+    frames: int  #: frames that carried them
+
+
+@dataclass
+class _Incomplete:
+    """The components of one mixture received so far."""
+
+    first: int  #: counter of the first component
+    count: int
+    t_ns: int  #: time of the component received last
+    components: dict[int, DecodedRecord] = field(default_factory=dict)
+    frames: int = 0
+
+
+class MixtureAssembler:
+    """Assembler of the components of a line: all of them, by their counters, or none.
+
+    Each slot has one incomplete mixture at most; time is an argument.
+
+    Args:
+        modulus: number of counters.
+        timeout_ns: longest time between two components [ns]. A slow bus takes long for many
+            components, so the time counts from the last one.
+    """
+
+    def __init__(self, modulus: int, timeout_ns: int) -> None:
+        self._modulus, self._timeout_ns = modulus, timeout_ns
+        self._incomplete: dict[Slot, _Incomplete] = {}
+        #: Frames dropped here, by reason.
+        self.counts: Counter[Reason] = Counter()
+
+    @property
+    def pending(self) -> int:
+        """Frames of incomplete mixtures."""
+        return sum(mixture.frames for mixture in self._incomplete.values())
+
+    def add(self, record: DecodedRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
+        """Take a new record.
+
+        Args:
+            record: a line, or a component of one.
+            frames: frames that carried it.
+            t_ns: time of its first frame [ns].
+
+        Returns:
+            The line that it completes, or the reason why it completes none.
+        """
+        slot, first = record.line.slot, (record.counter - record.index) % self._modulus
+        held = self._incomplete.get(slot)
+        if held and self._is_old(held, t_ns):
+            self._drop(slot, Reason.TIMEOUT)
+        elif held and (held.first, held.count) != (first, record.count):
+            self._drop(slot, Reason.INCOMPLETE)
+        if record.count == 1:
+            return CompleteLine(record.line, 1, frames)
+        mixture = self._incomplete.setdefault(slot, _Incomplete(first, record.count, t_ns))
+        if record.index in mixture.components:
+            self.counts[Reason.DUPLICATE] += frames
+            return Reason.DUPLICATE
+        mixture.components[record.index] = record
+        mixture.frames += frames
+        mixture.t_ns = t_ns
+        if len(mixture.components) < mixture.count:
+            return Reason.PENDING
+        records = [mixture.components[i] for i in range(mixture.count)]
+        if abs(sum(component.weight for component in records) - 1) > WEIGHT_TOLERANCE:
+            self._drop(slot, Reason.CONTENT)
+            return Reason.CONTENT
+        del self._incomplete[slot]
+        return CompleteLine(_mixture_line(records), mixture.count, mixture.frames)
+
+    def drop_if_within(self, slot: Slot, counter: int) -> None:
+        """Drop the incomplete mixture of a slot if a counter that is not new lies within it."""
+        held = self._incomplete.get(slot)
+        if held and (counter - held.first) % self._modulus < held.count:
+            self._drop(slot, Reason.INCOMPLETE)  # two senders, or components out of order
+
+    def expire(self, t_ns: int) -> None:
+        """Drop the mixtures that have timed out at ``t_ns`` [ns]."""
+        for slot in [s for s, mixture in self._incomplete.items() if self._is_old(mixture, t_ns)]:
+            self._drop(slot, Reason.TIMEOUT)
+
+    def _is_old(self, mixture: _Incomplete, t_ns: int) -> bool:
+        return abs(t_ns - mixture.t_ns) > self._timeout_ns
+
+    def _drop(self, slot: Slot, reason: Reason) -> None:
+        self.counts[reason] += self._incomplete.pop(slot).frames
+
+
+def _mixture_line(records: Iterable[DecodedRecord]) -> MapLine:
+    """Return the line of all components of a mixture."""
+    records = list(records)
+    gaussians = tuple(record.line.gaussian for record in records)
+    mixture = GaussianMixture(np.array([record.weight for record in records]), gaussians)
+    oldest = min((record.line for record in records), key=lambda line: line.t_ns or 0)
+    return replace(  # the age of a line counts from its reception
+        oldest,
+        gaussian=mixture.overall,
+        mixture=mixture,
+        status=max((record.line.status for record in records), key=SEVERITY.index),
+    )
