@@ -6,7 +6,6 @@ import threading
 import time
 from dataclasses import asdict, replace
 from functools import cache
-from pathlib import Path
 
 import can
 import e2e
@@ -16,7 +15,6 @@ from dbcs import default_codec, edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import maplines_can as ml
 from maplines_can import Codec, Link, MapLine, Monitor, Receiver, Slot, Transmitter
 from maplines_can.bus import Sent
 from maplines_can.cli import main
@@ -878,21 +876,6 @@ def test_time_goes_by_the_clock_of_the_frames(links):
         view = receiver.latest(SLOT)
         assert 0 <= view.age - view.line.age < 20.0
         assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale
-
-
-def test_the_snippet_of_the_readme_runs(links, capsys):
-    """On the in-process bus, with a sender beside it."""
-    readme = (Path(__file__).parents[1] / "README.md").read_text()
-    (code,) = (c for c in re.findall(r"```python\n(.*?)```", readme, re.S) if "latest(" in c)
-    channel = links[0].name.split()[1]
-    socketcan = 'interface="socketcan", channel="vcan0"'
-    assert socketcan in code
-    code = code.replace(socketcan, f'interface="virtual", channel="{channel}"')
-    codec = Codec.from_dbc()
-    with Transmitter(links[0], codec, period=0.02) as transmitter:
-        transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
-        exec(code, {"ml": ml, "codec": codec})  # noqa: S102
-    assert "VALID" in capsys.readouterr().out
 
 
 def test_receive_prints_the_states_and_names_two_senders(links, capsys):
