@@ -11,9 +11,9 @@ import numpy as np
 
 from ...line import MapLine, Slot, Status
 from ...mixture import GaussianMixture
-from ..message.reader import Part
+from ..message.reader import DecodedRecord as Part
 from ..protection.e2e_state import E2EConfig
-from ..reasons import NOT_BELIEVED, Reason
+from ..reasons import NOT_AUTHENTIC, Reason
 from .reassembly import Reassembler, Record
 from .sequence import SequenceCheck
 
@@ -132,7 +132,7 @@ class Decoder:
 
     def _check_dropped(self, reason: Reason, can_id: int, t_ns: int, is_extended: bool) -> None:
         known = self._codec.layout.page_of_id.get((can_id, is_extended))
-        if known is None or reason in NOT_BELIEVED:
+        if known is None or reason in NOT_AUTHENTIC:
             return  # as in AUTOSAR: what is not authentic does not reach the E2E check
         if self.verifier is not None and reason is Reason.LENGTH:
             return
