@@ -66,14 +66,14 @@ class Codec:
         authenticator: Authenticator | None = None,
         codes: Mapping[str, type[CovarianceCode]] = CODES,
     ) -> None:
+        self.layout = layout
+        self.authenticator = authenticator
         if layout.covariance_code not in codes:
             raise LayoutError(
                 f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; "
                 f"there are {', '.join(codes)}; for those of the study, pass "
                 "codes=maplines_can.study.codes.CODES"
             )
-        self.layout = layout
-        self.authenticator = authenticator
         #: Code of the covariance that the DBC names.
         self.covariance = codes[layout.covariance_code](layout)
         packing = Packing(list(layout.signals.values()), layout.record_bytes)
@@ -105,7 +105,7 @@ class Codec:
 
     def __repr__(self) -> str:
         secured = "" if self.authenticator is None else ", authenticated"
-        return f"<Codec of {self.layout.source}: {self.covariance.name}{secured}>"
+        return f"<Codec of {self.layout.source}: {self.layout.covariance_code}{secured}>"
 
     @property
     def can_ids(self) -> frozenset[int]:
