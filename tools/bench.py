@@ -225,13 +225,17 @@ def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     traffic = Traffic(sizes.lines, seed)
     fields = traffic.codec.layout.signals
     packing = Packing(list(fields.values()), traffic.codec.layout.record_bytes)
-    physical = packing.physical(traffic.payloads)
+
+    def unpack() -> dict[str, Any]:
+        raw = packing.unpack(traffic.payloads)
+        return {name: signal.physical(raw[name]) for name, signal in fields.items()}
+
+    physical = unpack()
 
     def pack() -> Any:
         raw = {name: field.raw(physical[name]).astype(np.int64) for name, field in fields.items()}
         return packing.pack(raw, traffic.n)
 
-    unpack = partial(packing.physical, traffic.payloads)
     agree("bytes", not np.array_equal(pack(), traffic.payloads))
     for i, pages in enumerate(zip(*traffic.values, strict=True)):
         for name in pages[0]:
