@@ -75,7 +75,7 @@ class Motion:
     def over(
         self, dt: float, time_sigma: float = 0.0, transform: Transform = SIGMA_POINTS
     ) -> Gaussian:
-        """Return the displacement during a time: the new pose in the old ego frame.
+        """Return the displacement of the car within a time: the new pose in the old ego frame.
 
         Args:
             dt: time, negative for a displacement into the past [s].
