@@ -15,6 +15,7 @@ __all__ = [
     "Gaussian",
     "asymmetric",
     "indefinite",
+    "independent",
     "nearest_covariance",
     "square_root",
     "variances",
@@ -218,6 +219,20 @@ matrix is -1; use nearest_covariance(cov), which covers it
                 "take a marginal of fewer variables"
             )
         return self.root
+
+
+def independent(first: Gaussian, second: Gaussian) -> Gaussian:
+    """Return the joint Gaussian of two independent ones, the variables of ``first`` first.
+
+    >>> independent(Gaussian([1.0], [[4.0]]), Gaussian([2.0], [[9.0]])).cov
+    array([[4., 0.],
+           [0., 9.]])
+    """
+    n = first.dimension
+    mean = np.concatenate([first.mean, second.mean])
+    cov = np.zeros((len(mean), len(mean)))
+    cov[:n, :n], cov[n:, n:] = first.cov, second.cov
+    return Gaussian.trusted(mean, cov)
 
 
 def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,8 +3,9 @@
 from .component_counts import component_counts, remaining_nonlinearity
 from .linear import Linear
 from .monte_carlo import MonteCarlo, Samples
-from .motion import Motion, pose_time_ns, predict, predict_to
+from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
+from .prediction import pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
 from .refit import MapError, Refit
 from .sigma_points import SigmaPoints
