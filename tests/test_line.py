@@ -91,7 +91,7 @@ def test_y_sigma_is_the_spread_of_lines():
 
 @given(st.tuples(*[st.floats(-1, 1, width=16)] * 3), st.floats(1, 80))
 def test_y_sigma_is_zero_at_a_fixed_point(root, x):
-    """For a line that rotates about one of its points no square root of a negative number is taken."""
+    """A line that rotates about one of its points: rounding gives no negative variance there."""
     u = np.array([0.0, *root * np.array([0.1, 1e-3, 1e-5])])
     u[0] = -lateral_jacobian(np.zeros(4), x) @ u
     line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)))
@@ -197,7 +197,7 @@ def test_transform_line_needs_a_window(window):
 
 def test_transform_line_needs_four_points():
     """A cubic has four coefficients."""
-    with pytest.raises(ValueError, match="points must be 4 or more in a window .* got 3 points"):
+    with pytest.raises(ValueError, match=r"points must be 4 or more in a window .* got 3 points"):
         transform_line(np.zeros(4), np.zeros(3), WINDOW, points=3)
 
 
