@@ -1,4 +1,4 @@
-"""Refit: a QR fit of the points at each pose is the witness for all of it."""
+"""Refit against QR fits of the points at each pose."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
 def qr_lines(u, v):
     """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
 
-    Neither the normal equations nor the monomials of the refit: only the task is the same.
+    An independent method: the refit uses normal equations and monomials.
     """
     centre = (u.max(axis=1) + u.min(axis=1))[:, None] / 2
     half = np.ptp(u, axis=1)[:, None] / 2
@@ -61,28 +61,28 @@ def test_all_lines_of_all_scenarios_agree_with_qr(scene):
 
 
 def test_random_roads_agree_with_qr():
-    """From motorway to street turn the lateral position at any x is the same within a nanometre."""
+    """From motorway to street turn the lateral position at any x agrees within a nanometre."""
     for road in random_scenarios(200, seed=2):
         poses = road.ego.sample(50, seed=1)
         refit = refit_of(road)
         lines, points = refit(poses)[:, 0], road.polylines[0].points
         x = np.linspace(*refit.x_range[0], 9)
-        posed = ~np.isnan(lines[:, 0])
-        witness = lateral(qr_refit(points, poses)[posed, None], x)
+        well_posed = ~np.isnan(lines[:, 0])
+        witness = lateral(qr_refit(points, poses)[well_posed, None], x)
 
-        assert posed.mean() > 0.9
-        assert np.abs(lateral(lines[posed, None], x) - witness).max() <= 1e-9
+        assert well_posed.mean() > 0.9
+        assert np.abs(lateral(lines[well_posed, None], x) - witness).max() <= 1e-9
 
 
-def test_a_pose_far_from_the_origin_of_the_map_is_no_worse():
-    """Map coordinates of a thousand kilometres cost what they cost the points themselves."""
+def test_large_map_coordinates_lose_no_precision():
+    """At a thousand kilometres the error is that of the coordinates themselves."""
     shift, heading = np.array([4e5, 5e6]), 2.0
     c, s = np.cos(heading), np.sin(heading)
     near = HIGHWAY.lines[0].polyline
     far = Polyline(near.points @ np.array([[c, s], [-s, c]]) + shift)
     lines = Refit(far, [*shift, heading], HIGHWAY.window)([*shift, heading])
 
-    # 4 ulp of 5e6 m are 4e-9 m: what the points have lost already.
+    # The coordinates are exact to 4 ulp of 5e6 m, which are 4e-9 m.
     assert np.allclose(
         lateral(lines, [0, 40, 80]),
         lateral(refit_of(HIGHWAY)(np.zeros(3))[0], [0, 40, 80]),
@@ -91,8 +91,8 @@ def test_a_pose_far_from_the_origin_of_the_map_is_no_worse():
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_many_lines_in_one_call_are_each_as_alone(scene):
-    """Sharing the call changes no line but in its last bits."""
+def test_several_lines_in_one_call(scene):
+    """Each line is that of a call of its own, except for rounding."""
     poses = scene.ego.sample(3000, seed=1)  # more than one block
     together = refit_of(scene)(poses)
     for i, polyline in enumerate(scene.polylines):
@@ -103,8 +103,8 @@ def test_many_lines_in_one_call_are_each_as_alone(scene):
         assert np.array_equal(np.isnan(alone), np.isnan(together[:, i]))
 
 
-def test_many_poses_in_one_call_are_each_as_alone():
-    """A single pose gives what its row gives, at both sides of a block's end."""
+def test_several_poses_in_one_call():
+    """Each row is that of a single pose, also at the end of a block."""
     poses = HIGHWAY.ego.sample(2050, seed=1)
     refit = refit_of(HIGHWAY)
     lines = refit(poses)
@@ -116,7 +116,7 @@ def test_many_poses_in_one_call_are_each_as_alone():
 
 @given(mild_lines(), motions(degrees=180), st.integers(4, 40))
 def test_a_cubic_is_recovered(line, pose, count):
-    """Points on a cubic, seen from the mean pose wherever it stands in the map, give it back."""
+    """Points on a cubic, seen from the mean pose anywhere in the map, give the cubic."""
     x = np.linspace(-20, 80, count)
     z = (x + 1j * lateral(line, x)) * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
     refit = Refit(Polyline(np.column_stack([z.real, z.imag])), pose, (-20.1, 80.1))
@@ -126,8 +126,8 @@ def test_a_cubic_is_recovered(line, pose, count):
 
 
 @given(mild_lines(), motions())
-def test_a_refit_of_four_points_of_a_line_is_the_moved_line(line, motion):
-    """Points of the line, seen from another pose, and the line moved there, are the same."""
+def test_a_refit_of_four_points_of_a_line_is_transform_line(line, motion):
+    """Points of the line seen from another pose give the transformed line."""
     x = 40 + 40 * CHEBYSHEV
     refit = Refit(Polyline(np.column_stack([x, lateral(line, x)])), np.zeros(3), (0.0, 80.0))
     x = np.linspace(0, 80, 9)
@@ -141,7 +141,7 @@ def test_a_refit_of_four_points_of_a_line_is_the_moved_line(line, motion):
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
 def test_the_order_of_the_points_does_not_matter(scene):
-    """A line drawn against the driving direction is the same line."""
+    """A line against the driving direction is the same line."""
     poses = scene.ego.sample(500, seed=1)
     for polyline in scene.polylines:
         ahead, against = (
@@ -153,8 +153,8 @@ def test_the_order_of_the_points_does_not_matter(scene):
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_a_car_that_looks_back_sees_the_line_turned_about(scene):
-    """Turned by 180 deg, u and v change sign: so do y_off and c0, and beta and c1 stay."""
+def test_a_rotation_by_180_deg(scene):
+    """u and v change their signs: so do y_off and c0, while beta and c1 stay."""
     refit, poses = refit_of(scene), scene.ego.sample(500, seed=1)
     ahead, back = refit(poses), refit(poses + np.array([0, 0, np.pi]))
 
@@ -162,8 +162,8 @@ def test_a_car_that_looks_back_sees_the_line_turned_about(scene):
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_the_refit_is_smooth_along_a_line_of_poses(scene):
-    """Twice as fine steps between poses halve every step of the lines: there is no jump."""
+def test_the_refit_is_continuous(scene):
+    """Half the step between poses halves each step of the lines: there is no jump."""
 
     def largest_step(count):
         poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)
@@ -185,36 +185,36 @@ def test_the_refit_is_smooth_along_a_line_of_poses(scene):
             [[500 + x, 0] for x in range(9)],
             [0, 0, 0],
             "the line has 0 in the window",
-            id="off-the-line",
+            id="no-point",
         ),
         pytest.param(
             [[20 * np.sin(a), 20 - 20 * np.cos(a)] for a in np.linspace(0, 3.1, 30)],
             [0, 0, 0],
-            r"in the window \[-10, 40\] m double back .* \(0 m, 0 m, 0 deg\).* shorten the window",
+            r"\[-10, 40\] m are not a function of x.* \(0 m, 0 m, 0 deg\).* shorten the window",
             id="hairpin",
         ),
         pytest.param(
             [[x, 0] for x in range(31)] + [[x, 8] for x in range(30, 11, -1)],
             [0, 0, 0],
-            "double back",
+            "are not a function of x",
             id="more-than-a-third-back",
         ),
         pytest.param(
             [[x, 2.0] for x in range(-5, 6)],
             [0, 0, np.radians(85)],
-            "stand across the car at the pose .* 85 deg.* check the heading",
-            id="nearly-across",
+            "nearly perpendicular to the x axis, at the pose .* 85 deg.* check the heading",
+            id="nearly-perpendicular",
         ),
         pytest.param(
-            [[0, y] for y in range(9)], [0, 0, 0], "stand across the car", id="exactly-across"
+            [[0, y] for y in range(9)], [0, 0, 0], "nearly perpendicular", id="perpendicular"
         ),
         pytest.param(
             [[0, 0], [0, 0], [5, 0], [9, 0]], [0, 0, 0], "so no cubic", id="three-of-four-distinct"
         ),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_in_words(points, pose, words):
-    """An ill-posed line is refused at birth, with window, pose and cure."""
+def test_an_ill_posed_line_raises(points, pose, words):
+    """The message has window, pose and what to do."""
     with pytest.raises(IllPosedError, match=words):
         Refit(Polyline(points), pose, (-10, 40))
     with pytest.raises(IllPosedError, match=words):
@@ -234,50 +234,52 @@ def test_what_cannot_be_fitted_is_refused_in_words(points, pose, words):
         ([0, 0, 0], (np.nan, 80), "window must have x_min < x_max"),
     ],
 )
-def test_wrong_arguments_are_refused_in_words(pose, window, words):
-    """A pose and a window are checked at birth."""
+def test_invalid_arguments_raise(pose, window, words):
+    """The constructor checks pose and window."""
     with pytest.raises(ValueError, match=words):
         Refit(HIGHWAY.polylines, pose, window)
 
 
-def test_no_line_at_all_is_refused():
-    """A scene without lines has nothing to refit."""
+def test_no_line_raises():
+    """At least one line is needed."""
     with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
         Refit([], np.zeros(3), (0, 80))
 
 
-def test_poses_that_look_across_give_nan_and_are_counted():
-    """Of many poses the ill-posed are rows of NaN; Monte Carlo counts them and warns."""
+def test_ill_posed_poses_give_nan():
+    """Their rows are NaN; MonteCarlo counts them and warns."""
     road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
     refit = Refit(road, np.zeros(3), (-20, 80))
     wide = Gaussian(np.zeros(3), np.diag([0.25, 0.25, np.radians(40) ** 2]))
     n = 20_000
-    across = np.abs(np.cos(wide.sample(n, seed=3)[:, 2])) < 0.17  # a straight line: 80.2 deg
+    ill_posed = np.abs(np.cos(wide.sample(n, seed=3)[:, 2])) < 0.17  # a straight line: 80.2 deg
     lines = refit(wide.sample(n, seed=3))
 
-    assert np.array_equal(np.isnan(lines).all(axis=1), across)
-    assert np.array_equal(np.isnan(lines).any(axis=1), across)
-    with pytest.warns(UserWarning, match=f"{across.sum()} of {n} draws are ill-posed and left out"):
+    assert np.array_equal(np.isnan(lines).all(axis=1), ill_posed)
+    assert np.array_equal(np.isnan(lines).any(axis=1), ill_posed)
+    with pytest.warns(
+        UserWarning, match=f"{ill_posed.sum()} of {n} draws are ill-posed and excluded"
+    ):
         samples = MonteCarlo(n, seed=3).samples(refit, wide)
-    assert samples.ill_posed == across.sum() > 0
-    assert np.array_equal(samples.values, lines[~across])
-    assert np.array_equal(samples.inputs, wide.sample(n, seed=3)[~across])
+    assert samples.ill_posed == ill_posed.sum() > 0
+    assert np.array_equal(samples.values, lines[~ill_posed])
+    assert np.array_equal(samples.inputs, wide.sample(n, seed=3)[~ill_posed])
     with pytest.raises(IllPosedError, match="90 deg"):
         refit([0.0, 0.0, np.pi / 2])
     assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
 
 
-def test_nothing_but_ill_posed_draws_is_an_error():
-    """Where hardly a draw has a line there are no moments."""
+def test_only_ill_posed_draws_raise():
+    """Without values there are no moments."""
     refit = refit_of(HIGHWAY)
-    across = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
+    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
 
     with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
-        MonteCarlo(1000).samples(refit, across)
+        MonteCarlo(1000).samples(refit, ill_posed)
 
 
 def errors_of_points(error, points, n, rng):
-    """(n, 2, k) errors of the map points in the ego frame, as MapError describes them."""
+    """(n, 2, k) errors of k map points in the ego frame, drawn as MapError defines them."""
     local = error.point_sigma * rng.standard_normal((n, 2, len(points)))
     common = error.offset_sigma * rng.standard_normal((n, 2, 1))
     turn = error.heading_sigma * rng.standard_normal((n, 1))
@@ -295,13 +297,13 @@ def errors_of_points(error, points, n, rng):
     ],
 )
 @pytest.mark.parametrize("name", ["highway", "street-turn"])
-def test_the_map_s_error_spreads_the_lines_as_noise_cov_says(name, error):
-    """QR fits of 20,000 erroneous maps have that covariance, within 5 sampling errors."""
+def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name, error):
+    """QR fits of 20,000 erroneous maps have that covariance, within 5 standard errors."""
     scene, n, rng = scenario(name), 20_000, np.random.default_rng(4)
     refit = Refit(scene.polylines[:2], [0.3, -0.2, 0.01], scene.window, error)
     for points, cov in zip(refit.points, refit.noise_cov, strict=True):
         u, v = (points.T + errors_of_points(error, points, n, rng)).swapaxes(0, 1)
-        # A shift leaves c1 as it is: floors keep its zero from a division.
+        # An offset does not change c1; the minimum avoids a division by its zero sigma.
         sigma = np.maximum(np.sqrt(cov.diagonal()), [1e-9, 1e-9, 1e-12, 1e-12])
         correlation = cov / np.outer(sigma, sigma)
         drawn = np.cov((qr_lines(u, v) / sigma).T)
@@ -309,15 +311,15 @@ def test_the_map_s_error_spreads_the_lines_as_noise_cov_says(name, error):
         assert (np.abs(drawn - correlation) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
 
 
-def test_without_a_map_error_there_is_no_noise():
-    """Exact maps add nothing; map errors of zero add a covariance of zero."""
+def test_no_map_error_gives_no_noise():
+    """noise_cov is None for an exact map, and zero for map errors of zero."""
     assert refit_of(HIGHWAY).noise_cov is None
     assert not refit_of(HIGHWAY, map_error=MapError()).noise_cov.any()
 
 
 @pytest.mark.parametrize("name", ["point_sigma", "offset_sigma", "heading_sigma"])
 @pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
-def test_a_wrong_map_error_is_refused_in_words(name, value):
-    """Sigmas are 0 or more, and known."""
-    with pytest.raises(ValueError, match=f"{name} must be 0 or more, got"):
+def test_invalid_map_error_raises(name, value):
+    """Standard deviations are finite and 0 or more."""
+    with pytest.raises(ValueError, match=f"{name} must be 0 or more and finite, got"):
         MapError(**{name: value})
