@@ -55,10 +55,10 @@ def _objects() -> dict[str, Any]:
         for name in module.__all__
     }
     cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2
-    one = ml.Gaussian([1.75, 0, 0, 0], cov)
+    one = ml.Gaussian(np.array([1.75, 0, 0, 0]), cov)
     asymmetric, indefinite = np.eye(4), np.eye(4)
     asymmetric[0, 1] = indefinite[0, 1] = indefinite[1, 0] = 2.0
-    road = ml.Polyline([[x, 2.0] for x in range(-20, 100, 5)])
+    road = ml.Polyline(np.array([[x, 2.0] for x in range(-20, 100, 5)]))
     codec = ml.Codec.from_dbc()
     return names | {
         "nan": np.nan,
@@ -69,12 +69,12 @@ def _objects() -> dict[str, Any]:
         "codec": codec,
         "layout": codec.layout,
         "one": one,
-        "ego": ml.Gaussian([0, 0, 0], np.eye(3) * 1e-4),
+        "ego": ml.Gaussian(np.zeros(3), np.eye(3) * 1e-4),
         "road": road,
         "asymmetric": asymmetric,
         "indefinite": indefinite,
-        "line": ml.MapLine(0, one),
-        "received": ml.MapLine(0, one, t_ns=0),
+        "line": ml.MapLine(ml.Slot.EGO_LEFT, one),
+        "received": ml.MapLine(ml.Slot.EGO_LEFT, one, t_ns=0),
         "refit": ml.Refit(road, [0, 0, 0], window=(-20, 80)),
         "frame": ml.Frame(1, bytes(8)),
         "key": wire.Key(bytes(range(16))),

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from expressions import cases
 
-from maplines_can import Codec, MapLine
+from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main
 from maplines_can.study.dbc.record_spec import DEFAULT
 
@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def texts() -> dict[str, str]:
     """Return the text files by name; some are good, for a command that is bad otherwise."""
-    frames = Codec.from_dbc().encode(MapLine.mean_only(0, [1.75, 0, 0, 0]))
+    frames = Codec.from_dbc().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
     text = DEFAULT.dbc()
     return {
         "a-file": "a file\n",
