@@ -23,7 +23,7 @@ from functools import cache
 from itertools import count
 
 import numpy as np
-from telling import bar, ended, parser_of, progress
+from reporting import bar, parser_of, progress, report
 
 from maplines_can.cli.sending import scene_lines
 from maplines_can.line import MapLine
@@ -283,7 +283,7 @@ def main():
         and not any(attack["accepted"] for attack in result["attacks"].values())
         and all(row["met"] for row in result["guesses of short MACs"].values())
     )
-    return ended(result, arguments.json, 40)
+    return report(result, arguments.json, 40)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from collections import Counter
 from itertools import product
 
 import numpy as np
-from telling import bar, ended, parser_of, progress
+from reporting import bar, parser_of, progress, report
 
 from maplines_can.line import MapLine, Slot, Status
 from maplines_can.study import LATERAL_X, adversarial, evaluate, paper, road
@@ -363,7 +363,7 @@ def main():
     started = time.perf_counter()
     result = job(arguments.n or n, arguments.seed)
     result["seconds"] = time.perf_counter() - started
-    return ended(result, arguments.json, 48)
+    return report(result, arguments.json, 48)
 
 
 if __name__ == "__main__":

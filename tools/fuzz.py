@@ -32,7 +32,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
-from telling import parser_of
+from reporting import parser_of
 
 CORPUS = Path(__file__).resolve().parents[1] / "tests" / "corpus"
 TARGETS = ("decoder", "logs", "dbc")
