@@ -263,7 +263,9 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     lines = [MapLine(Slot(i % len(Slot)), gaussian) for i, gaussian in enumerate(gaussians)]
     singly = partial(each, codec.encode, lines)
     eights = partial(each, codec.encode_lines, list(zip(*[iter(lines)] * len(Slot), strict=True)))
-    rounds = cycle([list(chain.from_iterable(singly())) for _ in range(2)])  # so that no counter repeats
+    rounds = cycle(
+        [list(chain.from_iterable(singly())) for _ in range(2)]
+    )  # so that no counter repeats
 
     def fed() -> list[Any]:
         nonlocal t_ns
