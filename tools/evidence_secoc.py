@@ -312,7 +312,7 @@ def main() -> int:
         and not any(attack["accepted"] for attack in result["attacks"].values())
         and all(row["met"] for row in result["guesses of short MACs"].values())
     )
-    return report(result, arguments.json, 40)
+    return report(result, arguments.json, 44)
 
 
 if __name__ == "__main__":
