@@ -15,7 +15,7 @@ import warnings
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
-from telling import bar, parser_of
+from reporting import bar, parser_of
 
 from maplines_can.line import STATES
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit, SigmaPoints

@@ -40,7 +40,7 @@ from failures_stage import (
     restored,
     traffic,
 )
-from telling import parser_of
+from reporting import parser_of
 
 from maplines_can.bus import Link, Receiver
 from maplines_can.wire import Codec

@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import can
 import numpy as np
-from telling import bar, ended, parser_of, progress
+from reporting import bar, parser_of, progress, report
 
 from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.line import Kind, MapLine, Slot, Status
@@ -469,7 +469,7 @@ def main():
         result[name] = parts[name](arguments.lines, arguments.seed, faults)
         result[name]["seconds"] = time.perf_counter() - started
     result["met"] = all(result[name]["met"] for name in arguments.only)
-    return ended(result, arguments.json, 60)
+    return report(result, arguments.json, 60)
 
 
 if __name__ == "__main__":
