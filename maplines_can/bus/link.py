@@ -252,7 +252,7 @@ class Link:
         with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
             bus.shutdown()
         if was_up:
-            self._report(False, f"{self.name} is lost ({reason}); trying to reopen it")
+            self._report(False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back")
 
     def _check_deleted(self, bus: can.BusABC) -> None:
         """Lose a bus that received nothing because its interface was deleted: see `socketcan`."""

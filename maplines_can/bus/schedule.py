@@ -83,7 +83,7 @@ class Schedule(Generic[Key]):
         return bool(self._entries) and all(e.cycle >= e.end for e in self._entries.values())
 
     def wait(self, now: float) -> float | None:
-        """Return the time until the next deadline [s], 0 if it has passed; None without keys."""
+        """Return the time until the next deadline [s], at least 0; None if there is none."""
         first = min(map(self.deadline, self._entries), default=math.inf)
         return None if first == math.inf else max(0.0, first - now)
 

@@ -320,6 +320,7 @@ class FaultyOpener:
         self._bus: FaultyBus | None = None
 
     def __call__(self, **settings: Any) -> FaultyBus:
+        """Open a bus with these settings and wrap it."""
         bus = self._opener(**settings)
         self._bus = FaultyBus(bus, self._faults, clock=self._clock, previous=self._bus)
         return self._bus
