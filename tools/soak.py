@@ -211,8 +211,7 @@ def stream(n, seed, fd, faults):
         "lines sent": n,
         **dict(sorted(outcomes.items())),
         "share delivered": outcomes["delivered"] / n,
-        "share of which a good copy of each frame came, expected": share_with_good_copy(faults)
-        ** pages,
+        "share of which a good copy of each frame came, expected": good_copy(faults) ** pages,
         "frames": {"sent": injector.frames} | {what.name.lower(): done[what] for what in FaultKind},
         "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
         **{key: wrong[key] for key in WRONGS},
