@@ -1,4 +1,4 @@
-"""Numbers as they are taken from a caller: as floats, or refused in words."""
+"""Conversion of a caller's numbers to float arrays, with readable errors."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ __all__ = ["LARGEST", "floats", "number_text"]
 
 #: The largest float, 1.8e308.
 LARGEST = sys.float_info.max
-#: An integer of more bits is told by its size, not by its digits.
+#: Messages show an integer of more bits by its magnitude instead of its digits.
 SHORT_BITS = 128
 
 
 def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
-    """The values as an array of floats; without a copy where they are one.
+    """Return the values as an array of floats, without a copy if they already are one.
 
     Args:
-        values: of any shape.
-        name: of the argument, for the message.
+        values: numbers of any shape.
+        name: name of the argument, for the message.
 
     Raises:
-        ValueError: a number is complex, or an integer beyond the largest float.
+        ValueError: a number is complex, or is an integer beyond the largest float.
 
     >>> floats([1, 2.5], "x")
     array([1. , 2.5])
@@ -45,7 +45,7 @@ def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
 
 
 def number_text(value: object) -> str:
-    """How a message shows what was given: an integer of hundreds of digits by its size.
+    """Return the repr of a value, or the magnitude of an integer with too many digits to print.
 
     >>> number_text(0.5), number_text(-(10**400))
     ('0.5', 'an integer of about -1e400')

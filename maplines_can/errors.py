@@ -1,4 +1,4 @@
-"""The errors that a caller's mistake raises; what the bus sends never raises."""
+"""Errors raised for a mistake of the caller; nothing received from the bus raises."""
 
 __all__ = [
     "BusError",
@@ -14,11 +14,11 @@ __all__ = [
 
 
 class MaplinesError(Exception):
-    """Base of all errors of this package: catch it to catch them all."""
+    """Base class of all errors of this package."""
 
 
 class IllPosedError(MaplinesError, ValueError):
-    """A line cannot be fitted: too few points, or points that double back."""
+    """A cubic y(x) cannot be fitted: too few points, or points that are not a function of x."""
 
 
 class LayoutError(MaplinesError, ValueError):
@@ -26,24 +26,24 @@ class LayoutError(MaplinesError, ValueError):
 
 
 class EncodeError(MaplinesError, ValueError):
-    """A value has no place on the wire, and nothing may stand for it."""
+    """A value or a slot cannot be represented with the DBC in use."""
 
 
 class KeyMaterialError(MaplinesError, ValueError):
-    """A secret key is missing or is none; the message never holds what was read."""
+    """A secret key is missing or malformed. The message never contains what was read."""
 
 
 class MissingExtraError(MaplinesError, ImportError):
-    """A package of an optional extra is not installed; the message names the extra."""
+    """A package of an optional extra is not installed. The message names the extra."""
 
 
 class BusError(MaplinesError, OSError):
-    """A CAN interface cannot be opened, or cannot carry what is asked of it."""
+    """A CAN interface cannot be opened, or does not support what is requested."""
 
 
 class LogError(MaplinesError, OSError):
-    """A log file cannot be read, or not all of it; what is good was read before."""
+    """A log file cannot be read, or only in part; its good records were returned before."""
 
 
 class StudyError(MaplinesError, ValueError):
-    """A study cannot be made as asked: of this file, in this directory, with these workers."""
+    """A study cannot run with the given file, output directory or workers."""

@@ -1,4 +1,4 @@
-"""A Gaussian of any dimension, checked at birth; singular covariances are legal."""
+"""Gaussian distributions of any dimension; the covariance may be singular."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
-from scipy.special import gammaincinv
 
 from .arrays import floats
 
@@ -17,15 +15,16 @@ __all__ = [
     "Gaussian",
     "asymmetric",
     "indefinite",
+    "independent",
     "nearest_covariance",
     "square_root",
     "variances",
 ]
 
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
-#: deviations, are taken for rounding; anything larger is the caller's mistake.
+#: deviations, count as rounding errors; larger ones are the caller's mistake.
 ROUNDING = 1e-9
-#: Variances and covariances up to this can be added without leaving the floats.
+#: Largest variance or covariance; sums of such values stay within the floats.
 MOST_COV = 1e307
 
 
@@ -36,11 +35,12 @@ class Gaussian:
     Args:
         mean: (n,) finite.
         cov: (n, n) finite (up to 1e307), symmetric and positive semidefinite, both up to
-            rounding (1e-9 of the standard deviations, 1e-5 for float32); zero
-            variances and exactly singular matrices are legal.
+            rounding (1e-9 of the standard deviations, 1e-5 for float32). Zero
+            variances and exactly singular matrices are allowed.
 
     Raises:
-        ValueError: a shape, a value, the symmetry or the definiteness is wrong.
+        ValueError: a shape or a value is wrong, or ``cov`` is not symmetric or
+            not positive semidefinite.
 
     >>> ego = Gaussian([0.0, 0.0, 0.0], [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0]])
     >>> ego.sigma
@@ -49,7 +49,7 @@ class Gaussian:
     Traceback (most recent call last):
     ...
     ValueError: cov must be positive semidefinite, but the smallest eigenvalue of its correlation \
-matrix is -1; use nearest_covariance(cov) to cover it by one that is
+matrix is -1; use nearest_covariance(cov), which covers it
     """
 
     mean: NDArray[np.float64]
@@ -67,7 +67,7 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
             raise ValueError(f"cov must have variances of 0 or more, got {cov.diagonal()!r}")
         if cov[cov.diagonal() == 0].any():
             raise ValueError(
-                f"cov must have no covariance where there is no variance, got {cov!r}; "
+                f"cov must be 0 in the row and column of a zero variance, got {cov!r}; "
                 "use nearest_covariance(cov)"
             )
         if asymmetric(cov, rounding):
@@ -78,8 +78,7 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
             least = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
             raise ValueError(
                 "cov must be positive semidefinite, but the smallest eigenvalue of its "
-                f"correlation matrix is {least:g}; use nearest_covariance(cov) to cover it "
-                "by one that is"
+                f"correlation matrix is {least:g}; use nearest_covariance(cov), which covers it"
             )
         for name, array in (("mean", mean), ("cov", cov)):
             array.flags.writeable = False
@@ -87,10 +86,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
 
     @classmethod
     def trusted(cls, mean: NDArray[np.float64], cov: NDArray[np.float64]) -> Gaussian:
-        """A Gaussian from arrays that are known to be right, and are now its own.
+        """Return a Gaussian of the given arrays without copying or checking them.
 
-        For decoders, whose matrices are definite by construction; everybody
-        else calls ``Gaussian(mean, cov)``, which checks.
+        The arrays become read-only. For matrices that are positive semidefinite by
+        construction, as in a decoder; otherwise call ``Gaussian(mean, cov)``.
         """
         gaussian = object.__new__(cls)
         for name, array in (("mean", mean), ("cov", cov)):
@@ -100,7 +99,7 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
 
     @property
     def dimension(self) -> int:
-        """Number of components n."""
+        """Number of variables n."""
         return self.mean.size
 
     @cached_property
@@ -110,7 +109,7 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
 
     @cached_property
     def correlation(self) -> NDArray[np.float64]:
-        """(n, n) correlation matrix; a component without variance correlates with none."""
+        """(n, n) correlation matrix; a variable of zero variance correlates with no other."""
         scale = np.where(self.sigma > 0, self.sigma, 1.0)
         correlation = self.cov / scale[:, None] / scale
         np.fill_diagonal(correlation, 1.0)
@@ -122,7 +121,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         return square_root(self.cov)
 
     def marginal(self, indices: ArrayLike) -> Gaussian:
-        """The Gaussian of some components, in the order of ``indices``.
+        """Return the Gaussian of some of the variables, in the order of ``indices``.
+
+        Raises:
+            ValueError: an index is not a whole number from 0 to n - 1.
 
         >>> Gaussian([1, 2, 3], np.diag([1, 4, 9])).marginal([2, 0]).mean
         array([3., 1.])
@@ -135,28 +137,38 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         return Gaussian(self.mean[keep], self.cov[np.ix_(keep, keep)])
 
     def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
-        """(n, dimension) random draws; the same seed gives the same draws."""
+        """Return (n, dimension) random draws; the same seed gives the same draws."""
         normal = np.random.default_rng(seed).standard_normal((n, self.dimension))
         return self.mean + normal @ self.root.T
 
     @np.errstate(over="ignore", invalid="ignore")
     def mahalanobis(self, x: ArrayLike) -> NDArray[np.float64]:
-        """(...,) distances of (..., n) points in standard deviations, infinite beyond 1e154.
+        """Return the (...,) Mahalanobis distances of (..., n) points from the mean.
+
+        Distances beyond 1e154 are infinite.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance is singular.
         """
+        from scipy.linalg import solve_triangular
+
         d = floats(x, "x") - self.mean
         z = solve_triangular(self._factor(), d.reshape(-1, self.dimension).T, lower=True)
         return np.sqrt((z**2).sum(axis=0)).reshape(d.shape[:-1])
 
     @np.errstate(over="ignore")
     def coverage(self, samples: ArrayLike, mass: float = 0.99) -> float:
-        """Share of (N, n) samples inside the central region that holds ``mass``.
+        """Return the share of (N, n) samples inside the central region of probability ``mass``.
 
-        1 less this share are the false negatives of a Gaussian that stands for
-        the distribution of the samples (Map Line Interface, section IV).
+        If the Gaussian approximates the distribution of the samples, 1 - share is
+        its rate of false negatives (Map Line Interface, section IV).
+
+        Raises:
+            ValueError: ``mass`` is not between 0 and 1, or there are no samples.
+            numpy.linalg.LinAlgError: the covariance is singular.
         """
+        from scipy.special import gammaincinv
+
         if not 0 < mass < 1:
             raise ValueError(f"mass must be more than 0 and less than 1, got {mass!r}")
         if not np.size(samples):
@@ -166,10 +178,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         return float(np.mean(inside))
 
     def kl(self, other: Gaussian) -> float:
-        """Kullback-Leibler divergence KL(self || other) in nats.
+        """Return the Kullback-Leibler divergence KL(self || other) [nat].
 
-        Infinite where self is singular: a thin distribution is told from any
-        thicker one by a single sample.
+        It is infinite if ``self`` is singular: all its samples lie in a subspace
+        that has probability 0 under ``other``.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance of ``other`` is singular.
@@ -177,6 +189,8 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         >>> round(Gaussian([0.0], [[1.0]]).kl(Gaussian([1.0], [[1.0]])), 12)
         0.5
         """
+        from scipy.linalg import solve_triangular
+
         L = other._factor()
         A = solve_triangular(L, self.root, lower=True)
         z = solve_triangular(L, self.mean - other.mean, lower=True)
@@ -185,9 +199,10 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         return float(((A**2).sum() + z @ z - self.dimension) / 2 - log_det)
 
     def wasserstein(self, other: Gaussian) -> float:
-        """2-Wasserstein distance, in the units of the mean (Gelbrich 1990).
+        """Return the 2-Wasserstein distance, in the units of the mean (Gelbrich 1990).
 
-        Mixes the units of the components: use it on marginals of one unit.
+        It adds the squares of all variables: use it on marginals whose variables
+        have the same unit.
         """
         values, vectors = np.linalg.eigh(self.cov)
         root = (vectors * np.sqrt(values.clip(0))) @ vectors.T
@@ -197,20 +212,36 @@ matrix is -1; use nearest_covariance(cov) to cover it by one that is
         return float(np.sqrt(max(squared, 0.0)))
 
     def _factor(self) -> NDArray[np.float64]:
+        """Return ``root``; raises LinAlgError if the covariance is singular."""
         if not self.root.diagonal().all():
             raise np.linalg.LinAlgError(
-                "the covariance is singular: it has no density; take a marginal of fewer components"
+                "the covariance is singular, so the Gaussian has no density; "
+                "take a marginal of fewer variables"
             )
         return self.root
 
 
-def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lower-triangular ``L`` with ``L @ L.T == cov``, for singular ``cov`` too.
+def independent(first: Gaussian, second: Gaussian) -> Gaussian:
+    """Return the joint Gaussian of two independent ones, the variables of ``first`` first.
 
-    Cholesky's recursion. Where it meets a pivot that is zero up to rounding, to
-    go on would spoil the rest: then the root of the eigenvalues is turned into
-    triangular form, with a zero column for each component that the ones before
-    it determine.
+    >>> independent(Gaussian([1.0], [[4.0]]), Gaussian([2.0], [[9.0]])).cov
+    array([[4., 0.],
+           [0., 9.]])
+    """
+    n = first.dimension
+    mean = np.concatenate([first.mean, second.mean])
+    cov = np.zeros((len(mean), len(mean)))
+    cov[:n, :n], cov[n:, n:] = first.cov, second.cov
+    return Gaussian.trusted(mean, cov)
+
+
+def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lower-triangular ``L`` with ``L @ L.T == cov``, also for a singular ``cov``.
+
+    This is the Cholesky factor. If a pivot is zero up to rounding, continuing the
+    recursion would amplify rounding errors; the root is then computed from the
+    eigenvalues and reduced to triangular form by Householder reflections. It has a
+    zero column for each variable that depends on the preceding ones.
 
     Args:
         cov: (n, n) symmetric positive semidefinite.
@@ -230,7 +261,7 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:
-    """``square_root`` from the eigenvalues above ``tiny`` of the correlation matrix."""
+    """Return ``square_root`` from the eigenvalues above ``tiny`` of the correlation matrix."""
     scale = _scale(cov)
     values, vectors = np.linalg.eigh(cov / scale / scale[:, None])
     M = vectors * np.sqrt(np.where(values > tiny, values, 0.0))
@@ -239,19 +270,19 @@ def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.floa
     for j in range(len(M)):
         v = M[j, k:].copy()
         norm = np.sqrt(v @ v)
-        if norm > tiny:  # a Householder reflection of what the rows above leave of row j
+        if norm > tiny:  # reflect the remainder of row j onto column k
             v[0] += np.copysign(norm, v[0])
             M[:, k:] -= np.outer(M[:, k:] @ v, v * (2 / (v @ v)))
             L[j:, j] = M[j:, k] * np.sign(M[j, k])
             k += 1
-    return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # a row without variance stays empty
+    return L * np.sqrt(cov.diagonal().clip(0))[:, None]  # zero variance: zero row
 
 
 def variances(sigma: ArrayLike) -> NDArray[np.float64]:
-    """(...,) squares of standard deviations.
+    """Return the (...,) squares of standard deviations.
 
     Raises:
-        ValueError: one is negative, not finite, or too large for its square to be a float.
+        ValueError: a value is negative or not finite, or its square exceeds 1e307.
 
     >>> variances([0.5, 2.0])
     array([0.25, 4.  ])
@@ -264,12 +295,12 @@ def variances(sigma: ArrayLike) -> NDArray[np.float64]:
 
 
 def rounding_of(cov: object) -> float:
-    """Rounding to expect of a covariance: 1e-9, or 1e-5 where it comes in single precision."""
+    """Return the relative rounding error of a covariance: 1e-9, or 1e-5 in single precision."""
     return 1e-5 if getattr(cov, "dtype", None) in (np.float32, np.float16) else ROUNDING
 
 
 def asymmetric(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:
-    """(...,) which of (..., n, n) matrices are not symmetric, beyond rounding."""
+    """Return (...,) which of (..., n, n) matrices are not symmetric up to rounding."""
     scale = _scale(cov)
     difference = np.abs(cov - np.swapaxes(cov, -1, -2))
     limit = rounding * scale[..., :, None] * scale[..., None, :]
@@ -277,10 +308,10 @@ def asymmetric(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
 
 
 def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[np.bool_]:
-    """(...,) which of (..., n, n) symmetric matrices are not positive semidefinite.
+    """Return (...,) which of (..., n, n) symmetric matrices are not positive semidefinite.
 
-    Beyond rounding: Cholesky's recursion on the correlation matrix, its
-    diagonal raised by the rounding, meets a pivot that is not positive.
+    A matrix counts as indefinite if the Cholesky recursion on its correlation
+    matrix, with ``rounding`` added to the diagonal, has a pivot of 0 or less.
     """
     S = np.moveaxis(cov, (-2, -1), (0, 1))
     scale = np.moveaxis(_scale(cov), -1, 0)
@@ -299,22 +330,23 @@ def indefinite(cov: NDArray[np.float64], rounding: float = ROUNDING) -> NDArray[
 
 
 def _scale(cov: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., n) standard deviations, 1 where there is none."""
+    """Return the (..., n) standard deviations, with 1 in place of 0."""
     variance = np.diagonal(cov, axis1=-2, axis2=-1)
     return np.sqrt(np.where(variance > 0, variance, 1.0))
 
 
 def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
-    """The least positive semidefinite matrices that cover symmetric ones.
+    """Return the nearest positive semidefinite matrices that cover symmetric ones.
 
-    Negative eigenvalues of the correlation matrix are raised to zero, so the
-    result less ``cov`` is positive semidefinite: a repair is never overconfident.
+    Negative eigenvalues of the correlation matrix are set to zero. The result
+    minus ``cov`` is positive semidefinite, so the result is never overconfident.
 
     Args:
-        cov: (..., n, n) symmetric, variances of 0 or more.
+        cov: (..., n, n) symmetric, with variances of 0 or more.
 
     Raises:
-        ValueError: a shape, a value, a variance or the symmetry is wrong.
+        ValueError: a shape or a value is wrong, a variance is negative, or a
+            matrix is not symmetric.
 
     >>> nearest_covariance([[1, 2], [2, 1]])
     array([[1.5, 1.5],

@@ -1,4 +1,4 @@
-"""The cubic line, its Gaussian with all that is known of it, and its move to another pose."""
+"""The cubic line, the message content ``MapLine``, and the transformation to another pose."""
 
 from __future__ import annotations
 
@@ -31,21 +31,22 @@ __all__ = [
 #: The line's parameters, in the order of every mean and covariance.
 STATES = ("y_off", "beta", "c0", "c1")
 
-#: Standard deviations that stand for "unknown": [m, rad, 1/m, 1/m^2].
-#: So wide that a fusion gives the line no weight, and never a claim of exactness.
+#: Standard deviations of an unknown covariance [m, rad, 1/m, 1/m^2].
+#: They are so large that a fusion gives the line practically no weight.
 VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 
-#: A line must advance along the car's x axis by this share of its way (it lies within 80 deg).
+#: Smallest advance along the car's x axis, as a share of the length of the line. A straight line
+#: meets it within 80 deg of the x axis.
 LEAST_ADVANCE = 0.17
 
-#: No age is longer [s]; in nanoseconds it is still a float.
-LONGEST_AGE = 1e99
-#: More points of a line need more memory than they are worth.
-MOST_POINTS = 10_000
+#: Largest age [s]; in nanoseconds it is still a float.
+MAX_AGE = 1e99
+#: Most points to which ``transform_line`` fits a line; more need memory and change little.
+MAX_POINTS = 10_000
 
 
 class Slot(IntEnum):
-    """Which line of the scene a message carries; each slot has its CAN IDs."""
+    """Identity of a line in the scene. Each slot has its own CAN IDs."""
 
     EGO_LEFT = 0
     EGO_RIGHT = 1
@@ -58,7 +59,7 @@ class Slot(IntEnum):
 
 
 class Kind(IntEnum):
-    """What the line is on the road."""
+    """Kind of marking or boundary that a line represents."""
 
     UNKNOWN = 0
     SOLID = 1
@@ -71,35 +72,35 @@ class Kind(IntEnum):
 
 
 class Status(IntEnum):
-    """What the covariance of a line is worth."""
+    """Quality of the covariance of a line."""
 
-    UNKNOWN = 0  #: only the mean was sent; the covariance is VAGUE_SIGMA
-    FULL = 1  #: covers the sender's covariance, correlations included
-    DIAGONAL = 2  #: covers the sender's variances; correlations were not sent
-    REPAIRED = 3  #: as FULL, but the sender's matrix was indefinite and had to be covered
-    SATURATED = 4  #: as FULL, but wider than need be: a value met the end of its range
+    UNKNOWN = 0  #: only the mean was sent; the standard deviations are VAGUE_SIGMA
+    FULL = 1  #: the covariance covers the sender's, including correlations
+    DIAGONAL = 2  #: the variances cover the sender's; correlations were not sent
+    REPAIRED = 3  #: as FULL, but the sender's matrix was indefinite and was replaced by a cover
+    SATURATED = 4  #: as FULL, but wider than necessary: a value reached the end of its range
     OUT_OF_RANGE = 5  #: the line does not fit the message: use neither mean nor covariance
 
 
 @dataclass(frozen=True, eq=False)
 class MapLine:
-    """One line of the map as the car sees it: a Gaussian over a cubic, in the ego frame.
+    """One map line in the ego frame: a Gaussian over the parameters of a cubic.
 
     The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line
     Interface, eq. 1), x forward and y to the left (ISO 8855), for x in
     [x_min, x_max].
 
     Args:
-        slot: which line of the scene.
-        gaussian: over (y_off, beta, c0, c1) in [m, rad, 1/m, 1/m^2].
-        kind: what it is on the road.
-        x_min: where the cubic begins to hold [m].
-        x_max: where it ends to hold [m].
-        age: time from the pose to the sending [s].
-        status: what the covariance is worth.
-        mixture: what is known of the line beyond one Gaussian; ``gaussian`` then has its
-            mean and covariance. See ``MapLine.of_mixture``.
-        t_ns: when the first frame of the line was received [ns]; None at the sender.
+        slot: identity of the line in the scene.
+        gaussian: over (y_off, beta, c0, c1) [m, rad, 1/m, 1/m^2].
+        kind: kind of marking or boundary.
+        x_min: start of the valid range [m].
+        x_max: end of the valid range [m].
+        age: time from the pose to the transmission [s].
+        status: quality of the covariance.
+        t_ns: reception time of the first frame of the line [ns]; None at the sender.
+        mixture: distribution of the line if one Gaussian does not describe it well;
+            ``gaussian`` then has its mean and covariance. See ``MapLine.of_mixture``.
 
     Raises:
         ValueError: a value is out of range.
@@ -126,16 +127,18 @@ class MapLine:
             raise ValueError(
                 f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
             )
-        if not 0 <= numbers[2] <= LONGEST_AGE:
+        if not 0 <= numbers[2] <= MAX_AGE:
             raise ValueError(
-                f"age must be 0 s or more and finite (up to {LONGEST_AGE:g}), got {self.age!r}"
+                f"age must be 0 s or more and finite (up to {MAX_AGE:g}), got {self.age!r}"
             )
         if self.t_ns is not None and self.t_ns != self.t_ns // 1:
-            raise ValueError(f"t_ns must be whole [ns], or None at a sender, got {self.t_ns!r}")
+            raise ValueError(
+                f"t_ns must be a whole number [ns], or None at the sender, got {self.t_ns!r}"
+            )
 
     @classmethod
     def mean_only(cls, slot: Slot, mean: ArrayLike, **rest: Any) -> MapLine:
-        """A line of which only the mean is known.
+        """Return a line of known mean and unknown covariance.
 
         >>> MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]).status.name
         'UNKNOWN'
@@ -145,21 +148,24 @@ class MapLine:
 
     @classmethod
     def with_sigma(cls, slot: Slot, mean: ArrayLike, sigma: ArrayLike, **rest: Any) -> MapLine:
-        """A line of which the mean and the standard deviations are known."""
+        """Return a line of known mean and standard deviations, without correlations."""
         gaussian = Gaussian(floats(mean, "mean"), np.diag(variances(sigma)))
         return cls(slot, gaussian, status=Status.DIAGONAL, **rest)
 
     @classmethod
     def of_mixture(cls, slot: Slot, mixture: GaussianMixture, **rest: Any) -> MapLine:
-        """A line that is known as a Gaussian mixture; all its parts travel together."""
+        """Return a line distributed as a Gaussian mixture.
+
+        Its components are transmitted together: a receiver gets all of them or none.
+        """
         return cls(slot, mixture.overall, mixture=mixture, **rest)
 
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
-        """(...,) lateral position of the mean line at x [m]."""
+        """Return the (...,) lateral position of the mean line at x [m]."""
         return lateral(self.gaussian.mean, x)
 
     def y_sigma(self, x: ArrayLike) -> NDArray[np.float64]:
-        """(...,) standard deviation of the lateral position at x [m], to first order."""
+        """Return the (...,) standard deviation of the lateral position at x [m], to first order."""
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
@@ -167,13 +173,13 @@ class MapLine:
 
 @np.errstate(over="ignore", invalid="ignore")
 def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
-    """Lateral position l(x) of lines (Map Line Interface, eq. 1).
+    """Return the lateral position l(x) of lines [m] (Map Line Interface, eq. 1).
 
-    Infinite or NaN, without a warning, where x is, or where the value is beyond the floats.
+    The result is infinite or NaN, without a warning, where x is or where it exceeds the floats.
 
     Args:
         parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].
-        x: broadcasts against the leading axes of ``parameters`` [m].
+        x: longitudinal positions that broadcast against the leading axes of ``parameters`` [m].
 
     >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
     array([1. , 1.5, 3. ])
@@ -185,14 +191,14 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
 
 @np.errstate(over="ignore", invalid="ignore")
 def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
-    """(..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
+    """Return the (..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
     _, beta, _, _ = _states(parameters)
     x, beta = np.broadcast_arrays(floats(x, "x"), beta)
     return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
 
 
 def _states(parameters: ArrayLike) -> NDArray[np.float64]:
-    """(4, ...) of (..., 4) lines."""
+    """Return (..., 4) lines as an array of shape (4, ...)."""
     lines = floats(parameters, "parameters")
     if lines.shape[-1:] != (len(STATES),):
         raise ValueError(f"parameters must have shape (..., 4), got {lines.shape}")
@@ -202,7 +208,7 @@ def _states(parameters: ArrayLike) -> NDArray[np.float64]:
 def line_of_cubic(
     q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
 ) -> NDArray[np.float64]:
-    """The line of a cubic that is written in the normalised ``w = (u - centre) / half``.
+    """Return the line of a cubic given in the normalised variable ``w = (u - centre) / half``.
 
     Args:
         q: (4, ...) coefficients of w^0 .. w^3 [m].
@@ -210,7 +216,7 @@ def line_of_cubic(
         half: (...) [m], positive.
 
     Returns:
-        (..., 4) lines: the Taylor coefficients at u = 0, beta from its tangent.
+        (..., 4) lines (y_off, beta, c0, c1): the derivatives at u = 0, with the first as an angle.
     """
     q0, q1, q2, q3 = q
     r = 1 / np.asarray(half, dtype=float)
@@ -227,36 +233,41 @@ def line_of_cubic(
 def transform_line(
     parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
-    """Lines as seen from another pose (Map Line Interface, section III-A-1).
+    """Transform lines to the ego frame of another pose (Map Line Interface, section III-A-1).
 
-    Points of the line itself are carried into the new frame and fitted again.
-    Through 4 points (the Chebyshev ones) the fit is exact at them. More points are spread
-    evenly, as those of a map are, and fitted with the least squares: after 5 m and 10 deg the line
-    is then where a refit of the map points from there would have it, within 1 mm over the same
-    window for 100 m of a road of radius 200 m or more; not in a street turn, where the road is no
-    cubic either.
+    Points of the line are transformed to the new frame, and a cubic is fitted to them.
+    With 4 points these are Chebyshev points, and the cubic interpolates them. More points are
+    evenly spaced, like those of a map, and fitted by least squares. The result then agrees with a
+    refit of the map points from the new pose within 1 mm over the same window, for motions up to
+    5 m and 10 deg and 100 m of a road of radius 200 m or more. It does not in a street turn, which
+    no cubic describes.
 
     Args:
         parameters: (..., 4) lines in the old ego frame.
         motion: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
-        window: where the line holds (x_min, x_max) in the old ego frame [m].
-        points: how many points of the line, 4 to 10 000.
+        window: (x_min, x_max) valid range of the line in the old ego frame [m].
+        points: number of points, 4 to 10 000.
+
+    Returns:
+        (..., 4) lines in the new ego frame.
 
     Raises:
         ValueError: fewer than 4 points or more than 10 000, an empty window, or a wrong shape.
-        IllPosedError: seen from the new pose, a line doubles back or stands
-            across the car (80 deg and more), or a number is NaN.
+        IllPosedError: in the new frame a line is not a function of x or is nearly
+            perpendicular to the x axis (80 deg or more), or an input is NaN.
 
     >>> transform_line([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     """
     lines = transform_line_or_nan(parameters, motion, window, points)
-    lost = np.isnan(lines).any(axis=-1)
-    if lost.any():
-        worst = np.broadcast_to(np.asarray(motion, dtype=float), (*lost.shape, 3))[lost][0]
+    ill_posed = np.isnan(lines).any(axis=-1)
+    if ill_posed.any():
+        motions = np.broadcast_to(np.asarray(motion, dtype=float), (*ill_posed.shape, 3))
+        first = motions[ill_posed][0]
         raise IllPosedError(
-            f"a line doubles back or stands across the car after the motion {worst} (m, m, rad), "
-            "so no cubic y(x) follows it; shorten the window or check the heading"
+            "a line is not a function of x, or is nearly perpendicular to the x axis, after the "
+            f"motion {first} (m, m, rad), so no cubic y(x) describes it; shorten the window or "
+            "check the heading"
         )
     return lines
 
@@ -265,15 +276,15 @@ def transform_line(
 def transform_line_or_nan(
     parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
-    """As ``moved``, with a row of NaN for a line that no cubic follows: for moment transforms."""
+    """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError."""
     x_min, x_max = (floats(end, "window").item() for end in window)
     if points < 4 or not -np.inf < x_min < x_max < np.inf:
         raise ValueError(
-            f"needs 4 points or more in a window, got {number_text(points)} points "
-            f"in ({x_min:g}, {x_max:g}) m"
+            "points must be 4 or more in a window of x_min < x_max, "
+            f"got {number_text(points)} points in ({x_min:g}, {x_max:g}) m"
         )
-    if points > MOST_POINTS:
-        raise ValueError(f"needs {MOST_POINTS} points or fewer, got {number_text(points)}")
+    if points > MAX_POINTS:
+        raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
         nodes = np.linspace(1, -1, points)
@@ -286,14 +297,15 @@ def transform_line_or_nan(
     c, d = np.cos(heading), np.sin(heading)
     u, v = c * s + d * t, c * t - d * s
     advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])
-    follows = advance > LEAST_ADVANCE * np.hypot(advance, np.diff(v, axis=-1))
-    lost = ~(follows.all(axis=-1) & (np.abs(lines[..., 1]) < np.pi / 2))  # tan knows no backwards
-    u = np.where(lost[..., None], nodes, u)  # any places that can be fitted at; the fit is not used
+    well_posed = (advance > LEAST_ADVANCE * np.hypot(advance, np.diff(v, axis=-1))).all(axis=-1)
+    # l(x) contains tan(beta), which is the same for a line that points backwards.
+    ill_posed = ~(well_posed & (np.abs(lines[..., 1]) < np.pi / 2))
+    u = np.where(ill_posed[..., None], nodes, u)  # keeps the QR regular; the fit is discarded
     centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
     half = (u.max(axis=-1) - u.min(axis=-1)) / 2
     w = (u - centre[..., None]) / half[..., None]
     Q, R = np.linalg.qr(w[..., None] ** np.arange(4))
     q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ v[..., None])[..., 0]
     fitted = line_of_cubic(np.moveaxis(q, -1, 0), centre, half)
-    fitted[lost] = np.nan
+    fitted[ill_posed] = np.nan
     return fitted

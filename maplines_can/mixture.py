@@ -1,4 +1,4 @@
-"""A Gaussian mixture: what one Gaussian cannot say of a distribution."""
+"""Gaussian mixtures, for distributions that one Gaussian does not describe well."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ class GaussianMixture:
     """The distribution ``sum_i weights[i] N(components[i])``.
 
     Args:
-        weights: (k,) positive, of sum 1 up to rounding.
-        components: k Gaussians of one dimension.
+        weights: (k,) positive, with sum 1 up to 1e-9.
+        components: k Gaussians of the same dimension.
 
     Raises:
-        ValueError: a weight, their sum or a dimension is wrong.
+        ValueError: a weight is not positive, their sum is not 1, their number is not
+            that of the components, or the components differ in dimension.
 
     >>> two = GaussianMixture([0.5, 0.5], [Gaussian([-1.0], [[1.0]]), Gaussian([1.0], [[1.0]])])
     >>> two.overall.cov
@@ -42,16 +43,17 @@ class GaussianMixture:
                 f"got {weights.shape}"
             )
         if not ((weights > 0) & (weights < 2)).all() or not abs(weights.sum() - 1) < 1e-9:
-            raise ValueError(f"weights must be positive and of sum 1, got {weights!r}")
+            raise ValueError(f"weights must be positive with sum 1, got {weights!r}")
         if len({component.dimension for component in components}) > 1:
-            raise ValueError("components must have one dimension")
+            dimensions = [component.dimension for component in components]
+            raise ValueError(f"components must have the same dimension, got {dimensions}")
         weights.flags.writeable = False
         object.__setattr__(self, "weights", weights)
         object.__setattr__(self, "components", components)
 
     @property
     def dimension(self) -> int:
-        """Number of components of the variable."""
+        """Number of variables n."""
         return self.components[0].dimension
 
     @cached_property
@@ -66,29 +68,29 @@ class GaussianMixture:
 
     @cached_property
     def overall(self) -> Gaussian:
-        """The one Gaussian with the mixture's mean and covariance."""
+        """The Gaussian with the mean and covariance of the mixture."""
         mean = self.weights @ self.means
         d = self.means - mean
         cov = np.einsum("k,kij->ij", self.weights, self.covs + d[:, :, None] * d[:, None, :])
         return Gaussian(mean, (cov + cov.T) / 2)
 
     def marginal(self, indices: ArrayLike) -> GaussianMixture:
-        """The mixture of some components of the variable, in the order of ``indices``."""
+        """Return the mixture of some of the variables, in the order of ``indices``."""
         return GaussianMixture(self.weights, tuple(c.marginal(indices) for c in self.components))
 
     def sample(self, n: int, seed: int | np.random.Generator = 0) -> NDArray[np.float64]:
-        """(n, dimension) random draws; the same seed gives the same draws."""
+        """Return (n, dimension) random draws; the same seed gives the same draws."""
         rng = np.random.default_rng(seed)
-        part = rng.choice(len(self.weights), size=n, p=self.weights / self.weights.sum())
+        chosen = rng.choice(len(self.weights), size=n, p=self.weights / self.weights.sum())
         roots = np.array([component.root for component in self.components])
         normal = rng.standard_normal((n, self.dimension))
-        return self.means[part] + np.einsum("nij,nj->ni", roots[part], normal)
+        return self.means[chosen] + np.einsum("nij,nj->ni", roots[chosen], normal)
 
     def density(self, x: ArrayLike) -> NDArray[np.float64]:
-        """(...,) probability density at (..., n) points.
+        """Return the (...,) probability density at (..., n) points.
 
         Raises:
-            numpy.linalg.LinAlgError: a component is singular.
+            numpy.linalg.LinAlgError: the covariance of a component is singular.
         """
         x = floats(x, "x")
         total = np.zeros(x.shape[:-1])
@@ -98,10 +100,18 @@ class GaussianMixture:
         return total
 
     def coverage(self, samples: ArrayLike, mass: float = 0.99, draws: int = 200_000) -> float:
-        """Share of (N, n) samples inside the region of highest density that holds ``mass``.
+        """Return the share of (N, n) samples inside the highest-density region of ``mass``.
 
-        The density at the region's edge is found from draws of the mixture's
-        own, so that the share is right to about sqrt(mass (1 - mass) / draws).
+        The density at the edge of the region is estimated from draws of the mixture.
+        The standard error of the share is about sqrt(mass (1 - mass) / draws).
+
+        Args:
+            samples: (N, n) points.
+            mass: probability of the region, between 0 and 1.
+            draws: number of draws.
+
+        Raises:
+            numpy.linalg.LinAlgError: the covariance of a component is singular.
         """
         edge = np.quantile(self.density(self.sample(draws)), 1 - mass)
         return float(np.mean(self.density(samples) >= edge))

@@ -1,4 +1,4 @@
-"""The points of one line of the map, and what of them a car sees."""
+"""Map lines as point sequences, and the points of them near the car."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from .arrays import floats, number_text
 
 __all__ = ["Polyline", "to_ego"]
 
-#: More than this no map has, and hardly a machine.
-MOST_POINTS = 10**7
+#: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
+MAX_POINTS = 10**7
 
 
 @dataclass(frozen=True, eq=False)
 class Polyline:
-    """Points of one line of the map, in driving order or against it.
+    """Points of one map line, in or against the driving direction.
 
     Args:
-        points: (n, 2) finite, n >= 2 [m], in the map frame.
+        points: (n, 2) finite, n >= 2, in the map frame [m].
 
     Raises:
-        ValueError: a shape or a value is wrong.
+        ValueError: the shape is wrong, or a value is not finite.
 
     >>> Polyline([[0, 0], [3, 4]]).length
     5.0
@@ -45,7 +45,7 @@ class Polyline:
     @property
     @np.errstate(over="ignore")
     def distance(self) -> NDArray[np.float64]:
-        """(n,) way along the line up to each point [m]."""
+        """(n,) arc length from the first point to each point [m]."""
         return np.append(0.0, np.hypot(*np.diff(self.points, axis=0).T).cumsum())
 
     @property
@@ -54,7 +54,10 @@ class Polyline:
         return float(self.distance[-1])
 
     def resampled(self, spacing: float) -> Polyline:
-        """The same line with points ``spacing`` [m] apart or a little less.
+        """Return the line with evenly spaced points, at most ``spacing`` [m] apart.
+
+        Raises:
+            ValueError: ``spacing`` is not positive, or asks for more than 10^7 points.
 
         >>> Polyline([[0, 0], [10, 0]]).resampled(2.5).points[:, 0]
         array([ 0. ,  2.5,  5. ,  7.5, 10. ])
@@ -63,20 +66,28 @@ class Polyline:
             raise ValueError(f"spacing must be more than 0 m, got {number_text(spacing)}")
         spacing = floats(spacing, "spacing").item()
         distance = self.distance
-        if distance[-1] > MOST_POINTS * spacing:
+        if distance[-1] > MAX_POINTS * spacing:
             raise ValueError(
-                f"spacing must be {distance[-1] / MOST_POINTS:g} m or more for a line of "
-                f"{distance[-1]:g} m ({MOST_POINTS:g} points), got {spacing!r}"
+                f"spacing must be {distance[-1] / MAX_POINTS:g} m or more for a line of "
+                f"{distance[-1]:g} m ({MAX_POINTS:g} points), got {spacing!r}"
             )
         s = np.linspace(0, distance[-1], max(1, int(np.ceil(distance[-1] / spacing))) + 1)
         return Polyline(np.column_stack([np.interp(s, distance, p) for p in self.points.T]))
 
     def window(self, pose: ArrayLike, x_min: float, x_max: float) -> NDArray[np.float64]:
-        """(k, 2) points of the stretch near the car that has x_min <= x <= x_max [m].
+        """Return the (k, 2) points near the car with x_min <= x <= x_max in the ego frame [m].
 
-        The stretch is the run of points around the one nearest to the car:
-        where a road comes back near the car, its other branch is left out.
-        Empty where no point of the line lies in the window.
+        These are the consecutive points around the one nearest to the car. If the
+        road returns to the car's surroundings, as in a hairpin, its other branch is
+        excluded. The result is empty if no point lies in the window.
+
+        Args:
+            pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
+            x_min: start of the window in the ego frame [m].
+            x_max: end of the window in the ego frame [m].
+
+        Raises:
+            ValueError: ``pose`` is not finite or not of shape (3,).
         """
         pose = floats(pose, "pose")
         x_min, x_max = floats(x_min, "x_min").item(), floats(x_max, "x_max").item()
@@ -89,19 +100,19 @@ class Polyline:
 def near_stretch(
     ego: NDArray[np.float64], lengths: Iterable[int], x_min: float, x_max: float
 ) -> NDArray[np.bool_]:
-    """Which points lie in the stretch of their line that ``Polyline.window`` takes.
+    """Return (n,) which points ``Polyline.window`` takes from each of several lines.
 
     Args:
-        ego: (n, 2) points of one or several lines, laid end to end, as seen from the car [m].
-        lengths: points of each line.
-        x_min: where the window begins [m].
-        x_max: where it ends [m].
+        ego: (n, 2) concatenated points of the lines in the ego frame [m].
+        lengths: number of points of each line.
+        x_min: start of the window [m].
+        x_max: end of the window [m].
     """
     x, y = ego.T
     inside = (x_min <= x) & (x <= x_max)
     off = np.where(inside, np.hypot(x - min(max(0.0, x_min), x_max), y), np.inf)
-    gaps = np.cumsum(~inside)  # the same number all along a run of points inside
-    stretch = np.empty_like(gaps)  # the number of the run that is wanted
+    gaps = np.cumsum(~inside)  # constant along each run of points inside the window
+    stretch = np.empty_like(gaps)  # that constant for the selected run of each line
     start = 0
     for length in lengths:
         line = slice(start, start + length)
@@ -111,7 +122,7 @@ def near_stretch(
 
 
 def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
-    """(..., 2) points [m] of the map frame in the frame of a car at ``pose``.
+    """Transform (..., 2) points [m] from the map frame to the frame of a car at ``pose``.
 
     Args:
         points: (..., 2) in the map frame [m].

@@ -1,20 +1,13 @@
-"""A codec of four pages, just enough to see what the bus does with it."""
+"""A codec of four pages, just enough to test the bus."""
 
 import struct
 from collections import Counter
 from enum import Enum
-from typing import NamedTuple
 
 from maplines_can.line import MapLine, Slot
+from maplines_can.wire import Frame
 
 PAGES = 4
-
-
-class Frame(NamedTuple):
-    can_id: int
-    data: bytes
-    is_fd: bool = False
-    is_extended: bool = False
 
 
 class Reason(Enum):
@@ -54,11 +47,11 @@ class FakeCodec:
 class FakeDecoder:
     def __init__(self):
         self.counts = Counter()
-        self.lines = self.frames = self.lost = 0
+        self.checks = {}
+        self.lost = self.pending = 0
         self.transfers = {}
 
     def feed(self, can_id, data, t_ns, *, is_extended=False):  # noqa: ARG002
-        self.frames += 1
         result = self._feed(can_id, data, t_ns)
         self.counts[Reason.DONE if isinstance(result, MapLine) else result] += 1
         return result
@@ -75,7 +68,6 @@ class FakeDecoder:
             self.transfers[slot] = page + 1, counter
         if page + 1 < PAGES:
             return Reason.PENDING
-        self.lines += 1
         return MapLine.with_sigma(
             Slot(slot), [y / 1e3, 0, 0, 0], [1, 1, 1, 1], age=age / 1e3, t_ns=t_ns,
         )  # fmt: skip

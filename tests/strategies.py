@@ -1,4 +1,4 @@
-"""Hypothesis strategies: covariances of every kind, lines, motions."""
+"""Hypothesis strategies for covariances, Gaussians, lines and motions."""
 
 import numpy as np
 from hypothesis import strategies as st
@@ -6,20 +6,20 @@ from hypothesis.extra.numpy import arrays
 
 from maplines_can.gaussian import Gaussian
 
-#: Numbers with few digits: they shrink well, and their squares do not vanish.
+#: Numbers with few digits: they shrink well, and their squares do not underflow.
 ENTRIES = st.floats(-1, 1, width=16)
 JITTERS = (0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 1.0)
 
 
 @st.composite
 def scales(draw, n):
-    """(n,) standard deviations over ten decades, as y_off and c1 have them together."""
+    """(n,) standard deviations over ten decades, the ratio of those of y_off and c1."""
     return 10.0 ** draw(arrays(int, n, elements=st.integers(-8, 2)))
 
 
 @st.composite
 def covariances(draw, n=4, jitters=JITTERS):
-    """(n, n) of any rank: zero, exactly singular, nearly singular or well conditioned."""
+    """(n, n) covariances of any rank: zero, singular, nearly singular or well conditioned."""
     A = draw(arrays(float, (n, draw(st.integers(0, n))), elements=ENTRIES))
     S = A @ A.T + draw(st.sampled_from(jitters)) * np.eye(n)
     scale = draw(scales(n))
@@ -28,7 +28,7 @@ def covariances(draw, n=4, jitters=JITTERS):
 
 @st.composite
 def symmetric(draw, n=4):
-    """(n, n) symmetric with variances of 0 or more, most of them indefinite."""
+    """(n, n) symmetric matrices with variances of 0 or more; most are indefinite."""
     A = draw(arrays(float, (n, n), elements=ENTRIES))
     A = A + A.T
     np.fill_diagonal(A, np.abs(A.diagonal()))
@@ -38,14 +38,14 @@ def symmetric(draw, n=4):
 
 @st.composite
 def gaussians(draw, n=4, jitters=(1e-6, 1e-3, 1.0)):
-    """Gaussians that have a density."""
+    """Gaussians with a definite covariance."""
     cov = draw(covariances(n, jitters))
     z = draw(arrays(float, n, elements=st.floats(-3, 3, width=16)))
     return Gaussian(z * np.sqrt(cov.diagonal()), cov)
 
 
 def mild_lines():
-    """(4,) lines as motorways and main roads have them: radius 500 m and more."""
+    """(4,) lines of motorways and main roads: radius 500 m or more."""
     return st.tuples(
         st.floats(-4, 4), st.floats(-0.1, 0.1), st.floats(-1 / 500, 1 / 500), st.floats(-1e-5, 1e-5)
     ).map(np.array)
@@ -53,5 +53,5 @@ def mild_lines():
 
 def motions(metres=5.0, degrees=10.0):
     """(3,) motions of a car: x [m], y [m], heading [rad]."""
-    way, turn = st.floats(-metres, metres), st.floats(-np.radians(degrees), np.radians(degrees))
-    return st.tuples(way, way, turn).map(np.array)
+    shift, turn = st.floats(-metres, metres), st.floats(-np.radians(degrees), np.radians(degrees))
+    return st.tuples(shift, shift, turn).map(np.array)

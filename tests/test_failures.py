@@ -1,29 +1,21 @@
-"""Real failures under a real kernel: no wrong line, and all well again.
+"""After failures under a real kernel no line is wrong, and all slots recover.
 
-Run them with ``tools/vcan python3 tools/run.py pytest -m socketcan``. The failures themselves are
+Run these tests with ``tools/vcan python3 tools/run.py pytest -m socketcan``. The failures are
 those of ``tools/failures.py``.
 """
 
 import shutil
-import signal
-import socket
-import threading
 from pathlib import Path
 
 import pytest
-
-from maplines_can.bus.background import Worker
+from kernel_can import has_vcan
 
 TOOLS = Path(__file__).parents[1] / "tools"
 
 
-def has_vcan():
-    return any(name == "vcan0" for _, name in socket.if_nameindex())
-
-
 @pytest.fixture(scope="module")
 def failures():
-    """The tool as a module, with outages no longer than it takes to see them."""
+    """The tool as a module, with short outages."""
     if not has_vcan():
         pytest.skip("no vcan0 here: run inside tools/vcan")
     with pytest.MonkeyPatch.context() as patch:
@@ -37,14 +29,14 @@ def failures():
 
 @pytest.fixture
 def row_of(failures):
-    """Have a failure happen, with what holds for all of them."""
+    """Cause a failure, check what holds for all of them, and return its row."""
 
     def run(name):
         row = failures.run(name)
         assert not row.problem
         assert row.wrong == 0
         assert 0 < row.delivered <= row.sent
-        assert row.lines_again <= row.valid_again  # how soon depends on the machine
+        assert row.lines_again <= row.valid_again  # the times themselves depend on the machine
         return row
 
     return run
@@ -52,7 +44,7 @@ def row_of(failures):
 
 @pytest.mark.socketcan
 def test_an_interface_that_goes_down_and_comes_up(row_of):
-    """What was not sent and what was not heard is what the counters tell."""
+    """The lines that were not sent or not received are those that the counters report."""
     row = row_of("down")
 
     assert row.given_up > 0
@@ -60,8 +52,8 @@ def test_an_interface_that_goes_down_and_comes_up(row_of):
 
 
 @pytest.mark.socketcan
-def test_a_sender_that_is_killed_and_starts_anew(row_of):
-    """Its first lines are delivered, though their counters start anew."""
+def test_a_sender_that_is_killed_and_restarted(row_of):
+    """Its first lines are delivered, although their counters restart."""
     row = row_of("killed")
 
     assert row.sent - row.delivered == row.timed_out
@@ -69,8 +61,8 @@ def test_a_sender_that_is_killed_and_starts_anew(row_of):
 
 
 @pytest.mark.socketcan
-def test_a_receiver_that_was_stopped_knows_what_it_missed(row_of):
-    """The kernel drops what does not fit into its queue; the counters tell how much."""
+def test_a_receiver_that_was_suspended_counts_the_lines_it_missed(row_of):
+    """The kernel drops frames that do not fit into its queue; the counters report all of them."""
     row = row_of("stopped")
 
     assert row.lost == row.sent - row.delivered > 0
@@ -78,7 +70,7 @@ def test_a_receiver_that_was_stopped_knows_what_it_missed(row_of):
 
 @pytest.mark.socketcan
 def test_two_senders_on_the_same_slots_are_detected(row_of):
-    """They are named on every slot, and no line is made of both."""
+    """They are reported on every slot, and no line has frames of both."""
     row = row_of("two-senders")
 
     assert row.detected is not None
@@ -86,8 +78,8 @@ def test_two_senders_on_the_same_slots_are_detected(row_of):
 
 @pytest.mark.socketcan
 @pytest.mark.skipif(not shutil.which("cansend"), reason="no cansend: apt-get install can-utils")
-def test_error_frames_are_counted_and_do_no_harm(row_of):
-    """They are not given to the decoder, and no line is lost but by the time-out."""
+def test_error_frames_are_counted_and_cost_no_line(row_of):
+    """They do not reach the decoder; lines are lost by the time-out of the reassembly only."""
     row = row_of("error-frames")
 
     assert row.lost == row.sent - row.delivered == row.timed_out
@@ -95,7 +87,7 @@ def test_error_frames_are_counted_and_do_no_harm(row_of):
 
 @pytest.mark.socketcan
 def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of):
-    """Both commands end with status 1, and who is on the bus does not notice."""
+    """Both commands exit with status 1; others on the bus are not affected."""
     row = row_of("no-fd")
 
     assert "enable it, or open the interface with fd=False" in row.seen
@@ -104,37 +96,9 @@ def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of):
 
 @pytest.mark.socketcan
 def test_a_clock_that_is_set_back_stops_nothing(row_of, failures):
-    """Time stamps go back an hour; a line may time out whose frames come before and after."""
+    """Time stamps go back an hour; a line with frames before and after that may time out."""
     if not failures.is_guest():
         pytest.skip("this would set the clock of a real machine")
     row = row_of("clock-back")
 
     assert row.lost == row.sent - row.delivered == row.timed_out
-
-
-@pytest.fixture
-def interruptible():
-    """A Python that was started in the background ignores Ctrl-C."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_while_waiting_leaves_a_worker_that_is_known_to_run():
-    """Who then stops it waits for its end, and counts all that it did."""
-    go = threading.Event()
-    worker = Worker("test", go.wait)
-    worker.start()
-    main = threading.main_thread().ident
-    ctrl_c = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
-    ctrl_c.start()
-
-    with pytest.raises(KeyboardInterrupt):
-        worker.join(20.0)
-
-    assert worker.alive
-    go.set()
-    worker.join(20.0)
-    assert not worker.alive
-    ctrl_c.join()

@@ -1,4 +1,4 @@
-"""The Gaussian: refused at birth or right for ever; its distances against other formulas."""
+"""Validation of Gaussians, and their functions against independent formulas."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from maplines_can.gaussian import (
 )
 
 EPS = np.finfo(float).eps
-#: Its third pivot is rounding: taken for a number, it would spoil the last variances by 0.6 %.
+#: Its third pivot is rounding error. If used, the last variances would be wrong by 0.6 %.
 NEARLY_SINGULAR = np.array(
     [
         [1.0, 0.8125, 1 + 2.0**-23, 1 + 2.0**-23],
@@ -30,7 +30,7 @@ NEARLY_SINGULAR = np.array(
 
 
 def correlation(cov):
-    """A covariance in units of its own standard deviations, 1 where there is none."""
+    """The correlation matrix, with a scale of 1 for zero variances."""
     scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
     return cov / scale / scale[:, None]
 
@@ -45,7 +45,7 @@ def pair(rho):
         pytest.param([0, np.nan], np.eye(2), "mean must be finite .* nan", id="nan-mean"),
         pytest.param([0, np.inf], np.eye(2), "mean must be finite .* inf", id="inf-mean"),
         pytest.param([[0, 0]], np.eye(2), r"mean must .* shape \(n,\)", id="mean-2d"),
-        pytest.param([], np.zeros((0, 0)), r"mean must .* shape \(n,\)", id="no-dimension"),
+        pytest.param([], np.zeros((0, 0)), r"mean must .* shape \(n,\)", id="empty"),
         pytest.param(0.0, [[1.0]], r"mean must .* shape \(n,\)", id="scalar-mean"),
         pytest.param([0, 0], np.eye(3), r"cov must be finite with shape \(2, 2\)", id="cov-shape"),
         pytest.param([0, 0], [1.0, 1.0], r"cov must be finite with shape \(2, 2\)", id="cov-1d"),
@@ -54,16 +54,16 @@ def pair(rho):
         pytest.param(
             [0, 0],
             [[0, 1e-9], [1e-9, 1]],
-            "no covariance where there is no variance",
-            id="no-sigma",
+            "must be 0 in the row and column of a zero variance",
+            id="zero-variance",
         ),
         pytest.param([0, 0], [[1, 2e-9], [0, 1]], "use .cov \\+ cov.T. / 2", id="asymmetric"),
         pytest.param([0, 0], pair(1.5), r"is -0\.5; use nearest_covariance", id="indefinite"),
         pytest.param([0, 0], pair(1 + 1.1e-9), "is -1.1e-09", id="just-indefinite"),
     ],
 )
-def test_a_wrong_gaussian_is_refused_in_words(mean, cov, words):
-    """Whatever is wrong with a mean or a covariance, the message names it."""
+def test_invalid_gaussian_raises(mean, cov, words):
+    """The message names what is wrong with the mean or the covariance."""
     with pytest.raises(ValueError, match=words):
         Gaussian(mean, cov)
 
@@ -80,15 +80,15 @@ def test_a_wrong_gaussian_is_refused_in_words(mean, cov, words):
         pytest.param(pair(1 + 5e-6).astype(np.float32), id="rounding-of-single-precision"),
     ],
 )
-def test_what_is_right_up_to_rounding_is_accepted_and_made_symmetric(cov):
-    """Singular covariances are legal, and rounding is forgiven up to 1e-9 of the sigmas."""
+def test_rounding_errors_are_accepted_and_the_covariance_made_symmetric(cov):
+    """Singular covariances are valid, and errors up to 1e-9 of the sigmas count as rounding."""
     kept = Gaussian([0, 0], cov).cov
 
     assert np.array_equal(kept, (cov + cov.T) / 2)
 
 
-def test_a_gaussian_owns_its_arrays_and_nobody_writes_to_them():
-    """A Gaussian that was right at birth stays right."""
+def test_a_gaussian_copies_its_arrays_and_makes_them_read_only():
+    """A valid Gaussian stays valid."""
     mean, cov = np.zeros(2), np.eye(2)
     gaussian = Gaussian(mean, cov)
     mean[0] = cov[0, 0] = np.nan
@@ -102,8 +102,8 @@ def test_a_gaussian_owns_its_arrays_and_nobody_writes_to_them():
 
 @given(covariances())
 @example(NEARLY_SINGULAR)
-def test_the_root_of_any_covariance_is_triangular_and_multiplies_back(cov):
-    """L L^T is the covariance within rounding, however near to singular it is."""
+def test_square_root_is_triangular_and_reproduces_the_covariance(cov):
+    """L L^T is the covariance within rounding, also for nearly singular matrices."""
     L, sigma = square_root(cov), np.sqrt(cov.diagonal())
 
     assert np.array_equal(L, np.tril(L))
@@ -112,8 +112,8 @@ def test_the_root_of_any_covariance_is_triangular_and_multiplies_back(cov):
 
 
 @given(covariances(jitters=(1e-6, 1e-3, 1.0)))
-def test_the_root_of_a_definite_covariance_is_cholesky_s(cov):
-    """LAPACK's Cholesky factor gives the same, within its condition."""
+def test_square_root_of_a_definite_covariance_is_its_cholesky_factor(cov):
+    """It agrees with LAPACK's Cholesky factor within the condition of the matrix."""
     error = correlation(square_root(cov) @ square_root(cov).T) - correlation(cov)
 
     assert np.abs(error).max() < 16 * EPS
@@ -124,7 +124,7 @@ def test_the_root_of_a_definite_covariance_is_cholesky_s(cov):
 
 @given(symmetric())
 def test_indefinite_agrees_with_the_eigenvalues_of_the_correlation_matrix(cov):
-    """A matrix is indefinite where that least eigenvalue is below -1e-9, and not above."""
+    """A matrix is indefinite if and only if its least eigenvalue is below -1e-9."""
     least = np.linalg.eigvalsh(correlation(cov))[0]
 
     if abs(least + ROUNDING) > 1e-13 * max(1.0, np.abs(correlation(cov)).max()):
@@ -133,7 +133,7 @@ def test_indefinite_agrees_with_the_eigenvalues_of_the_correlation_matrix(cov):
 
 @given(covariances())
 def test_no_covariance_is_called_indefinite_or_asymmetric(cov):
-    """Whatever A A^T comes from, singular or not, is taken; and batches are judged one by one."""
+    """No A A^T is rejected, singular or not; matrices of a batch are checked independently."""
     batch = np.stack([cov, -np.eye(4), np.eye(4) + 2e-9 * np.tri(4, k=-1)])
 
     assert indefinite(batch).tolist() == [False, True, False]
@@ -141,8 +141,8 @@ def test_no_covariance_is_called_indefinite_or_asymmetric(cov):
 
 
 @given(symmetric())
-def test_the_nearest_covariance_covers_and_is_legal(cov):
-    """A repair is never overconfident: result less matrix is positive semidefinite."""
+def test_nearest_covariance_covers_the_matrix_and_is_valid(cov):
+    """A repair is never overconfident: result minus matrix is positive semidefinite."""
     repaired = nearest_covariance(cov)
     scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
     gain = np.linalg.eigvalsh((repaired - cov) / scale / scale[:, None])
@@ -152,8 +152,8 @@ def test_the_nearest_covariance_covers_and_is_legal(cov):
 
 
 @given(symmetric())
-def test_the_nearest_covariance_adds_no_more_than_it_must(cov):
-    """What is added has the trace of the negative eigenvalues, the least that can cover them."""
+def test_nearest_covariance_adds_the_least_possible_trace(cov):
+    """The trace added is that of the negative eigenvalues, the least that can cover them."""
     values = np.linalg.eigvalsh(correlation(cov))
     scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
     added = np.trace((nearest_covariance(cov) - cov) / scale / scale[:, None])
@@ -162,30 +162,30 @@ def test_the_nearest_covariance_adds_no_more_than_it_must(cov):
 
 
 @given(covariances(jitters=(1e-6, 1.0)))
-def test_the_nearest_covariance_leaves_definite_matrices_alone(cov):
-    """A matrix that is a covariance comes back to the last bit, beside a broken one too."""
+def test_nearest_covariance_does_not_change_definite_matrices(cov):
+    """A covariance is returned bit for bit, also in a batch with an indefinite matrix."""
     repaired = nearest_covariance(np.stack([cov, np.eye(4) - 2 * np.eye(4)[::-1]]))
 
     assert np.array_equal(repaired[0], cov)
 
 
 @given(gaussians(n=3), st.lists(st.sampled_from([0, 1, 2]), min_size=1, max_size=3, unique=True))
-def test_a_marginal_picks_components(gaussian, keep):
-    """A marginal has the means, variances and correlations of its components."""
-    part = gaussian.marginal(keep)
+def test_marginal_selects_variables(gaussian, keep):
+    """A marginal has the means, variances and correlations of its variables."""
+    marginal = gaussian.marginal(keep)
 
-    assert np.array_equal(part.mean, gaussian.mean[keep])
-    assert np.array_equal(part.correlation, gaussian.correlation[keep][:, keep])
-    assert np.array_equal(part.sigma, gaussian.sigma[keep])
+    assert np.array_equal(marginal.mean, gaussian.mean[keep])
+    assert np.array_equal(marginal.correlation, gaussian.correlation[keep][:, keep])
+    assert np.array_equal(marginal.sigma, gaussian.sigma[keep])
 
 
-def test_a_component_without_variance_correlates_with_none():
-    """The correlation matrix has ones on its diagonal, and no division by zero."""
+def test_a_variable_of_zero_variance_correlates_with_no_other():
+    """The correlation matrix has ones on its diagonal, and nothing is divided by zero."""
     assert np.array_equal(Gaussian([0, 0], np.diag([4.0, 0.0])).correlation, np.eye(2))
 
 
-def test_samples_have_the_moments_and_repeat():
-    """Draws have mean and covariance within 5 sampling errors; a seed gives the same draws."""
+def test_samples_have_the_moments_of_the_gaussian():
+    """Mean and covariance agree within 5 standard errors; a seed gives the same draws."""
     n, cov = 100_000, np.array([[4.0, 1.9, 0], [1.9, 1.0, 0], [0, 0, 0]])
     gaussian = Gaussian([1.0, 2.0, 3.0], cov)
     draws = gaussian.sample(n, seed=3)
@@ -199,7 +199,7 @@ def test_samples_have_the_moments_and_repeat():
 
 @given(gaussians(n=3), st.lists(st.floats(-9, 9), min_size=3, max_size=3))
 def test_mahalanobis_agrees_with_scipy(gaussian, z):
-    """scipy's distance, of the inverse of the correlation matrix, is the same."""
+    """scipy's distance with the inverse of the correlation matrix is the same."""
     scale = np.where(gaussian.sigma > 0, gaussian.sigma, 1)
     x = gaussian.mean + scale * z
     inverse = np.linalg.inv(correlation(gaussian.cov))
@@ -210,7 +210,7 @@ def test_mahalanobis_agrees_with_scipy(gaussian, z):
 
 
 def test_coverage_is_the_share_within_the_quantile():
-    """The region of a mass ends at scipy's chi-square quantile, and holds that share of draws."""
+    """The region ends at scipy's chi-square quantile and contains that share of the draws."""
     gaussian = Gaussian([1, 2, 3], [[4, 1, 0], [1, 2, 0.5], [0, 0.5, 1]])
     edge = np.sqrt(stats.chi2.ppf(0.99, df=3)) * gaussian.root[:, 0]
     n, p = 100_000, 0.95
@@ -222,7 +222,7 @@ def test_coverage_is_the_share_within_the_quantile():
 
 @given(gaussians(), gaussians())
 def test_kl_agrees_with_its_closed_form(p, q):
-    """Trace, distance and determinants by inverse and slogdet, in units of q, are the same."""
+    """The formula with trace, inverse and slogdet, in units of q, gives the same value."""
     P, Q = (g.cov / q.sigma / q.sigma[:, None] for g in (p, q))
     d = (p.mean - q.mean) / q.sigma
     inverse = np.linalg.inv(Q)
@@ -235,7 +235,7 @@ def test_kl_agrees_with_its_closed_form(p, q):
 
 
 def test_kl_agrees_with_its_definition():
-    """The mean of log p - log q over draws of p is the same, within 5 sampling errors."""
+    """The mean of log p - log q over draws of p agrees within 5 standard errors."""
     p = Gaussian([0, 1], [[2.0, 0.6], [0.6, 1.0]])
     q = Gaussian([1, 1], [[3.0, -0.3], [-0.3, 2.0]])
     x = p.sample(100_000, seed=2)
@@ -246,16 +246,16 @@ def test_kl_agrees_with_its_definition():
 
 
 def test_a_singular_gaussian_has_no_density():
-    """Its distance from any thicker one is infinite; a distance to it is refused."""
-    thin, thick = Gaussian([0, 0], pair(1.0)), Gaussian([0, 0], np.eye(2))
+    """KL from it to a definite Gaussian is infinite; KL or a distance to it raises."""
+    singular, definite = Gaussian([0, 0], pair(1.0)), Gaussian([0, 0], np.eye(2))
 
-    assert thin.kl(thick) == np.inf
-    for ask in (lambda: thick.kl(thin), lambda: thin.mahalanobis([0, 0])):
-        with pytest.raises(np.linalg.LinAlgError, match=r"singular: .* marginal of fewer"):
+    assert singular.kl(definite) == np.inf
+    for ask in (lambda: definite.kl(singular), lambda: singular.mahalanobis([0, 0])):
+        with pytest.raises(np.linalg.LinAlgError, match=r"singular.* marginal of fewer"):
             ask()
 
 
-def test_wasserstein_of_variances_only_is_the_distance_of_the_sigmas():
+def test_wasserstein_without_correlation_is_the_euclidean_distance():
     """Without correlation it is the Euclidean distance of (mean, sigma)."""
     p, q = Gaussian([0, 0], np.diag([1.0, 9.0])), Gaussian([3, 4], np.diag([4.0, 0.0]))
 
@@ -265,7 +265,7 @@ def test_wasserstein_of_variances_only_is_the_distance_of_the_sigmas():
 
 @given(gaussians(n=2), gaussians(n=2))
 def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p, q):
-    """There the trace of a matrix root is sqrt(trace + 2 sqrt(determinant)); both ways round."""
+    """The trace of the matrix root is sqrt(trace + 2 sqrt(determinant)), in both directions."""
     unit = np.sqrt(max(np.trace(p.cov), np.trace(q.cov)))
     P, Q = p.cov / unit**2, q.cov / unit**2
     d = (p.mean - q.mean) / unit
@@ -294,16 +294,16 @@ def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p, q):
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_odd_numbers_are_refused_in_words(make, words):
-    """By name and range, in a message that one can read, and without a warning beside it."""
-    with pytest.raises(ValueError, match=words) as refusal:
+def test_numbers_beyond_the_floats_raise(make, words):
+    """The message is short, names the argument, and no warning is issued."""
+    with pytest.raises(ValueError, match=words) as error:
         make()
-    assert len(str(refusal.value)) < 200
+    assert len(str(error.value)) < 200
 
 
 @pytest.mark.filterwarnings("error")
 def test_distances_beyond_the_floats_are_infinite():
-    """A far point is outside of everything."""
+    """A distant point is outside any region."""
     unit = Gaussian([0.0], [[1.0]])
 
     assert unit.mahalanobis([-1e308]) == np.inf

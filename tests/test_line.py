@@ -1,4 +1,4 @@
-"""The cubic line: its value, its uncertainty, and what becomes of it when the car moves."""
+"""The cubic line: its values, its uncertainty, and its transformation to another pose."""
 
 from math import factorial
 
@@ -52,12 +52,12 @@ def map_line(**rest):
 
 @given(mild_lines())
 def test_lateral_is_the_cubic(line):
-    """numpy's polynomial gives the same positions."""
+    """numpy's polynomial has the same values."""
     assert np.allclose(lateral(line, X), polynomial(line)(X), rtol=1e-13, atol=1e-13)
 
 
 def test_lateral_broadcasts_over_lines():
-    """Many lines at many x are a grid; a line of NaN stays NaN."""
+    """Many lines at many x give a grid; a line of NaN stays NaN."""
     lines = np.array([[1, 0, 0, 0], [0, 0, 0.02, 0], np.full(4, np.nan)])
 
     assert np.array_equal(
@@ -67,7 +67,7 @@ def test_lateral_broadcasts_over_lines():
 
 @given(mild_lines(), st.integers(0, 3))
 def test_the_jacobian_is_the_derivative_of_lateral(line, i):
-    """l(line + h) - l(line - h) is 2 h J, for each parameter."""
+    """l(line + h) - l(line - h) is 2 h J for each parameter."""
     h = np.zeros(4)
     h[i] = 1e-4
     difference = lateral(line + h, X) - lateral(line - h, X)
@@ -76,7 +76,7 @@ def test_the_jacobian_is_the_derivative_of_lateral(line, i):
 
 
 def test_y_sigma_is_the_spread_of_lines():
-    """Lines drawn from the Gaussian spread as y_sigma says, within 5 sampling errors."""
+    """Lines drawn from the Gaussian have the spread y_sigma within 5 standard errors."""
     sigma, n = np.array([0.1, 0.01, 1e-4, 1e-6]), 100_000
     R = np.eye(4)
     R[0, 1] = R[1, 0] = -0.6
@@ -90,8 +90,8 @@ def test_y_sigma_is_the_spread_of_lines():
 
 
 @given(st.tuples(*[st.floats(-1, 1, width=16)] * 3), st.floats(1, 80))
-def test_where_a_line_is_known_its_y_sigma_is_zero(root, x):
-    """A line that turns about one of its points gives no square root of a negative rounding."""
+def test_y_sigma_is_zero_at_a_fixed_point(root, x):
+    """A line that rotates about one of its points: rounding gives no negative variance there."""
     u = np.array([0.0, *root * np.array([0.1, 1e-3, 1e-5])])
     u[0] = -lateral_jacobian(np.zeros(4), x) @ u
     line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)))
@@ -102,7 +102,7 @@ def test_where_a_line_is_known_its_y_sigma_is_zero(root, x):
 
 @given(mild_lines(), st.floats(-60, 60), st.floats(1, 60))
 def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(line, centre, half):
-    """Rewritten in w = (u - centre) / half and back, a line is the same."""
+    """A line rewritten in w = (u - centre) / half and converted back is the same."""
     p = polynomial(line)(Polynomial([centre, half]))
     q = np.array([p.deriv(k)(0.0) / factorial(k) for k in range(4)])
 
@@ -110,16 +110,16 @@ def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(line, centr
 
 
 @given(mild_lines())
-def test_a_car_that_stands_still_sees_the_same_line(line):
-    """No motion changes nothing but rounding: 1 nm anywhere in the window."""
+def test_no_motion_does_not_change_a_line(line):
+    """Rounding changes it by less than 1 nm anywhere in the window."""
     assert np.allclose(
         lateral(transform_line(line, [0, 0, 0], WINDOW), X), lateral(line, X), atol=1e-9
     )
 
 
 @given(mild_lines(), motions(metres=50, degrees=0), st.integers(4, 12))
-def test_a_shift_is_exact(line, motion, points):
-    """Without a turn a cubic stays a cubic: numpy's shifted polynomial is the same line."""
+def test_a_translation_is_exact(line, motion, points):
+    """Without a rotation the result is numpy's shifted polynomial."""
     dx, dy, _ = motion
     shifted = polynomial(line)(Polynomial([dx, 1.0])) - dy
 
@@ -129,8 +129,8 @@ def test_a_shift_is_exact(line, motion, points):
 
 
 @given(mild_lines(), motions(degrees=30))
-def test_through_four_points_the_fit_is_exact_at_them(line, motion):
-    """The new line passes through the Chebyshev points that the car carried along."""
+def test_four_points_are_interpolated(line, motion):
+    """The new line passes through the transformed Chebyshev points."""
     x = 40 + 40 * np.cos(np.pi * np.array([1, 3, 5, 7]) / 8)
     u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
 
@@ -138,8 +138,8 @@ def test_through_four_points_the_fit_is_exact_at_them(line, motion):
 
 
 @given(mild_lines(), motions(), st.integers(5, 20))
-def test_through_more_points_it_is_the_least_squares_fit(line, motion, points):
-    """numpy's polynomial fit through the same points is the same line."""
+def test_more_points_are_fitted_by_least_squares(line, motion, points):
+    """numpy's polynomial fit to the same points is the same line."""
     x = np.linspace(0, 80, points)
     u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
     fitted = line_of(Polynomial.fit(u, v, 3).convert())
@@ -150,8 +150,8 @@ def test_through_more_points_it_is_the_least_squares_fit(line, motion, points):
 
 
 @given(mild_lines(), motions(), st.integers(4, 8), st.floats(0, 1))
-def test_a_moved_line_follows_the_turned_curve(line, motion, points, share):
-    """Up to 5 m and 10 deg, the curve itself, met by root finding, is within 1 mm."""
+def test_a_transformed_line_follows_the_rotated_curve(line, motion, points, share):
+    """Up to 5 m and 10 deg it is within 1 mm of the curve, which is found by root finding."""
     new = transform_line(line, motion, WINDOW, points)
     (first, _), (last, _) = to_ego([[x, lateral(line, x)] for x in WINDOW], motion)
     u = first + share * (last - first)
@@ -164,8 +164,8 @@ def test_a_moved_line_follows_the_turned_curve(line, motion, points, share):
 
 
 @given(mild_lines(), motions(metres=1.0, degrees=1.0))
-def test_there_and_back_is_the_same_line(line, motion):
-    """A cycle's motion undone gives the line back within a hundredth of a millimetre."""
+def test_a_motion_and_its_inverse_return_the_line(line, motion):
+    """Within a hundredth of a millimetre."""
     there = transform_line(line, motion, WINDOW)
     back = transform_line(there, inverse(motion), (-motion[0], 80 - motion[0]))
 
@@ -173,40 +173,44 @@ def test_there_and_back_is_the_same_line(line, motion):
     assert np.allclose(lateral(back, x), lateral(line, x), atol=1e-5)
 
 
-def test_lines_and_motions_move_together():
-    """Lines (..., 4) and motions (..., 3) broadcast, each as it would alone."""
+def test_lines_and_motions_broadcast():
+    """Lines (..., 4) and motions (..., 3) broadcast; each result is that of a single call."""
     lines = np.array([[1.0, 0.1, 1e-3, 1e-6], [2.0, -0.1, -1e-3, 0]])
-    way = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
-    together = transform_line(lines, way, WINDOW)
+    motions_ = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
+    together = transform_line(lines, motions_, WINDOW)
 
     assert together.shape == (3, 2, 4)
     for i, j in np.ndindex(3, 2):
-        assert np.allclose(together[i, j], transform_line(lines[j], way[i, 0], WINDOW), rtol=1e-12)
+        assert np.allclose(
+            together[i, j], transform_line(lines[j], motions_[i, 0], WINDOW), rtol=1e-12
+        )
 
 
 @pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
-def test_moved_needs_a_window(window):
-    """An empty window holds no points of the line."""
-    with pytest.raises(ValueError, match=r"needs 4 points or more in a window, got 32 points in"):
+def test_transform_line_needs_a_window(window):
+    """An empty window contains no points of the line."""
+    with pytest.raises(
+        ValueError, match=r"points must be 4 or more in a window .* got 32 points in"
+    ):
         transform_line(np.zeros(4), np.zeros(3), window)
 
 
-def test_moved_needs_four_points():
+def test_transform_line_needs_four_points():
     """A cubic has four coefficients."""
-    with pytest.raises(ValueError, match="needs 4 points or more in a window, got 3 points"):
+    with pytest.raises(ValueError, match=r"points must be 4 or more in a window .* got 3 points"):
         transform_line(np.zeros(4), np.zeros(3), WINDOW, points=3)
 
 
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])
-def test_a_line_across_the_car_is_refused(degrees):
-    """No cubic y(x) follows a line that stands across: it is said, not returned wild."""
-    with pytest.raises(IllPosedError, match="stands across the car after the motion"):
+def test_a_line_nearly_perpendicular_to_the_x_axis_raises(degrees):
+    """No cubic y(x) describes it."""
+    with pytest.raises(IllPosedError, match="nearly perpendicular to the x axis, after the motion"):
         transform_line([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
 
 @pytest.mark.parametrize("degrees", [79, 180, -101])
-def test_a_line_aslant_or_behind_is_not_refused(degrees):
-    """Within 80 deg of the axis a straight line is a straight line, seen backwards too."""
+def test_an_oblique_or_reversed_line_is_transformed(degrees):
+    """A straight line within 80 deg of the axis stays straight, also seen backwards."""
     y_off, beta, c0, c1 = transform_line([0.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
     assert abs(y_off) < 1e-9
@@ -217,37 +221,37 @@ def test_a_line_aslant_or_behind_is_not_refused(degrees):
 @pytest.mark.parametrize(
     ("rest", "words"),
     [
-        pytest.param({"x_min": 81.0}, "x_min <= x_max must be finite", id="window-reversed"),
-        pytest.param({"x_max": np.inf}, "x_max=inf", id="endless"),
-        pytest.param({"x_min": np.nan}, "x_min=nan", id="nan-window"),
-        pytest.param({"age": -1e-9}, "age must be 0 s or more and finite", id="from-the-future"),
+        pytest.param({"x_min": 81.0}, "x_min <= x_max must be finite", id="reversed-range"),
+        pytest.param({"x_max": np.inf}, "x_max=inf", id="infinite-range"),
+        pytest.param({"x_min": np.nan}, "x_min=nan", id="nan-range"),
+        pytest.param({"age": -1e-9}, "age must be 0 s or more and finite", id="negative-age"),
         pytest.param({"age": np.nan}, "got nan", id="nan-age"),
-        pytest.param({"age": np.inf}, "got inf", id="for-ever"),
+        pytest.param({"age": np.inf}, "got inf", id="infinite-age"),
         pytest.param({"kind": 99}, "99 is not a valid Kind", id="kind"),
         pytest.param({"status": -1}, "-1 is not a valid Status", id="status"),
     ],
 )
-def test_a_wrong_map_line_is_refused_in_words(rest, words):
-    """What is out of range is named, with its value."""
+def test_invalid_map_line_raises(rest, words):
+    """The message has the name and the value."""
     with pytest.raises(ValueError, match=words):
         map_line(**rest)
 
 
-def test_a_map_line_is_over_four_parameters():
-    """The pose's Gaussian is no line."""
+def test_a_map_line_has_four_parameters():
+    """A pose Gaussian is not accepted."""
     with pytest.raises(ValueError, match=r"must be over .*'y_off', .*, got 3-D"):
         MapLine(Slot.ROUTE, Gaussian(np.zeros(3), np.eye(3)))
 
 
-def test_a_map_line_takes_the_numbers_of_its_enumerations():
-    """What comes off a wire as a number becomes a name; a window may be a single point."""
+def test_a_map_line_converts_numbers_to_enumeration_members():
+    """A valid range of length 0 is accepted."""
     line = MapLine(7, Gaussian(np.zeros(4), np.eye(4)), kind=5, status=3, x_min=80.0)
 
     assert (line.slot, line.kind, line.status) == (Slot.ROUTE, Kind.KERB, Status.REPAIRED)
 
 
-def test_a_line_of_its_mean_only_claims_nothing():
-    """Its sigmas are the vague ones, its status unknown."""
+def test_mean_only_has_vague_sigmas():
+    """Its standard deviations are VAGUE_SIGMA and its status is UNKNOWN."""
     line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], kind=Kind.DASHED, age=0.05)
 
     assert (line.status, line.kind, line.age) == (Status.UNKNOWN, Kind.DASHED, 0.05)
@@ -256,7 +260,7 @@ def test_a_line_of_its_mean_only_claims_nothing():
 
 
 def test_a_line_with_sigmas_has_no_correlations():
-    """Its covariance is diagonal, and its status says so."""
+    """Its covariance is diagonal, and its status is DIAGONAL."""
     line = MapLine.with_sigma(Slot.EGO_LEFT, [1, 0, 0, 0], [0.1, 0.01, 0, 1e-6], x_max=50)
 
     assert line.status == Status.DIAGONAL
@@ -292,23 +296,26 @@ HUGE = 10**400
             "window must be numbers .* 1e400",
         ),
         (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), -HUGE), "about -1e400 points"),
-        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), 10**9), "10000 points or fewer"),
+        (
+            lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), 10**9),
+            "points must be 10000 or fewer",
+        ),
         (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 5e-324)), "no cubic"),
         (lambda: transform_line([1e308] * 4, [1e308] * 3, (-1e308, 1e308)), "no cubic"),
         (lambda: transform_line(np.zeros(4), [np.inf, 0, 0], (0, 80)), "no cubic"),
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_odd_numbers_are_refused_in_words(make, words):
-    """By name and range, in a message that one can read, and without a warning beside it."""
-    with pytest.raises(ValueError, match=words) as refusal:
+def test_numbers_beyond_the_floats_raise(make, words):
+    """The message is short, names the argument, and no warning is issued."""
+    with pytest.raises(ValueError, match=words) as error:
         make()
-    assert len(str(refusal.value)) < 200
+    assert len(str(error.value)) < 200
 
 
 @pytest.mark.filterwarnings("error")
-def test_numbers_of_single_precision_are_numbers():
-    """Their range is not that of the bounds."""
+def test_single_precision_is_accepted():
+    """The bounds of double precision do not overflow in float32 comparisons."""
     one = np.float32(1.0)
     line = MapLine.mean_only(Slot.EGO_LEFT, [one, 0, 0, 0], x_min=one, x_max=2 * one, age=one)
 
@@ -317,7 +324,7 @@ def test_numbers_of_single_precision_are_numbers():
 
 @pytest.mark.filterwarnings("error")
 def test_a_line_beyond_the_floats_is_infinite_or_nan():
-    """As its docstring says, and without a warning."""
+    """No warning is issued."""
     line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6])
 
     assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()

@@ -1,4 +1,4 @@
-"""The points of a map line, and which of them a car takes."""
+"""The points of a map line, and their selection by a window."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
 
 
 def hairpin(gap=10.0):
-    """A road that runs 100 m ahead, turns, and comes back ``gap`` to the left."""
+    """A road of 100 m ahead, a turn, and a branch back at ``gap`` [m] to the left."""
     x, arc = np.arange(0.0, 101.0, 2.0), np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]
     turn = np.column_stack([100 + gap / 2 * np.cos(arc), gap / 2 + gap / 2 * np.sin(arc)])
     out, back = np.column_stack([x, 0 * x]), np.column_stack([x[::-1], 0 * x + gap])
@@ -29,14 +29,14 @@ def hairpin(gap=10.0):
         pytest.param([[np.inf, 0], [1, 0]], "but point 0 is", id="inf"),
     ],
 )
-def test_wrong_points_are_refused_in_words(points, words):
-    """A shape or a value that is wrong is named."""
+def test_invalid_points_raise(points, words):
+    """The message has the shape or the value."""
     with pytest.raises(ValueError, match=words):
         Polyline(points)
 
 
-def test_a_polyline_owns_its_points():
-    """What was checked cannot be changed any more."""
+def test_a_polyline_copies_its_points_and_makes_them_read_only():
+    """Validated points cannot be changed."""
     points = np.zeros((2, 2))
     line = Polyline(points)
     points[0, 0] = np.nan
@@ -48,7 +48,7 @@ def test_a_polyline_owns_its_points():
 
 @given(arrays(float, (5, 2), elements=st.floats(-100, 100, width=16)), st.floats(0.5, 300))
 def test_resampled_points_are_evenly_spaced_on_the_line(points, spacing):
-    """Ends stay; the way between points is at most the spacing, and all points are on the line."""
+    """The ends stay, the points are at most the spacing apart, and all of them are on the line."""
     line = Polyline(points)
     fine = line.resampled(spacing)
     count = max(1, np.ceil(line.length / spacing))
@@ -57,16 +57,16 @@ def test_resampled_points_are_evenly_spaced_on_the_line(points, spacing):
     assert np.allclose(fine.points[[0, -1]], points[[0, -1]], atol=1e-9)
     assert len(fine.points) == len(s)
     assert (np.hypot(*np.diff(fine.points, axis=0).T) <= spacing * (1 + 1e-9)).all()
-    for p, way in zip(fine.points, s, strict=True):
-        i = min(np.searchsorted(line.distance, way, side="right") - 1, len(points) - 2)
+    for p, distance in zip(fine.points, s, strict=True):
+        i = min(np.searchsorted(line.distance, distance, side="right") - 1, len(points) - 2)
         step = line.distance[i + 1] - line.distance[i]
-        share = (way - line.distance[i]) / step if step else 0.0
+        share = (distance - line.distance[i]) / step if step else 0.0
         assert np.allclose(p, points[i] + share * (points[i + 1] - points[i]), atol=1e-9)
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan])
-def test_a_spacing_is_more_than_nothing(spacing):
-    """Points cannot stand 0 m apart."""
+def test_a_spacing_of_zero_raises(spacing):
+    """A spacing must be positive."""
     with pytest.raises(ValueError, match="spacing must be more than 0 m"):
         STRAIGHT.resampled(spacing)
 
@@ -82,47 +82,47 @@ def test_a_spacing_is_more_than_nothing(spacing):
         pytest.param(-20, -10, 10, 20, id="behind-only"),
     ],
 )
-def test_a_window_holds_the_points_between_its_ends(x_min, x_max, first, last):
-    """Both ends belong to the window, seen from a car at x = 30 m."""
+def test_a_window_contains_the_points_between_its_ends(x_min, x_max, first, last):
+    """Both ends belong to the window, here of a car at x = 30 m."""
     seen = STRAIGHT.window([30.0, 2.0, 0.0], x_min, x_max)
 
     assert (seen[0, 0], seen[-1, 0]) == (first, last)
     assert len(seen) == last - first + 1
 
 
-def test_a_window_where_the_line_is_not_is_empty():
-    """No point, no error: the caller knows what it needs."""
+def test_a_window_without_points_is_empty():
+    """No error is raised: the caller decides how many points are enough."""
     assert STRAIGHT.window([0.0, 0.0, np.pi], 1, 80).shape == (0, 2)
 
 
 @pytest.mark.parametrize(
     ("pose", "y"), [((20.0, 1.0, 0.0), 0.0), ((20.0, 9.0, np.pi), 10.0)], ids=["out", "back"]
 )
-def test_of_a_hairpin_the_near_branch_is_seen(pose, y):
-    """Where the road comes back beside the car, the other branch is left out."""
+def test_a_window_contains_the_near_branch_of_a_hairpin(pose, y):
+    """The branch that returns beside the car is excluded."""
     seen = hairpin().window(pose, -10.0, 60.0)
 
     assert (seen[:, 1] == y).all()
     assert len(seen) >= 15
 
 
-def test_near_is_what_is_near_the_car_and_not_the_start_of_the_window():
-    """A road that comes back to cross behind the car is seen where it passes the car."""
+def test_near_refers_to_the_car_and_not_to_the_start_of_the_window():
+    """Of a road that crosses behind the car, the branch that passes the car is selected."""
     road = Polyline([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]])
     seen = road.resampled(1.0).window([0.0, 0.0, 0.0], -15.0, 40.0)
 
     assert np.allclose(seen[:, 1], 2.0)
 
 
-def test_a_hairpin_within_the_window_is_one_stretch():
-    """Points that follow one another are not taken apart: whether they fit is for the refit."""
+def test_a_hairpin_within_the_window_is_not_divided():
+    """Consecutive points stay together; the refit decides whether a cubic fits them."""
     road = hairpin()
 
     assert len(road.window([20.0, 1.0, 0.0], -50.0, 200.0)) == len(road.points)
 
 
-def test_of_several_lines_each_has_its_own_stretch():
-    """Laid end to end, lines do not disturb each other's windows."""
+def test_points_of_several_lines_are_selected_independently():
+    """For concatenated lines the result is that of each line alone."""
     lines, pose = [STRAIGHT, hairpin(), Polyline(STRAIGHT.points[::-1])], [20.0, 1.0, 0.1]
     ego = [to_ego(line.points, pose) for line in lines]
     alone = [line.window(pose, -10.0, 60.0) for line in lines]
@@ -132,7 +132,7 @@ def test_of_several_lines_each_has_its_own_stretch():
 
 
 @given(arrays(float, (6, 2), elements=st.floats(-100, 100)), st.floats(-np.pi, np.pi))
-def test_the_ego_frame_is_a_turn_by_the_heading(points, heading):
+def test_the_ego_frame_is_rotated_by_the_heading(points, heading):
     """In complex numbers: (z - pose) e^(-i heading)."""
     z = (points @ [1, 1j] - (3 - 4j)) * np.exp(-1j * heading)
 

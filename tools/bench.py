@@ -1,34 +1,34 @@
 #!/usr/bin/env python3
-"""How fast is it? Everything as a ratio to a peer that is measured in the same run.
+"""Measure speed as ratios to peers, in the same run.
 
-    python tools/bench.py                  all of it, about a minute
-    python tools/bench.py --quick          some seconds; small batches, so lower ratios
+    python tools/bench.py                  all parts, about a minute
+    python tools/bench.py --quick          a few seconds; small batches, so lower ratios
     python tools/bench.py scene one        these parts only
     python tools/bench.py --json > a.json  for other programs
 
-How it is measured. Both sides do the same work on the same inputs, and must
-agree on the results before the clock is started. They take turns, ours, peer,
-ours, peer, ...; each turn repeats its call for 0.1 s. A ratio is formed of each
-pair of turns; printed are the median and, in brackets, the least and the
-greatest of them. One thread, BLAS included; garbage collector off.
+Method. Both sides do the same work on the same inputs, and must agree on the
+results before anything is timed. They take turns: ours, peer, ours, peer, ...;
+each turn repeats its call for 0.1 s. Each pair of turns gives a ratio. The table
+shows the median and, in brackets, the minimum and the maximum. One thread, BLAS
+included; garbage collector off.
 
-How to read it. A ratio is the peer's time over ours: 40x says that ours takes a
-fortieth. Where the target is "< 1.3x", it is the growth of our own time from few
-points to many. Times are medians. "memory" is what one call allocates at its
-peak, its results included and its inputs not, as tracemalloc counts it: NumPy and
-Python report to it, scratch space inside LAPACK and C extensions may not.
+Reading the table. A ratio is the peer's time over ours: 40x means that ours takes a
+fortieth. Where the target is "< 1.3x", the ratio is the growth of our own time from
+few points to many. Times are medians. "memory" is the peak allocation of one call,
+with its results and without its inputs, as tracemalloc counts it. NumPy and Python
+report to tracemalloc; scratch space inside LAPACK and C extensions may not.
 
 The parts:
-  refit     a pose to a line, against a least-squares call a pose
+  refit     poses to lines, against one least-squares call per pose
   scene     eight lines by sigma points, against filterpy with np.polyfit per point
-            and line; "anew" makes the Refit in each cycle, window included, as a
-            car does, "kept" takes it and the points as given
-  signals   packing and unpacking alone, against cantools' four calls a line; the
-            target is for its default, strict
-  batch     Gaussian to payload and back, against cantools' packing alone
+            and line; "new" makes the Refit in each cycle, window included, as a
+            car does; "kept" reuses it and the points
+  signals   packing and unpacking alone, against four calls of cantools per line;
+            the target is for its default, strict
+  batch     Gaussian to payload and back, against packing alone by cantools
   one       the same line by line, where arrays do not help
 
-Machines are noisy: a missed target is an error with --strict only.
+Times vary with the load of the machine: a missed target is an error with --strict only.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from importlib.metadata import version
 from itertools import chain, cycle
 from typing import Any, NamedTuple
 
-# Read by BLAS when NumPy is loaded.
+# BLAS reads these when NumPy is loaded.
 os.environ.update(OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", OMP_NUM_THREADS="1")
 
 import cantools
@@ -65,19 +65,19 @@ from maplines_can.study.sets import road
 from maplines_can.wire import Codec, default_dbc_path
 from maplines_can.wire.message.packing import Packing
 
-#: Lateral places of a full scene, one line for each slot [m].
+#: Lateral offsets of the lines of a full scene, one for each slot [m].
 OFFSETS = (3.5, 0.0, 7.0, -3.5, 1.75, 10.5, -7.0, -1.75)
 ENCODE, DECODE = "cantools encode", "cantools decode"
 
 
 class Sizes(NamedTuple):
-    """How much is measured."""
+    """Sizes of a measurement."""
 
-    poses: int = 4096  #: of a refit
-    lines: int = 4096  #: of a batch
-    singles: int = 256  #: lines that are coded one by one, a multiple of 8
+    poses: int = 4096  #: of one refit call
+    lines: int = 4096  #: of one batch
+    singles: int = 256  #: lines coded one by one, a multiple of 8
     rounds: int = 9  #: pairs of turns
-    seconds: float = 0.1  #: of a turn
+    seconds: float = 0.1  #: of one turn
 
 
 QUICK = Sizes(poses=1024, lines=512, singles=64, rounds=3, seconds=0.01)
@@ -96,16 +96,16 @@ class Pair(NamedTuple):
 
 
 def agree(what: str, difference: float, limit: float = 0.0) -> None:
-    """Stop where two sides differ by more than a limit: there is nothing to compare."""
+    """Exit if two sides differ by more than a limit: their times are not comparable."""
     if not difference <= limit:
         sys.exit(f"bench.py: {what} of the two sides differ by {difference:g}, over {limit:g}")
 
 
-# -- what is compared: each part yields what it has checked, then its pairs -------
+# -- parts: each yields a sentence about its checks, then its pairs ---------------
 
 
 def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Poses to lines, by moments of the points and by least squares."""
+    """Compare fits by moments of the points with least squares."""
     scene = scenario("highway")
     poses, n = scene.ego.sample(sizes.poses, seed), sizes.poses
 
@@ -114,7 +114,7 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         return Polyline(np.column_stack([x, -1.75 + x**2 / (2 * 2000.0) + 1e-6 * x**3 / 6]))
 
     def system(pose: Any) -> tuple[Any, Any]:
-        """Matrix and right-hand side of the least squares for a cubic."""
+        """Return matrix and right-hand side of the least squares for a cubic."""
         u, v = to_ego(points, pose).T
         return np.array([np.ones(len(u)), u, u * u, u * u * u]).T, v
 
@@ -142,8 +142,8 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
 
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """All lines of a scene by sigma points."""
-    del sizes, seed  # a scene has the size it has
+    """Compare sigma points over all lines of a scene with filterpy."""
+    del sizes, seed  # a scene has a fixed size
     highway = scenario("highway")
     mean, cov, window = highway.ego.mean, highway.ego.cov, highway.window
     lines = [Polyline(parallel(highway.polylines[1].points, offset)) for offset in OFFSETS]
@@ -152,7 +152,7 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     kept_points = [line.window(mean, *window) for line in lines]
 
     def ours(refit: Refit | None = None) -> Any:
-        ego = Gaussian.trusted(mean, cov)  # new, for it remembers the root of its covariance
+        ego = Gaussian.trusted(mean, cov)  # new: it caches the root of its covariance
         return transform.moments(refit or Refit(lines, mean, window), ego)
 
     def peer(points_of_lines: list[Any] | None = None) -> list[Any]:
@@ -174,17 +174,17 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
     both_kept = partial(ours, kept), partial(peer, kept_points)
-    yield Pair("8 lines, Refit anew", "filterpy with np.polyfit", 1, ours, peer, 10)
+    yield Pair("8 lines, Refit new", "filterpy with np.polyfit", 1, ours, peer, 10)
     yield Pair("8 lines, Refit kept", "filterpy with np.polyfit", 1, *both_kept, 10)
 
 
 def each(call: Callable[..., Any], arguments: list[Any]) -> list[Any]:
-    """The results of a call for each argument."""
+    """Return the results of a call for each argument."""
     return [call(argument) for argument in arguments]
 
 
 class Traffic:
-    """The same lines as Gaussians, as payloads, and as cantools sees them."""
+    """The same lines as Gaussians, as payloads and as the signals of cantools."""
 
     def __init__(self, n: int, seed: int) -> None:
         gaussians = road(min(n, 400), seed)
@@ -200,38 +200,42 @@ class Traffic:
         self.values = self.cantools_decoded(decode_choices=False)
 
     def encoded(self) -> Any:
-        """The payloads by our codec."""
+        """Return the payloads by our codec."""
         return self.codec.encode_batch(self.mean, self.cov, kind=np.arange(self.n) % 8, age=0.05)
 
     def cantools_encoded(self, **options: bool) -> list[list[bytes]]:
-        """The pages of each line by cantools."""
+        """Return the pages of each line by cantools."""
         encode = self.message.encode
         return [[encode(page, **options) for page in line] for line in self.values]
 
     def cantools_decoded(self, **options: bool) -> list[list[dict[str, Any]]]:
-        """The signals of each page by cantools."""
+        """Return the signals of each page by cantools."""
         decode = self.message.decode
         return [[decode(page, **options) for page in line] for line in self.frames]
 
     def check(self) -> str:
-        """See that cantools makes the same bytes of the values, strict or not."""
+        """Check that cantools encodes the values to the same bytes, strict or not."""
         for strict in (True, False):
             agree("bytes", self.cantools_encoded(strict=strict) != self.frames)
         return "the same bytes by cantools, strict or not"
 
 
 def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Packing and unpacking alone, physical values to bytes and back."""
+    """Compare packing and unpacking alone: physical values to bytes and back."""
     traffic = Traffic(sizes.lines, seed)
     fields = traffic.codec.layout.signals
     packing = Packing(list(fields.values()), traffic.codec.layout.record_bytes)
-    physical = packing.physical(traffic.payloads)
+
+    def unpack() -> dict[str, Any]:
+        raw = packing.unpack(traffic.payloads)
+        return {name: signal.physical(raw[name]) for name, signal in fields.items()}
+
+    physical = unpack()
 
     def pack() -> Any:
         raw = {name: field.raw(physical[name]).astype(np.int64) for name, field in fields.items()}
         return packing.pack(raw, traffic.n)
 
-    unpack = partial(packing.physical, traffic.payloads)
     agree("bytes", not np.array_equal(pack(), traffic.payloads))
     for i, pages in enumerate(zip(*traffic.values, strict=True)):
         for name in pages[0]:
@@ -245,7 +249,7 @@ def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
 
 def batch(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Gaussians to payloads and back, against cantools' packing alone."""
+    """Compare Gaussians to payloads and back with packing alone by cantools."""
     traffic = Traffic(sizes.lines, seed)
     decoded = partial(traffic.codec.decode_batch, traffic.payloads)
     agree("records sent and accepted", (~decoded().accepted).sum())
@@ -256,18 +260,20 @@ def batch(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
 
 def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Lines on their own, against cantools' packing alone."""
+    """Compare single lines with packing alone by cantools."""
     n, traffic = sizes.singles, Traffic(sizes.singles, seed)
     codec, decoder, t_ns = traffic.codec, traffic.codec.decoder(), 0
     gaussians = [Gaussian(mean, cov) for mean, cov in zip(traffic.mean, traffic.cov, strict=True)]
     lines = [MapLine(Slot(i % len(Slot)), gaussian) for i, gaussian in enumerate(gaussians)]
     singly = partial(each, codec.encode, lines)
     eights = partial(each, codec.encode_lines, list(zip(*[iter(lines)] * len(Slot), strict=True)))
-    rounds = cycle([list(chain.from_iterable(singly())) for _ in range(2)])  # no counter twice
+    rounds = cycle(
+        [list(chain.from_iterable(singly())) for _ in range(2)]
+    )  # so that no counter repeats
 
     def fed() -> list[Any]:
         nonlocal t_ns
-        t_ns += 10**9  # so late that the counters may start anew
+        t_ns += 10**9  # late enough for the counters to restart
         return [decoder.feed(frame.can_id, frame.data, t_ns) for frame in next(rounds)]
 
     delivered = sum(isinstance(result, MapLine) for result in fed() + fed())
@@ -280,19 +286,19 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
 
 PARTS = {
-    "refit": (refit, "1  From poses to lines; times of a pose"),
-    "scene": (scene, "2  All lines of a scene by sigma points; times of a cycle"),
-    "signals": (signals, "3  Signals alone, four pages a line; times of a line"),
-    "batch": (batch, "4  The whole batch, against cantools' packing alone; times of a line"),
-    "one": (one, "5  Lines on their own, against cantools' packing alone; times of a line"),
+    "refit": (refit, "1  From poses to lines; times per pose"),
+    "scene": (scene, "2  All lines of a scene by sigma points; times per cycle"),
+    "signals": (signals, "3  Signals alone, four pages per line; times per line"),
+    "batch": (batch, "4  Whole batches, against packing alone by cantools; times per line"),
+    "one": (one, "5  Single lines, against packing alone by cantools; times per line"),
 }
 
 
-# -- how it is measured and shown -------------------------------------------------
+# -- measurement and output -------------------------------------------------------
 
 
 def timed(call: Callable[[], Any], repeats: int = 1) -> float:
-    """Seconds of one call, the collector off."""
+    """Return the seconds of one call, with the garbage collector off."""
     gc.collect()
     gc.disable()
     start = time.perf_counter()
@@ -304,7 +310,7 @@ def timed(call: Callable[[], Any], repeats: int = 1) -> float:
 
 
 def allocated(call: Callable[[], Any]) -> int:
-    """Bytes at the peak of one call, beyond what there was before."""
+    """Return the peak allocation of one call [bytes]."""
     gc.collect()
     tracemalloc.start()
     call()
@@ -314,9 +320,9 @@ def allocated(call: Callable[[], Any]) -> int:
 
 
 def measured(pair: Pair, sizes: Sizes) -> dict[str, Any]:
-    """Times in seconds a unit, memory in bytes, and the ratio."""
+    """Return times in seconds per unit of work, memory in bytes, and the ratio."""
     calls = (pair.call, pair.peer_call)
-    # The first call warms up, the least of the next two says how often a turn repeats it.
+    # The first call warms up; the faster of the next two gives the repetitions of a turn.
     once = [min([timed(call) for _ in range(3)][1:]) for call in calls]
     repeats = [max(1, round(sizes.seconds / seconds)) for seconds in once]
     turns = [[*map(timed, calls, repeats)] for _ in range(sizes.rounds)]
@@ -337,7 +343,7 @@ HEADING = "", "against", "ours", "peer", "ratio", "[min .. max]", "target", "met
 
 
 def shown(result: dict[str, Any]) -> str:
-    """A row of the table."""
+    """Return a row of the table."""
     ratios = [result[key] for key in ("ratio", "ratio_min", "ratio_max")]
     ratio, low, high = (f"{x:.{0 if x >= 20 else 1 if x >= 2 else 2}f}" for x in ratios)
     times = [scaled(1e6 * result[key], "us", "ms") for key in ("ours_s", "peer_s")]
@@ -348,19 +354,19 @@ def shown(result: dict[str, Any]) -> str:
 
 
 def scaled(value: float, unit: str, thousand: str) -> str:
-    """The value with three digits."""
+    """Return the value with three digits and its unit."""
     return f"{value:.3g} {unit}" if value < 999.5 else f"{value / 1e3:.3g} {thousand}"
 
 
 def main(argv: list[str] | None = None) -> int:
-    """The command; returns its exit status."""
+    """Run the command and return its exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)} [all]")
-    parser.add_argument("--quick", action="store_true", help="small sizes, to see that it runs")
+    parser.add_argument("--quick", action="store_true", help="small sizes, as a smoke test")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    parser.add_argument("--seed", type=int, default=0, help="of poses and roads [%(default)s]")
+    parser.add_argument("--seed", type=int, default=0, help="of the poses and roads [%(default)s]")
     parser.add_argument("--strict", action="store_true", help="exit with 1 if a target is missed")
     options = parser.parse_args(argv)
     if unknown := set(options.parts) - set(PARTS):
@@ -386,12 +392,12 @@ def main(argv: list[str] | None = None) -> int:
             else:
                 results.append({"part": name, **measured(pair, sizes)})
                 say(shown(results[-1]))
-    judged = [result["met"] for result in results if result["met"] is not None]
-    say(f"\n{sum(judged)} of {len(judged)} targets met")
+    outcomes = [result["met"] for result in results if result["met"] is not None]
+    say(f"\n{sum(outcomes)} of {len(outcomes)} targets met")
     if options.json:
         report = {"about": about, "sizes": sizes._asdict(), "seed": options.seed}
         print(json.dumps({**report, "results": results}, indent=2))
-    return int(options.strict and not all(judged))
+    return int(options.strict and not all(outcomes))
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from telling import filled, parser_of
+from reporting import fill_tables, parser_of
 
 from maplines_can.study.design.search import design, sets_of
 from maplines_can.study.design.wire_plan import Targets
@@ -42,7 +42,7 @@ def main():
         "fields": of_fields(fields),
         "designs": designs(),
     }
-    PAGE.write_text(filled(PAGE.read_text(), "bits_page.py", sections))
+    PAGE.write_text(fill_tables(PAGE.read_text(), "bits_page.py", sections))
     print(f"docs/{PAGE.name}: written")
     return 0
 

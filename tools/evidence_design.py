@@ -12,7 +12,7 @@ Ends with a nonzero status where a bound is missed.
 import sys
 import time
 
-from telling import bar, parser_of
+from reporting import bar, parser_of
 
 from maplines_can.study.dbc.record_spec import DEFAULT
 from maplines_can.study.design.search import design, sets_of

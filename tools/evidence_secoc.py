@@ -1,45 +1,50 @@
 #!/usr/bin/env python3
-"""Show what authentication promises, with figures.
+"""Measure the resistance of authenticated lines to attacks, and their speed.
 
-    evidence_secoc.py            attacks, the bound of shorter MACs, vectors, speed
-    evidence_secoc.py --n 10000  fewer of each attack than 1e6
+    evidence_secoc.py            attacks, the bound for shorter MACs, test vectors, speed
+    evidence_secoc.py --n 10000  fewer frames of each attack than 1e6
 
-Run it in the project's environment: python3 tools/run.py python tools/evidence_secoc.py
+Run it in the environment of the project: python3 tools/run.py python tools/evidence_secoc.py
 
-Each attack goes through a whole decoder that has heard the true traffic and has no clock, so
-that nothing but the MAC and the last freshness value stands in the way; afterwards the next
-true lines must still be heard. A frame counts as accepted if it moves the last freshness
-value or gives a line. Guesses are bound by n / 2^bits; so MACs of 8 and 16 bits are guessed
-too, where as many must pass as the bound says, and no more.
+Each attack goes through a complete decoder that has received genuine traffic. It has no clock,
+so only the MAC and the last freshness value protect it. After the attack it must still accept
+the next genuine lines. A frame counts as accepted if it changes the last freshness value or
+gives a line. The expected number of successful guesses is n / 2^bits. MACs of 8 and 16 bits are
+guessed too: there the number accepted must agree with this bound.
 
-Ends with a nonzero status where a bound is missed.
+The exit status is 1 if a bound is missed.
 """
+
+from __future__ import annotations
 
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import count
+from typing import Any
 
 import numpy as np
-from telling import bar, ended, parser_of, progress
+from reporting import bar, parser_of, progress, report
 
 from maplines_can.cli.sending import scene_lines
 from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
 from maplines_can.study.dbc.record_spec import SECURED
-from maplines_can.wire import Authenticator, Codec, Key, Layout, Reason
+from maplines_can.wire import Authenticator, Codec, Decoder, Frame, Key, Layout, Reason
+from maplines_can.wire.message.channel import SecuredForm
 
 US, MS = 1_000, 1_000_000
 START = 1_750_000_000 * 10**9
-#: Frames that the attacker has recorded, of eight slots, and how many of them the receiver heard.
-RECORDED, HEARD = 1024, 512
-#: Standard deviations by which a count may miss what the bound expects.
+#: Frames of eight slots that the attacker has recorded; the receiver has received the first ones.
+RECORDED, RECEIVED = 1024, 512
+#: Largest deviation of a count from its expectation [standard deviations].
 SIGMAS = 4
 SECRET, OTHER = (np.random.default_rng(seed).bytes(16) for seed in (1, 2))
 
-#: RFC 4493, section 4.
+#: MACs by length of the message [bytes], from RFC 4493, section 4.
 RFC_4493 = {
     0: "bb1d6929e95937287fa37d129b756746",
     16: "070a16b46b4d4144f79bdd9dd04a287c",
@@ -54,45 +59,49 @@ RFC_MESSAGE = bytes.fromhex(
 
 
 @cache
-def recorded(mac_bytes):
-    """True traffic, and its layout."""
+def recorded(mac_bytes: int) -> tuple[Layout, list[Frame]]:
+    """Return a layout with MACs of this length, and genuine traffic in it."""
     layout = Layout.from_text(replace(SECURED, mac_bytes=mac_bytes).dbc())
     periods = count(START, 50 * MS)
     sender = Codec(layout, Authenticator(*keys(), clock=lambda: next(periods)))
-    scene, frames = scene_lines(scenario("production"), 8), []
+    scene = scene_lines(scenario("production"), 8)
+    frames: list[Frame] = []
     while len(frames) < RECORDED:
-        frames += [frame for burst in sender.encode_lines(scene, fd=True) for frame in burst]
+        frames += [frame for line in sender.encode_lines(scene, fd=True) for frame in line]
     return layout, frames
 
 
-def keys():
+def keys() -> tuple[Key, Key]:
+    """Return the key that is in use, and another key of the receiver."""
     return Key(SECRET, 1), Key(OTHER, 2)
 
 
 class Bus:
-    """True traffic, recorded; a receiver that has heard the first part of it."""
+    """Recorded genuine traffic, and a receiver that has received the first part of it."""
 
-    def __init__(self, mac_bytes=8):
+    def __init__(self, mac_bytes: int = 8) -> None:
         layout, self.frames = recorded(mac_bytes)
-        self.form = layout.secured
+        self.form = secured_form(layout)
         self.receiver = Codec(layout, Authenticator(*keys()))
         self.decoder = self.receiver.decoder()
         self.now = START
-        self.hear(self.frames[:HEARD])
+        self.receive(self.frames[:RECEIVED])
 
-    def hear(self, frames):
-        """Give true frames to the receiver, each of which must be a line."""
+    def receive(self, frames: list[Frame]) -> None:
+        """Feed genuine frames to the receiver; each must give a line."""
         before = self.decoder.lines
         for i, frame in enumerate(frames):
             self.now += i % 8 // 7 * 50 * MS
             self.decoder.feed(frame.can_id, frame.data, self.now)
         if self.decoder.lines != before + len(frames):
-            raise RuntimeError("true frames are not accepted")
+            raise RuntimeError("genuine frames are not accepted")
 
-    def accepted(self, attacks, total, name):
-        """How many frames were accepted, and the others by reason."""
-        counts, moved = Counter(), 0
-        last = self.decoder.verifier.last_accepted
+    def accepted(
+        self, attacks: Iterable[tuple[int, bytes]], total: int, name: str
+    ) -> tuple[int, dict[str, int]]:
+        """Feed the frames of an attack; return the number accepted, and all by outcome."""
+        counts, moved = Counter[str](), 0
+        last = last_accepted(self.decoder)
         before = sum(last.values())
         for can_id, data in progress(attacks, name, total):
             self.now += US
@@ -104,11 +113,27 @@ class Bus:
         return max(moved, counts["LINE"]), dict(counts)
 
 
+def secured_form(layout: Layout) -> SecuredForm:
+    """Return the form of the authenticated messages of a layout, which must have some."""
+    if layout.secured is None:
+        raise RuntimeError("the layout has no authenticated message")
+    return layout.secured
+
+
+def last_accepted(decoder: Decoder) -> dict[int, int]:
+    """Return the last freshness values that a decoder has accepted; it updates the mapping."""
+    if decoder.verifier is None:
+        raise RuntimeError("the decoder has no verifier")
+    return decoder.verifier.last_accepted
+
+
 # ---- attacks: (CAN ID, payload) ---------------------------------------------------------------
 
+Attack = Iterator[tuple[int, bytes]]
 
-def forged(bus, rng, n):
-    """Records of any content, of the next time, with a guessed MAC."""
+
+def forged(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield random records with the next freshness value and a guessed MAC."""
     frames, form = bus.frames[:8], bus.form
     for _ in range(n):
         frame = frames[int(rng.integers(8))]
@@ -117,36 +142,36 @@ def forged(bus, rng, n):
         yield frame.can_id, record + fresh + rng.bytes(form.mac_bytes)
 
 
-def replayed(bus, rng, n):
-    """Anything that the receiver heard, bit for bit, in any order."""
-    for i in rng.integers(HEARD, size=n):
+def replayed(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield frames that the receiver has received, unchanged and in random order."""
+    for i in rng.integers(RECEIVED, size=n):
         yield bus.frames[i].can_id, bus.frames[i].data
 
 
-def flipped(bus, rng, n):
-    """Frames that the receiver has not heard, with 1 to 3 bits flipped anywhere."""
-    for i in rng.integers(HEARD, RECORDED, size=n):
+def flipped(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield frames that the receiver has not received, with 1 to 3 bits flipped."""
+    for i in rng.integers(RECEIVED, RECORDED, size=n):
         data = bytearray(bus.frames[i].data)
         for bit in rng.choice(8 * len(data), size=1 + int(rng.integers(3)), replace=False):
             data[bit // 8] ^= 1 << bit % 8
         yield bus.frames[i].can_id, bytes(data)
 
 
-def truncated(bus, rng, n):
-    """Frames that the receiver has not heard, cut off, their end spoilt, turned, or longer."""
-    for i in rng.integers(HEARD, RECORDED, size=n):
+def truncated(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield frames not received before: cut, inverted at the end, rotated or extended."""
+    for i in rng.integers(RECEIVED, RECORDED, size=n):
         data, size = bus.frames[i].data, int(rng.integers(1, 48))
         cut = data[: len(data) - size]
         kind = int(rng.integers(4))
-        spoilt = bytes(0xFF - byte for byte in data[-size:])
-        shapes = cut, cut + spoilt, data[size:] + data[:size], data + bytes(size)
+        inverted_end = bytes(0xFF - byte for byte in data[-size:])
+        shapes = cut, cut + inverted_end, data[size:] + data[:size], data + bytes(size)
         yield bus.frames[i].can_id, shapes[kind]
 
 
-def renewed(bus, rng, n):
-    """Frames that the receiver heard, with a new time, the other key's number, or another slot."""
+def refreshed(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield received frames with a new freshness value; some with another key ID or slot."""
     form = bus.form
-    for i in rng.integers(HEARD, size=n):
+    for i in rng.integers(RECEIVED, size=n):
         frame = bus.frames[i]
         data, kind = bytearray(frame.data), int(rng.integers(3))
         fresh = ((bus.now + US) // US).to_bytes(8, "big")[-form.freshness_bytes :]
@@ -156,8 +181,8 @@ def renewed(bus, rng, n):
         yield (frame.can_id ^ 1 if kind == 2 else frame.can_id), bytes(data)
 
 
-def stripped(bus, rng, n):
-    """True records without their proof, on the other two messages of the slot."""
+def stripped(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
+    """Yield genuine records without a MAC, in the two unauthenticated messages of the slot."""
     for i in rng.integers(RECORDED, size=n):
         frame = bus.frames[i]
         if rng.integers(2):
@@ -167,18 +192,20 @@ def stripped(bus, rng, n):
             yield frame.can_id - 16, frame.data[page : page + 8]
 
 
-def reordered(rng, n):
-    """True frames thrown about by up to half a second: who is overtaken is not accepted."""
-    bus, wrong, counts = Bus(), 0, Counter()
+def reordered(rng: np.random.Generator, n: int) -> dict[str, Any]:
+    """Reorder genuine frames by up to half a second: an overtaken frame is not accepted."""
+    bus, wrong, counts = Bus(), 0, Counter[str]()
     with bar(n, "reordered") as frames:
         for begin in range(0, n, RECORDED):
-            decoder, newest = bus.receiver.decoder(), {}
+            decoder = bus.receiver.decoder()
+            newest: dict[int, int] = {}
+            last = last_accepted(decoder)
             place = np.argsort(np.arange(RECORDED) + rng.uniform(0, 80, RECORDED))[: n - begin]
             for at, i in enumerate(place):
                 frame = bus.frames[i]
-                before = sum(decoder.verifier.last_accepted.values())
+                before = sum(last.values())
                 answer = decoder.feed(frame.can_id, frame.data, START + at * MS * 6)
-                moved = sum(decoder.verifier.last_accepted.values()) != before
+                moved = sum(last.values()) != before
                 wrong += int(moved != (i > newest.get(frame.can_id, -1)))
                 newest[frame.can_id] = max(i, newest.get(frame.can_id, -1))
                 counts["LINE" if isinstance(answer, MapLine) else answer.name] += 1
@@ -186,26 +213,26 @@ def reordered(rng, n):
     return {"frames": n, "accepted": wrong, "reasons": dict(counts)}
 
 
-ATTACKS = (forged, replayed, flipped, truncated, renewed, stripped)
+ATTACKS = (forged, replayed, flipped, truncated, refreshed, stripped)
 
 
-# ---- what is shown -------------------------------------------------------------------------------
+# ---- results -------------------------------------------------------------------------------------
 
 
-def attacks(n, seed):
-    """Each attack on a 64-bit MAC: nothing is accepted."""
+def attacks(n: int, seed: int) -> dict[str, Any]:
+    """Run each attack on a 64-bit MAC: nothing is accepted."""
     result = {}
     for attack in ATTACKS:
         bus, rng = Bus(), np.random.default_rng(seed)
         moved, reasons = bus.accepted(attack(bus, rng, n), n, attack.__name__)
-        bus.hear(bus.frames[HEARD:])
+        bus.receive(bus.frames[RECEIVED:])
         result[attack.__name__] = {"frames": n, "accepted": moved, "reasons": reasons}
     result["reordered"] = reordered(np.random.default_rng(seed), n)
     return result
 
 
-def bound(n, seed):
-    """Guesses of a MAC of 8 and 16 bits: as many pass as n / 2^bits, within sampling error."""
+def bound(n: int, seed: int) -> dict[str, Any]:
+    """Guess MACs of 8 and 16 bits: n / 2^bits are accepted, within the sampling error."""
     result = {}
     for mac_bytes in (1, 2):
         bus, rng = Bus(mac_bytes), np.random.default_rng(seed)
@@ -216,14 +243,14 @@ def bound(n, seed):
             "guesses": n,
             "accepted": moved,
             "expected": n * p,
-            "sampling errors apart": float(sigmas),
+            "deviation in sampling errors": float(sigmas),
             "met": bool(abs(sigmas) < SIGMAS or n * p < 1),
         }
     return result
 
 
-def vectors():
-    """RFC 4493, through the key that frames are made with."""
+def vectors() -> dict[str, bool]:
+    """Check the test vectors of RFC 4493."""
     key = Key(RFC_KEY)
     return {
         f"{length} bytes": key.mac(RFC_MESSAGE[:length]).hex() == mac
@@ -231,59 +258,61 @@ def vectors():
     }
 
 
-def speed(n):
-    """Lines a second on one core, with and without authentication, by turns; the best of each."""
+def speed(n: int) -> dict[str, int]:
+    """Return lines per second on one core, with and without authentication: the best of 3 turns."""
     layout, _ = recorded(8)
     authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
     plain, secured = Codec(layout), Codec(layout, authenticator)
     lines = scene_lines(scenario("production"), 8)
-    rates = {}
+    rates: dict[str, float] = {}
     for name, codec in (("plain", plain), ("authenticated", secured)) * 3:
-        frames = []
+        frames: list[Frame] = []
         while len(frames) < n:
-            frames += [f for burst in codec.encode_lines(lines, fd=True) for f in burst]
+            frames += [f for line in codec.encode_lines(lines, fd=True) for f in line]
         decoder, t_ns = codec.decoder(), 0
         verify, begin = codec.verifier(), time.perf_counter()
-        if verify is not None:  # the check alone
+        if verify is not None:  # time the check of the MAC alone
             ids = layout.data_id_of_secured
             good = [verify(f.data, ids[f.can_id, False]) for f in frames]
             best(rates, "checks of a MAC", len(good), begin)
             if any(isinstance(answer, Reason) for answer in good):
-                raise RuntimeError("a true frame is not accepted")
+                raise RuntimeError("a genuine frame is not accepted")
         begin = time.perf_counter()
         for frame in frames:
             t_ns += 6_250_000
             decoder.feed(frame.can_id, frame.data, t_ns)
         best(rates, f"lines decoded, {name}", decoder.lines, begin)
-    begin, record, form = time.perf_counter(), bytes(32), layout.secured
+    begin, record, form = time.perf_counter(), bytes(32), secured_form(layout)
     for _ in range(n):
-        secured.authenticator.secure(record, 0x4D50, form)
+        authenticator.secure(record, 0x4D50, form)
     best(rates, "records secured", n, begin)
-    return {f"{name} a second": round(rate) for name, rate in rates.items()}
+    return {f"{name}, per second": round(rate) for name, rate in rates.items()}
 
 
-def best(rates, name, n, begin):
+def best(rates: dict[str, float], name: str, n: int, begin: float) -> None:
+    """Record the rate since the beginning, if it is the highest so far."""
     rates[name] = max(rates.get(name, 0), n / (time.perf_counter() - begin))
 
 
-def main():
+def main() -> int:
+    """Run the command and return its exit status."""
     parser = parser_of(__doc__)
-    parser.add_argument("--n", type=int, default=1_000_000, help="frames of each attack")
+    parser.add_argument("--n", type=int, default=1_000_000, help="frames per attack")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
-    result = {
-        "vectors of RFC 4493": vectors(),
+    result: dict[str, Any] = {
+        "test vectors of RFC 4493": vectors(),
         "attacks": attacks(arguments.n, arguments.seed),
         "guesses of short MACs": bound(arguments.n, arguments.seed),
         "speed": speed(min(arguments.n, 20_000)),
     }
     result["met"] = (
-        all(result["vectors of RFC 4493"].values())
+        all(result["test vectors of RFC 4493"].values())
         and not any(attack["accepted"] for attack in result["attacks"].values())
         and all(row["met"] for row in result["guesses of short MACs"].values())
     )
-    return ended(result, arguments.json, 40)
+    return report(result, arguments.json, 44)
 
 
 if __name__ == "__main__":

@@ -1,19 +1,19 @@
 #!/usr/bin/env python3
-"""Break the bus in earnest, under a real kernel, and see how soon the receiver is right again.
+"""Cause failures of the bus under a real kernel and measure how soon the receiver recovers.
 
     tools/vcan python3 tools/run.py python tools/failures.py            every failure, 3 minutes
     tools/vcan python3 tools/run.py python tools/failures.py --only down killed
 
-Each failure has real processes: `maplines send`, `maplines receive --json`, cangen, and the
-kernel's interfaces vcan0 (classic frames), vcan1 (CAN FD) and vcan2 (classic only). A delivered
-line is wrong if it is not, to the last bit, one of those that were sent (all but its time and age),
+Each failure uses real processes: `maplines send`, `maplines receive --json`, cangen, and the
+kernel's interfaces vcan0 (classic CAN), vcan1 (CAN FD) and vcan2 (classic CAN only). A delivered
+line is wrong if it differs in any bit from all lines that were sent (except for its time and age),
 or if it is delivered twice. A second sender sends another scene, so that a line of both is wrong.
 
-Times are from the end of the cause: until every slot has delivered a line that was sent after
-it, and until all of them are VALID. Lines lost are those that the receiver counts by their
-counters: who gives up lines while the interface is down leaves counters out, too.
+Times are from the end of the cause until every slot has delivered a line that was sent after
+it, and until all slots are VALID. Lost lines are those that the receiver counts by the sender's
+counters; lines that the sender gives up while the interface is down are among them.
 
-Ends with a nonzero status where a wrong line was delivered, or the receiver did not recover.
+The exit status is nonzero if a wrong line was delivered or the receiver did not recover.
 """
 
 import json
@@ -25,33 +25,34 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-from failures_stage import (
+from failures_testbed import (
     HOUR,
     MAPLINES,
     SLOTS,
-    FailedError,
     Process,
     Row,
-    Stage,
-    after,
+    Testbed,
+    UnmetError,
     ip,
     is_guest,
     last_checks,
     restored,
+    timed,
     traffic,
 )
-from telling import parser_of
+from reporting import parser_of
 
 from maplines_can.bus import Link, Receiver
 from maplines_can.wire import Codec
 
-#: What a second sender sends.
-OTHER = "street-turn"
-#: How long the interface is down, and the bus is flooded [s].
+#: Scene of a second sender.
+OTHER_SCENE = "street-turn"
+#: Duration of an outage and of a flood [s].
 OUTAGE, FLOOD = 2.0, 3.0
-#: By how many queues of its socket the receiver is stopped, and memory of a frame there [bytes].
+#: How often the receiver's socket queue is filled while it is suspended, and the memory of a
+#: frame in the queue [bytes].
 QUEUES, FRAME_BYTES = 3.5, 768
-#: Error frames as a controller's driver makes them (linux/can/error.h).
+#: Error frames in the format of a controller's driver (linux/can/error.h).
 ERRORS = {
     "bus off": "20000040#0000000000000000",
     "error passive": "20000004#0030000000008888",
@@ -67,169 +68,173 @@ ERRORS = {
 
 def down(row):
     """Interface down and up."""
-    with restored("vcan0"), Stage(row) as stage:
-        receiver, sender = stage.receiver, stage.senders[0]
-        began = time.monotonic()
+    with restored("vcan0"), Testbed(row) as testbed:
+        receiver, sender = testbed.receiver, testbed.senders[0]
+        started = time.monotonic()
         ip("link set vcan0 down")
-        row.detected = receiver.note("is lost", began) - began
-        sender.note("is lost", began)
-        invalid = receiver.each_slot(": INVALID", began) - began
+        row.detected = receiver.wait_for_note("is lost", started) - started
+        sender.wait_for_note("is lost", started)
+        invalid = receiver.wait_for_each_slot(": INVALID", started) - started
         time.sleep(OUTAGE)
-        stage.recovered(*after(lambda: ip("link set vcan0 up")))
+        testbed.wait_for_recovery(*timed(lambda: ip("link set vcan0 up")))
         for process in (receiver, sender):
-            process.note("is back")
-        said = sum("is lost" in text for _, text in receiver.notes)
-    row.seen = f"reported by both ends, by the receiver {said}x; INVALID after {invalid:.2f} s"
+            process.wait_for_note("is back")
+        reports = sum("is lost" in text for _, text in receiver.notes)
+    row.seen = f"reported by both ends, by the receiver {reports}x; INVALID after {invalid:.2f} s"
 
 
 def unplugged(row):
     """Interface deleted, and a new one of its name."""
-    with restored("vcan0"), Stage(row) as stage:
-        receiver = stage.receiver
-        began = time.monotonic()
+    with restored("vcan0"), Testbed(row) as testbed:
+        receiver = testbed.receiver
+        started = time.monotonic()
         ip("link del vcan0")
-        row.detected = receiver.note("is lost", began) - began
-        invalid = receiver.each_slot(": INVALID", began) - began
+        row.detected = receiver.wait_for_note("is lost", started) - started
+        invalid = receiver.wait_for_each_slot(": INVALID", started) - started
 
-        def plug():
+        def recreate():
             ip("link add dev vcan0 type vcan")
             ip("link set vcan0 mtu 72 up")
 
-        stage.recovered(*after(plug))
+        testbed.wait_for_recovery(*timed(recreate))
     row.seen = f"reported by both ends; INVALID after {invalid:.2f} s; the new interface is found"
 
 
 def killed(row):
     """Sender killed with SIGKILL, and a new one."""
-    with Stage(row) as stage:
-        receiver = stage.receiver
-        stage.killed = True
-        receiver.deliver(10 * SLOTS)
-        began = time.monotonic()
-        stage.senders[0].end(signal.SIGKILL)
-        row.detected = receiver.each_slot(": INVALID", began) - began
-        starts, since_ns = after(lambda: None)
-        _, over = stage.send(OTHER)
-        again = receiver.each_again(starts, since_ns)
-        valid = receiver.each_again(starts, since_ns, valid=True)
-        # It says that it sends when it has begun to.
-        row.lines_again, row.valid_again = max(0.0, again - over), max(0.0, valid - over)
+    with Testbed(row) as testbed:
+        receiver = testbed.receiver
+        testbed.killed = True
+        receiver.wait_for_lines(10 * SLOTS)
+        started = time.monotonic()
+        testbed.senders[0].end(signal.SIGKILL)
+        row.detected = receiver.wait_for_each_slot(": INVALID", started) - started
+        since, since_ns = timed(lambda: None)
+        _, sending = testbed.send(OTHER_SCENE)
+        again = receiver.wait_for_new_lines(since, since_ns)
+        valid = receiver.wait_for_new_lines(since, since_ns, valid=True)
+        # The sender reports that it sends after its first lines.
+        row.lines_again, row.valid_again = max(0.0, again - sending), max(0.0, valid - sending)
         jumps = sum(check["wrong_sequence"] for check in last_checks(receiver))
     row.seen = (
-        f"INVALID by silence; {over - began:.1f} s later a sender whose counters start anew: its "
-        f"first lines are delivered, {jumps} slots of {SLOTS} note the jump"
+        f"INVALID by silence; {sending - started:.1f} s later a sender whose counters restart: its "
+        f"first lines are delivered, {jumps} slots of {SLOTS} count the jump"
     )
 
 
 def stopped(row):
     """Receiver stopped, its socket overflows."""
     queue = int(Path("/proc/sys/net/core/rmem_default").read_text())
-    with Stage(row) as stage:
-        receiver = stage.receiver
+    with Testbed(row) as testbed:
+        receiver = testbed.receiver
         lines = len(receiver.out)
-        began = time.monotonic()
+        started = time.monotonic()
         receiver.child.send_signal(signal.SIGSTOP)
-        stage.witness.more(int(QUEUES * queue // FRAME_BYTES))
-        pause = time.monotonic() - began
-        over, since_ns = after(lambda: receiver.child.send_signal(signal.SIGCONT))
-        stage.recovered(over, since_ns)
-        receiver.until("gap", lambda: sum(check["lost"] for check in last_checks(receiver)))
+        testbed.frame_counter.wait_for_frames(int(QUEUES * queue // FRAME_BYTES))
+        pause = time.monotonic() - started
+        over, since_ns = timed(lambda: receiver.child.send_signal(signal.SIGCONT))
+        testbed.wait_for_recovery(over, since_ns)
+        receiver.wait_for("gap", lambda: sum(check["lost"] for check in last_checks(receiver)))
         gap = next(when for when, line in receiver.out if when >= over and line["e2e"]["lost"])
         row.detected = gap - over
-        old = [line for when, line in receiver.out[lines:] if when >= over]
-        old = sum(line["t"] * 1e9 < since_ns - 1e8 for line in old)
+        late = [line for when, line in receiver.out[lines:] if when >= over]
+        old = sum(line["t"] * 1e9 < since_ns - 1e8 for line in late)
     missing = row.sent - row.delivered
     row.seen = (
-        f"{pause:.1f} s away; then {old} lines that had waited, with the time of their frames; the "
-        f"counters tell {row.lost} of {missing} lost"
+        f"suspended for {pause:.1f} s; then {old} lines from the queue, with the times of their "
+        f"frames; by the counters {row.lost} of {missing} are lost"
     )
     if row.lost != missing:
-        row.problem = f"{missing} lines are missing, and the counters tell {row.lost}"
+        row.problem = f"{missing} lines are missing, but {row.lost} by the counters"
 
 
 def two_senders(row):
     """Two senders by mistake on the same slots."""
-    with Stage(row) as stage:
-        receiver = stage.receiver
-        second, began = stage.send(OTHER)
-        first_word = receiver.note(": INVALID", began)
-        row.detected = receiver.each_slot("TWO SENDERS", began) - began
-        receiver.deliver(40 * SLOTS)
-        states = [line["e2e"]["state"] for when, line in receiver.out if when > first_word]
+    with Testbed(row) as testbed:
+        receiver = testbed.receiver
+        second, started = testbed.send(OTHER_SCENE)
+        invalid = receiver.wait_for_note(": INVALID", started)
+        row.detected = receiver.wait_for_each_slot("TWO SENDERS", started) - started
+        receiver.wait_for_lines(40 * SLOTS)
+        states = [line["e2e"]["state"] for when, line in receiver.out if when > invalid]
         share = sum(state == "VALID" for state in states) / max(1, len(states))
-        now, now_ns = after(second.end)
-        over = second.out[0][0]  # it sums up when it has sent its last line
-        stage.recovered(over, now_ns - int(1e9 * (now - over)))
+        now, now_ns = timed(second.end)
+        over = second.out[0][0]  # it prints its sums after its last line
+        testbed.wait_for_recovery(over, now_ns - int(1e9 * (now - over)))
     row.seen = (
-        f"INVALID after {first_word - began:.2f} s, named on all slots after {row.detected:.2f} s; "
-        f"{100 * share:.0f} % of the lines while there are two are VALID"
+        f"INVALID after {invalid - started:.2f} s, reported on all slots after "
+        f"{row.detected:.2f} s; while there are two, {100 * share:.0f} % of the lines are VALID"
     )
 
 
 def other_traffic(row):
     """Flood of another ID, as fast as the kernel can."""
-    with Stage(row) as stage:
-        stage.flood("-I", "001", "-L", "8", "-g", "0", "-p", "10")
-        before = traffic(stage.channel)
+    with Testbed(row) as testbed:
+        testbed.flood("-I", "001", "-L", "8", "-g", "0", "-p", "10")
+        before = traffic(testbed.channel)
         time.sleep(FLOOD)
-        rate = (traffic(stage.channel) - before) / FLOOD
-        stage.recovered(*after(stage.others[-1].end))
-        invalid = sum(": INVALID" in text for _, text in stage.receiver.notes)
+        rate = (traffic(testbed.channel) - before) / FLOOD
+        testbed.wait_for_recovery(*timed(testbed.others[-1].end))
+        invalid = sum(": INVALID" in text for _, text in testbed.receiver.notes)
     row.seen = (
-        f"{rate:.0f} frames/s; the kernel keeps them from the receiver; "
-        f"INVALID {invalid} times in between"
+        f"{rate:.0f} frames/s; the filter in the kernel drops them; "
+        f"INVALID {invalid} times meanwhile"
     )
 
 
 def random_traffic(row):
     """Flood of random frames on all IDs, as fast as the kernel can."""
-    with Stage(row) as stage:
-        began = stage.flood("-g", "0", "-p", "10")
-        before = traffic(stage.channel)
-        row.detected = stage.receiver.note(": INVALID", began) - began
+    with Testbed(row) as testbed:
+        started = testbed.flood("-g", "0", "-p", "10")
+        before = traffic(testbed.channel)
+        row.detected = testbed.receiver.wait_for_note(": INVALID", started) - started
         time.sleep(FLOOD)
-        rate = (traffic(stage.channel) - before) / (FLOOD + row.detected)
-        stage.recovered(*after(stage.others[-1].end))
-        errors = sum(check["errors"] for check in last_checks(stage.receiver))
-    row.seen = f"{rate:.0f} frames/s; {errors} of them are errors on a slot: INVALID while it lasts"
+        rate = (traffic(testbed.channel) - before) / (FLOOD + row.detected)
+        testbed.wait_for_recovery(*timed(testbed.others[-1].end))
+        errors = sum(check["errors"] for check in last_checks(testbed.receiver))
+    row.seen = (
+        f"{rate:.0f} frames/s; {errors} of them are errors on a slot: INVALID during the flood"
+    )
 
 
 def forged(row):
     """Flood of random frames on the ID of a line, 200 a second."""
-    with Stage(row) as stage:
-        began = stage.flood("-I", "340", "-L", "8", "-g", "5")
+    with Testbed(row) as testbed:
+        started = testbed.flood("-I", "340", "-L", "8", "-g", "5")
         time.sleep(FLOOD)
-        ended, since_ns = after(stage.others[-1].end)
-        said = [when for when, text in stage.receiver.notes if "ego left" in text and when > began]
+        ended, since_ns = timed(testbed.others[-1].end)
+        reports = [
+            when for when, text in testbed.receiver.notes if "ego left" in text and when > started
+        ]
         states = [
             line["e2e"]["state"]
-            for when, line in stage.receiver.out
-            if began < when < ended and line["slot"] == "EGO_LEFT"
+            for when, line in testbed.receiver.out
+            if started < when < ended and line["slot"] == "EGO_LEFT"
         ]
-        stage.recovered(ended, since_ns)
-        checks = {line["slot"]: line["e2e"] for _, line in stage.receiver.out}
-    row.detected = said[0] - began if said else None
-    on_it, two = checks.pop("EGO_LEFT"), ", reported as a second sender"
+        testbed.wait_for_recovery(ended, since_ns)
+        checks = {line["slot"]: line["e2e"] for _, line in testbed.receiver.out}
+    row.detected = reports[0] - started if reports else None
+    ego_left, conflict = checks.pop("EGO_LEFT"), ", reported as a second sender"
     row.seen = (
-        f"on that slot {on_it['errors']} errors and {on_it['wrong_sequence']} records out of "
-        f"sequence{two * on_it['two_senders']}, {states.count('VALID')} of {len(states)} lines "
-        f"VALID; on the others {sum(check['errors'] for check in checks.values())} errors"
+        f"on that slot {ego_left['errors']} errors and {ego_left['wrong_sequence']} records out of "
+        f"sequence{conflict * ego_left['two_senders']}, {states.count('VALID')} of {len(states)} "
+        f"lines VALID; on the others {sum(check['errors'] for check in checks.values())} errors"
     )
 
 
 def error_frames(row):
     """Error frames of a controller."""
-    with Stage(row) as stage:
-        settings = {"interface": "socketcan", "channel": stage.channel}
+    with Testbed(row) as testbed:
+        settings = {"interface": "socketcan", "channel": testbed.channel}
         with Link(**settings) as link, Receiver(link, Codec.from_dbc().decoder()) as inside:
             for frame in ERRORS.values():
-                subprocess.run(["cansend", stage.channel, frame], check=True)
-            over, since_ns = after(lambda: None)
-            stage.recovered(over, since_ns)
+                subprocess.run(["cansend", testbed.channel, frame], check=True)
+            over, since_ns = timed(lambda: None)
+            testbed.wait_for_recovery(over, since_ns)
             stats = inside.stats()
     row.seen = (
-        f"{stats.error_frames} of {len(ERRORS)} counted apart ({', '.join(ERRORS)}); "
-        "vcan has no controller that could mean them"
+        f"{stats.error_frames} of {len(ERRORS)} counted separately ({', '.join(ERRORS)}); "
+        "vcan has no controller that would send them"
     )
     if stats.error_frames != len(ERRORS):
         row.problem = f"{stats.error_frames} of {len(ERRORS)} error frames were counted"
@@ -240,14 +245,14 @@ def listen_only(row):
     command = "ip link set vcan0 type can listen-only on"
     refused = subprocess.run(command.split(), capture_output=True, text=True, check=False)
     before = traffic("vcan0")
-    with Stage(row) as stage:
-        stage.receiver.deliver(10 * SLOTS)
-        stage.recovered(*after(lambda: None))
-    (frames,) = stage.senders[0].figures(r"in (\d+) frames")
+    with Testbed(row) as testbed:
+        testbed.receiver.wait_for_lines(10 * SLOTS)
+        testbed.wait_for_recovery(*timed(lambda: None))
+    (frames,) = testbed.senders[0].figures(r"in (\d+) frames")
     others = traffic("vcan0") - before - frames
     row.seen = (
-        f"vcan has no such mode ({refused.stderr.strip()}); what it asks of a receiver holds: "
-        f"{others} frames on the bus beside the sender's {frames}"
+        f"vcan has no such mode ({refused.stderr.strip()}); the receiver sends nothing, as the "
+        f"mode requires: {others} frames on the bus beside the sender's {frames}"
     )
     if others:
         row.problem = f"{others} frames are not the sender's"
@@ -255,42 +260,42 @@ def listen_only(row):
 
 def no_fd(row):
     """CAN FD on an interface without it."""
-    said = []
-    with Stage(row, "vcan2") as stage:
+    results = []
+    with Testbed(row, "vcan2") as testbed:
         for job in (["send"], ["receive"]):
-            process = Process(*MAPLINES, *job, *stage.on, "--fd")
-            stage.others.append(process)
-            process.note("has no CAN FD")
+            process = Process(*MAPLINES, *job, *testbed.on, "--fd")
+            testbed.others.append(process)
+            process.wait_for_note("has no CAN FD")
             status = process.end(None)
-            said.append(f"{job[0]} ends with status {status}")
+            results.append(f"{job[0]} ends with status {status}")
             if status != 1:
                 row.problem = f"{process.command} ends with status {status}"
         text = process.notes[-1][1].strip().removeprefix("maplines: error: socketcan vcan2 ")
-        stage.recovered(*after(lambda: None))
-    row.seen = f"{' and '.join(said)}: {text!r}; the classic sender beside them goes on"
+        testbed.wait_for_recovery(*timed(lambda: None))
+    row.seen = f"{' and '.join(results)}: {text!r}; the classic sender continues"
 
 
 def fd_gone(row):
     """Interface comes back without CAN FD."""
-    with restored("vcan1"), Stage(row, "vcan1", fd=True) as stage:
-        receiver = stage.receiver
-        began = time.monotonic()
+    with restored("vcan1"), Testbed(row, "vcan1", fd=True) as testbed:
+        receiver = testbed.receiver
+        started = time.monotonic()
         ip("link set vcan1 down")
-        row.detected = receiver.note("is lost", began) - began
+        row.detected = receiver.wait_for_note("is lost", started) - started
         ip("link set vcan1 mtu 16 up")
-        told = receiver.note("the interface has no CAN FD", began)
-        invalid = receiver.each_slot(": INVALID", began)
-        heard = len(receiver.out)
+        reported = receiver.wait_for_note("the interface has no CAN FD", started)
+        invalid = receiver.wait_for_each_slot(": INVALID", started)
+        before = len(receiver.out)
 
         def repair():
             ip("link set vcan1 down")
             ip("link set vcan1 mtu 72 up")
 
         time.sleep(OUTAGE)  # longer than the longest pause between two attempts
-        early = len(receiver.out) - heard
-        stage.recovered(*after(repair))
+        early = len(receiver.out) - before
+        testbed.wait_for_recovery(*timed(repair))
     row.seen = (
-        f"INVALID after {invalid - began:.2f} s, the reason is told after {told - began:.2f} s; "
+        f"INVALID after {invalid - started:.2f} s, reason after {reported - started:.2f} s; "
         f"{early} lines until it has CAN FD again"
     )
 
@@ -307,26 +312,26 @@ def clock_forward(row):
 
 def set_clock(row, by):
     if not is_guest():
-        row.seen = "not tried: this would be the clock of a real machine"
+        row.seen = "not tried: this would set the clock of a real machine"
         return
-    before, started = time.time(), time.monotonic()
+    before, begin = time.time(), time.monotonic()
     try:
-        with Stage(row) as stage:
-            receiver = stage.receiver
-            began = time.monotonic()
+        with Testbed(row) as testbed:
+            receiver = testbed.receiver
+            started = time.monotonic()
             notes = len(receiver.notes)
-            over, since_ns = after(
+            over, since_ns = timed(
                 lambda: time.clock_settime(time.CLOCK_REALTIME, time.time() + by)
             )
-            stage.recovered(over, since_ns)
-            said = [when for when, text in receiver.notes[notes:] if "INVALID" in text]
-            row.detected = said[0] - began if said else None
+            testbed.wait_for_recovery(over, since_ns)
+            reports = [when for when, text in receiver.notes[notes:] if "INVALID" in text]
+            row.detected = reports[0] - started if reports else None
     finally:
-        time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - started)
+        time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - begin)
     row.seen = (
-        f"INVALID on {len(said)} slots, by a gap in the time stamps"
-        if said
-        else "not noticed: delivery goes on without INVALID"
+        f"INVALID on {len(reports)} slots, by a gap in the time stamps"
+        if reports
+        else "not noticed: delivery continues without INVALID"
     )
 
 
@@ -342,18 +347,18 @@ FAILURES = {
 
 
 def run(name):
-    """Have a failure happen; returns its row, whatever comes of it."""
+    """Cause a failure and return its row; a problem is in the row, too."""
     failure = FAILURES[name]
     row = Row(name, failure.__doc__.strip().rstrip("."))
     try:
         failure(row)
-    except (FailedError, OSError, subprocess.CalledProcessError) as error:
+    except (UnmetError, OSError, subprocess.CalledProcessError) as error:
         row.problem = str(error)
     return row
 
 
 def table(rows):
-    """The figures, and below them what was seen, in Markdown."""
+    """Return the figures and, below them, the observations in Markdown."""
     heads = ["failure", "detected [s]", "lines again [s]", "VALID again [s]"]
     heads += ["sent", "given up", "delivered", "lost by counters", "wrong"]
     lines = ["| " + " | ".join(heads) + " |", "|---" + "|---:" * (len(heads) - 1) + "|"]
@@ -373,7 +378,7 @@ def table(rows):
 def main():
     parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", choices=FAILURES, default=list(FAILURES))
-    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     if not any(name == "vcan0" for _, name in socket.if_nameindex()):
         parser.error("there is no vcan0 here: run it inside tools/vcan")

@@ -1,21 +1,23 @@
 #!/usr/bin/env python3
-"""Coverage-guided fuzzing of what reads other people's bytes; the corpus is kept.
+"""Fuzz the parsers of external input, guided by coverage, and update the corpus.
 
-    fuzz.py decoder --seconds 600   frames into a receiver's state
+    fuzz.py decoder --seconds 600   frames into the state of a receiver
     fuzz.py logs --seconds 600      log files of all formats
     fuzz.py dbc --seconds 600       the text of a DBC
-    fuzz.py TARGET --seconds 0      only try the corpus again
+    fuzz.py TARGET --seconds 0      only replay the corpus
 
-What a target raises is a defect, and so is a broken promise (see fuzz_targets.py); each is kept
-once in --work, by its place, and the fuzzer goes on. At the end what reaches the same lines and
-branches with the fewest bytes is kept in tests/corpus/TARGET, where the ordinary tests try it
-again, without the fuzzer.
+An exception from a target is a defect, and so is a broken invariant (see fuzz_targets.py). The
+first input that raises at a place in the code is saved in --work; the fuzzer continues. At the
+end the smallest set of inputs with the same coverage of lines and branches is saved in
+tests/corpus/TARGET. The tests replay it without the fuzzer.
 
-Needs atheris, of Google: pip install atheris (wheels for CPython 3.11 to 3.13 on Linux).
-Run it in the project's environment: python3 tools/run.py python tools/fuzz.py ...
+This needs atheris: pip install atheris (wheels for CPython 3.11 to 3.13 on Linux).
+Run it in the environment of the project: python3 tools/run.py python tools/fuzz.py ...
 
-Ends with a nonzero status where there is a defect.
+The exit status is 1 if there is a defect.
 """
+
+from __future__ import annotations
 
 import argparse
 import hashlib
@@ -30,58 +32,69 @@ import time
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
-from telling import parser_of
+from reporting import parser_of
 
 CORPUS = Path(__file__).resolve().parents[1] / "tests" / "corpus"
 TARGETS = ("decoder", "logs", "dbc")
-#: Modules whose branches guide the fuzzer, and those whose lines decide what is kept.
-GUIDES = ("maplines_can", "can.io", "cantools.database", "textparser", "fuzz_targets")
-KEPT = ("/maplines_can/", "/can/io/", "/cantools/database/can/")
-#: Most that is kept of a target: files, bytes.
+#: Modules whose branches guide the fuzzer.
+INSTRUMENTED = ("maplines_can", "can.io", "cantools.database", "textparser", "fuzz_targets")
+#: Folders whose lines count in the choice of the corpus.
+COVERED = ("/maplines_can/", "/can/io/", "/cantools/database/can/")
+#: Largest corpus of a target: files, bytes.
 MOST_FILES, MOST_BYTES = 190, 290_000
-#: Longest that one input may take [s].
-PATIENCE = 20
-#: Longest that a process fuzzes [s]: atheris itself leaks, 40 kB with each input of the decoder.
+#: Time limit of one input [s].
+INPUT_TIMEOUT = 20
+#: Time limit of one process [s]: atheris leaks 40 kB with each input of the decoder.
 SLICE = 300
 
+Target = Callable[[bytes], Any]
 
-def main():
+
+def main() -> int:
+    """Run the command and return its exit status."""
     parser = parser_of(__doc__)
     parser.add_argument("target", choices=TARGETS)
     parser.add_argument("--seconds", type=int, default=600, help="how long to fuzz [s]")
-    parser.add_argument("--work", type=Path, help="where all goes; a new folder in /tmp")
-    parser.add_argument("--seed", type=int, default=0, help="of the fuzzer; 0: another each time")
-    parser.add_argument("--keep", action="store_true", help="leave tests/corpus as it is")
+    parser.add_argument(
+        "--work", type=Path, help="folder of all output; by default a new temporary one"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the fuzzer; 0: a new one each time"
+    )
+    parser.add_argument("--keep", action="store_true", help="leave tests/corpus unchanged")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     work = arguments.work or Path(tempfile.mkdtemp(prefix=f"fuzz-{arguments.target}-"))
-    logging.disable()  # python-can tells of each odd line
+    logging.disable()  # python-can logs each line it cannot parse
     if arguments.worker:
         return fuzz(arguments.target, arguments.seconds, arguments.seed, work)
     inputs, kept = work / "inputs", CORPUS / arguments.target
     for folder in (inputs, work / "defects", kept):
         folder.mkdir(parents=True, exist_ok=True)
-    figures = {"target": arguments.target, "executions": 0}
+    figures: dict[str, Any] = {"target": arguments.target, "executions": 0}
     if arguments.seconds > 0:
-        figures |= fuzzed(arguments, work)
-    figures |= tried(arguments.target, [inputs, kept], work / "defects")
+        figures |= run_fuzzer(arguments, work)
+    figures |= replay(arguments.target, [inputs, kept], work / "defects")
     if arguments.seconds > 0 and not arguments.keep:
-        figures |= minimized(arguments.target, [inputs, kept], kept)
+        figures |= minimize(arguments.target, [inputs, kept], kept)
     figures["defects"] = sorted(path.name for path in (work / "defects").glob("*.txt"))
     print(json.dumps(figures, indent=2))
     print(f"inputs and defects: {work}", file=sys.stderr)
     return int(bool(figures["defects"]))
 
 
-# ---- the fuzzer: a process of its own, since it ends as it likes --------------------------
+# ---- the fuzzer: a process of its own, because it ends its process itself ------------------
 
 
-def fuzzed(arguments, work):
-    """Run the fuzzer, slice by slice; what it says of itself."""
+def run_fuzzer(arguments: argparse.Namespace, work: Path) -> dict[str, int]:
+    """Run the fuzzer, slice by slice, and return its statistics."""
     start = time.monotonic()
-    executions, reached = 0, (0, 0, 0)
+    executions, best = 0, (0, 0, 0)
     for number in range(-(-arguments.seconds // SLICE)):
         seconds = min(SLICE, arguments.seconds - number * SLICE)
         seed = arguments.seed + number if arguments.seed else 0
@@ -93,39 +106,41 @@ def fuzzed(arguments, work):
         text = log.read_text(errors="replace")
         last = re.findall(r"#(\d+)\s+\w+\s+cov: (\d+) ft: (\d+) corp: (\d+)/", text)
         done = re.findall(r"Done (\d+) runs", text)
-        so_far, *figures = map(int, last[-1]) if last else (0, 0, 0, 0)
+        so_far, cov, features, inputs = map(int, last[-1]) if last else (0, 0, 0, 0)
         executions += int(done[-1]) if done else so_far
-        reached = max(reached, tuple(figures))
-        if status and not done:  # it took too long or too much memory
+        best = max(best, (cov, features, inputs))
+        if status and not done:  # it exceeded a limit of time or memory
             print(text[-2000:], file=sys.stderr)
             (work / "defects" / f"ended-{number}.txt").write_text(text[-20_000:])
-    cov, features, corpus = reached
+    cov, features, inputs = best
     return {
         "seconds": round(time.monotonic() - start),
         "executions": executions,
         "branches (cov)": cov,
         "features (ft)": features,
-        "inputs": corpus,
+        "inputs": inputs,
     }
 
 
-def fuzz(target, seconds, seed, work):
+def fuzz(target: str, seconds: int, seed: int, work: Path) -> int:
+    """Fuzz a target in this process, which atheris ends."""
     import atheris
 
-    with atheris.instrument_imports(include=list(GUIDES)):
+    with atheris.instrument_imports(include=list(INSTRUMENTED)):
+        import fuzz_inputs
         import fuzz_targets
-    for number, content in enumerate(fuzz_targets.SEEDS[target]()):
+    for number, content in enumerate(fuzz_inputs.SEEDS[target]()):
         (work / "inputs" / f"seed-{number}").write_bytes(content)
     attempt = guarded(fuzz_targets.TARGETS[target], work / "defects")
-    mutate = fuzz_targets.MUTATORS.get(target)
-    most = fuzz_targets.MOST[target]
+    mutate = fuzz_inputs.MUTATORS.get(target)
+    most = fuzz_inputs.MOST[target]
 
-    def mutator(data, max_size, seed):
+    def mutator(data: bytes, max_size: int, seed: int) -> bytes:
         if mutate is None or seed % 3 == 0:
-            return atheris.Mutate(data, max_size)
+            return bytes(atheris.Mutate(data, max_size))
         return mutate(data, seed)[:max_size]
 
-    options = [f"-max_total_time={seconds}", f"-max_len={most}", f"-timeout={PATIENCE}"]
+    options = [f"-max_total_time={seconds}", f"-max_len={most}", f"-timeout={INPUT_TIMEOUT}"]
     options += ["-rss_limit_mb=3000", "-len_control=20", f"-artifact_prefix={work}/defects/"]
     options += [f"-seed={seed}"] if seed else []
     folders = [str(work / "inputs"), str(CORPUS / target)]
@@ -135,18 +150,18 @@ def fuzz(target, seconds, seed, work):
     return 0
 
 
-def guarded(run, defects):
-    """The target; what it raises is kept once for each place, with the input."""
+def guarded(run: Target, defects: Path) -> Callable[[bytes], None]:
+    """Return the target with its exceptions saved, once for each place, with the input."""
     seen = set()
     warnings.simplefilter("error")
     warnings.filterwarnings("ignore", category=ResourceWarning)
 
-    def attempt(data):
+    def attempt(data: bytes) -> None:
         try:
             run(bytes(data))
-        except Exception as error:  # noqa: BLE001 - whatever it is
+        except Exception as error:  # noqa: BLE001 - any exception is a defect
             places = traceback.extract_tb(error.__traceback__)
-            frames = [f for f in places if f.filename != __file__ and f.name != "must"]
+            frames = [f for f in places if f.filename != __file__ and f.name != "require"]
             ours = [f for f in frames if "maplines_can" in f.filename] or frames
             key = f"{type(error).__name__}-{Path(ours[-1].filename).stem}-{ours[-1].lineno}"
             if key not in seen:
@@ -161,36 +176,37 @@ def guarded(run, defects):
 # ---- the corpus ---------------------------------------------------------------------------
 
 
-def contents(folders):
-    """Different inputs, the shortest first."""
+def contents(folders: Iterable[Path]) -> list[bytes]:
+    """Return the distinct inputs, the shortest first."""
     found = {path.read_bytes() for folder in folders for path in folder.iterdir() if path.is_file()}
     return sorted(found, key=lambda content: (len(content), content))
 
 
-def tried(target, folders, defects):
-    """Try all inputs once more."""
+def replay(target: str, folders: Iterable[Path], defects: Path) -> dict[str, float]:
+    """Run the target once with each input."""
     import fuzz_targets
 
     attempt = guarded(fuzz_targets.TARGETS[target], defects)
     start, inputs = time.monotonic(), contents(folders)
     for content in inputs:
         attempt(content)
-    return {"corpus tried again": len(inputs), "in [s]": round(time.monotonic() - start, 1)}
+    return {"inputs replayed": len(inputs), "in [s]": round(time.monotonic() - start, 1)}
 
 
-def reached(run, content):
-    """Steps from line to line through the modules in KEPT, and how often (1, 2, 4, 8, 16)."""
-    steps, wanted = Counter(), {}
+def coverage_of(run: Target, content: bytes) -> set[tuple[Any, ...]]:
+    """Return the steps between lines in COVERED, with binned counts (1, 2, 4, 8, 16)."""
+    steps = Counter[tuple[str, int, int]]()
+    wanted: dict[str, bool] = {}
 
-    def enter(frame, event, argument):  # noqa: ARG001
+    def enter(frame: FrameType, event: str, argument: Any) -> Any:  # noqa: ARG001
         name = frame.f_code.co_filename
         if name not in wanted:
-            wanted[name] = any(part in name.replace("\\", "/") for part in KEPT)
+            wanted[name] = any(folder in name.replace("\\", "/") for folder in COVERED)
         if not wanted[name]:
             return None
         last = [0]
 
-        def line(frame, event, argument):  # noqa: ARG001
+        def line(frame: FrameType, event: str, argument: Any) -> Any:  # noqa: ARG001
             if event == "line":
                 steps[name, last[0], frame.f_lineno] += 1
                 last[0] = frame.f_lineno
@@ -201,23 +217,26 @@ def reached(run, content):
     sys.settrace(enter)
     try:
         run(content)
-    except Exception:  # noqa: BLE001 - told by then
+    except Exception:  # noqa: BLE001 - replay has saved it
         return set()
     finally:
         sys.settrace(None)
     return {(*step, min(n.bit_length(), 5)) for step, n in steps.items()}
 
 
-def minimized(target, folders, kept):
-    """Keep the shortest inputs that together reach all; those that reach most first."""
+def minimize(target: str, folders: Iterable[Path], kept: Path) -> dict[str, int]:
+    """Replace the corpus by a small set of inputs with the same coverage.
+
+    The choice is greedy: most new steps per byte first.
+    """
     import fuzz_targets
 
     run = fuzz_targets.TARGETS[target]
     inputs = contents(folders)
-    run(inputs[-1])  # what happens only once happens now
-    steps = {content: reached(run, content) for content in inputs}
-    wanted, chosen = set().union(*steps.values()), []
-    number, missing = len(wanted), set(wanted)
+    run(inputs[-1])  # initialization that happens only once must not count
+    steps = {content: coverage_of(run, content) for content in inputs}
+    missing: set[tuple[Any, ...]] = set().union(*steps.values())
+    number, chosen = len(missing), list[bytes]()
     while missing:
         best = max(steps, key=lambda c: (len(steps[c] & missing) / (40 + len(c)), -len(c), c))
         gain = steps.pop(best) & missing
@@ -235,8 +254,8 @@ def minimized(target, folders, kept):
     return {
         "kept files": len(chosen),
         "kept bytes": sum(map(len, chosen)),
-        "steps reached by all": number,
-        "by what is kept": number - len(missing),
+        "steps covered by all inputs": number,
+        "steps covered by kept files": number - len(missing),
     }
 
 

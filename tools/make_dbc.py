@@ -8,7 +8,7 @@ python tools/make_dbc.py --check    say whether they are up to date
 import sys
 from pathlib import Path
 
-from telling import filled, parser_of
+from reporting import fill_tables, parser_of
 
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
@@ -23,7 +23,7 @@ STUDY = ROOT / "maplines_can" / "study" / "dbc"
 def wanted():
     """The texts of all files."""
     tables = {"fields": DEFAULT.table(), "codes": codes_table()}
-    page = filled((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
+    page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
     files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
     return files | {FOLDER / "README.md": page}

@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Run a command in the project's own environment, which is made on first use.
+"""Run a command in the environment of the project. The first run makes the environment.
 
-    python3 tools/run.py maplines demo     the main job
+    python3 tools/run.py maplines demo     the command of the package
     python3 tools/run.py pytest            the tests
 
-The environment is the folder .venv of this checkout; nothing outside it is
-touched. It is made again when pyproject.toml changes. Needs Python 3.11 or later
-with venv, and a package index that pip can reach; nothing else.
+The environment is the folder .venv of this checkout; nothing outside it changes. It is made
+again when pyproject.toml changes. This needs Python 3.11 or later with venv, and a package
+index that pip can reach.
 """
+
+from __future__ import annotations
 
 import hashlib
 import os
@@ -18,16 +20,18 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 VENV = ROOT / ".venv"
 BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
+#: Holds the hash of what was installed, and the extras.
 STAMP = VENV / "installed"
-#: The command of a user needs no more than the package and what draws its pictures.
+#: Extras by command; every other command needs all development tools.
 EXTRAS = {"maplines": "plot"}
 
 
-def main(command):
+def main(command: list[str]) -> int:
+    """Run the command and return its exit status."""
     if not command or command[0] in ("-h", "--help"):
         print(__doc__)
         return 0
-    if sys.version_info < (3, 11):  # noqa: UP036 - run by whatever python3 there is
+    if sys.version_info < (3, 11):  # noqa: UP036 - any python3 may run this file
         return fail(f"Python 3.11 or later is needed, this is {sys.version.split()[0]}")
     extra = EXTRAS.get(command[0], "dev")
     if not is_installed(extra) and (problem := install(extra)):
@@ -42,24 +46,26 @@ def main(command):
         return 130
 
 
-def find(name):
-    """The environment's own command; python means its python."""
+def find(name: str) -> str:
+    """Return the path of a command in the environment; a command of the system keeps its name."""
     own = BIN / (name + (".exe" if os.name == "nt" else ""))
     return str(own) if own.exists() else name
 
 
-def is_installed(extra):
+def is_installed(extra: str) -> bool:
+    """Return whether the environment is up to date and has the extra."""
     state, _, extras = (STAMP.read_text() if STAMP.exists() else "").partition(" ")
-    return state == wanted() and extra in extras.split()
+    return state == source_hash() and extra in extras.split()
 
 
-def wanted():
+def source_hash() -> str:
+    """Return the hash of what the environment is made from."""
     source = (ROOT / "pyproject.toml").read_bytes() + f"{ROOT} {sys.version}".encode()
     return hashlib.sha256(source).hexdigest()
 
 
-def install(extra):
-    """Make the environment; returns what went wrong, or None."""
+def install(extra: str) -> str | None:
+    """Make the environment; return the error message, or None."""
     print(f"run.py: setting up {VENV} (once) ...", file=sys.stderr, flush=True)
     made = subprocess.run([sys.executable, "-m", "venv", str(VENV)], check=False)
     if made.returncode:
@@ -68,11 +74,12 @@ def install(extra):
     extras = ["dev", "plot"] if extra == "dev" else [extra]
     if subprocess.run([*pip, "--editable", f"{ROOT}[{','.join(extras)}]"], check=False).returncode:
         return "pip could not install the project; see its message above"
-    STAMP.write_text(f"{wanted()} {' '.join(extras)}")
+    STAMP.write_text(f"{source_hash()} {' '.join(extras)}")
     return None
 
 
-def fail(message):
+def fail(message: str) -> int:
+    """Print an error and return the exit status."""
     print(f"run.py: {message}", file=sys.stderr)
     return 1
 

@@ -1,21 +1,21 @@
 #!/usr/bin/env python3
-"""Hours on a bad bus: what is delivered was sent, bit for bit and once, and the sums are right.
+"""Send lines for hours on a faulty bus: each delivered line was sent, bit for bit, and comes once.
 
     soak.py             1e6 lines as classic CAN and 1e6 as CAN FD with 10 % of the frames lost,
-                        5 % doubled, 5 % out of order and 2 % damaged; a tenth of them over
+                        5 % duplicated, 5 % reordered and 2 % damaged; a tenth of the lines over
                         python-can's virtual bus, and some in real time through Transmitter and
-                        Receiver; then what the checksum leaves of 4e6 records of each damage
+                        Receiver; then the checksum on 4e6 records of each kind of damage
     soak.py --lines N   another number of lines
     soak.py --only classic fd bus threads checksum
 
-Eight lines at 20 Hz: the time of the bus is computed, not waited for. Damaged are frames by one to
-three flipped bits, a payload cut short, a wrong length, or a flipped bit of the CAN ID, a quarter
-each. On a real bus the controllers drop nearly all of these by the checksum of the frame; here they
-do not, as if a gateway or a driver had done the damage behind them.
+There are eight lines at 20 Hz; the time on the bus is computed, not waited for. A quarter of the
+damaged frames each has one to three flipped bits, a truncated payload, a wrong length, or a flipped
+bit in the CAN ID. On a real bus the controllers drop nearly all of these by the checksum of the
+frame; here the damage is done behind the controllers, as by a gateway or a driver.
 
 Run it in the project's environment: python3 tools/run.py python tools/soak.py
 
-Ends with a nonzero status where a promise is broken.
+The exit status is nonzero if a promise is broken.
 """
 
 import resource
@@ -30,29 +30,29 @@ from typing import NamedTuple
 
 import can
 import numpy as np
-from telling import bar, ended, parser_of, progress
+from reporting import bar, parser_of, progress, report
 
 from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import road
-from maplines_can.testing import FaultInjector, FaultKind, Faults, FaultyBus
+from maplines_can.testing import FaultInjector, FaultKind, Faults, FaultyBus, FaultyOpener
 from maplines_can.wire import Codec
 from maplines_can.wire.message.layout import PAGE_BYTES
 from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc
 
 FAULTS = "loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02"
 CHUNK = 8192
-#: Between the lines, slot after slot, and between the pages of one.
+#: Time between two lines, of one slot after the other, and between two pages of a line.
 STEP_NS, PAGE_NS = 50_000_000 // len(Slot), 250_000
-#: Lines are drawn up to these means [m, rad, 1/m, 1/m^2], with so many covariances of road lines.
-MOST, SOME = (30, 0.4, 0.1, 0.02), 512
-#: Growth of the process that counts as flat, and chunks before it is looked at. A byte kept of
+#: Limits of the means that are drawn [m, rad, 1/m, 1/m^2]; number of covariances of road lines.
+MAX_MEANS, COVS = (30, 0.4, 0.1, 0.02), 512
+#: Growth of the process that counts as none, and chunks before it is measured. One byte kept of
 #: each frame would be 4 MiB.
 FLAT_MIB, WARM_UP = 4.0, 8
 
 
 class Page(NamedTuple):
-    """A frame that knows where it comes from."""
+    """A frame with its origin: line, page, and CAN ID and payload as sent."""
 
     can_id: int
     data: bytes
@@ -65,17 +65,17 @@ class Page(NamedTuple):
 
     @property
     def intact(self):
-        """It came as it was sent."""
+        """Whether it arrived as it was sent."""
         return self.data == self.sent and self.can_id == self.sent_id
 
 
 class Chunk:
-    """Lines that are sent one after the other, and what became of them."""
+    """Lines that are sent one after the other, and the outcome of each."""
 
     def __init__(self, codec, start, n, seed):
         rng = np.random.default_rng([seed, start])
-        means = rng.uniform(-1, 1, (n, 4)) * MOST
-        covs = some_covs(seed)[rng.integers(SOME, size=n)] * rng.uniform(0.5, 2, (n, 1, 1))
+        means = rng.uniform(-1, 1, (n, 4)) * MAX_MEANS
+        covs = road_covs(seed)[rng.integers(COVS, size=n)] * rng.uniform(0.5, 2, (n, 1, 1))
         self.start = start
         numbers = np.arange(start, start + n)
         self.slots = numbers % len(Slot)
@@ -93,7 +93,7 @@ class Chunk:
         self.arrived, self.damaged, self.delivered = (bytearray(n) for _ in range(3))
 
     def expected(self, line):
-        """What must be read of a line, to the last bit."""
+        """Return the values that must be received of a line, to the last bit."""
         i, batch = line - self.start, self.batch
         return (
             Slot(self.slots[i]),
@@ -104,31 +104,31 @@ class Chunk:
             batch.cov[i].tobytes(),
         )
 
-    def fates(self, pages):
-        """Lines by what became of them."""
-        whole, fates = 2**pages - 1, Counter()
+    def outcomes(self, pages):
+        """Return the number of lines by outcome."""
+        whole, outcomes = 2**pages - 1, Counter()
         for arrived, damaged, delivered in zip(
             self.arrived, self.damaged, self.delivered, strict=True
         ):
             missing = whole & ~arrived
             if delivered:
-                fates["delivered"] += 1
+                outcomes["delivered"] += 1
             elif missing & ~damaged:
-                fates["lost: a frame was lost"] += 1
+                outcomes["lost: a frame was lost"] += 1
             elif missing:
-                fates["lost: a frame was damaged"] += 1
+                outcomes["lost: a frame was damaged"] += 1
             else:
-                fates["lost: all frames came, one too late or damaged as well"] += 1
-        return fates
+                outcomes["lost: all frames came, one too late or damaged as well"] += 1
+        return outcomes
 
 
 @cache
-def some_covs(seed):
-    return road(SOME, seed)[1]
+def road_covs(seed):
+    return road(COVS, seed)[1]
 
 
-def read_of(line):
-    """As ``Chunk.expected``, of a line that was received."""
+def values_of(line):
+    """Return the values of a received line in the form of ``Chunk.expected``."""
     return (
         *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age),
         line.gaussian.mean.tobytes(),
@@ -137,33 +137,33 @@ def read_of(line):
 
 
 def stream(n, seed, fd, faults):
-    """Lines through the faults into a decoder."""
+    """Send lines through a fault injector into a decoder; return the figures."""
     codec = Codec.from_dbc()
     decoder, injector = codec.decoder(), FaultInjector(replace(faults, seed=seed))
     pages = 1 if fd else codec.layout.pages
-    chunks, fates, wrong, examples = [], Counter(), Counter(), []
+    chunks, outcomes, wrong, examples = [], Counter(), Counter(), []
     first, last = {}, {}
     memory = []
 
     def receive(frame, t_ns):
-        answer = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+        result = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
         chunk = chunks[-1] if frame.line >= chunks[-1].start else chunks[0]
         i = frame.line - chunk.start
         if frame.intact:
             chunk.arrived[i] |= 1 << frame.page
         else:
             chunk.damaged[i] |= 1 << frame.page
-        if not isinstance(answer, MapLine):
+        if not isinstance(result, MapLine):
             return
-        if read_of(answer) != chunk.expected(frame.line):
+        if values_of(result) != chunk.expected(frame.line):
             wrong["lines that were not sent"] += 1
-            examples.append(f"line {frame.line} of {answer.slot.name}, completed by {frame}")
+            examples.append(f"line {frame.line} of {result.slot.name}, completed by {frame}")
             return
         wrong["lines delivered twice"] += chunk.delivered[i]
-        wrong["lines delivered out of order"] += frame.line < last.get(answer.slot, 0)
+        wrong["lines delivered out of order"] += frame.line < last.get(result.slot, 0)
         chunk.delivered[i] = 1
-        first.setdefault(answer.slot, frame.line)
-        last[answer.slot] = max(frame.line, last.get(answer.slot, 0))
+        first.setdefault(result.slot, frame.line)
+        last[result.slot] = max(frame.line, last.get(result.slot, 0))
 
     for start in progress(range(0, n, CHUNK), "CAN FD" if fd else "classic CAN"):
         chunks.append(Chunk(codec, start, min(CHUNK, n - start), seed))
@@ -175,13 +175,13 @@ def stream(n, seed, fd, faults):
                     receive(out, t_ns)
                 t_ns += PAGE_NS
         if len(chunks) > 1:
-            fates += chunks.pop(0).fates(pages)
+            outcomes += chunks.pop(0).outcomes(pages)
         memory.append(memory_mib())
     for out in injector.flush():
         receive(out, n * STEP_NS)
     decoder.expire(2 * n * STEP_NS)
     for chunk in chunks:
-        fates += chunk.fates(pages)
+        outcomes += chunk.outcomes(pages)
 
     done = injector.counts
     ends = sum(
@@ -189,10 +189,10 @@ def stream(n, seed, fd, faults):
         for slot in first
     )
     sums = {
-        "lines sent, less delivered and lost": n - sum(fates.values()),
-        "lines delivered, less those of the decoder": fates["delivered"] - decoder.lines,
+        "lines sent, less delivered and lost": n - sum(outcomes.values()),
+        "lines delivered, less those of the decoder": outcomes["delivered"] - decoder.lines,
         "lines lost, less those missing by their counters": sum(
-            count for fate, count in fates.items() if fate != "delivered"
+            count for outcome, count in outcomes.items() if outcome != "delivered"
         )
         - decoder.lost
         - ends,
@@ -209,8 +209,8 @@ def stream(n, seed, fd, faults):
     return {
         "bus time [h]": n * STEP_NS / 3.6e12,
         "lines sent": n,
-        **dict(sorted(fates.items())),
-        "share delivered": fates["delivered"] / n,
+        **dict(sorted(outcomes.items())),
+        "share delivered": outcomes["delivered"] / n,
         "share of which a good copy of each frame came, expected": good_copy(faults) ** pages,
         "frames": {"sent": injector.frames} | {what.name.lower(): done[what] for what in FaultKind},
         "dropped by the decoder": {r.name.lower(): c for r, c in decoder.counts.items()},
@@ -219,7 +219,7 @@ def stream(n, seed, fd, faults):
         **({"examples": examples[:5]} if examples else {}),
         "sums that must be 0": sums,
         "wraps of the 8-bit counters": wraps(n, 256),
-        "wraps of the 4-bit burst numbers": wraps(n, 16),
+        "wraps of the 4-bit transfer numbers": wraps(n, 16),
         "memory [MiB]": memory[-1],
         "memory grown by [MiB]": max(0.0, grown),
         "met": not any(wrong.values())
@@ -230,13 +230,13 @@ def stream(n, seed, fd, faults):
 
 
 def good_copy(faults):
-    """How likely a frame comes undamaged, once or twice."""
+    """Return the probability that a frame arrives undamaged, once or twice."""
     good = 1 - faults.flip - faults.truncate - faults.wrong_dlc - faults.wrong_id - faults.garbage
     return (1 - faults.loss) * (1 - (1 - good) * (1 - faults.duplicate * good))
 
 
 def wraps(n, modulus):
-    """How often the counters of all slots together have begun anew."""
+    """Return how often the counters of all slots together have wrapped."""
     return sum((len(range(slot, n, len(Slot))) - 1) // modulus for slot in Slot)
 
 
@@ -244,17 +244,17 @@ WRONGS = ("lines that were not sent", "lines delivered twice", "lines delivered 
 
 
 def classic(n, seed, faults):
-    """Four frames a line."""
+    """Send each line in four frames of classic CAN."""
     return stream(n, seed, False, faults)
 
 
 def fd(n, seed, faults):
-    """One frame a line."""
+    """Send each line in one frame of CAN FD."""
     return stream(n, seed, True, faults)
 
 
 def bus(n, seed, faults):
-    """A tenth of the lines over python-can's virtual bus, in computed time."""
+    """Send a tenth of the lines over python-can's virtual bus, in computed time."""
     n = max(1, n // 10)
     codec, now = Codec.from_dbc(), 0.0
     decoder, channel = codec.decoder(), f"soak-{uuid.uuid4()}"
@@ -272,11 +272,11 @@ def bus(n, seed, faults):
             nonlocal received
             while (message := receiver.recv(0)) is not None:
                 received += 1
-                answer = decoder.feed(
+                result = decoder.feed(
                     message.arbitration_id, bytes(message.data), round(message.timestamp * 1e9)
                 )
-                if isinstance(answer, MapLine):
-                    line = known.get(read_of(answer))
+                if isinstance(result, MapLine):
+                    line = known.get(values_of(result))
                     wrong["lines that were not sent"] += line is None
                     wrong["lines delivered twice"] += line in delivered
                     delivered.add(line)
@@ -317,18 +317,19 @@ def bus(n, seed, faults):
 
 
 def threads(n, seed, faults):
-    """In real time: Transmitter, a link with faults, Receiver; at most 3000 lines."""
+    """Send 3000 lines at most in real time: Transmitter, a link with faults, Receiver."""
     codec, channel, received = Codec.from_dbc(), f"soak-{uuid.uuid4()}", []
     chunk = Chunk(codec, 0, len(Slot), seed)
     lines = [codec.decode_one(chunk.payloads[slot].tobytes(), slot) for slot in Slot]
     expected = {
-        line.slot: read_of(codec.decode_one(b"".join(f.data for f in frames), line.slot))[-2:]
+        line.slot: values_of(codec.decode_one(b"".join(f.data for f in frames), line.slot))[-2:]
         for line, frames in zip(lines, Codec.from_dbc().encode_lines(lines), strict=True)
     }
     count = max(1, min(3000, n) // len(Slot))
+    opener = FaultyOpener(replace(faults, seed=seed))
     with (
         Link(interface="virtual", channel=channel) as out,
-        Link(interface="virtual", channel=channel, faults=replace(faults, seed=seed)) as back,
+        Link(opener, interface="virtual", channel=channel) as back,
         Receiver(back, codec.decoder(), on_line=received.append) as receiver,
     ):
         with (
@@ -338,12 +339,17 @@ def threads(n, seed, faults):
             transmitter.publish(lines)
             while not transmitter.wait(0.1):
                 cycles.update(transmitter.stats().lines // len(Slot) - cycles.n)
-        sent, end = transmitter.stats(), time.monotonic() + 10
-        while back.faults["frames"] < sent.frames and time.monotonic() < end:
+        sent, end = transmitter.stats(), time.monotonic() + 60
+
+        def complete():
+            done = opener.as_dict()
+            return done["frames"] >= sent.frames and receiver.stats().frames >= done["passed"]
+
+        while not complete() and time.monotonic() < end:
             time.sleep(0.01)
         receiver.stop()
-        stats, done = receiver.stats(), back.faults
-    wrong = sum(read_of(line)[-2:] != expected[line.slot] for line in received)
+        stats, done = receiver.stats(), opener.as_dict()
+    wrong = sum(values_of(line)[-2:] != expected[line.slot] for line in received)
     sums = {
         "frames sent, less those that came": sent.frames - done["frames"],
         "frames sent and doubled, less lost, held and received": sent.frames
@@ -365,13 +371,13 @@ def threads(n, seed, faults):
 
 
 def checksum(n, seed, faults):  # noqa: ARG001
-    """How many damaged records CRC-16 lets through, of four times as many as lines.
+    """Count the damaged records that CRC-16 does not detect, among four times as many as lines.
 
-    Flips of up to three bits: none, by the distance of the code; bursts of up to 16 bits: none
-    (Koopman and Chakravarty, Cyclic Redundancy Code (CRC) Polynomial Selection For Embedded
-    Networks, DSN 2004: 0x1021 has distance 4 up to 32751 bits). The checksum stands at the head,
-    low byte first, so that a burst over its end is none in the order of the polynomial: at most
-    2^-16 of them, as of pages of random bytes.
+    It detects all flips of up to three bits, by the Hamming distance of the code, and all error
+    bursts of up to 16 bits (Koopman and Chakravarty, Cyclic Redundancy Code (CRC) Polynomial
+    Selection For Embedded Networks, DSN 2004: 0x1021 has distance 4 up to 32751 bits). The checksum
+    is at the head of the record, low byte first. An error burst over its end is therefore not a
+    burst in the order of the polynomial: at most 2^-16 of these pass, as of random pages.
     """
     n, codec, rng = 4 * n, Codec.from_dbc(), np.random.default_rng([seed, 16])
     size, offset = codec.layout.record_bytes, codec.layout.crc_offset
@@ -397,7 +403,7 @@ def checksum(n, seed, faults):  # noqa: ARG001
             damaged[rows, bit // 8] ^= (hit << bit % 8).astype(np.uint8)
         check(FLIPS, damaged, good, data_ids)
         bits = np.unpackbits(good, axis=1)
-        end = 8 * (offset + CRC_BYTES)  # of the checksum, which stands at the head
+        end = 8 * (offset + CRC_BYTES)  # of the checksum
         over = rng.integers(16, size=count) == 0
         first = np.where(
             over,
@@ -438,7 +444,7 @@ def message_of(frame, t):
 
 
 def memory_mib():
-    """What the process has now, where Linux tells it; else the most it ever had [MiB]."""
+    """Return the memory of the process [MiB]: the present one on Linux, else the maximum."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 2**20
@@ -449,11 +455,11 @@ def memory_mib():
 def main():
     parser = parser_of(__doc__)
     parts = {part.__name__: part for part in (classic, fd, bus, threads, checksum)}
-    parser.add_argument("--lines", type=int, default=10**6, help="how many; 1e6 by default")
+    parser.add_argument("--lines", type=int, default=10**6, help="number of lines; 1e6 by default")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--faults", default=FAULTS, metavar="SPEC", help=f"by default {FAULTS}")
+    parser.add_argument("--faults", default=FAULTS, metavar="SPEC", help=f"{FAULTS} by default")
     parser.add_argument("--only", nargs="+", choices=parts, default=list(parts), metavar="PART")
-    parser.add_argument("--json", action="store_true", help="for machines")
+    parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     if arguments.lines < len(Slot):
         parser.error(f"--lines must be {len(Slot)} or more")
@@ -462,14 +468,14 @@ def main():
     except ValueError as error:
         parser.error(str(error))
     if faults.flood or faults.delay or faults.jitter or faults.depth > CHUNK // 2:
-        parser.error(f"--faults may neither flood nor delay, and reorder by {CHUNK // 2} frames")
+        parser.error(f"--faults must not flood or delay, and depth must be {CHUNK // 2} at most")
     result = {"faults": arguments.faults}
     for name in arguments.only:
         started = time.perf_counter()
         result[name] = parts[name](arguments.lines, arguments.seed, faults)
         result[name]["seconds"] = time.perf_counter() - started
     result["met"] = all(result[name]["met"] for name in arguments.only)
-    return ended(result, arguments.json, 60)
+    return report(result, arguments.json, 60)
 
 
 if __name__ == "__main__":

@@ -1,94 +1,65 @@
-"""A thread that cannot fail in silence."""
+"""A thread whose errors reach the caller."""
 
 from __future__ import annotations
 
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-__all__ = ["Running", "Worker"]
+__all__ = ["BackgroundThread"]
 
 
-class Worker:
-    """Runs a function in a thread and keeps what it raises for the caller.
+class BackgroundThread(ABC):
+    """Thread that runs from `start`, or ``with``, until `stop`, and keeps its error.
 
-    The thread is a daemon: a program that ends without stopping it must end.
+    A subclass implements `start` and `_run`. `_run` returns soon after `_stopping` is set.
+    An exception that it raises is raised again in the caller's thread, by `wait` and `stop`.
+
+    The thread is a daemon: it does not keep a program from ending.
 
     Args:
         name: of the thread.
-        work: runs until it is told to end, by means of its own.
-        at_end: runs afterwards in any case, when the error is known.
     """
 
-    def __init__(
-        self, name: str, work: Callable[[], None], at_end: Callable[[], None] = lambda: None
-    ) -> None:
-        self._work, self._at_end = work, at_end
+    def __init__(self, name: str) -> None:
+        self._changed = threading.Condition()  # guards the state of the subclass, too
+        self._stopping = False  # the thread shall end
+        self._ended = False  # the thread has ended, or will never start
         self._error: Exception | None = None
-        self._told = False
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    @property
-    def alive(self) -> bool:
-        """Whether the thread is started and has not ended."""
-        return self._thread.ident is not None and not self._ended.is_set()
-
-    def start(self) -> None:
-        """Start the thread, once."""
-        self._thread.start()
-
-    def join(self, timeout: float | None = None) -> None:
-        """Wait for the end; returns at once in the thread itself or if it never started."""
-        if self.alive and self._thread is not threading.current_thread():
-            # Thread.join, ended by Ctrl-C, takes a thread that runs for dead (Python 3.11).
-            self._ended.wait(timeout)
-
-    def check(self, *, again: bool = True) -> None:
-        """Raise the error of the thread, if any; with ``again=False`` only if nobody knows it.
-
-        Raises:
-            Exception: what the function raised.
-        """
-        if self._error is not None and (again or not self._told):
-            self._told = True
-            raise self._error
-
-    def _run(self) -> None:
-        try:
-            self._work()
-        except Exception as error:  # noqa: BLE001 - kept, and raised where the caller sees it
-            self._error = error
-        finally:
-            try:
-                self._at_end()
-            finally:
-                self._ended.set()
-
-
-class Running(ABC):
-    """Something with a worker, from ``start`` or ``with`` until ``stop``."""
-
-    _worker: Worker
+        self._error_raised = False
+        self._thread = threading.Thread(target=self._run_and_end, name=name, daemon=True)
 
     @abstractmethod
     def start(self) -> Self:
-        """Start the thread; ``with`` does it too."""
+        """Start the thread; ``with`` calls this."""
 
     @abstractmethod
-    def _end(self) -> None:
-        """Have the worker end, and wait for it."""
+    def _run(self) -> None:
+        """Do the work of the thread until `_stopping` is set; `_changed` is notified then."""
 
     def stop(self) -> None:
-        """End after what is in progress; from any thread, any number of times.
+        """Finish what is in progress and end; from any thread, any number of times.
 
         Raises:
-            Exception: what ended the thread before, if nobody has been told yet.
+            Exception: the error that ended the thread, unless it was raised before.
         """
         self._end()
-        self._worker.check(again=False)
+        if not self._error_raised:
+            self._raise_error()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for the end of the thread, for at most ``timeout`` [s].
+
+        Returns:
+            Whether the thread has ended, or was never started.
+
+        Raises:
+            Exception: the error that ended the thread.
+        """
+        self._join(timeout)
+        self._raise_error()
+        return not self._alive
 
     def __enter__(self) -> Self:
         return self.start()
@@ -102,4 +73,41 @@ class Running(ABC):
         if kind is None:
             self.stop()
         else:
-            self._end()  # what is on its way out is the better news
+            self._end()  # the exception of the body matters more than that of the thread
+
+    @property
+    def _alive(self) -> bool:
+        return self._thread.ident is not None and not self._ended
+
+    def _start_thread(self) -> Self:
+        self._thread.start()
+        return self
+
+    def _end(self) -> None:
+        with self._changed:
+            self._stopping = True
+            self._ended = not self._alive
+            self._changed.notify_all()
+        self._join()
+
+    def _join(self, timeout: float | None = None) -> None:
+        """Wait for the end; return at once in the thread itself or if it never started."""
+        if self._thread is not threading.current_thread():
+            # Not Thread.join: if Ctrl-C interrupts it, Python 3.11 marks the thread as ended.
+            with self._changed:
+                self._changed.wait_for(lambda: not self._alive, timeout)
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            self._error_raised = True
+            raise self._error
+
+    def _run_and_end(self) -> None:
+        try:
+            self._run()
+        except Exception as error:  # noqa: BLE001 - kept, and raised where the caller sees it
+            self._error = error
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""How to open a CAN interface, the same one each time."""
+"""Open a CAN interface, and open the same one again after it was lost."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ _ERRORS = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeE
 
 
 class UnsuitableInterfaceError(BusError):
-    """The interface is there and up, but not what was asked for: waiting alone does not help."""
+    """The interface exists and is up, but lacks a feature: waiting alone does not help."""
 
 
 class BusFactory:
-    """The settings of an interface and what is known of it.
+    """Factory of python-can buses on one interface, and the properties of that interface.
 
     Args:
-        opener: returns a new open bus; called with the settings, unless it is given alone.
+        opener: returns a new open bus; called with the settings if there are any.
             None for ``can.Bus``.
-        settings: of ``can.Bus``; None and what is missing comes from
-            python-can's environment variables and configuration files, read
-            once, so that a later opening is of the same interface.
+        settings: of ``can.Bus``. Settings that are None or missing are read from
+            python-can's environment variables and configuration files. They are read only
+            once, so that each bus is of the same interface.
 
     Raises:
         BusError: the settings name no interface that python-can knows.
@@ -41,9 +41,9 @@ class BusFactory:
     def __init__(self, opener: Callable[..., can.BusABC] | None, settings: dict[str, Any]) -> None:
         self.name = ""  #: interface and channel, for messages
         self.fd = False  #: whether CAN FD frames can be sent
-        self._channel = ""  # only of SocketCAN, where the kernel can be asked
+        self._channel = ""  # of SocketCAN only, whose kernel can be asked for its state
         self._index: int | None = None
-        self.is_virtual = False  #: of python-can's in-process interface
+        self.is_virtual = False  #: whether it is python-can's in-process interface
         self.is_socketcan = False
         if opener is None or settings:
             self._opener = self._configured(opener or can.Bus, settings)
@@ -51,19 +51,21 @@ class BusFactory:
             self._opener = opener
 
     def open(self, filters: list[CanFilter] | None = None) -> can.BusABC:
-        """A newly opened bus.
+        """Return a new open bus.
 
         Args:
-            filters: what to let through, as in ``can.BusABC.set_filters``.
+            filters: which frames to receive, as in ``can.BusABC.set_filters``.
 
         Raises:
-            BusError: it cannot be opened now; why, and what to do. UnsuitableInterfaceError where it is there.
+            BusError: the interface cannot be opened now; the message has the reason and the cure.
+                It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
             error = BusError if problem.is_outage else UnsuitableInterfaceError
             raise error(f"{self.name} cannot be opened: {problem.text}")
-        index = socketcan.index(self._channel)  # before: better found deleted once too often
+        # Read before opening: a change in between then looks like a deletion, which reopens it.
+        index = socketcan.index(self._channel)
         try:
             bus = self._opener()
             if filters:
@@ -72,7 +74,7 @@ class BusFactory:
             name = self.name or "the CAN interface"
             raise BusError(f"{name} cannot be opened: {error_text(error)}") from error
         self.name = self.name or str(bus.channel_info)
-        # The virtual bus carries every frame, and calls itself classic all the same.
+        # The virtual bus transports CAN FD frames, too, although it reports classic CAN.
         self.is_virtual = self.is_virtual or isinstance(bus, VirtualBus)
         self.fd = self.is_virtual or bus.protocol is not can.CanProtocol.CAN_20
         if isinstance(bus, SocketcanBus) and not self._channel:
@@ -81,8 +83,8 @@ class BusFactory:
         self._index = index
         return bus
 
-    def deleted(self) -> bool:
-        """Whether the open socket belongs to an interface that is no more."""
+    def is_deleted(self) -> bool:
+        """Return whether the interface of the open socket was deleted."""
         return bool(self._channel) and socketcan.index(self._channel) != self._index
 
     def _configured(
@@ -93,7 +95,7 @@ class BusFactory:
         try:
             config: dict[str, Any] = dict(load_config(config=given, context=context))
         except _ERRORS as error:
-            if '"None"' in str(error):  # the unknown interface is called so
+            if '"None"' in str(error):  # python-can's name of an interface that is not given
                 raise BusError(
                     "no CAN interface is given; pass interface=... and channel=..., set "
                     "CAN_INTERFACE and CAN_CHANNEL, or write them to ~/.canrc"
@@ -104,7 +106,7 @@ class BusFactory:
         self.is_virtual = config["interface"] == "virtual"
         self.is_socketcan = config["interface"] == "socketcan"
         if self.is_socketcan:
-            if not config["channel"]:  # python-can would listen to all, and could send to none
+            if not config["channel"]:  # python-can would receive from all and could send to none
                 raise BusError("socketcan needs a channel, such as channel='can0'")
             self._channel = str(config["channel"])
         return lambda: opener(ignore_config=True, **config)

@@ -1,8 +1,7 @@
-"""What an error of an interface means: its queue is full, it is gone, or the frame is wrong.
+"""Classify the errors of python-can's drivers: queue full, interface lost, or frame refused.
 
-python-can's drivers agree on ``can.CanError`` and ``OSError`` and on little else,
-so the meaning is taken from the operating system's error number wherever one is
-in the chain of causes.
+The drivers have little in common but ``can.CanError`` and ``OSError``. An error is therefore
+classified by the operating system's error number, if there is one in its chain of causes.
 """
 
 from __future__ import annotations
@@ -10,29 +9,28 @@ from __future__ import annotations
 import errno
 from enum import Enum
 
-__all__ = ["Fault", "classify_error", "error_text"]
+__all__ = ["DriverError", "classify_error", "error_text"]
 
 
-class Fault(Enum):
-    """What to do about an error of send or recv."""
+class DriverError(Enum):
+    """Classes of errors of send and recv, by what to do about them."""
 
     FULL = "the transmit queue is full: try again"
     LOST = "the interface is gone: open it again"
     REFUSED = "the interface can never send this frame"
-    UNCLEAR = "the driver gives no error number: try again, and if that does not help it is gone"
+    UNCLEAR = "there is no error number: try again, and if the error persists, open it again"
 
 
 _FULL = {errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK, errno.ETIMEDOUT, errno.EINTR}
-# SocketCAN answers EINVAL to a CAN FD frame on an interface or socket without CAN FD.
+# SocketCAN returns EINVAL for a CAN FD frame on an interface or socket without CAN FD.
 _REFUSED = {errno.EINVAL, errno.EMSGSIZE, errno.EOPNOTSUPP}
 
 
-def classify_error(error: BaseException) -> Fault:
-    """The meaning of an error that a python-can bus raised.
+def classify_error(error: BaseException) -> DriverError:
+    """Return the class of an error that a python-can bus raised.
 
-    An operating system's error that is neither "full" nor "refused" means that
-    the interface is gone, known number or not (a serial adapter that is pulled
-    out gives none): opening it again is right after all of them.
+    An error of the operating system that is neither FULL nor REFUSED is LOST, even if it has
+    no number: a serial adapter that is unplugged raises an ``OSError`` without one.
 
     >>> classify_error(OSError(errno.ENOBUFS, "No buffer space available")).name
     'FULL'
@@ -41,19 +39,19 @@ def classify_error(error: BaseException) -> Fault:
     """
     cause = _system_error(error)
     if isinstance(error, TimeoutError) or isinstance(cause, TimeoutError):
-        return Fault.FULL
+        return DriverError.FULL
     number = cause.errno if cause else getattr(error, "error_code", None)
     if number in _FULL:
-        return Fault.FULL
+        return DriverError.FULL
     if number in _REFUSED:
-        return Fault.REFUSED
+        return DriverError.REFUSED
     if cause or number in {errno.ENETDOWN, errno.ENODEV, errno.ENXIO}:
-        return Fault.LOST
-    return Fault.UNCLEAR  # other numbers are a driver's own, not the system's
+        return DriverError.LOST
+    return DriverError.UNCLEAR  # other numbers are the driver's own
 
 
 def error_text(error: BaseException) -> str:
-    """The shortest words for an error: the system's, where it has any."""
+    """Return a short text for an error: that of the operating system, if there is one."""
     cause = _system_error(error)
     text = cause.strerror if cause and cause.strerror else str(error)
     return " ".join(text.split()) or type(error).__name__

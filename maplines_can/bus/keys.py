@@ -1,4 +1,4 @@
-"""Secret keys from where they are kept: a file or the environment, and never a command line."""
+"""Read secret keys from a file or the environment, and keep them out of messages."""
 
 from __future__ import annotations
 
@@ -12,33 +12,34 @@ from ..wire import Key
 
 __all__ = ["key_from_env", "key_from_file", "without_keys"]
 
-#: What may be a key, or a part of one: 16 hex digits or more, set apart by one character at most,
-#: but for the first two: so the end of a word before them is none of them.
+#: Text that may be a key or a part of one: 16 or more hex digits with at most one separator
+#: between two of them. The first two are adjacent, so that the last letter of a word before the key
+#: is not taken for its first digit.
 KEY_LIKE = re.compile(r"[0-9A-Fa-f]{2}(?:[^0-9A-Za-z/\\]?[0-9A-Fa-f]){14,}")
 
 
 def key_from_file(path: str | Path, key_id: int = 1) -> Key:
-    """A key from a file that holds its 32 or 64 hex digits and nothing else.
+    """Return the key in a file that holds its 32 or 64 hex digits and nothing else.
 
     Args:
-        path: of the file. The error for a key in its place does not repeat it.
+        path: of the file. If it is a key by mistake, the error does not repeat it.
         key_id: see ``Key``.
 
     Raises:
-        KeyMaterialError: the file cannot be read, everybody may read it, or it holds no key.
+        KeyMaterialError: the file cannot be read, is readable by everybody, or holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
     path = Path(path)
     if KEY_LIKE.search(path.name) and not os.path.exists(path):
-        del path  # a traceback may show what still has a name
+        del path  # a traceback may show local variables
         raise KeyMaterialError(_TYPED.format("a file"))
     try:
         mode = path.stat().st_mode
-        if os.name != "nt" and mode & stat.S_IROTH:  # elsewhere the mode says nothing
+        if os.name != "nt" and mode & stat.S_IROTH:  # the mode means nothing on Windows
             raise KeyMaterialError(
                 f"{path}: everybody on this machine may read the key (mode "
-                f"{stat.S_IMODE(mode):04o}); chmod 600 {path}, and make a new key if that was so "
-                "for long"
+                f"{stat.S_IMODE(mode):04o}); chmod 600 {path}, and make a new key if others may "
+                "have read this one"
             )
         return Key.from_hex(path.read_bytes().decode("ascii", "replace"), key_id, str(path))
     except OSError as error:
@@ -46,26 +47,26 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
 
 
 def key_from_env(name: str, key_id: int = 1) -> Key:
-    """A key from an environment variable that holds its 32 or 64 hex digits.
+    """Return the key in an environment variable that holds its 32 or 64 hex digits.
 
     Args:
-        name: of the variable. The error for a key in its place does not repeat it.
+        name: of the variable. If it is a key by mistake, the error does not repeat it.
         key_id: see ``Key``.
 
     Raises:
-        KeyMaterialError: there is no such variable, or it holds no key.
+        KeyMaterialError: the variable is not set, or holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
     if name not in os.environ:
         if KEY_LIKE.search(name):
-            del name  # a traceback may show what still has a name
+            del name  # a traceback may show local variables
             raise KeyMaterialError(_TYPED.format("an environment variable"))
         raise KeyMaterialError(f"environment variable {name} is not set; it must hold the key")
     return Key.from_hex(os.environ[name], key_id, f"environment variable {name}")
 
 
 def without_keys(text: str) -> str:
-    """A text without what may be a key in it.
+    """Return the text with everything that may be a key hidden.
 
     >>> without_keys("unrecognized arguments: --keyfile 00112233-44556677 --rate 10")
     'unrecognized arguments: --keyfile (hidden) --rate 10'
@@ -74,6 +75,6 @@ def without_keys(text: str) -> str:
 
 
 _TYPED = (
-    "what should name {0} looks like a key itself, and there is no such thing; put the key into "
-    "{0}, name that, and make a new key: others may have seen this one"
+    "the name of {0} was expected, but this looks like a key itself; put the key into {0}, give "
+    "the name, and make a new key: others may have seen this one"
 )

@@ -1,4 +1,4 @@
-"""A CAN interface that comes back by itself."""
+"""A CAN interface that reconnects by itself after an outage."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from can.typechecking import CanFilter
 
 from ..errors import BusError
 from .bus_factory import BusFactory, UnsuitableInterfaceError
-from .driver_errors import Fault, classify_error, error_text
+from .driver_errors import DriverError, classify_error, error_text
 
 __all__ = ["Link", "Sent"]
 
@@ -24,35 +24,37 @@ log = logging.getLogger("maplines_can.bus")
 
 
 class Sent(Enum):
-    """What became of a frame."""
+    """Result of sending a frame."""
 
     OK = "handed to the interface"
     FULL = "not sent: the transmit queue is full, try again"
-    DOWN = "not sent: the interface is gone, and looked for from time to time"
+    DOWN = "not sent: the interface is gone; the link tries to reopen it"
 
 
 class Link:
-    """An open CAN interface; if it goes away it is looked for until it is back.
+    """Open CAN interface that is reopened after an outage.
 
-    Losing it (set down, deleted, unplugged) and finding it again are each
-    reported once: a warning of the logger ``maplines_can.bus``, a call of
-    ``on_event``, the property ``up`` and the counter ``outages``; so is once, if it
-    comes back as something else, such as without CAN FD.  Looking for it
-    happens inside `send` and `recv`: a link has no thread of its own.
+    An outage (the interface is set down, deleted or unplugged) and the reconnect after it are
+    each reported once: by a warning of the logger ``maplines_can.bus``, a call of
+    ``on_event``, the property ``up`` and the counter ``outages``.  An interface that returns
+    without a feature it had, such as CAN FD, is also reported once.  Attempts to reopen
+    happen inside `send` and `recv`: a link has no thread of its own.
 
     Any number of threads may send and one may receive, at the same time.
 
     Args:
-        opener: returns a new open bus; called again after each loss, with the settings if
-            there are any. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
-        on_event: called with (up, what happened) by the thread that noticed.
+        opener: returns a new open bus; called with the settings if there are any, and again
+            after each outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
+        on_event: called with (up, text) by the thread that noticed the event.
         backoff: shortest and longest pause between two attempts to reopen [s].
-        settings: of ``can.Bus`` (interface, channel, bitrate, fd, config_context, ...).  What is missing or None
-            comes from python-can's environment variables and configuration files.
+        clock: a monotonic clock [s].
+        settings: of ``can.Bus`` (interface, channel, bitrate, fd, config_context, ...). Settings
+            that are missing or None are read from python-can's environment variables and
+            configuration files.
 
     Raises:
         BusError: the interface cannot be opened now, or a setting is wrong.
-            The first opening is never tried again: it is most often a mistake.
+            The first opening is not retried: its failure is most often a mistake.
 
     >>> with Link(interface="virtual", channel="doc") as link:
     ...     link.name, link.up, link.send(can.Message(arbitration_id=1)).name
@@ -64,8 +66,8 @@ class Link:
 'ip -br link' lists those that are
     """
 
-    #: How long a driver may fail without an error number before it counts as gone [s].
-    PATIENCE = 1.0
+    #: How long a driver may fail without an error number before the interface counts as lost [s].
+    UNCLEAR_TIMEOUT = 1.0
 
     def __init__(
         self,
@@ -83,11 +85,11 @@ class Link:
         self._send_lock = threading.Lock()  # python-can's buses are not safe for threads
         self._closed = threading.Event()
         self._filters: list[CanFilter] | None = None
-        self._failing: dict[str, float] = {}  # since when send or recv fails for unclear reasons
+        self._unclear_since: dict[str, float] = {}  # of "send" and "recv"
         self._retry_at, self._pause, self._lost_at = 0.0, backoff[0], 0.0
-        self._look_at = clock()
-        self._unsuitable: str | None = None  # what it is since it came back, already told
-        #: True from opening or return until the next loss.
+        self._check_at = clock()
+        self._unsuitable: str | None = None  # the last reason that was reported
+        #: Whether the interface works: True after opening or a reconnect, until the next outage.
         self.up = True
         #: How many times the interface was lost.
         self.outages = 0
@@ -104,7 +106,7 @@ class Link:
         return self._factory.fd
 
     def send(self, message: can.Message) -> Sent:
-        """Hand one frame to the interface; answers at once, whatever became of it.
+        """Hand one frame to the interface, without waiting.
 
         Raises:
             BusError: the link is closed, or the interface can never send such a frame.
@@ -112,7 +114,7 @@ class Link:
         bus = self._ready()
         if bus is None:
             return Sent.DOWN
-        # To most drivers None is "do not wait"; the virtual bus would wait for ever.
+        # For most drivers None means "do not wait"; the virtual bus would wait for ever.
         timeout = 0.01 if self._factory.is_virtual else None
         try:
             with self._send_lock:
@@ -123,7 +125,7 @@ class Link:
         return Sent.OK
 
     def recv(self, timeout: float) -> can.Message | None:
-        """The next frame, or None after ``timeout`` [s] or sooner if the interface is gone.
+        """Return the next frame; None after ``timeout`` [s], or sooner during an outage.
 
         Raises:
             BusError: the link is closed.
@@ -136,18 +138,18 @@ class Link:
             message = bus.recv(timeout)
         except (can.CanError, OSError, ValueError) as error:
             self._failed(bus, error, "recv")
-            self._closed.wait(0.001)  # a driver that fails at once must not keep the CPU busy
+            self._closed.wait(0.001)  # limits the CPU load if the driver fails immediately
             return None
         self._worked(bus, "recv")
         if message is None:
-            self._look_after_silence(bus)
+            self._check_deleted(bus)
         return message
 
     def accept_only(self, can_ids: Iterable[int] | None) -> None:
-        """Let the interface drop frames of other CAN IDs; None lets all through.
+        """Receive only frames of these CAN IDs; None for all frames.
 
-        In the kernel or the hardware where the driver can, else in python-can.
-        A filter without "extended" matches both kinds of identifiers.
+        The kernel or the hardware filters if the driver supports it, otherwise python-can.
+        Each ID passes as an 11-bit and as a 29-bit identifier.
         """
         ids = sorted(can_ids or ())
         with self._lock:
@@ -174,36 +176,35 @@ class Link:
     ) -> None:
         self.close()
 
-    # ---- losing and finding ----------------------------------------------------
+    # ---- outage and reconnect ----------------------------------------------------
 
     def _ready(self) -> can.BusABC | None:
-        """The open bus; None while it is lost and not yet due or able to be reopened."""
+        """Return the open bus; None if it is lost and cannot be reopened yet."""
         bus = self._bus
         if bus is not None:
             return bus
-        news = None
+        report = None
         with self._lock:
             if self._closed.is_set():
                 raise BusError(f"{self.name} is closed; stop its users before its link")
             if self._bus is None and self._clock() >= self._retry_at:
                 try:
                     self._bus = self._factory.open(self._filters)
-                except BusError as error:
-                    self._postpone()
-                    if (
-                        isinstance(error, UnsuitableInterfaceError)
-                        and str(error) != self._unsuitable
-                    ):
-                        news = self._unsuitable = str(error)
+                except UnsuitableInterfaceError as error:
+                    self._back_off()
+                    if str(error) != self._unsuitable:
+                        report = self._unsuitable = str(error)
+                except BusError:
+                    self._back_off()
             bus = self._bus
-        if news:
-            self._report(False, news)
+        if report:
+            self._report(False, report)
         return bus
 
     def _worked(self, bus: can.BusABC, way: str) -> None:
-        """A send or recv went well: the proof that a reopened interface is really back."""
-        if self._failing:
-            self._failing.pop(way, None)
+        """Note a successful send or recv: only this shows that a reopened interface works."""
+        if self._unclear_since:
+            self._unclear_since.pop(way, None)
         if self.up:
             return
         with self._lock:
@@ -216,23 +217,23 @@ class Link:
     def _failed(self, bus: can.BusABC, error: Exception, way: str) -> Sent:
         with self._lock:
             if bus is not self._bus:
-                return Sent.DOWN  # an echo of what another thread has already dealt with
+                return Sent.DOWN  # another thread has handled this loss
             if isinstance(error, ValueError) and not isinstance(error, OSError):
                 raise error  # the message itself is wrong: the caller's mistake
-            fault = classify_error(error)
-            if fault is Fault.REFUSED and way == "send":
+            kind = classify_error(error)
+            if kind is DriverError.REFUSED and way == "send":
                 raise BusError(
                     f"{self.name} refuses the frame: {error_text(error)}; a CAN FD frame needs an "
                     "interface with CAN FD that is opened with fd=True"
                 ) from error
-            # The kernel names every loss by its number; what python-can says
-            # without one is "Transmit buffer full", for as long as nobody acknowledges.
-            silent = fault is Fault.UNCLEAR and self._factory.is_socketcan
-            if fault is Fault.FULL or silent:
+            # With SocketCAN, each loss has an error number. python-can's error without one is
+            # "Transmit buffer full", for as long as no node acknowledges.
+            no_ack = kind is DriverError.UNCLEAR and self._factory.is_socketcan
+            if kind is DriverError.FULL or no_ack:
                 return Sent.FULL
-            if fault is not Fault.LOST:
-                since = self._failing.setdefault(way, self._clock())
-                if self._clock() - since < self.PATIENCE:
+            if kind is not DriverError.LOST:
+                since = self._unclear_since.setdefault(way, self._clock())
+                if self._clock() - since < self.UNCLEAR_TIMEOUT:
                     return Sent.FULL
         self._lose(bus, error_text(error))
         return Sent.DOWN
@@ -242,26 +243,26 @@ class Link:
             if bus is not self._bus:
                 return
             self._bus = None
-            self._failing.clear()
-            news, self.up = self.up, False
-            self._postpone()
-            if news:
+            self._unclear_since.clear()
+            was_up, self.up = self.up, False
+            self._back_off()
+            if was_up:
                 self.outages += 1
                 self._lost_at = self._clock()
-        with contextlib.suppress(can.CanError, OSError):  # it may be too dead to be closed
+        with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
             bus.shutdown()
-        if news:
-            self._report(False, f"{self.name} is lost ({reason}); looking for it until it is back")
+        if was_up:
+            self._report(False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back")
 
-    def _look_after_silence(self, bus: can.BusABC) -> None:
-        """A socket of a deleted interface is silent for ever: see `socketcan`."""
+    def _check_deleted(self, bus: can.BusABC) -> None:
+        """Lose a bus that received nothing because its interface was deleted: see `socketcan`."""
         now = self._clock()
-        if now >= self._look_at:
-            self._look_at = now + 1.0
-            if self._factory.deleted():
+        if now >= self._check_at:
+            self._check_at = now + 1.0
+            if self._factory.is_deleted():
                 self._lose(bus, "it was deleted")
 
-    def _postpone(self) -> None:
+    def _back_off(self) -> None:
         self._retry_at = self._clock() + self._pause
         self._pause = min(2 * self._pause, self._backoff[1])
 

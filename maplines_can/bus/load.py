@@ -1,4 +1,4 @@
-"""How much of a CAN bus the frames take, in the worst case of bit stuffing."""
+"""Bus load of CAN frames in the worst case of bit stuffing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from .tx_queue import FrameLike
+from ..wire import Frame
 
 __all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time", "transfers_within"]
 
@@ -14,14 +14,14 @@ _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
 class FrameBits(NamedTuple):
-    """Bits on the wire, by the bit rate they have."""
+    """Bits of a frame on the bus, by bit rate."""
 
-    nominal: int  #: at the rate of the arbitration
-    data: int = 0  #: at the rate of the data phase (CAN FD)
+    nominal: int  #: at the nominal bit rate (arbitration phase)
+    data: int = 0  #: at the bit rate of the data phase (CAN FD)
 
 
 def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -> FrameBits:
-    """Most bits that a data frame and the space after it can have.
+    """Return the largest number of bits of a data frame with its interframe space.
 
     Classic CAN, of s bytes (Davis, Burns, Bril and Lukkien: Controller Area
     Network (CAN) schedulability analysis: Refuted, revisited and revised,
@@ -29,9 +29,9 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
 
         C = g + 8 s + 13 + floor((g + 8 s - 1) / 4)
 
-    CAN FD (ISO 11898-1:2015) counted from its frame format in the same way:
+    CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way:
     17 bits (29-bit identifiers: 36) up to BRS at the nominal rate; ESI, DLC and
-    data at the data rate; in both together at most one stuff bit for each 4 bits
+    data at the data rate; over both together at most one stuff bit for each 4 bits
     after the first; then, at the data rate, stuff count and CRC of 4 + 17 bits
     with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13 nominal bits
     from the CRC delimiter to the end of the intermission.
@@ -54,19 +54,19 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
         stuffed = (54 if is_extended else 34) + 8 * length
         return FrameBits(stuffed + 13 + (stuffed - 1) // 4)
     head, body = (36 if is_extended else 17), 1 + 4 + 8 * length
-    head_stuff = (head - 1) // 4  # as many as can be where a bit takes longer
+    head_stuff = (head - 1) // 4  # as many as possible at the slower rate
     body_stuff = (head + body - 1) // 4 - head_stuff
     crc = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
     return FrameBits(head + head_stuff + 13, body + body_stuff + crc)
 
 
-def frame_time(frame: FrameLike, bitrate: float, data_bitrate: float | None = None) -> float:
-    """Longest time that a frame takes on the bus [s].
+def frame_time(frame: Frame, bitrate: float, data_bitrate: float | None = None) -> float:
+    """Return the longest time that a frame takes on the bus [s].
 
     Args:
         frame: a data frame.
-        bitrate: of the arbitration [bit/s].
-        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
 
     Raises:
         ValueError: a rate is not positive, or no frame has this length.
@@ -79,20 +79,20 @@ def frame_time(frame: FrameLike, bitrate: float, data_bitrate: float | None = No
 
 
 def bus_load(
-    frames: Iterable[FrameLike],
+    frames: Iterable[Frame],
     period: float,
     bitrate: float,
     data_bitrate: float | None = None,
 ) -> float:
-    """Share of the bus's time that these frames take, each sent once a period.
+    """Return the share of the bus time that these frames take, each sent once a period.
 
-    1 is a bus without a gap; above it the frames do not fit.
+    At 1 the bus is never idle; above 1 the frames do not fit.
 
     Args:
         frames: all frames of one period.
         period: [s].
-        bitrate: of the arbitration [bit/s].
-        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
 
     Raises:
         ValueError: the period or a rate is not positive.
@@ -104,27 +104,28 @@ def bus_load(
 
 def transfers_within(
     share: float,
-    transfer: Iterable[FrameLike],
+    transfer: Iterable[Frame],
     period: float,
     bitrate: float,
     data_bitrate: float | None = None,
 ) -> int:
-    """How many transfers like this one fit into a share of the bus's time, each period.
+    """Return how many transfers like this one fit into a share of the bus time, each period.
 
     Args:
-        share: of the bus's time, more than 0 and at most 1.
+        share: of the bus time, more than 0 and at most 1.
         transfer: its frames.
         period: [s].
-        bitrate: of the arbitration [bit/s].
-        data_bitrate: of the data phase of CAN FD frames [bit/s]; None: the same.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
 
     Raises:
-        ValueError: the share is out of its range; the period or a rate is not positive.
+        ValueError: the share is out of range, the period or a rate is not positive, or the
+            transfer has no frame.
     """
     if not 0 < share <= 1:
         raise ValueError(f"share must be more than 0 and at most 1, got {share!r}")
     load = bus_load(transfer, period, bitrate, data_bitrate)
     if not load:
         raise ValueError("transfer must have a frame or more, got none")
-    # A share that they fill to the last bit is not overrun by the rounding of a quotient.
+    # Rounding must not cost a transfer where they fill the share exactly.
     return math.floor(share / load * (1 + 1e-12))

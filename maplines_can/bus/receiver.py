@@ -1,82 +1,65 @@
-"""Receives lines: frames in, whole lines out, everything else counted."""
+"""Receive lines from a link: whole lines come out, everything else is counted."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping
-from enum import Enum
-from typing import Any, NamedTuple, Protocol, Self
+from collections.abc import Callable, Collection, Iterator
+from typing import NamedTuple, Self
 
 from ..line import MapLine, Slot
-from ..wire import SequenceCheck, SlotStats
-from ..wire.reception.monitor import STALE_CYCLES, Monitor, SlotView
-from .background import Running, Worker
+from ..wire import Decoder, Monitor, Reason, SlotStats, SlotView
+from ..wire.reception.monitor import STALE_CYCLES
+from .background import BackgroundThread
 from .link import Link
 from .stamp_clock import StampClock
 
 __all__ = ["Receiver", "ReceiverStats"]
 
-#: How long the thread listens before it looks whether it shall stop [s].
-SLICE = 0.1
-
-
-class FrameDecoder(Protocol):
-    """What the receiver needs of ``wire.Decoder``."""
-
-    @property
-    def counts(self) -> Mapping[Any, int]: ...
-    @property
-    def lost(self) -> int: ...
-    @property
-    def checks(self) -> Mapping[Slot, SequenceCheck]: ...
-    def feed(
-        self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
-    ) -> MapLine | Enum: ...
+#: How long the thread waits for a frame before it checks whether it shall stop [s].
+POLL = 0.1
 
 
 class ReceiverStats(NamedTuple):
     """Counters of a receiver."""
 
     lines: int  #: complete lines received
-    lost: int  #: lines that the sender's counters show missing
+    lost: int  #: lines that are missing according to the sender's counters
     frames: int  #: data frames given to the decoder
     error_frames: int  #: error frames of the bus, not given to the decoder
     remote_frames: int  #: remote frames, not given to the decoder
-    overflowed: int  #: lines dropped, oldest first, because nobody fetched them
-    counts: dict[Any, int]  #: frames by the decoder's reason
+    overflowed: int  #: lines dropped from the full queue, oldest first
+    counts: dict[Reason, int]  #: frames by the decoder's reason
     pending: int = 0  #: frames held for lines that are not complete
 
 
-class Receiver(Running):
-    """One thread that turns the frames of a link into lines.
+class Receiver(BackgroundThread):
+    """Thread that turns the frames of a link into lines.
 
-    Lines go to the callback ``on_line`` if there is one; otherwise they wait for
-    iteration (``for line in receiver``, ends after `stop`) or `get`, after `stop` too.  The newest
-    ``queue_size`` lines wait; older ones are dropped and counted as overflowed,
-    for a stale line is worth less than the memory.
+    Lines go to the callback ``on_line`` if there is one. Otherwise they wait for
+    `get` or for iteration (``for line in receiver``, which ends after `stop`). Lines that wait
+    when the receiver stops can still be fetched. The newest ``queue_size`` lines wait. Older
+    ones are dropped and counted as overflowed, because a stale line is of no use.
 
-    A controller needs neither: `latest` has the newest line of a slot at any time,
-    with its age, its E2E state, and whether it has grown stale.
+    A controller needs neither: `latest` returns the newest line of a slot at any time,
+    with its age, its E2E state, and whether it is stale.
 
-    Frames that this host sent are lines like any other: SocketCAN marks those
-    of *every* local program in the same way, and a link hears its own only if
+    Frames sent by this host are received like any others. SocketCAN marks the frames
+    of *every* local program in the same way, and a link receives its own frames only if
     it is opened with ``receive_own_messages=True``.
 
-    What the bus sends never raises.  What the callback raises ends the thread and
-    comes up again at `get`, at the iteration and at `stop`: a mistake of the
-    program must not scroll by in a log.
+    Nothing that arrives from the bus raises. An exception of the callback ends the thread and
+    is raised again by `get`, by the iteration, by `wait` and by `stop`.
 
     Args:
-        link: where to listen; stays open when the receiver stops.  One receiver
+        link: where to listen. It stays open when the receiver stops. Use one receiver
             for each link: two would take each other's frames.
         decoder: turns frames into lines; used by the receiver's thread only.
-        on_line: called by the thread with each line; while it works, the
-            interface's own queue has to hold what arrives.
+        on_line: called by the thread with each line. While it runs, frames that arrive
+            wait in the receive queue of the interface.
         queue_size: how many lines may wait.
         can_ids: let the interface drop all frames but those of these CAN IDs,
-            such as ``codec.can_ids``; None lets all through, to be counted.
+            such as ``codec.can_ids``. With None all frames pass and are counted.
 
     Raises:
         ValueError: ``queue_size`` is less than 1.
@@ -85,7 +68,7 @@ class Receiver(Running):
     def __init__(
         self,
         link: Link,
-        decoder: FrameDecoder,
+        decoder: Decoder,
         *,
         on_line: Callable[[MapLine], object] | None = None,
         queue_size: int = 256,
@@ -93,23 +76,27 @@ class Receiver(Running):
     ) -> None:
         if queue_size < 1:
             raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
+        super().__init__("maplines receive")
         self._link, self._decoder, self._on_line = link, decoder, on_line
         self._monitor = Monitor(decoder)
         self._can_ids = can_ids
-        self._changed = threading.Condition()  # guards all that follows
         self._queue: deque[MapLine] = deque(maxlen=queue_size)
         self._lines = self._frames = 0
         self._error_frames = self._remote_frames = self._overflowed = 0
-        self._stopping = self._ended = False
         self._stamps = StampClock()
-        self._worker = Worker("maplines receive", self._run, at_end=self._wake_all)
 
     def get(self, timeout: float | None = None) -> MapLine | None:
-        """The oldest line that waits; None if none comes in ``timeout`` [s] or ever again.
+        """Return the oldest line that waits.
+
+        Args:
+            timeout: how long to wait for a line [s]; None for ever.
+
+        Returns:
+            The line; None after the timeout, or if the thread has ended and no line waits.
 
         Raises:
             TypeError: the lines go to a callback.
-            Exception: what ended the thread; the lines before it come first.
+            Exception: the error that ended the thread, after the lines received before it.
         """
         if self._on_line is not None:
             raise TypeError("the lines of this receiver go to on_line; leave that out to get them")
@@ -117,7 +104,7 @@ class Receiver(Running):
             self._changed.wait_for(lambda: self._queue or self._ended, timeout)
             if self._queue:
                 return self._queue.popleft()
-        self._worker.check()
+        self._raise_error()
         return None
 
     def __iter__(self) -> Iterator[MapLine]:
@@ -127,20 +114,21 @@ class Receiver(Running):
     def latest(
         self, slot: Slot, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
     ) -> SlotView:
-        """The newest line of a slot with its age, its E2E state, and whether it is stale.
+        """Return the newest line of a slot with its age, its E2E state, and whether it is stale.
 
-        One call for each cycle of a controller; from any thread, beside all other ways to
-        the lines.
+        Call it once in each cycle of a controller. It may be called from any thread, and beside
+        `get` and ``on_line``.
 
         Args:
             slot: which line.
-            now_ns: on the clock of the frames' time stamps [ns]; by default the stamp
-                of the last frame of any slot and the time since, so that neither an adapter
-                with a clock of its own nor a host whose clock is set makes a line young.
-                As long as frames may be of a backlog, such as that of a link that was open
-                before, what time it is on that clock is not known: the age is infinite and the
-                line stale, until frames have come for 0.2 s as fast as time goes by.
-            stale_cycles: after how many cycle times without a newer one a line is stale;
+            now_ns: the time now on the clock of the frames' time stamps [ns]. By default it is
+                derived from the stamps received so far and the monotonic time since, so that
+                neither an adapter with a clock of its own nor a change of the host's clock makes
+                a line look younger than it is.  After the start the frames may be a backlog,
+                for example on a link that was open before.  The time on that clock is then
+                unknown: the age is infinite and the line is stale, until frames have arrived at
+                the pace of their stamps for 0.2 s.
+            stale_cycles: after how many cycle times without a newer line a line is stale;
                 see ``Codec.decoder`` for the cycle time.
 
         Raises:
@@ -152,17 +140,15 @@ class Receiver(Running):
         return view if known else view._replace(age=float("inf"), stale=True)
 
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
-        """What is known of each slot on which anything came; ``now_ns`` as for `latest`."""
+        """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         with self._changed:
             return self._monitor.slots(self._now(now_ns))
 
     def _now(self, now_ns: int | None) -> int:
-        if now_ns is not None:
-            return now_ns
-        return self._stamps.now(time.monotonic_ns())
+        return self._stamps.now(time.monotonic_ns()) if now_ns is None else now_ns
 
     def stats(self) -> ReceiverStats:
-        """A consistent copy of all counters."""
+        """Return a consistent copy of all counters."""
         with self._changed:
             return ReceiverStats(
                 lines=self._lines,
@@ -172,22 +158,21 @@ class Receiver(Running):
                 remote_frames=self._remote_frames,
                 overflowed=self._overflowed,
                 counts=dict(self._decoder.counts),
-                pending=getattr(self._decoder, "pending", 0),
+                pending=self._decoder.pending,
             )
 
     def start(self) -> Self:
-        """Start the thread; ``with`` does it too."""
+        """Set the filter of the interface and start the thread; ``with`` calls this."""
         if self._can_ids:
             self._link.accept_only(self._can_ids)
-        self._worker.start()
-        return self
+        return self._start_thread()
 
     def _run(self) -> None:
         while not self._stopping:
             self._receive()
 
     def _receive(self) -> None:
-        message = self._link.recv(SLICE)
+        message = self._link.recv(POLL)
         if message is None:
             return
         with self._changed:
@@ -199,7 +184,7 @@ class Receiver(Running):
                 return
             self._frames += 1
             t_ns = round(message.timestamp * 1e9) or time.time_ns()
-            self._stamps.heard(t_ns, time.monotonic_ns())
+            self._stamps.add(t_ns, time.monotonic_ns())
             line = self._monitor.feed(
                 message.arbitration_id,
                 bytes(message.data),
@@ -215,14 +200,3 @@ class Receiver(Running):
                 self._changed.notify_all()
                 return
         self._on_line(line)
-
-    def _wake_all(self) -> None:
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-
-    def _end(self) -> None:
-        self._stopping = True
-        self._worker.join()
-        if not self._worker.alive:  # it may never have started: nobody shall wait for it
-            self._wake_all()

@@ -1,4 +1,4 @@
-"""When to send what, and how late it was: pure, time is an argument."""
+"""Periodic deadlines, and statistics of how late they were met; time is an argument."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ Key = TypeVar("Key", bound=Hashable)
 
 
 class Due(NamedTuple, Generic[Key]):
-    """One deadline that has come."""
+    """A deadline that has passed."""
 
     key: Key
     deadline: float  #: [s]
-    skipped: int  #: older deadlines of this key that were missed and are given up
+    skipped: int  #: older deadlines of this key that were missed
 
 
 class _Entry(NamedTuple):
-    phase: float  # place in the period, in [0, 1)
+    phase: float  # in [0, 1) of the period
     cycle: int  # of the next deadline
-    end: float  # the first cycle that is none of its own
+    end: float  # the cycle after the last one
 
 
 class Schedule(Generic[Key]):
     """Absolute deadlines ``t0 + (k + phase) period`` for any number of keys.
 
-    No deadline is computed from the last one or from "now", so nothing drifts.
-    Who comes too late for a whole period serves the newest deadline only, and
-    the ones before it are counted as skipped: there is no transfer to catch up.
+    No deadline is computed from the previous one or from "now", so deadlines do not drift.
+    If a caller is late by a period or more, `take` returns the newest deadline only, and
+    the earlier ones are counted as skipped.
 
     Args:
         period: [s], positive.
-        count: how many deadlines each key has; None for ever.
+        count: number of deadlines of each key; None for no limit.
 
     >>> schedule = Schedule(period=0.1)
     >>> schedule.add("left", phase=0.0, now=5.0)
@@ -50,31 +50,31 @@ class Schedule(Generic[Key]):
 
     def __init__(self, period: float, count: int | None = None) -> None:
         self._period, self._count = period, count
-        self._t0: float | None = None  # the first key starts the clock
+        self._t0: float | None = None  # set by the first key
         self._entries: dict[Key, _Entry] = {}
 
     def add(self, key: Key, phase: float, now: float) -> None:
-        """Schedule a key from its first deadline that is not over yet.
+        """Add a key; its first deadline is the next one at its phase.
 
         Args:
-            key: a new key, or one to begin again.
-            phase: its place in the period, in [0, 1).
+            key: a new key, or one to start again.
+            phase: offset of its deadlines, in [0, 1) of the period.
             now: [s].
         """
         if self._t0 is None:
             self._t0 = now - phase * self._period
-        # A millionth of a period is for the rounding of clocks that run for months.
+        # The tolerance of a millionth of a period covers rounding after months of uptime.
         cycle = math.ceil((now - self._t0) / self._period - phase - 1e-6)
         end = math.inf if self._count is None else cycle + self._count
         self._entries[key] = _Entry(phase, cycle, end)
 
     def deadline(self, key: Key) -> float:
-        """The next deadline of a key [s]; infinite if it has none."""
+        """Return the next deadline of a key [s]; infinite if it has none."""
         entry = self._entries.get(key)
         return math.inf if entry is None or entry.cycle >= entry.end else self._at(entry)
 
     def remove(self, key: Key) -> None:
-        """Forget a key; it may be unknown."""
+        """Remove a key; it may be unknown."""
         self._entries.pop(key, None)
 
     @property
@@ -83,12 +83,12 @@ class Schedule(Generic[Key]):
         return bool(self._entries) and all(e.cycle >= e.end for e in self._entries.values())
 
     def wait(self, now: float) -> float | None:
-        """Time until the next deadline [s], 0 if one has come; None if there is none."""
+        """Return the time until the next deadline [s], at least 0; None if there is none."""
         first = min(map(self.deadline, self._entries), default=math.inf)
         return None if first == math.inf else max(0.0, first - now)
 
     def take(self, now: float) -> Due[Key] | None:
-        """The oldest deadline that has come, each one once; None if there is none."""
+        """Return the oldest deadline that has passed, each one once; None if none has."""
         key = min(self._entries, key=self.deadline, default=None)
         if key is None or self.deadline(key) > now:
             return None
@@ -103,7 +103,7 @@ class Schedule(Generic[Key]):
 
 
 class Lateness(NamedTuple):
-    """How long after their deadlines things were done [s]."""
+    """Statistics of the time after a deadline at which it was met [s]."""
 
     median: float = 0.0
     p99: float = 0.0
@@ -111,7 +111,7 @@ class Lateness(NamedTuple):
 
 
 class LatenessHistogram:
-    """Quantiles in constant memory: counts in classes 9 % wide, read to within 5 %.
+    """Histogram of lateness in constant memory: bins 9 % wide, quantiles within 5 %.
 
     >>> histogram = LatenessHistogram()
     >>> for microseconds in range(1, 1001):
@@ -127,12 +127,12 @@ class LatenessHistogram:
         self._max = 0.0
 
     def add(self, lateness: float) -> None:
-        """Count one lateness [s]; less than 0.1 us counts as that."""
+        """Add one lateness [s]; less than 0.1 us counts as 0.1 us."""
         self._max = max(self._max, lateness)
         self._counts[round(math.log2(max(lateness, 1e-7)) * self._PER_OCTAVE)] += 1
 
     def summary(self) -> Lateness:
-        """Median, 99th percentile and maximum so far."""
+        """Return the median, the 99th percentile and the maximum so far."""
         return Lateness(self._quantile(0.5), self._quantile(0.99), self._max)
 
     def _quantile(self, share: float) -> float:

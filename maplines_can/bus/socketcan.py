@@ -1,13 +1,13 @@
-"""What only the kernel knows of a SocketCAN interface: is it there, up, and able to do CAN FD.
+"""Query the kernel for the state of a SocketCAN interface: does it exist, is it up, has it CAN FD.
 
-Why ask at all, when a socket reports errors?  Seen on Linux 6.1:
+The errors of a socket do not suffice.  Observed on Linux 6.1:
 
 - ``bind`` succeeds on an interface that is down; the error comes with the first use.
-- ``bind`` accepts CAN FD on an interface that has none; sending then gives EINVAL.
-- After the interface is deleted, an old socket reports ENODEV *once* and then stays
-  silent for ever, also when an interface of the same name appears again: it is
-  bound to the old index.  `index` tells the two apart.
-- python-can logs an error for each attempt to open an interface that is not there.
+- ``bind`` accepts CAN FD on an interface without it; sending then fails with EINVAL.
+- After the interface is deleted, an open socket reports ENODEV *once* and then receives
+  nothing and reports nothing, even if an interface of the same name is created: the socket is
+  bound to the old index.  `index` distinguishes the two interfaces.
+- python-can logs an error for each attempt to open an interface that does not exist.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ _CANFD_MTU = 72  # linux/can.h: sizeof(struct canfd_frame)
 
 
 def index(channel: str) -> int | None:
-    """The kernel's number of the interface; a new one each time it is created."""
+    """Return the kernel's index of the interface, which is new each time it is created."""
     with contextlib.suppress(OSError):
         return socket.if_nametoindex(channel)
     return None
 
 
 class Problem(NamedTuple):
-    """Why an interface cannot be used, with the cure."""
+    """Reason why an interface cannot be used, with the cure."""
 
     text: str
-    is_outage: bool = True  #: it is gone or down; otherwise it is there, and not what is asked for
+    is_outage: bool = True  #: gone or down; False: it is up, but lacks CAN FD
 
 
 def problem(channel: str, fd: bool) -> Problem | None:
-    """Why the interface cannot be used now, with the cure; None if it can.
+    """Return why the interface cannot be used now; None if it can.
 
     Args:
         channel: name of the interface, such as ``can0``.
-        fd: whether it must be able to carry CAN FD frames.
+        fd: whether it must support CAN FD frames.
     """
     if index(channel) is None:
         return Problem("there is no such interface; 'ip -br link' lists those that are")
     try:
-        up = _ask(channel, _SIOCGIFFLAGS, "H") & _IFF_UP
-        mtu = _ask(channel, _SIOCGIFMTU, "i")
-    except OSError as error:  # deleted since the line above
-        return Problem(f"it cannot be asked: {error.strerror}")
+        up = _query(channel, _SIOCGIFFLAGS, "H") & _IFF_UP
+        mtu = _query(channel, _SIOCGIFMTU, "i")
+    except OSError as error:  # deleted since the call of index
+        return Problem(f"its state cannot be read: {error.strerror}")
     if not up:
         return Problem(f"the interface is down; 'ip link set {channel} up'")
     if fd and mtu < _CANFD_MTU:
@@ -64,10 +64,10 @@ def problem(channel: str, fd: bool) -> Problem | None:
     return None
 
 
-def _ask(channel: str, request: int, kind: str) -> int:
-    """One number of ``struct ifreq`` (netdevice(7)): the name, then the answer."""
-    if sys.platform != "linux":  # no SocketCAN there, and no fcntl
-        raise OSError(0, "SocketCAN is a part of Linux")
+def _query(channel: str, request: int, kind: str) -> int:
+    """Return one number of ``struct ifreq`` (netdevice(7)): the name, then the reply."""
+    if sys.platform != "linux":  # Windows has no fcntl
+        raise OSError(0, "SocketCAN exists on Linux only")
     import fcntl
 
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:

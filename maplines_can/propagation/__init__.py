@@ -1,13 +1,15 @@
-"""From the Gaussian of a pose to the Gaussian of a line, and from one time to another."""
+"""Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time."""
 
-from .component_counts import component_counts
+from .component_counts import component_counts, remaining_nonlinearity
 from .linear import Linear
-from .mixture import Mixture, nonlinearity
 from .monte_carlo import MonteCarlo, Samples
-from .motion import Motion, pose_time_ns, predict, predict_to
+from .motion import Motion
+from .nonlinearity import Nonlinearity, nonlinearity
+from .prediction import pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
 from .refit import MapError, Refit
 from .sigma_points import SigmaPoints
+from .splitting import Mixture
 from .transform import Moments, Transform
 
 __all__ = [
@@ -17,6 +19,7 @@ __all__ = [
     "Moments",
     "MonteCarlo",
     "Motion",
+    "Nonlinearity",
     "Quadrature",
     "Refit",
     "Samples",
@@ -27,4 +30,5 @@ __all__ = [
     "pose_time_ns",
     "predict",
     "predict_to",
+    "remaining_nonlinearity",
 ]

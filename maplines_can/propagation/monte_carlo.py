@@ -1,4 +1,4 @@
-"""Plain sampling: the reference that all others are judged by."""
+"""Monte Carlo sampling, the reference for the other transforms."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ __all__ = ["MonteCarlo", "Samples"]
 
 
 class Samples(NamedTuple):
-    """Draws from the true distribution."""
+    """Draws of a Gaussian and the values of a function at them."""
 
     inputs: NDArray[np.float64]  #: (k, n) draws of the Gaussian
     values: NDArray[np.float64]  #: (k, m) or (k, L, m) values of the function
-    ill_posed: int  #: draws left out, because the function has no value there
+    ill_posed: int  #: number of excluded draws, at which the function has no value
 
 
 @dataclass(frozen=True)
 class MonteCarlo(Transform):
     """n random draws (Map Line Interface, eq. 2 and 3).
 
-    The error of a mean is sigma / sqrt(n) and that of a standard deviation
-    sigma / sqrt(2 n). Draws at which the function has no value are left out,
-    counted and warned of.
+    The standard error of a mean is sigma / sqrt(n), and that of a standard deviation
+    sigma / sqrt(2 n). Draws at which the function has no value are excluded and
+    counted, with a warning.
 
     Args:
         n: number of draws, 2 or more.
@@ -50,12 +50,12 @@ class MonteCarlo(Transform):
             raise ValueError(f"n must be 2 or more, got {self.n!r}")
 
     def samples(self, function: Callable[..., Any], gaussian: Gaussian) -> Samples:
-        """Draws and values, the function's own error included where it carries one.
+        """Return draws and values; the values include random errors of ``noise_cov``, if any.
 
         Raises:
             IllPosedError: the function has a value at fewer than 2 draws.
         """
-        samples = self._pose_samples(function, gaussian)
+        samples = self._exact_samples(function, gaussian)
         noise_cov = getattr(function, "noise_cov", None)
         if noise_cov is None:
             return samples
@@ -66,22 +66,23 @@ class MonteCarlo(Transform):
             values[(slice(None), *index)] += normal @ square_root(noise_cov[index]).T
         return samples._replace(values=values)
 
-    def _pose_samples(self, function: Callable[..., Any], gaussian: Gaussian) -> Samples:
+    def _exact_samples(self, function: Callable[..., Any], gaussian: Gaussian) -> Samples:
+        """Return draws and values without errors of ``noise_cov``."""
         inputs = gaussian.sample(self.n, self.seed)
         values = np.asarray(function(inputs), dtype=float)
-        lost = np.isnan(values.reshape(self.n, -1)).any(axis=1)
-        ill_posed = int(lost.sum())
+        excluded = np.isnan(values.reshape(self.n, -1)).any(axis=1)
+        ill_posed = int(excluded.sum())
         if ill_posed > self.n - 2:
             raise IllPosedError(
                 f"the function has no value at {ill_posed} of {self.n} draws; narrow the Gaussian"
             )
         if ill_posed:
-            warnings.warn(f"{ill_posed} of {self.n} draws are ill-posed and left out", stacklevel=4)
-            inputs, values = inputs[~lost], values[~lost]
+            warnings.warn(f"{ill_posed} of {self.n} draws are ill-posed and excluded", stacklevel=4)
+            inputs, values = inputs[~excluded], values[~excluded]
         return Samples(inputs, values, ill_posed)
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
-        values = self._pose_samples(function, gaussian).values
+        values = self._exact_samples(function, gaussian).values
         mean = values.mean(axis=0)
         d = (values - mean).reshape(len(values), -1, values.shape[-1])
         cov = np.stack([d[:, i].T @ d[:, i] for i in range(d.shape[1])]) / len(d)

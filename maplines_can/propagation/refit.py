@@ -1,9 +1,10 @@
-"""Refit: from the pose of the car to the parameters of a line, for many poses at once."""
+"""Refit: the parameters of map lines as functions of the pose, for many poses at once."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,31 +16,34 @@ from ..polyline import Polyline, near_stretch, to_ego
 
 __all__ = ["MapError", "Refit"]
 
-#: The sums of the normal equations are polynomials of degree 6 in cosine and sine
-#: of the turn of the car.
+#: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
+#: of the rotation of the car.
 DEGREE = 6
-#: Poses worked on at a time: what one block needs stays in the processor's cache.
+#: Poses per block: the arrays of one block fit in the processor's cache.
 BLOCK = 2048
-#: Chords that stand for the course of a line where its doubling back is judged.
+#: Number of chords by which the shape of a line is checked.
 CHORDS = 16
-#: Besides LEAST_ADVANCE of the line's length, the chords must advance along the car's x axis by
-#: this share of their whole way along it (at most a third leads back).
+#: Smallest net advance of the chords along the car's x axis, as a share of the sum of the absolute
+#: advances (at most a third of it points backwards). LEAST_ADVANCE is a second condition.
 LEAST_PROGRESS = 1 / 3
-#: A pivot of the normal equations below this is rounding: fewer than 4 points are distinct.
+#: Smallest pivot of the normal equations; with fewer than 4 distinct points it is rounding error.
 LEAST_PIVOT = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
 class MapError:
-    """Error of the map itself, a second source of uncertainty beside the pose.
+    """Standard deviations of the errors of the map points.
 
-    Lane geometry of HD maps is given as 5 to 20 cm (Liu, Wang, Zhang 2020,
-    tables 3, 5 and 6), part of it common to a stretch, part of it local.
+    Published errors of the lane geometry of HD maps are 5 to 20 cm (Liu, Wang, Zhang
+    2020, tables 3, 5 and 6). Some are common to a section of a road, some are local.
 
     Args:
         point_sigma: independent error of each map point, in any direction [m].
         offset_sigma: common offset of all points of a line, in any direction [m].
-        heading_sigma: common turn of the points about the car [rad].
+        heading_sigma: common rotation of all points of a line about the car [rad].
+
+    Raises:
+        ValueError: a value is negative or not finite.
     """
 
     point_sigma: float = 0.0
@@ -49,34 +53,37 @@ class MapError:
     def __post_init__(self) -> None:
         for name in ("point_sigma", "offset_sigma", "heading_sigma"):
             if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)!r}")
+                raise ValueError(
+                    f"{name} must be 0 or more and finite, got {getattr(self, name)!r}"
+                )
 
 
 class Refit:
-    """The map from a pose to a line: least-squares cubic through the line's points.
+    """Function from a pose to the least-squares cubics through the points of map lines.
 
-    The points are chosen once, in a window of ``pose``, so that the map is
-    smooth; then, for any pose, they are seen from the car and a cubic
-    ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted (Map Line Interface, section
-    III-A). A turn mixes u and v linearly, so each sum of the normal equations is
-    a polynomial in cos and sin of the turn whose coefficients are computed once:
-    the cost of a pose does not depend on the number of points.
+    The points are selected once, in a window relative to ``pose``, so that the
+    function is smooth. For each pose the points are transformed to the ego frame (u, v),
+    and a cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted (Map Line Interface,
+    section III-A). A rotation mixes u and v linearly. Each sum of the normal equations is
+    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are
+    computed once: the cost per pose does not depend on the number of points.
 
     Args:
-        polyline: the line, or several lines that then share each call.
+        polyline: the line, or several lines for which each call returns parameters.
         pose: (3,) mean pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
-        window: (x_min, x_max) ahead of ``pose`` in which points are taken [m].
-        map_error: error of the map points, added to what a transform returns.
+        window: (x_min, x_max) in the ego frame of ``pose``; points in it are used [m].
+        map_error: error of the map points; transforms add its effect to the covariance.
 
     Raises:
-        IllPosedError: fewer than 4 points in the window, or the points double
-            back as seen from ``pose``.
+        ValueError: ``pose`` or ``window`` is wrong, or there is no line.
+        IllPosedError: there are fewer than 4 points in the window, or seen from ``pose``
+            they are not a function of x or nearly perpendicular to the x axis.
 
     >>> road = Polyline([[x, 2.0] for x in range(0, 100, 5)])
     >>> refit = Refit(road, [0.0, 0.0, 0.0], window=(-20.0, 80.0))
     >>> refit([10.0, 0.5, 0.0]).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
-    >>> refit([[0.0, 0.0, 0.1], [0.0, 0.0, 1.57]]).round(3) + 0.0  # the second looks across
+    >>> refit([[0.0, 0.0, 0.1], [0.0, 0.0, 1.57]]).round(3) + 0.0  # the second is perpendicular
     array([[ 2.01, -0.1 ,  0.  ,  0.  ],
            [  nan,   nan,   nan,   nan]])
     """
@@ -97,7 +104,7 @@ class Refit:
         single = isinstance(polyline, Polyline)
         lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
         if not lines:
-            raise ValueError("polyline must be a Polyline or a sequence of at least one")
+            raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
         points = to_ego(np.concatenate([line.points for line in lines]), self.pose)
         lengths = [len(line.points) for line in lines]
         near = near_stretch(points, lengths, x_min, x_max)
@@ -116,7 +123,7 @@ class Refit:
         self._centre = (low + high) / 2  # (L, 2)
         self._half = (high[:, 0] - low[:, 0]) / 2  # (L,)
         if not self._half.all():
-            self._refuse(self.pose, window)
+            self._raise_ill_posed(self.pose, window)
         self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
         self._span = self._chords.sum(axis=1)  # (L, 2)
         self._least_advance = LEAST_ADVANCE * np.hypot(*self._chords.T).sum(axis=0)[:, None]
@@ -125,33 +132,33 @@ class Refit:
             -1, 2 * DEGREE + 1
         )  # (11 L, 2 DEGREE + 1)
         if np.isnan(self._cubics(np.array([[1.0], [0.0]]))).any():
-            self._refuse(self.pose, window)
+            self._raise_ill_posed(self.pose, window)
         self.noise_cov = None if map_error is None else self._noise_cov(map_error)
 
     @property
     def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): extent of the points along the mean car's x axis [m]."""
+        """(2,), or (L, 2): extent of the points along the x axis of the mean pose [m]."""
         extent = self._centre[:, :1] + self._half[:, None] * [-1.0, 1.0]
         return extent.reshape(*self._trailing, 2)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
-        """Lines (y_off, beta, c0, c1) as seen from poses.
+        """Return the lines (y_off, beta, c0, c1) for poses.
 
         Args:
-            poses: (N, 3), or (3,) for a single one [m, m, rad].
+            poses: (N, 3), or (3,) for a single pose [m, m, rad].
 
         Returns:
-            (N, 4), or (N, L, 4) for several lines; a row of NaN where the
-            points double back, so that samples can be counted.
+            (N, 4), or (N, L, 4) for several lines. A row is NaN if, seen from the pose, the
+            points are not a function of x or nearly perpendicular to the x axis.
 
         Raises:
-            IllPosedError: a single pose from which the points double back.
+            IllPosedError: the same, for a single pose.
         """
         poses = floats(poses, "poses")
         if poses.ndim == 1:
             line = self(poses[None])[0]
             if np.isnan(line).any():
-                self._refuse(poses, None)
+                self._raise_ill_posed(poses, None)
             return line
         out = np.empty((len(poses), len(self._half), len(STATES)))
         for start in range(0, len(poses), BLOCK):
@@ -159,6 +166,7 @@ class Refit:
         return out.reshape(len(poses), *self._trailing, len(STATES))
 
     def _block(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (N, L, 4) lines for a block of (N, 3) poses."""
         d = poses - self.pose
         turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
         # Centre of the points as seen from each pose.
@@ -170,24 +178,24 @@ class Refit:
         return line_of_cubic(q, centre_u, self._half[:, None]).swapaxes(0, 1)  # (N, L, 4)
 
     def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(4, L, N) cubics through the centred and scaled points as seen after a turn.
+        """Return the (4, L, N) cubics through the centred and scaled points after rotations.
 
-        NaN where there is none, or where the points double back.
+        They are NaN if the points are ill-posed.
 
         Args:
-            turn: (2, N) its cosine and sine.
+            turn: (2, N) cosine and sine of the rotations.
         """
         lines, poses = len(self._half), turn.shape[1]
         sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
         q, solved = _solve_normal(sums.swapaxes(0, 1))
         net = np.abs(self._span @ turn)  # (L, N)
-        way = np.abs(self._chords @ turn).sum(axis=1)
-        posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * way)
-        q[:, ~(posed & solved)] = np.nan
+        total = np.abs(self._chords @ turn).sum(axis=1)
+        well_posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * total)
+        q[:, ~(well_posed & solved)] = np.nan
         return q
 
     def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
-        """Map error through the fit, to first order at the mean pose."""
+        """Return the covariance of the lines due to the map error, to first order."""
         step = 1e-4
         poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
         ahead, behind = self(poses.reshape(6, 3)).reshape(2, 3, -1, len(STATES))
@@ -201,37 +209,40 @@ class Refit:
             cov[i] += error.point_sigma**2 * unit_cov
         return cov.reshape(*self._trailing, len(STATES), len(STATES))
 
-    def _refuse(self, pose: NDArray[np.float64], window: tuple[float, float] | None) -> None:
+    def _raise_ill_posed(
+        self, pose: NDArray[np.float64], window: tuple[float, float] | None
+    ) -> NoReturn:
         where = "" if window is None else f" in the window [{window[0]:g}, {window[1]:g}] m"
         raise IllPosedError(
-            f"the points of the line{where} double back or stand across the car at the pose "
-            f"({pose[0]:g} m, {pose[1]:g} m, {np.degrees(pose[2]):g} deg), so no cubic y(x) "
-            "follows them; shorten the window or check the heading"
+            f"the points of the line{where} are not a function of x, or are nearly perpendicular "
+            f"to the x axis, at the pose ({pose[0]:g} m, {pose[1]:g} m, "
+            f"{np.degrees(pose[2]):g} deg), so no cubic y(x) describes them; shorten the window "
+            "or check the heading"
         )
 
 
 def _starts(count: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Index of the first of each line's points where lines are laid end to end."""
+    """Return the index of the first point of each line in the concatenated points."""
     return count.cumsum() - count
 
 
 def _chords(
     points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """(L, CHORDS, 2) differences between points that divide each line evenly."""
+    """Return the (L, CHORDS, 2) differences between points at equal distances on each line."""
     x, y = (points[1:] - points[:-1]).T
-    way = np.zeros(len(points))
-    np.hypot(x, y).cumsum(out=way[1:])  # steps from one line to the next are in it too
+    distance = np.zeros(len(points))
+    np.hypot(x, y).cumsum(out=distance[1:])  # includes the steps from one line to the next
     stop = start + count - 1
-    marks = way[start] + _MARKS * (way[stop] - way[start])  # (CHORDS + 1, L)
-    knots = points[way.searchsorted(marks).clip(start, stop)]
+    marks = distance[start] + _MARKS * (distance[stop] - distance[start])  # (CHORDS + 1, L)
+    knots = points[distance.searchsorted(marks).clip(start, stop)]
     return (knots[1:] - knots[:-1]).swapaxes(0, 1)
 
 
 def _moments(
     points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
 ) -> NDArray[np.float64]:
-    """(L, 49) mixed moments mean(a^i b^j), i and j = 0 .. DEGREE, of each line's points (a, b)."""
+    """Return (L, 49) moments mean(a^i b^j), i and j = 0 .. DEGREE, of the points (a, b)."""
     points = np.ascontiguousarray(points.T)
     powers = np.ones((DEGREE + 1, *points.shape))
     for k in range(DEGREE):
@@ -242,7 +253,7 @@ def _moments(
 
 
 def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(2 DEGREE + 1, N): c^(6-j) s^j, j = 0 .. 6, and c^(5-j) s^j, j = 0 .. 5, of (c, s)."""
+    """Return (2 DEGREE + 1, N): c^(6-j) s^j, j = 0 .. 6, and c^(5-j) s^j, j = 0 .. 5, of (c, s)."""
     powers = np.ones((DEGREE + 1, *turn.shape))
     for k in range(DEGREE):
         np.multiply(powers[k], turn, out=powers[k + 1])
@@ -251,15 +262,16 @@ def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _moments_to_monomials() -> NDArray[np.float64]:
-    """(49, 11 (2 DEGREE + 1)) from the mixed moments of points to their sums as turned points.
+    """Return the (49, 11 (2 DEGREE + 1)) matrix from moments to the sums of rotated points.
 
     The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and
-    v = c b - s a. Multiplied by c^2 + s^2 = 1 until they are of degree 5 or 6 in (c, s), all
-    are combinations of 13 monomials, with whole coefficients. For a small turn nothing cancels.
+    v = c b - s a. Multiplied by c^2 + s^2 = 1 until they are of degree 5 or 6 in (c, s), all are
+    linear combinations of 13 monomials with integer coefficients. Small rotations cause no
+    cancellation.
     """
 
     def times(p: NDArray[np.float64], s: int, a: int, b: int) -> NDArray[np.float64]:
-        return np.roll(p, (s, a, b), axis=(0, 1, 2))  # p[j, m, n] stands at s^j a^m b^n
+        return np.roll(p, (s, a, b), axis=(0, 1, 2))  # p[j, m, n]: coefficient of s^j a^m b^n
 
     one = np.zeros((DEGREE + 1,) * 3)
     one[0, 0, 0] = 1
@@ -280,20 +292,20 @@ def _moments_to_monomials() -> NDArray[np.float64]:
     return matrix.reshape(len(matrix), -1)
 
 
-#: Computed once: the moments of a line's points are all that differs between lines.
+#: The same for all lines, so computed once.
 _MOMENTS_TO_MONOMIALS = _moments_to_monomials()
-#: Shares of a line's length at which its chords meet.
+#: Ends of the chords as shares of the length of a line.
 _MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
-#: Rows of the normal equations, right-hand side included, in the array of the sums.
+#: Rows of the normal equations with their right-hand sides, as indices into the sums.
 _NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
 
 
 def _solve_normal(
     sums: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(4, ...) cubic of the normal equations, and (...) where they have a solution.
+    """Return the (4, ...) solutions of the normal equations, and (...) where they have one.
 
-    Elimination without exchange of rows: the matrix is positive definite.
+    Gaussian elimination without pivoting: the matrix is positive definite.
 
     Args:
         sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(v u^k), k = 0 .. 3.
@@ -313,7 +325,7 @@ def _solve_normal(
 def _fit_cov(
     points: NDArray[np.float64], line: NDArray[np.float64], centre: float, half: float
 ) -> NDArray[np.float64]:
-    """(4, 4) covariance of a fitted line for unit errors of its points in any direction."""
+    """Return the (4, 4) covariance of a fitted line for unit errors of its points."""
     u, v = points.T
     A = np.vander((u - centre) / half, 4, increasing=True)
     dA = np.column_stack([np.zeros_like(u), A[:, :3] * [1, 2, 3]]) / half
@@ -321,9 +333,9 @@ def _fit_cov(
     _, beta, c0, c1 = line
     slope = np.tan(beta) + u * (c0 + u * c1 / 2)
     residual = v - lateral(line, u)
-    # An error of u acts as one of v, by the slope, and moves the residual to another place.
+    # An error of u changes l(u) by the slope, and the row of A that multiplies the residual.
     V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
-    # J: derivative of line_of_cubic at the fit; linear in q but for beta's arctangent.
+    # J: derivative of line_of_cubic at the fit; only beta is nonlinear in q, by its arctangent.
     J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
     J[1] = np.tan(J[1]) * np.cos(beta) ** 2
     return J @ (V @ V.T) @ J.T

@@ -19,10 +19,10 @@ __all__ = ["SigmaPoints"]
 class SigmaPoints(Transform):
     """2n + 1 points (Map Line Interface, eq. 4 to 12; van der Merwe 2004).
 
-    Exact for the mean of a cubic and for the covariance of an affine function.
-    With the defaults the points lie at sqrt(n) standard deviations, no weight
-    is negative and the result is always positive semidefinite; a small alpha
-    draws the points together (towards Linear) and may lose that.
+    The mean of a cubic and the covariance of an affine function are exact. With the
+    defaults the points lie at sqrt(n) standard deviations, no weight is negative and
+    the result is always positive semidefinite. A small alpha moves the points towards
+    the mean (and the result towards that of Linear); the covariance may then be indefinite.
 
     Args:
         alpha: spread of the points, more than 0 (the paper: up to 1).
@@ -45,18 +45,18 @@ class SigmaPoints(Transform):
                 raise ValueError(f"{name} must be finite, got {getattr(self, name)!r}")
 
     def _scale(self, n: int) -> float:
-        """The sum of n and lambda (eq. 4)."""
+        """Return the sum of n and lambda (eq. 4)."""
         if not n + self.kappa > 0:
             raise ValueError(f"kappa must be more than -{n} for {n} variables, got {self.kappa!r}")
         return self.alpha**2 * (n + self.kappa)
 
     def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
-        """(2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
+        """Return the (2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
         spread = np.sqrt(self._scale(gaussian.dimension)) * gaussian.root.T
         return gaussian.mean + np.vstack([np.zeros_like(spread[:1]), spread, -spread])
 
     def weights(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """(2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""
+        """Return the (2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""
         n_plus_lambda = self._scale(n)
         mean = np.full(2 * n + 1, 1 / (2 * n_plus_lambda))
         mean[0] = 1 - n / n_plus_lambda

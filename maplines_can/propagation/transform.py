@@ -1,4 +1,4 @@
-"""What every moment transform is: a function and a Gaussian in, a Gaussian out."""
+"""The interface of the moment transforms: Gaussian and function in, Gaussian out."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ __all__ = ["Moments", "Transform"]
 
 
 class Moments(NamedTuple):
-    """Means and covariances of one or many outputs, ready for ``Codec.encode_batch``."""
+    """Means and covariances of one or several outputs, as ``Codec.encode_batch`` takes them."""
 
     mean: NDArray[np.float64]  #: (..., m)
     cov: NDArray[np.float64]  #: (..., m, m)
 
 
 class Transform(ABC):
-    """Moments of ``function(x)`` for a Gaussian ``x``.
+    """Moment transform: mean and covariance of ``function(x)`` for a Gaussian ``x``.
 
-    A function is vectorised: it takes (N, n) points and returns (N, m) values,
-    or (N, L, m) for L outputs that share the call. It may carry ``noise_cov``,
-    (m, m) or (L, m, m): the covariance of an independent error of its own,
-    such as a map's, which is added to the result.
+    The function is vectorised: it takes (N, n) points and returns (N, m) values,
+    or (N, L, m) for L outputs. A row of NaN means that it has no value at the point.
+    It may have an attribute ``noise_cov`` of shape (m, m) or (L, m, m): the covariance
+    of an independent error, such as that of a map, which is added to the result.
     """
 
     @final
     def __call__(self, function: Callable[..., Any], gaussian: Gaussian) -> Gaussian:
-        """The Gaussian with the moments of the function's value.
+        """Return the Gaussian with the moments of the function's value.
 
         Raises:
             IllPosedError: the function has no value at a point that the
@@ -49,10 +49,14 @@ class Transform(ABC):
 
     @final
     def moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
-        """Mean and covariance of each output of the function.
+        """Return mean and covariance of each output of the function.
 
         Returns:
             mean (m,) and cov (m, m); or (L, m) and (L, m, m).
+
+        Raises:
+            IllPosedError: the function has no value at a point that the
+                transform needs.
         """
         mean, cov = self._moments(function, gaussian)
         noise_cov = getattr(function, "noise_cov", None)
@@ -62,26 +66,28 @@ class Transform(ABC):
 
     @abstractmethod
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
-        """Moments without the function's own error."""
+        """Return the moments without ``noise_cov``."""
 
 
 def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values at points that a transform cannot do without.
+    """Return the values of a function at points, all of which must have one.
 
     Raises:
-        IllPosedError: the function has no value at one of them.
+        IllPosedError: the function has no value at a point.
+        ValueError: the number of values is not the number of points.
     """
     values = np.asarray(function(points), dtype=float)
     if len(values) != len(points):
         raise ValueError(
-            f"the function must return one row a point, got {values.shape} for {points.shape}"
+            "the function must return one row per point, "
+            f"got shape {values.shape} for points of shape {points.shape}"
         )
     if np.isnan(values).any():
-        lost = np.isnan(values.reshape(len(points), -1)).any(axis=1)
+        missing = np.isnan(values.reshape(len(points), -1)).any(axis=1)
         raise IllPosedError(
-            f"the function has no value at {points[lost][0]}, {lost.sum()} of the "
+            f"the function has no value at {points[missing][0]}, {missing.sum()} of the "
             f"{len(points)} points of the transform; narrow the Gaussian or use MonteCarlo, "
-            "which counts such samples and goes on"
+            "which excludes and counts such points"
         )
     return values
 
@@ -89,15 +95,15 @@ def values_at(function: Callable[..., Any], points: NDArray[np.float64]) -> NDAr
 def weighted_moments(
     values: NDArray[np.float64], mean_weights: NDArray[np.float64], cov_weights: NDArray[np.float64]
 ) -> Moments:
-    """Mean and covariance of weighted points (Map Line Interface, eq. 11 and 12).
+    """Return mean and covariance of weighted points (Map Line Interface, eq. 11 and 12).
 
-    Worked in differences from the first point, whose weight may be huge and
-    negative: the sums then cancel nothing.
+    The sums are over differences from the first point, whose weight may be large and
+    negative. This avoids cancellation.
 
     Args:
-        values: (N, ..., m).
-        mean_weights: (N,), of sum 1.
-        cov_weights: (N,).
+        values: (N, ..., m) values, that of the mean or a point near it first.
+        mean_weights: (N,) weights of the mean, with sum 1.
+        cov_weights: (N,) weights of the covariance.
     """
     d = values[1:] - values[0]
     shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])

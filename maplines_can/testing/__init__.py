@@ -1,7 +1,7 @@
-"""Fault injection for tests of a receiver: with a python-can bus around any other, or without a bus."""
+"""Fault injection for tests of a receiver: into a stream of frames, or into a python-can bus."""
 
 from .fault_injector import FaultInjector
-from .faults import Action, FaultKind, Faults
+from .faults import FaultKind, Faults, ScriptedFault
 from .faulty_bus import FaultyBus, FaultyOpener
 
-__all__ = ["Action", "FaultInjector", "FaultKind", "Faults", "FaultyBus", "FaultyOpener"]
+__all__ = ["FaultInjector", "FaultKind", "Faults", "FaultyBus", "FaultyOpener", "ScriptedFault"]

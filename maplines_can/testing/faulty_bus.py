@@ -1,4 +1,4 @@
-"""Fault injection as a bus: wraps any python-can bus, and is one."""
+"""Inject faults into a python-can bus: a wrapper that is a bus itself."""
 
 from __future__ import annotations
 
@@ -18,47 +18,47 @@ from .faults import FaultKind, Faults
 
 __all__ = ["FaultyBus", "FaultyOpener"]
 
-#: Frames that come to nothing for which `recv` goes on though its time is over.
-PATIENCE = 1000
-#: A frame whose time stamp is older was stamped by another clock [s].
-LONGEST_WAIT = 10.0
-#: Longest that `pump` sends a flood that is faster than it [s].
-LONGEST_PUMP = 0.1
+#: Most frames that `recv` reads after its timeout while all of them are lost or held back.
+MAX_LATE_READS = 1000
+#: A frame whose time stamp is older than this was stamped by another clock [s].
+MAX_QUEUE_TIME = 10.0
+#: Longest time for which one call of `pump` sends a flood [s].
+MAX_PUMP_TIME = 0.1
 
 
-class _Carried(NamedTuple):
-    """A message as `FaultInjector` sees it."""
+class _BusFrame(NamedTuple):
+    """Message of python-can in the form of ``FrameLike``."""
 
     can_id: int
     data: bytes
     is_fd: bool
     is_extended: bool
-    message: can.Message | None = None  #: as it came; None of a flood
-    at: float = 0.0  #: when it came [s]
+    message: can.Message | None = None  #: the original; None if it is of a flood
+    at: float = 0.0  #: when the message was taken [s]
 
 
 class FaultyBus(can.BusABC):
-    """A python-can bus that loses, repeats, delays, reorders, damages and floods frames.
+    """A python-can bus that loses, duplicates, delays, reorders, damages and floods frames.
 
-    It wraps another bus, of any interface, and does to the frames that are sent and
-    received through it what the faults say.  Error and remote frames pass as they are.
-    What is delayed has the later time stamp.  What is received is delayed from its time
-    stamp on, if that is of the system's clock and at most ten seconds ago; if not, and
-    with a clock of one's own, from the moment when `recv` comes upon it.
+    It wraps another bus, of any interface, and injects faults into the frames that are sent and
+    received through it.  Error and remote frames pass unchanged.
+    A delayed frame has a delayed time stamp.  The delay of a received frame starts at its time
+    stamp if that is from the system's clock and at most ten seconds old. Otherwise, and
+    if ``clock`` is given, it starts when `recv` reads the frame from the wrapped bus.
 
-    Delays and floods of what is sent need something that sends: a thread, or with
-    a clock of one's own the calls of `pump`.  At the end (`shutdown`) what is still
-    held back is sent.  Filters of CAN IDs work before the faults, and again after them.
+    Delays and floods of sent frames are sent by a thread of this bus or, if ``clock`` is given,
+    by `pump`.  `shutdown` sends the frames that are still held back.  Filters of CAN IDs are
+    applied before the faults, and again after them.
 
     Args:
-        bus: is shut down with this one.
-        faults: which; or their text, as of ``Faults.parse``.
-        clock: a clock that is never set back [s]; by default the system's.
-        previous: a bus that was lost; its random numbers and counts go on.
+        bus: the bus to wrap; it is shut down with this one.
+        faults: the faults, or their text for ``Faults.parse``.
+        clock: a monotonic clock [s]; None for the system's.
+        previous: a bus that was lost, whose random numbers and counters this one continues.
 
     Raises:
-        ValueError: the text is wrong.
-        TypeError: the bus or the faults are none.
+        ValueError: the text of the faults is wrong.
+        TypeError: ``bus`` or ``faults`` has a wrong type.
 
     >>> import can
     >>> faults = "loss=0.5,seed=1"
@@ -81,31 +81,28 @@ class FaultyBus(can.BusABC):
         clock: Callable[[], float] | None = None,
         previous: FaultyBus | None = None,
     ) -> None:
-        if isinstance(faults, str):
-            faults = Faults.parse(faults)
         if not isinstance(bus, can.BusABC):
             raise TypeError(f"bus must be a python-can bus, got {bus!r}")
-        if not isinstance(faults, Faults):
-            raise TypeError(f"faults must be Faults or a text such as 'loss=0.1', got {faults!r}")
+        faults = _parsed(faults)
         self.bus, self.faults = bus, faults
         self._clock = clock or time.monotonic
         self._own_thread = clock is None
-        #: What happens to what is sent and received; None: nothing.
+        #: Injectors of the two directions; None if the direction has no faults.
         self.sending, self.receiving = _injector(faults, "send"), _injector(faults, "receive")
-        self.unsent = 0  #: frames that the interface would not take, or that came too late
+        self.unsent = 0  #: frames that the wrapped bus refused, or that were given up
         if previous is not None:
             self.sending, self.receiving = previous.sending, previous.receiving
             self.unsent = previous.unsent
         self._changed = threading.Condition()  # guards the sending
-        self._outgoing: deque[_Carried] = deque()
+        self._outgoing: deque[_BusFrame] = deque()
         self._unfinished: can.Message | None = None
         self._thread: threading.Thread | None = None
         self._closing = False
         self._incoming: deque[can.Message] = deque()
-        self._epoch = time.time() - self._clock()  # from the clock to time stamps
+        self._epoch = time.time() - self._clock()  # time stamp minus clock
         super().__init__(channel=bus.channel_info, can_filters=bus.filters)
         self.channel_info = f"{bus.channel_info} with faults"
-        if faults.flood:  # it does not wait for the first frame
+        if faults.flood:  # it starts before the first frame
             for injector in filter(None, () if previous else (self.sending, self.receiving)):
                 injector.due(self._clock())
             if self._own_thread and self.sending is not None:
@@ -114,11 +111,11 @@ class FaultyBus(can.BusABC):
 
     @property
     def counts(self) -> Counter[FaultKind]:
-        """What was done so far, in both directions."""
-        return sum((m.counts for m in (self.sending, self.receiving) if m), Counter())
+        """Faults injected so far, in both directions."""
+        return sum((i.counts for i in (self.sending, self.receiving) if i), Counter())
 
     def as_dict(self) -> dict[str, int]:
-        """All counters of both directions, for machines."""
+        """Return the sums of all counters over both directions, for JSON."""
         total: Counter[str] = Counter()
         for injector in (self.sending, self.receiving):
             total.update(injector.as_dict() if injector else {})
@@ -127,57 +124,57 @@ class FaultyBus(can.BusABC):
     # ---- sending -------------------------------------------------------------------
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send what becomes of a message.
+        """Send the frames that a message becomes.
 
         Raises:
-            can.CanError: as of the wrapped bus.  Who then sends the same message again
-                goes on where it stopped.
+            can.CanError: from the wrapped bus.  If the same message is then sent again, no
+                new faults are drawn, and sending continues with the frame that failed.
         """
         if self.sending is None or msg.is_error_frame or msg.is_remote_frame:
             self.bus.send(msg, timeout)
             return
         with self._changed:
             now = self._clock()
-            if msg is not self._unfinished:  # else its fate is decided: the queue was full
+            if msg is not self._unfinished:  # otherwise it is a retry, the queue was full
                 self.unsent += len(self._outgoing)
-                self._outgoing = deque(self.sending.apply(_carried(msg, now), now))
+                self._outgoing = deque(self.sending.apply(_bus_frame(msg, now), now))
                 self._unfinished = msg
             while self._outgoing:
-                self._hand_over(self._outgoing[0], now, timeout)
+                self._send_frame(self._outgoing[0], now, timeout)
                 self._outgoing.popleft()
             self._unfinished = None
             if self._own_thread and self.sending.next_due < math.inf:
                 self._start_thread()
 
     def pump(self) -> None:
-        """Send what is due by now; only with a clock of one's own is there any need to.
+        """Send the frames that are due by now; only needed if ``clock`` was given.
 
-        Of a flood that is too fast, what can be sent in a tenth of a second of that clock.
+        If a flood is faster than the bus, sending stops after a tenth of a second of that clock.
         """
         now = self._clock()
-        while self._send_due(now) and self._clock() - now < LONGEST_PUMP:
+        while self._send_due(now) and self._clock() - now < MAX_PUMP_TIME:
             pass
 
     def _send_due(self, now: float) -> bool:
-        """Send a batch of what is due by now; whether there is more."""
+        """Send a batch of the frames that are due by now; return whether there are more."""
         with self._changed:
             if self.sending is None or self._closing:
                 return False
             self._send_or_count(self.sending.due(now), now)
             return self.sending.next_due <= now
 
-    def _hand_over(self, frame: _Carried, now: float, timeout: float | None) -> None:
+    def _send_frame(self, frame: _BusFrame, now: float, timeout: float | None) -> None:
         try:
             self.bus.send(self._message(frame, now), timeout)
         except (can.CanError, OSError):
             if frame.message is not None:
                 raise
-            self.unsent += 1  # a flood is nobody's to try again
+            self.unsent += 1  # the caller cannot retry a frame of the flood
 
-    def _send_or_count(self, frames: list[_Carried], now: float) -> None:
+    def _send_or_count(self, frames: list[_BusFrame], now: float) -> None:
         for frame in frames:
             try:
-                self._hand_over(frame, now, 0.01)
+                self._send_frame(frame, now, 0.01)
             except (can.CanError, OSError, ValueError):
                 self.unsent += 1
 
@@ -193,7 +190,7 @@ class FaultyBus(can.BusABC):
                 start = self._clock()
                 self._send_due(start)
                 end = self._clock()
-                # A flood that is too fast leaves half of the time to those who wait for the lock.
+                # Even if the flood is too fast, other threads get the lock half of the time.
                 wait = max(self.sending.next_due - end, end - start)
                 self._changed.wait(min(wait, threading.TIMEOUT_MAX))
 
@@ -203,10 +200,10 @@ class FaultyBus(can.BusABC):
         if self.receiving is None:
             return self.bus.recv(timeout), True
         end = math.inf if timeout is None else time.monotonic() + timeout
-        patience = PATIENCE  # a frame that is lost does not mean that no more are there
-        while not self._incoming and patience:
+        late_reads = 0  # after a lost frame there may be others in the queue
+        while not self._incoming and late_reads < MAX_LATE_READS:
             left = end - time.monotonic()
-            patience -= left <= 0
+            late_reads += left <= 0
             wait = min(self.receiving.next_due - self._clock(), left)
             message = self.bus.recv(None if wait == math.inf else max(0.0, wait))
             now = self._clock()
@@ -215,22 +212,22 @@ class FaultyBus(can.BusABC):
                 break
             if message.is_error_frame or message.is_remote_frame:
                 return message, True
-            came = now - self._waited(message)
-            self._epoch = message.timestamp - came
-            self._take(self.receiving.apply(_carried(message, came), came), came)
+            arrived = now - self._queue_time(message)
+            self._epoch = message.timestamp - arrived
+            self._take(self.receiving.apply(_bus_frame(message, arrived), arrived), arrived)
         return (self._incoming.popleft() if self._incoming else None), True
 
-    def _waited(self, message: can.Message) -> float:
-        """How long a message was in the queue of the interface, where that can be told [s]."""
+    def _queue_time(self, message: can.Message) -> float:
+        """Return how long a message waited in the receive queue [s]; 0 if it is unknown."""
         waited = time.time() - message.timestamp if self._own_thread else 0.0
-        return waited if 0 < waited <= LONGEST_WAIT else 0.0
+        return waited if 0 < waited <= MAX_QUEUE_TIME else 0.0
 
-    def _take(self, frames: list[_Carried], now: float) -> None:
+    def _take(self, frames: list[_BusFrame], now: float) -> None:
         messages = (self._message(frame, now) for frame in frames)
-        # The ID may not be the one that passed the filter of the wrapped bus.
+        # Filter again: faults may have changed the ID, and a flood passed no filter.
         self._incoming.extend(filter(self._matches_filters, messages))
 
-    def _message(self, frame: _Carried, now: float) -> can.Message:
+    def _message(self, frame: _BusFrame, now: float) -> can.Message:
         if frame.message is None:
             message = can.Message(timestamp=now + self._epoch, check=False)
         else:
@@ -240,10 +237,10 @@ class FaultyBus(can.BusABC):
         message.data, message.dlc = bytearray(frame.data), len(frame.data)
         return message
 
-    # ---- what the wrapped bus is -----------------------------------------------------
+    # ---- the wrapped bus -------------------------------------------------------------
 
     def shutdown(self) -> None:
-        """Send what is held back, and shut down the wrapped bus; any number of times."""
+        """Send the frames that are held back and shut down the wrapped bus; any number of times."""
         if self._is_shutdown:
             return
         super().shutdown()
@@ -260,14 +257,15 @@ class FaultyBus(can.BusABC):
         self.bus.set_filters(filters)
 
     def flush_tx_buffer(self) -> None:
-        """As of the wrapped bus."""
+        """Flush the transmit buffer of the wrapped bus."""
         self.bus.flush_tx_buffer()
 
     def fileno(self) -> int:
-        """As of the wrapped bus, where what can be read there is what comes.
+        """Return the file descriptor of the wrapped bus.
 
         Raises:
-            NotImplementedError: frames that are received may be held back here.
+            NotImplementedError: received frames get faults, so that a readable descriptor would
+                not mean that there is a frame.
         """
         if self.receiving is not None:
             raise NotImplementedError("a bus that holds back frames has no file descriptor")
@@ -275,12 +273,12 @@ class FaultyBus(can.BusABC):
 
     @property
     def protocol(self) -> can.CanProtocol:
-        """As of the wrapped bus."""
+        """Protocol of the wrapped bus."""
         return self.bus.protocol
 
     @property
     def state(self) -> can.BusState:
-        """As of the wrapped bus."""
+        """State of the wrapped bus."""
         return self.bus.state
 
     @state.setter
@@ -289,12 +287,19 @@ class FaultyBus(can.BusABC):
 
 
 class FaultyOpener:
-    """Opener of faulty buses for ``Link``: random numbers and counts continue after an outage.
+    """Opener of faulty buses for ``Link``.
+
+    Each call opens a bus and wraps it in a ``FaultyBus``. After an outage, the new bus
+    continues the random numbers and the counters of the previous one.
 
     Args:
         faults: see ``FaultyBus``.
-        opener: of the wrapped bus, called with the settings of the link.
+        opener: opens the bus to wrap; called with the settings of the link.
         clock: see ``FaultyBus``.
+
+    Raises:
+        ValueError: the text of the faults is wrong.
+        TypeError: ``faults`` has a wrong type.
 
     >>> from maplines_can import Link
     >>> opener = FaultyOpener("loss=1,direction=send")
@@ -311,27 +316,36 @@ class FaultyOpener:
         *,
         clock: Callable[[], float] | None = None,
     ) -> None:
-        self._faults, self._opener, self._clock = faults, opener, clock
+        self._faults, self._opener, self._clock = _parsed(faults), opener, clock
         self._bus: FaultyBus | None = None
 
     def __call__(self, **settings: Any) -> FaultyBus:
+        """Open a bus with these settings and wrap it."""
         bus = self._opener(**settings)
         self._bus = FaultyBus(bus, self._faults, clock=self._clock, previous=self._bus)
         return self._bus
 
     def as_dict(self) -> dict[str, int]:
-        """Return all counters so far; see ``FaultyBus.as_dict``."""
+        """Return the counters of ``FaultyBus.as_dict``; none before the first opening."""
         return {} if self._bus is None else self._bus.as_dict()
 
 
-def _injector(faults: Faults, way: str) -> FaultInjector[_Carried] | None:
-    if faults.direction not in ("both", way):
+def _parsed(faults: Faults | str) -> Faults:
+    if isinstance(faults, str):
+        return Faults.parse(faults)
+    if not isinstance(faults, Faults):
+        raise TypeError(f"faults must be Faults or a text such as 'loss=0.1', got {faults!r}")
+    return faults
+
+
+def _injector(faults: Faults, direction: str) -> FaultInjector[_BusFrame] | None:
+    if faults.direction not in ("both", direction):
         return None
-    return FaultInjector(faults, stream=way, frame=_Carried)
+    return FaultInjector(faults, stream=direction, make_frame=_BusFrame)
 
 
-def _carried(message: can.Message, now: float) -> _Carried:
-    return _Carried(
+def _bus_frame(message: can.Message, now: float) -> _BusFrame:
+    return _BusFrame(
         message.arbitration_id,
         bytes(message.data),
         message.is_fd,

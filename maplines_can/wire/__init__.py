@@ -1,10 +1,11 @@
-"""Gaussians of map lines to bytes on a CAN bus, and back, after a DBC."""
+"""Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
 from .codec import CODES, Codec, Frame
 from .message.layout import Layout, default_dbc_path
 from .message.reader import Batch
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
-from .protection.secoc import Authenticator, Key, Verifier
+from .protection.key import Key
+from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.monitor import Monitor, SlotView

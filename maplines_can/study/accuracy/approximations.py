@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...gaussian import Gaussian
 from ...line import Slot, Status
 from ...propagation import Linear, MonteCarlo, Quadrature, Refit, SigmaPoints, Transform
-from ...propagation.mixture import Mixture
+from ...propagation.splitting import Mixture
 from ...wire import Codec
 
 __all__ = ["PART_TRANSFORM", "Approximation", "representations", "through_the_wire"]

@@ -1,4 +1,4 @@
-"""The covariance of a line as signals, and back: the code that a DBC names."""
+"""Codes of the covariance: covariances as signals, and back."""
 
 from .cholesky import CholeskyCode
 from .code import Coded, CovarianceCode

@@ -1,22 +1,21 @@
-"""The covariance code: log pivots and pivot-relative Cholesky rows, quantized with feedback.
+"""Default code of the covariance: a Cholesky factor that is quantized with feedback.
 
-Write the covariance in the order of its rows as ``S = L L^T``, L lower
-triangular, and let ``S' = L' L'^T`` be what is decoded. With ``A = L'^-1 L``,
+Let ``S = L L^T`` be the covariance in the order of the rows, with L lower triangular, and
+``S' = L' L'^T`` the decoded covariance. With ``A = L'^-1 L``,
 
     KL(N(0, S) || N(0, S')) = sum_i ((a_ii^2 - 1) / 2 - ln a_ii) + 1/2 sum_{i>j} a_ij^2,
 
-so the entries of A are the errors that count, each by itself. Sent are the
-pivots ``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the
-diagonal outwards, each ratio is chosen to bring its a_ij next to zero *given
-the rows as already decoded*; every a_ij then ends within half a step whatever
-the covariance, and the expected divergence is a constant of the code: a ratio
-of step D costs D^2 / 24, a pivot of step D (in octaves) costs (D ln 2)^2 / 12.
+so each entry of A contributes to the divergence by itself. The signals are the pivots
+``log2 L'_ii`` and the ratios ``L'_ij / L'_ii``. Row by row, from the diagonal outwards, each ratio
+is chosen such that its a_ij is closest to zero *given the entries that are already quantized*. So
+every |a_ij| is at most half a step, for any covariance, and the expected divergence is a constant
+of the code: a ratio of step D costs D^2 / 24, and a pivot of step D (in octaves) costs
+(D ln 2)^2 / 12.
 
-Two things make the result cover what is sent. A ratio beyond its range lifts
-its pivot until it fits: that adds variance in the one direction that is
-thinner than the code can say, and nowhere else. And the whole is multiplied by
-2^inflation, the least for which S' minus the mean square error about the decoded
-mean is positive semidefinite.
+The decoded covariance covers the target, for two reasons. First, if a ratio is out of range, its
+pivot is lifted until the ratio fits. This adds variance only in the one direction that is narrower
+than the code can represent. Second, the matrix is multiplied by 2^inflation, the least one for
+which S' minus the mean square error about the decoded mean is positive semidefinite.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
 
 __all__ = ["CholeskyCode"]
 
-#: Room for the rounding of whoever checks the guarantee with another algorithm.
+#: Margin of the inflation, so that a check with another algorithm's rounding passes.
 MARGIN = 1e-6
 
 
 class CholeskyCode(CovarianceCode):
-    """Pivots and ratios with feedback, and an inflation: the default of the wire."""
+    """Pivots and ratios that are quantized with feedback, and an inflation."""
 
     name = "Cholesky"
     about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
@@ -50,7 +49,7 @@ class CholeskyCode(CovarianceCode):
         self.signals = (*self.factor.signals, self.inflation)
         check_octaves(layout, [self.inflation])
         self._variance_factor = exp2_table(self.inflation)
-        # Beyond this no pivot reaches, whatever the ratios: not worth a try, and may overflow.
+        # Variances that no pivot and ratios can cover: encoding them is futile and may overflow.
         self._unreachable = np.empty(4)
         factor = self.factor
         for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
@@ -69,8 +68,8 @@ class CholeskyCode(CovarianceCode):
             rows = np.arange(start, min(start + BLOCK, n))
             rows = rows[(diagonal[rows] < self._unreachable).all(axis=1)]
             scale = np.ones(len(rows))
-            # Once is enough unless a DBC leaves too little inflation for its steps, or a value
-            # meets the end of its range: then for a target that is larger by what was missing.
+            # Once is enough, unless the inflation of the DBC is too small for its steps, or a value
+            # is clipped. Then encode again, for a target that is scaled by what was missing.
             for _ in range(8):
                 excess = self._encode_block(error[rows], resolution, scale, rows, coded)
                 again = excess > 1
@@ -97,7 +96,18 @@ class CholeskyCode(CovarianceCode):
     def _encode_block(
         self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
     ) -> Array:
-        """Code one block into ``coded``; returns what is missing of each inflation, 1 or less."""
+        """Encode one block into ``coded``.
+
+        Args:
+            error: (n, 4, 4) targets.
+            resolution: (4,) variances of the mean's rounding error.
+            scale: (n,) factors of the targets.
+            rows: (n,) their rows in ``coded``.
+            coded: result, which is changed.
+
+        Returns:
+            (n,) ratios of the needed to the available inflation; 1 or less if it suffices.
+        """
         order = self.factor.order
         M = [[error[:, i, j].copy() for j in order] for i in order]
         floor = [resolution[i] * scale for i in order]
@@ -120,16 +130,16 @@ class CholeskyCode(CovarianceCode):
     def _quantize(
         self, S: list[list[Array]], floor: list[Array]
     ) -> tuple[dict[str, Array], list[list[Array]], NDArray[np.bool_]]:
-        """Cholesky's recursion and the quantization of its rows, in one pass.
+        """Factorize the targets and quantize the factor, row by row.
 
         Args:
-            S: rows of the lower triangle of the target, (N,) entries.
-            floor: least value of each squared pivot. What a diagonal matrix added to
-                a semidefinite one is a bound that rounding must not undercut.
+            S: rows of the lower triangle of the targets, (N,) entries.
+            floor: least value of each squared pivot, which is the diagonal matrix that was added
+                to the semidefinite target; rounding must not yield less.
 
         Returns:
-            Raw pivots and ratios, the rows of L' that they decode to, and which
-            targets had a pivot lifted.
+            Raw pivots and ratios, the rows of the decoded L', and which targets had a pivot
+            lifted.
         """
         raw: dict[str, Array] = {}
         L: list[list[Array]] = []
@@ -154,7 +164,7 @@ class CholeskyCode(CovarianceCode):
                     break
                 lift = np.ceil(np.log2(overflow) / pivot.factor + 1e-9)
                 chosen = pivot.limited(np.where(over, chosen + np.maximum(lift, 1), chosen))
-            # A lifted pivot is variance of its own in the target: later rows lean on it less.
+            # The target takes over a lifted pivot, so the entries below it become smaller.
             lifted = chosen > nearest
             exact = np.where(lifted, sigma, exact)
             saturated |= lifted
@@ -170,12 +180,19 @@ class CholeskyCode(CovarianceCode):
     def _choose_ratios(
         self, i: int, target: list[Array], sigma: Array, A: list[list[Array]], raw: dict[str, Array]
     ) -> tuple[list[Array], Array]:
-        """Row i of L' left of its pivot, from the diagonal outwards.
+        """Quantize row i of L' left of its pivot, from the diagonal outwards.
 
-        Each ratio takes what is left of its target after the entries already chosen.
+        Each ratio is the nearest to the rest of its target after the entries already chosen.
+
+        Args:
+            i: the row.
+            target: exact entries of the row, left of the pivot.
+            sigma: decoded pivot.
+            A: rows of ``L'^-1 L`` above this one.
+            raw: values by signal, to which the ratios are added.
 
         Returns:
-            The decoded entries, and by what factor the pivot is too small for them.
+            The decoded entries, and the factor by which the pivot is too small for them.
         """
         row = [sigma] * i
         overflow = np.ones_like(sigma)
@@ -195,9 +212,9 @@ class CholeskyCode(CovarianceCode):
 
 
 def _largest_ratio(L: list[list[Array]], M: list[list[Array]]) -> Array:
-    """(N,) largest eigenvalue of (L L^T)^-1 M and a little more, for rounding.
+    """Return the (N,) largest eigenvalues of (L L^T)^-1 M, plus a margin for rounding.
 
-    The little grows with the condition of the factor, as the rounding does.
+    The margin increases with the condition number of the factor, as the rounding error does.
     """
     n = len(L)
     X: list[list[Array]] = []  # rows of L^-1

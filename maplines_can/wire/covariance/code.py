@@ -1,4 +1,4 @@
-"""What every covariance code has: raw values of its own signals, and what it guarantees."""
+"""Interface of the covariance codes, and functions that they share."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from ..message.signals import Signal
 __all__ = ["Array", "Coded", "CovarianceCode", "check_octaves", "nearest_raw"]
 
 Array = NDArray[np.float64]
-#: Farthest power of 2 that a signal may say: its square and products of four stay finite.
+#: Greatest exponent of 2 that a signal may hold, so that squares and products of four are finite.
 FARTHEST_OCTAVE = 200
 
 
 @dataclass(frozen=True)
 class Coded:
-    """Covariances as raw values, and what happened to them.
+    """Covariances as raw values.
 
     Args:
         raw: (N,) values by signal.
-        saturated: (N,) a value met the end of its range.
-        covered: (N,) of a covering code: the decoded covariance covers what was to be sent; of
-            another: no value was cut. Where it is False the line must not be used.
+        saturated: (N,) whether a value is at the end of its range.
+        covered: (N,) for a covering code, whether the decoded covariance covers the target; for
+            another code, whether no value was clipped. If False, the line must not be used.
     """
 
     raw: dict[str, NDArray[np.int64]]
@@ -39,26 +39,26 @@ class Coded:
 
 
 class CovarianceCode(ABC):
-    """Covariances to raw values of a layout's signals, and back.
+    """Code between covariances and the raw values of a layout's signals.
 
     Args:
-        layout: whose signals the code uses.
+        layout: layout with the signals of the code.
 
     Raises:
-        LayoutError: a signal is missing or does not serve.
+        LayoutError: a signal is missing, or has an unsuitable factor or range.
     """
 
-    #: As the DBC's attribute CovarianceCode names it.
+    #: Name in the DBC's attribute CovarianceCode.
     name: ClassVar[str]
-    #: One line on what is sent.
+    #: One line on the signals.
     about: ClassVar[str]
-    #: Whatever the bits, the decoded covariance is positive definite.
+    #: Whether any bits decode to a positive definite covariance.
     positive_definite: ClassVar[bool]
-    #: The decoded covariance less what was to be sent is positive semidefinite.
+    #: Whether the decoded covariance minus the target is positive semidefinite.
     covering: ClassVar[bool]
-    #: The most that a line can say of its covariance.
+    #: Best status that the code supports.
     status: ClassVar[Status] = Status.FULL
-    #: The signals that hold the covariance.
+    #: Signals that hold the covariance.
     signals: tuple[Signal, ...]
 
     @abstractmethod
@@ -66,17 +66,17 @@ class CovarianceCode(ABC):
 
     @abstractmethod
     def encode(self, error: Array, resolution: Array) -> Coded:
-        """Code covariances.
+        """Encode covariances.
 
         Args:
-            error: (N, 4, 4) positive semidefinite: what the decoded covariance is to cover, which
-                is the covariance plus d d^T, with d the error of the decoded mean.
-            resolution: (4,) variances of the mean's own rounding: a floor for singular matrices.
+            error: (N, 4, 4) positive semidefinite target that the decoded covariance must cover:
+                the covariance plus d d^T, with d the error of the decoded mean.
+            resolution: (4,) variances of the mean's rounding error, a floor for singular matrices.
         """
 
     @abstractmethod
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        """(N, 4, 4) covariances as the (N,) raw values of each signal say."""
+        """Return the (N, 4, 4) covariances of (N,) raw values by signal."""
 
     @abstractmethod
     def decode_one(self, raw: Mapping[str, int]) -> Array:
@@ -84,21 +84,21 @@ class CovarianceCode(ABC):
 
     @abstractmethod
     def widest(self) -> dict[str, int]:
-        """Return the raw values of the widest covariance: what a line without one carries."""
+        """Return the raw values of the widest covariance, for a line without a covariance."""
 
 
 def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """(N,) nearest raw values within the range, and which had to be cut to it."""
+    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
     nearest = signal.raw(physical)
     limited = signal.limited(nearest)
     return limited.astype(np.int64), nearest != limited
 
 
 def check_octaves(layout: Layout, signals: Sequence[Signal]) -> None:
-    """Refuse signals that are powers of 2 beyond what floats hold, whatever their bits.
+    """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
 
     Raises:
-        LayoutError: a factor is not positive, or a signal reaches too far.
+        LayoutError: a factor is not positive, or an exponent can be too large.
     """
     for signal in signals:
         if signal.factor <= 0:

@@ -1,8 +1,9 @@
-"""The Cholesky factor of a covariance as signals: log pivots, and rows over their pivots.
+"""Cholesky factor of a covariance as signals: log pivots, and rows divided by their pivots.
 
-Write the covariance in the order of its rows as ``S = L L^T``, L lower triangular. The signals are the
-pivots ``log2 L_ii`` and the ratios ``L_ij / L_ii`` (Pinheiro and Bates, Statistics and Computing 6,
-1996, with each row divided by its pivot). Any bits decode to a positive definite matrix.
+Let ``S = L L^T`` be the covariance in the order of the rows, with L lower triangular. The signals
+are the pivots ``log2 L_ii`` and the ratios ``L_ij / L_ii`` (Pinheiro and Bates, Statistics and
+Computing 6, 1996, with each row divided by its pivot). Any bits decode to a positive definite
+matrix.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ LARGEST_CONDITION = 1e13
 
 
 class CholeskyFactor:
-    """The signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
+    """Cholesky factor as the signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
 
-    The order of the rows is in the names: ``RatioC0Beta`` says that C0 comes after Beta.
+    The names give the order of the rows: with ``RatioC0Beta``, C0 comes after Beta.
 
     Args:
-        layout: whose signals these are.
+        layout: layout with these signals.
 
     Raises:
-        LayoutError: a signal is missing, the ratios give no order of the rows, a factor is not
-            positive, or a decoded matrix could be too ill-conditioned.
+        LayoutError: a signal is missing, the ratios do not define an order of the rows, a factor
+            is not positive, or a decoded matrix could be too ill-conditioned.
     """
 
     def __init__(self, layout: Layout) -> None:
@@ -51,7 +52,7 @@ class CholeskyFactor:
                 f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
                 f"pair of {', '.join(STATE_SIGNALS)}, but there are {below}"
             )
-        #: States in the order of the rows, as indices into the mean.
+        #: Order of the rows, as indices into the mean.
         self.order = [STATE_SIGNALS.index(name) for name in names]
         self.pivots = [layout[f"Pivot{name}"] for name in names]
         self.ratios = [
@@ -63,19 +64,19 @@ class CholeskyFactor:
                 raise LayoutError(f"{layout.source}: signal {signal.name} needs a positive factor")
         if (condition := self._largest_condition()) > LARGEST_CONDITION:
             raise LayoutError(
-                f"{layout.source}: the ratios reach so far that a matrix could have the condition "
-                f"{condition:.0e}, which double precision cannot hold; make their ranges narrower"
+                f"{layout.source}: with the ranges of the ratios a matrix could have the condition "
+                f"number {condition:.0e}, too large for double precision; make them narrower"
             )
         check_octaves(layout, self.pivots)
         #: Standard deviations by raw pivot, for ``lookup``.
         self.sigmas = [exp2_table(signal) for signal in self.pivots]
 
     def _largest_condition(self) -> float:
-        """Bound on the condition of a decoded correlation matrix, whatever its bits."""
+        """Return a bound on the condition number of any decoded correlation matrix."""
         reach = np.zeros((4, 4))
         for i, ratios in enumerate(self.ratios):
             reach[i, :i] = [max(map(abs, ratio.physical_range)) for ratio in ratios]
-        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, the worst signs
+        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, with the worst signs
         norm = np.sqrt(1 + (reach**2).sum(axis=1))
         return float(((inverse * norm) ** 2).sum())
 
@@ -84,7 +85,7 @@ class CholeskyFactor:
 
         Args:
             raw: (N,) values by signal.
-            scale: (N,) factor on each covariance; None: 1.
+            scale: (N,) factor of each covariance; None: 1.
         """
         n = len(raw[self.pivots[0].name])
         cov = np.empty((n, 4, 4))
@@ -130,21 +131,27 @@ def _products(L: list[list[Any]], factor: Any) -> Iterator[tuple[int, int, Any]]
 
 
 def exp2_table(signal: Signal) -> Array | None:
-    """Return 2 to the physical value of each raw value; None if there are more than 65 536."""
+    """Return 2 to the power of each physical value; None if there are more than 65 536."""
     if signal.raw_max - signal.raw_min >= 1 << 16:
         return None
     return np.exp2(signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)))
 
 
 def lookup(table: Array | None, signal: Signal, raw: NDArray[np.int64]) -> Array:
-    """Return 2 to the physical value; a raw value outside the DBC's range counts as its end."""
+    """Return 2 to the power of the physical values of raw values.
+
+    Args:
+        table: from ``exp2_table``.
+        signal: the signal.
+        raw: raw values; one outside the DBC's range is clipped to it if there is a table.
+    """
     if table is None:
         return np.exp2(signal.physical(raw))
     return table.take(raw - signal.raw_min, mode="clip")
 
 
 def lookup_one(table: Array | None, signal: Signal, raw: int) -> float:
-    """Return the same for one value, to the last bit."""
+    """Return one value: as ``lookup`` to the last bit."""
     if table is None:
         return float(np.exp2(signal.physical_one(raw)))
     return table.item(min(max(raw - signal.raw_min, 0), len(table) - 1))

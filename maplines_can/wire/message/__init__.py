@@ -1,1 +1,1 @@
-"""DBC to layout, records to bytes, and back."""
+"""Records of map lines: their layout as a DBC describes it, and how to write and read them."""

@@ -1,4 +1,4 @@
-"""Where the lines of a slot travel: CAN IDs, and the form of an authenticated message."""
+"""Messages of a slot: their CAN IDs, and the format of the authenticated ones."""
 
 from __future__ import annotations
 
@@ -6,20 +6,23 @@ from dataclasses import dataclass
 
 from ...line import Slot
 
-__all__ = ["Channel", "SecuredForm"]
+__all__ = ["LONGEST_MS", "Channel", "SecuredForm", "fd_length"]
+
+#: Upper bound of a cycle time and of a time-out, one hour [ms].
+LONGEST_MS = 3_600_000
 
 
 @dataclass(frozen=True)
 class SecuredForm:
-    """The bytes of an authenticated message: AUTOSAR's secured I-PDU.
+    """Format of an authenticated message, AUTOSAR's secured I-PDU.
 
-    The authentic I-PDU (the record, padding, the key's number in the last byte), then the
-    low bytes of the freshness value, then the first bytes of the MAC.
+    The authentic I-PDU comes first: the record, padding, and the key ID in the last byte. The
+    truncated freshness value follows (its low bytes), then the truncated MAC (its first bytes).
 
     Args:
-        length: of the payload.
-        freshness_bytes: of the freshness value, 1 to 7.
-        mac_bytes: of the MAC, 1 to 8.
+        length: of the secured I-PDU [byte].
+        freshness_bytes: of the truncated freshness value, 1 to 7.
+        mac_bytes: of the truncated MAC, 1 to 8.
     """
 
     length: int
@@ -34,21 +37,22 @@ class SecuredForm:
 
 @dataclass(frozen=True)
 class Channel:
-    """Where the lines of one slot travel.
+    """Messages that carry the lines of one slot.
 
     Args:
         slot: the line slot.
-        name: name of its classic message, or of its FD message where there is no other.
+        name: name of the classic message; without one, of the CAN FD or authenticated message.
         can_id: CAN ID of the classic message with its pages, or None.
         fd_can_id: CAN ID of the CAN FD message, or None.
-        is_extended: the classic ID has 29 bits.
+        is_extended: the classic CAN ID has 29 bits.
         fd_is_extended: the CAN FD ID has 29 bits.
-        fd_length: payload length of the FD message, the record and padding.
-        data_id: what the checksum is salted with, so that no line passes for another.
-        cycle_ms: cycle time that the DBC asks for [ms].
+        fd_length: payload length of the CAN FD message: the record and padding [byte].
+        data_id: E2E data ID, which the checksum covers, so that a record of another slot is
+            detected.
+        cycle_ms: cycle time in the DBC [ms]; 0 if it has none.
         secured_can_id: CAN ID of the authenticated CAN FD message, or None.
-        secured_is_extended: the authenticated ID has 29 bits.
-        secured_data_id: AUTOSAR's SecOC data ID, which the MAC covers.
+        secured_is_extended: the CAN ID of the authenticated message has 29 bits.
+        secured_data_id: SecOC data ID, which the MAC covers.
     """
 
     slot: Slot
@@ -63,3 +67,12 @@ class Channel:
     secured_can_id: int | None = None
     secured_is_extended: bool = False
     secured_data_id: int = 0
+
+
+def fd_length(length: int) -> int:
+    """Return the shortest CAN FD payload length of at least ``length`` bytes (ISO 11898-1).
+
+    >>> fd_length(24), fd_length(25)
+    (24, 32)
+    """
+    return next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= length)

@@ -1,4 +1,4 @@
-"""Records to lines: many at once, or one as it comes from the bus."""
+"""Reader of records: many at once, or one as it comes from the bus."""
 
 from __future__ import annotations
 
@@ -13,32 +13,33 @@ from ...line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from ..covariance import CovarianceCode
 from ..protection.e2e import record_crc, record_crc_one
 from ..reasons import Reason
-from .layout import PAGE, STATE_SIGNALS, TRANSFER_ID, Layout
+from .layout import Layout
 from .packing import Packing
+from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
 
 __all__ = ["Batch", "DecodedRecord", "RecordReader"]
 
-#: Verdicts on a record, in the order of their numbers in ``Batch.verdict``.
+#: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 
 LAST_STATUS, LAST_KIND = max(Status), max(Kind)
-#: Least eigenvalue that a repair gives to a correlation matrix.
+#: Least eigenvalue of a repaired correlation matrix.
 LEAST_VARIANCE = 1e-9
 _VAGUE = np.diag(np.square(VAGUE_SIGMA))
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Many decoded records. Believe a row only where ``accepted`` is true."""
+    """Many decoded records. Use a row only if it is ``accepted``."""
 
     mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
-    #: (N, 4, 4), positive definite in every row where the covariance code guarantees it; else as
-    #: the bytes say, which ``Codec.decode_one`` and a receiver repair.
+    #: (N, 4, 4), positive definite in every row if the covariance code guarantees it. With another
+    #: code a row may be indefinite; ``Codec.decode_one`` and a receiver repair it.
     cov: NDArray[np.float64]
-    verdict: NDArray[np.int8]  #: (N,) 0 where accepted, else an index into VERDICTS
+    verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
-    x_min: NDArray[np.float64]  #: (N,) [m]; x_max where the extent is shorter than the steps
+    x_min: NDArray[np.float64]  #: (N,) [m]; x_max if the valid range is shorter than the steps
     x_max: NDArray[np.float64]  #: (N,) [m]
     age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
     component_index: NDArray[np.int64]  #: (N,)
@@ -48,12 +49,12 @@ class Batch:
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """(N,) records whose pages belong together, with a good checksum and lawful content."""
+        """(N,) records of one transfer, with a valid checksum and valid content."""
         return self.verdict == 0
 
     @property
     def rejects(self) -> Counter[Reason]:
-        """Records that are not accepted, by reason."""
+        """Number of records that are not accepted, by reason."""
         numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
         pairs = zip(VERDICTS, numbers.tolist(), strict=True)
         return Counter({reason: n for reason, n in pairs if reason and n})
@@ -61,20 +62,26 @@ class Batch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedRecord:
-    """What one record says: a line, or a part of one that is a mixture."""
+    """One decoded record: a line, or one component of a line that is a mixture."""
 
     line: MapLine
-    index: int  #: which part, from 0
-    count: int  #: of how many
-    weight: float
-    counter: int  #: of the record
+    index: int  #: of the component, from 0
+    count: int  #: number of components of the line
+    weight: float  #: of the component
+    counter: int  #: E2E counter of the record
 
 
 class RecordReader:
-    """Reads records of a layout; both ways give the same bits."""
+    """Reader of records of a layout; ``read`` and ``read_one`` give the same bits.
+
+    Args:
+        layout: of the records.
+        packing: of the layout's signals.
+        covariance: code of the covariance.
+    """
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
-        self._fields = layout.signals
+        self._signals = layout.signals
         self._pages = layout.pages
         self._mean = [layout[name] for name in STATE_SIGNALS]
         self._resolution = layout.resolution
@@ -84,7 +91,12 @@ class RecordReader:
         self._transfer_mask = 2 ** layout[f"{TRANSFER_ID}0"].length - 1
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
-        """Read (N, record bytes), each with its (N,) data ID."""
+        """Read many records.
+
+        Args:
+            payloads: (N, record bytes).
+            data_ids: (N,) E2E data IDs.
+        """
         n = len(payloads)
         raw = self._packing.unpack(payloads)
         mean = np.empty((n, len(self._mean)))
@@ -92,28 +104,29 @@ class RecordReader:
             mean[:, i] = signal.physical(raw[signal.name])
         cov = self._covariance.decode(raw)
         status = raw["Status"]
-        vague = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
-        if vague.any():
-            cov[vague] = _VAGUE
+        without_covariance = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
+        if without_covariance.any():
+            cov[without_covariance] = _VAGUE
 
         physical = {
-            name: self._fields[name].physical(raw[name])
+            name: self._signals[name].physical(raw[name])
             for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
         }
         index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
         transfer = raw["Counter"] & self._transfer_mask
         verdict = np.zeros(n, dtype=np.int8)
-        unlawful = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
-        unlawful |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
+        invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
+        invalid |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
         if not self._covariance.positive_definite:
-            unlawful |= ~np.isfinite(cov).all(axis=(1, 2))
-            unlawful |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
-        verdict[unlawful] = VERDICTS.index(Reason.CONTENT)
+            invalid |= ~np.isfinite(cov).all(axis=(1, 2))
+            invalid |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
+        # The later checks overwrite the earlier ones: read_one makes them in the reverse order.
+        verdict[invalid] = VERDICTS.index(Reason.CONTENT)
         crc = record_crc(payloads, data_ids, self._crc_offset)
         verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
         for page in range(self._pages):
-            apart = (raw[f"{PAGE}{page}"] != page) | (raw[f"{TRANSFER_ID}{page}"] != transfer)
-            verdict[apart] = VERDICTS.index(Reason.MIXED)
+            mixed = (raw[f"{PAGE}{page}"] != page) | (raw[f"{TRANSFER_ID}{page}"] != transfer)
+            verdict[mixed] = VERDICTS.index(Reason.MIXED)
         return Batch(
             mean=mean,
             cov=cov,
@@ -129,11 +142,23 @@ class RecordReader:
             counter=raw["Counter"],
         )
 
-    def read_one(self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None) -> DecodedRecord | Reason:
-        """Read one record, without the cost of arrays; the part, or why it is not accepted."""
+    def read_one(
+        self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
+    ) -> DecodedRecord | Reason:
+        """Read one record, without the cost of arrays.
+
+        Args:
+            payload: record bytes.
+            slot: of the line.
+            data_id: E2E data ID of the slot.
+            t_ns: when the record was received [ns].
+
+        Returns:
+            The record, or the reason why it is rejected.
+        """
         if len(payload) != self._packing.record_bytes:
             return Reason.LENGTH
-        raw, signals = self._packing.unpack_one(payload), self._fields
+        raw, signals = self._packing.unpack_one(payload), self._signals
         transfer = raw["Counter"] & self._transfer_mask
         for page in range(self._pages):
             if raw[f"{PAGE}{page}"] != page or raw[f"{TRANSFER_ID}{page}"] != transfer:
@@ -148,13 +173,13 @@ class RecordReader:
         if index >= count or not 0 < weight <= 1:
             return Reason.CONTENT
         mean = np.array([signal.physical_one(raw[signal.name]) for signal in self._mean])
-        bare = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
-        cov = _VAGUE.copy() if bare else self._covariance.decode_one(raw)
+        without_covariance = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
+        cov = _VAGUE.copy() if without_covariance else self._covariance.decode_one(raw)
         status = Status(raw["Status"])
-        if not (bare or self._covariance.positive_definite):
+        if not (without_covariance or self._covariance.positive_definite):
             if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
                 return Reason.CONTENT
-            if not _definite(cov):
+            if not _is_definite(cov):
                 cov = nearest_covariance(cov)
                 cov += np.diag(np.maximum(self._resolution, LEAST_VARIANCE * cov.diagonal()))
                 status = Status.REPAIRED
@@ -172,7 +197,7 @@ class RecordReader:
         return DecodedRecord(line, index, count, weight, raw["Counter"])
 
 
-def _definite(cov: NDArray[np.float64]) -> bool:
+def _is_definite(cov: NDArray[np.float64]) -> bool:
     """Whether a (4, 4) matrix is positive definite beyond rounding."""
     sigma = np.sqrt(cov.diagonal())
     if not sigma.all():

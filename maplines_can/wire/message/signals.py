@@ -1,4 +1,4 @@
-"""One signal of a record: which bits, and what they mean."""
+"""Signals of a record: their names in the DBC, their bits, and their physical values."""
 
 from __future__ import annotations
 
@@ -7,26 +7,48 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Signal"]
+__all__ = [
+    "PAGE",
+    "PAGE_BYTES",
+    "SECURED_SIGNALS",
+    "SERVICE_SIGNALS",
+    "STATE_SIGNALS",
+    "TRANSFER_ID",
+    "Signal",
+]
+
+#: Bytes of a page, the payload of one classic CAN frame.
+PAGE_BYTES = 8
+#: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
+PAGE, TRANSFER_ID = "Page", "TransferId"
+#: Signals of the mean, in the order of the states.
+STATE_SIGNALS = ("YOff", "Beta", "C0", "C1")
+#: Signals that every record has besides the page numbers, the mean and the covariance.
+SERVICE_SIGNALS = (
+    *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
+    *("ComponentIndex", "ComponentCount", "ComponentWeight"),
+)
+#: Signals at the end of an authenticated message, in this order, with their largest size [byte].
+SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
 
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal of a record, with the law between raw and physical values.
+    """One signal of a record, with the conversion between raw and physical values.
 
     Args:
         name: as in the DBC.
-        start: first bit within the record, numbered as the DBC numbers it.
-        length: bits; 1 to 64, unsigned 1 to 63.
-        big_endian: Motorola order; then ``start`` is the most significant bit.
+        start: first bit within the record, numbered as in the DBC.
+        length: number of bits; 1 to 64 if signed, 1 to 63 if unsigned.
+        big_endian: Motorola byte order; ``start`` is then the most significant bit.
         signed: two's complement.
-        factor: physical = raw factor + offset.
+        factor: physical = raw * factor + offset.
         offset: see factor.
         unit: of the physical value.
         raw_min: least raw value within the DBC's range.
         raw_max: greatest raw value within the DBC's range.
-        is_float: the raw value is the pattern of an IEEE 754 number of 32 bits, and only
-            ``physical`` knows what it means.
+        is_float: the raw value is the bit pattern of an IEEE 754 number of 32 bits. Only
+            ``physical`` supports such a signal.
     """
 
     name: str
@@ -42,23 +64,26 @@ class Signal:
     is_float: bool = False
 
     def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
-        """(...,) nearest raw values, halves to even as cantools does; not limited to the range."""
+        """Return the (...,) nearest raw values, which may be out of range.
+
+        Halves are rounded to even, as in cantools.
+        """
         return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
 
     def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
-        """(...,) physical values."""
+        """Return the (...,) physical values."""
         if self.is_float:
             pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
-            with np.errstate(invalid="ignore"):  # any bits may come, also those of a NaN
+            with np.errstate(invalid="ignore"):  # the bits may be those of a signalling NaN
                 return pattern.view(np.float32).astype(float)
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
     def physical_one(self, raw: int) -> float:
-        """The same for one value, without the cost of arrays."""
+        """Return one physical value: as ``physical``, without the cost of arrays."""
         return raw * self.factor + self.offset
 
     def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(...,) raw values brought into the range; the caller counts what was out of it."""
+        """Return the (...,) raw values clipped to the range; the caller reports the clipping."""
         return raw.clip(self.raw_min, self.raw_max)
 
     @property

@@ -1,28 +1,39 @@
-"""Lines to records: everything is put where the DBC says, and nothing is cut in silence."""
+"""Writer of records: each value at its bits in the DBC, and no value is clipped silently."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...errors import EncodeError
 from ...gaussian import nearest_covariance
-from ...line import Kind, Slot, Status
+from ...line import Kind, Status
 from ..covariance import CovarianceCode
 from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
-from .layout import PAGE, STATE_SIGNALS, TRANSFER_ID, Layout
+from .attributes import RecordAttributes
+from .layout import Layout
 from .packing import Packing
+from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
+from .validation import CheckedGaussians
 
 __all__ = ["RecordWriter"]
 
-#: Up to so many records are packed one by one: below, arrays cost more than they save.
+#: Up to this number, records are packed one by one: with few records, arrays cost more than they
+#: save.
 FEW = 8
+#: Steps by which a value may exceed a step and still be rounded to it, although values are rounded
+#: up or down here: the rounding error of the division.
+SLACK = 1e-9
 
 
 class RecordWriter:
-    """Writes records of a layout."""
+    """Writer of records of a layout.
+
+    Args:
+        layout: of the records.
+        packing: of the layout's signals.
+        covariance: code of the covariance.
+    """
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self.layout = layout
@@ -34,146 +45,159 @@ class RecordWriter:
 
     def write(
         self,
-        mean: NDArray[np.float64],
-        cov: NDArray[np.float64],
-        broken: NDArray[np.bool_],
-        rest: Mapping[str, ArrayLike],
+        gaussians: CheckedGaussians,
+        attributes: RecordAttributes,
         cover: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8]:
-        """(n, record bytes) records of checked Gaussians.
+        """Return the (N, record bytes) records of Gaussians.
 
         Args:
-            mean: (n, 4).
-            cov: (n, 4, 4).
-            broken: (n,) covariances that are indefinite.
-            rest: what else a record says, (n,) or one for all: slot, counter, kind, x_min,
-                x_max, age, status, component_index, component_count, component_weight.
-            cover: (n, 4, 4) what the decoded covariance must cover besides its own.
+            gaussians: N checked Gaussians.
+            attributes: of the records.
+            cover: (N, 4, 4) that the decoded covariances must cover besides their own.
+
+        Raises:
+            EncodeError: an attribute has no raw value, such as a slot that the DBC does not have.
         """
-        n = len(mean)
-        data_ids = self.data_ids(rest["slot"], n)
-        wish = self._whole("Status", rest["status"], n, max(Status))
+        n = len(gaussians.mean)
+        data_ids = self.layout.data_ids(attributes.slot, n)
+        status = Status.FULL if attributes.status is None else attributes.status
+        requested = self._integers("Status", status, n, max(Status))
+        counter = np.arange(n) if attributes.counter is None else attributes.counter
         raw = {
-            "Counter": self._whole("Counter", rest["counter"], n),
-            "Kind": self._whole("Kind", rest["kind"], n, max(Kind)),
-            "ComponentIndex": self._whole("ComponentIndex", rest["component_index"], n),
-            "ComponentCount": self._whole("ComponentCount", rest["component_count"], n),
+            "Counter": self._integers("Counter", counter, n),
+            "Kind": self._integers("Kind", attributes.kind, n, max(Kind)),
+            "ComponentIndex": self._integers("ComponentIndex", attributes.component_index, n),
+            "ComponentCount": self._integers("ComponentCount", attributes.component_count, n),
         }
-        index, count = (np.broadcast_to(rest[f"component_{key}"], n) for key in ("index", "count"))
+        index = np.broadcast_to(np.asarray(attributes.component_index), n)
+        count = np.broadcast_to(np.asarray(attributes.component_count), n)
         if (index >= count).any():
             i = int((index >= count).argmax())
             raise EncodeError(
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
-        clipped = self._put_extent(raw, rest, n)
-        wish = self._sayable(wish)
-        self._put_gaussian(raw, mean, cov, wish, clipped, broken, cover)
-        return self._sealed(raw, data_ids, n)
+        clipped = self._put_extent(raw, attributes, n)
+        self._put_age_and_weight(raw, attributes, n)
+        self._put_gaussian(raw, gaussians, self._supported(requested), clipped, cover)
+        return self._protect(raw, data_ids, n)
 
-    def _sayable(self, wish: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n,) the most that the covariance code can say of what is wished."""
-        most = self._covariance.status
-        if most == Status.FULL:
-            return wish
-        bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
-        return np.where(bare, wish, most)
-
-    def rounded(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(..., 4) means as they will be decoded."""
+    def decoded_mean(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (..., 4) means that a receiver decodes."""
         columns = zip(self._mean, np.moveaxis(mean, -1, 0), strict=True)
-        return np.stack([f.physical(f.limited(f.raw(x))) for f, x in columns], axis=-1)
+        return np.stack([s.physical(s.limited(s.raw(x))) for s, x in columns], axis=-1)
+
+    def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the (n,) requested status, as far as the covariance code supports it."""
+        best = self._covariance.status
+        if best == Status.FULL:
+            return requested
+        return np.where(_without_covariance(requested), requested, best)
 
     def _put_gaussian(
         self,
         raw: dict[str, NDArray[np.int64]],
-        mean: NDArray[np.float64],
-        cov: NDArray[np.float64],
-        wish: NDArray[np.int64],
+        gaussians: CheckedGaussians,
+        requested: NDArray[np.int64],
         clipped: NDArray[np.bool_],
-        broken: NDArray[np.bool_],
         cover: NDArray[np.float64] | None,
     ) -> None:
-        """Raw mean, covariance and status.
+        """Add the raw mean, covariance and status.
 
         Args:
-            raw: is added to.
-            mean: (n, 4).
-            cov: (n, 4, 4).
-            wish: (n,) status that the caller asks for.
-            clipped: (n,) rows that are saturated already; is added to.
-            broken: (n,) covariances that are indefinite.
-            cover: (n, 4, 4) what else is to be covered.
+            raw: values by signal, to which these are added.
+            gaussians: n checked Gaussians.
+            requested: (n,) requested status.
+            clipped: (n,) rows with a clipped extent.
+            cover: (n, 4, 4) that the decoded covariances must cover besides their own.
         """
+        mean, cov, indefinite = gaussians
         decoded = np.empty_like(mean)
         for i, signal in enumerate(self._mean):
             nearest = signal.raw(mean[:, i])
             limited = signal.limited(nearest)
-            clipped |= nearest != limited
+            clipped = clipped | (nearest != limited)
             raw[signal.name] = limited.astype(np.int64)
             decoded[:, i] = signal.physical(limited)
         with np.errstate(over="ignore"):
             d = mean - decoded
             error = cov + d[:, :, None] * d[:, None, :]
-        if broken.any():
-            error[broken] += nearest_covariance(cov[broken]) - cov[broken]
-        alone = wish == Status.DIAGONAL
-        if alone.any():
-            variances = np.einsum("nii->ni", cov[alone])
-            error[alone] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[alone]
-            broken = broken & ~alone
+        if indefinite.any():
+            error[indefinite] += nearest_covariance(cov[indefinite]) - cov[indefinite]
+        diagonal = requested == Status.DIAGONAL
+        if diagonal.any():
+            variances = np.einsum("nii->ni", cov[diagonal])
+            error[diagonal] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[diagonal]
+            indefinite = indefinite & ~diagonal
         if cover is not None:
             error += cover
         coded = self._covariance.encode(error, self.layout.resolution)
         raw |= coded.raw
 
-        bare = (wish == Status.UNKNOWN) | (wish == Status.OUT_OF_RANGE)
-        if bare.any():
+        without = _without_covariance(requested)
+        if without.any():
             for name, value in self._covariance.widest().items():
-                raw[name][bare] = value
-        met_an_end = (clipped | coded.saturated) & (wish == Status.FULL)
-        status = np.where(met_an_end, Status.SATURATED, wish)
-        # A repaired matrix is singular, so it is saturated as a rule; the repair says more.
-        status[(broken | (wish == Status.REPAIRED)) & ~bare] = Status.REPAIRED
-        # A mean that is cut by more than its rounding, with nothing to cover it.
+                raw[name][without] = value
+        at_limit = (clipped | coded.saturated) & (requested == Status.FULL)
+        status = np.where(at_limit, Status.SATURATED, requested)
+        # A repaired matrix is singular, so most of them saturate too; REPAIRED says more.
+        status[(indefinite | (requested == Status.REPAIRED)) & ~without] = Status.REPAIRED
+        # Without a covariance, nothing covers a mean that is clipped by more than its rounding.
         far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
-        status[np.where(bare, far, ~coded.covered)] = Status.OUT_OF_RANGE
-        raw["Status"] = np.where(wish == Status.OUT_OF_RANGE, wish, status)
+        status[np.where(without, far, ~coded.covered)] = Status.OUT_OF_RANGE
+        raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
 
     def _put_extent(
-        self,
-        raw: dict[str, NDArray[np.int64]],
-        rest: Mapping[str, ArrayLike],
-        n: int,
+        self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
     ) -> NDArray[np.bool_]:
-        """Raw extents, rounded inwards, age and weight; which extents claim too much."""
+        """Add the raw ends of the valid range, rounded inwards.
+
+        Returns:
+            (n,) rows whose valid range is longer than the true one, because an end was clipped.
+        """
+        x_min = _finite("x_min", attributes.x_min, n)
+        x_max = _finite("x_max", attributes.x_max, n)
         clipped = np.zeros(n, dtype=bool)
-        slack = 1e-9
-        ends = (("XMin", "x_min", np.ceil, 1), ("XMax", "x_max", np.floor, -1))
-        for name, key, inwards, sign in ends:
+        for name, end, inwards, sign in (
+            ("XMin", x_min, np.ceil, 1),
+            ("XMax", x_max, np.floor, -1),
+        ):
             signal = self.layout[name]
-            steps = (_finite(rest, key, n) - signal.offset) / signal.factor
-            wanted = inwards(steps - sign * slack)
+            steps = (end - signal.offset) / signal.factor
+            wanted = inwards(steps - sign * SLACK)
             limited = signal.limited(wanted)
             clipped |= sign * (wanted - limited) > 0
             raw[name] = limited.astype(np.int64)
-        if (_finite(rest, "x_min", n) > _finite(rest, "x_max", n)).any():
+        if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
-        signal, age = self.layout["Age"], 1000 * _finite(rest, "age", n)
+        return clipped
+
+    def _put_age_and_weight(
+        self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
+    ) -> None:
+        """Add the raw age, rounded up, and the raw weight of the component."""
+        signal, age = self.layout["Age"], 1000 * _finite("age", attributes.age, n)
         if (age < 0).any():
             raise EncodeError(f"age must be 0 s or more, got {age.min() / 1000:g}")
-        steps = np.ceil((age - signal.offset) / signal.factor - slack)  # never younger than it is
+        steps = np.ceil((age - signal.offset) / signal.factor - SLACK)
         raw["Age"] = signal.limited(steps).astype(np.int64)
         signal = self.layout["ComponentWeight"]
-        weight = _finite(rest, "component_weight", n)
+        weight = _finite("component_weight", attributes.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
             raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
         raw["ComponentWeight"] = signal.limited(signal.raw(weight)).astype(np.int64)
-        return clipped
 
-    def _whole(
+    def _integers(
         self, name: str, value: ArrayLike, n: int, most: int | None = None
     ) -> NDArray[np.int64]:
-        """(n,) raw values of a signal that counts or names; most is the greatest lawful value."""
+        """Return the (n,) raw values of a signal that holds a number or an enumeration.
+
+        Args:
+            name: of the signal.
+            value: (n,) physical values or one for all.
+            n: number of records.
+            most: greatest valid value; None: the end of the signal's range.
+        """
         signal = self.layout[name]
         values = np.broadcast_to(np.asarray(value), n)
         if name == "Counter":
@@ -189,29 +213,17 @@ class RecordWriter:
             )
         return raw.astype(np.int64)
 
-    def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
-        """(n,) data IDs of slots."""
-        given = np.broadcast_to(np.asarray(slot), n)
-        slots = given.astype(np.int64)
-        table = np.full(max(Slot) + 1, -1)
-        for known, channel in self.layout.channels.items():
-            table[known] = channel.data_id
-        bad = (slots < 0) | (slots > max(Slot)) | (slots != given)
-        bad |= table[slots.clip(0, max(Slot))] < 0
-        if bad.any():
-            raise EncodeError(f"{self.layout.source} has no message for slot {given[bad][0]}")
-        return table[slots].astype(np.uint16)
-
-    def _sealed(
+    def _protect(
         self, raw: dict[str, NDArray[np.int64]], data_ids: NDArray[np.uint16], n: int
     ) -> NDArray[np.uint8]:
+        """Pack records, and add their page numbers, transfer IDs and checksums."""
         for page in range(self.layout.pages):
             raw[f"{PAGE}{page}"] = np.full(n, page, dtype=np.int64)
             raw[f"{TRANSFER_ID}{page}"] = raw["Counter"]
-        if n <= FEW:  # not worth the arrays
+        if n <= FEW:
             rows = zip(*(values.tolist() for values in raw.values()), strict=True)
             records = [
-                self._sealed_one(dict(zip(raw, row, strict=True)), data_id)
+                self.protect_one(dict(zip(raw, row, strict=True)), data_id)
                 for row, data_id in zip(rows, data_ids.tolist(), strict=True)
             ]
             joined = np.frombuffer(b"".join(records), dtype=np.uint8)
@@ -222,14 +234,19 @@ class RecordWriter:
         payloads[:, self._crc_offset + 1] = crc >> 8
         return payloads
 
-    def _sealed_one(self, raw: dict[str, int], data_id: int) -> bytes:
+    def protect_one(self, raw: dict[str, int], data_id: int) -> bytes:
+        """Pack the raw values of one record, and add its checksum."""
         payload = self._packing.pack_one(raw)
         crc = record_crc_one(payload, data_id, self._crc_offset).to_bytes(CRC_BYTES, "little")
         return payload[: self._crc_offset] + crc + payload[self._crc_offset + CRC_BYTES :]
 
 
-def _finite(rest: Mapping[str, ArrayLike], key: str, n: int) -> NDArray[np.float64]:
-    values = np.broadcast_to(np.asarray(rest[key], dtype=float), n)
+def _without_covariance(status: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
+
+
+def _finite(name: str, value: ArrayLike, n: int) -> NDArray[np.float64]:
+    values = np.broadcast_to(np.asarray(value, dtype=float), n)
     if not np.isfinite(values).all():
-        raise EncodeError(f"{key} must be finite, got {values[~np.isfinite(values)][0]}")
+        raise EncodeError(f"{name} must be finite, got {values[~np.isfinite(values)][0]}")
     return values

@@ -1,4 +1,4 @@
-"""End-to-end protection of a record: AUTOSAR profile 5, for many records at once."""
+"""Checksum of AUTOSAR E2E profile 5, for one record or many at once."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _TABLE = _table()
 
 
 def crc16(columns: list[NDArray[np.uint8]], n: int) -> NDArray[np.uint16]:
-    """(n,) CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF) of n byte strings.
+    """Return the (n,) CRC-16/CCITT-FALSE (polynomial 0x1021, initial 0xFFFF) of n byte strings.
 
     Args:
-        columns: the bytes, one (n,) array for each place in the strings.
+        columns: one (n,) array for each byte of the strings.
         n: number of strings.
 
     >>> text = np.frombuffer(b"123456789", dtype=np.uint8)
@@ -43,26 +43,26 @@ def crc16(columns: list[NDArray[np.uint8]], n: int) -> NDArray[np.uint16]:
 def record_crc(
     payloads: NDArray[np.uint8], data_id: ArrayLike, offset: int = 0
 ) -> NDArray[np.uint16]:
-    """(N,) checksums of records after AUTOSAR E2E profile 5 (PRS_E2EProtocol).
+    """Return the (N,) checksums of records as in AUTOSAR E2E profile 5 (PRS_E2EProtocol).
 
-    Over the bytes before the header, those after its CRC (so the counter is
-    protected too), and the data ID, low byte first.
+    The checksum covers the bytes before the header, the bytes after its CRC (so the counter too),
+    and the data ID, low byte first.
 
     Args:
         payloads: (N, record bytes).
         data_id: (N,) or one for all, 16 bits.
-        offset: place of the header [byte].
+        offset: start of the header [byte].
     """
     n = len(payloads)
-    salt = np.broadcast_to(np.asarray(data_id, dtype=np.uint16), n)
+    ids = np.broadcast_to(np.asarray(data_id, dtype=np.uint16), n)
     bytes_ = np.ascontiguousarray(payloads.T)
     columns = [*bytes_[:offset], *bytes_[offset + CRC_BYTES :]]
-    columns += [(salt & 0xFF).astype(np.uint8), (salt >> 8).astype(np.uint8)]
+    columns += [(ids & 0xFF).astype(np.uint8), (ids >> 8).astype(np.uint8)]
     return crc16(columns, n)
 
 
 def record_crc_one(payload: bytes, data_id: int, offset: int = 0) -> int:
-    """The checksum of one record: as ``record_crc``, without the cost of arrays."""
+    """Return the checksum of one record: as ``record_crc``, without the cost of arrays."""
     crc = crc_hqx(payload[:offset], 0xFFFF)
     crc = crc_hqx(payload[offset + CRC_BYTES :], crc)
     return crc_hqx(data_id.to_bytes(2, "little"), crc)

@@ -1,8 +1,8 @@
-"""AUTOSAR's E2E state machine: from the checks of single records to what a channel is worth.
+"""AUTOSAR's E2E check of a record's counter, and E2E state machine of a slot.
 
-After PRS_E2EProtocol (document 849, R20-11), the check of profile 5 (E2E_P05Check) and the state
-machine (E2E_SMCheck) with its windows of their own size for each state. Left out is what that
-release adds as transitToInvalidExtended: INIT is left for INVALID by errors alone.
+As in PRS_E2EProtocol (document 849, R20-11): the check of profile 5 (E2E_P05Check), and the state
+machine (E2E_SMCheck) with a window size for each state. The option transitToInvalidExtended of that
+release is not implemented: only errors cause the transition from INIT to INVALID.
 """
 
 from __future__ import annotations
@@ -12,31 +12,31 @@ from enum import IntEnum
 
 __all__ = ["COUNTERS", "E2EConfig", "E2EState", "ProfileStatus", "StateMachine", "check"]
 
-#: How many counters profile 5 has.
+#: Number of counters of profile 5.
 COUNTERS = 256
-#: Beyond half of them a step forward is as likely one back.
+#: Greatest step of the counter; a larger one may as well be a step back.
 LONGEST_DELTA = COUNTERS // 2 - 1
 LONGEST_WINDOW = 255
 
 
 class ProfileStatus(IntEnum):
-    """Outcome of the check of one record, or of a cycle without one; numbers as in profile 5."""
+    """Result of the check of one record, or of a cycle without one; numbers as in profile 5."""
 
-    OK = 0x00  #: the checksum holds, and the counter is the next one
-    NONEWDATA = 0x01  #: a cycle went by, and nothing came
-    ERROR = 0x07  #: the checksum does not hold, or the record is none
-    REPEATED = 0x08  #: the counter is that of the record before
-    OKSOMELOST = 0x20  #: OK, but up to max_delta_counter - 1 records are missing before it
-    WRONGSEQUENCE = 0x40  #: the checksum holds, and the counter has jumped
+    OK = 0x00  #: the checksum is correct, and the counter is the next one
+    NONEWDATA = 0x01  #: no record was received for a cycle
+    ERROR = 0x07  #: the checksum or the format of the record is wrong
+    REPEATED = 0x08  #: the counter is that of the previous record
+    OKSOMELOST = 0x20  #: OK, but up to max_delta_counter - 1 records before it are missing
+    WRONGSEQUENCE = 0x40  #: the checksum is correct, but the counter has jumped
 
 
 class E2EState(IntEnum):
-    """What the records of a slot are worth; numbers as in AUTOSAR, which has DEINIT too."""
+    """State of the records of a slot; numbers as in AUTOSAR, which also has DEINIT."""
 
-    VALID = 0  #: enough of the last records were good
-    NODATA = 2  #: nothing has come yet
-    INIT = 3  #: not enough has come yet to tell
-    INVALID = 4  #: too few of the last records were good, or too many bad: do not use the line
+    VALID = 0  #: enough of the last checks were OK
+    NODATA = 2  #: no record has been received yet
+    INIT = 3  #: too few records have been received yet
+    INVALID = 4  #: too few of the last checks were OK, or too many errors: do not use the line
 
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
@@ -45,32 +45,31 @@ VALID, NODATA, INIT, INVALID = E2EState
 
 @dataclass(frozen=True, slots=True)
 class E2EConfig:
-    """Window sizes and bounds of a state machine, by AUTOSAR's names.
+    """Window sizes and bounds of a state machine, with AUTOSAR's names.
 
-    The defaults are for lines at 20 Hz, 50 ms apart, where a window of 10 is half a
-    second. VALID is left when fewer than 6 of 10 checks were OK: four lost lines do not
-    matter, 5 cycles of silence do, and so does a second sender, which makes every other
-    record one out of sequence. 3 errors of 10 end it too: CAN's own checksum repairs
-    by repetition what the wire does, so they come from a sender or a gateway at fault. It
-    takes 8 good checks to regain VALID, more than to keep it, lest the state flicker, and
-    none of them from before the fault.
+    The defaults are for lines at 20 Hz, 50 ms apart, where a window of 10 is half a second. VALID
+    requires that at least 6 of 10 checks are OK. So four lost lines do not matter, but 5 cycles of
+    silence do, and a second sender does too, because it puts every other record out of sequence.
+    VALID also ends with 3 errors of 10: CAN repeats frames that are damaged on the bus, so errors
+    come from a faulty sender or gateway. To become VALID again takes 8 OKs, more than to stay
+    VALID, so that the state does not toggle. None of them is from before the fault.
 
     Args:
-        max_delta_counter: farthest step of the counter that passes for lost records. 16 is
-            two whole mixtures of 8 parts, or 0.8 s of single lines.
-        window_size_init: how many of the last checks count while INIT.
-        window_size_valid: how many count while VALID; not less than the others.
-        window_size_invalid: how many count while INVALID.
-        min_ok_state_init: good ones that it takes from INIT to VALID.
-        min_ok_state_valid: good ones that it takes to stay VALID.
-        min_ok_state_invalid: good ones that it takes from INVALID to VALID.
-        max_error_state_init: errors with which INIT may still become VALID; more make it INVALID.
-        max_error_state_valid: errors with which VALID stays so.
-        max_error_state_invalid: errors with which INVALID may become VALID.
-        clear_to_invalid: forget all checks on the way to INVALID.
+        max_delta_counter: greatest step of the counter that counts as lost records. 16 is two
+            complete mixtures of 8 components, or 0.8 s of single lines.
+        window_size_init: number of the last checks that count in INIT.
+        window_size_valid: number that counts in VALID; not less than the others.
+        window_size_invalid: number that counts in INVALID.
+        min_ok_state_init: OKs required from INIT to VALID.
+        min_ok_state_valid: OKs required to stay VALID.
+        min_ok_state_invalid: OKs required from INVALID to VALID.
+        max_error_state_init: errors allowed from INIT to VALID; with more, INIT becomes INVALID.
+        max_error_state_valid: errors allowed to stay VALID.
+        max_error_state_invalid: errors allowed from INVALID to VALID.
+        clear_to_invalid: clear the window at the transition to INVALID.
 
     Raises:
-        ValueError: a value breaks a constraint of the standard.
+        ValueError: a value violates a constraint of the standard.
 
     >>> E2EConfig(min_ok_state_valid=9)
     Traceback (most recent call last):
@@ -127,7 +126,7 @@ got 9 + 2 > 10
             )
 
     def of(self, state: E2EState) -> tuple[int, int, int]:
-        """Window size, least OKs and most errors in a state; those of INIT in NODATA."""
+        """Return window size, least OKs and most errors in a state; in NODATA, those of INIT."""
         return self._of("init" if state is E2EState.NODATA else state.name.lower())
 
     def _of(self, state: str) -> tuple[int, int, int]:
@@ -139,15 +138,15 @@ got 9 + 2 > 10
 def check(
     counter: int, last_counter: int | None, max_delta_counter: int, modulus: int = COUNTERS
 ) -> ProfileStatus:
-    """Check the counter of a record whose checksum holds (E2E_P05Check).
+    """Check the counter of a record whose checksum is correct (E2E_P05Check).
 
     Args:
         counter: of the record.
-        last_counter: of the good record before it. None where it is the first, which is OK:
-            AUTOSAR compares it with the initial 255, and a receiver that joins late
-            begins with WRONGSEQUENCE.
+        last_counter: of the previous record with a correct checksum. None if there is none; the
+            result is then OK. (AUTOSAR compares with the initial value 255, so a receiver that
+            joins late starts with WRONGSEQUENCE.)
         max_delta_counter: see ``E2EConfig``.
-        modulus: how many counters there are.
+        modulus: number of counters.
 
     >>> [check(c, 254, 2).name for c in (255, 0, 1, 254, 253)]
     ['OK', 'OKSOMELOST', 'WRONGSEQUENCE', 'REPEATED', 'WRONGSEQUENCE']
@@ -161,7 +160,7 @@ def check(
 
 
 class StateMachine:
-    """The state of one slot, by its last checks (E2E_SMCheck). Time is the caller's.
+    """State machine of one slot, driven by its last checks (E2E_SMCheck). It has no clock.
 
     ======== ============================================================ =======
     in       when                                                         becomes
@@ -173,10 +172,10 @@ class StateMachine:
     INVALID  errors <= max_error_state_invalid, OKs >= min_ok_..._invalid VALID
     ======== ============================================================ =======
 
-    Errors and OKs are counted in the window of the state, the last checks since it was
-    cleared: OK and OKSOMELOST are OKs, ERROR is an error; REPEATED, WRONGSEQUENCE and
-    NONEWDATA are neither, and take the place of an OK. From a small window to a larger
-    one its checks go along, and what had left it does not come back.
+    Errors and OKs are counted in the window of the state: the last checks since the window was
+    cleared. OK and OKSOMELOST are OKs, and ERROR is an error. REPEATED, WRONGSEQUENCE and NONEWDATA
+    are neither, but fill the window. At a transition to a larger window, the checks in the smaller
+    one are kept, and older checks do not return.
 
     >>> machine = StateMachine(E2EConfig())
     >>> [machine.step(ProfileStatus.OK).name for _ in range(7)]
@@ -188,7 +187,7 @@ class StateMachine:
     def __init__(self, config: E2EConfig) -> None:
         self.config = config
         self._bounds = {state: config.of(state) for state in E2EState}
-        # The window as bits, the last check lowest: those that were OK, and those in error.
+        # The window as bits, the last check lowest: one bit each for OK and for ERROR.
         self._oks = self._errors = 0
         self._enter(E2EState.NODATA)
 
@@ -203,7 +202,7 @@ class StateMachine:
         return self._errors.bit_count()
 
     def step(self, status: ProfileStatus) -> E2EState:
-        """Take the check of one record, or NONEWDATA for a cycle without one."""
+        """Return the state after the check of one record, or NONEWDATA for a cycle without one."""
         state = self.state
         if state is NODATA:
             if status is not ERROR and status is not NONEWDATA:
@@ -222,11 +221,11 @@ class StateMachine:
         return self.state
 
     def clear(self) -> None:
-        """Forget all checks, and keep the state (E2E_SMClearStatus)."""
+        """Clear the window, and keep the state (E2E_SMClearStatus)."""
         self._oks = self._errors = 0
 
     def _enter(self, state: E2EState) -> None:
-        self.state = state  #: what the slot is worth now
+        self.state = state  #: of the slot
         size, self._min_ok, self._max_error = self._bounds[state]
         self._mask = 2**size - 1
         self._oks &= self._mask

@@ -1,169 +1,63 @@
-"""Authentication of a record: AUTOSAR SecOC with AES-CMAC (RFC 4493).
+"""Authentication of records: AUTOSAR SecOC with AES-CMAC (RFC 4493).
 
-A secured payload is  record | padding | key number | freshness | MAC , where the MAC is
-the first bytes of
+A secured I-PDU is
 
-    AES-CMAC(key, data ID in 16 bits | all before the freshness | freshness in 64 bits)
+    authentic I-PDU: record | padding | key ID
+    truncated freshness value: its low bytes
+    truncated MAC: its first bytes
 
-and the freshness that is sent is the low bytes of those 64 bits. All numbers here have
-their most significant byte first, as in AUTOSAR's specification (SWS_SecureOnboardCommunication).
+and the MAC is
 
-The freshness value is the sender's time in microseconds, or one more than the last one where
-that is greater. So it grows with each frame, also over a restart, and nothing has to be
-stored. What it guards against and what it does not is told in docs/security.md.
+    AES-CMAC(key, data ID in 16 bits | authentic I-PDU | freshness value in 64 bits)
+
+All numbers are big-endian, as in AUTOSAR's specification (SWS_SecureOnboardCommunication).
+
+The freshness value is the sender's time in microseconds, or the last freshness value plus one if
+that is greater. So it increases with each frame, also over a restart, and nothing has to be stored.
+docs/security.md says which attacks this prevents and which it does not.
 """
 
 from __future__ import annotations
 
-import hmac
 import math
-import re
 from collections.abc import Callable
-from typing import Any
 
-from ...errors import EncodeError, KeyMaterialError, MissingExtraError
+from ...errors import EncodeError
 from ..message.channel import SecuredForm
 from ..reasons import Reason
+from .key import Key
 
-__all__ = ["Authenticator", "Key", "Verifier", "complete"]
+__all__ = ["Authenticator", "Verifier", "complete"]
 
-#: Bytes of the secrets of AES-128 and AES-256.
-SECRET_BYTES = (16, 32)
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
-#: The greatest freshness value that a caller may state: what is completed fits 64 bits too.
+#: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
 MOST_FRESHNESS = 2**63 - 1
 
 
-class Key:
-    """A secret for AES-CMAC, with the number by which frames name it.
-
-    The secret itself is not kept where Python can show it: ``repr`` has the number
-    and a fingerprint, which tells two keys apart and says nothing of either. No error holds
-    it, nor do the locals of a frame of ours that an error has left.
-
-    Args:
-        secret: 16 or 32 random bytes.
-        key_id: its number on the wire, 0 to 255.
-
-    Raises:
-        KeyMaterialError: the secret is no bytes, too short, too long, or one byte repeated, or
-            the number is none.
-        MissingExtraError: the package cryptography is not installed.
-
-    >>> Key(bytes(range(16)), key_id=7)
-    Key(key_id=7, fingerprint='78ad15')
-    >>> Key.from_hex("00ff", source="the file")
-    Traceback (most recent call last):
-    ...
-    maplines_can.errors.KeyMaterialError: the file must hold 32 or 64 hex digits (AES-128 or \
-AES-256), got 4 characters
-    """
-
-    __slots__ = ("_base", "_check", "fingerprint", "key_id")
-
-    def __init__(self, secret: bytes, key_id: int = 1) -> None:
-        self.key_id, self.fingerprint = -1, "none"  # what a traceback shows of a key refused
-        try:
-            whole = isinstance(key_id, int)  # else it may be the secret, in the wrong place
-            if not (whole and 0 <= key_id <= 255):
-                got = repr(key_id) if whole else f"a {type(key_id).__name__}"
-                raise KeyMaterialError(f"key_id must be a whole number from 0 to 255, got {got}")
-            if not isinstance(secret, bytes | bytearray | memoryview):
-                raise KeyMaterialError(
-                    f"a key must be bytes, got a {type(secret).__name__}; Key.from_hex reads hex "
-                    "digits"
-                )
-            if len(secret) not in SECRET_BYTES:
-                raise KeyMaterialError(
-                    f"a key must have 16 or 32 bytes (AES-128 or AES-256), got {len(secret)}"
-                )
-            if len(set(secret)) == 1:
-                raise KeyMaterialError("a key must be random; this one is a single byte repeated")
-            aes, cmac = _primitives()
-            self._base = cmac(aes(bytes(secret)))
-            self.key_id = int(key_id)
-        finally:
-            del secret, key_id  # a traceback may show what still has a name
-        self._check = self.mac(b"maplines_can")  # shorter than any data that is sent
-        self.fingerprint = self._check[:3].hex()
-
-    @classmethod
-    def from_hex(cls, text: str, key_id: int = 1, source: str = "a key") -> Key:
-        """A key from hex digits; white space around them is left out.
-
-        Args:
-            text: the digits.
-            key_id: see ``Key``.
-            source: what errors call it; they never hold the text.
-        """
-        try:
-            if not isinstance(text, str):
-                raise KeyMaterialError(
-                    f"{source} must be text of hex digits, got a {type(text).__name__}; Key takes "
-                    "bytes"
-                )
-            text = text.strip()
-            length, good = len(text), re.fullmatch("[0-9A-Fa-f]*", text) is not None
-            if not good or length / 2 not in SECRET_BYTES:
-                odd = "" if good else ", not all of them hex digits"
-                raise KeyMaterialError(
-                    f"{source} must hold 32 or 64 hex digits (AES-128 or AES-256), got {length} "
-                    f"characters{odd}"
-                )
-            return cls(bytes.fromhex(text), key_id)
-        finally:
-            del text  # a traceback may show what still has a name
-
-    def mac(self, data: bytes) -> bytes:
-        """(16,) the whole AES-CMAC of some bytes."""
-        cmac = self._base.copy()  # four times as fast as to begin with the secret
-        cmac.update(data)
-        return bytes(cmac.finalize())
-
-    def holds(self, mac: bytes, data: bytes) -> bool:
-        """Whether these are the first bytes of the MAC; takes as long wherever they differ."""
-        return hmac.compare_digest(self.mac(data)[: len(mac)], mac)
-
-    def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Key):
-            return NotImplemented
-        same = hmac.compare_digest(self._check, other._check)
-        return same and self.key_id == other.key_id
-
-    def __hash__(self) -> int:
-        return hash((self.key_id, self.fingerprint))
-
-    def __repr__(self) -> str:
-        return f"Key(key_id={self.key_id}, fingerprint={self.fingerprint!r})"
-
-    def __reduce__(self) -> str:
-        raise TypeError("a Key cannot be pickled or copied, since that would write its secret")
-
-
 class Authenticator:
-    """The keys of a sender or a receiver, and the freshness values that a sender gives.
+    """Keys of a sender or a receiver, and the freshness values of a sender.
 
-    Keys may change while it is in use: ``add`` the new key to all receivers and the sender,
-    ``use`` it at the sender, ``retire`` the old one when no frame of it is on its way. A frame
-    names its key, so no line is lost.
+    Keys can be changed during operation without losing a line, because each frame has the ID of
+    its key: ``add`` the new key to all receivers and the sender, ``use`` it at the sender, and
+    ``retire`` the old key when all its frames have been received.
 
-    One thread sends with it; any may receive, and any may change the keys.
+    One thread may send with it; any thread may receive, and any thread may change the keys.
 
     Args:
-        keys: the first is sent with; all are received with.
-        clock: time since 1970 as an int [ns], such as ``time.time_ns``; any counter that grows
-            over restarts does too. It is tried once at birth. A receiver may go without: see
-            ``Verifier``.
-        window_ns: how far a frame's freshness may be from the receiver's clock [ns], 1000 or
-            more. More than the two clocks differ and a frame may wait, the 0.1 s included
-            that a ``Transmitter`` signs ahead.
-        not_before: freshness values up to it are neither given nor accepted: the last one
-            before a restart, for who has no clock to rely on [us].
+        keys: the first one signs; all of them verify.
+        clock: function that returns the time since 1970 as an int [ns], such as ``time.time_ns``.
+            Any clock that increases over restarts will do. It is called once here, as a check. A
+            receiver can do without; see ``Verifier``.
+        window_ns: greatest difference between a frame's freshness value and the receiver's clock
+            [ns], 1000 or more. It must exceed the difference of the two clocks plus the time that
+            a frame may wait, which includes the 0.1 s that a ``Transmitter`` signs ahead.
+        not_before: freshness values up to this one are neither sent nor accepted [us]. Without a
+            reliable clock, the last freshness value before a restart.
 
     Raises:
-        TypeError: what should be a key is none.
-        ValueError: there is no key, two have the same number, the clock does not give whole
-            nanoseconds, or a bound is out of range.
+        TypeError: a key is not a ``Key``.
+        ValueError: there is no key, two keys have the same ID, the clock does not return an int,
+            or a bound is out of range.
 
     >>> form = SecuredForm(length=48, freshness_bytes=7, mac_bytes=8)
     >>> sender = Authenticator(Key(bytes(range(16))), clock=lambda: 1_000_000)
@@ -195,12 +89,12 @@ class Authenticator:
         if not keys:
             raise ValueError("an authenticator needs a key or more")
         if strange := [type(key).__name__ for key in keys if not isinstance(key, Key)]:
-            del keys  # one may be a bare secret
+            del keys  # one of them may be a secret
             raise TypeError(f"keys must be of the class Key, got a {strange[0]}; make a Key of it")
         now = clock() if callable(clock) else None
         if clock is not None and not isinstance(now, int):
             raise ValueError(
-                "clock must be a function that gives whole nanoseconds as an int, such as "
+                "clock must be a function that returns nanoseconds as an int, such as "
                 f"time.time_ns, got {now!r} from {clock!r}"
             )
         if not (isinstance(window_ns, int | float) and 1000 <= window_ns < math.inf):
@@ -211,7 +105,7 @@ class Authenticator:
         if not (isinstance(not_before, int) and 0 <= not_before <= MOST_FRESHNESS):
             raise ValueError(
                 f"not_before must be a whole number (int) from 0 to 2^63 - 1 us, got "
-                f"{not_before!r}; it is what last_sent was, or a last value accepted"
+                f"{not_before!r}; take a stored last_sent, or a stored last accepted value"
             )
         self._keys: dict[int, Key] = {}
         for key in keys:
@@ -220,42 +114,42 @@ class Authenticator:
         self._clock = clock
         self.window = int(window_ns // 1000)  #: [us]
         self.not_before = not_before  #: [us]
-        #: The last freshness value given to a frame [us]; what to store for ``not_before``.
+        #: Last freshness value of a sent frame [us]; to be stored for ``not_before``.
         self.last_sent = not_before
 
     @property
     def active(self) -> Key:
-        """The key that frames are sent with."""
+        """Key that signs."""
         return self._active
 
     @property
     def keys(self) -> tuple[Key, ...]:
-        """All keys, by their numbers."""
+        """All keys, by key ID."""
         return tuple(key for _, key in sorted(self._keys.items()))
 
     def key(self, key_id: int) -> Key | None:
-        """The key of a number."""
+        """Return the key with this key ID; None if there is none."""
         return self._keys.get(key_id)
 
     def add(self, key: Key) -> None:
-        """Accept this key too.
+        """Accept frames of this key too.
 
         Raises:
-            TypeError: it is no ``Key``.
-            ValueError: another key has its number: frames of the two could not be told apart.
+            TypeError: it is not a ``Key``.
+            ValueError: another key has the same key ID, so their frames could not be told apart.
         """
         if not isinstance(key, Key):
             strange = type(key).__name__
-            del key  # it may be a bare secret
+            del key  # it may be a secret
             raise TypeError(f"key must be of the class Key, got a {strange}; make a Key of it")
         if self._keys.setdefault(key.key_id, key) != key:
             raise ValueError(
-                f"key_id {key.key_id} is taken by {self._keys[key.key_id]!r}; number the new key "
-                "otherwise, or retire that one first"
+                f"key_id {key.key_id} is taken by {self._keys[key.key_id]!r}; give the new key "
+                "another key_id, or retire that one first"
             )
 
     def use(self, key_id: int) -> None:
-        """Send with this key from now on.
+        """Sign with this key from now on.
 
         Raises:
             ValueError: there is no such key.
@@ -265,13 +159,14 @@ class Authenticator:
         self._active = self._keys[key_id]
 
     def retire(self, key_id: int) -> None:
-        """Accept this key no more.
+        """Accept frames of this key no longer.
 
-        Who has sent must ``use`` another key before. Who has not may retire any but the
-        last; the one that was added first of those that are left is then ``active``.
+        A sender that has sent must ``use`` another key first. An authenticator that has not sent
+        may retire any key but the last; if it is the active one, the earliest added of the
+        remaining keys becomes active.
 
         Raises:
-            ValueError: it is the one that is sent with or the last one, or there is none.
+            ValueError: the key is in use, is the last one, or does not exist.
         """
         kept = set()
         if self.last_sent > self.not_before or len(self._keys) == 1:
@@ -287,14 +182,19 @@ class Authenticator:
         del self._keys[key_id]
 
     def now(self) -> int | None:
-        """The time as a freshness value [us]; None without a clock."""
+        """Return the time as a freshness value [us]; None without a clock."""
         return None if self._clock is None else self._clock() // 1000
 
     def secure(self, record: bytes, data_id: int, form: SecuredForm) -> bytes:
-        """The payload that carries a record, with the next freshness value.
+        """Return the secured I-PDU of a record, with the next freshness value.
+
+        Args:
+            record: record bytes.
+            data_id: SecOC data ID of the message.
+            form: format of the secured I-PDU.
 
         Raises:
-            EncodeError: there is no clock to begin with, or it is out of range.
+            EncodeError: there is no clock, or its time is out of range.
         """
         now = self.now()
         if now is None:
@@ -305,40 +205,45 @@ class Authenticator:
         self.last_sent = freshness
         key = self._active
         authentic = record.ljust(form.authentic_bytes - 1, b"\0") + bytes([key.key_id])
-        sent = freshness.to_bytes(FRESHNESS_BYTES, "big")[-form.freshness_bytes :]
-        mac = key.mac(_authenticated(data_id, authentic, freshness))
-        return authentic + sent + mac[: form.mac_bytes]
+        truncated = freshness.to_bytes(FRESHNESS_BYTES, "big")[-form.freshness_bytes :]
+        mac = key.mac(_data_to_authenticator(data_id, authentic, freshness))
+        return authentic + truncated + mac[: form.mac_bytes]
 
 
 class Verifier:
-    """What a receiver knows of freshness: the last value accepted of each data ID.
+    """Verifier of secured I-PDUs, with the last accepted freshness value of each data ID.
 
-    Called with a payload and its data ID it gives the authentic bytes back, or the reason
-    why not. Nothing but a MAC that holds moves it.
+    Call it with a payload and its data ID; it returns the authentic I-PDU, or the reason of the
+    rejection. Only a valid MAC changes its state.
 
-    A value is accepted if it is greater than the last one, and with a clock
-    also within the authenticator's window about now. The clock is what refuses a recording
-    to a receiver that has just started; without one only ``not_before`` does. It also
-    completes freshness values of less than 7 bytes after a long silence, which
-    without it are taken to be the next ones that end so.
+    A freshness value is accepted if it is greater than the last accepted one, and with a clock,
+    if it is also within the authenticator's window about the current time. Only the clock rejects
+    a recording that is replayed to a receiver that has just started; without a clock, only
+    ``not_before`` does. The clock also reconstructs freshness values of less than 7 bytes after a
+    long silence; without it, the next value with the same low bytes is assumed.
 
     Args:
         authenticator: keys, clock and window.
-        form: of the payloads.
+        form: format of the secured I-PDUs.
     """
 
     def __init__(self, authenticator: Authenticator, form: SecuredForm) -> None:
         self._authenticator, self._form = authenticator, form
-        #: Last freshness value accepted, by data ID [us].
+        #: Last accepted freshness value, by data ID [us].
         self.last_accepted: dict[int, int] = {}
 
     def __call__(self, data: bytes, data_id: int) -> bytes | Reason:
-        """The authentic bytes of a payload: the record, padding, the key's number."""
+        """Return the authentic I-PDU of a secured I-PDU: the record, padding, and the key ID.
+
+        Args:
+            data: payload of the frame.
+            data_id: SecOC data ID of the message.
+        """
         form, authenticator = self._form, self._authenticator
         if len(data) != form.length:
             return Reason.LENGTH
-        authentic, rest = data[: form.authentic_bytes], data[form.authentic_bytes :]
-        sent, mac = rest[: form.freshness_bytes], rest[form.freshness_bytes :]
+        authentic, trailer = data[: form.authentic_bytes], data[form.authentic_bytes :]
+        truncated, mac = trailer[: form.freshness_bytes], trailer[form.freshness_bytes :]
         key = authenticator.key(authentic[-1])
         if key is None:
             return Reason.KEY
@@ -346,11 +251,13 @@ class Verifier:
         now = authenticator.now()
         floor = last if now is None else max(last, now - authenticator.window - 1)
         bits = 8 * form.freshness_bytes
-        freshness = complete(int.from_bytes(sent, "big"), bits, floor)
-        if not key.holds(mac, _authenticated(data_id, authentic, freshness)):
-            # Never accepted, but an operator should know an old frame from a forged one.
+        freshness = complete(int.from_bytes(truncated, "big"), bits, floor)
+        if not key.verify(mac, _data_to_authenticator(data_id, authentic, freshness)):
+            # Never accepted, but the count should distinguish an old frame from a forged one.
             freshness -= 2**bits
-            if freshness < 0 or not key.holds(mac, _authenticated(data_id, authentic, freshness)):
+            if freshness < 0 or not key.verify(
+                mac, _data_to_authenticator(data_id, authentic, freshness)
+            ):
                 return Reason.MAC
             return Reason.REPLAY if freshness <= last else Reason.AGE
         if now is not None and freshness > now + authenticator.window:
@@ -359,30 +266,25 @@ class Verifier:
         return authentic
 
 
-def complete(sent: int, bits: int, floor: int) -> int:
-    """The least value above ``floor`` that ends in these bits (AUTOSAR's reconstruction).
+def complete(truncated: int, bits: int, floor: int) -> int:
+    """Reconstruct a freshness value: the least one above ``floor`` with these low bits.
 
-    >>> [hex(complete(sent, 8, 0x1FE)) for sent in (0xFF, 0xFE, 0x00)]
+    Args:
+        truncated: freshness value as received.
+        bits: its length.
+        floor: greatest freshness value that is not accepted.
+
+    >>> [hex(complete(truncated, 8, 0x1FE)) for truncated in (0xFF, 0xFE, 0x00)]
     ['0x1ff', '0x2fe', '0x200']
     """
-    value = floor >> bits << bits | sent
+    value = floor >> bits << bits | truncated
     return value if value > floor else value + (1 << bits)
 
 
-def _authenticated(data_id: int, authentic: bytes, freshness: int) -> bytes:
+def _data_to_authenticator(data_id: int, authentic: bytes, freshness: int) -> bytes:
+    """Return the data that the MAC covers, AUTOSAR's DataToAuthenticator."""
     return (
         data_id.to_bytes(DATA_ID_BYTES, "big")
         + authentic
         + freshness.to_bytes(FRESHNESS_BYTES, "big")
     )
-
-
-def _primitives() -> tuple[Any, Any]:
-    try:
-        from cryptography.hazmat.primitives.ciphers.algorithms import AES
-        from cryptography.hazmat.primitives.cmac import CMAC
-    except ImportError as error:
-        raise MissingExtraError(
-            'authentication needs cryptography: pip install "maplines_can[secoc]"'
-        ) from error
-    return AES, CMAC

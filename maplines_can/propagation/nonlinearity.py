@@ -1,0 +1,75 @@
+"""Nonlinearity of a function within a Gaussian, and the direction in which it is largest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian import Gaussian
+from .transform import values_at
+
+__all__ = ["Nonlinearity", "nonlinearity"]
+
+#: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
+REACH = np.sqrt(3.0)
+
+
+class Nonlinearity(NamedTuple):
+    """Direction and amount of the largest deviation of a function from its tangent."""
+
+    direction: NDArray[np.float64]  #: (n,) unit vector in the standardised variables
+    #: Standard deviation of the second-order term along the direction divided by the whole
+    #: standard deviation, of the output where this is largest; from 0 to 1.
+    amount: float
+
+
+def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlinearity:
+    """Find the direction in which the second-order term of a function is largest.
+
+    Second differences at sqrt(3) standard deviations give a symmetric matrix for
+    each output, in units of the standard deviation of that output. The direction
+    maximises the sum of the squares of their quadratic forms.
+
+    Args:
+        function: as for a ``Transform``.
+        gaussian: distribution of the input.
+
+    Raises:
+        IllPosedError: the function has no value at a point that is needed.
+    """
+    n = gaussian.dimension
+    axes = np.eye(n)
+    pairs = [(i, j) for i in range(n) for j in range(i)]
+    places = [np.zeros(n), *axes, *-axes]
+    for i, j in pairs:
+        places += [(axes[i] + s * axes[j]) * t / np.sqrt(2) for s in (1, -1) for t in (1, -1)]
+    points = gaussian.mean + REACH * np.array(places) @ gaussian.root.T
+    values = values_at(function, points).reshape(len(points), -1)  # (P, outputs)
+    middle, ahead, behind = values[0], values[1 : n + 1], values[n + 1 : 2 * n + 1]
+    H = np.zeros((values.shape[1], n, n))
+    for i in range(n):
+        H[:, i, i] = (ahead[i] + behind[i] - 2 * middle) / REACH**2
+    for (i, j), (pp, pm, mp, mm) in zip(
+        pairs, values[2 * n + 1 :].reshape(len(pairs), 4, values.shape[1]), strict=True
+    ):
+        # Along (e_i + e_j) / sqrt(2) and (e_i - e_j) / sqrt(2): half their difference is H_ij.
+        H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * REACH**2)
+    slopes = (ahead - behind) / (2 * REACH)
+    variance = (slopes**2).sum(axis=0) + (H**2).sum(axis=(1, 2)) / 2
+    H = H[variance > 0] / np.sqrt(variance[variance > 0])[:, None, None]
+
+    def strength(u: NDArray[np.float64]) -> float:
+        return float((np.einsum("oij,i,j->o", H, u, u) ** 2).sum())
+
+    best = axes[np.argmax([strength(u) for u in axes])]
+    for _ in range(30):  # power iteration of a symmetric form of degree four
+        next_ = np.einsum("o,oij,j->i", np.einsum("oij,i,j->o", H, best, best), H, best)
+        norm = np.linalg.norm(next_)
+        if not norm or strength(next_ / norm) <= strength(best):
+            break
+        best = next_ / norm
+    along = np.einsum("oij,i,j->o", H, best, best)
+    return Nonlinearity(best, float(np.abs(along).max(initial=0.0) / np.sqrt(2)))

@@ -1,0 +1,90 @@
+"""CAN frames of a record: classic pages, one CAN FD frame, or one authenticated CAN FD frame."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ...errors import EncodeError, LayoutError
+from ...line import Slot
+from ..protection.secoc import Authenticator
+from .channel import Channel
+from .layout import Layout
+from .signals import PAGE_BYTES
+
+__all__ = ["Frame", "FrameWriter"]
+
+
+class Frame(NamedTuple):
+    """CAN frame to be sent on any bus."""
+
+    can_id: int
+    data: bytes
+    is_fd: bool = False
+    is_extended: bool = False
+
+
+class FrameWriter:
+    """Writer of the frames of a record.
+
+    Args:
+        layout: of the record.
+        authenticator: of the sender; with it, all frames are authenticated.
+
+    Raises:
+        LayoutError: there is an authenticator, but the DBC has no authenticated message.
+    """
+
+    def __init__(self, layout: Layout, authenticator: Authenticator | None) -> None:
+        if authenticator is not None and layout.secured is None:
+            raise LayoutError(
+                f"{layout.source} has no authenticated message (SecOCDataId), and classic CAN and "
+                "plain CAN FD are not authenticated; take maplines-secoc.dbc, or no key"
+            )
+        self._layout, self._authenticator = layout, authenticator
+
+    def write(self, record: bytes, slot: Slot, fd: bool) -> list[Frame]:
+        """Return the frames of a record.
+
+        Args:
+            record: as ``RecordWriter`` writes it.
+            slot: of the line.
+            fd: use CAN FD.
+
+        Raises:
+            EncodeError: the DBC has no such message, or classic CAN is requested with an
+                authenticator.
+        """
+        channel = self._layout.channels.get(slot)
+        if self._authenticator is not None:
+            return [self._secured(self._authenticator, record, slot, channel, fd)]
+        can_id = None if channel is None else channel.fd_can_id if fd else channel.can_id
+        if channel is None or can_id is None:
+            carrier = "CAN FD" if fd else "classic"
+            raise EncodeError(f"{self._layout.source} has no {carrier} message for slot {slot!r}")
+        if fd:
+            padded = record.ljust(channel.fd_length, b"\0")
+            return [Frame(can_id, padded, True, channel.fd_is_extended)]
+        return [
+            Frame(can_id, record[start : start + PAGE_BYTES], False, channel.is_extended)
+            for start in range(0, len(record), PAGE_BYTES)
+        ]
+
+    def _secured(
+        self,
+        authenticator: Authenticator,
+        record: bytes,
+        slot: Slot,
+        channel: Channel | None,
+        fd: bool,
+    ) -> Frame:
+        form = self._layout.secured
+        if not fd:
+            raise EncodeError(
+                "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
+            )
+        if channel is None or form is None or channel.secured_can_id is None:
+            raise EncodeError(
+                f"{self._layout.source} has no authenticated message for slot {slot!r}"
+            )
+        data = authenticator.secure(record, channel.secured_data_id, form)
+        return Frame(channel.secured_can_id, data, True, channel.secured_is_extended)

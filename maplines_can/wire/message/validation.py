@@ -1,0 +1,102 @@
+"""Validation of the Gaussians, mixtures and records that a caller passes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...arrays import floats
+from ...gaussian import MOST_COV, asymmetric, indefinite, rounding_of
+from .signals import STATE_SIGNALS
+
+__all__ = ["CheckedGaussians", "checked_gaussians", "checked_mixtures", "checked_payloads"]
+
+
+class CheckedGaussians(NamedTuple):
+    """Gaussians that may be sent."""
+
+    mean: NDArray[np.float64]  #: (N, 4)
+    cov: NDArray[np.float64]  #: (N, 4, 4) exactly symmetric
+    indefinite: NDArray[np.bool_]  #: (N,) covariances that are indefinite beyond rounding
+
+
+def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussians:
+    """Return Gaussians as arrays.
+
+    Args:
+        means: (N, 4).
+        covs: (N, 4, 4); None for zeros.
+
+    Raises:
+        ValueError: a shape is wrong, or a value is not finite, asymmetric, or a negative variance.
+    """
+    rounding = rounding_of(covs)
+    mean = floats(means, "means")
+    if mean.ndim != 2 or mean.shape[1] != len(STATE_SIGNALS):
+        raise ValueError(f"means must have shape (N, 4), got {mean.shape}")
+    n = len(mean)
+    cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")
+    if cov.shape != (n, 4, 4):
+        raise ValueError(f"covs must have shape ({n}, 4, 4), as the means, got {cov.shape}")
+    _refuse("means must be finite", np.asarray(~np.isfinite(mean).all(axis=1)), mean)
+    too_large = np.asarray(~(np.abs(cov) <= MOST_COV).all(axis=(1, 2)))  # or NaN
+    _refuse("covs must be finite", too_large, cov)
+    negative = (np.einsum("nii->ni", cov) < 0).any(axis=1)
+    _refuse("covs must have variances of 0 or more", negative, cov)
+    _refuse("covs must be symmetric", asymmetric(cov, rounding), cov)
+    return CheckedGaussians(mean, (cov + cov.transpose(0, 2, 1)) / 2, indefinite(cov, rounding))
+
+
+def checked_mixtures(
+    weights: ArrayLike, means: ArrayLike, covs: ArrayLike
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the weights, means and covariances of mixtures as arrays.
+
+    Args:
+        weights: (N, k), each row of sum 1.
+        means: (N, k, 4).
+        covs: (N, k, 4, 4).
+
+    Raises:
+        ValueError: a shape is wrong, or the weights are not positive or do not add up to 1.
+    """
+    weights, means = floats(weights, "weights"), floats(means, "means")
+    covs = floats(covs, "covs")
+    if weights.ndim != 2:
+        raise ValueError(f"weights must have shape (N, k), got {weights.shape}")
+    n, k = weights.shape
+    if means.shape != (n, k, 4) or covs.shape != (n, k, 4, 4):
+        raise ValueError(
+            f"means and covs must have shapes {(n, k, 4)} and {(n, k, 4, 4)}, as the weights, "
+            f"got {means.shape} and {covs.shape}"
+        )
+    valid = ((weights > 0) & (weights < 2)).all()
+    if not valid or not np.allclose(weights.sum(axis=1), 1, atol=1e-9):
+        raise ValueError("weights must be positive and each row of sum 1")
+    return weights, means, covs
+
+
+def checked_payloads(payloads: ArrayLike, record_bytes: int) -> NDArray[np.uint8]:
+    """Return records as an array.
+
+    Args:
+        payloads: (N, record bytes) uint8.
+        record_bytes: length of a record.
+
+    Raises:
+        ValueError: the array has another shape or type.
+    """
+    payloads = np.asarray(payloads)
+    if payloads.ndim != 2 or payloads.shape[1] != record_bytes:
+        raise ValueError(f"payloads must have shape (N, {record_bytes}), got {payloads.shape}")
+    if payloads.dtype != np.uint8:
+        raise ValueError(f"payloads must be uint8, got {payloads.dtype}")
+    return payloads
+
+
+def _refuse(message: str, bad: NDArray[np.bool_], rows: NDArray[np.float64]) -> None:
+    if bad.any():
+        i = int(bad.argmax())
+        raise ValueError(f"{message}, but row {i} is {rows[i].tolist()}")

@@ -1,0 +1,61 @@
+"""Time-outs, cycle times and E2E windows of a decoder, by default from the DBC."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ...arrays import number_text
+from ...line import Slot
+from ..message.channel import LONGEST_MS
+from ..message.layout import Layout
+from ..protection.e2e_state import E2EConfig
+
+__all__ = ["DecoderSettings", "decoder_settings"]
+
+#: Time-out of a transfer if the DBC has no cycle time [ms].
+DEFAULT_TIMEOUT_MS = 50.0
+
+
+class DecoderSettings(NamedTuple):
+    """Settings of a decoder."""
+
+    timeout_ns: int  #: of a transfer
+    cycles_ns: dict[Slot, int]  #: cycle time of the lines of each slot
+    e2e: E2EConfig
+
+
+def decoder_settings(
+    layout: Layout,
+    timeout_ms: float | None = None,
+    cycle_ms: float | None = None,
+    e2e: E2EConfig | None = None,
+) -> DecoderSettings:
+    """Complete and check the settings of a decoder; see ``Codec.decoder``.
+
+    Raises:
+        ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the DBC's
+            counter.
+    """
+    channels = layout.channels
+    if timeout_ms is None:
+        cycles = [channel.cycle_ms for channel in channels.values()]
+        timeout_ms = max(cycles) / 2 or DEFAULT_TIMEOUT_MS
+    for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
+        if value is not None and not 0 < value <= LONGEST_MS:
+            raise ValueError(
+                f"{name} must be more than 0 ms and at most an hour ({LONGEST_MS} ms), "
+                f"got {number_text(value)}"
+            )
+    cycles_ns = {
+        slot: int(1e6 * (cycle_ms or channel.cycle_ms or 2 * DEFAULT_TIMEOUT_MS))
+        for slot, channel in channels.items()
+    }
+    counters = 2 ** layout["Counter"].length
+    if e2e is None:
+        e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, counters // 4))
+    elif e2e.max_delta_counter >= counters // 2:
+        raise ValueError(
+            f"max_delta_counter must be less than {counters // 2}, half of the counters of "
+            f"{layout.source}, got {e2e.max_delta_counter}"
+        )
+    return DecoderSettings(int(timeout_ms * 1e6), cycles_ns, e2e)

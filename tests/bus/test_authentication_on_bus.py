@@ -1,0 +1,75 @@
+"""Authenticated lines over a bus."""
+
+import time
+import uuid
+
+import can
+import pytest
+from secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
+
+from maplines_can import Link, Receiver, Transmitter, scenario
+from maplines_can.bus.tx_queue import AHEAD, TxQueue
+from maplines_can.cli.sending import scene_lines
+from maplines_can.wire import Key, Reason
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+# ---- over a bus ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def channel():
+    return f"test-{uuid.uuid4()}"
+
+
+def test_over_a_bus_with_an_attacker_and_a_key_change(channel):
+    """All that was sent arrives, once; what the attacker plays is counted."""
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = codec_of(old, clock=time.time_ns), codec_of(old, new, clock=time.time_ns)
+    bus = {"interface": "virtual", "channel": channel, "fd": True}
+    with Link(**bus) as out, Link(**bus) as back, can.Bus(**bus) as attacker:
+        with Receiver(back, receiver.decoder(), can_ids=receiver.can_ids) as listening:
+            transmitter = Transmitter(out, sender, period=0.01, fd=True, count=40)
+            with transmitter:
+                transmitter.publish(scene_lines(scenario("highway"), 2))
+                heard = []
+                while not transmitter.wait(0.001):
+                    if (message := attacker.recv(0.001)) is not None:
+                        heard.append(message)
+                        attacker.send(changed(message, message.data))  # again
+                        attacker.send(changed(message, message.data[:-1] + b"?"))
+                    if len(heard) == 15:
+                        sender.authenticator.add(new)
+                        sender.authenticator.use(2)
+            time.sleep(0.2)
+        stats, sent_stats = listening.stats(), transmitter.stats()
+    assert stats.lines == sent_stats.lines > 60
+    assert stats.counts[Reason.REPLAY] >= len(heard) > 15
+    assert stats.counts[Reason.MAC] >= len(heard) - 2
+    assert stats.frames == stats.lines + sum(stats.counts.values())
+
+
+@pytest.mark.parametrize("period", [0.01, 0.05, 0.4, 3.0, 3600.0])
+def test_a_slow_sender_signs_just_before_it_sends(clock, period):
+    """At any rate no line is older than a tenth of a second, so the window can be narrow."""
+    sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
+    decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
+    tx_queue = TxQueue(sender, period, fd=True, count=3)
+    tx_queue.put(scene_lines(scenario("highway"), 8), 0.0)
+    now, answers = 0.0, []
+    while not tx_queue.over:
+        now += tx_queue.wait(now) + 1e-6
+        clock.now = NOW + round(now * S)
+        answers += feed(decoder, tx_queue.take(now).frames, clock.now)
+
+    assert names(answers) == ["line"] * 24
+
+
+def changed(message, data):
+    return can.Message(
+        arbitration_id=message.arbitration_id, is_extended_id=False, is_fd=True, data=data
+    )

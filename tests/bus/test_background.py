@@ -1,0 +1,74 @@
+"""A background thread ends when it is told to, and its error reaches the caller."""
+
+import signal
+import threading
+
+import pytest
+from fake_bus import LONG
+
+from maplines_can.bus.background import BackgroundThread
+
+
+class Waiting(BackgroundThread):
+    """A thread that waits for an event, and then raises an error if it has one."""
+
+    def __init__(self, error=None):
+        super().__init__("test")
+        self.go, self.error = threading.Event(), error
+
+    def start(self):
+        return self._start_thread()
+
+    def _run(self):
+        self.go.wait()
+        if self.error:
+            raise self.error
+
+
+@pytest.fixture
+def interruptible():
+    """Let Ctrl-C interrupt this process; Python ignores it if it was started in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_ctrl_c_while_waiting_leaves_a_thread_that_is_known_to_run():
+    """A later call still waits for its end, and for all that it counts."""
+    thread = Waiting().start()
+    main = threading.main_thread().ident
+    ctrl_c = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
+
+    with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - not before the block on a busy machine
+        ctrl_c.start()
+        thread.wait(LONG)
+
+    assert not thread.wait(0.0)
+    thread.go.set()
+    assert thread.wait(LONG)
+    ctrl_c.join()
+
+
+def test_an_error_is_raised_until_stop_by_wait_and_once_by_stop():
+    """The caller sees it at least once, and stop does not repeat what was raised before."""
+    silent = Waiting(KeyError("a")).start()
+    silent.go.set()
+    with pytest.raises(KeyError):
+        silent.stop()
+    silent.stop()
+
+    seen = Waiting(KeyError("b")).start()
+    seen.go.set()
+    for _ in range(2):
+        with pytest.raises(KeyError):
+            seen.wait(LONG)
+    seen.stop()
+
+
+def test_a_thread_that_never_started_has_ended():
+    """Neither wait nor stop blocks."""
+    thread = Waiting()
+    assert thread.wait()
+    thread.stop()
+    assert thread.wait()

@@ -1,0 +1,105 @@
+"""Settings name the interface; errors of opening are one clear line."""
+
+import pytest
+from fake_bus import (
+    FRAME,
+    GONE,
+    Clock,
+    FakeOpener,
+)
+from kernel_can import ip
+
+from maplines_can.bus import (
+    Link,
+    Sent,
+)
+from maplines_can.errors import BusError
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        pytest.param({}, "no CAN interface is given; pass interface=", id="nothing"),
+        pytest.param({"interface": "canny"}, 'Unknown interface type "canny"', id="unknown"),
+        pytest.param({"interface": "socketcan"}, "socketcan needs a channel", id="no-channel"),
+        pytest.param(
+            {"interface": "socketcan", "channel": "nocan7"},
+            "socketcan nocan7 cannot be opened: there is no such interface",
+            id="no-such-interface",
+        ),
+        pytest.param({"interface": "slcan", "channel": "x"}, "slcan x cannot be", id="no-driver"),
+        pytest.param(
+            {"interface": "udp_multicast", "channel": "nowhere"},
+            "udp_multicast nowhere cannot be opened",
+            id="no-address",
+        ),
+    ],
+)
+def test_an_interface_that_cannot_be_opened_raises_one_clear_line(
+    settings, words, monkeypatch, tmp_path
+):
+    """The first opening is not retried."""
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    with pytest.raises(BusError) as caught:
+        Link(**settings)
+
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_opener_gets_the_settings_each_time():
+    """Settings that are None are left out; the bus after an outage has the same ones."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(
+        opener, interface="virtual", channel="can0", fd=True, bitrate=None, clock=clock
+    ) as link:
+        first = opener.settings
+        assert (link.name, first["fd"], "bitrate" in first) == ("virtual can0", True, False)
+        assert (first["interface"], first["channel"]) == ("virtual", "can0")
+        link.send(FRAME)
+        clock.now += 1.0
+        assert link.send(FRAME) is Sent.OK
+    assert len(opener.opened) == 2
+    assert opener.settings == first
+
+
+def test_an_opener_without_settings_gets_none():
+    opener = FakeOpener()
+    with Link(opener) as link:
+        assert link.name == "fake"
+    assert opener.settings == {}
+
+
+@pytest.mark.parametrize("source", ["environment", "file", "context"])
+def test_settings_are_read_from_the_configuration_of_python_can(
+    source, monkeypatch, tmp_path, channel
+):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    if source == "environment":
+        monkeypatch.setenv("CAN_INTERFACE", "virtual")
+        monkeypatch.setenv("CAN_CHANNEL", channel)
+    else:
+        section = {"file": "default", "context": "car"}[source]
+        text = f"[{section}]\ninterface = virtual\nchannel = {channel}\n"
+        (tmp_path / ".canrc").write_text(text)
+    context = "car" if source == "context" else None
+    with Link(interface=None, config_context=context) as link:
+        assert link.name == f"virtual {channel}"
+
+
+@pytest.mark.socketcan
+@pytest.mark.parametrize(
+    ("before", "settings", "words"),
+    [
+        ("link set vcan0 down", {}, "the interface is down; 'ip link set vcan0 up'"),
+        ("link del vcan0", {}, "there is no such interface"),
+        ("link show vcan2", {"channel": "vcan2", "fd": True}, "the interface has no CAN FD"),
+    ],
+)
+def test_a_socketcan_interface_that_cannot_be_opened_raises(vcan, before, settings, words):
+    ip(before)
+    with pytest.raises(BusError) as caught:
+        Link(**{"interface": "socketcan", "channel": vcan, **settings})
+    assert words in str(caught.value)

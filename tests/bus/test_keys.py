@@ -1,0 +1,59 @@
+"""Keys from files and from the environment."""
+
+import pytest
+from secoc_streams import AES_256, OTHER, SECRET, check_secret, key_file
+
+from maplines_can.bus import key_from_env, key_from_file
+from maplines_can.errors import KeyMaterialError
+from maplines_can.wire import Key
+
+HEX = SECRET.hex()
+
+
+@pytest.mark.parametrize("text", [SECRET.hex(), f"\n {SECRET.hex().upper()}\r\n", AES_256.hex()])
+def test_a_key_from_a_file_and_from_the_environment(tmp_path, monkeypatch, text):
+    """Hex digits in either case, and the end of the line that an editor adds."""
+    monkeypatch.setenv("CAR_KEY", text)
+    key = key_from_file(key_file(tmp_path, text.encode()), key_id=7)
+    assert key == key_from_env("CAR_KEY", 7) == Key(bytes.fromhex(text.strip()), 7)
+    assert len({key, key_from_env("CAR_KEY", 7)}) == 1
+    assert key != key_from_env("CAR_KEY", 8)
+    assert key != Key(OTHER, 7)
+    assert key != text
+
+
+@pytest.mark.parametrize(
+    ("text", "mode", "message"),
+    [
+        (SECRET.hex()[:-1].encode(), 0o600, "must hold 32 or 64 hex digits .* got 31 characters$"),
+        (SECRET.hex().encode() + b"0" * 16, 0o600, "got 48 characters$"),
+        (b"", 0o600, "got 0 characters$"),
+        (SECRET.hex()[:-1].encode() + b"g", 0o600, "32 characters, not all of them hex digits$"),
+        (SECRET, 0o600, "not all of them hex digits$"),
+        (SECRET.hex().encode(), 0o604, r"everybody .* \(mode 0604\); chmod 600"),
+        (SECRET.hex().encode(), 0o644, r"everybody .* \(mode 0644\); chmod 600"),
+    ],
+)
+def test_a_bad_key_file_is_one_clear_error(tmp_path, text, mode, message):
+    """It names the file and what is wrong, and not what is in it."""
+    path = key_file(tmp_path, text, mode)
+    with pytest.raises(KeyMaterialError, match=message) as caught:
+        key_from_file(path)
+    assert str(path) in str(caught.value)
+    check_secret(str(caught.value))
+
+
+def test_a_missing_key_is_one_clear_error(tmp_path, monkeypatch):
+    """No such file, no such variable."""
+    monkeypatch.delenv("CAR_KEY", raising=False)
+    with pytest.raises(KeyMaterialError, match=r"none\.key: cannot be read: No such file"):
+        key_from_file(tmp_path / "none.key")
+    with pytest.raises(KeyMaterialError, match="environment variable CAR_KEY is not set"):
+        key_from_env("CAR_KEY")
+
+
+def test_a_name_like_a_key_is_a_name_where_there_is_such_a_thing(tmp_path, monkeypatch):
+    """Files and variables may be named by numbers of their own."""
+    path = key_file(tmp_path, HEX.encode()).rename(tmp_path / f"{OTHER.hex()}.key")
+    monkeypatch.setenv("F47AC10B58CC4372A5670E02", HEX)
+    assert key_from_file(path) == key_from_env("F47AC10B58CC4372A5670E02") == Key(SECRET)

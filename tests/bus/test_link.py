@@ -1,0 +1,311 @@
+"""A link reports each outage and reconnect once, and reopens the same interface."""
+
+import errno
+import itertools
+import logging
+import random
+
+import can
+import pytest
+from fake_bus import (
+    FRAME,
+    FULL,
+    GONE,
+    LONG,
+    NO_NUMBER,
+    Clock,
+    FakeOpener,
+    collect,
+    map_line,
+    send_frames,
+)
+from fake_codec import PAGES, FakeCodec
+from kernel_can import Events, ip, set_up
+
+from maplines_can.bus import (
+    Link,
+    Receiver,
+    Sent,
+    Transmitter,
+)
+from maplines_can.errors import BusError
+from maplines_can.line import Slot
+
+
+def test_an_outage_and_the_reconnect_are_each_reported_once(caplog):
+    """One warning and one event each, however often sending fails in between."""
+    opener, clock, events = FakeOpener(None, GONE), Clock(), []
+    with Link(opener, on_event=lambda up, text: events.append((up, text)), clock=clock) as link:
+        assert link.send(FRAME) is Sent.OK
+        assert link.send(FRAME) is Sent.DOWN
+        assert not opener.opened[0].open
+        opener.cannot_open = True
+        for _ in range(50):
+            clock.now += 0.1
+            assert link.send(FRAME) is Sent.DOWN
+            assert link.recv(0.0) is None
+        assert (link.up, link.outages) == (False, 1)
+        opener.cannot_open = False
+        clock.now += 1.0
+        assert link.send(FRAME) is Sent.OK
+        assert link.send(FRAME) is Sent.OK
+        assert (link.up, link.outages) == (True, 1)
+
+    assert [up for up, _ in events] == [False, True]
+    assert events[0][1] == ("fake is lost (No such device); it is reopened as soon as it is back")
+    assert events[1][1] == "fake is back after 6.0 s"
+    assert [text for _, text in events] == caplog.messages
+
+
+def test_an_interface_that_opens_but_does_not_work_is_not_back():
+    """Opening is no evidence (SocketCAN opens what is down); the first frame is."""
+    opener, clock, events = FakeOpener(GONE, GONE, GONE), Clock(), []
+    with Link(opener, on_event=lambda up, _: events.append(up), clock=clock) as link:
+        for _ in range(3):
+            assert link.send(FRAME) is Sent.DOWN
+            clock.now += 2.0
+        assert events == [False]
+        assert link.send(FRAME) is Sent.OK
+
+    assert events == [False, True]
+    assert len(opener.opened) == 4
+
+
+def test_attempts_to_reopen_back_off():
+    """After 0.1, 0.2, 0.4, 0.8 s and then every second."""
+    opener, clock = FakeOpener(GONE), Clock()
+    attempts = []
+    with Link(opener, clock=clock) as link:
+        link.send(FRAME)
+        start = clock.now
+
+        def refuse():
+            attempts.append(clock.now - start)
+            raise GONE
+
+        link._factory._opener = refuse
+        for step in range(1, 4000):
+            clock.now = start + step * 1e-3
+            link.send(FRAME)
+
+    assert attempts == pytest.approx([0.1, 0.3, 0.7, 1.5, 2.5, 3.5], abs=2e-3)
+
+
+@pytest.mark.parametrize("error", [FULL, can.CanTimeoutError(), NO_NUMBER])
+def test_a_full_queue_is_no_outage(error):
+    with Link(FakeOpener(error)) as link:
+        assert link.send(FRAME) is Sent.FULL
+        assert link.send(FRAME) is Sent.OK
+        assert link.outages == 0
+
+
+@pytest.mark.parametrize("way", ["send", "recv"])
+def test_a_driver_that_keeps_failing_is_reopened(way):
+    """Errors without a number are an outage if they last for a second."""
+    opener, clock = FakeOpener(*[NO_NUMBER] * 3), Clock()
+    with Link(opener, clock=clock) as link:
+        for step in (0.0, 0.5, 1.0):
+            clock.now = 1000.0 + step
+            link.send(FRAME) if way == "send" else link.recv(0.0)
+            assert link.outages == (step == 1.0)
+        clock.now += 1.0
+        assert link.send(FRAME) is Sent.OK
+
+
+def test_an_unclear_error_now_and_then_is_no_outage():
+    opener, clock = FakeOpener(*[NO_NUMBER, None] * 5), Clock()
+    with Link(opener, clock=clock) as link:
+        for _ in range(10):
+            clock.now += 10.0
+            assert link.recv(0.0) is None
+        assert link.outages == 0
+
+
+def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored():
+    """Closing a socket makes its reader fail, too: this is one outage, not two."""
+    clock = Clock()
+    with Link(FakeOpener(GONE), clock=clock) as link:
+        old = link._bus
+        link.send(FRAME)
+        clock.now += 1.0
+        assert link.send(FRAME) is Sent.OK
+        assert link._failed(old, ValueError("file descriptor cannot be -1"), "recv") is Sent.DOWN
+        assert (link.up, link.outages) == (True, 1)
+
+
+def test_a_frame_that_can_never_be_sent_raises():
+    with (
+        Link(FakeOpener(can.CanOperationError("Failed", errno.EINVAL))) as link,
+        pytest.raises(BusError, match=r"fake refuses the frame: .* opened with fd=True"),
+    ):
+        link.send(FRAME)
+
+
+def test_a_wrong_message_raises():
+    with (
+        Link(FakeOpener(ValueError("no such frame"))) as link,
+        pytest.raises(ValueError, match="no"),
+    ):
+        link.send(FRAME)
+
+
+def test_a_closed_link_raises(channel):
+    link = Link(interface="virtual", channel=channel)
+    link.close()
+    link.close()
+    for use in (lambda: link.send(FRAME), lambda: link.recv(0.0)):
+        with pytest.raises(BusError, match=r"virtual test-.* is closed; stop its users before"):
+            use()
+
+
+def test_filters_survive_an_outage():
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock) as link:
+        link.accept_only({0x101, 0x100})
+        link.send(FRAME)
+        clock.now += 1.0
+        link.send(FRAME)
+        for bus in opener.opened:
+            assert bus.filters == [
+                {"can_id": 0x100, "can_mask": 0x1FFFFFFF},
+                {"can_id": 0x101, "can_mask": 0x1FFFFFFF},
+            ]
+
+
+@pytest.mark.socketcan
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("how", ["down", "delete"])
+def test_a_socketcan_interface_is_lost_and_reopened(vcan, fd, how, caplog):
+    """Each link reports the outage and the reconnect once."""
+    sender_events, receiver_events = Events(), Events()
+    settings = {"interface": "socketcan", "channel": vcan, "fd": fd}
+    codec, decoder = FakeCodec(), FakeCodec().decoder()
+    caplog.set_level(logging.WARNING)
+    with (
+        Link(**settings, on_event=sender_events) as link,
+        Link(**settings, on_event=receiver_events) as other,
+        Receiver(other, decoder) as receiver,
+        Transmitter(link, codec, period=0.005, fd=fd) as transmitter,
+    ):
+        for slot in Slot:
+            transmitter.publish(map_line(slot))
+        collect(receiver, 20)
+        for _ in range(2):
+            ip(f"link set {vcan} down" if how == "down" else f"link del {vcan}")
+            # The socket reports an error, or the link first finds that the interface is gone.
+            sender_events.expect(False, "is lost (")
+            receiver_events.expect(False, "is lost (")
+            while receiver.get(0.0):
+                pass
+            set_up(vcan)
+            sender_events.expect(True, "is back after")
+            receiver_events.expect(True, "is back after")
+            collect(receiver, 20)
+        transmitter.stop()
+        assert transmitter.stats().down > 0
+        assert (link.outages, other.outages) == (2, 2)
+    assert len(caplog.messages) == 8
+
+
+@pytest.mark.socketcan
+def test_no_transfer_is_resumed_after_an_outage(vcan):
+    """An independent socket sees whole transfers, and none that the outage interrupted."""
+    events, raw = Events(), can.Bus(interface="socketcan", channel=vcan)
+    with (
+        Link(interface="socketcan", channel=vcan, on_event=events) as link,
+        Transmitter(link, FakeCodec(), period=0.002) as transmitter,
+    ):
+        for slot in Slot:
+            transmitter.publish(map_line(slot))
+        for _ in range(5):
+            seen = [raw.recv(LONG).data[:3] for _ in range(101)]
+            assert seen[0][0] == 0  # raw was open before the first frame
+            for old, new in itertools.pairwise(seen):
+                same = old[1:] == new[1:]
+                assert new[0] == (old[0] + 1 if same else 0)
+                assert same or old[0] == PAGES - 1
+            ip(f"link set {vcan} down")
+            events.expect(False, "lost")
+            raw.shutdown()
+            raw = can.Bus(interface="socketcan", channel=vcan)  # open before the reconnect
+            with pytest.raises(can.CanOperationError):
+                raw.recv(0.0)
+            ip(f"link set {vcan} up")
+            events.expect(True, "back")
+    raw.shutdown()
+
+
+@pytest.mark.socketcan
+def test_a_socket_of_a_deleted_interface_is_detected(vcan):
+    """It reports no error any more, and there is a new interface of its name."""
+    events = Events()
+    codec = FakeCodec()
+    with (
+        Link(interface="socketcan", channel=vcan, on_event=events) as other,
+        Receiver(other, codec.decoder()) as receiver,
+    ):
+        other._factory._index = -1  # as if opened before the present interface was created
+        events.expect(False, "it was deleted")
+        events.expect(True, "is back")
+        with Link(interface="socketcan", channel=vcan) as link:
+            send_frames(link, *codec.encode(map_line()))
+            assert receiver.get(LONG)
+
+
+@pytest.mark.socketcan
+def test_an_interface_that_returns_without_can_fd_is_reported_once(vcan):
+    """It is up again, so the user must know why no line arrives."""
+    events = Events()
+    ip("link set vcan1 up")
+    try:
+        with (
+            Link(interface="socketcan", channel="vcan1", fd=True, on_event=events) as link,
+            Receiver(link, FakeCodec().decoder()),
+        ):
+            ip("link set vcan1 down")
+            events.expect(False, "is lost")
+            ip("link set vcan1 mtu 16 up")
+            events.expect(False, "the interface has no CAN FD (its MTU is 16")
+            ip("link set vcan1 down")
+            ip("link set vcan1 mtu 72 up")
+            events.expect(True, "is back")
+            assert link.outages == 1
+    finally:
+        ip("link set vcan1 down")
+        ip("link set vcan1 mtu 72 up")
+
+
+@pytest.mark.socketcan
+def test_can_fd_on_classic_socketcan(vcan):
+    """The transmitter raises at construction, the link at the first frame."""
+    with Link(interface="socketcan", channel="vcan2") as link:
+        with pytest.raises(BusError, match="opened without CAN FD"):
+            Transmitter(link, FakeCodec(), fd=True)
+        frame = can.Message(is_fd=True, data=bytes(32))
+        with pytest.raises(BusError, match="socketcan vcan2 refuses the frame: Invalid argument"):
+            link.send(frame)
+
+
+@pytest.mark.socketcan
+def test_a_link_survives_random_outages(vcan):
+    """Set down or deleted at random times: each outage is reported, and in the end it works."""
+    rng = random.Random(7)  # noqa: S311 - not a secret
+    events = []
+    codec = FakeCodec()
+    with (
+        Link(interface="socketcan", channel=vcan) as other,
+        Link(interface="socketcan", channel=vcan, on_event=lambda up, _: events.append(up)) as link,
+        Receiver(other, codec.decoder()) as receiver,
+        Transmitter(link, codec, period=0.002) as transmitter,
+    ):
+        for slot in Slot:
+            transmitter.publish(map_line(slot))
+        for _ in range(20):
+            ip(f"link set {vcan} down" if rng.random() < 0.5 else f"link del {vcan}")
+            if rng.random() < 0.5:
+                receiver.get(rng.random() / 10)
+            set_up(vcan)
+        while receiver.get(0.0):
+            pass
+        collect(receiver, 50)
+    assert events == [False, True] * link.outages

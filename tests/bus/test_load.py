@@ -1,0 +1,114 @@
+"""Bits of a frame are the published bounds."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can.bus import (
+    bus_load,
+    frame_bits,
+    frame_time,
+)
+from maplines_can.wire import Frame
+
+
+@pytest.mark.parametrize("length", range(9))
+def test_bits_of_classic_frames_are_the_published_ones(length):
+    """55 + 10 s and 80 + 10 s bits (Davis et al. 2007, equations 2 and 3)."""
+    assert frame_bits(length).nominal == 55 + 10 * length
+    assert frame_bits(length, is_extended=True).nominal == 80 + 10 * length
+
+
+@pytest.mark.parametrize(
+    ("length", "is_extended", "bits"),
+    [
+        pytest.param(0, False, (34, 5 + 1 + 27), id="empty"),
+        pytest.param(8, False, (34, 69 + 17 + 27), id="8-bytes"),
+        pytest.param(16, False, (34, 133 + 33 + 27), id="last-with-crc-17"),
+        pytest.param(20, False, (34, 165 + 41 + 32), id="first-with-crc-21"),
+        pytest.param(32, True, (57, 261 + 66 + 32), id="32-bytes-29-bit"),
+        pytest.param(64, False, (34, 517 + 129 + 32), id="64-bytes"),
+    ],
+)
+def test_bits_of_can_fd_frames(length, is_extended, bits):
+    """Counted by hand: fields + stuff bits + CRC field."""
+    assert frame_bits(length, is_extended=is_extended, is_fd=True) == bits
+
+
+def stuffed(bits):
+    """Indices in ``bits`` after which a stuff bit is inserted."""
+    places, run, last = [], 0, None
+    for index, bit in enumerate(bits):
+        run, last = (run + 1 if bit == last else 1), bit
+        if run == 5:
+            places.append(index)
+            run, last = 1, 1 - bit
+    return places
+
+
+def header(is_extended, is_fd, can_id, dlc):
+    """Bits of a frame from SOF to DLC, and how many of them have the nominal bit rate."""
+    number = [int(bit) for bit in f"{can_id:029b}"]
+    bits = [0, *number[:11], 1, 1, *number[11:], 0] if is_extended else [0, *number[:11], 0]
+    bits += [0] if not is_extended else []  # IDE
+    bits += [1, 0, 1] if is_fd else [0, 0] if is_extended else [0]  # FDF, res, BRS; or r1, r0
+    slow = len(bits)
+    bits += [0] if is_fd else []  # ESI
+    return bits + [int(bit) for bit in f"{dlc:04b}"], slow
+
+
+@given(
+    st.booleans(),
+    st.booleans(),
+    st.integers(0, 2**29 - 1),
+    st.sampled_from([0, 1, 8, 12, 16, 20, 32, 64]),
+    st.lists(st.sampled_from([b"\x00", b"\xff", b"\x0f", b"\x1e", b"\x78", b"\xf0"]), min_size=64),
+    st.integers(0, 2**15 - 1),
+)
+def test_no_frame_is_longer_than_its_bound(is_extended, is_fd, can_id, length, data, crc):
+    """Frames are built and stuffed bit by bit, with data that need many stuff bits and any CRC."""
+    length = length if is_fd else min(length, 8)
+    bits, slow = header(is_extended, is_fd, can_id, length if length <= 8 else 15)
+    bits += [int(bit) for byte in data[:length] for bit in f"{byte[0]:08b}"]
+    bound = frame_bits(length, is_extended=is_extended, is_fd=is_fd)
+    if is_fd:
+        places = stuffed(bits)
+        early = sum(place < slow for place in places)
+        crc_field = 27 if length <= 16 else 32
+        nominal, fast = slow + early + 13, len(bits) - slow + len(places) - early + crc_field
+    else:
+        bits += [int(bit) for bit in f"{crc:015b}"]
+        nominal, fast = len(bits) + len(stuffed(bits)) + 13, 0
+
+    assert nominal <= bound.nominal
+    for speed in (1, 2, 8):
+        assert nominal + fast / speed <= bound.nominal + bound.data / speed
+
+
+def test_the_bound_is_reached_by_alternating_runs():
+    """The bits 0 0000 1111 0000 ... have a stuff bit for each four after the first."""
+    bits = [0] + [bit for k in range(20) for bit in [k % 2] * 4]
+    assert len(stuffed(bits)) == (len(bits) - 1) // 4
+
+
+def test_bus_load_of_lines():
+    """Eight lines every 50 ms at 500 kbit/s: four classic frames or one of CAN FD each."""
+    classic = [Frame(0x100, bytes(8))] * 32
+    fd = [Frame(0x100, bytes(32), is_fd=True)] * 8
+
+    assert bus_load(classic, 0.05, 500e3) == pytest.approx(32 * 135 / 500e3 / 0.05)
+    assert bus_load(fd, 0.05, 500e3, 2e6) == pytest.approx(8 * (34 / 500e3 + 358 / 2e6) / 0.05)
+    assert frame_time(fd[0], 500e3) == pytest.approx(392 / 500e3)
+
+
+@pytest.mark.parametrize("length", [-1, 9, 10, 65])
+def test_lengths_that_no_frame_has(length):
+    with pytest.raises(ValueError, match="length must be 0 to 8"):
+        frame_bits(length, is_fd=length != 9)
+
+
+def test_wrong_rates_and_periods_are_refused():
+    with pytest.raises(ValueError, match="bit rates must be positive"):
+        frame_time(Frame(1, b""), 0)
+    with pytest.raises(ValueError, match="period must be positive"):
+        bus_load([], 0, 500e3)

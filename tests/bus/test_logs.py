@@ -1,0 +1,224 @@
+"""Logs of other tools are read up to and beyond the damage."""
+
+import contextlib
+import gzip
+import random
+import re
+import zlib
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can.bus import (
+    read_log,
+)
+from maplines_can.errors import LogError, MissingExtraError
+
+LOGGED = [
+    can.Message(timestamp=100.0, arbitration_id=0x123, is_extended_id=False, data=b"12345678"),
+    can.Message(timestamp=100.25, arbitration_id=0x123, is_extended_id=True, data=b""),
+    can.Message(timestamp=100.5, arbitration_id=0x100, is_extended_id=False, is_remote_frame=True),
+    can.Message(timestamp=100.5, is_error_frame=True),
+    can.Message(timestamp=101.0, arbitration_id=0x1ABCDEF0, is_extended_id=True, data=b"\xff\x00"),
+]
+
+LOGGED_FD = can.Message(
+    timestamp=102.0, arbitration_id=0x124, is_extended_id=False, is_fd=True, data=bytes(range(32))
+)
+
+FORMATS = ["asc", "blf", "csv", "db", "log", "mf4", "trc", "asc.gz", "blf.gz", "csv.gz", "log.gz"]
+
+
+def written(path, messages):
+    """The path of a log, written by python-can."""
+    if path.name.endswith(".blf.gz"):  # python-can reads these, but does not write them
+        path.write_bytes(gzip.compress(written(path.with_suffix(""), messages).read_bytes()))
+        return path
+    for message in messages:
+        message.channel = 1
+    writer = can.Logger(path)
+    try:
+        for message in messages:
+            if isinstance(writer, can.TRCWriter) and message.is_error_frame:
+                continue  # the writer would write these as data frames
+            writer.on_message_received(message)
+        while isinstance(writer, can.SqliteWriter) and writer.num_frames < len(messages):
+            assert writer._writer_thread.is_alive()  # else stop() would lose the rest
+    finally:
+        writer.stop()
+    return path
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_every_format_is_read_back(tmp_path, suffix):
+    """Files written by python-can are read; error and remote frames are skipped."""
+    if suffix == "mf4":
+        pytest.importorskip("asammdf")
+    with_fd = suffix[:3] in {"asc", "blf", "log", "mf4"}
+    messages = [*LOGGED, LOGGED_FD] if with_fd else LOGGED
+    frames = list(read_log(written(tmp_path / f"drive.{suffix}", messages)))
+
+    wanted = [m for m in messages if not (m.is_error_frame or m.is_remote_frame)]
+    assert [(f.can_id, f.data, f.is_extended) for f in frames] == [
+        (m.arbitration_id, bytes(m.data), m.is_extended_id) for m in wanted
+    ]
+    times = [(f.t_ns - frames[0].t_ns) * 1e-9 for f in frames]
+    assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
+
+
+def test_candump_logs_keep_their_channels_and_times(tmp_path):
+    path = tmp_path / "drive.log"
+    path.write_text(
+        "(1700000000.123456) vcan0 100#0011223344556677\n"
+        "(1700000000.123556) can1 124##1DEADBEEF\n"
+        "\n"
+        "(1700000000.2) can1 00000100#\n"
+    )
+    first, second, third = read_log(path)
+
+    assert first == (0x100, bytes.fromhex("0011223344556677"), first.t_ns, False, "vcan0")
+    assert abs(first.t_ns - 1_700_000_000_123_456_000) < 1000  # a float of seconds
+    assert (second.data.hex(), second.channel) == ("deadbeef", "can1")
+    assert (third.is_extended, third.data) == (True, b"")
+
+
+def read_until_error(path):
+    frames = []
+    with pytest.raises(LogError) as caught:
+        frames.extend(read_log(path))
+    assert "\n" not in str(caught.value)
+    return frames, str(caught.value).removeprefix(str(path))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize(
+    ("suffix", "header", "good", "bad"),
+    [
+        pytest.param("log", "", "(1.5) can0 {:03X}#0001", "(1.5) can0 1\xff3#0001", id="log"),
+        pytest.param("csv", "names", "1.5,{:#x},0,0,0,2,AAE=", "1.5,\xff,0", id="csv"),
+        pytest.param(
+            "asc",
+            "date Fri Nov 21 2025\nbase hex  timestamps absolute\nno internal events logged",
+            " 1.5 1  {:X}  Rx  d 2 00 01",
+            " 1.5 1  123  Rx  d 2 00 \xff",
+            id="asc",
+        ),
+        pytest.param(
+            "trc",
+            ";$FILEVERSION=1.1\n;$STARTTIME=40000.0",
+            "  1)  1500.0  Rx  {:04X}  2  00 01",
+            "  1)  1500.0  Rx  0123  2  00 \xff",
+            id="trc",
+        ),
+    ],
+)
+def test_a_damaged_line_costs_only_itself(tmp_path, suffix, header, good, bad, packed):
+    """All other lines are read, before, between and after the damage; then the error is raised."""
+    lines = header.split("\n") if header else []
+    lines += [bad if i % 10 == 5 else good.format(i) for i in range(1, 31)]
+    content = "\n".join(lines).encode("latin-1") + b"\n"
+    path = tmp_path / (f"drive.{suffix}.gz" if packed else f"drive.{suffix}")
+    path.write_bytes(gzip.compress(content) if packed else content)
+    frames, text = read_until_error(path)
+
+    assert [f.can_id for f in frames] == [i for i in range(1, 31) if i % 10 != 5]
+    assert {f.data for f in frames} == {b"\x00\x01"}
+    first = lines.index(bad) + 1
+    assert text.startswith(f": 3 of 30 records are damaged (the first: line {first}: ")
+
+
+@pytest.mark.parametrize("suffix", ["blf", "log.gz", "blf.gz", "db"])
+def test_a_truncated_file_is_read_up_to_its_end(tmp_path, suffix):
+    rng = random.Random(1)  # noqa: S311 - not a secret
+    messages = [
+        can.Message(timestamp=100 + i, arbitration_id=i % 2048, data=rng.randbytes(8))
+        for i in range(20_000 if suffix != "db" else 500)
+    ]
+    path = written(tmp_path / f"drive.{suffix}", messages)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(len(content) * 0.6)])
+    frames, text = read_until_error(path)
+
+    if suffix != "db":  # sqlite does not open half a file
+        assert len(messages) * 0.2 < len(frames) < len(messages) * 0.7
+        assert f"after {len(frames)} good records" in text
+    assert [f.can_id for f in frames] == [m.arbitration_id for m in messages[: len(frames)]]
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".log.gz", ".csv", ".log"])
+def test_a_file_of_something_else_is_one_clear_error(tmp_path, suffix):
+    path = tmp_path / f"drive{suffix}"
+    path.write_bytes(b"This is not a log.\n" * 20)
+    frames, text = read_until_error(path)
+
+    assert frames == []
+    if suffix == ".log":
+        assert "none of 20 records can be read (line 1: " in text
+        assert text.endswith("; a .log file must be written by candump -L")
+
+
+@pytest.mark.parametrize("length", [0, 1, 15])
+def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(tmp_path, length):
+    """python-can would never end."""
+    messages = [can.Message(timestamp=100 + i, arbitration_id=i, data=b"abc") for i in range(50)]
+    path = written(tmp_path / "drive.blf", messages)
+    content = path.read_bytes()
+    start = 144 + 32  # of the file's header, and of the only container's
+    objects = bytearray(zlib.decompress(content[start:]))
+    places = [match.start() for match in re.finditer(b"LOBJ", objects)]
+    objects[places[30] + 8 : places[30] + 12] = length.to_bytes(4, "little")
+    packed = zlib.compress(objects)
+    head = content[: 144 + 8] + (32 + len(packed)).to_bytes(4, "little") + content[144 + 12 : start]
+    path.write_bytes(head + packed)
+    frames, text = read_until_error(path)
+
+    assert [frame.can_id for frame in frames] == list(range(30))
+    assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
+
+
+def test_a_reader_that_makes_no_progress_is_stopped(tmp_path):
+    """On a version of the format that python-can does not know, it fails at each attempt."""
+    path = tmp_path / "drive.trc"
+    path.write_text(";$FILEVERSION=2.0\n   1   1059.9 DT 0300 Rx 7 00 00 00 00 04 00 00\n")
+    frames, text = read_until_error(path)
+
+    assert frames == []
+    assert "File has no column information" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("missing.log", "there is no such file"),
+        ("missing.db", "there is no such file"),
+        ("drive.pcap", "the format '.pcap' is unknown; use .asc, .blf, .csv, .db, .log, .mf4, .tr"),
+        ("drive", "the format '' is unknown"),
+        ("drive.gz", "the format '' is unknown"),
+        ("drive.db.gz", ".db cannot be read while compressed; use gunzip first"),
+    ],
+)
+def test_what_cannot_be_read_raises_at_once(tmp_path, name, words):
+    with pytest.raises(LogError) as caught:
+        read_log(tmp_path / name)
+    assert words in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_mf4_without_its_package_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setattr("maplines_can.bus.logs.find_spec", lambda _: None)
+    path = tmp_path / "drive.mf4"
+    path.touch()
+    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[mf4\]"'):
+        read_log(path)
+
+
+@given(st.binary(max_size=300), st.sampled_from(["asc", "blf", "csv", "log", "trc", "log.gz"]))
+def test_random_content_raises_log_error_at_worst(tmp_path_factory, content, suffix):
+    """Whatever a file contains."""
+    path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
+    header = {"asc": b"base hex\n", "csv": b"t\n", "trc": b";$FILEVERSION=1.1\n", "blf": b"LOGG"}
+    path.write_bytes(header.get(suffix, b"") + content)
+    with contextlib.suppress(LogError):
+        list(read_log(path))

@@ -1,0 +1,184 @@
+"""Frames become lines; everything else is counted."""
+
+import itertools
+import queue
+import threading
+import time
+
+import can
+import numpy as np
+import pytest
+from fake_bus import (
+    LONG,
+    FakeTime,
+    collect,
+    map_line,
+    message_of,
+    send_frames,
+    wait_until,
+)
+from fake_codec import PAGES, FakeCodec, Reason
+
+from maplines_can.bus import (
+    Link,
+    Receiver,
+    Sent,
+)
+from maplines_can.errors import BusError
+from maplines_can.line import MapLine, Slot
+from maplines_can.wire import Codec, Frame
+
+
+def test_everything_that_arrives_is_counted(link, other):
+    """Lines, rejected frames, error frames, remote frames."""
+    codec = FakeCodec()
+    frames = codec.encode(map_line())
+    with Receiver(other, codec.decoder()) as receiver:
+        link.send(can.Message(is_error_frame=True))
+        link.send(can.Message(arbitration_id=0x100, is_remote_frame=True, is_extended_id=False))
+        send_frames(link, Frame(0x7FF, b"other"), *frames[:2], frames[3], *codec.encode(map_line()))
+        received = receiver.get(LONG)
+        stats = receiver.stats()
+
+    assert abs(received.t_ns - time.time_ns()) < LONG * 1e9
+    assert (stats.lines, stats.frames, stats.overflowed) == (1, 8, 0)
+    assert (stats.error_frames, stats.remote_frames) == (1, 1)
+    assert stats.counts == {
+        Reason.UNKNOWN_ID: 1,
+        Reason.PENDING: 5,
+        Reason.BROKEN: 1,
+        Reason.DONE: 1,
+    }
+
+
+def test_iteration_ends_with_stop(link, other):
+    """Lines in the queue are still returned, then the iteration ends."""
+    codec = FakeCodec()
+    with Receiver(other, codec.decoder()) as receiver:
+        send_frames(link, *codec.encode(map_line(y=1)), *codec.encode(map_line(y=2)))
+        for received in receiver:
+            receiver.stop()
+            assert received.gaussian.mean[0] == 1
+            break
+    assert [x.gaussian.mean[0] for x in receiver] in ([2.0], [])
+    assert receiver.get() is None
+    receiver.stop()
+
+
+def test_get_has_a_timeout(other):
+    with Receiver(other, FakeCodec().decoder()) as receiver:
+        assert receiver.get(0.0) is None
+
+
+def test_stop_wakes_waiting_threads(other):
+    receiver = Receiver(other, FakeCodec().decoder())
+    waiting = threading.Thread(target=receiver.get)
+    waiting.start()
+    receiver.stop()  # never started
+    waiting.join(LONG)
+    assert not waiting.is_alive()
+
+
+def test_the_queue_keeps_the_newest_lines(link, other):
+    """A full queue drops the oldest lines and counts them."""
+    codec = FakeCodec()
+    with Receiver(other, codec.decoder(), queue_size=3) as receiver:
+        for y in range(10):
+            send_frames(link, *codec.encode(map_line(y=y)))
+        wait_until(lambda: receiver.stats().lines == 10)
+        assert [x.gaussian.mean[0] for x in collect(receiver, 3)] == [7, 8, 9]
+        assert receiver.stats().overflowed == 7
+
+
+def test_a_callback_gets_the_lines(link, other):
+    codec, lines = FakeCodec(), queue.SimpleQueue()
+    with Receiver(other, codec.decoder(), on_line=lines.put) as receiver:
+        send_frames(link, *codec.encode(map_line(y=3)))
+        assert lines.get(timeout=LONG).gaussian.mean[0] == 3
+        with pytest.raises(TypeError, match="go to on_line"):
+            receiver.get()
+    assert receiver.stats().overflowed == 0
+
+
+def test_the_error_of_a_callback_is_raised_by_stop(link, other):
+    codec = FakeCodec()
+
+    def on_line(line):
+        raise ZeroDivisionError
+
+    receiver = Receiver(other, codec.decoder(), on_line=on_line).start()
+    send_frames(link, *codec.encode(map_line()))
+    receiver._join(LONG)
+    with pytest.raises(ZeroDivisionError):
+        receiver.stop()
+    receiver.stop()
+
+
+def test_an_error_of_the_thread_is_raised_by_the_iteration(channel):
+    link = Link(interface="virtual", channel=channel)
+    receiver = Receiver(link, FakeCodec().decoder()).start()
+    link.close()
+    with pytest.raises(BusError, match="is closed"):
+        list(receiver)
+    receiver.stop()
+
+
+def test_other_can_ids_do_not_reach_the_decoder(link, other):
+    codec = FakeCodec()
+    with Receiver(other, codec.decoder(), can_ids={0x100}) as receiver:
+        send_frames(link, Frame(0x7FF, b""), *codec.encode(map_line()))
+        assert receiver.get(LONG)
+        assert receiver.stats().frames == PAGES
+
+
+def test_a_queue_size_of_0_raises(other):
+    with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
+        Receiver(other, FakeCodec().decoder(), queue_size=0)
+
+
+@pytest.mark.socketcan
+def test_kernel_filters_and_local_frames(vcan):
+    """The kernel drops frames of other IDs; frames of local programs are received."""
+    codec = FakeCodec()
+    with (
+        Link(interface="socketcan", channel=vcan) as link,
+        Link(interface="socketcan", channel=vcan) as other,
+        Receiver(other, codec.decoder(), can_ids={0x100}) as receiver,
+    ):
+        send_frames(link, *[Frame(0x7FF, b"")] * 20, *codec.encode(map_line()))
+        assert abs(receiver.get(LONG).t_ns - time.time_ns()) < LONG * 1e9
+        assert receiver.stats().frames == PAGES
+
+
+def test_the_latest_line_of_a_backlog_is_not_new(channel, monkeypatch):
+    """The sender has died; then the receiver starts, and reads a backlog from the queue."""
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
+    codec = Codec.from_dbc()
+    with (
+        Link(interface="virtual", channel=channel, preserve_timestamps=True) as sender,
+        Link(interface="virtual", channel=channel) as late,
+    ):
+
+        def send(k, age_ns):
+            for frame in codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [k / 16, 0, 0, 0])):
+                message = message_of(frame, timestamp=(now.ns - age_ns) / 1e9)
+                assert sender.send(message) is Sent.OK
+
+        for k in range(20):
+            send(k, 2_000_000_000 + (20 - k) * 50_000_000)
+        with Receiver(late, codec.decoder(cycle_ms=200)) as receiver:
+            collect(receiver, 20)
+            view = receiver.latest(Slot.EGO_LEFT)
+            assert (view.line.gaussian.mean[0], view.age, view.stale) == (19 / 16, np.inf, True)
+            assert not view.usable
+            assert receiver.latest(Slot.EGO_LEFT, now_ns=view.line.t_ns).usable  # the time is known
+            for k in itertools.count(20):
+                now.ns += 50_000_000
+                send(k, 0)
+                collect(receiver, 1)
+                view = receiver.latest(Slot.EGO_LEFT)
+                if view.usable:
+                    break
+                assert k < 100
+            assert k >= 24
+            assert view.age < 10.0

@@ -1,0 +1,71 @@
+"""The time on the clock of the stamps is known in spite of a backlog."""
+
+import pytest
+
+from maplines_can.bus.stamp_clock import StampClock
+
+
+def test_a_backlog_does_not_set_the_time_back():
+    """A process that was suspended reads old stamps; the time still follows our clock."""
+    clock, second = StampClock(), 1_000_000_000
+    clock.add(100 * second, 0)
+    for i in range(50):  # 2.5 s of frames, read at once after 3 s
+        clock.add(100 * second + i * second // 20, 3 * second + i * 10_000)
+        assert clock.now(3 * second) >= 103 * second - 1_000_000
+
+
+def test_a_clock_that_was_set_back_is_believed_after_a_second():
+    """Until then lines look older than they are; a clock set forward is believed at once."""
+    clock, second = StampClock(), 1_000_000_000
+    for i in range(40):
+        clock.add(100 * second + i * second // 20, i * second // 20)
+    for i in range(40, 80):
+        clock.add(50 * second + i * second // 20, i * second // 20)
+        believed = clock.now(i * second // 20) == 50 * second + i * second // 20
+        assert believed == (i >= 61)
+    clock.add(900 * second, 4 * second)
+    assert clock.now(4 * second) == 900 * second
+
+
+MS = 1_000_000
+
+
+def test_a_backlog_at_the_start_is_not_taken_for_new():
+    """Its frames are read at once; the clock is steady when frames arrive at the pace of stamps."""
+    clock = StampClock()
+    for i in range(41):  # 2 s of frames in 4 ms; the last one has waited for 0.9 s
+        clock.add(i * 50 * MS, i * MS // 10)
+        assert not clock.steady
+    for i in range(41, 60):  # then frames at the pace of their stamps, 3 s after the first
+        at_ns = 3000 * MS + i * 50 * MS
+        clock.add(at_ns + 2900 * MS, at_ns)
+        assert clock.steady == (i >= 45)
+        assert clock.now(at_ns) == at_ns + 2900 * MS
+
+
+@pytest.mark.parametrize("wait_ns", [0, 700 * MS])
+def test_the_queue_need_not_be_empty(wait_ns):
+    """Frames without a pause that all wait, some of them longer: steady after 0.2 s."""
+    clock = StampClock()
+    for i in range(2000):
+        at_ns = i * MS // 4
+        clock.add(at_ns - wait_ns - i % 7 * 9 * MS, at_ns)
+        assert clock.steady == (at_ns >= 200 * MS)
+
+
+def test_a_backlog_that_is_read_slowly_is_noticed():
+    """The callback takes 35 ms a line, and lines arrive every 50 ms."""
+    clock = StampClock()
+    for i in range(40):
+        clock.add(i * 50 * MS, i * 35 * MS)
+        assert not clock.steady
+
+
+@pytest.mark.parametrize("ppm", [-200, 200])
+def test_a_clock_that_drifts_stays_steady(ppm):
+    """The quartz of an adapter drifts against ours for an hour."""
+    clock = StampClock()
+    for i in range(36_000):
+        at_ns = i * 100 * MS
+        clock.add(at_ns + at_ns * ppm // 10**6, at_ns)
+        assert clock.steady == (i >= 2)

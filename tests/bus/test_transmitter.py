@@ -1,0 +1,278 @@
+"""Every published line is sent once a period, whole or not at all."""
+
+import itertools
+import struct
+import threading
+
+import can
+import pytest
+from fake_bus import (
+    FULL,
+    GONE,
+    LONG,
+    Clock,
+    FakeOpener,
+    FakeTime,
+    collect,
+    drive,
+    map_line,
+    send_frames,
+)
+from fake_codec import PAGES, FakeCodec, Reason
+
+from maplines_can.bus import (
+    Link,
+    Receiver,
+    Transmitter,
+)
+from maplines_can.errors import BusError
+from maplines_can.line import Slot
+from maplines_can.wire import Codec, Frame
+
+
+def transfer(sent, n=PAGES):
+    """(page, counter) of the next n frames that were sent on a fake bus."""
+    return [tuple(sent.get(timeout=LONG).data[:2]) for _ in range(n)]
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_lines_arrive_in_every_period(link, other, fd):
+    """Eight lines, five periods each, nothing lost but overruns; the counters agree."""
+    codec = FakeCodec()
+    with Receiver(other, codec.decoder()) as receiver:
+        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=5)
+        for slot in Slot:
+            transmitter.publish(map_line(slot, y=slot / 10))
+        with transmitter:
+            assert transmitter.wait(LONG)
+        stats = transmitter.stats()
+        lines = collect(receiver, stats.lines)
+
+    assert stats.lines + stats.overruns == 40
+    per_slot = [[x.gaussian.mean[0] for x in lines if x.slot == slot] for slot in Slot]
+    assert per_slot == [
+        [slot / 10] * len(values) for slot, values in zip(Slot, per_slot, strict=True)
+    ]
+    assert all(1 <= len(values) <= 5 for values in per_slot)
+    assert stats.frames == stats.lines * (1 if fd else PAGES)
+    assert 0 < stats.lateness.median <= stats.lateness.p99 <= stats.lateness.max
+    assert receiver.stats().counts[Reason.DONE] == receiver.stats().lines == stats.lines
+
+
+def test_the_latest_value_wins(link, other):
+    """The last published value is sent, once each period."""
+    codec = FakeCodec()
+    with (
+        Receiver(other, codec.decoder()) as receiver,
+        Transmitter(link, codec, period=0.02) as transmitter,
+    ):
+        for round_ in range(1, 4):
+            for y in (0.5, -3.0, round_):
+                transmitter.publish(map_line(y=y))
+            while receiver.get(LONG).gaussian.mean[0] != round_:
+                pass  # values sent before the last publish
+            assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
+
+
+def values(opener):
+    """(y_off [m], age [s]) of the lines that went out."""
+    pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
+    return [struct.unpack_from("<Hh", page, 4) for page in pages if page[0] == 0]
+
+
+def test_the_age_counts_from_the_pose(monkeypatch):
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
+    opener, clock = FakeOpener(), Clock()
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)
+        transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
+        drive(transmitter, clock, 1000.5)
+        assert values(opener)[0][0] == 2000
+
+
+@pytest.mark.parametrize("t_pose_ns", [0, 2**62])
+def test_a_time_of_another_clock_is_refused(link, t_pose_ns):
+    with pytest.raises(ValueError, match=r"t_pose_ns must be on the clock of time.time_ns\(\)"):
+        Transmitter(link, FakeCodec()).publish(map_line(), t_pose_ns)
+
+
+@pytest.mark.parametrize("lost_at", range(PAGES))
+def test_a_transfer_is_whole_or_dropped(lost_at):
+    """After an error the rest of the transfer is dropped; the next transfer is whole."""
+    opener = FakeOpener(*[None] * lost_at, GONE)
+    with (
+        Link(opener, backoff=(0.001, 0.001)) as link,
+        Transmitter(link, FakeCodec(), period=0.01) as transmitter,
+    ):
+        transmitter.publish(map_line())
+        assert transfer(opener.sent, lost_at) == [(page, 1) for page in range(lost_at)]
+        later = transfer(opener.sent)
+        assert [page for page, _ in later] == [0, 1, 2, 3]
+        assert len({counter for _, counter in later} - {1}) == 1
+        transmitter.stop()
+        stats = transmitter.stats()
+
+    assert stats.down >= 1
+    assert stats.frames == PAGES * stats.lines + lost_at
+    assert link.outages == 1
+
+
+def test_a_frame_is_retried_while_the_queue_is_full():
+    """The transfer continues where it was when there is room again."""
+    opener = FakeOpener(None, FULL, FULL, FULL)
+    with Link(opener) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:
+        transmitter.publish(map_line())
+        assert transfer(opener.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
+
+    assert transmitter.stats()[:6] == (1, 0, 0, 0, PAGES, 3)
+
+
+def test_a_queue_that_stays_full_costs_the_line_its_period():
+    """It is given up when the next transfer is due, and counted; it is no outage."""
+    opener = FakeOpener(None, *[FULL] * 10_000)
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2)
+        transmitter.publish(map_line())
+        with transmitter:
+            assert transmitter.wait(LONG)
+        stats = transmitter.stats()
+
+    assert (stats.lines, stats.frames) == (0, 1)
+    assert stats.full + stats.overruns == 2
+    assert stats.retries > 0
+    assert link.outages == 0
+
+
+def test_a_full_receiver_on_the_virtual_bus_does_not_block_the_sender(link, channel):
+    """The virtual bus by itself would wait for ever."""
+    with can.Bus(interface="virtual", channel=channel, rx_queue_size=2):
+        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=1)
+        transmitter.publish(map_line())
+        with transmitter:
+            assert transmitter.wait(LONG)
+        assert transmitter.stats().full == 1
+
+
+def test_an_error_of_the_codec_reaches_the_caller(link):
+    """It ends the thread. wait and publish raise it; stop does not raise it again."""
+    transmitter = Transmitter(link, FakeCodec(), period=0.001)
+    with transmitter:
+        transmitter.publish(map_line(x_max=13.0))
+        with pytest.raises(ValueError, match="13 m"):
+            transmitter.wait(LONG)
+        with pytest.raises(ValueError, match="13 m"):
+            transmitter.publish(map_line())
+
+    with pytest.raises(ValueError, match="13 m"), Transmitter(link, FakeCodec()) as transmitter:  # noqa: PT012
+        transmitter.publish(map_line(x_max=13.0))
+        transmitter._join(LONG)
+
+
+def test_the_error_of_the_body_is_not_hidden(link):
+    with pytest.raises(KeyError), Transmitter(link, FakeCodec()) as transmitter:  # noqa: PT012
+        transmitter.publish(map_line(x_max=13.0))
+        transmitter._join(LONG)
+        raise KeyError
+
+
+def test_stop_is_immediate_and_can_be_repeated(link):
+    """From any thread, with the next deadline an hour away, and before the start."""
+    transmitter = Transmitter(link, FakeCodec(), period=3600.0).start()
+    transmitter.publish(map_line())
+    threads = [threading.Thread(target=transmitter.stop) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(LONG)
+        assert not thread.is_alive()
+    transmitter.stop()
+    assert transmitter.wait(0)
+    Transmitter(link, FakeCodec()).stop()
+
+
+def test_a_callback_may_stop_the_transmitter():
+    opener = FakeOpener(GONE)
+    stopped = threading.Event()
+
+    def on_event(up, text):
+        transmitter.stop()
+        stopped.set()
+
+    with Link(opener, on_event=on_event) as link:
+        transmitter = Transmitter(link, FakeCodec())
+        transmitter.publish(map_line())
+        with transmitter:
+            assert stopped.wait(LONG)
+            assert transmitter.wait(LONG)
+
+
+def test_each_slot_has_its_phase_in_the_period(link, other):
+    """Slots are spread over the period, in their order, the pages of one line together."""
+    clock = Clock()
+    transmitter = Transmitter(link, FakeCodec(), period=0.4, count=2, clock=clock)
+    for slot in reversed(Slot):
+        transmitter.publish(map_line(slot))
+    drive(transmitter, clock, clock.now + 1.0)
+    frames = [other.recv(LONG) for _ in range(2 * 8 * PAGES)]
+
+    order = [frame.data[2] for frame in frames]
+    rounds = [order[i : i + PAGES] for i in range(0, len(order), PAGES)]
+    assert all(len(set(pages)) == 1 for pages in rounds)
+    slots = [pages[0] for pages in rounds]
+    assert all((b - a) % 8 == 1 for a, b in itertools.pairwise(slots))
+
+
+@pytest.mark.parametrize("settings", [{"period": 0}, {"period": float("nan")}, {"count": 0}])
+def test_wrong_settings_raise(link, settings):
+    with pytest.raises(ValueError, match=rf"{next(iter(settings))} must be"):
+        Transmitter(link, FakeCodec(), **settings)
+
+
+def test_can_fd_needs_a_link_with_can_fd():
+    with (
+        Link(FakeOpener()) as link,
+        pytest.raises(BusError, match="fake is opened without CAN FD; open it with fd=True"),
+    ):
+        Transmitter(link, FakeCodec(), fd=True)
+
+
+def test_udp_multicast_carries_lines():
+    """Classic CAN and CAN FD over the loopback interface, if it routes multicast."""
+    settings = {"interface": "udp_multicast", "channel": "239.74.163.2", "opener": 43117}
+    try:
+        link, other = Link(**settings), Link(**settings)
+    except BusError as error:
+        pytest.skip(str(error))
+    with link, other:
+        send_frames(link, Frame(0x7FF, b"probe"))
+        if not link.up or other.recv(2.0) is None:
+            pytest.skip("multicast is not routed here")
+        for fd in (False, True):
+            codec = FakeCodec()
+            with (
+                Receiver(other, codec.decoder()) as receiver,
+                Transmitter(link, codec, period=0.02, fd=fd) as transmitter,
+            ):
+                transmitter.publish(map_line())
+                collect(receiver, 5)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_lines_of_the_real_codec(link, other, fd):
+    """End to end: nothing rejected, nothing lost, every value as sent to within a millimetre."""
+    codec = Codec.from_dbc()
+    sent = [map_line(slot, y=slot / 7, age=0.02) for slot in Slot]
+    with Receiver(other, codec.decoder(), can_ids=codec.can_ids) as receiver:
+        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=4)
+        transmitter.publish(sent)
+        with transmitter:
+            assert transmitter.wait(LONG)
+        assert transmitter.stats().lines == 8 * 4 - transmitter.stats().overruns > 0
+        lines = collect(receiver, transmitter.stats().lines)
+        stats = receiver.stats()
+
+    for received in lines:
+        assert received.gaussian.mean[0] == pytest.approx(received.slot / 7, abs=1e-3)
+        assert received.age >= 0.02 - codec.layout["Age"].factor / 1000
+    assert stats.frames == len(lines) * (1 if fd else 4)
+    assert (stats.lost, {k: n for k, n in stats.counts.items() if n}) == (0, {})

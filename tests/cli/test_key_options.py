@@ -1,0 +1,175 @@
+"""Keys on the command line."""
+
+import argparse
+import json
+import logging
+import re
+import time
+import uuid
+from pathlib import Path
+
+import can
+import pytest
+from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_secret, codec_of, key_file, sent
+
+from maplines_can import Codec, Link, Transmitter, scenario
+from maplines_can.bus import key_from_file
+from maplines_can.cli import _parser, main
+from maplines_can.cli.sending import scene_lines
+from maplines_can.wire import Authenticator
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+@pytest.fixture
+def lines():
+    return scene_lines(scenario("highway"), 2)
+
+
+COLONS = ":".join(f"{byte:02x}" for byte in SECRET)
+HEX = SECRET.hex()
+
+
+@pytest.mark.parametrize("option", ["--key-file", "--key-env"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(HEX, HEX.upper(), f"0x{HEX}", f"./{HEX}", f"{HEX}.key", f"2:{HEX}", f"{HEX}:a"),
+        *(HEX[:-1], HEX * 9, COLONS, f"12:{COLONS}"),
+        *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
+    ],
+)
+def test_a_key_on_the_command_line_is_not_repeated(capsys, option, text):
+    """Who gives the key itself instead of its file is told so, without it."""
+    assert main(["demo", option, text]) == 1
+    out, err = capsys.readouterr()
+    assert "looks like a key itself" in err
+    check_typed(out + err)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["demo", f"--key={HEX}"],
+        ["demo", f"--key=0x{HEX.upper()}"],
+        ["demo", "--key", HEX],
+        ["demo", "--keyfile", HEX],
+        ["demo", "--key-files", COLONS],
+        ["demo", f"-k{HEX}"],
+        ["demo", "--key-env", "A", HEX],
+        ["demo", "--key-env", "A", *COLONS.split(":")],
+        ["demo", "--rate", HEX],
+        ["receive", f"--key={HEX[:-1]}"],
+        ["study", "report", "--out", "a", "b", f"--key={HEX}"],
+        [HEX],
+    ],
+)
+def test_a_wrong_command_line_is_not_repeated_where_it_may_hold_a_key(capsys, words):
+    """No option is taken by its beginning, and what may be a key is left out of errors."""
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    out, err = capsys.readouterr()
+    assert "(hidden)" in err
+    check_typed(out + err)
+
+
+def check_typed(text):
+    """As check_secret, however the digits are set apart."""
+    check_secret(text)
+    check_secret(re.sub("[^0-9A-Za-z]", "", text))
+
+
+def test_a_wrong_command_line_is_told_as_ever(capsys):
+    """What cannot be a key is repeated."""
+    with pytest.raises(SystemExit, match="2"):
+        main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
+    assert "arguments: --keyfile car.key --key 2024-10-11\n" in capsys.readouterr().err
+
+
+def test_the_demo_with_a_key(capsys, caplog, tmp_path, monkeypatch):
+    """From a file for people and from the environment for machines, and no key anywhere."""
+    caplog.set_level(logging.DEBUG)
+    path = key_file(tmp_path, SECRET.hex().encode())
+    assert main(["demo", "--key-file", str(path), "--seconds", "0.2"]) == 0
+    text = capsys.readouterr()
+    assert "over CAN FD, authenticated, 20 Hz" in text.out
+    monkeypatch.setenv("CAR_KEY", SECRET.hex())
+    assert main(["demo", "--key-env", "3:CAR_KEY", "--seconds", "0.2", "--json"]) == 0
+    machine = capsys.readouterr()
+    result = json.loads(machine.out)
+    assert (result["lines_lost"], result["carrier"]) == (0, "CAN FD, authenticated")
+    check_secret("".join([*text, *machine, caplog.text]))
+
+
+def test_send_and_receive_with_keys(capsys, tmp_path, monkeypatch):
+    """Right key: lines. Wrong key: none, and why."""
+    path = key_file(tmp_path, SECRET.hex().encode())
+    monkeypatch.setenv("WRONG", OTHER.hex())
+    channel = f"test-{uuid.uuid4()}"
+    bus = ["--interface", "virtual", "--channel", channel]
+    authenticator = Authenticator(key_from_file(path, 2), clock=time.time_ns)
+    with (
+        Link(interface="virtual", channel=channel, fd=True) as link,
+        Transmitter(link, Codec.from_dbc(None, authenticator), period=0.02, fd=True) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("highway"), 2))
+        keys = ["--key-env", "1:WRONG", "--key-file", f"2:{path}"]
+        assert main(["receive", *bus, *keys, "--count", "4", "--json"]) == 0
+        rows = [json.loads(row) for row in capsys.readouterr().out.splitlines()]
+        assert {row["slot"] for row in rows} == {"EGO_LEFT", "EGO_RIGHT"}
+        assert main(["receive", *bus, "--key-env", "2:WRONG", "--timeout", "0.2"]) == 0
+    out, err = capsys.readouterr()
+    assert not out
+    assert re.search(r"0 lines from \d+ frames.*dropped frames: \d+ mac", err)
+    check_secret(out + err)
+
+
+def test_a_recorded_log_is_decoded_with_its_key(capsys, tmp_path, clock, lines):
+    """However old it is: only the order counts."""
+    path, codec = tmp_path / "drive.log", codec_of(clock=clock)
+    frames = sent(codec, clock, lines[0], 4)
+    with can.Logger(path) as writer:
+        for i, frame in enumerate([*frames, frames[1]]):
+            writer(
+                can.Message(
+                    NOW / S + 0.05 * i,
+                    frame.can_id,
+                    is_extended_id=False,
+                    is_fd=True,
+                    data=frame.data,
+                    channel="can0",
+                )
+            )
+    assert (
+        main(["decode", str(path), "--key-file", str(key_file(tmp_path, SECRET.hex().encode()))])
+        == 0
+    )
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 4
+    assert "dropped frames: 1 replay" in err
+
+
+def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
+    """A DBC without authenticated messages cannot be sent or received with a key."""
+    path = key_file(tmp_path, SECRET.hex().encode())
+    dbc = str(ROOT / "dbc" / "maplines.dbc")
+    for job in ("demo", "send", "receive"):
+        assert main([job, "--key-file", str(path), "--dbc", dbc, "--interface", "virtual"]) == 1
+        assert "plain CAN FD are not authenticated" in capsys.readouterr().err
+
+
+def test_keys_are_sent_with_in_the_order_they_are_given():
+    """Files and variables alike; a number before the colon, else 1."""
+    parsed: argparse.Namespace = _parser().parse_args(
+        ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
+    )
+    assert [(name, number) for _, name, number in parsed.keys] == [
+        ("NEW", 2),
+        ("a:b", 1),
+        ("c", 255),
+    ]

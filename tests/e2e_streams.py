@@ -1,0 +1,86 @@
+"""Streams of records of one slot, for tests of the E2E state."""
+
+from functools import cache
+
+import numpy as np
+from dbcs import default_codec
+
+from maplines_can import Slot
+from maplines_can.study import road
+
+MS = 1_000_000
+CYCLE = 50 * MS
+SLOT = Slot.EGO_LEFT
+
+
+# ---- the decoder -------------------------------------------------------------------------------
+
+MEANS, COVS = road(256, seed=11)
+
+
+@cache
+def record(counter, which=None):
+    """One record; its line is another for each counter, or the one that is named."""
+    i = counter % 256 if which is None else which
+    one = MEANS[i : i + 1], COVS[i : i + 1]
+    return default_codec().encode_batch(*one, slot=SLOT, counter=[counter % 256])[0]
+
+
+@cache
+def frames(counter, fd=False, which=None):
+    """The frames of that record."""
+    return default_codec().frames(record(counter, which=which), SLOT, fd=fd)
+
+
+def feed(decoder, transfer, t_ns):
+    """The answer to the last frame of a transfer, its frames 0.25 ms apart."""
+    answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(transfer)]
+    return answers[-1]
+
+
+def run(decoder, counters, t_ns=0, fd=False, other=0):
+    """Lines at 20 Hz, or other ones of the same counters; their answers, and the next time."""
+    answers = []
+    for counter in counters:
+        which = (counter + other) % 256
+        answers.append(feed(decoder, frames(counter, fd, which=which), t_ns))
+        t_ns += CYCLE
+    return answers, t_ns
+
+
+def check_accounts(decoder):
+    dropped = sum(decoder.counts.values())
+    assert decoder.frames == decoder.line_frames + dropped + decoder.pending
+
+
+@cache
+def mixture_frames(counter, k, fd, seed=0):
+    """The parts of one line, their counters from ``counter``."""
+    rng = np.random.default_rng([seed, counter])
+    means = MEANS[rng.integers(0, 256, k)]
+    weights = np.full((1, k), 1 / k)
+    payloads = default_codec().encode_mixtures(
+        weights, means[None], np.tile(np.diag([1e-2, 1e-4, 1e-8, 1e-12]), (1, k, 1, 1)),
+        slot=SLOT, counter=[counter],
+    )[0]  # fmt: skip
+    return [frame for p in payloads for frame in default_codec().frames(p, SLOT, fd=fd)]
+
+
+def two_senders(decoder, offset_ms, apart, *, fd=False, every=1, k=1, cycles=40, loss=0.0):
+    """Two senders of a slot, the second later by an offset and ahead by some counters."""
+    rng = np.random.default_rng(3)
+    transfers = []
+    for cycle in range(cycles):
+        senders = [(0, 0)] + ([(offset_ms, apart)] if cycle % every == 0 else [])
+        for sender, (ms, ahead) in enumerate(senders):
+            counter = (cycle // (every if sender else 1) * k + ahead) % 256
+            transfer = (
+                frames(counter, fd, which=(counter + 100 * sender) % 256)
+                if k == 1
+                else mixture_frames(counter, k, fd, seed=sender)
+            )
+            transfers.append((cycle * CYCLE + ms * MS, transfer))
+    for t_ns, transfer in transfers:
+        if rng.random() >= loss:
+            feed(decoder, transfer, t_ns)
+    return decoder.checks[SLOT]

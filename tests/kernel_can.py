@@ -1,0 +1,38 @@
+"""CAN interfaces of the kernel, for the tests that run inside tools/vcan."""
+
+import queue
+import socket
+import subprocess
+from pathlib import Path
+
+from fake_bus import LONG
+
+
+def has_vcan():
+    return any(name == "vcan0" for _, name in socket.if_nameindex())
+
+
+def ip(arguments):
+    subprocess.run(["ip", *arguments.split()], check=True)
+
+
+def set_up(name, mtu=72):
+    if not Path("/sys/class/net", name).exists():
+        ip(f"link add dev {name} type vcan")
+    ip(f"link set {name} down")
+    ip(f"link set {name} mtu {mtu} up")
+
+
+class Events:
+    """The ``on_event`` of a link, whose events a test waits for."""
+
+    def __init__(self):
+        self.events = queue.SimpleQueue()
+
+    def __call__(self, up, text):
+        self.events.put((up, text))
+
+    def expect(self, up, words):
+        got, text = self.events.get(timeout=LONG)
+        assert got is up
+        assert words in text

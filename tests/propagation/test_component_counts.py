@@ -1,0 +1,169 @@
+"""Number of components of each line, without and within a budget."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can.gaussian import Gaussian
+from maplines_can.propagation import (
+    Quadrature,
+    Refit,
+    component_counts,
+    nonlinearity,
+    remaining_nonlinearity,
+)
+from maplines_can.propagation.splitting import SPLITS, Mixture
+from maplines_can.scenarios import scenario
+
+amounts = st.lists(st.floats(0, 1), min_size=1, max_size=8)
+tolerances = st.floats(0.01, 1)
+
+
+def largest_remaining(values, counts):
+    return max(remaining_nonlinearity(a, k) for a, k in zip(values, counts, strict=True))
+
+
+def pooled(function, gaussian, k):
+    """``remaining_nonlinearity`` of the worst output, measured on each component."""
+    split = Mixture(k).split(gaussian, function)
+    found = []
+    for i in range(np.asarray(function(gaussian.mean[None])).shape[1]):
+
+        def output(x, i=i):
+            return function(x)[:, [i]]
+
+        amount = np.array([nonlinearity(output, c).amount for c in split.components])
+        variance = np.array([Quadrature(5)(output, c).cov[0, 0] for c in split.components])
+        found.append(np.sqrt(split.weights @ (amount**2 * variance) / (split.weights @ variance)))
+    return max(found)
+
+
+@pytest.mark.parametrize("k", SPLITS)
+@pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 10.0])
+def test_remaining_nonlinearity_of_a_parabola(slope, k):
+    """For a quadratic function of one variable the formula is exact, for any slope."""
+
+    def parabola(x):
+        return slope * x + x**2
+
+    gaussian = Gaussian([0.0], [[1.0]])
+    remaining = remaining_nonlinearity(nonlinearity(parabola, gaussian).amount, k)
+    assert remaining == pytest.approx(pooled(parabola, gaussian, k), rel=1e-6)
+
+
+@pytest.mark.parametrize("k", SPLITS)
+def test_small_amounts_scale_with_the_sigma_of_a_component(k):
+    """The sigma is that of a component of the split of N(0, 1)."""
+    component = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0]).components[0]
+    assert remaining_nonlinearity(1e-3, k) / 1e-3 == pytest.approx(component.sigma[0], rel=1e-5)
+
+
+def test_remaining_nonlinearity_is_less_if_another_variable_contributes():
+    """A linear variable is not narrowed by the split."""
+
+    def saddle(x):
+        return x[:, :1] ** 2 + x[:, 1:]
+
+    gaussian = Gaussian([0.0, 0.0], np.eye(2))
+    for k in range(2, 9):
+        predicted = remaining_nonlinearity(nonlinearity(saddle, gaussian).amount, k)
+        assert pooled(saddle, gaussian, k) < predicted
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        pytest.param("highway", 0.97, 1.01, id="a-parabola"),
+        pytest.param("highway-10deg", 0.97, 1.05, id="wide"),
+        pytest.param("production", 0.25, 0.76, id="other-variables-contribute"),
+        pytest.param("street-turn-10deg", 1.2, 2.0, id="higher-orders"),
+    ],
+)
+def test_remaining_nonlinearity_of_a_refit_against_measurement(name, least, most):
+    """It agrees if the heading dominates; in a turn higher orders add to the outer components."""
+    scene = scenario(name)
+    refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
+    amount = nonlinearity(refit, scene.ego).amount
+    for k in range(2, 9):
+        ratio = pooled(refit, scene.ego, k) / remaining_nonlinearity(amount, k)
+        assert least < ratio < most
+
+
+@pytest.mark.parametrize(
+    ("values", "settings", "counts"),
+    [
+        pytest.param([], {}, [], id="no-line"),
+        pytest.param([0.0], {}, [1], id="straight"),
+        pytest.param([0.3], {}, [1], id="at-the-tolerance"),
+        pytest.param([0.3001], {}, [2], id="above-it"),
+        pytest.param([1.0], {}, [5], id="a-vertex"),
+        pytest.param([1.0], {"tolerance": 0.01}, [8], id="no-more-than-eight"),
+        pytest.param([1.0] * 3, {"budget": 3}, [1, 1, 1], id="one-each"),
+        pytest.param([1.0] * 3, {"budget": 5}, [2, 2, 1], id="ties-in-order"),
+        pytest.param([1.0, 0.1], {"budget": 100}, [5, 1], id="no-more-than-needed"),
+        pytest.param(
+            [1.0, 0.5], {"budget": 100, "tolerance": 0.1}, [8, 8], id="no-more-than-eight-each"
+        ),
+    ],
+)
+def test_component_counts(values, settings, counts):
+    """Values one step from each bound."""
+    assert component_counts(values, **settings) == counts
+
+
+@given(amounts, tolerances, tolerances)
+def test_a_larger_tolerance_never_needs_more_components(values, one, other):
+    """Without a budget each line gets the fewest components that meet the tolerance."""
+    wide, narrow = (
+        component_counts(values, tolerance=t) for t in sorted([one, other], reverse=True)
+    )
+    assert all(w <= n for w, n in zip(wide, narrow, strict=True))
+    tolerance = min(one, other)
+    for value, k in zip(values, narrow, strict=True):
+        assert k == 8 or remaining_nonlinearity(value, k) <= tolerance
+        assert k == 1 or remaining_nonlinearity(value, k - 1) > tolerance
+
+
+@given(amounts, tolerances, st.integers(0, 64), st.integers(0, 64))
+def test_a_larger_budget_never_removes_a_component(values, tolerance, one, other):
+    """No budget is exceeded, and each line has at least one component."""
+    few, many = (
+        component_counts(values, tolerance=tolerance, budget=len(values) + extra)
+        for extra in sorted([one, other])
+    )
+    assert all(1 <= a <= b <= 8 for a, b in zip(few, many, strict=True))
+    assert sum(few) <= len(values) + min(one, other)
+    assert sum(many) <= len(values) + max(one, other)
+
+
+@given(st.lists(st.floats(0, 1), min_size=1, max_size=3), st.integers(0, 21))
+def test_the_distribution_of_a_budget_is_optimal(values, extra):
+    """No other distribution has a smaller largest remaining nonlinearity."""
+    budget = len(values) + extra
+    counts = component_counts(values, tolerance=1e-9, budget=budget)
+    others = product(range(1, 9), repeat=len(values))
+    best = min(largest_remaining(values, other) for other in others if sum(other) <= budget)
+    assert max(largest_remaining(values, counts), 1e-9) == max(best, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([1.1],), "amounts must have shape .* from 0 to 1"),
+        (([float("nan")],), "amounts must have shape"),
+        (([[0.5]],), "amounts must have shape"),
+        (([0.5], {"tolerance": 0.0}), "tolerance must be more than 0, got 0.0"),
+        (
+            ([0.5, 0.5], {"budget": 1}),
+            "budget must be 2 or more, one component for each line, got 1",
+        ),
+    ],
+)
+def test_invalid_arguments_raise(arguments, words):
+    """The message has the name, the range and the value."""
+    values, *settings = arguments
+    with pytest.raises(ValueError, match=words):
+        component_counts(values, **(settings[0] if settings else {}))

@@ -1,0 +1,424 @@
+"""Prediction of lines: Gaussians, and received lines with their time and valid range."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from strategies import ENTRIES, mild_lines, motions
+
+from maplines_can.errors import IllPosedError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import (
+    VAGUE_SIGMA,
+    Kind,
+    MapLine,
+    Slot,
+    Status,
+    lateral,
+    lateral_jacobian,
+    transform_line,
+)
+from maplines_can.mixture import GaussianMixture
+from maplines_can.polyline import to_ego
+from maplines_can.propagation import (
+    Linear,
+    Mixture,
+    MonteCarlo,
+    Motion,
+    Refit,
+    SigmaPoints,
+    pose_time_ns,
+    predict,
+    predict_to,
+)
+from maplines_can.scenarios import SCENARIOS
+
+N = 200_000
+WINDOW = (0.0, 80.0)
+X = np.linspace(*WINDOW, 9)
+MEAN = np.array([1.75, 0.02, 1e-3, 1e-6])
+SIGMA = np.array([0.1, 0.01, 1e-4, 1e-6])
+LINE = Gaussian(MEAN, np.diag(SIGMA**2))
+NO_DISPLACEMENT = Gaussian(np.zeros(3), np.zeros((3, 3)))
+#: 20 m/s on a radius of 1 km for 0.1 s, a street turn for 0.25 s, and the largest motion specified.
+DISPLACEMENTS = {
+    "cruise": Motion.with_sigma(20.0, 0.02, (0.5, 0.01)).over(0.1),
+    "turn": Motion.with_sigma(8.0, 0.4, (0.3, 0.03)).over(0.25),
+    "far": Gaussian([4.5, 1.0, np.radians(10)], np.diag([0.3, 0.1, np.radians(1)]) ** 2),
+}
+
+
+def known(*displacement):
+    return Gaussian(displacement, np.zeros((3, 3)))
+
+
+def inverse(motion):
+    """The old pose in the new frame."""
+    return [*to_ego([0.0, 0.0], motion), -motion[2]]
+
+
+def y_sigma(gaussian, x=X):
+    return MapLine(Slot.EGO_LEFT, gaussian).y_sigma(x)
+
+
+def line_of_scene(name, i=0):
+    """Window, refit and Gaussian of a line of a scene."""
+    scene = SCENARIOS[name]
+    refit = Refit(scene.polylines[i], scene.ego.mean, scene.window)
+    return tuple(refit.x_range), refit, SigmaPoints()(refit, scene.ego)
+
+
+def received(age=0.04, **rest):
+    return MapLine(Slot.EGO_LEFT, LINE, age=age, **{"t_ns": 1_000_000_000} | rest)
+
+
+def covariances():
+    """(4, 4) of a line and (3, 3) of a displacement, each of any rank, realistic or smaller."""
+
+    def blocks(n):
+        ranks = st.integers(0, n)
+        return ranks.flatmap(lambda rank: arrays(float, (n, rank), elements=ENTRIES))
+
+    def scaled(A, sigma, decades):
+        return (A @ A.T) * np.outer(sigma, sigma) * 100.0**-decades
+
+    sigma = np.array([0.3, 0.1, 0.02])
+    return st.tuples(blocks(4), blocks(3), st.integers(0, 4)).map(
+        lambda t: (scaled(t[0], SIGMA, t[2]), scaled(t[1], sigma, t[2]))
+    )
+
+
+@pytest.mark.parametrize("displacement", ["cruise", "far"])
+@pytest.mark.parametrize("name", ["production", "highway"])
+def test_pose_and_displacement_agree_with_monte_carlo(name, displacement):
+    """Refits from drawn poses after drawn displacements have the same mean line and sigma.
+
+    Within 5 standard errors of 20 000 draws, 1 mm, and 1 % of sigma.
+    """
+    n, motion = 20_000, DISPLACEMENTS[displacement]
+    window, refit, line = line_of_scene(name)
+    now = predict(line, motion, window)
+    pose, step = SCENARIOS[name].ego.sample(n, seed=1), motion.sample(n, seed=2)
+    z = np.exp(1j * pose[:, 2]) * (step[:, 0] + 1j * step[:, 1])
+    drawn = refit(pose + np.column_stack([z.real, z.imag, step[:, 2]]))
+    x = np.linspace(*window, 9) - motion.mean[0]
+    y = lateral(drawn[:, None], x)
+    sigma = y.std(axis=0)
+
+    mean_error = np.abs(lateral(now.mean, x) - lateral(drawn.mean(axis=0), x))
+    assert (mean_error <= (5 / np.sqrt(n) + 0.01) * sigma + 1e-3).all()
+    J = lateral_jacobian(drawn.mean(axis=0), x)
+    first_order = np.sqrt(np.einsum("ki,ij,kj->k", J, np.cov(drawn.T), J))
+    assert (np.abs(y_sigma(now, x) / first_order - 1) <= 5 / np.sqrt(2 * n) + 0.01).all()
+
+
+def test_no_displacement_does_not_change_a_line():
+    """Mean and covariance are the same up to rounding."""
+    same = predict(LINE, NO_DISPLACEMENT, WINDOW)
+
+    assert (np.abs(same.mean - MEAN) <= 1e-11 * SIGMA).all()
+    assert (np.abs(same.cov - LINE.cov) <= 1e-9 * np.outer(SIGMA, SIGMA)).all()
+
+
+@given(covariances())
+def test_no_displacement_does_not_change_a_singular_line(cov):
+    """A covariance of any rank, exactly or nearly singular, is the same up to rounding."""
+    cov, _ = cov
+    line = Gaussian(MEAN, cov)
+    same = predict(line, NO_DISPLACEMENT, WINDOW)
+    sigma = line.sigma + 1e-7 * SIGMA
+
+    assert (np.abs(same.cov - line.cov) <= 1e-6 * np.outer(sigma, sigma)).all()
+
+
+def test_a_translation_keeps_the_determinant():
+    """A translation maps (y_off, tan beta, c0, c1) with determinant 1, so det S stays.
+
+    Here it is 10^-12 of that of the sigmas, and the displacement is singular.
+    """
+    L = np.diag([0.1, 1e-4, 1e-6, 1e-8])
+    L[1:, 0], L[2:, 1], L[3, 2] = [1e-2, 1e-4, 1e-6], [1e-6, 1e-8], 1e-8
+    nearly_singular = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)
+    now = predict(nearly_singular, known(2.0, 0.1, 0.0), WINDOW)
+
+    expected = 2 * np.log(L.diagonal()).sum()
+    assert 2 * np.log(now.root.diagonal()).sum() == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("heading_deg", [-30, 0.0, 10])
+def test_rotation_of_a_straight_line(heading_deg):
+    """beta' = beta - heading, and the variances add up, exactly."""
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)
+    turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)
+    now = predict(line, turn, WINDOW)
+    beta = 0.1 - np.radians(heading_deg)
+
+    assert now.mean[1] == pytest.approx(beta, abs=1e-12)
+    assert now.cov[1, 1] == pytest.approx(0.01**2 + 0.02**2, rel=1e-9)
+    assert transform_line(line.mean, turn.mean, WINDOW)[0] == pytest.approx(
+        2 * np.cos(0.1) / np.cos(beta)
+    )
+    assert np.abs(now.mean[2:]).max() < 1e-12
+
+
+def test_translation_of_a_straight_line():
+    """y_off' = y_off + tan(beta) x - y: mean and variance are exact."""
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)
+    displacement = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)
+    now = predict(line, displacement, WINDOW)
+    slope = np.tan(0.1)
+
+    assert np.allclose(now.mean, [2.0 + 3 * slope - 0.5, 0.1, 0, 0], atol=1e-12)
+    assert now.cov[0, 0] == pytest.approx(0.1**2 + (0.4 * slope) ** 2 + 0.2**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("displacement", DISPLACEMENTS)
+@pytest.mark.parametrize("name", ["highway", "production", "street-turn"])
+def test_predict_agrees_with_monte_carlo(name, displacement):
+    """Within 5 standard errors and the error of 15 points.
+
+    That is 1 % of sigma in the mean, and sigmas from 1 % too small to 3 % too large, 15 % for c1
+    in a street turn.
+    """
+    window, _, line = line_of_scene(name)
+    got = predict(line, DISPLACEMENTS[displacement], window)
+    want = predict(line, DISPLACEMENTS[displacement], window, MonteCarlo(N, seed=4))
+    ratio, more = got.sigma / want.sigma, [0.03, 0.03, 0.03, 0.15 if "turn" in name else 0.03]
+
+    assert (np.abs(got.mean - want.mean) <= (5 / np.sqrt(N) + 0.01) * want.sigma).all()
+    assert (ratio >= 1 - 5 / np.sqrt(2 * N) - 0.01).all()
+    assert (ratio <= 1 + 5 / np.sqrt(2 * N) + more).all()
+
+
+@given(mild_lines(), motions(), covariances())
+def test_a_predicted_covariance_is_positive_semidefinite(line, displacement, cov):
+    """It is symmetric too, for lines and displacements of any rank."""
+    now = predict(Gaussian(line, cov[0]), Gaussian(displacement, cov[1]), WINDOW)
+
+    scale = np.where(now.sigma > 0, now.sigma, 1.0)
+    assert np.array_equal(now.cov, now.cov.T)
+    assert np.linalg.eigvalsh(now.cov / np.outer(scale, scale))[0] >= -1e-9
+
+
+@given(mild_lines(), motions(metres=2.0, degrees=2.0), covariances())
+def test_a_displacement_and_its_inverse_return_the_gaussian(line, displacement, cov):
+    """For a known displacement: the mean within 0.1 mm, sigma within 0.1 %."""
+    line = Gaussian(line, cov[0])
+    there = predict(line, known(*displacement), WINDOW)
+    back = predict(there, known(*inverse(displacement)), (-displacement[0], 80.0 - displacement[0]))
+
+    assert np.allclose(lateral(back.mean, X), lateral(line.mean, X), atol=1e-4)
+    assert np.allclose(y_sigma(back), y_sigma(line), rtol=1e-3, atol=1e-4)
+
+
+@given(mild_lines(), motions(), covariances(), st.floats(1, 4))
+def test_a_less_certain_displacement_gives_a_less_certain_line(line, displacement, cov, factor):
+    """The lateral sigma never decreases by more than 0.1 %, a second-order effect."""
+    line = Gaussian(line, cov[0])
+    certain, uncertain = (
+        predict(line, Gaussian(displacement, k * cov[1]), WINDOW) for k in (1, factor)
+    )
+
+    assert (y_sigma(uncertain) >= 0.999 * y_sigma(certain) - 1e-9).all()
+
+
+def test_an_ill_posed_line_raises():
+    """At the mean, or at the sigma points of a wide heading; those of Linear are near the mean."""
+    with pytest.raises(IllPosedError, match="no value at"):
+        predict(LINE, known(0.0, 0.0, np.radians(85)), WINDOW)
+    wide = Gaussian(MEAN, np.diag([0.1, 0.7, 1e-4, 1e-6]) ** 2)
+    with pytest.raises(IllPosedError, match="narrow the Gaussian"):
+        predict(wide, NO_DISPLACEMENT, WINDOW)
+
+    assert np.allclose(predict(wide, NO_DISPLACEMENT, WINDOW, Linear()).mean, MEAN, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("line", "displacement", "window", "words"),
+    [
+        (NO_DISPLACEMENT, NO_DISPLACEMENT, WINDOW, r"gaussian must be over .*'y_off', .* got 3-D"),
+        (LINE, LINE, WINDOW, r"displacement must be over \(x \[m\], .* got 4-D"),
+        (LINE, NO_DISPLACEMENT, (80.0, 80.0), "points must be 4 or more in a window"),
+    ],
+)
+def test_invalid_arguments_of_predict_raise(line, displacement, window, words):
+    """Line and displacement swapped, or an empty window."""
+    with pytest.raises(ValueError, match=words):
+        predict(line, displacement, window)
+
+
+def test_predict_to_starts_at_the_time_of_the_pose():
+    """From 0.04 s before the reception to 0.06 s after it are 0.1 s."""
+    motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
+    line = received(kind=Kind.DASHED, status=Status.REPAIRED, x_min=-8.0, x_max=72.0)
+    now = predict_to(line, 1_060_000_000, motion, time_sigma=0.005)
+    expected = predict(LINE, motion.over(0.1, 0.005), (-8.0, 72.0))
+
+    assert pose_time_ns(line) == 960_000_000
+    assert np.array_equal(now.gaussian.mean, expected.mean)
+    assert np.array_equal(now.gaussian.cov, expected.cov)
+    assert (now.slot, now.kind, now.status) == (line.slot, Kind.DASHED, Status.REPAIRED)
+
+
+@pytest.mark.parametrize("mixture", [None, GaussianMixture([1.0], [LINE])])
+def test_predict_to_uses_the_given_transform(mixture):
+    """For a Gaussian and for the components of a mixture."""
+    displacement = DISPLACEMENTS["far"]
+    now = predict_to(replace(received(), mixture=mixture), 0, displacement, transform=Linear())
+
+    assert np.array_equal(now.gaussian.mean, predict(LINE, displacement, WINDOW, Linear()).mean)
+
+
+def test_predict_to_with_a_displacement():
+    """From odometry, which may include a lateral displacement."""
+    displacement = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)
+    now = predict_to(received(), 1_060_000_000, displacement)
+
+    assert np.array_equal(now.gaussian.mean, predict(LINE, displacement, WINDOW).mean)
+    with pytest.raises(ValueError, match=r"time_sigma must be 0 with a displacement, got 0\.01"):
+        predict_to(received(), 1_060_000_000, displacement, time_sigma=0.01)
+    with pytest.raises(ValueError, match="displacement must be over"):
+        predict_to(received(), 1_060_000_000, LINE)
+
+
+def test_predict_to_the_time_of_the_pose():
+    """Valid range and Gaussian do not change, for any covariance of the motion."""
+    now = predict_to(received(), 960_000_000, Motion.with_sigma(30.0, 0.3, (5.0, 0.5)))
+
+    assert (now.x_min, now.x_max, now.age, now.t_ns) == (0.0, 80.0, 0.0, 960_000_000)
+    assert np.allclose(now.gaussian.cov, LINE.cov, rtol=1e-9)
+
+
+def test_predict_to_a_time_before_the_pose():
+    """The car was farther back; the uncertainty of the line increases too."""
+    before = predict_to(received(), 900_000_000, Motion.with_sigma(20.0, 0.0, (0.0, 0.2)))
+
+    assert (before.x_min, before.x_max) == pytest.approx((1.2, 81.2), abs=0.3)
+    assert before.gaussian.mean[0] == pytest.approx(lateral(MEAN, -1.2), abs=1e-3)
+    assert before.gaussian.sigma[1] == pytest.approx(np.hypot(0.01, 0.2 * 0.06), rel=5e-3)
+
+
+@given(st.integers(-200, 200), st.integers(-200, 200), st.floats(-30, 30), st.floats(-0.3, 0.3))
+def test_two_predictions_are_one(first_ms, second_ms, speed, yaw_rate):
+    """A predicted line has the time of the prediction and age 0, and can be predicted further."""
+    motion, line = Motion(speed, yaw_rate), received()
+    times = pose_time_ns(line) + 10**6 * np.cumsum([first_ms, second_ms])
+    one = predict_to(line, int(times[1]), motion)
+    two = predict_to(predict_to(line, int(times[0]), motion), int(times[1]), motion)
+
+    x = np.linspace(one.x_min, one.x_max, 9)
+    assert np.allclose(two.y(x), one.y(x), atol=1e-3)
+    assert np.allclose(two.y_sigma(x), one.y_sigma(x), rtol=2e-3)
+    assert np.allclose([two.x_min, two.x_max], [one.x_min, one.x_max], atol=1e-2)
+    assert (two.age, two.t_ns) == (0.0, times[1])
+
+
+def test_the_valid_range_moves_and_gets_shorter():
+    """Its ends are those seen from the new pose, moved inwards by 3 sigma, and never swapped."""
+    sigma, R = np.array([0.1, 0.2, 0.01]), np.array([[1, 0.8, 0], [0.8, 1, 0.5], [0, 0.5, 1]])
+    displacement = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))
+    line = received(x_min=-8.0)
+    now = predict_to(line, 960_000_000, displacement)
+    ends = np.array([[x, line.y(x)] for x in (-8.0, 80.0)])
+    drawn = np.array([to_ego(ends, draw)[:, 0] for draw in displacement.sample(20_000, seed=3)])
+
+    got, mean = np.array([now.x_min, now.x_max]), to_ego(ends, displacement.mean)[:, 0]
+    assert np.allclose(got, mean + [3, -3] * drawn.std(axis=0), atol=0.05)
+    assert (drawn[:, 0] <= now.x_min).mean() > 0.99
+    assert (drawn[:, 1] >= now.x_max).mean() > 0.99
+    uncertain = predict_to(line, 960_000_000, Gaussian(np.zeros(3), np.diag([50.0, 1.0, 0.0]) ** 2))
+    assert uncertain.x_min == uncertain.x_max == pytest.approx(36.0)
+
+
+def test_the_valid_range_after_a_u_turn():
+    """x_min is still less than x_max."""
+    displacement = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)
+    now = predict_to(received(), 960_000_000, displacement)
+    inwards = 3 * 0.01 * lateral(MEAN, [80.0, 0.0])  # a rotation moves the far end more
+
+    assert np.allclose([now.x_min, now.x_max], [-80.0, 0.0] + inwards * [1, -1], atol=1e-9)
+    assert now.gaussian.mean[0] == pytest.approx(-1.75, abs=1e-3)
+
+
+def test_a_valid_range_of_length_zero():
+    """The message may round both ends of a short range to the same value."""
+    now = predict_to(received(x_min=24.0, x_max=24.0), 960_000_000, known(2.0, 0.0, 0.01))
+    u, v = to_ego([24.0, lateral(MEAN, 24.0)], [2.0, 0.0, 0.01])
+
+    assert now.x_min == now.x_max == pytest.approx(u, abs=1e-9)
+    assert now.y(u) == pytest.approx(v, abs=1e-5)
+
+
+def test_each_component_of_a_mixture_is_predicted():
+    """Each keeps its weight; the Gaussian of the line is that of the mixture."""
+    scene, motion = SCENARIOS["street-turn"], Motion.with_sigma(8.0, 0.4, (0.3, 0.03))
+    window, refit, _ = line_of_scene("street-turn")
+    mixture = Mixture(3)(refit, scene.ego)
+    extent = {"x_min": window[0], "x_max": window[1], "age": 0.05, "t_ns": 0}
+    line = MapLine.of_mixture(Slot.ROUTE, mixture, **extent)
+    now = predict_to(line, 50_000_000, motion)
+
+    assert np.array_equal(now.mixture.weights, mixture.weights)
+    for got, component in zip(now.mixture.components, mixture.components, strict=True):
+        assert np.array_equal(got.mean, predict(component, motion.over(0.1), window).mean)
+    assert np.array_equal(now.gaussian.cov, now.mixture.overall.cov)
+    assert isinstance(now.mixture, GaussianMixture)
+
+
+def test_a_line_of_unknown_covariance():
+    """The mean is transformed and the covariance stays VAGUE_SIGMA."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
+    motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
+    now = predict_to(line, 1_060_000_000, motion)
+
+    assert now.status == Status.UNKNOWN
+    assert np.array_equal(now.gaussian.sigma, VAGUE_SIGMA)
+    assert np.array_equal(now.gaussian.mean, transform_line(MEAN, motion.over(0.1).mean, WINDOW))
+
+
+def test_a_line_out_of_range_changes_only_its_time():
+    """It has no usable Gaussian; received data does not raise."""
+    saturated = Gaussian([0.0, 0.4999, 0.125, 0.03], np.diag(np.square(VAGUE_SIGMA)))
+    line = replace(received(), gaussian=saturated, status=Status.OUT_OF_RANGE)
+    now = predict_to(line, 1_060_000_000, Motion(20.0, 0.1))
+
+    assert (now.status, now.gaussian) == (Status.OUT_OF_RANGE, saturated)
+    assert (now.t_ns, now.age) == (1_060_000_000, 0.0)
+
+
+def test_a_line_without_reception_time_raises():
+    """The message says how to set it."""
+    line = MapLine(Slot.EGO_LEFT, LINE, age=0.04)
+
+    for call in (lambda: pose_time_ns(line), lambda: predict_to(line, 0, Motion(1.0, 0.0))):
+        with pytest.raises(ValueError, match=r"line\.t_ns must be .* got None; set it with"):
+            call()
+
+
+@pytest.mark.parametrize("t_ns", [0, 10_960_000_001, 1_700_000_000_000_000_000, np.nan])
+def test_a_time_of_another_clock_raises(t_ns):
+    """Seconds instead of nanoseconds, or another epoch: more than 10 s from the pose."""
+    line = received(t_ns=1_000_000_000) if t_ns else received(t_ns=1_700_000_000_000_000_000)
+
+    with pytest.raises(ValueError, match=r"t_ns must be within 10 s .* line\.t_ns=1"):
+        predict_to(line, t_ns, Motion(1.0, 0.0))
+
+
+def test_ten_seconds_are_accepted():
+    """Exactly at the limit, for a slow car."""
+    now = predict_to(received(), 10_960_000_000, Motion(0.5, 0.0))
+
+    assert now.x_max == pytest.approx(75.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_time_of_hundreds_of_digits_raises():
+    """The message has its magnitude instead of its digits."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
+
+    with pytest.raises(ValueError, match=r"within 10 s .* an integer of about 1e400") as error:
+        predict_to(line, 10**400, Motion(1.0, 0.0))
+    assert len(str(error.value)) < 250

@@ -1,0 +1,107 @@
+"""Gauss-Hermite quadrature against closed forms and Monte Carlo."""
+
+import warnings
+from math import factorial
+
+import numpy as np
+import pytest
+from closed_forms import CLOSED
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can.errors import IllPosedError
+from maplines_can.gaussian import Gaussian
+from maplines_can.propagation import MonteCarlo, Quadrature, Refit
+from maplines_can.scenarios import SCENARIOS
+
+
+def without_warnings(call, *arguments):
+    """Call without warnings: with 10 deg of heading a few of a million draws are ill-posed."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return call(*arguments)
+
+
+@pytest.mark.parametrize(("function", "closed"), CLOSED)
+@given(m=st.floats(-2, 2), s=st.floats(0, 1))
+def test_quadrature_agrees_with_closed_forms(function, closed, m, s):
+    """15 points give mean and variance of x^2, exp x and sin x of a Gaussian to 9 digits."""
+    result = Quadrature(15)(function, Gaussian([m], [[s**2]]))
+
+    assert np.allclose([result.mean[0], result.cov[0, 0]], closed(m, s), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 5, 8, 13])
+def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order):
+    """All moments below 2n are exact; that of degree 2n is too small by n!."""
+    gaussian = Gaussian([0.0, 0.0], np.diag([1.0, 0.25]))
+    for degree in range(2 * order):
+        even = np.prod(np.arange(degree // 2 * 2 - 1.0, 0, -2))  # double factorial
+        mean = Quadrature(order).moments(lambda x, k=degree: x[:, :1] ** k, gaussian).mean[0]
+
+        assert abs(mean - (0 if degree % 2 else even)) <= 1e-10 * even
+    last = Quadrature(order).moments(lambda x: x[:, :1] ** (2 * order), gaussian).mean[0]
+    missing = np.prod(np.arange(2.0 * order - 1, 0, -2)) - last
+    assert np.isclose(missing, factorial(order), rtol=1e-6)
+
+
+def test_quadrature_is_exact_for_mixed_powers():
+    """Also for correlated variables: E[x^2 y^2] = P00 P11 + 2 P01^2."""
+    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])
+    mean = Quadrature(3).moments(lambda x: x[:, :1] ** 2 * x[:, 1:] ** 2, gaussian).mean
+
+    assert np.isclose(mean[0], 2.0 * 1.0 + 2 * 0.6**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cov", "points"),
+    [(np.eye(3), 125), (np.diag([1, 1, 0]), 25), (np.ones((3, 3)), 5), (np.zeros((3, 3)), 1)],
+    ids=["full", "known-heading", "rank-one", "zero"],
+)
+def test_directions_without_variance_get_one_point(cov, points):
+    """There are order^rank points, and the first is the mean."""
+    mean, seen = np.array([1.0, -2.0, 0.3]), []
+
+    def watch(x):
+        seen.extend(x)
+        return x
+
+    Quadrature(5)(watch, Gaussian(mean, cov))
+    assert len(seen) == points
+    assert np.allclose(seen[0], mean, atol=1e-15)
+
+
+def test_points_of_small_weight_without_a_value_are_excluded():
+    """They are excluded with a warning; points of larger weight raise."""
+
+    def cut(limit):
+        return lambda x: np.where(np.abs(x) > limit, np.nan, x**2)
+
+    gaussian = Gaussian([0.0], [[1.0]])
+    z, w = np.polynomial.hermite_e.hermegauss(13)
+    kept = np.abs(z) <= 5.5
+    with pytest.warns(
+        UserWarning,
+        match=r"2 of 13 points, with a total weight of 5.4e-08, are ill-posed and excluded",
+    ):
+        mean = Quadrature(13)(cut(5.5), gaussian).mean[0]
+    assert np.isclose(mean, w[kept] @ z[kept] ** 2 / w[kept].sum(), rtol=1e-12)
+    with pytest.raises(IllPosedError, match=r"no value at \[-?3\..* total weight of 0\.00"):
+        Quadrature(13)(cut(3.0), gaussian)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_quadrature_agrees_with_a_million_draws(name):
+    """Mean and variance of two lines within 5 standard errors, from the fourth moment."""
+    scene = SCENARIOS[name]
+    refit = Refit(scene.polylines[1:3], scene.ego.mean, scene.window)
+    samples = without_warnings(MonteCarlo(1_000_000, seed=7).samples, refit, scene.ego)
+    mean, cov = without_warnings(Quadrature().moments, refit, scene.ego)
+    off = samples.values - mean
+    square = off * off
+    n, variance = len(off), square.mean(axis=0)
+    of_variance = np.sqrt(((square * square).mean(axis=0) - variance**2) / n)
+
+    assert samples.ill_posed <= 50  # beyond 4 sigma of the street turn with 10 deg
+    assert (np.abs(off.mean(axis=0)) <= 5 * np.sqrt(variance / n)).all()
+    assert (np.abs(np.diagonal(cov, axis1=1, axis2=2) - variance) <= 5 * of_variance).all()

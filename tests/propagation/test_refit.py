@@ -1,0 +1,325 @@
+"""Refit against QR fits of the points at each pose."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import mild_lines, motions
+
+from maplines_can.errors import IllPosedError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import lateral, transform_line
+from maplines_can.polyline import Polyline
+from maplines_can.propagation import MapError, MonteCarlo, Refit
+from maplines_can.scenarios import SCENARIOS, random_scenarios, scenario
+
+HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
+CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
+
+
+def qr_lines(u, v):
+    """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
+
+    An independent method: the refit uses normal equations and monomials.
+    """
+    centre = (u.max(axis=1) + u.min(axis=1))[:, None] / 2
+    half = np.ptp(u, axis=1)[:, None] / 2
+    Q, R = np.linalg.qr(np.polynomial.chebyshev.chebvander((u - centre) / half, 3))
+    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ v[..., None])[..., 0]
+    slope, *curvatures = (
+        np.polynomial.chebyshev.chebval(
+            (-centre / half)[:, 0], np.polynomial.chebyshev.chebder(q.T, k), tensor=False
+        )
+        / half[:, 0] ** k
+        for k in (1, 2, 3)
+    )
+    y_off = np.polynomial.chebyshev.chebval((-centre / half)[:, 0], q.T, tensor=False)
+    return np.stack([y_off, np.arctan(slope), *curvatures], axis=-1)
+
+
+def qr_refit(points, poses):
+    """(N, 4) lines of (n, 2) map points as seen from (N, 3) poses."""
+    e_x, e_y, e_h = poses.T[..., None]
+    z = (points @ [1, 1j] - (e_x + 1j * e_y)) * np.exp(-1j * e_h)
+    return qr_lines(z.real, z.imag)
+
+
+def refit_of(scene, **rest):
+    return Refit(scene.polylines, scene.ego.mean, scene.window, **rest)
+
+
+@pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
+def test_all_lines_of_all_scenarios_agree_with_qr(scene):
+    """At 2000 sampled poses, within 1e-9 of each parameter's standard deviation."""
+    poses = scene.ego.sample(2000, seed=1)
+    lines = refit_of(scene)(poses)
+    assert not np.isnan(lines).any()
+
+    for i, polyline in enumerate(scene.polylines):
+        witness = qr_refit(polyline.window(scene.ego.mean, *scene.window), poses)
+        assert (np.abs(lines[:, i] - witness).max(axis=0) <= 1e-9 * witness.std(axis=0)).all()
+
+
+def test_random_roads_agree_with_qr():
+    """From motorway to street turn the lateral position at any x agrees within a nanometre."""
+    for road in random_scenarios(200, seed=2):
+        poses = road.ego.sample(50, seed=1)
+        refit = refit_of(road)
+        lines, points = refit(poses)[:, 0], road.polylines[0].points
+        x = np.linspace(*refit.x_range[0], 9)
+        well_posed = ~np.isnan(lines[:, 0])
+        witness = lateral(qr_refit(points, poses)[well_posed, None], x)
+
+        assert well_posed.mean() > 0.9
+        assert np.abs(lateral(lines[well_posed, None], x) - witness).max() <= 1e-9
+
+
+def test_large_map_coordinates_lose_no_precision():
+    """At a thousand kilometres the error is that of the coordinates themselves."""
+    shift, heading = np.array([4e5, 5e6]), 2.0
+    c, s = np.cos(heading), np.sin(heading)
+    near = HIGHWAY.lines[0].polyline
+    far = Polyline(near.points @ np.array([[c, s], [-s, c]]) + shift)
+    lines = Refit(far, [*shift, heading], HIGHWAY.window)([*shift, heading])
+
+    # The coordinates are exact to 4 ulp of 5e6 m, which are 4e-9 m.
+    assert np.allclose(
+        lateral(lines, [0, 40, 80]),
+        lateral(refit_of(HIGHWAY)(np.zeros(3))[0], [0, 40, 80]),
+        atol=1e-8,
+    )
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_several_lines_in_one_call(scene):
+    """Each line is that of a call of its own, except for rounding."""
+    poses = scene.ego.sample(3000, seed=1)  # more than one block
+    together = refit_of(scene)(poses)
+    for i, polyline in enumerate(scene.polylines):
+        alone = Refit(polyline, scene.ego.mean, scene.window)(poses)
+
+        assert alone.shape == (3000, 4)
+        assert (np.abs(alone - together[:, i]).max(axis=0) <= 1e-10 * alone.std(axis=0)).all()
+        assert np.array_equal(np.isnan(alone), np.isnan(together[:, i]))
+
+
+def test_several_poses_in_one_call():
+    """Each row is that of a single pose, also at the end of a block."""
+    poses = HIGHWAY.ego.sample(2050, seed=1)
+    refit = refit_of(HIGHWAY)
+    lines = refit(poses)
+
+    for i in (0, 2047, 2048, 2049):
+        assert np.allclose(refit(poses[i]), lines[i], rtol=1e-12, atol=1e-15)
+    assert refit(poses[:0]).shape == (0, 8, 4)
+
+
+@given(mild_lines(), motions(degrees=180), st.integers(4, 40))
+def test_a_cubic_is_recovered(line, pose, count):
+    """Points on a cubic, seen from the mean pose anywhere in the map, give the cubic."""
+    x = np.linspace(-20, 80, count)
+    z = (x + 1j * lateral(line, x)) * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
+    refit = Refit(Polyline(np.column_stack([z.real, z.imag])), pose, (-20.1, 80.1))
+
+    assert np.allclose(lateral(refit(pose), x), lateral(line, x), atol=1e-10)
+    assert np.allclose(refit.x_range, [-20, 80])
+
+
+@given(mild_lines(), motions())
+def test_a_refit_of_four_points_of_a_line_is_transform_line(line, motion):
+    """Points of the line seen from another pose give the transformed line."""
+    x = 40 + 40 * CHEBYSHEV
+    refit = Refit(Polyline(np.column_stack([x, lateral(line, x)])), np.zeros(3), (0.0, 80.0))
+    x = np.linspace(0, 80, 9)
+
+    assert np.allclose(
+        lateral(refit(motion), x),
+        lateral(transform_line(line, motion, (0.0, 80.0), 4), x),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_the_order_of_the_points_does_not_matter(scene):
+    """A line against the driving direction is the same line."""
+    poses = scene.ego.sample(500, seed=1)
+    for polyline in scene.polylines:
+        ahead, against = (
+            Refit(Polyline(points), scene.ego.mean, scene.window)(poses)
+            for points in (polyline.points, polyline.points[::-1])
+        )
+
+        assert (np.abs(ahead - against).max(axis=0) <= 1e-10 * ahead.std(axis=0)).all()
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_a_rotation_by_180_deg(scene):
+    """u and v change their signs: so do y_off and c0, while beta and c1 stay."""
+    refit, poses = refit_of(scene), scene.ego.sample(500, seed=1)
+    ahead, back = refit(poses), refit(poses + np.array([0, 0, np.pi]))
+
+    assert (np.abs(back + ahead * [1, -1, 1, -1]) <= 1e-10 * ahead.std(axis=(0, 1))).all()
+
+
+@pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
+def test_the_refit_is_continuous(scene):
+    """Half the step between poses halves each step of the lines: there is no jump."""
+
+    def largest_step(count):
+        poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)
+        return np.abs(np.diff(refit_of(scene)(poses), axis=0)).max(axis=0)
+
+    assert (largest_step(2001) <= 0.55 * largest_step(1001)).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "pose", "words"),
+    [
+        pytest.param(
+            [[0, 0], [1, 0], [2, 0]],
+            [0, 0, 0],
+            r"a cubic needs 4 points, but the line has 3 in the window \[-10, 40\] m .* resample",
+            id="three-points",
+        ),
+        pytest.param(
+            [[500 + x, 0] for x in range(9)],
+            [0, 0, 0],
+            "the line has 0 in the window",
+            id="no-point",
+        ),
+        pytest.param(
+            [[20 * np.sin(a), 20 - 20 * np.cos(a)] for a in np.linspace(0, 3.1, 30)],
+            [0, 0, 0],
+            r"\[-10, 40\] m are not a function of x.* \(0 m, 0 m, 0 deg\).* shorten the window",
+            id="hairpin",
+        ),
+        pytest.param(
+            [[x, 0] for x in range(31)] + [[x, 8] for x in range(30, 11, -1)],
+            [0, 0, 0],
+            "are not a function of x",
+            id="more-than-a-third-back",
+        ),
+        pytest.param(
+            [[x, 2.0] for x in range(-5, 6)],
+            [0, 0, np.radians(85)],
+            "nearly perpendicular to the x axis, at the pose .* 85 deg.* check the heading",
+            id="nearly-perpendicular",
+        ),
+        pytest.param(
+            [[0, y] for y in range(9)], [0, 0, 0], "nearly perpendicular", id="perpendicular"
+        ),
+        pytest.param(
+            [[0, 0], [0, 0], [5, 0], [9, 0]], [0, 0, 0], "so no cubic", id="three-of-four-distinct"
+        ),
+    ],
+)
+def test_an_ill_posed_line_raises(points, pose, words):
+    """The message has window, pose and what to do."""
+    with pytest.raises(IllPosedError, match=words):
+        Refit(Polyline(points), pose, (-10, 40))
+    with pytest.raises(IllPosedError, match=words):
+        Refit(
+            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],
+            pose,
+            (-10, 40),
+        )
+
+
+@pytest.mark.parametrize(
+    ("pose", "window", "words"),
+    [
+        ([0, 0], (0, 80), r"pose must be finite with shape \(3,\)"),
+        ([0, 0, np.nan], (0, 80), "pose must be finite .* nan"),
+        ([0, 0, 0], (80, 80), r"window must have x_min < x_max \[m\], got \(80, 80\)"),
+        ([0, 0, 0], (np.nan, 80), "window must have x_min < x_max"),
+    ],
+)
+def test_invalid_arguments_raise(pose, window, words):
+    """The constructor checks pose and window."""
+    with pytest.raises(ValueError, match=words):
+        Refit(HIGHWAY.polylines, pose, window)
+
+
+def test_no_line_raises():
+    """At least one line is needed."""
+    with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
+        Refit([], np.zeros(3), (0, 80))
+
+
+def test_ill_posed_poses_give_nan():
+    """Their rows are NaN; MonteCarlo counts them and warns."""
+    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
+    refit = Refit(road, np.zeros(3), (-20, 80))
+    wide = Gaussian(np.zeros(3), np.diag([0.25, 0.25, np.radians(40) ** 2]))
+    n = 20_000
+    ill_posed = np.abs(np.cos(wide.sample(n, seed=3)[:, 2])) < 0.17  # a straight line: 80.2 deg
+    lines = refit(wide.sample(n, seed=3))
+
+    assert np.array_equal(np.isnan(lines).all(axis=1), ill_posed)
+    assert np.array_equal(np.isnan(lines).any(axis=1), ill_posed)
+    with pytest.warns(
+        UserWarning, match=f"{ill_posed.sum()} of {n} draws are ill-posed and excluded"
+    ):
+        samples = MonteCarlo(n, seed=3).samples(refit, wide)
+    assert samples.ill_posed == ill_posed.sum() > 0
+    assert np.array_equal(samples.values, lines[~ill_posed])
+    assert np.array_equal(samples.inputs, wide.sample(n, seed=3)[~ill_posed])
+    with pytest.raises(IllPosedError, match="90 deg"):
+        refit([0.0, 0.0, np.pi / 2])
+    assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
+
+
+def test_only_ill_posed_draws_raise():
+    """Without values there are no moments."""
+    refit = refit_of(HIGHWAY)
+    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
+
+    with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
+        MonteCarlo(1000).samples(refit, ill_posed)
+
+
+def errors_of_points(error, points, n, rng):
+    """(n, 2, k) errors of k map points in the ego frame, drawn as MapError defines them."""
+    local = error.point_sigma * rng.standard_normal((n, 2, len(points)))
+    common = error.offset_sigma * rng.standard_normal((n, 2, 1))
+    turn = error.heading_sigma * rng.standard_normal((n, 1))
+    turned = np.exp(1j * turn) * (points @ [1, 1j])
+    return local + common + np.stack([turned.real, turned.imag], axis=1) - points.T
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        pytest.param(MapError(point_sigma=0.02), id="points"),
+        pytest.param(MapError(offset_sigma=0.02), id="offset"),
+        pytest.param(MapError(heading_sigma=1e-3), id="heading"),
+        pytest.param(MapError(0.02, 0.01, 5e-4), id="all"),
+    ],
+)
+@pytest.mark.parametrize("name", ["highway", "street-turn"])
+def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name, error):
+    """QR fits of 20,000 erroneous maps have that covariance, within 5 standard errors."""
+    scene, n, rng = scenario(name), 20_000, np.random.default_rng(4)
+    refit = Refit(scene.polylines[:2], [0.3, -0.2, 0.01], scene.window, error)
+    for points, cov in zip(refit.points, refit.noise_cov, strict=True):
+        u, v = (points.T + errors_of_points(error, points, n, rng)).swapaxes(0, 1)
+        # An offset does not change c1; the minimum avoids a division by its zero sigma.
+        sigma = np.maximum(np.sqrt(cov.diagonal()), [1e-9, 1e-9, 1e-12, 1e-12])
+        correlation = cov / np.outer(sigma, sigma)
+        drawn = np.cov((qr_lines(u, v) / sigma).T)
+
+        assert (np.abs(drawn - correlation) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
+
+
+def test_no_map_error_gives_no_noise():
+    """noise_cov is None for an exact map, and zero for map errors of zero."""
+    assert refit_of(HIGHWAY).noise_cov is None
+    assert not refit_of(HIGHWAY, map_error=MapError()).noise_cov.any()
+
+
+@pytest.mark.parametrize("name", ["point_sigma", "offset_sigma", "heading_sigma"])
+@pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
+def test_invalid_map_error_raises(name, value):
+    """Standard deviations are finite and 0 or more."""
+    with pytest.raises(ValueError, match=f"{name} must be 0 or more and finite, got"):
+        MapError(**{name: value})

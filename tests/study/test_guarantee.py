@@ -1,0 +1,187 @@
+"""The guarantee of the wire, measured by the study: decoded covariances are never overconfident."""
+
+import numpy as np
+import pytest
+from dbcs import DBC, default_codec, edited
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can.line import VAGUE_SIGMA, Status
+from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.wire import Codec
+
+LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
+
+
+def check_guarantee(codec, means, covs):
+    """Never overconfident, always definite; returns the batch and the verdict."""
+    payloads = codec.encode_batch(means, covs)
+    batch = codec.decode_batch(payloads)
+    assert batch.accepted.all()
+    stated = batch.status != Status.OUT_OF_RANGE
+    verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
+    assert verdict.positive_definite.all()
+    assert not verdict.overconfident[stated].any()
+    return batch, verdict
+
+
+def test_a_hundred_thousand_hostile_covariances(codec):
+    """Sigmas over the whole range, condition to 1e10, exactly singular, means at the limits."""
+    batch, _ = check_guarantee(codec, *adversarial(100_000, seed=1))
+    assert (batch.status == Status.OUT_OF_RANGE).mean() < 0.01
+    assert set(np.unique(batch.status)) <= {Status.FULL, Status.SATURATED, Status.OUT_OF_RANGE}
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    st.lists(st.floats(-40, 40), min_size=4, max_size=4),
+    st.lists(st.floats(-3, 3), min_size=16, max_size=16),
+    st.lists(st.floats(-12, 3), min_size=4, max_size=4),
+    st.integers(0, 4),
+)
+def test_any_covariance_is_covered_or_says_so(mean, entries, log_sigma, rank):
+    """Any square of any matrix, any rank, any scale, any mean."""
+    root = np.array(entries).reshape(4, 4) * 10.0 ** np.array(log_sigma)[:, None]
+    root[:, rank:] = 0
+    cov = root @ root.T
+    check_guarantee(default_codec(), np.array([mean]) * LIMITS / 32, ((cov + cov.T) / 2)[None])
+
+
+@pytest.mark.parametrize("make", [paper, road])
+def test_the_sets_stay_within_the_bounds_of_the_design(codec, make):
+    """KL, saturation, lateral error and sigma ratio on pose error alone and with map error."""
+    means, covs = make(4000, seed=11)
+    batch, verdict = check_guarantee(codec, means, covs)
+    assert verdict.kl_covered.mean() <= 5e-3
+    assert np.quantile(verdict.kl_covered, 0.99) <= 1.2e-2
+    assert (batch.status == Status.SATURATED).mean() <= 5e-3
+    assert np.abs(verdict.lateral_error).max() <= 5e-3
+    assert np.quantile(verdict.sigma_ratio, 0.99, axis=0).max() <= 1.06
+    assert verdict.sigma_ratio.min() >= 1
+
+
+def test_kl_of_the_rounding_is_what_the_theory_says(codec):
+    """With the inflation taken out: sum of D^2/24 for ratios, (D ln 2)^2/12 for pivots."""
+    rng = np.random.default_rng(4)
+    n = 40_000
+    root = rng.standard_normal((n, 4, 4)) * [0.5, 0.02, 1e-3, 1e-4] + 0
+    covs = np.einsum("nki,nkj->nij", root, root)
+    means = np.zeros((n, 4))
+    batch = codec.decode_batch(codec.encode_batch(means, covs))
+    names = [f.name for f in codec.layout.signals.values()]
+    pivots = [codec.layout[name].factor for name in names if name.startswith("Pivot")]
+    ratios = [codec.layout[name].factor for name in names if name.startswith("Ratio")]
+    theory = sum((p * np.log(2)) ** 2 / 12 for p in pivots) + sum(r**2 / 24 for r in ratios)
+    raw = codec._reader._packing.unpack(codec.encode_batch(means, covs))
+    inflation = 2.0 ** codec.layout["Inflation"].physical(raw["Inflation"])
+    plain = batch.cov / inflation[:, None, None]
+    keep = batch.status == Status.FULL
+    measured = evaluate(means, covs, means, plain, codec.resolution).kl_covered[keep].mean()
+    # An error of n samples of a divergence whose spread is about its mean: 1 / sqrt(n) = 0.5 %.
+    assert measured == pytest.approx(theory, rel=0.03)
+
+
+def test_zero_covariance_is_legal(codec):
+    """An exactly known line decodes to the resolution of the grid, not to zero."""
+    batch, _ = check_guarantee(codec, np.array([[1.75, 0.01, 1e-3, 1e-5]]), np.zeros((1, 4, 4)))
+    assert batch.status[0] == Status.FULL
+    assert np.linalg.eigvalsh(batch.cov[0])[0] > 0
+
+
+@pytest.mark.parametrize("state", range(4))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_mean_beyond_its_range_is_covered_or_out_of_range(codec, state, sign):
+    """Just over the limit the covariance grows; far over it the line says OUT_OF_RANGE."""
+    near, far = np.zeros((2, 1, 4))
+    near[0, state] = sign * 1.02 * LIMITS[state]
+    far[0, state] = sign * 1e6
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    batch, _ = check_guarantee(codec, near, cov)
+    assert batch.status[0] == Status.SATURATED
+    assert np.sqrt(batch.cov[0, state, state]) >= 0.015 * LIMITS[state]
+    batch, _ = check_guarantee(codec, far, cov)
+    assert batch.status[0] == Status.OUT_OF_RANGE
+    assert batch.cov[0].diagonal() == pytest.approx(np.square(VAGUE_SIGMA))
+
+
+def test_a_sigma_beyond_the_range_is_out_of_range(codec):
+    """A line that is known to a kilometre is not stated."""
+    batch, _ = check_guarantee(codec, np.zeros((1, 4)), np.diag([1e6, 1e-4, 1e-8, 1e-12])[None])
+    assert batch.status[0] == Status.OUT_OF_RANGE
+
+
+def test_an_indefinite_covariance_is_repaired_upwards(codec):
+    """What is decoded covers the matrix that was given, and says REPAIRED."""
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+    cov[0, 1] = cov[1, 0] = 1.5e-3  # a correlation of 1.5
+    batch, _ = check_guarantee(codec, np.zeros((1, 4)), cov[None])
+    assert batch.status[0] == Status.REPAIRED
+
+
+def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
+    """A rank-one matrix with a correlation of 1 + 1e-15 is FULL."""
+    root = np.array([[0.3], [0.01], [1e-4], [1e-6]])
+    cov = root @ root.T
+    cov[0, 1] = cov[1, 0] = cov[0, 1] * (1 + 1e-15)
+    batch, _ = check_guarantee(codec, np.zeros((1, 4)), cov[None])
+    assert batch.status[0] == Status.SATURATED  # the ratios of a singular matrix have no end
+
+
+# ---- the DBC is the only truth ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("edit", "coarser"),
+    [
+        pytest.param((r"(YOff[^(]*)\(0.0009765625,0\)(.*)\[-32\|31.9990234375\]",
+                      r"\1(0.001953125,0)\2[-64|63.998046875]"), "mean", id="factor-of-y_off"),
+        pytest.param((r"(RatioYOffC1[^(]*)\(0.0390625,0\)(.*)\[-5\|4.9609375\]",
+                      r"\1(0.078125,0)\2[-10|9.921875]"), "cov", id="factor-of-a-ratio"),
+        pytest.param((r"(Inflation[^:]*: \d+\|)3(@1\+ )\([^)]*\) \[[^]]*\]",
+                      r"\g<1>2\2(0.03,0) [0|0.09]"), "cov", id="width-of-the-inflation"),
+    ],
+)  # fmt: skip
+def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
+    """Another factor or width in a copy of the DBC, and the guarantee still holds."""
+    codec, other = Codec.from_dbc(), Codec.from_dbc(edited(tmp_path, edit))
+    means, covs = road(500, seed=6)
+    first, second = codec.encode_batch(means, covs), other.encode_batch(means, covs)
+    assert (first != second).any()
+    _, a = check_guarantee(codec, means, covs)
+    _, b = check_guarantee(other, means, covs)
+    if coarser == "mean":
+        assert np.abs(b.lateral_error[:, 0]).mean() > 1.8 * np.abs(a.lateral_error[:, 0]).mean()
+    else:
+        assert b.kl_covered.mean() > a.kl_covered.mean()
+
+
+def test_a_coarse_inflation_is_made_up_by_wider_pivots(tmp_path):
+    """Where the DBC leaves next to no inflation, the pivots are lifted instead."""
+    starved = (r"(Inflation[^:]*: \d+\|3@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.007]")
+    codec = Codec.from_dbc(edited(tmp_path, starved))
+    batch, _ = check_guarantee(codec, *road(2000, seed=7))
+    assert (batch.status == Status.FULL).mean() > 0.9
+
+
+def test_another_order_of_rows_is_in_the_names(tmp_path):
+    """Renaming Ratio<row><column> and the pivots reorders the rows; still covered."""
+
+    def edits():
+        for name in ("Pivot", "RatioYOff", "RatioBeta"):
+            yield f"{name}C1", f"{name}C0"
+            yield f"{name}C0", f"{name}C1"
+        yield "RatioC0C1", "RatioC1C0"
+
+    text = DBC.read_text()
+    table = dict(edits())
+    for old in table:
+        text = text.replace(f" {old} ", f" @{old} ")
+    for old, new in table.items():
+        text = text.replace(f" @{old} ", f" {new} ")
+    path = tmp_path / "order.dbc"
+    path.write_text(text)
+    codec = Codec.from_dbc(path)
+    assert [("YOff", "Beta", "C0", "C1")[i] for i in codec.covariance.factor.order] == [
+        "C0", "C1", "YOff", "Beta",
+    ]  # fmt: skip
+    check_guarantee(codec, *road(500, seed=8))

@@ -1,0 +1,411 @@
+"""A python-can bus with faults: both directions, threads, and outages."""
+
+import errno
+import itertools
+import queue
+import threading
+import time
+
+import can
+import numpy as np
+import pytest
+from dbcs import default_codec
+from fake_bus import LONG, Clock, FakeTime, wait_until
+from fault_streams import MIX, content, numbered
+
+from maplines_can.bus import Link, Receiver, Sent, Transmitter
+from maplines_can.line import Slot
+from maplines_can.study import road
+from maplines_can.testing import (
+    FaultInjector,
+    FaultKind,
+    Faults,
+    FaultyBus,
+    FaultyOpener,
+)
+
+
+@pytest.fixture
+def channel(request):
+    return f"faulty-{request.node.name}"
+
+
+@pytest.fixture
+def other(channel):
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        yield bus
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def faulty(channel, faults, **rest):
+    return FaultyBus(can.Bus(interface="virtual", channel=channel), faults, **rest)
+
+
+def message(number=1, can_id=0x340, **rest):
+    rest = {"data": bytes([number]), "is_extended_id": False, **rest}
+    return can.Message(arbitration_id=can_id, **rest)
+
+
+def all_of(bus):
+    return list(iter(lambda: bus.recv(0), None))
+
+
+def numbers(bus):
+    return [m.data[0] for m in all_of(bus)]
+
+
+@pytest.mark.parametrize("direction", ["send", "receive", "both"])
+def test_faults_apply_to_their_direction_only(channel, other, direction):
+    """Half of the frames are lost in that direction, and none in the other."""
+    with faulty(channel, f"loss=0.5,direction={direction}") as bus:
+        for number in range(100):
+            bus.send(message(number))
+            other.send(message(number))
+        received, sent = len(all_of(bus)), len(all_of(other))
+        assert (received < 80) == (direction != "send")
+        assert (sent < 80) == (direction != "receive")
+        assert bus.counts[FaultKind.LOST] == 200 - received - sent
+        assert bus.as_dict()["passed"] + bus.as_dict()["lost"] == bus.as_dict()["frames"]
+
+
+def test_a_delayed_frame_has_a_delayed_time_stamp(channel, other, clock):
+    with faulty(channel, "delay=0.5", clock=clock) as bus:
+        other.send(message(7))
+        assert bus.recv(0) is None
+        before = bus.bus.recv(0)
+        assert before is None  # the frame is held back
+        clock.now += 0.5
+        late = bus.recv(0)
+        assert late.data[0] == 7
+        stamp = late.timestamp
+        other.send(message(8))
+        assert bus.recv(0) is None
+        clock.now += 2.0
+        assert bus.recv(0).timestamp - stamp > 1.5
+
+
+def test_pump_sends_delayed_frames(channel, other, clock):
+    """A bus with a given clock has no thread."""
+    threads = threading.active_count()
+    with faulty(channel, "delay=0.5,direction=send", clock=clock) as bus:
+        bus.send(message(1))
+        bus.pump()
+        assert numbers(other) == []
+        clock.now += 0.5
+        bus.pump()
+        assert numbers(other) == [1]
+        assert threading.active_count() == threads
+
+
+def test_a_thread_sends_delayed_frames(channel, other):
+    """Without a given clock; the thread ends with the bus."""
+    with faulty(channel, "delay=0.02,direction=send") as bus:
+        bus.send(message(1))
+        assert other.recv(LONG).data[0] == 1
+        assert bus.sending.held == 0
+        thread = bus._thread
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("direction", ["send", "receive"])
+def test_a_flood_needs_no_frame(channel, other, direction):
+    """It starts on a silent bus, in both directions."""
+    with faulty(channel, f"flood=1000,flood_ids=5,direction={direction}") as bus:
+        for _ in range(3):
+            assert (other if direction == "send" else bus).recv(LONG).arbitration_id == 5
+
+
+@pytest.mark.parametrize("direction", ["send", "receive", "both"])
+def test_a_flood_that_is_too_fast_blocks_nothing(direction):
+    """Sending, receiving and shutdown still work; frames that are left out are counted."""
+    inner = Slow()
+    bus = FaultyBus(inner, f"flood=1e6,flood_ids=5,direction={direction}")
+    done = threading.Event()
+
+    def use():
+        start = time.monotonic()
+        while time.monotonic() < start + 1.5:  # only the last second of a flood is made
+            bus.send(message(1))
+            bus.recv(0.001)
+        bus.shutdown()
+        done.set()
+
+    threading.Thread(target=use, daemon=True).start()
+    assert done.wait(LONG)
+    counts = bus.as_dict()
+    assert counts["flooded"] > 0
+    assert counts["left_out"] > 0
+    assert len(bus._incoming) <= 32
+    if direction == "send":
+        assert bus.sending.frames == inner.sent - counts["flooded"] > 0
+
+
+def test_pump_stops_during_a_flood_that_is_too_fast(clock):
+    """After a tenth of a second of its clock; the next call sends the rest."""
+    inner = Slow()
+
+    def running_clock():
+        clock.now += 1e-3
+        return clock.now
+
+    with FaultyBus(inner, "flood=1e5,direction=send", clock=running_clock) as bus:
+        clock.now += 1.0
+        start = clock.now
+        bus.pump()
+        assert 0.1 < clock.now - start < 0.2
+        assert 0 < inner.sent < 10_000
+
+
+def test_shutdown_sends_frames_that_are_held_back(channel, other):
+    bus = faulty(channel, "reorder=1,depth=1000,direction=send")
+    for number in range(5):
+        bus.send(message(number))
+    bus.shutdown()
+    bus.shutdown()
+    assert sorted(numbers(other)) == [0, 1, 2, 3, 4]
+    assert bus.as_dict()["held"] == bus.unsent == 0
+
+
+def test_error_and_remote_frames_get_no_faults(channel, other):
+    with faulty(channel, "loss=1") as bus:
+        for sender, receiver in ((bus, other), (other, bus)):
+            sender.send(message(is_error_frame=True))
+            sender.send(message(is_remote_frame=True, data=None))
+            assert len(all_of(receiver)) == 2
+        assert bus.as_dict()["frames"] == 0
+
+
+def test_filters_apply_before_and_after_the_faults(channel, other):
+    """Neither a frame of another ID is received, nor one whose ID a fault has changed."""
+    with faulty(channel, "wrong_id=1,direction=receive") as bus:
+        bus.set_filters([{"can_id": 0x340, "can_mask": 0x7FE}])
+        assert bus.bus.filters == bus.filters
+        for number in range(200):
+            other.send(message(number, can_id=0x340 + number % 4))
+        other.send(message(is_remote_frame=True, data=None))  # the last
+        received = list(itertools.takewhile(lambda m: m.data, iter(lambda: bus.recv(LONG), None)))
+        assert {m.arbitration_id for m in received} == {0x340, 0x341}
+        assert bus.as_dict()["frames"] == 100
+        assert 0 < len(received) < 50
+
+
+def test_filters_of_the_wrapped_bus_are_kept(channel):
+    inner = can.Bus(interface="virtual", channel=channel)
+    inner.set_filters([{"can_id": 1, "can_mask": 0x7FF}])
+    with FaultyBus(inner, Faults()) as bus:
+        assert bus.filters == inner.filters == [{"can_id": 1, "can_mask": 0x7FF}]
+
+
+class Stubborn(can.BusABC):
+    """A bus whose transmit queue is full where a script says so, and which can be lost."""
+
+    def __init__(self, *full):
+        super().__init__(channel="stubborn")
+        self.full, self.sent = list(full), queue.SimpleQueue()
+        self.gone, self._state = False, can.BusState.PASSIVE
+        self.received = []
+        self.channel_info = "stubborn"
+
+    def send(self, msg, timeout=None):  # noqa: ARG002
+        if self.full and self.full.pop(0):
+            raise can.CanOperationError("full")
+        if self.gone:
+            raise OSError(errno.ENODEV, "No such device")
+        self.sent.put(msg.data[0])
+
+    def _recv_internal(self, timeout):
+        if not self.received:
+            time.sleep(min(timeout, 0.01))
+        return (self.received.pop(0) if self.received else None), True
+
+    def fileno(self):
+        return 7
+
+    def flush_tx_buffer(self):
+        self.full = [True]
+
+    @property
+    def state(self):
+        return self._state
+
+    @state.setter
+    def state(self, new_state):
+        self._state = new_state
+
+
+class Slow(can.BusABC):
+    """A bus that always has a frame to receive, and is slow to send one."""
+
+    def __init__(self):
+        super().__init__(channel="slow")
+        self.channel_info, self.sent = "slow", 0
+
+    def send(self, msg, timeout=None):  # noqa: ARG002
+        time.sleep(1e-5)
+        self.sent += 1
+
+    def _recv_internal(self, timeout):  # noqa: ARG002
+        time.sleep(1e-5)
+        return message(1, timestamp=time.time()), False
+
+
+@pytest.mark.parametrize("faults", ["loss=1", "delay=60", "wrong_id=1"])
+@pytest.mark.parametrize("timeout", [0, 0.1])
+def test_recv_returns_after_its_timeout_on_a_busy_bus(faults, timeout):
+    """Although frames keep arriving, all of which are lost or held back."""
+    done = threading.Event()
+    with FaultyBus(Slow(), f"{faults},direction=receive") as bus:
+        bus.set_filters([{"can_id": 0x340, "can_mask": 0x7FF}])
+
+        def use():
+            assert bus.recv(timeout) is None
+            done.set()
+
+        threading.Thread(target=use, daemon=True).start()
+        assert done.wait(LONG)
+
+
+def test_a_receiver_on_a_busy_bus_that_loses_all_frames_can_be_stopped():
+    with Link(FaultyOpener("loss=1", Slow)) as link:
+        with Receiver(link, default_codec().decoder()) as receiver:
+            pass
+        assert receiver.stats().frames == 0
+
+
+@pytest.mark.parametrize(
+    ("age", "left"),
+    [
+        pytest.param(6.0, 0.0, id="over"),
+        pytest.param(3.0, 2.0, id="waited"),
+        pytest.param(0.0, 5.0, id="new"),
+        pytest.param(3600.0, 5.0, id="another-clock"),
+        pytest.param(-3.0, 5.0, id="of-the-future"),
+    ],
+)
+def test_a_delay_starts_at_the_time_stamp(age, left, monkeypatch):
+    """If the frame waited for `recv`, and the stamp can be one of this clock."""
+    monkeypatch.setattr("maplines_can.testing.faulty_bus.time", now := FakeTime())
+    inner = Stubborn()
+    with FaultyBus(inner, "delay=5,direction=receive") as bus:
+        inner.received = [message(7, timestamp=now.time() - age)]
+        late = bus.recv(0)
+        if left:
+            assert late is None
+            assert bus.receiving.next_due - now.monotonic() == pytest.approx(left, abs=1e-5)
+        else:
+            assert late.timestamp == pytest.approx(now.time(), abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("bus", "faults", "words"),
+    [
+        (None, "loss=0.1", "bus must be a python-can bus, got None"),
+        (lambda: "vcan0", "loss=0.1", "bus must be a python-can bus, got 'vcan0'"),
+        (Slow, None, "faults must be Faults or a text such as 'loss=0.1', got None"),
+    ],
+)
+def test_a_bus_or_faults_of_a_wrong_type_raise(bus, faults, words):
+    with pytest.raises(TypeError) as caught:
+        FaultyBus(bus and bus(), faults)
+    assert str(caught.value) == words
+
+
+def test_a_retried_frame_gets_its_faults_once():
+    """After a full queue the same message continues where it stopped; no new faults are drawn."""
+    inner = Stubborn(False, True, True)
+    with FaultyBus(inner, "dup=1") as bus:
+        retried = message(1)
+        for _ in range(2):
+            with pytest.raises(can.CanOperationError):
+                bus.send(retried)
+        bus.send(retried)
+        assert [inner.sent.get(timeout=0) for _ in range(inner.sent.qsize())] == [1, 1]
+        assert bus.counts == {FaultKind.DUPLICATED: 1}
+        bus.send(retried)  # after success the same object is another frame
+        assert inner.sent.qsize() == 2
+        assert bus.as_dict()["frames"] == 2
+
+
+def test_a_frame_that_is_given_up_is_counted():
+    with FaultyBus(Stubborn(True), "dup=1") as bus:
+        with pytest.raises(can.CanOperationError):
+            bus.send(message(1))
+        bus.send(message(2))
+        assert bus.unsent == 2
+
+
+def test_a_faulty_bus_has_the_properties_of_the_wrapped_bus():
+    with FaultyBus(Stubborn(), "loss=1,direction=send") as bus:
+        assert str(bus) == "stubborn with faults"
+        assert bus.protocol is can.CanProtocol.CAN_20
+        assert bus.fileno() == 7
+        assert bus.state is can.BusState.PASSIVE
+        bus.state = can.BusState.ACTIVE
+        assert bus.bus.state is can.BusState.ACTIVE
+        bus.flush_tx_buffer()
+        assert bus.bus.full == [True]
+    with FaultyBus(Stubborn(), "loss=1") as bus, pytest.raises(NotImplementedError):
+        bus.fileno()
+
+
+def test_random_numbers_and_counters_continue_after_an_outage(clock):
+    """They are those of one stream, in spite of the second bus."""
+    opened = []
+
+    def opener():
+        opened.append(Stubborn())
+        return opened[-1]
+
+    faults = Faults(loss=0.5, seed=4)
+    faulty_opener = FaultyOpener(faults, opener)
+    with Link(faulty_opener, clock=clock) as link:
+        for number in range(20):
+            link.send(message(number))
+        opened[0].gone = True
+        while link.send(message(99)) is Sent.OK:
+            pass
+        clock.now += 10.0
+        for number in range(20, 40):
+            link.send(message(number))
+        assert link.outages == 1
+        assert len(opened) == 2
+        total = faulty_opener.as_dict()
+    reference = FaultInjector(faults, stream="send")
+    for frame in numbered(total["frames"]):
+        reference.apply(frame)
+    assert total["lost"] == reference.counts[FaultKind.LOST]
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_sums_over_a_virtual_bus(channel, fd):
+    """Transmitter, faults, Receiver: sent and duplicated frames are lost or received, once."""
+    codec = default_codec()
+    means, covs = road(8, seed=5)
+    payloads = codec.encode_batch(means, covs, slot=np.arange(8))
+    lines = [codec.decode_one(p.tobytes(), Slot(i)) for i, p in enumerate(payloads)]
+    reference = codec.from_dbc().encode_lines(lines, fd=fd)
+    expected = {
+        content(codec.decode_one(b"".join(f.data for f in frames)[:32], line.slot))
+        for line, frames in zip(lines, reference, strict=True)
+    }
+    received = []
+    with Link(interface="virtual", channel=channel) as back:
+        opener = FaultyOpener(f"{MIX},direction=send,seed=2")
+        out = Link(opener, interface="virtual", channel=channel)
+        with Receiver(back, codec.decoder(), on_line=received.append) as receiver:
+            with Transmitter(out, codec, period=0.02, fd=fd, count=30) as transmitter:
+                transmitter.publish(lines)
+                assert transmitter.wait(LONG)
+            out.close()  # this sends the frames that are held back
+            done, stats = opener.as_dict(), transmitter.stats()
+            arrived = stats.frames + done["duplicated"] - done["lost"]
+            wait_until(lambda: receiver.stats().frames >= arrived)
+    assert done["frames"] == stats.frames
+    assert done["held"] == done["unsent"] == 0
+    assert receiver.stats().frames == arrived == done["passed"]
+    assert {content(line) for line in received} <= expected
+    assert 0 < len(received) < stats.lines

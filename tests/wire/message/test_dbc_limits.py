@@ -1,0 +1,39 @@
+"""DBCs that would exhaust memory or time."""
+
+import pytest
+
+from maplines_can.errors import LayoutError
+from maplines_can.wire import Layout
+from maplines_can.wire.message.layout import default_dbc_path
+
+MESSAGE = "BO_ 0 M: 8 E\n"
+SIGNAL = '@1+ (1,0) [0|15] "" E\n'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("BO_ 0 M: 65536 E\n", id="message"),
+        pytest.param("BO_ 0 M : // so long\n 65536E\n", id="message-with-a-remark"),
+        pytest.param(f"{MESSAGE} SG_ a m1 : 2147483648|4{SIGNAL}", id="place"),
+        pytest.param(f"BO_ 0 M: 8 E SG_ a\n:\n0 | 2147483648{SIGNAL}", id="length"),
+        pytest.param(
+            f"{MESSAGE} SG_ a m1 : 0|4{SIGNAL} SG_MUL_VAL_ 0 a b1 0-1,\n0-2147483648;\n", id="range"
+        ),
+        pytest.param('BA_DEF_ BO_ "A" INT 0 1e30865535;\n', id="exponent"),
+        pytest.param('BA_ "A" "1.5E30865535";\n', id="exponent-in-quotes"),
+    ],
+)
+def test_a_dbc_that_asks_for_more_memory_than_there_is_is_refused(text):
+    """cantools makes lists of so many elements; found by the fuzzer."""
+    with pytest.raises(LayoutError, match="too many digits"):
+        Layout.from_text(text)
+
+
+def test_large_numbers_elsewhere_in_a_dbc_do_no_harm():
+    """In what it says to people, in identifiers and in ranges of values."""
+    said = 'CM_ "BO_ 0 M: 65536 E and SG_ a : 1000000|4";\n// SG_ b : 1000000|4\n'
+    extra = f'BO_ 2566844926 Other: 8 E\n SG_ a : 0|32@1+ (1,0) [0|4294967295] "" E\n{said}'
+    text = default_dbc_path().read_text(encoding="cp1252")
+    place = text.index("BO_ ")
+    assert Layout.from_text(text[:place] + extra.replace(said, "") + text[place:] + said)

@@ -1,0 +1,115 @@
+"""DBCs that are not those of the project: read as they are, or rejected with the reason."""
+
+import re
+from pathlib import Path
+
+import cantools
+import pytest
+from dbcs import edited
+
+from maplines_can.errors import LayoutError
+from maplines_can.line import Kind, MapLine, Slot
+from maplines_can.study import road
+from maplines_can.wire import Codec, Layout
+
+
+def test_motorola_signals_work_alike(tmp_path):
+    """Counter and Kind in Motorola order at the same bits: the same bytes, as cantools says."""
+    path = edited(
+        tmp_path,
+        (r"SG_ Counter m0 : 16\|8@1\+", "SG_ Counter m0 : 23|8@0+"),
+        (r"SG_ Counter : 16\|8@1\+", "SG_ Counter : 23|8@0+"),
+        (r"SG_ Kind m0 : 59\|3@1\+", "SG_ Kind m0 : 61|3@0+"),
+        (r"SG_ Kind : 59\|3@1\+", "SG_ Kind : 61|3@0+"),
+    )
+    codec, other = Codec.from_dbc(), Codec.from_dbc(path)
+    message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")
+    means, covs = road(20, seed=9)
+    payloads = other.encode_batch(means, covs, kind=Kind.KERB)
+    assert other.decode_batch(payloads).accepted.all()
+    for i, payload in enumerate(payloads):
+        witness = message.decode(payload.tobytes())
+        assert (witness["Kind"], witness["Counter"]) == ("KERB", i)
+    # Fields of whole bytes, or within one, lie where they lay: the order does not show.
+    assert (payloads == codec.encode_batch(means, covs, kind=Kind.KERB)).all()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        pytest.param((r"SG_ Beta m0", "SG_ Heading m0"), "Beta|Heading", id="mean-missing"),
+        pytest.param((r' SG_ TransferId1 .*\n', ""), "TransferId", id="transfer-missing"),
+        pytest.param((r' SG_ RatioBetaYOff.*\n', ""), "RatioBetaYOff|ratios", id="ratio-missing"),
+        pytest.param((r'BA_ "MapLineSlot" .*\n', ""), "MapLineSlot", id="no-slots"),
+        pytest.param((r'BA_ "MapLineSlot" BO_ 832 0', 'BA_ "MapLineSlot" BO_ 832 9'),
+                     "0 to 7", id="slot-9"),
+        pytest.param((r'BA_ "MapLineSlot" BO_ 833 1', 'BA_ "MapLineSlot" BO_ 833 0'),
+                     "two messages", id="slot-twice"),
+        pytest.param((r'BA_ "E2EDataId" BO_ 832 \d+', 'BA_ "E2EDataId" BO_ 832 1'),
+                     "E2EDataId", id="data-id"),
+        pytest.param((r'BA_ "CovarianceCode" ".*"', 'BA_ "CovarianceCode" "Magic"'),
+                     "Magic", id="code"),
+        pytest.param((r"SG_ Page M", "SG_ Page "), "overlapping", id="no-mux"),
+        pytest.param((r"\(0.054,-32\)", "(-0.054,-4)"), "positive factor", id="negative-factor"),
+        pytest.param((r"BO_ 832 EgoLeft: 8", "BO_ 832 EgoLeft: 7"), "EgoLeft", id="seven-bytes"),
+        pytest.param((r"(RatioBetaC0[^(]*)\(0.0390625,0\) \[[^]]*\]", r"\1(64,0) [-1e6|1e6]"),
+                     "double precision", id="ratio-too-wide"),
+        pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
+    ],
+)  # fmt: skip
+def test_a_wrong_dbc_is_refused_with_its_reason(tmp_path, edit, words):
+    """What is wrong is named, with the file."""
+    path = edited(tmp_path, edit)
+    with pytest.raises(LayoutError, match=words) as error:
+        Codec.from_dbc(path)
+    assert "edited.dbc" in str(error.value)
+
+
+def test_each_carrier_may_have_its_own_kind_of_id(tmp_path):
+    """Classic with 11 bits, CAN FD with 29: frames and decoder agree."""
+    fd_id = 0x80000000 | 0x18FF0048
+    path = edited(tmp_path, (r"\b840\b", str(fd_id)))
+    codec = Codec.from_dbc(path)
+    (frame,) = codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
+    assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
+    answer = codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True)
+    assert isinstance(answer, MapLine)
+    assert not codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])
+def test_a_file_that_is_no_dbc(tmp_path, content):
+    """Missing, empty, binary, cut off: one clear error."""
+    path = tmp_path / "bad.dbc"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LayoutError, match=r"bad\.dbc"):
+        Codec.from_dbc(path)
+
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "message"),
+    [
+        (r"SG_ Mac : 327\|64@0", "SG_ Mac : 320|64@1", "must end with KeyId, Freshness, Mac"),
+        (r"SG_ KeyId : 263\|8@0", "SG_ KeyId : 263|7@0", "KeyId must have 1 to 1 bytes"),
+        (r"SG_ Freshness :.*\n", "", "must end with KeyId, Freshness, Mac"),
+        (r"EgoLeftSecOc: 48", "EgoLeftSecOc: 64", "must end with KeyId, Freshness, Mac"),
+        (
+            r'"SecOCDataId" BO_ 848 \d+',
+            '"SecOCDataId" BO_ 848 70000',
+            "SecOCDataId must be a whole",
+        ),
+        (r'"VFrameFormat" BO_ 848 14', '"VFrameFormat" BO_ 848 0', "must be a CAN FD message"),
+    ],
+)
+def test_a_dbc_whose_mac_is_elsewhere_is_refused(pattern, replacement, message):
+    """Rather than to check the wrong bytes."""
+    text, found = re.subn(
+        pattern, replacement, (ROOT / "dbc" / "maplines-secoc.dbc").read_text(), count=1
+    )
+    assert found
+    with pytest.raises(LayoutError, match=message):
+        Layout.from_text(text)

@@ -1,0 +1,243 @@
+"""AUTOSAR's E2E check and state machine, row by row."""
+
+from dataclasses import asdict, replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can.wire import E2EConfig, E2EState, ProfileStatus
+from maplines_can.wire.protection.e2e_state import StateMachine, check
+
+OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
+VALID, NODATA, INIT, INVALID = E2EState
+
+LETTERS = {"o": OK, "l": OKSOMELOST, "e": ERROR, "r": REPEATED, "w": WRONGSEQUENCE, "n": NONEWDATA}
+STATES = {"D": NODATA, "I": INIT, "V": VALID, "X": INVALID}
+
+#: Windows of three sizes and bounds that all differ where they may.
+SMALL = E2EConfig(
+    window_size_init=3,
+    window_size_valid=5,
+    window_size_invalid=4,
+    min_ok_state_init=2,
+    min_ok_state_valid=2,
+    min_ok_state_invalid=3,
+    max_error_state_init=1,
+    max_error_state_valid=2,
+    max_error_state_invalid=0,
+)
+
+
+# ---- the check ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("last", "counter", "status"),
+    [
+        pytest.param(None, 77, OK, id="first"),
+        pytest.param(7, 8, OK, id="next"),
+        pytest.param(255, 0, OK, id="next-round"),
+        pytest.param(7, 7, REPEATED, id="same"),
+        pytest.param(7, 9, OKSOMELOST, id="one-lost"),
+        pytest.param(7, 10, OKSOMELOST, id="at-max-delta"),
+        pytest.param(254, 1, OKSOMELOST, id="at-max-delta-over-the-round"),
+        pytest.param(7, 11, WRONGSEQUENCE, id="one-beyond"),
+        pytest.param(7, 6, WRONGSEQUENCE, id="one-back"),
+        pytest.param(0, 255, WRONGSEQUENCE, id="one-back-over-the-round"),
+    ],
+)
+def test_the_counter_check(last, counter, status):
+    """E2E_P05Check with max_delta_counter 3: the step from the last counter decides."""
+    assert check(counter, last, 3) is status
+
+
+@given(st.integers(0, 255), st.integers(0, 255), st.integers(1, 127))
+def test_every_counter_has_one_status(last, counter, max_delta):
+    """As the standard says it: by the difference on the circle of counters."""
+    forward = counter - last if counter >= last else counter + 256 - last
+    expected = (
+        REPEATED
+        if forward == 0
+        else OK
+        if forward == 1
+        else OKSOMELOST
+        if forward <= max_delta
+        else WRONGSEQUENCE
+    )
+    assert check(counter, last, max_delta) is expected
+
+
+# ---- the state machine, row by row -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("statuses", "states"),
+    [
+        # NODATA: the first that is neither ERROR nor NONEWDATA, and it does not count
+        pytest.param("n", "D", id="nodata-nonewdata"),
+        pytest.param("e", "D", id="nodata-error"),
+        pytest.param("eeeeeennnnnn", "DDDDDDDDDDDD", id="nodata-errors-do-not-add-up"),
+        pytest.param("o", "I", id="nodata-ok"),
+        pytest.param("l", "I", id="nodata-oksomelost"),
+        pytest.param("r", "I", id="nodata-repeated"),
+        pytest.param("w", "I", id="nodata-wrongsequence"),
+        pytest.param("eeo", "DDI", id="nodata-left-after-errors"),
+        pytest.param("eeoeoo", "DDIIIV", id="errors-before-init-are-forgotten"),
+        # INIT: window 3, OKs 2, errors 1
+        pytest.param("oo", "II", id="init-one-ok-less"),
+        pytest.param("ooo", "IIV", id="init-oks-at-bound"),
+        pytest.param("oll", "IIV", id="oksomelost-is-an-ok"),
+        pytest.param("oeoo", "IIIV", id="init-both-at-bound"),
+        pytest.param("oee", "IIX", id="init-one-error-more"),
+        pytest.param("oone", "IIII", id="init-neither"),
+        pytest.param("oono", "IIIV", id="init-ok-at-the-edge-of-the-window"),
+        pytest.param("oonno", "IIIII", id="init-ok-just-out-of-the-window"),
+        pytest.param("oene", "IIIX", id="init-error-at-the-edge-of-the-window"),
+        pytest.param("oenne", "IIIII", id="init-error-just-out-of-the-window"),
+        pytest.param("onrwnrw", "IIIIIII", id="init-others-count-as-neither"),
+        # VALID: window 5, OKs 2, errors 2
+        pytest.param("oooee", "IIVVV", id="valid-both-at-bound"),
+        pytest.param("oooeee", "IIVVVX", id="valid-one-error-more"),
+        pytest.param("ooonnn", "IIVVVV", id="valid-oks-at-bound"),
+        pytest.param("ooonnnn", "IIVVVVX", id="valid-one-ok-less-nonewdata"),
+        pytest.param("ooorrrr", "IIVVVVX", id="valid-one-ok-less-repeated"),
+        pytest.param("ooowwww", "IIVVVVX", id="valid-one-ok-less-wrongsequence"),
+        pytest.param("oooelerlw", "IIVVVVVVV", id="valid-all-kinds-within-both-bounds"),
+        pytest.param("oooeooee", "IIVVVVVX", id="valid-error-at-the-edge-of-the-window"),
+        pytest.param("oooeoooee", "IIVVVVVVV", id="valid-error-just-out-of-the-window"),
+        # The window grows from 3 to 5 between INIT and VALID
+        pytest.param("oeooee", "IIIVVX", id="init-s-error-goes-along"),
+        pytest.param("oenooee", "IIIIVVV", id="what-left-init-s-window-does-not-come-back"),
+        # INVALID: window 4, OKs 3, errors 0, from an empty window
+        pytest.param("oeeoo", "IIXXX", id="invalid-one-ok-less"),
+        pytest.param("oeeooo", "IIXXXV", id="invalid-oks-at-bound"),
+        pytest.param("oeeoono", "IIXXXXV", id="invalid-ok-at-the-edge-of-the-window"),
+        pytest.param("oeeoonno", "IIXXXXXX", id="invalid-ok-just-out-of-the-window"),
+        pytest.param("oeeooeo", "IIXXXXX", id="invalid-one-error-more"),
+        pytest.param("oeeeooo", "IIXXXXX", id="invalid-error-at-the-edge-of-the-window"),
+        pytest.param("oeeeoooo", "IIXXXXXV", id="invalid-error-just-out-of-the-window"),
+        pytest.param("oeennnnnnnn", "IIXXXXXXXXX", id="invalid-silence"),
+        pytest.param("oeeooonn", "IIXXXVVV", id="valid-again"),
+    ],
+)
+def test_the_table_of_states(statuses, states):
+    """Each transition of E2E_SMCheck, at its bounds and one off, and at the edge of its window."""
+    machine = StateMachine(SMALL)
+    assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
+
+
+@pytest.mark.parametrize(
+    ("clear", "statuses", "states"),
+    [
+        pytest.param(True, "oooeeeooo", "IIVVVXXXV", id="from-valid-cleared"),
+        pytest.param(False, "oooeeeooo", "IIVVVXXXX", id="from-valid-kept"),
+        pytest.param(False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-it-leaves"),
+        pytest.param(True, "oeeooo", "IIXXXV", id="from-init-cleared"),
+        pytest.param(False, "oeeooo", "IIXXXX", id="from-init-kept"),
+        pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="oks-of-before-do-not-suffice"),
+    ],
+)
+def test_what_invalid_begins_with(clear, statuses, states):
+    """With clear_to_invalid an empty window, else the last checks."""
+    machine = StateMachine(replace(SMALL, clear_to_invalid=clear))
+    assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
+
+
+class Reference:
+    """E2E_SMCheck as the standard has it: an array, an index, and routines on them."""
+
+    def __init__(self, config):
+        self.c = asdict(config)
+        self.window = [None] * config.window_size_valid  # None: E2E_P_NOTAVAILABLE
+        self.top, self.state = 0, "nodata"
+
+    def size(self, state):
+        return self.c[f"window_size_{state}"]
+
+    def newest(self, n):
+        return [self.window[(self.top - 1 - i) % len(self.window)] for i in range(n)]
+
+    def clear(self):
+        self.window, self.top = [None] * len(self.window), 0
+
+    def clear_remaining(self, state):
+        if self.size(self.state) < self.size(state):
+            for i in range(self.size(self.state), len(self.window)):
+                self.window[(self.top - 1 - i) % len(self.window)] = None
+
+    def to_invalid(self):
+        self.clear() if self.c["clear_to_invalid"] else self.clear_remaining("invalid")
+        self.state = "invalid"
+
+    def step(self, status):
+        if self.state == "nodata":
+            if status not in (ERROR, NONEWDATA):
+                self.clear()
+                self.state = "init"
+            return self.state
+        self.window[self.top] = OK if status == OKSOMELOST else status
+        self.top = (self.top + 1) % len(self.window)
+        last = self.newest(self.size(self.state))
+        self.oks, self.errors = last.count(OK), last.count(ERROR)
+        few_errors = self.errors <= self.c[f"max_error_state_{self.state}"]
+        many_oks = self.oks >= self.c[f"min_ok_state_{self.state}"]
+        if self.state == "init" and few_errors and many_oks:
+            self.clear_remaining("valid")
+            self.state = "valid"
+        elif (self.state == "init" and not few_errors) or (
+            self.state == "valid" and not (few_errors and many_oks)
+        ):
+            self.to_invalid()
+        elif self.state == "invalid" and few_errors and many_oks:
+            self.clear_remaining("valid")
+            self.state = "valid"
+        return self.state
+
+
+@st.composite
+def configs(draw):
+    """Any that the standard allows, with small windows."""
+    errors = sorted(draw(st.lists(st.integers(0, 3), min_size=3, max_size=3)))
+    oks = sorted(draw(st.lists(st.integers(1, 4), min_size=3, max_size=3)))
+    pairs = {"valid": (oks[0], errors[2]), "init": (oks[1], errors[1])}
+    pairs["invalid"] = (oks[2], errors[0])
+    sizes = {name: sum(pair) + draw(st.integers(0, 3)) for name, pair in pairs.items()}
+    sizes["valid"] = max(sizes.values())
+    values = {f"window_size_{name}": size for name, size in sizes.items()}
+    values |= {f"min_ok_state_{name}": ok for name, (ok, _) in pairs.items()}
+    values |= {f"max_error_state_{name}": error for name, (_, error) in pairs.items()}
+    return E2EConfig(**values, clear_to_invalid=draw(st.booleans()))
+
+
+@settings(max_examples=300)
+@given(configs(), st.text("oooooolerwn", max_size=80))
+def test_the_machine_is_the_standard_s(config, statuses):
+    """Any configuration and any checks: states and counts of an array with an index."""
+    machine, reference = StateMachine(config), Reference(config)
+    for letter in statuses:
+        state = machine.step(LETTERS[letter])
+        assert state.name.lower() == reference.step(LETTERS[letter])
+        last = reference.newest(reference.size(reference.state)) if state is not NODATA else []
+        assert (machine.ok_count, machine.error_count) == (last.count(OK), last.count(ERROR))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"max_delta_counter": 0}, "max_delta_counter must be a whole number from 1 to 127, got 0"),
+        ({"max_delta_counter": 128}, "from 1 to 127, got 128"),
+        ({"window_size_init": 2.5}, "window_size_init must be a whole number from 1"),
+        ({"min_ok_state_valid": 0}, "min_ok_state_valid must be a whole number from 1"),
+        ({"max_error_state_init": -1}, "max_error_state_init must be a whole number from 0"),
+        ({"window_size_init": 6}, r"must fit into window_size_init, got 6 \+ 1 > 6"),
+        ({"window_size_init": 11}, "window_size_init must be window_size_valid or less"),
+        ({"window_size_invalid": 11}, "window_size_invalid must be window_size_valid or less"),
+        ({"min_ok_state_init": 9}, "min_ok_state_init <= min_ok_state_invalid must hold"),
+        ({"max_error_state_invalid": 2}, "max_error_state_invalid <= max_error_state_init"),
+    ],
+)
+def test_a_configuration_that_the_standard_forbids(values, words):
+    """The message names the constraint and the values."""
+    with pytest.raises(ValueError, match=words):
+        E2EConfig(**values)

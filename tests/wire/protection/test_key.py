@@ -1,0 +1,126 @@
+"""Keys for AES-CMAC: published vectors, and no secret in any text."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from secoc_streams import (
+    AES_256,
+    SECRET,
+    check_secret,
+    check_traceback,
+    cmac_by_the_book,
+    codec_of,
+    key_file,
+    whole_traceback,
+)
+
+from maplines_can.bus import key_from_env, key_from_file
+from maplines_can.errors import EncodeError, KeyMaterialError, MissingExtraError
+from maplines_can.wire import Authenticator, Key
+
+ROOT = Path(__file__).parents[3]
+
+
+# ---- the MAC ------------------------------------------------------------------------------
+
+#: RFC 4493 section 4 has AES-128, NIST SP 800-38B appendix D.3 AES-256; the messages are the same.
+MESSAGE = bytes.fromhex(
+    "6bc1bee22e409f96e93d7e117393172aae2d8a571e03ac9c9eb76fac45af8e51"
+    "30c81c46a35ce411e5fbc1191a0a52eff69f2445df4f9b17ad2b417be66c3710"
+)
+
+
+@pytest.mark.parametrize(
+    ("secret", "length", "mac"),
+    [
+        (SECRET, 0, "bb1d6929e95937287fa37d129b756746"),
+        (SECRET, 16, "070a16b46b4d4144f79bdd9dd04a287c"),
+        (SECRET, 40, "dfa66747de9ae63030ca32611497c827"),
+        (SECRET, 64, "51f0bebf7e3b9d92fc49741779363cfe"),
+        (AES_256, 0, "028962f61b7bf89efc6b551f4667d983"),
+        (AES_256, 16, "28a7023f452e8f82bd4bf28d8c37c35c"),
+        (AES_256, 40, "aaf3d8f1de5640c232f5b169b9c911e6"),
+        (AES_256, 64, "e1992190549f6ed5696a2c056c315410"),
+    ],
+)
+def test_the_published_vectors(secret, length, mac):
+    """RFC 4493 and NIST SP 800-38B, twice each: a key is used again and again."""
+    key = Key.from_hex(secret.hex())
+    assert [key.mac(MESSAGE[:length]).hex() for _ in range(2)] == [mac, mac]
+    assert cmac_by_the_book(secret, MESSAGE[:length]).hex() == mac
+
+
+def test_without_cryptography_the_extra_is_named(monkeypatch):
+    """And everything else works."""
+    monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
+    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[secoc\]"'):
+        Key(SECRET)
+
+
+def test_the_package_starts_without_cryptography():
+    """Who does not authenticate does not load it."""
+    code = "import sys, maplines_can.cli; print('cryptography' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.strip() == "False"
+
+
+def test_no_text_of_any_object_holds_the_key(clock, lines):
+    """Not repr, str, vars, pickle or a traceback with all locals, with logging at its loudest."""
+    key = Key(SECRET)
+    codec = codec_of(key, clock=clock)
+    for thing in (key, codec.authenticator, codec, codec.decoder(), codec.verifier()):
+        check_secret(f"{thing!r} {thing} {getattr(thing, '__dict__', '')} {dir(thing)}")
+    assert repr(key) == f"Key(key_id=1, fingerprint='{key.fingerprint}')"
+    with pytest.raises(TypeError, match="cannot be pickled"):
+        pickle.dumps(key)
+    try:
+        codec.encode(lines[0])
+    except EncodeError as error:
+        check_secret(whole_traceback(error))
+
+
+@pytest.mark.parametrize(
+    "act",
+    [
+        pytest.param(lambda _: key_from_env("CAR_KEY_AND_MORE"), id="too-long"),
+        pytest.param(lambda path: key_from_file(path.with_suffix(".bad")), id="no-digits"),
+        pytest.param(lambda path: key_from_file(path, 300), id="number-in-file"),
+        pytest.param(lambda _: key_from_env("CAR_KEY", "1"), id="number-in-env"),
+        pytest.param(lambda _: Key.from_hex(SECRET.hex(), None), id="number-of-hex"),
+        pytest.param(lambda _: Key(1, SECRET), id="the-wrong-way-round"),
+        pytest.param(lambda _: Key(SECRET[:15]), id="too-short"),
+        pytest.param(lambda _: Key(list(SECRET)), id="list"),
+        pytest.param(lambda _: Key(SECRET.hex()), id="hex-for-bytes"),
+        pytest.param(lambda _: Key.from_hex(SECRET), id="bytes-for-hex"),
+        pytest.param(lambda _: Authenticator(SECRET), id="no-key"),
+        pytest.param(lambda _: Authenticator(Key(SECRET)).add(SECRET), id="no-key-added"),
+        pytest.param(lambda _: key_from_file(SECRET.hex()), id="key-for-file"),
+        pytest.param(lambda _: key_from_env(SECRET.hex()), id="key-for-env"),
+    ],
+)
+def test_no_traceback_of_a_bad_key_holds_it(tmp_path, monkeypatch, act):
+    """Not even with the locals of every frame of ours, and their repr works."""
+    monkeypatch.setenv("CAR_KEY", SECRET.hex())
+    monkeypatch.setenv("CAR_KEY_AND_MORE", SECRET.hex() + "0")
+    path = key_file(tmp_path, SECRET.hex().encode())
+    path.with_suffix(".bad").write_bytes(SECRET.hex().encode() + b"zz")
+    path.with_suffix(".bad").chmod(0o600)
+    with pytest.raises((KeyMaterialError, TypeError)) as caught:
+        act(path)
+    check_traceback(caught.value)
+
+
+def test_no_traceback_without_cryptography_holds_a_key(tmp_path, monkeypatch):
+    """The key was read by then."""
+    monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
+    monkeypatch.setenv("CAR_KEY", SECRET.hex())
+    path = key_file(tmp_path, SECRET.hex().encode())
+    for act in (lambda: key_from_env("CAR_KEY"), lambda: key_from_file(path), lambda: Key(SECRET)):
+        with pytest.raises(MissingExtraError) as caught:
+            act()
+        check_traceback(caught.value)

@@ -1,0 +1,479 @@
+"""Authenticated lines: accepted from a sender with the key, once and in order."""
+
+import json
+import re
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from secoc_streams import (
+    DATA_ID,
+    FORM,
+    MS,
+    NOW,
+    OTHER,
+    SECRET,
+    US,
+    Clock,
+    S,
+    cmac_by_the_book,
+    codec_of,
+    feed,
+    names,
+    sent,
+)
+
+from maplines_can import Codec, Slot, scenario
+from maplines_can.cli.sending import scene_lines
+from maplines_can.errors import EncodeError, LayoutError
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
+from maplines_can.wire import Authenticator, E2EState, Key, Reason, Verifier
+from maplines_can.wire.message.channel import SecuredForm
+from maplines_can.wire.protection.secoc import complete
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_every_byte_of_a_frame_is_where_the_page_says(clock, lines):
+    """Record, key number, time in microseconds, MAC: made again by hand from the same line."""
+    codec = codec_of(Key(SECRET, key_id=9), clock=clock)
+    (frame,) = codec.encode(lines[0], fd=True)
+    (plain,) = Codec.from_dbc().encode(lines[0], fd=True)
+    assert (frame.can_id, frame.is_fd, len(frame.data)) == (0x350, True, 48)
+    freshness = NOW // US
+    assert frame.data[:33] == plain.data + b"\x09"
+    assert frame.data[33:40] == freshness.to_bytes(7, "big")
+    data = b"\x4d\x50" + frame.data[:33] + freshness.to_bytes(8, "big")
+    assert frame.data[40:] == cmac_by_the_book(SECRET, data)[:8]
+
+
+def test_cantools_reads_what_is_sent(clock, lines):
+    """The DBC names the key, the time and the MAC, and the record as the FD message has it."""
+    database = cantools.database.load_file(ROOT / "dbc" / "maplines-secoc.dbc")
+    (frame,) = codec_of(Key(SECRET, key_id=9), clock=clock).encode(lines[0], fd=True)
+    signals = database.get_message_by_name("EgoLeftSecOc").decode(frame.data)
+    assert [signals.pop(name) for name in ("KeyId", "Freshness", "Mac")] == [
+        9,
+        NOW // US,
+        int.from_bytes(frame.data[40:], "big"),
+    ]
+    assert signals == database.get_message_by_name("EgoLeftFd").decode(frame.data[:32])
+    for message in database.messages:
+        assert sum(s.length for s in message.signals if not s.multiplexer_ids) <= 8 * message.length
+
+
+# ---- freshness ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("sent", "bits", "floor", "value"),
+    [
+        pytest.param(0x01, 8, 0x00, 0x01, id="first"),
+        pytest.param(0x00, 8, 0x00, 0x100, id="zero-again-is-a-round-later"),
+        pytest.param(0xFE, 8, 0x1FE, 0x2FE, id="the-last-again-is-a-round-later"),
+        pytest.param(0xFF, 8, 0x1FE, 0x1FF, id="the-next"),
+        pytest.param(0x00, 8, 0x1FF, 0x200, id="the-next-wraps"),
+        pytest.param(0xFF, 8, 0x1FF, 0x2FF, id="the-farthest"),
+        pytest.param(0xFD, 8, 0x1FE, 0x2FD, id="one-back-is-nearly-a-round-on"),
+        pytest.param(0x0000, 16, 0xFFFF, 0x10000, id="carry"),
+        pytest.param(0xFFFFFFFF, 32, 0x5_00000000, 0x5_FFFFFFFF, id="32-bits"),
+        pytest.param(0, 32, 0x5_FFFFFFFF, 0x6_00000000, id="32-bits-wrap"),
+        pytest.param(2**56 - 1, 56, 2**56 - 2, 2**56 - 1, id="the-end-of-56-bits"),
+        pytest.param(0, 56, 2**56 - 1, 2**56, id="beyond-56-bits"),
+    ],
+)
+def test_freshness_is_completed(sent, bits, floor, value):
+    """The next value that ends so: the same high part if the low one has grown, else one more."""
+    assert complete(sent, bits, floor) == value
+
+
+@given(st.integers(0, 2**60), st.sampled_from([8, 16, 32, 56]), st.data())
+def test_whatever_is_near_enough_is_completed_right(floor, bits, data):
+    """Every value of the next 2^bits is found again from its low bits."""
+    value = floor + data.draw(st.integers(1, 2**bits))
+    assert complete(value % 2**bits, bits, floor) == value
+
+
+def test_replay_reordering_and_loss(clock, lines):
+    """A frame is good once, not after a later one, and however many are lost before it."""
+    codec = codec_of(clock=clock)
+    frames = sent(codec, clock, lines[0], 40)
+    order = [0, 0, 1, 3, 2, 1, 3, 39, 38]
+    decoder = codec_of().decoder()
+    answers = names(feed(decoder, [frames[i] for i in order]))
+    assert answers == ["line", "REPLAY", "line", "line", *["REPLAY"] * 3, "line", "REPLAY"]
+    assert decoder.lines == decoder.line_frames == 4
+    assert decoder.counts == {Reason.REPLAY: 5}
+
+
+def test_each_slot_has_its_own_freshness(clock, lines):
+    """Frames of two slots may overtake each other, and none passes for the other's."""
+    codec = codec_of(clock=clock)
+    left, right = (codec.encode(line, fd=True)[0] for line in lines)
+    decoder = codec.decoder()
+    swapped = left._replace(can_id=right.can_id)
+    assert names(feed(decoder, [right, left, swapped])) == ["line", "line", "MAC"]
+
+
+def test_a_mixture_is_authentic_in_all_its_parts(clock):
+    """A part that was forged or held back leaves no line."""
+    (line,) = scene_lines(scenario("street-turn"), 1, components=3)
+    codec = codec_of(clock=clock)
+    first, second, third = codec.encode(line, fd=True)
+    forged = second._replace(data=bytes([second.data[0] ^ 1]) + second.data[1:])
+    decoder = codec.decoder()
+    answers = feed(decoder, [first, forged, third, second, *codec.encode(line, fd=True)], step_ns=1)
+    assert names(answers) == ["PENDING", "MAC", "PENDING", "REPLAY", "PENDING", "PENDING", "line"]
+
+
+def test_values_grow_though_the_clock_stands_or_is_set_back(clock, lines):
+    """A sender never gives a value twice."""
+    codec = codec_of(clock=clock)
+    frames = sent(codec, clock, lines[0], 3, step_ns=0) + sent(codec, clock, lines[0], 3, -S)
+    decoder = codec_of().decoder()
+    assert names(feed(decoder, frames)) == ["line"] * 6
+    assert codec.authenticator.last_sent == NOW // US + 5
+
+
+def test_a_sender_that_starts_anew(clock, lines):
+    """Is heard at once if its clock went on; if that was set back, not until it has caught up."""
+    decoder = codec_of().decoder()
+    first = sent(codec_of(clock=clock), clock, lines[0], 10)
+    clock.now += 3 * S
+    again = sent(codec_of(clock=clock), clock, lines[0], 2)
+    last = decoder_last(decoder, first + again)
+    clock.now = NOW
+    set_back = codec_of(clock=clock)
+    assert names(feed(decoder, sent(set_back, clock, lines[0], 2), NOW + 9 * S)) == ["REPLAY"] * 2
+    remembers = codec_of(clock=clock, not_before=last)
+    # The first one is refused by E2E: a new sender begins with the counter that was the last.
+    frames = sent(remembers, clock, lines[0], 2)
+    assert "line" in names(feed(decoder, frames, NOW + 10 * S))
+
+
+@pytest.mark.parametrize("apart", [3, 77, 128, 200])
+def test_two_senders_with_the_same_key(clock, lines, apart):
+    """Both are authentic and always newer: all is delivered, never VALID for long, and reported."""
+    first, second, decoder = codec_of(clock=clock), codec_of(clock=clock), codec_of().decoder()
+    sent(second, clock, lines[0], apart)
+    answers = []
+    for _ in range(20):
+        answers += feed(decoder, sent(first, clock, lines[0], 1, 30 * MS), clock.now)
+        answers += feed(decoder, sent(second, clock, lines[0], 1, 30 * MS), clock.now)
+    check = decoder.checks[lines[0].slot]
+
+    assert names(answers) == ["line"] * 40
+    assert check.two_senders
+    assert check.state is not E2EState.VALID
+
+
+def decoder_last(decoder, frames):
+    """Feed frames that are all good; returns the last freshness value."""
+    answers = names(feed(decoder, frames))
+    assert set(answers) <= {"line", "DUPLICATE"}
+    assert answers.count("line") >= len(frames) - 1
+    return decoder.verifier.last_accepted[DATA_ID]
+
+
+def test_old_traffic_to_a_receiver_that_has_just_started(clock, lines):
+    """Refused by its clock, or by what it has stored; without either it is taken, once."""
+    recorded = sent(codec_of(clock=clock), clock, lines[0], 20)
+    last = clock.now // US
+    clock.now += 10 * S
+    assert set(names(feed(codec_of(clock=clock).decoder(), recorded))) == {"AGE"}
+    assert set(names(feed(codec_of(not_before=last).decoder(), recorded))) == {"REPLAY"}
+    believer = codec_of().decoder()
+    assert names(feed(believer, recorded * 2)) == ["line"] * 20 + ["REPLAY"] * 20
+
+
+@pytest.mark.parametrize(
+    ("ahead_ns", "answer"),
+    [(-S - MS, "AGE"), (-S, "line"), (0, "line"), (S, "line"), (S + MS, "AGE")],
+)
+def test_the_window_about_now(clock, lines, ahead_ns, answer):
+    """A frame that was held back, or that is of tomorrow, is not accepted."""
+    receiver = codec_of(clock=clock).decoder()
+    frames = codec_of(clock=Clock(NOW + ahead_ns)).encode(lines[0], fd=True)
+    assert names(feed(receiver, frames)) == [answer]
+    (good,) = codec_of(clock=Clock(NOW + S)).encode(lines[0], fd=True)
+    assert receiver.feed(good.can_id, good.data, NOW + S) is not Reason.AGE
+
+
+@pytest.mark.parametrize("freshness_bytes", [1, 2, 4, 7])
+def test_narrow_freshness_with_a_counter(freshness_bytes):
+    """Where the value counts frames, one byte will do: 255 lost ones are bridged, 256 are not."""
+    form = replace(FORM, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
+    count = Clock(0)
+    sender = Authenticator(Key(SECRET), clock=count)
+    verify = Verifier(Authenticator(Key(SECRET)), form)
+    frames = []
+    for i in range(1, 2000):
+        count.now = 1000 * i
+        frames.append(sender.secure(bytes(32), DATA_ID, form))
+    kept = frames[:300] + frames[554:600]
+    assert all(isinstance(verify(frame, DATA_ID), bytes) for frame in kept)
+    assert verify(frames[598], DATA_ID) is Reason.REPLAY
+    late = verify(frames[599 + 257], DATA_ID)
+    assert late is Reason.MAC if freshness_bytes == 1 else isinstance(late, bytes)
+
+
+def test_a_clock_completes_narrow_freshness_after_any_silence(tmp_path, clock, lines):
+    """With 32 bits of microseconds a receiver without a clock is lost after 72 minutes."""
+    path = tmp_path / "narrow.dbc"
+    path.write_text(replace(SECURED, freshness_bytes=4, mac_bytes=8).dbc())
+    sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock))
+    assert sender.layout.secured == SecuredForm(48, 4, 8)
+    with_clock = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock)).decoder()
+    first = sent(sender, clock, lines[0], 1)
+    base = (NOW - 60 * S) // US
+    without = Codec.from_dbc(path, Authenticator(Key(SECRET), not_before=base)).decoder()
+    clock.now -= 50 * MS
+    assert names(feed(with_clock, first) + feed(without, first)) == ["line", "line"]
+    clock.now += 3 * 3600 * S
+    (later,) = sender.encode(lines[0], fd=True)
+    answers = [
+        decoder.feed(later.can_id, later.data, clock.now) for decoder in (with_clock, without)
+    ]
+    assert names(answers) == ["line", "MAC"]
+
+
+# ---- what is refused -----------------------------------------------------------------------
+
+
+def test_every_bit_counts(clock, lines):
+    """Each of the 384 bits of a frame, flipped: refused, and the frame itself is still good."""
+    codec = codec_of(Key(SECRET, 1), Key(OTHER, 2), clock=clock)
+    (frame,) = codec.encode(lines[0], fd=True)
+    decoder = codec.decoder()
+    for bit in range(384):
+        data = bytearray(frame.data)
+        data[bit // 8] ^= 1 << bit % 8
+        assert decoder.feed(frame.can_id, bytes(data), NOW).name in {"MAC", "KEY"}
+    assert names(feed(decoder, [frame])) == ["line"]
+
+
+@pytest.mark.parametrize("length", [0, 8, 32, 33, 47, 49, 64])
+def test_another_length_is_refused(clock, lines, length):
+    """Truncated or longer; a frame of 32 bytes is the record without its proof."""
+    codec = codec_of(clock=clock)
+    (frame,) = codec.encode(lines[0], fd=True)
+    decoder = codec.decoder()
+    cut = frame._replace(data=frame.data.ljust(64, b"\0")[:length])
+    assert names(feed(decoder, [cut, frame])) == ["LENGTH", "line"]
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_what_has_no_mac_is_refused(clock, lines, fd):
+    """The other messages of the same slots, right to the last bit, and what they say of E2E."""
+    codec = codec_of(clock=clock)
+    decoder = codec.decoder()
+    good = sent(codec, clock, lines[0], 20)
+    assert names(feed(decoder, good)) == ["line"] * 20
+    assert decoder.checks[Slot.EGO_LEFT].state is E2EState.VALID
+    before = decoder.checks[Slot.EGO_LEFT].stats()
+    plain = Codec.from_dbc()
+    unproved = [frame for _ in range(20) for frame in plain.encode(lines[0], fd=fd)]
+    spoilt = [frame._replace(data=b"?") for frame in [*unproved, *good]]
+    answers = feed(decoder, unproved + spoilt, clock.now, step_ns=1)
+    assert set(names(answers[: len(unproved) * 2])) == {"UNAUTHENTICATED"}
+    assert set(names(answers[len(unproved) * 2 :])) == {"LENGTH"}
+    assert decoder.checks[Slot.EGO_LEFT].stats() == before
+    assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
+
+
+def test_a_receiver_without_a_key_does_not_believe_a_mac(clock, lines):
+    """It says that the key is missing, and takes the plain messages as before."""
+    path = ROOT / "dbc" / "maplines-secoc.dbc"
+    plain = Codec.from_dbc(path)
+    decoder = plain.decoder()
+    secured = sent(codec_of(clock=clock), clock, lines[0], 2)
+    assert names(feed(decoder, [*secured, *plain.encode(lines[0], fd=True)])) == [
+        *["KEY"] * 2,
+        "line",
+    ]
+
+
+def test_classic_can_says_that_it_is_not_authenticated(clock, lines):
+    """Rather than to send without a MAC what was meant to have one."""
+    codec = codec_of(clock=clock)
+    with pytest.raises(EncodeError, match="classic CAN is not authenticated; send CAN FD"):
+        codec.encode(lines[0])
+    with pytest.raises(LayoutError, match=r"maplines\.dbc has no authenticated message .*classic"):
+        Codec.from_dbc(ROOT / "dbc" / "maplines.dbc", Authenticator(Key(SECRET)))
+    with pytest.raises(EncodeError, match=r"needs a clock, such as time\.time_ns"):
+        codec_of().encode(lines[0], fd=True)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=64), st.sampled_from([0x340, 0x348, 0x350, 0x7FF]), st.booleans())
+def test_no_bytes_from_the_bus_can_raise(data, can_id, is_extended):
+    """Whatever comes is dropped with a reason."""
+    decoder = CODEC.decoder()
+    assert isinstance(decoder.feed(can_id, data, NOW, is_extended=is_extended), Reason)
+
+
+CODEC = codec_of(Key(SECRET, 0), Key(OTHER, 255), clock=Clock())
+
+
+# ---- keys -------------------------------------------------------------------------------------
+
+
+def test_a_key_change_loses_no_line(clock, lines):
+    """New key to the receiver, new key at the sender, old key away: every line arrives."""
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
+    decoder = receiver.decoder()
+
+    def send():
+        (frame,) = sender.encode(lines[0], fd=True)
+        clock.now += 50 * MS
+        return frame
+
+    def take(frame):
+        return names(feed(decoder, [frame], clock.now))
+
+    assert take(send()) == ["line"]
+    sender.authenticator.add(new)
+    receiver.authenticator.add(new)
+    waiting = send()  # encoded with the old key, still in a queue while the key changes
+    sender.authenticator.use(2)
+    assert take(waiting) + take(send()) == ["line", "line"]
+    late = sender.authenticator
+    late.use(1)
+    with_the_old_key = send()
+    late.use(2)
+    receiver.authenticator.use(2)
+    receiver.authenticator.retire(1)
+    assert take(with_the_old_key) + take(send()) == ["KEY", "line"]
+    assert sender.authenticator.active == new
+    assert receiver.authenticator.keys == (new,)
+
+
+def test_a_key_that_others_do_not_have(clock, lines):
+    """Another secret, another number, or the same secret under two numbers."""
+    sender = codec_of(Key(SECRET, 1), clock=clock)
+    frames = sent(sender, clock, lines[0], 1)
+    clock.now = NOW
+    assert names(feed(codec_of(Key(OTHER, 1), clock=clock).decoder(), frames)) == ["MAC"]
+    assert names(feed(codec_of(Key(SECRET, 2), clock=clock).decoder(), frames)) == ["KEY"]
+    twice = codec_of(Key(SECRET, 1), Key(SECRET, 3), clock=clock).decoder()
+    renumbered = frames[0]._replace(data=frames[0].data[:32] + b"\x03" + frames[0].data[33:])
+    assert names(feed(twice, [renumbered, *frames])) == ["MAC", "line"]
+
+
+def test_the_steps_of_a_key_change(clock, lines):
+    """Those of docs/security.md: no line is lost, and in the end the old key is none any more."""
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
+    decoder = receiver.decoder()
+    answers = feed(decoder, sent(sender, clock, lines[0], 2))
+    receiver.authenticator.add(new)
+    sender.authenticator.add(new)
+    late = sent(sender, clock, lines[0], 1)
+    sender.authenticator.use(2)
+    answers += feed(decoder, late + sent(sender, clock, lines[0], 2), clock.now)
+    receiver.authenticator.retire(1)
+    sender.authenticator.retire(1)
+    answers += feed(decoder, sent(sender, clock, lines[0], 1), clock.now)
+    forged = sent(codec_of(old, clock=clock), clock, lines[0], 1)
+
+    assert names(answers) == ["line"] * 6
+    assert names(feed(decoder, forged)) == ["KEY"]
+    assert [a.authenticator.keys for a in (sender, receiver)] == [(new,), (new,)]
+    assert receiver.authenticator.active == new
+
+
+def test_the_page_tells_the_steps_of_a_key_change():
+    """The code of docs/security.md, run as it stands."""
+    (steps,) = re.findall("```python\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
+    old, new = Key(SECRET, 1), Key(OTHER, 2)
+    sender, receiver = (Authenticator(old, clock=time.time_ns) for _ in range(2))
+    sender.secure(bytes(32), DATA_ID, FORM)
+    exec(steps, {"sender": sender, "receiver": receiver, "new": new})  # noqa: S102 - our own page
+
+    assert sender.keys == receiver.keys == (new,)
+
+
+def test_who_sends_keeps_the_key_it_sends_with(clock, lines):
+    """And who has never sent keeps one; the first of those that are left is then sent with."""
+    first, second, third = (Key(SECRET, number) for number in (7, 2, 3))
+    authenticator = codec_of(first, second, third, clock=clock).authenticator
+    authenticator.retire(7)
+    assert authenticator.active == second
+    Codec.from_dbc(None, authenticator).encode(lines[0], fd=True)
+    with pytest.raises(ValueError, match=r"one of \[3\], got 2; the key that is in use, 2, cannot"):
+        authenticator.retire(2)
+    authenticator.retire(3)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda _: Authenticator(), "needs a key or more"),
+        (lambda _: Authenticator(Key(SECRET, 1), Key(OTHER, 1)), r"key_id 1 is taken by Key\("),
+        (lambda _: Authenticator(Key(SECRET), window_ns=0), "must be at least 1000 ns .* got 0;"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=1), "a second is 1_000_000_000"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),
+        (lambda _: Authenticator(Key(SECRET), window_ns="1"), "window_ns must .* got '1'"),
+        (lambda _: Authenticator(Key(SECRET), not_before=-1), r"from 0 to 2\^63 - 1 us, got -1"),
+        (lambda _: Authenticator(Key(SECRET), not_before=2**63), "not_before must be a whole"),
+        (lambda _: Authenticator(Key(SECRET), not_before=1.5), "a whole number .* us, got 1.5"),
+        (lambda _: Authenticator(Key(SECRET), clock=time.time), r"time_ns, got \d+\.\d+ from <"),
+        (lambda _: Authenticator(Key(SECRET), clock=lambda: 1e18), r"int, .* got 1e\+18 from <"),
+        (lambda _: Authenticator(Key(SECRET), clock=5), "clock must be a function .* from 5$"),
+        (lambda a: a.use(3), r"key_id must be one of \[1\], got 3; add it"),
+        (lambda a: a.retire(1), r"one of \[\], got 1; the key that is in use, 1, cannot be"),
+        (lambda a: a.retire(2), r"one of \[\], got 2"),
+        (lambda _: Key(SECRET, 256), "key_id must be a whole number from 0 to 255, got 256"),
+        (lambda _: Key(SECRET, "1"), "from 0 to 255, got a str"),
+        (lambda _: Key(SECRET[:15]), "must have 16 or 32 bytes .* got 15"),
+        (lambda _: Key(SECRET.hex()), r"must be bytes, got a str; Key\.from_hex reads hex digits"),
+        (lambda _: Key.from_hex(SECRET), "a key must be text of hex digits, got a bytes"),
+        (lambda _: Key(bytes(16)), "a single byte repeated"),
+    ],
+)
+def test_a_mistake_of_the_caller_raises(act, message):
+    """At once, with the cure."""
+    with pytest.raises(ValueError, match=message):
+        act(Authenticator(Key(SECRET)))
+
+
+def test_a_clock_beyond_all_time_is_refused():
+    """The value must fit 64 bits."""
+    with pytest.raises(EncodeError, match="freshness must be"):
+        Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, FORM)
+
+
+@pytest.mark.parametrize("code", ["MeanOnly", "Float16"])
+def test_other_records_are_authenticated_too(tmp_path, clock, code):
+    """Of 24 bytes, with padding that the MAC covers, and of 48, which fill the largest frame."""
+    path = tmp_path / "other.dbc"
+    path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
+    authenticator = Authenticator(Key(SECRET), clock=clock)
+    codec = Codec.from_dbc(path, authenticator, codes=CODES)
+    (line,) = scene_lines(scenario("highway"), 1)
+    (frame,) = codec.encode(line, fd=True)
+    decoder = codec.decoder()
+    padding = codec.layout.record_bytes
+    spoilt = frame.data[:padding] + bytes([frame.data[padding] ^ 1]) + frame.data[padding + 1 :]
+    assert names(feed(decoder, [frame._replace(data=spoilt)]))[0] in {"MAC", "KEY"}
+    assert names(feed(decoder, [frame])) == ["line"]
+
+
+def test_the_evidence_holds_for_few():
+    """tools/evidence_secoc.py at a thousandth of its size."""
+    tool = [sys.executable, ROOT / "tools" / "evidence_secoc.py", "--n", "1000", "--json"]
+    done = subprocess.run(tool, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = json.loads(done.stdout)
+    assert result["met"]
+    assert np.all([attack["accepted"] == 0 for attack in result["attacks"].values()])

@@ -1,0 +1,341 @@
+"""The E2E state of a slot, as the decoder updates it."""
+
+import e2e
+import numpy as np
+import pytest
+from dbcs import default_codec
+from e2e_streams import (
+    CYCLE,
+    MS,
+    SLOT,
+    check_accounts,
+    feed,
+    frames,
+    mixture_frames,
+    record,
+    run,
+    two_senders,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can import MapLine, Slot
+from maplines_can.wire import E2EState, ProfileStatus, Reason
+
+OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
+VALID, NODATA, INIT, INVALID = E2EState
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.integers(0, 32 * 8 - 1), max_size=4), st.integers(0, 254))
+def test_a_record_is_in_error_where_autosar_e2e_says_so(bits, counter):
+    """The witness writes the counter and the checksum, and judges what is flipped after that."""
+    data_id = default_codec().layout.channels[SLOT].data_id
+    before, after = (record(k).tobytes() for k in (counter, counter + 1))
+    counted = bytearray(before)
+    e2e.p05.e2e_p05_protect(counted, data_id, increment_counter=True)
+    assert counted[2] == after[2]
+    damaged = bytearray(after)
+    for bit in bits:
+        damaged[bit // 8] ^= 1 << bit % 8
+    decoder = default_codec().decoder()
+    decoder.feed(0x348, before, 0)
+    decoder.feed(0x348, bytes(damaged), CYCLE)
+    good = e2e.p05.e2e_p05_check(bytes(damaged), data_id)
+    assert decoder.checks[SLOT].status is (OK if good else ERROR)
+
+
+def test_a_calm_slot_becomes_valid():
+    """The seventh line: the first is for NODATA, six count."""
+    decoder = default_codec().decoder()
+    states = []
+    for counter in range(8):
+        run(decoder, [counter], counter * CYCLE)
+        states.append(decoder.checks[SLOT].state)
+    assert states == [INIT] * 6 + [VALID] * 2
+    assert decoder.checks[Slot.ROUTE].state is NODATA
+    assert decoder.checks[Slot.ROUTE].stats().status is None
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("k", [0, 1, 4, 5, 15, 16, 40])
+def test_lines_that_are_lost(k, fd):
+    """Up to 15 pass for lost ones; each cycle without one is NONEWDATA, and five end VALID."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(250, 262), fd=fd)
+    (line,), _ = run(decoder, [262 + k], t_ns + k * CYCLE, fd=fd)
+    slot = decoder.checks[SLOT]
+    assert isinstance(line, MapLine)
+    assert slot.statuses[NONEWDATA] == k
+    assert slot.lost == decoder.lost == k
+    assert slot.status is (OK if k == 0 else OKSOMELOST if k < 16 else WRONGSEQUENCE)
+    assert slot.state is (VALID if k < 5 else INVALID)
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("silence", [0, 3, 9, 10, 1000])
+@pytest.mark.parametrize("at", [10, 120, 130, 250])
+def test_a_sender_that_starts_anew(at, silence):
+    """Two lines are kept back where they might be old ones and the newest is not older than ten
+    cycles; then eight OKs make it VALID.
+    """
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(at - 10, at))
+    slot = decoder.checks[SLOT]
+    assert slot.state is VALID
+    kept = max(0, min(2, 10 - silence)) if at < 128 else 0
+    answers, t_ns = run(decoder, range(kept + 1), t_ns + silence * CYCLE, other=100)
+    assert answers[:kept] == [Reason.STALE] * kept
+    assert isinstance(answers[kept], MapLine)
+    if at < 240:  # from there on 0 looks like the next but some
+        assert (slot.status, slot.state) == (WRONGSEQUENCE, INVALID)
+        answers, t_ns = run(decoder, range(kept + 1, kept + 8), t_ns, other=100)
+        assert slot.state is INVALID
+        answers += run(decoder, [kept + 8], t_ns, other=100)[0]
+        assert all(isinstance(answer, MapLine) for answer in answers)
+        assert slot.lost == 0
+    assert slot.state is VALID or at >= 240
+    assert not slot.two_senders
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_a_sender_that_starts_anew_with_the_same_lines_is_heard_after_half_a_second(fd):
+    """Bit for bit they are copies of old ones: until nothing was new for ten cycles."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(60), fd=fd)
+    answers, _ = run(decoder, range(60), t_ns, fd=fd)
+    assert answers[:10] == [Reason.DUPLICATE] * 10
+    assert all(isinstance(answer, MapLine) for answer in answers[10:])
+    assert not decoder.checks[SLOT].two_senders
+
+
+def test_senders_that_start_anew_again_and_again_are_not_two():
+    """Each time two lines are kept back, a trace of a second sender but for what follows."""
+    decoder, t_ns = default_codec().decoder(), 0
+    for k in range(30):
+        _, t_ns = run(decoder, range(20), t_ns, other=20 * k)
+    assert decoder.lines == 20 + 29 * 18
+    assert not decoder.checks[SLOT].two_senders
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("back", [1, 2, 7, 16, 100, 127])
+@pytest.mark.parametrize("later_ms", [1, 24, 26, 40])
+def test_a_line_that_comes_late_is_not_delivered(later_ms, back, fd):
+    """Whether it was delivered before or not: a newer one was, and the next ones are."""
+    decoder = default_codec().decoder()
+    counters = [c for c in range(140) if c not in (10, 120, 131, 132)]
+    _, t_ns = run(decoder, counters, fd=fd)
+    before = decoder.lines
+    late = feed(decoder, frames(139 - back, fd), t_ns - CYCLE + later_ms * MS)
+    assert late in (Reason.STALE, Reason.DUPLICATE)
+    answers, _ = run(decoder, range(140, 150), t_ns, fd=fd)
+    assert all(isinstance(answer, MapLine) for answer in answers)
+    assert (decoder.lines - before, decoder.checks[SLOT].state) == (10, VALID)
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_old_lines_that_come_all_at_once_are_not_delivered(fd):
+    """A gateway empties its queue between two lines: in order, but none follows the newest."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(100), fd=fd)
+    queue = [f for c in range(60, 90) for f in frames(c, fd)]
+    answers = [decoder.feed(f.can_id, f.data, t_ns - 20 * MS + i) for i, f in enumerate(queue)]
+    assert not any(isinstance(answer, MapLine) for answer in answers)
+    (line,), _ = run(decoder, [100], t_ns, fd=fd)
+    assert isinstance(line, MapLine)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("later_ms", [1, 24, 30, 500, 10**7])
+def test_a_burst_that_comes_again_is_never_delivered_twice(later_ms, fd):
+    """Within the time-out reassembly drops it; after that its counter does, however late."""
+    decoder = default_codec().decoder()
+    run(decoder, range(10), fd=fd)
+    t_ns = 9 * CYCLE + later_ms * MS
+    assert feed(decoder, frames(9, fd), t_ns) is Reason.DUPLICATE
+    assert decoder.counts == {Reason.DUPLICATE: 1 if fd else 4}
+    assert decoder.checks[SLOT].statuses[REPEATED] == 1
+    assert decoder.lines == 10
+    assert isinstance(feed(decoder, frames(10, fd), t_ns + CYCLE), MapLine)
+    assert not decoder.checks[SLOT].two_senders
+    check_accounts(decoder)
+
+
+def test_a_sender_that_starts_anew_at_that_very_counter_loses_one_line():
+    """It cannot be told from a transfer that was held up, so its first line is refused."""
+    decoder = default_codec().decoder()
+    run(decoder, [0])
+    answers, _ = run(decoder, [0, 1, 2], t_ns=100 * CYCLE)
+    assert answers[0] is Reason.DUPLICATE
+    assert all(isinstance(answer, MapLine) for answer in answers[1:])
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("lines", [20, 31, 32, 33, 64])
+def test_a_sender_that_is_stuck(lines, fd):
+    """The same record for ever is one line, INVALID after a while, and not two senders."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(lines), fd=fd)
+    answers, t_ns = run(decoder, [lines - 1] * 30, t_ns, fd=fd)
+    slot = decoder.checks[SLOT]
+    assert set(answers) == {Reason.DUPLICATE}
+    assert (slot.state, slot.statuses[REPEATED], slot.two_senders) == (INVALID, 30, False)
+    run(decoder, range(lines, lines + 40), t_ns, fd=fd)
+    assert not slot.two_senders
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_damaged_records_end_valid(fd):
+    """Two of ten do not, the third does; lines go on being delivered."""
+    decoder = default_codec().decoder()
+    _, t_ns = run(decoder, range(20), fd=fd)
+    slot = decoder.checks[SLOT]
+    for k in range(3):
+        assert slot.state is VALID
+        transfer = frames(20 + 2 * k, fd)
+        broken = transfer[0]._replace(data=bytes([transfer[0].data[0] ^ 1, *transfer[0].data[1:]]))
+        assert feed(decoder, [broken, *transfer[1:]], t_ns) is Reason.CRC
+        (line,), t_ns = run(decoder, [21 + 2 * k], t_ns + CYCLE, fd=fd)
+        assert isinstance(line, MapLine)
+    assert slot.state is INVALID
+    assert (slot.statuses[ERROR], slot.statuses[NONEWDATA], slot.lost) == (3, 0, 3)
+
+
+def test_a_frame_of_the_wrong_length_is_an_error():
+    """On an ID of the slot; a foreign one is nobody's."""
+    decoder = default_codec().decoder()
+    run(decoder, range(10))
+    decoder.feed(0x348, b"short", 10 * CYCLE)
+    decoder.feed(0x123, b"short", 10 * CYCLE)
+    assert decoder.checks[SLOT].statuses[ERROR] == 1
+    assert sum(check.statuses[ERROR] for check in decoder.checks.values()) == 1
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("k", [2, 3, 8])
+def test_each_part_of_a_mixture_is_a_check(k, fd):
+    """A lost line of 8 parts is OKSOMELOST; the last line again, whenever, is REPEATED k times."""
+    decoder = default_codec().decoder()
+    slot, t_ns, first = decoder.checks[SLOT], 0, 240
+    for _ in range(6):
+        assert isinstance(feed(decoder, mixture_frames(first % 256, k, fd), t_ns), MapLine)
+        first, t_ns = first + k, t_ns + CYCLE
+    assert slot.statuses[OK] == 6 * k
+    assert slot.state is VALID
+    first, t_ns = first + k, t_ns + CYCLE  # one is lost
+    line = mixture_frames(first % 256, k, fd)
+    assert isinstance(feed(decoder, line, t_ns), MapLine)
+    assert (slot.statuses[OKSOMELOST], slot.lost, slot.state) == (1, k, VALID)
+    for later_ms in (60, 200, 10_000):
+        before = slot.statuses[REPEATED]
+        assert feed(decoder, line, t_ns + later_ms * MS) is Reason.DUPLICATE
+        assert slot.statuses[REPEATED] - before == k
+    assert decoder.lines == 7
+    next_ = mixture_frames((first + k) % 256, k, fd)
+    assert isinstance(feed(decoder, next_, t_ns + 20_000 * MS), MapLine)
+    assert slot.statuses[WRONGSEQUENCE] == 0
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("offset_ms", [5, 20, 30, 45])
+@pytest.mark.parametrize("apart", [0, 1, 2, 5, 8, 16, 100, 128, 200, 255])
+def test_two_senders_on_a_slot(apart, offset_ms, fd):
+    """However far their counters and times are apart: never VALID for long, and reported."""
+    decoder = default_codec().decoder()
+    slot = two_senders(decoder, offset_ms, apart, fd=fd)
+    assert slot.two_senders
+    assert slot.state is not VALID
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        pytest.param({"every": 4}, id="the-second-is-slower"),
+        pytest.param({"every": 20, "cycles": 400}, id="the-second-is-much-slower"),
+        pytest.param({"loss": 0.1}, id="lines-are-lost"),
+        pytest.param({"k": 3}, id="mixtures"),
+        pytest.param({"k": 8}, id="mixtures-of-eight"),
+    ],
+)
+@pytest.mark.parametrize("offset_ms", [15, 30])
+@pytest.mark.parametrize("apart", [2, 77])
+def test_two_senders_are_found_under_harder_conditions(apart, offset_ms, how):
+    """Other rates, losses, and lines of many records."""
+    how = {"cycles": 80} | how
+    assert two_senders(default_codec().decoder(), offset_ms, apart, **how).two_senders
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
+)
+def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
+    """It loses frames, starts anew, is silent, and much of what it sends comes late or twice."""
+    rng = np.random.default_rng(seed)
+    decoder, t_ns, counter, anew, arrivals = default_codec().decoder(), 0, 0, 0, []
+    for _ in range(300):
+        fate = rng.random()
+        if fate < 0.005:
+            counter, anew = 0, anew + 1
+        elif fate < 0.01:
+            t_ns += int(rng.integers(1, 40)) * CYCLE
+        transfer = (
+            frames(counter, fd, which=(counter + 50 * anew) % 256)
+            if k == 1
+            else mixture_frames(counter, k, fd, seed=anew)
+        )
+        for i, frame in enumerate(transfer):
+            at = t_ns + i * MS // 4
+            late = int(rng.integers(1, 300)) * MS
+            fate = rng.random()
+            if fate >= 0.1:
+                arrivals.append((at + late * (fate < 0.1 + bad / 3), len(arrivals), frame))
+            if fate > 1 - bad:
+                arrivals.append((at + late // 10, len(arrivals), frame))
+        counter, t_ns = (counter + k) % 256, t_ns + CYCLE
+    for at, _, frame in sorted(arrivals):
+        decoder.feed(frame.can_id, frame.data, at)
+    assert not decoder.checks[SLOT].two_senders
+    check_accounts(decoder)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("gap_ms", [0, 150, 300, 10_000])
+@pytest.mark.parametrize("late_ms", [60, 160, 300, 450])
+def test_a_slower_path_repeats_nothing(late_ms, gap_ms, fd):
+    """All comes over two gateways, and the faster one fails: nothing twice, nothing backwards."""
+    arrivals = []
+    for k in range(120):
+        for i, frame in enumerate(frames(k, fd)):
+            at = k * CYCLE + i * MS // 4
+            if not 40 * CYCLE <= at < 40 * CYCLE + gap_ms * MS:
+                arrivals.append((at, k, frame))
+            arrivals.append((at + late_ms * MS, k, frame))
+    decoder = default_codec().decoder()
+    delivered = [
+        k
+        for at, k, frame in sorted(arrivals, key=lambda arrival: arrival[:2])
+        if isinstance(decoder.feed(frame.can_id, frame.data, at), MapLine)
+    ]
+    assert delivered == sorted(set(delivered))
+    assert len(delivered) >= 120 - (gap_ms + late_ms) // 50
+
+
+def test_a_second_sender_that_has_gone_is_forgotten():
+    """After 256 cycles."""
+    decoder = default_codec().decoder()
+    slot = two_senders(decoder, 20, 40)
+    assert slot.two_senders
+    counter, t_ns = 40 + 40, 40 * CYCLE
+    for _ in range(254):
+        _, t_ns = run(decoder, [counter % 256], t_ns)
+        counter += 1
+    assert slot.two_senders
+    run(decoder, [c % 256 for c in range(counter, counter + 4)], t_ns)
+    assert not slot.two_senders

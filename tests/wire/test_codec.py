@@ -1,0 +1,265 @@
+"""The codec: status, frames, and the readers and writers that must agree."""
+
+import cantools
+import numpy as np
+import pytest
+from dbcs import DBC, default_codec
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can.errors import EncodeError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
+from maplines_can.study import paper, road
+from maplines_can.wire import Codec, Reason
+
+
+def test_huge_numbers_do_not_overflow(codec):
+    """1e150 and the like are out of range, without a warning."""
+    batch = codec.decode_batch(codec.encode_batch(np.full((1, 4), 1e200), 1e300 * np.eye(4)[None]))
+    assert batch.status[0] == Status.OUT_OF_RANGE
+    assert np.isfinite(batch.cov).all()
+
+
+def test_the_three_data_structures_of_the_paper(codec):
+    """Mean only, mean and standard deviations, mean and covariance."""
+    mean = np.array([[1.75, 0.01, 1e-3, 1e-5]])
+    root = np.array([[0.3, 0, 0, 0], [0.01, 0.02, 0, 0], [1e-4, 0, 1e-4, 0], [0, 0, 0, 1e-6]])
+    cov = (root @ root.T)[None]
+    bare = codec.decode_batch(codec.encode_batch(mean))
+    assert bare.status[0] == Status.UNKNOWN
+    assert bare.cov[0].diagonal() == pytest.approx(np.square(VAGUE_SIGMA))
+    alone = codec.decode_batch(codec.encode_batch(mean, cov, status=Status.DIAGONAL))
+    assert alone.status[0] == Status.DIAGONAL
+    assert np.array_equal(alone.cov[0], np.diag(alone.cov[0].diagonal()))
+    assert (alone.cov[0].diagonal() >= cov[0].diagonal()).all()
+    assert alone.cov[0].diagonal() == pytest.approx(cov[0].diagonal(), rel=0.2)
+    full = codec.decode_batch(codec.encode_batch(mean, cov))
+    assert full.status[0] == Status.FULL
+    for batch in (bare, alone, full):
+        assert batch.mean == pytest.approx(mean, abs=1e-3)
+
+
+def test_diagonal_stays_diagonal_where_a_value_meets_its_end(codec):
+    """Who sent sigmas alone is not taken for one who sent correlations."""
+    cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
+    payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=30.0)
+    assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
+
+
+def test_age_is_never_younger_than_it_is(codec):
+    """Rounded up to the step; the top value means this or more."""
+    ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.247, 0.249, 9.0])
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((7, 4)), age=ages))
+    assert batch.age.tolist() == [0.0, 0.008, 0.008, 0.016, 0.248, 0.248, 0.248]
+
+
+def test_single_precision_is_welcome(codec):
+    """J P J^T worked in float32 is symmetric and definite to float32's rounding."""
+    rng = np.random.default_rng(8)
+    root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
+    covs = np.einsum("nik,njk->nij", root, root)
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((300, 4), np.float32), covs))
+    assert not (batch.status == Status.REPAIRED).any()
+    assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
+
+
+def test_unknown_stays_unknown_with_a_mean_out_of_range(codec):
+    """A mean that was cut has nothing to cover it where no covariance is sent."""
+    batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
+    assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
+
+
+def test_cantools_reads_what_we_write_and_writes_what_we_read(codec):
+    """Each page of each carrier, raw bits and physical values."""
+    database = cantools.database.load_file(DBC)
+    means, covs = paper(40, seed=3)
+    payloads = codec.encode_batch(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
+    batch = codec.decode_batch(payloads, Slot.NEXT_LEFT)
+    for i, payload in enumerate(payloads):
+        signals = {}
+        for frame in codec.frames(payload, Slot.NEXT_LEFT):
+            message = database.get_message_by_frame_id(frame.can_id)
+            page = message.decode(frame.data, decode_choices=False)
+            assert message.encode(page) == frame.data
+            signals |= page
+        (fd,) = codec.frames(payload, Slot.NEXT_LEFT, fd=True)
+        record = database.get_message_by_frame_id(fd.can_id).decode(fd.data, decode_choices=False)
+        assert {k: record[k] for k in signals if k != "Page"} == {
+            k: v for k, v in signals.items() if k != "Page"
+        }
+        assert [signals[name] for name in ("YOff", "Beta", "C0", "C1")] == batch.mean[i].tolist()
+        assert (signals["XMin"], signals["XMax"]) == (batch.x_min[i], batch.x_max[i])
+        assert (signals["Kind"], signals["Age"]) == (Kind.DASHED, 24)
+        assert covariance_by_hand(signals) == pytest.approx(batch.cov[i], rel=1e-12)
+
+
+def covariance_by_hand(signals):
+    """The decoding as a reader of the DBC's page would do it, from cantools' values."""
+    names = ["C1", "C0", "YOff", "Beta"]
+    L = np.zeros((4, 4))
+    for i, row in enumerate(names):
+        L[i, i] = 2.0 ** signals[f"Pivot{row}"]
+        for j, column in enumerate(names[:i]):
+            L[i, j] = signals[f"Ratio{row}{column}"] * L[i, i]
+    S = 2.0 ** signals["Inflation"] * L @ L.T
+    back = [names.index(name) for name in ("YOff", "Beta", "C0", "C1")]
+    return S[np.ix_(back, back)]
+
+
+@pytest.mark.parametrize("length", [0, 1, 31, 33, 64])
+def test_a_record_of_another_length_is_none(length):
+    """Whatever else is in it."""
+    assert default_codec().decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
+def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
+    """decode_one and decode_batch agree to the last bit, or on the reason."""
+    codec = default_codec()
+    if honest:  # make the bytes pass: the right pages, transfers and checksum
+        raw = codec._reader._packing.unpack_one(data)
+        raw |= {f"Page{p}": p for p in range(4)} | {
+            f"TransferId{p}": raw["Counter"] for p in range(4)
+        }
+        data = codec._writer.protect_one(raw, codec.layout.channels[slot].data_id)
+    batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
+    one = codec.decode_one(data, slot)
+    if isinstance(one, Reason):
+        assert not batch.accepted[0]
+        assert batch.rejects == {one: 1}
+    else:
+        assert batch.accepted[0]
+        assert np.array_equal(one.gaussian.mean, batch.mean[0])
+        assert np.array_equal(one.gaussian.cov, batch.cov[0])
+        assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
+        assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
+        part = codec.read_record(data, slot)
+        assert (part.index, part.count, part.weight) == (
+            batch.component_index[0],
+            batch.component_count[0],
+            batch.component_weight[0],
+        )
+    if honest:
+        assert batch.rejects.keys() <= {Reason.CONTENT}
+    np.linalg.cholesky(batch.cov)  # whatever the bytes, a definite matrix
+
+
+def test_both_writers_write_the_same(codec):
+    """encode, encode_lines and encode_batch give the same bytes."""
+    means, covs = road(50, seed=5)
+    lines = [
+        MapLine(Slot(i % 8), Gaussian(m, S), Kind(i % 8), -20, 60 + i, 0.008 * (i % 9))
+        for i, (m, S) in enumerate(zip(means, covs, strict=True))
+    ]
+    payloads = codec.encode_batch(
+        means,
+        covs,
+        slot=[line.slot for line in lines],
+        counter=np.arange(50) // 8,
+        kind=[line.kind for line in lines],
+        x_min=-20,
+        x_max=[line.x_max for line in lines],
+        age=[line.age for line in lines],
+    )
+    fresh = Codec.from_dbc()
+    one_by_one = [b"".join(frame.data for frame in fresh.encode(line)) for line in lines]
+    together = [b"".join(f.data for f in frames) for frames in Codec.from_dbc().encode_lines(lines)]
+    assert one_by_one == together == [payload.tobytes() for payload in payloads]
+
+
+def test_extents_never_claim_too_much(codec):
+    """x_min is rounded up and x_max down; what still claims too much is flagged."""
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [24.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
+    for x_min, x_max in ends:
+        batch = codec.decode_batch(
+            codec.encode_batch(np.zeros((1, 4)), cov, x_min=x_min, x_max=x_max)
+        )
+        assert batch.x_min[0] >= x_min
+        assert batch.x_max[0] <= x_max
+        assert batch.status[0] == Status.FULL
+    beyond = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), cov, x_min=30.0))
+    assert beyond.status[0] == Status.SATURATED
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        pytest.param({"means": np.zeros(4)}, "means must have shape", id="one-mean"),
+        pytest.param({"means": np.full((1, 4), np.nan)}, "row 0", id="nan-mean"),
+        pytest.param({"covs": np.zeros((2, 4, 4))}, "covs must have shape", id="two-covs"),
+        pytest.param({"covs": np.full((1, 4, 4), np.inf)}, "finite, but row 0", id="inf-cov"),
+        pytest.param({"covs": -np.eye(4)[None]}, "variances of 0 or more", id="negative"),
+        pytest.param({"covs": np.triu(np.ones((4, 4)))[None]}, "symmetric", id="asymmetric"),
+        pytest.param({"age": np.nan}, "age must be finite", id="age"),
+        pytest.param({"x_max": np.inf}, "x_max must be finite", id="x_max"),
+        pytest.param({"slot": 8}, "no message for slot 8", id="slot"),
+        pytest.param({"slot": -1}, "no message for slot -1", id="negative-slot"),
+        pytest.param({"kind": 9}, "Kind: .* whole number from 0 to 7", id="kind"),
+        pytest.param({"status": 6}, "Status: .* whole number from 0 to 5", id="status"),
+        pytest.param({"component_count": 9}, "ComponentCount", id="count"),
+        pytest.param({"component_index": 1}, "below component_count", id="index"),
+        pytest.param({"component_weight": 0.0}, "component_weight must be in", id="weight"),
+        pytest.param({"age": -0.1}, "age must be 0 s or more", id="negative-age"),
+        pytest.param({"x_min": 50.0, "x_max": 10.0}, "x_min must be x_max or less", id="extent"),
+        pytest.param({"slot": 0.9}, "no message for slot 0.9", id="half-a-slot"),
+        pytest.param({"counter": 1.5}, "Counter: .* whole number", id="half-a-counter"),
+        pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),
+    ],
+)
+def test_a_callers_mistake_raises_at_once(codec, change, words):
+    """The message names the value, the row or signal, and what is allowed."""
+    good = {"means": np.zeros((1, 4)), "covs": np.zeros((1, 4, 4))}
+    with pytest.raises((ValueError, EncodeError), match=words):
+        codec.encode_batch(**{**good, **change})
+
+
+@pytest.mark.parametrize(
+    "payloads",
+    [np.zeros((1, 31), np.uint8), np.zeros(32, np.uint8), np.zeros((1, 32), np.int64)],
+)
+def test_payloads_of_another_shape_raise(codec, payloads):
+    """Bytes may be anything, but they must be bytes, 32 a row."""
+    with pytest.raises(ValueError, match="payloads must"):
+        codec.decode_batch(payloads)
+
+
+def test_no_records_at_all(codec):
+    """Empty in, empty out."""
+    payloads = codec.encode_batch(np.zeros((0, 4)), np.zeros((0, 4, 4)))
+    assert payloads.shape == (0, 32)
+    assert codec.decode_batch(payloads).mean.shape == (0, 4)
+    assert codec.encode_lines([]) == []
+
+
+LINE, COV = np.zeros((1, 4)), np.eye(4)[None] * 1e-4
+RECORD = np.zeros((1, 32), dtype=np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda c: c.decoder(timeout_ms=1e308), r"at most an hour \(3600000 ms\), got 1e\+308"),
+        (lambda c: c.decoder(timeout_ms=3_600_001), "timeout_ms must be .* got 3600001"),
+        (lambda c: c.decoder(cycle_ms=10**400), "cycle_ms must be .* integer of about 1e400"),
+        (lambda c: c.encode_batch([[10**400, 0, 0, 0]], COV), "means must be numbers"),
+        (lambda c: c.encode_batch(LINE, [[[10**400] * 4] * 4]), "covs must be numbers"),
+        (lambda c: c.encode_batch(LINE, -COV + 1e308), "covs must be finite"),
+        (lambda c: c.encode_batch(LINE, COV, x_min=-(10**400)), "x_min must be numbers"),
+        (lambda c: c.encode_batch(LINE, COV, counter=10**400), "counter must be numbers"),
+        (lambda c: c.encode_batch(LINE, COV, slot=np.inf), "slot must be from 0 to 7, got inf"),
+        (lambda c: c.encode_batch(LINE, COV, slot=1e300), r"slot must be from 0 to 7, got 1e\+300"),
+        (lambda c: c.decode_batch(RECORD, np.nan), "slot must be from 0 to 7, got nan"),
+        (lambda c: c.encode_mixtures([10**400], LINE, COV), "weights must be numbers"),
+        (lambda c: c.encode_mixtures([1.0], LINE, COV), r"weights must have shape \(N, k\)"),
+        (lambda c: c.encode_mixtures([[1.0]], LINE[None], COV[None], age=10**400), "age must be"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_odd_numbers_are_refused_in_words(make, words):
+    """By name and range, in a message that one can read, and without a warning beside it."""
+    with pytest.raises(ValueError, match=words) as refusal:
+        make(default_codec())
+    assert len(str(refusal.value)) < 400
