@@ -7,10 +7,11 @@ import pytest
 from dbcs import default_codec
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import scene_lines
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, Slot, scenario
 from maplines_can.bus import bus_load, transfers_within
-from maplines_can.cli.sending import MAX_LOAD, choose_components, scene_lines
+from maplines_can.cli.sending import MAX_LOAD, choose_components
 from maplines_can.propagation import component_counts as component_counts
 from maplines_can.propagation import nonlinearity
 from maplines_can.propagation.component_counts import remaining_nonlinearity

@@ -20,12 +20,12 @@ import pytest
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import scene_lines
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, Transmitter, scenario
 from maplines_can.bus import key_from_env, key_from_file
 from maplines_can.bus.tx_queue import AHEAD, TxQueue
 from maplines_can.cli import _parser, main
-from maplines_can.cli.sending import scene_lines
 from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError, MissingExtraError
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
@@ -887,9 +887,8 @@ def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
 
 def test_keys_are_sent_with_in_the_order_they_are_given():
     """Files and variables alike; a number before the colon, else 1."""
-    parsed: argparse.Namespace = _parser().parse_args(
-        ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
-    )
+    words = ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
+    parsed: argparse.Namespace = _parser(words).parse_args(words)
     assert [(name, number) for _, name, number in parsed.keys] == [
         ("NEW", 2),
         ("a:b", 1),

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import can
 import pytest
+from scenes import scene_lines
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, scenario
-from maplines_can.study.round_trip import scene_lines
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 START, END = 0x7FE, 0x7FF

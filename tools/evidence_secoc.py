@@ -25,7 +25,7 @@ from itertools import count
 import numpy as np
 from telling import bar, ended, parser_of, progress
 
-from maplines_can.cli.sending import scene_lines
+from maplines_can import map_lines
 from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
 from maplines_can.study.dbc.record_spec import SECURED
@@ -53,13 +53,19 @@ RFC_MESSAGE = bytes.fromhex(
 )
 
 
+def scene_lines():
+    """The eight lines of the scene "production"."""
+    scene = scenario("production")
+    return map_lines(scene.lines, scene.ego, scene.window)
+
+
 @cache
 def recorded(mac_bytes):
     """True traffic, and its layout."""
     layout = Layout.from_text(replace(SECURED, mac_bytes=mac_bytes).dbc())
     periods = count(START, 50 * MS)
     sender = Codec(layout, Authenticator(*keys(), clock=lambda: next(periods)))
-    scene, frames = scene_lines(scenario("production"), 8), []
+    scene, frames = scene_lines(), []
     while len(frames) < RECORDED:
         frames += [frame for burst in sender.encode_lines(scene, fd=True) for frame in burst]
     return layout, frames
@@ -236,7 +242,7 @@ def speed(n):
     layout, _ = recorded(8)
     authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
     plain, secured = Codec(layout), Codec(layout, authenticator)
-    lines = scene_lines(scenario("production"), 8)
+    lines = scene_lines()
     rates = {}
     for name, codec in (("plain", plain), ("authenticated", secured)) * 3:
         frames = []

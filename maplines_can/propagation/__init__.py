@@ -2,6 +2,7 @@
 
 from .component_counts import component_counts
 from .linear import Linear
+from .map_lines import map_lines
 from .mixture import Mixture, nonlinearity
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion, pose_time_ns, predict, predict_to
@@ -23,6 +24,7 @@ __all__ = [
     "SigmaPoints",
     "Transform",
     "component_counts",
+    "map_lines",
     "nonlinearity",
     "pose_time_ns",
     "predict",
