@@ -1,17 +1,14 @@
 """How many parts a line needs, and how a bus that is too small for all is shared."""
 
-from itertools import chain, product
+from itertools import product
 
 import numpy as np
 import pytest
-from dbcs import default_codec
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import scene_lines
 
-from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, Slot, scenario
+from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, scenario
 from maplines_can.bus import bus_load, transfers_within
-from maplines_can.cli.sending import MAX_LOAD, choose_components
 from maplines_can.propagation import component_counts as component_counts
 from maplines_can.propagation import nonlinearity
 from maplines_can.propagation.component_counts import remaining_nonlinearity
@@ -194,48 +191,6 @@ def test_a_share_is_a_share(share):
         transfers_within(share, [Frame(0x100, bytes(8))], 0.1, 5e5)
 
 
-@given(
-    st.sampled_from(["production", "street-turn-10deg"]),
-    st.integers(1, 8),
-    st.floats(1, 100),
-    st.booleans(),
-    st.floats(0.01, 1),
-)
-def test_the_load_keeps_within_its_bound(name, lines, rate, fd, max_load):
-    """Of the frames that are sent; or an error that says so."""
-    codec, scene = default_codec(), scenario(name)
-    one_each = codec.encode_lines(scene_lines(scene, lines), fd=fd)
-    if bus_load(chain(*one_each), 1 / rate, 5e5, 2e6) > max_load:
-        with pytest.raises(ValueError, match=f"{100 * max_load:g} % are allowed"):
-            choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
-        return
-    parts = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
-    sent = scene_lines(scene, lines, components=[line.parts for line in parts])
-    assert bus_load(chain(*codec.encode_lines(sent, fd=fd)), 1 / rate, 5e5, 2e6) <= max_load * (
-        1 + 1e-9
-    )
-
-
-def test_too_little_bus_for_one_part_each():
-    """Four transfers of 4 x 135 bits at 20 Hz and 500 kbit/s take 8.64 %."""
-    with pytest.raises(
-        ValueError, match=r"4 lines in 4 parts take 8.64 % .* 8 % are allowed; send"
-    ):
-        choose_components(scenario("highway"), default_codec(), max_load=0.08)
-    assert [
-        p.parts for p in choose_components(scenario("highway"), default_codec(), max_load=0.0864)
-    ] == [1] * 4
-
-
-def test_a_fixed_number_is_bounded_only_on_demand():
-    """Who says how many gets them, unless a bound is given as well."""
-    scene, codec = scenario("highway"), default_codec()
-    parts = choose_components(scene, codec, components=8)
-    assert [line.parts for line in parts] == [8] * 4
-    with pytest.raises(ValueError, match=r"4 lines in 32 parts take 69.1 %"):
-        choose_components(scene, codec, components=8, max_load=MAX_LOAD)
-
-
 # ---- whether the choice is a good one -----------------------------------------------------
 
 
@@ -265,17 +220,3 @@ def test_false_positives_of_the_chosen_parts(name, parts, before, after):
     assert false_positives(k) < after
     if k > 1:
         assert false_positives(1) > before
-
-
-def test_a_bus_of_more_room_gives_more_parts():
-    """On CAN FD each line of a turn has what it needs; on classic CAN the bus is shared."""
-    scene, codec = scenario("street-turn-10deg"), default_codec()
-    classic, fd = (
-        {line.slot: line.parts for line in choose_components(scene, codec, fd=fd)}
-        for fd in (False, True)
-    )
-    assert sum(classic.values()) == 13
-    assert sum(fd.values()) > 13
-    assert fd[Slot.EGO_RIGHT.name] == 5
-    assert all(classic[slot] <= fd[slot] for slot in fd)
-    assert all(line.parts == 1 for line in choose_components(scenario("production"), codec))
