@@ -109,8 +109,7 @@ def _text(trip: RoundTrip, scene: Scenario, components: Sequence[LineComponents]
     texts = [components_text(line) for line in components or ()]
     out = [
         f"{scene.name}: {scene.about}",
-        f"{len(trip.lines)} lines over {trip.carrier}, each sent {trip.bus.rate:g} times a second, "
-        f"for {trip.seconds:.1f} s",
+        f"{len(trip.lines)} lines over {trip.carrier}, {trip.bus.rate:g} Hz, {trip.seconds:.1f} s",
         "",
         *_table(trip.lines, texts),
         "",
