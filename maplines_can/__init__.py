@@ -1,52 +1,64 @@
-"""The lines of a digital map on a CAN bus, with their uncertainty.
+"""Lines of a digital map on a CAN bus, with their uncertainty.
 
 >>> import numpy as np, maplines_can as ml
 >>> road = ml.Polyline([[x, 1.75 + x**2 / 4000] for x in range(-30, 100, 2)])
 >>> ego = ml.Gaussian([0, 0, 0], np.diag([0.3, 0.1, 0.01]) ** 2)
->>> refit = ml.Refit(road, ego.mean, window=(-20.0, 80.0))
->>> line = ml.SigmaPoints()(refit, ego)  # Gaussian over (y_off, beta, c0, c1)
->>> codec = ml.Codec.from_dbc()
->>> payloads = codec.encode_batch(line.mean[None], line.cov[None])
->>> batch = codec.decode_batch(payloads)
->>> bool(batch.accepted[0]), abs(batch.mean[0, 0] - line.mean[0]) < 0.001
-(True, np.True_)
+>>> left = (ml.Slot.EGO_LEFT, ml.Kind.DASHED, road)
+>>> (line,) = ml.map_lines([left], ego, window=(-20.0, 80.0))
+>>> line.gaussian.mean.round(3)[0]  # Gaussian over (y_off, beta, c0, c1)
+np.float64(1.75)
+>>> frames = ml.Codec.from_dbc().encode(line)  # 4 frames of classic CAN
+>>> decoder = ml.Codec.from_dbc().decoder()
+>>> *_, received = [decoder.feed(frame.can_id, frame.data, t_ns=0) for frame in frames]
+>>> received.slot.name, bool(abs(received.y(80.0) - line.y(80.0)) < 0.005)
+('EGO_LEFT', True)
+
+A name is imported from its module when it is first used, so that a program
+loads only what it needs.
 """
 
-from .bus import Link, Receiver, Transmitter, key_from_env, key_from_file, read_log
-from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
-from .gaussian import Gaussian, nearest_covariance
-from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, transform_line
-from .mixture import GaussianMixture
-from .polyline import Polyline
-from .propagation import (
-    Linear,
-    MapError,
-    Mixture,
-    MonteCarlo,
-    Motion,
-    Quadrature,
-    Refit,
-    SigmaPoints,
-    Transform,
-    pose_time_ns,
-    predict,
-    predict_to,
-)
-from .scenarios import SCENARIOS, Scenario, scenario
-from .wire import (
-    Authenticator,
-    Batch,
-    Codec,
-    Decoder,
-    E2EConfig,
-    E2EState,
-    Frame,
-    Key,
-    Monitor,
-    ProfileStatus,
-    Reason,
-    SlotView,
-)
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .bus import Link, Receiver, Transmitter, key_from_env, key_from_file, read_log
+    from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
+    from .gaussian import Gaussian, nearest_covariance
+    from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, transform_line
+    from .mixture import GaussianMixture
+    from .polyline import Polyline
+    from .propagation import (
+        Linear,
+        MapError,
+        Mixture,
+        MonteCarlo,
+        Motion,
+        Quadrature,
+        Refit,
+        SigmaPoints,
+        Transform,
+        map_lines,
+        pose_time_ns,
+        predict,
+        predict_to,
+    )
+    from .scenarios import SCENARIOS, Scenario, scenario
+    from .wire import (
+        Authenticator,
+        Batch,
+        Codec,
+        Decoder,
+        E2EConfig,
+        E2EState,
+        Frame,
+        Key,
+        Monitor,
+        ProfileStatus,
+        Reason,
+        SlotView,
+    )
 
 __all__ = [
     "SCENARIOS",
@@ -90,6 +102,7 @@ __all__ = [
     "key_from_file",
     "lateral",
     "lateral_jacobian",
+    "map_lines",
     "nearest_covariance",
     "pose_time_ns",
     "predict",
@@ -100,3 +113,57 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+
+#: Names by the module that defines them.
+_EXPORTS = {
+    "bus": ["Link", "Receiver", "Transmitter", "key_from_env", "key_from_file", "read_log"],
+    "errors": ["EncodeError", "IllPosedError", "LayoutError", "MaplinesError"],
+    "gaussian": ["Gaussian", "nearest_covariance"],
+    "line": ["Kind", "MapLine", "Slot", "Status", "lateral", "lateral_jacobian", "transform_line"],
+    "mixture": ["GaussianMixture"],
+    "polyline": ["Polyline"],
+    "propagation": [
+        "Linear",
+        "MapError",
+        "Mixture",
+        "MonteCarlo",
+        "Motion",
+        "Quadrature",
+        "Refit",
+        "SigmaPoints",
+        "Transform",
+        "map_lines",
+        "pose_time_ns",
+        "predict",
+        "predict_to",
+    ],
+    "scenarios": ["SCENARIOS", "Scenario", "scenario"],
+    "wire": [
+        "Authenticator",
+        "Batch",
+        "Codec",
+        "Decoder",
+        "E2EConfig",
+        "E2EState",
+        "Frame",
+        "Key",
+        "Monitor",
+        "ProfileStatus",
+        "Reason",
+        "SlotView",
+    ],
+}
+_MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its module (PEP 562)."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)
+    globals()[name] = value  # found without this function the next time
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,9 +1,10 @@
-"""The scenes used everywhere: the paper's scenarios, a production car, and random roads."""
+"""Example scenes: those of the paper, a production car, and random roads."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,9 +16,8 @@ from .polyline import Polyline
 __all__ = ["SCENARIOS", "Scenario", "SceneLine", "random_scenarios", "scenario"]
 
 
-@dataclass(frozen=True)
-class SceneLine:
-    """One line of a scene: where it belongs, what it is, and its map points."""
+class SceneLine(NamedTuple):
+    """Line of a scene: its slot, its kind and its map points."""
 
     slot: Slot
     kind: Kind
@@ -26,14 +26,19 @@ class SceneLine:
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A car that knows its pose as a Gaussian, and the map lines around it.
+    """Car (ego) whose pose is a Gaussian, and the map lines around it.
 
     Args:
-        name: as on the command line.
-        about: one sentence for the reader.
+        name: name of the scene, as on the command line.
+        about: description in one sentence.
         ego: Gaussian over (e_x [m], e_y [m], e_h [rad]) in the map frame.
-        lines: the lines of the scene.
-        window: (x_min, x_max) of the points that the lines are fitted to [m].
+        lines: lines of the scene.
+        window: (x_min, x_max) ahead of the car from which the points are taken [m].
+
+    >>> from maplines_can import map_lines
+    >>> scene = scenario("production")
+    >>> [line.slot.name for line in map_lines(scene.lines[:2], scene.ego, scene.window)]
+    ['EGO_LEFT', 'EGO_RIGHT']
     """
 
     name: str
@@ -44,14 +49,21 @@ class Scenario:
 
     @property
     def polylines(self) -> list[Polyline]:
-        """The map points of each line, in the order of ``lines``."""
+        """Map points of each line, in the order of ``lines``."""
         return [line.polyline for line in self.lines]
 
 
 def pose(
     sigma_x: float, sigma_y: float, heading_sigma_deg: float, correlation: float = 0.0
 ) -> Gaussian:
-    """A car at the origin of the map, heading along x; e_x and e_y may correlate."""
+    """Return the pose of a car at the origin of the map that heads along x.
+
+    Args:
+        sigma_x: standard deviation of e_x [m].
+        sigma_y: standard deviation of e_y [m].
+        heading_sigma_deg: standard deviation of e_h [deg].
+        correlation: correlation of e_x and e_y.
+    """
     sigma = np.array([sigma_x, sigma_y, np.radians(heading_sigma_deg)])
     R = np.eye(3)
     R[0, 1] = R[1, 0] = correlation
@@ -59,7 +71,7 @@ def pose(
 
 
 def parallel(points: ArrayLike, offset: float) -> NDArray[np.float64]:
-    """(n, 2) points ``offset`` [m] to the left of a line."""
+    """Return (n, 2) points that lie ``offset`` [m] to the left of a line's (n, 2) points."""
     points = np.asarray(points, dtype=float)
     tangent = np.gradient(points, axis=0)
     tangent /= np.hypot(*tangent.T)[:, None]
@@ -69,14 +81,14 @@ def parallel(points: ArrayLike, offset: float) -> NDArray[np.float64]:
 def curve(
     y_off: float, heading: float, curvature: NDArray[np.float64], spacing: float, ahead_from: float
 ) -> NDArray[np.float64]:
-    """(n, 2) points of a line whose curvature is given every ``spacing`` [m] along it.
+    """Return (n, 2) points of a line from its curvature as a function of arc length s.
 
     Args:
-        y_off: lateral position of the line at x = 0 [m].
-        heading: its direction at s = 0 [rad].
-        curvature: (n,) from s = ahead_from on [1/m].
-        spacing: way between points [m].
-        ahead_from: way of the first point, 0 or less; s = 0 stands at (0, y_off) [m].
+        y_off: lateral position of the line at s = 0 [m].
+        heading: direction of the line at s = 0 [rad].
+        curvature: (n,) curvature at each point [1/m].
+        spacing: arc length between two points [m].
+        ahead_from: arc length at the first point, 0 or less; s = 0 lies at (0, y_off) [m].
     """
     middle = (curvature[1:] + curvature[:-1]) / 2
     turn = np.append(0.0, np.cumsum(middle * spacing))
@@ -91,7 +103,7 @@ def curve(
 
 
 def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> tuple[SceneLine, ...]:
-    """All lines of a road of three lanes, the car in the middle one, which the route leaves."""
+    """Return all lines of a road with three lanes: the car in the middle, the route on the left."""
     plan = (
         (Slot.EGO_LEFT, Kind.DASHED, width),
         (Slot.EGO_RIGHT, Kind.DASHED, 0.0),
@@ -133,14 +145,14 @@ def _scenarios() -> Iterator[Scenario]:
     )
     yield Scenario(
         "highway-correlated",
-        "the same with e_x and e_y correlated by 0.8 (paper, figure 7)",
+        "highway with the errors along and across the road correlated by 0.8 (paper, figure 7)",
         pose(0.5, 0.5, 5.0, correlation=0.8),
         road,
         window,
     )
     yield Scenario(
         "highway-10deg",
-        "the same as highway with heading sigma 10 deg (paper, figure 8)",
+        "highway with heading sigma 10 deg (paper, figure 8)",
         pose(0.5, 0.5, 10.0),
         road,
         window,
@@ -154,26 +166,29 @@ def _scenarios() -> Iterator[Scenario]:
     )
     yield Scenario(
         "street-turn-10deg",
-        "the same with heading sigma 10 deg (paper, figure 11)",
+        "street-turn with heading sigma 10 deg (paper, figure 11)",
         pose(0.5, 0.5, 10.0),
         turn,
         turn_window,
     )
     yield Scenario(
         "production",
-        "the highway for a production car: 0.3 m along, 0.1 m across, heading sigma 0.5 deg",
+        "highway seen by a production car: sigma 0.3 m along, 0.1 m across, heading sigma 0.5 deg",
         pose(0.3, 0.1, 0.5),
         road,
         window,
     )
 
 
-#: The fixed scenarios by name. The paper's text gives the heading sigmas; all else is chosen.
+#: The scenarios by name. The paper states the heading sigmas; the other values are our choice.
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _scenarios()}
 
 
 def scenario(name: str) -> Scenario:
-    """The scenario of a name.
+    """Return the scenario with this name.
+
+    Raises:
+        ValueError: there is no such scenario.
 
     >>> scenario("production").ego.sigma.round(4)
     array([0.3   , 0.1   , 0.0087])
@@ -190,14 +205,17 @@ street-turn, street-turn-10deg, production
 
 
 def random_scenarios(n: int, seed: int = 0) -> Iterator[Scenario]:
-    """Random roads from motorway to street turn, one line each; the same seed, the same roads.
+    """Yield random roads from motorway to street turn, with one line each.
 
-    A road is a clothoid: its sharpest radius from 15 m to straight
-    (log-uniform, either side), its curvature growing or falling by up to that
-    much along the view; the view is as long as such a road lets a camera see, at
-    most 100 m and at most 70 deg of turn. The line lies up to 6 m aside and up to
-    6 deg askew; the pose has sigmas of 0.03 to 1 m in each direction, correlated,
-    and 0.05 to 10 deg.
+    A road is a clothoid. Its smallest radius is from 15 m to nearly straight,
+    log-uniform, to either side; its curvature changes along the road by at most
+    its largest value. The road ends after 100 m or a turn of 70 deg at most. The
+    line starts up to 6 m beside the car and up to 6 deg off its heading. The pose
+    has sigmas of 0.03 to 1 m in each direction, correlated, and of 0.05 to 10 deg.
+
+    Args:
+        n: number of roads.
+        seed: seed of the random numbers; a seed gives the same roads each time.
     """
     rng = np.random.default_rng(seed)
     for i in range(n):

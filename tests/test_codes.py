@@ -6,6 +6,7 @@ from pathlib import Path
 import cantools
 import numpy as np
 import pytest
+from scenes import scene_lines
 
 from maplines_can import Codec, MapLine, Slot, Status
 from maplines_can.errors import LayoutError
@@ -242,9 +243,8 @@ def test_errors_name_what_there_is():
 @pytest.mark.parametrize("name", CODES)
 def test_lines_travel_over_a_bus_with_every_dbc(name):
     """Sent, received, and every received covariance definite."""
-    trip = round_trip(
-        SCENARIOS["street-turn"], Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3, rate=20
-    )
+    lines = scene_lines(SCENARIOS["street-turn"])
+    trip = round_trip(lines, Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3)
     assert {line.status for line in trip.lines} - {None}
     assert all(line.mean is not None for line in trip.lines)
     assert trip.lines_lost == 0

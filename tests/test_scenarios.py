@@ -1,4 +1,4 @@
-"""The scenes: what they are said to be is what they are."""
+"""The scenes match their descriptions."""
 
 import re
 
@@ -26,7 +26,7 @@ ROADS = list(random_scenarios(300, seed=1))
     ],
 )
 def test_the_ego_has_the_figures_of_the_table(name, sigma_x, sigma_y, degrees, correlation):
-    """Sigmas and correlation are those of the design; a figure in the text is the ego's."""
+    """Sigmas and correlation are those of the table and of the description."""
     ego, about = scenario(name).ego, scenario(name).about
 
     assert np.allclose(ego.sigma, [sigma_x, sigma_y, np.radians(degrees)], rtol=1e-12)
@@ -36,32 +36,32 @@ def test_the_ego_has_the_figures_of_the_table(name, sigma_x, sigma_y, degrees, c
 
 
 def test_the_table_is_complete():
-    """Six scenarios, by their own names, one sentence each."""
+    """There are six scenarios, each with one sentence."""
     assert list(SCENARIOS) == [scene.name for scene in SCENARIOS.values()]
     assert len(SCENARIOS) == 6
     assert all(scene.about and "\n" not in scene.about for scene in SCENARIOS.values())
 
 
 @pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
-def test_every_line_of_a_scenario_is_as_it_is_said(scene):
-    """All slots are there and fit; the car is in its lane of 3.5 m; a radius is the text's."""
+def test_every_line_of_a_scenario_matches_its_description(scene):
+    """All slots are there, the car is in its lane of 3.5 m, and the radius is the stated one."""
     refit = Refit(scene.polylines, scene.ego.mean, scene.window)
     at_car = {line.slot: np.interp(0, *line.polyline.points.T) for line in scene.lines}
     right = scene.lines[1].polyline.points
-    said = re.search(r"radius (\d+) m", scene.about)
+    stated = re.search(r"radius (\d+) m", scene.about)
 
     assert np.isfinite(refit(scene.ego.mean)).all()
     assert sorted(at_car) == list(Slot)
     assert at_car[Slot.EGO_RIGHT] == pytest.approx(-1.75, abs=1e-3)
     assert at_car[Slot.EGO_LEFT] == pytest.approx(1.75, abs=1e-2)
     assert at_car[Slot.CENTRE] == pytest.approx(0.0, abs=1e-2)
-    if said:
+    if stated:
         radius = np.hypot(*(circle_centre(right[30:41]) - right[30]))
-        assert radius == pytest.approx(float(said[1]), rel=0.1)
+        assert radius == pytest.approx(float(stated[1]), rel=0.1)
 
 
 def test_random_roads_repeat():
-    """A seed gives the same roads, another seed others, and more of them begin alike."""
+    """A seed gives the same roads, whatever their number; another seed gives other roads."""
     again, other = list(random_scenarios(2, seed=1)), next(random_scenarios(1, seed=2))
 
     for a, b in zip(ROADS, again, strict=False):
@@ -71,7 +71,7 @@ def test_random_roads_repeat():
     assert len({road.name for road in ROADS}) == len(ROADS)
 
 
-def test_random_roads_keep_to_their_ranges():
+def test_random_roads_stay_within_their_ranges():
     """Curvature within 1/15, turn within 70 deg, offset, heading and sigmas as documented."""
     for road in ROADS:
         points = road.polylines[0].points
@@ -91,7 +91,7 @@ def test_random_roads_keep_to_their_ranges():
 
 
 def test_random_roads_use_their_ranges():
-    """They are from motorway to street turn, of either hand: no range is a formality."""
+    """They are from motorway to street turn, to the left and to the right."""
     refits = [Refit(road.polylines, road.ego.mean, road.window) for road in ROADS]
     c0 = np.array([refit(road.ego.mean)[0, 2] for refit, road in zip(refits, ROADS, strict=True)])
 
@@ -101,7 +101,7 @@ def test_random_roads_use_their_ranges():
 
 
 def circle_centre(points):
-    """The centre of the circle through the first, the middle and the last point."""
+    """Return the centre of the circle through the first, the middle and the last point."""
     a, b, c = points[[0, len(points) // 2, -1]]
     return np.linalg.solve(2 * np.array([b - a, c - a]), [b @ b - a @ a, c @ c - a @ a])
 
@@ -120,7 +120,7 @@ def test_constant_curvature_is_a_circle(y_off, heading, curvature, side):
 
 @given(st.floats(-7, 7), st.floats(1 / 500, 1 / 15))
 def test_a_parallel_keeps_the_distance(offset, curvature):
-    """Beside a left turn lies a left turn, nearer to its centre for an offset to the left."""
+    """The parallel of a left turn is a left turn, nearer to its centre if it lies to the left."""
     points = curve(0.0, 0.0, np.full(41, curvature), 1.0, 0.0)
     beside, centre = parallel(points, offset), circle_centre(points)
     radius, beside_radius = (np.hypot(*(p - centre).T)[1:-1] for p in (points, beside))

@@ -14,9 +14,9 @@ import can
 import pytest
 from fake_bus import collect
 from kernel_can import has_vcan
+from scenes import scene_lines
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, scenario
-from maplines_can.cli.sending import scene_lines
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 START, END = 0x7FE, 0x7FF

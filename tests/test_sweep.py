@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from maplines_can.cli.study import add_study
+from maplines_can.cli.study import add_run
 from maplines_can.errors import MaplinesError, StudyError
 from maplines_can.gaussian import Gaussian
 from maplines_can.polyline import Polyline
@@ -805,8 +805,8 @@ def command(*arguments):
     def bar(unit):
         yield lambda done, total: seen.append((done, total))
 
-    add_study(parser.add_subparsers(), bar)
-    parsed = parser.parse_args(["study", "run", *map(str, arguments)])
+    add_run(parser.add_subparsers(), bar)
+    parsed = parser.parse_args(["run", *map(str, arguments)])
     return parsed.run(parsed), seen
 
 

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from reporting import bar, parser_of, progress, report
 
-from maplines_can.cli.sending import scene_lines
+from maplines_can import map_lines
 from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
 from maplines_can.study.dbc.record_spec import SECURED
@@ -58,13 +58,19 @@ RFC_MESSAGE = bytes.fromhex(
 )
 
 
+def scene_lines() -> list[MapLine]:
+    """Return the eight lines of the scene "production"."""
+    scene = scenario("production")
+    return map_lines(scene.lines, scene.ego, scene.window)
+
+
 @cache
 def recorded(mac_bytes: int) -> tuple[Layout, list[Frame]]:
     """Return a layout with MACs of this length, and genuine traffic in it."""
     layout = Layout.from_text(replace(SECURED, mac_bytes=mac_bytes).dbc())
     periods = count(START, 50 * MS)
     sender = Codec(layout, Authenticator(*keys(), clock=lambda: next(periods)))
-    scene = scene_lines(scenario("production"), 8)
+    scene = scene_lines()
     frames: list[Frame] = []
     while len(frames) < RECORDED:
         frames += [frame for line in sender.encode_lines(scene, fd=True) for frame in line]
@@ -263,7 +269,7 @@ def speed(n: int) -> dict[str, int]:
     layout, _ = recorded(8)
     authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
     plain, secured = Codec(layout), Codec(layout, authenticator)
-    lines = scene_lines(scenario("production"), 8)
+    lines = scene_lines()
     rates: dict[str, float] = {}
     for name, codec in (("plain", plain), ("authenticated", secured)) * 3:
         frames: list[Frame] = []

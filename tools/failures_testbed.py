@@ -20,8 +20,8 @@ from pathlib import Path
 
 import can
 
-from maplines_can.cli.listing import line_dict
-from maplines_can.cli.sending import scene_lines
+from maplines_can import map_lines
+from maplines_can.cli.output import line_dict
 from maplines_can.line import MapLine, Slot
 from maplines_can.scenarios import scenario
 from maplines_can.wire import Codec
@@ -345,11 +345,11 @@ class Testbed:
 
 
 @cache
-def expected(scene):
+def expected(name):
     """Return the contents that may be received of the lines of a scene."""
-    codec = Codec.from_dbc()
+    codec, scene = Codec.from_dbc(), scenario(name)
     decoder, lines = codec.decoder(), set()
-    for line in scene_lines(scenario(scene)):
+    for line in map_lines(scene.lines[:4], scene.ego, scene.window):
         for frame in codec.encode(line):
             result = decoder.feed(frame.can_id, frame.data, 0)
             if isinstance(result, MapLine):

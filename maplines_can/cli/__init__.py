@@ -1,4 +1,9 @@
-"""The ``maplines`` command: its jobs, each in a file of its name, and how it ends."""
+"""The command ``maplines``.
+
+Each command has a module of its own, which is imported only if the command is
+given: a receiver loads nothing of the study, and ``maplines --help`` nothing
+at all.
+"""
 
 from __future__ import annotations
 
@@ -7,65 +12,104 @@ import logging
 import signal
 import sys
 import threading
-from importlib.metadata import version
+from collections.abc import Sequence
+from importlib import import_module
 
+from .. import __version__
 from ..errors import MaplinesError
-from .accuracy import add_truth
-from .decode import add_decode
-from .demo import add_demo
-from .design import add_design
-from .figures import add_figures
-from .options import Parser
-from .production import add_production
-from .progress import note, progress_bar
-from .receive import add_receive
-from .report import add_report
-from .scenarios import add_scenarios
-from .send import add_send
-from .study import add_study
+from .parsing import Parser
+from .stderr import note
 
 __all__ = ["main"]
 
+#: Commands: module in this package, and one line of help. The module adds
+#: command X with its function ``add_X``.
+COMMANDS = {
+    "demo": ("demo", "send the lines of a scene over a bus, receive them and compare"),
+    "send": ("send", "send the lines of a scene until Ctrl-C"),
+    "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
+    "decode": ("decode", "print the lines in a log file"),
+    "scenarios": ("scenarios", "list the scenes that can be sent"),
+    "design": ("design", "design a DBC for a number of frames or a limit on the error"),
+    "accuracy": ("accuracy", "compare each representation of a line with Monte Carlo samples"),
+    "figures": ("figures", "draw the figures of the paper"),
+}
+STUDY_COMMANDS = {
+    "run": ("study", "compare codes, bit widths and sets of lines; can be resumed"),
+    "report": ("report", "write an HTML report with plots of a run"),
+    "production": ("production", "compare with the lane messages of production cars"),
+}
+STUDY_HELP = "study the error caused by quantization on the bus"
+#: Parts of error messages that name a Python argument, and the option of the command for it.
+OPTIONS = {
+    "interface=...": "--interface",
+    "channel=...": "--channel",
+    "channel='can0'": "--channel can0",
+    "with fd=False": "without --fd",
+    "fd=False": "without --fd",
+    "fd=True": "--fd",
+}
 
-def main(argv: list[str] | None = None) -> int:
-    """Run the command; returns its exit status: 0, 1 for an error, 2 for wrong usage."""
-    arguments = _parser().parse_args(argv)
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments; None for those of the process.
+
+    Returns:
+        Exit status: 0, 1 for an error, 130 for Ctrl-C. Wrong usage raises
+        ``SystemExit`` with status 2.
+    """
+    argv = sys.argv[1:] if argv is None else argv
+    arguments = _parser(argv).parse_args(argv)
     if getattr(arguments, "keys", None):
-        arguments.fd = True  # classic CAN has no room for a MAC
+        arguments.fd = True  # a frame of classic CAN is too short for a MAC
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # a kill ends as Ctrl-C does
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill ends it as Ctrl-C does
     try:
         return int(arguments.run(arguments))
     except KeyboardInterrupt:
         return 130
-    except BrokenPipeError:  # the reader of our output, such as head, has enough
+    except BrokenPipeError:  # the reader of our output, such as head, has closed it
         sys.stderr.close()
         return 0
     except (MaplinesError, OSError, ValueError) as error:
-        note(f"error: {' '.join(str(error).split())}")
+        note(f"error: {_with_options(' '.join(str(error).split()))}")
         return 1
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(argv: Sequence[str]) -> argparse.ArgumentParser:
+    """Return the parser with the options of the command in ``argv``; only names of the others."""
     parser = Parser(
         prog="maplines",
-        description="The lines of a digital map on a CAN bus, with their uncertainty.",
-        epilog="Begin with 'maplines demo'. Each job explains itself: maplines JOB --help.",
+        description="Lines of a digital map on a CAN bus, with their uncertainty.",
+        epilog="Start with 'maplines demo'. Help for a command: maplines COMMAND --help",
     )
-    parser.add_argument(
-        "--version", action="version", version=f"maplines {version('maplines_can')}"
-    )
-    jobs = parser.add_subparsers(title="jobs", required=True, metavar="JOB")
-    add_demo(jobs)
-    add_send(jobs)
-    add_receive(jobs)
-    add_decode(jobs)
-    add_figures(jobs)
-    add_truth(jobs)
-    studies = add_study(jobs, progress_bar)
-    add_report(studies)
-    add_production(studies)
-    add_design(jobs, progress_bar)
-    add_scenarios(jobs)
+    parser.add_argument("--version", action="version", version=f"maplines {__version__}")
+    words = [word for word in argv if not word.startswith("-")]
+    commands = _add_commands(parser, COMMANDS, words[:1])
+    study = commands.add_parser("study", help=STUDY_HELP, description=f"{STUDY_HELP}.".capitalize())
+    _add_commands(study, STUDY_COMMANDS, words[1:2] if words[:1] == ["study"] else [])
     return parser
+
+
+def _add_commands(
+    parser: argparse.ArgumentParser, table: dict[str, tuple[str, str]], given: list[str]
+) -> argparse._SubParsersAction[argparse.ArgumentParser]:
+    """Add the commands of a table, importing the module of the given one only."""
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+    for name, (module, text) in table.items():
+        if [name] == given:
+            getattr(import_module(f".{module}", __package__), f"add_{name}")(commands)
+        else:
+            commands.add_parser(name, help=text)
+    return commands
+
+
+def _with_options(message: str) -> str:
+    """Return an error message with the options of the command instead of Python arguments."""
+    for argument, option in OPTIONS.items():
+        message = message.replace(argument, option)
+    return message

@@ -1,4 +1,4 @@
-"""``python -m maplines_can.cli``."""
+"""``python -m maplines_can.cli``: the command ``maplines``."""
 
 import sys
 

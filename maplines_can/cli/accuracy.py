@@ -1,4 +1,4 @@
-"""The command ``maplines truth``."""
+"""The command ``maplines accuracy``."""
 
 from __future__ import annotations
 
@@ -8,33 +8,44 @@ from typing import Any
 from ..scenarios import SCENARIOS, scenario
 from ..study.accuracy.table import accuracy_table
 from ..study.accuracy.text import as_csv, as_markdown, as_text
-from .options import add_dbc, add_draws, add_job, codec_from
-from .progress import progress_bar
+from .options import add_dbc, add_draws, codec_from
+from .parsing import add_command
+from .stderr import progress_bar
 
-__all__ = ["add_truth"]
+__all__ = ["add_accuracy"]
+
+DESCRIPTION = """\
+Compare each representation of a line (Gaussians by several transforms, mixtures) with Monte Carlo
+samples of the line, before and after it is encoded for the bus."""
 
 
-def add_truth(jobs: Any) -> None:
-    """Add the job ``truth`` to those of ``maplines``."""
-    parser = add_job(
-        jobs,
-        "truth",
-        _truth,
-        "Judge each representation of a line against a million samples, before and after the wire.",
-        "maplines truth --scenario street-turn-10deg --format csv > truth.csv",
+def add_accuracy(commands: Any) -> None:
+    """Add the command ``accuracy``."""
+    parser = add_command(
+        commands,
+        "accuracy",
+        _accuracy,
+        DESCRIPTION,
+        "maplines accuracy --scenario street-turn-10deg --format csv > accuracy.csv",
     )
     parser.add_argument(
         "--scenario",
         action="append",
         choices=list(SCENARIOS),
-        help="only this one; may be repeated",
+        metavar="NAME",
+        help=f"scene: {', '.join(SCENARIOS)}; can be repeated (default: all)",
     )
-    parser.add_argument("--format", choices=["text", "csv", "markdown"], default="text")
+    parser.add_argument(
+        "--format",
+        choices=["text", "csv", "markdown"],
+        default="text",
+        help="format of the table (default: text)",
+    )
     add_draws(parser, samples=1_000_000)
     add_dbc(parser)
 
 
-def _truth(arguments: argparse.Namespace) -> int:
+def _accuracy(arguments: argparse.Namespace) -> int:
     scenes = [scenario(name) for name in arguments.scenario or SCENARIOS]
     with progress_bar(" rows") as progress:
         rows = accuracy_table(

@@ -9,36 +9,36 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from tqdm import tqdm
-
 from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
 from ..wire import Decoder
-from .listing import check_text, line_dict, slot_text, write_csv
-from .options import add_codec, add_cycle, add_job, decoder_of, keyed_codec
-from .progress import note, watched
-from .trip_text import counts_text
+from .options import add_codec, add_cycle, decoder_of, keyed_codec
+from .output import check_text, counts_text, line_dict, slot_text, write_csv
+from .parsing import add_command
+from .stderr import note, with_progress
 
 __all__ = ["add_decode"]
 
-#: More channels no log of a car has; each needs a decoder, some 16 kB.
+#: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MOST_CHANNELS = 256
 
+DESCRIPTION = """\
+Print the lines in a log file, one row of JSON each. Standard error shows at the end how many
+frames were dropped and why, and the end-to-end (E2E) state of each slot."""
 
-def add_decode(jobs: Any) -> None:
-    """Add the job ``decode`` to those of ``maplines``."""
-    parser = add_job(
-        jobs,
-        "decode",
-        _decode,
-        "Print the lines of a log as JSON lines or CSV, then what was dropped and why.",
-        "maplines decode drive.blf --csv > drive.csv",
+
+def add_decode(commands: Any) -> None:
+    """Add the command ``decode``."""
+    parser = add_command(
+        commands, "decode", _decode, DESCRIPTION, "maplines decode drive.blf --csv > drive.csv"
     )
     add_codec(parser)
     add_cycle(parser)
-    parser.add_argument("log", help="a log that python-can reads: .asc .blf .csv .log .mf4 .trc")
-    parser.add_argument("--csv", action="store_true", help="CSV instead of JSON lines")
+    parser.add_argument(
+        "log", metavar="LOG", help="log in a format of python-can: .asc .blf .csv .log .mf4 .trc"
+    )
+    parser.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
 
 
 def _decode(arguments: argparse.Namespace) -> int:
@@ -49,29 +49,29 @@ def _decode(arguments: argparse.Namespace) -> int:
     def lines() -> Iterator[tuple[str, MapLine]]:
         nonlocal last_ns, status, beyond
         try:
-            for frame in tqdm(read_log(arguments.log), unit=" frames", disable=not watched()):
+            for frame in with_progress(read_log(arguments.log), " frames"):
                 if frame.channel not in decoders:
                     if len(decoders) == MOST_CHANNELS:
                         beyond += 1
                         continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
                 last_ns = frame.t_ns
-                answer = decoders[frame.channel].feed(
+                result = decoders[frame.channel].feed(
                     frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
                 )
-                if isinstance(answer, MapLine):
-                    yield frame.channel, answer
-        except LogError as error:  # what is good came first
+                if isinstance(result, MapLine):
+                    yield frame.channel, result
+        except LogError as error:  # the intact records have been read by now
             note(f"error: {error}")
             status = 1
         if beyond:
             note(
-                f"error: {arguments.log}: {beyond} frames are of channels beyond the first "
-                f"{MOST_CHANNELS}, and are not read; split the log by channel"
+                f"error: {arguments.log}: {beyond} frames are not read, they are of channels "
+                f"beyond the first {MOST_CHANNELS}; split the log by channel"
             )
             status = 1
         for decoder in decoders.values():
-            decoder.expire(last_ns + 10**18)  # nothing more comes
+            decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
 
     try:
         if arguments.csv:
@@ -79,14 +79,14 @@ def _decode(arguments: argparse.Namespace) -> int:
         else:
             for channel, line in lines():
                 print(json.dumps(line_dict(line) | {"channel": channel}))
-    except KeyboardInterrupt:  # the counts so far are still of use
+    except KeyboardInterrupt:  # the counters so far are still useful
         status = 130
     _summarize(decoders, last_ns)
     return status
 
 
 def _summarize(decoders: Mapping[str, Decoder], last_ns: int) -> None:
-    """Note what came of the frames, and what the slots were worth when the log ended."""
+    """Print the counters of all frames, and the state of each slot at the end of the log."""
     total = sum((decoder.counts for decoder in decoders.values()), Counter())
     note(
         f"{sum(d.lines for d in decoders.values())} lines from "

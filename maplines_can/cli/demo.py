@@ -4,75 +4,185 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from tqdm import tqdm
+import numpy as np
 
-from ..scenarios import scenario
+from ..propagation.component_counts import TOLERANCE
+from ..scenarios import Scenario, scenario
 from ..study.figures.picture import draw_round_trip
-from ..study.round_trip import round_trip
-from .options import (
-    add_bus,
-    add_codec,
-    add_job,
-    add_json,
-    add_sending,
-    bus_settings,
-    keyed_codec,
-    map_error,
-    seconds,
-    sending,
-)
-from .progress import watched
-from .trip_text import trip_text
+from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
+from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
+from .output import counts_text, faults_text, slot_text
+from .parsing import add_command, seconds
+from .sending import LineComponents, add_sending, bitrates, components_text, lines_of
+from .stderr import progress_bar
 
 __all__ = ["add_demo"]
 
 PICTURES = (".png", ".svg", ".pdf")
 
+DESCRIPTION = """\
+Send the lines of a scene over a bus, receive them, and compare what was received with what was
+sent. Without further options the bus is within this process; no CAN hardware is needed."""
 
-def add_demo(jobs: Any) -> None:
-    """Add the job ``demo`` to those of ``maplines``."""
-    parser = add_job(
-        jobs,
+LEGEND = """\
+A line is y(x) = y_off + tan(beta) x + c0 x^2/2 + c1 x^3/6: lateral position y, to the left, at
+the distance x ahead of the car. Each value is given as mean ± standard deviation (sigma).
+
+KL: Kullback-Leibler divergence of the received Gaussian from another one; 0 if they are equal,
+    0.01 nat if all four sigmas are 5 % too large.
+covered target: the sent Gaussian, widened by the rounding error of its mean. The received
+    covariance is never smaller, so the receiver is never overconfident. Where a sigma is smaller
+    than the rounding step of its mean, the KL from the sent Gaussian itself is large."""
+
+COMPONENTS_LEGEND = f"""\
+nonlinearity: share of the standard deviation of a line that comes from the nonlinear part of
+    its dependence on the pose, 0 to 1; large values fit badly to one Gaussian. --components auto
+    adds components until it is at most {TOLERANCE:g} within each, as far as --max-load allows."""
+
+
+def add_demo(commands: Any) -> None:
+    """Add the command ``demo``."""
+    parser = add_command(
+        commands,
         "demo",
         _demo,
-        "Send the lines of a scene over a bus, receive them, and compare.",
+        DESCRIPTION,
         "maplines demo --scenario street-turn --fd --plot turn.png",
     )
     add_sending(parser)
-    add_bus(parser, "virtual")
+    add_bus(parser, private=True)
     add_codec(parser)
-    parser.add_argument("--seconds", type=seconds, default=3.0, help="how long [s]")
-    parser.add_argument("--plot", metavar="FILE", help="draw the picture: .png, .svg or .pdf")
-    add_json(parser)
+    parser.add_argument(
+        "--seconds", type=seconds, default=3.0, metavar="S", help="duration [s] (default: 3)"
+    )
+    parser.add_argument(
+        "--plot",
+        metavar="FILE",
+        help=f"draw the lines as sent and as received into this file: {', '.join(PICTURES)}",
+    )
+    add_faults(parser)
+    add_json(parser, "all figures")
 
 
 def _demo(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
     scene = scenario(arguments.scenario)
-    alone = arguments.interface == "virtual" and arguments.channel is None
     if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:
-        raise ValueError(f"{arguments.plot}: a picture is one of {', '.join(PICTURES)}")
+        raise ValueError(
+            f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
+        )
+    private = arguments.interface == "virtual" and arguments.channel is None
+    bitrate, data_bitrate = bitrates(arguments)
+    lines, components = lines_of(scene, codec, arguments)
+    bus = BusSettings(
+        arguments.rate, bitrate, data_bitrate, None if private else bus_settings(arguments)
+    )
     shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
-    with tqdm(total=arguments.seconds, bar_format=shape, leave=False, disable=not watched()) as bar:
+    with progress_bar(" s", bar_format=shape, leave=False) as progress:
         trip = round_trip(
-            scene,
+            lines,
             codec,
-            **sending(arguments),
-            map_error=map_error(arguments),
+            bus=bus,
             seconds=arguments.seconds,
-            interface=None if alone else bus_settings(arguments),
             faults=arguments.faults,
-            tick=lambda elapsed: bar.update(min(elapsed, arguments.seconds) - bar.n),
+            tick=lambda elapsed: progress(min(elapsed, arguments.seconds), arguments.seconds),
         )
     if arguments.plot:
         draw_round_trip(trip, scene, arguments.plot)
     if arguments.json:
-        print(json.dumps(trip.as_dict(), indent=2))
+        scene_figures = {"components": [asdict(line) for line in components]}
+        print(json.dumps({"scenario": scene.name} | trip.as_dict() | scene_figures, indent=2))
     else:
-        print(trip_text(trip))
+        print(_text(trip, scene, components if arguments.components != 1 else None))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
-    return 0 if all(line.mean for line in trip.lines) else 1
+    return 0 if all(line.mean is not None for line in trip.lines) else 1
+
+
+def _text(trip: RoundTrip, scene: Scenario, components: Sequence[LineComponents] | None) -> str:
+    """Return the results as text: the lines, the counters and a legend."""
+    texts = [components_text(line) for line in components or ()]
+    out = [
+        f"{scene.name}: {scene.about}",
+        f"{len(trip.lines)} lines over {trip.carrier}, {trip.bus.rate:g} Hz, {trip.seconds:.1f} s",
+        "",
+        *_table(trip.lines, texts),
+        "",
+        *_counters(trip),
+        "",
+        LEGEND,
+    ]
+    return "\n".join([*out, COMPONENTS_LEGEND] if components else out)
+
+
+def _table(lines: Sequence[LineResult], notes: Sequence[str]) -> list[str]:
+    """Return the rows of all lines, with a note on each line if there are notes."""
+    head = ("y_off [m]", "beta [deg]", "c0 [1/km]", "c1 [1/km^2]", "y at 80 m [m]")
+    rows = [" " * 22 + "".join(f"{name:>21}" for name in head)]
+    for i, line in enumerate(lines):
+        slot = slot_text(line.slot)
+        sent = _row(line.true_mean, line.true_sigma, line.true_sigma_80m)
+        rows.append(f"{slot:<12}{'sent':<10}{sent}")
+        indent = " " * 12
+        if line.mean is None or line.sigma is None or line.sigma_80m is None:
+            rows.append(f"{indent}nothing received")
+            continue
+        rows += [
+            f"{indent}{'received':<10}{_row(line.mean, line.sigma, line.sigma_80m)}",
+            f"{indent}status {(line.status or '').lower()}; at 80 m: mean off by "
+            f"{1e3 * (line.lateral_error_80m or 0):+.2f} mm, sigma {_ratio(line)}",
+            f"{indent}KL {line.kl_covered:.4f} nat from the covered target, "
+            f"{line.kl:.4f} nat from the sent Gaussian",
+            *(f"{indent}{note}" for note in notes[i : i + 1]),
+        ]
+    return rows
+
+
+def _row(mean: Iterable[float], sigma: Iterable[float], sigma_80m: float) -> str:
+    scales = (1, np.degrees(1), 1e3, 1e6)
+    cells = [f"{m * k:.3f} ± {_sigma(s * k)}" for m, s, k in zip(mean, sigma, scales, strict=True)]
+    return "".join(f"{cell:>21}" for cell in [*cells, f"± {_sigma(sigma_80m)}"])
+
+
+def _sigma(value: float) -> str:
+    return f"{value:.0e}" if 0 < value < 0.001 else f"{value:.3f}"
+
+
+def _ratio(line: LineResult) -> str:
+    """Return the change of the standard deviation at 80 m in percent."""
+    if not line.true_sigma_80m or line.sigma_80m is None:
+        return "unchanged"
+    return f"{100 * (line.sigma_80m / line.true_sigma_80m - 1):+.1f} %"
+
+
+def _counters(trip: RoundTrip) -> list[str]:
+    """Return the rows of the counters."""
+    sent, received, jitter = trip.sent, trip.received, trip.period_jitter
+    dropped = {reason.name: n for reason, n in received.counts.items()}
+    unsent = (
+        (sent.overruns, "periods skipped because the sender was late"),
+        (sent.down, "lines given up while the interface was down"),
+        (sent.full, "lines given up with a full queue"),
+    )
+    bus, data_bitrate = trip.bus, trip.bus.data_bitrate
+    rows = [
+        f"sent      {sent.lines} lines, {sent.frames} frames",
+        f"received  {received.lines} lines, {received.frames} frames; "
+        f"dropped: {counts_text(dropped)}",
+        f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames"
+        + "".join(f"; {n} {what}" for n, what in unsent if n),
+        f"bus load  {100 * trip.bus_load:.1f} % at {bus.bitrate / 1000:g} kbit/s"
+        + (f" and {data_bitrate / 1e6:g} Mbit/s" if data_bitrate else ""),
+        f"period    {1e3 / bus.rate:g} ms; deviation {1e3 * jitter['median']:.2f} ms (median), "
+        f"{1e3 * jitter['p99']:.2f} ms (99 %)",
+    ]
+    if trip.faults:
+        rows.insert(3, f"faults    {faults_text(trip.faults)}")
+    if trip.cpu_share is not None:
+        rows.append(f"CPU       {100 * trip.cpu_share:.0f} % of one core, sender and receiver")
+    return rows

@@ -16,7 +16,7 @@ from ..line import STATES
 from ..study.design.search import SETS, design, sets_of
 from ..study.design.wire_plan import Targets
 from ..study.sets import Gaussians, line_set
-from .study import Bar
+from .stderr import Bar, progress_bar
 
 __all__ = ["add_design"]
 
@@ -52,12 +52,12 @@ examples:
 HELD_OUT_SEED = 1_000_003
 
 
-def add_design(subparsers: Any, bar: Bar | None = None) -> argparse.ArgumentParser:
+def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.ArgumentParser:
     """Add the job ``design`` to those of ``maplines``.
 
     Args:
         subparsers: what ``ArgumentParser.add_subparsers`` returned.
-        bar: shows progress; without it there is none.
+        bar: progress bar; None for none.
     """
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "design",

@@ -8,25 +8,26 @@ from pathlib import Path
 from typing import Any
 
 from ..study.figures.paper import draw_figures
-from .options import add_dbc, add_draws, add_job, add_json, codec_from
-from .progress import progress_bar
+from .options import add_dbc, add_draws, add_json, codec_from
+from .parsing import add_command
+from .stderr import progress_bar
 
 __all__ = ["add_figures"]
 
 
-def add_figures(jobs: Any) -> None:
-    """Add the job ``figures`` to those of ``maplines``."""
-    parser = add_job(
-        jobs,
+def add_figures(commands: Any) -> None:
+    """Add the command ``figures``."""
+    parser = add_command(
+        commands,
         "figures",
         _figures,
-        "Draw the figures of the paper, before and after the wire, as PNG and SVG.",
+        "Draw the figures of the paper, before and after the bus, as PNG and SVG.",
         "maplines figures --out figures",
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="where to put them")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the figures")
     add_draws(parser, samples=100_000)
     add_dbc(parser)
-    add_json(parser)
+    add_json(parser, "the paths of the figures")
 
 
 def _figures(arguments: argparse.Namespace) -> int:

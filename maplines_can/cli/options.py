@@ -1,174 +1,107 @@
-"""Options that several jobs have, each group beside what is made of it."""
+"""Options that several commands share, each group with the function that uses its values."""
 
 from __future__ import annotations
 
 import argparse
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
-from ..bus.keys import without_keys
-from ..propagation import MapError
-from ..scenarios import SCENARIOS
 from ..wire import CODES, Authenticator, Codec, Decoder, Key, Layout
-from .arguments import number
-from .sending import MAX_LOAD
+from .parsing import natural, number
 
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
 
 __all__ = [
-    "Parser",
     "add_bus",
     "add_codec",
     "add_cycle",
     "add_dbc",
     "add_draws",
-    "add_job",
+    "add_faults",
     "add_json",
-    "add_sending",
     "bus_settings",
     "codec_from",
     "decoder_of",
     "fault_counts",
     "fault_opener",
     "keyed_codec",
-    "map_error",
-    "natural",
-    "seconds",
-    "sending",
 ]
 
-natural = number(int, 1, 10**9)
-seconds = number(float, 1e-3, 1e6)
 
-
-class Parser(argparse.ArgumentParser):
-    """A parser, with subparsers of its kind, that does not repeat a key that was typed.
-
-    No option is taken by its beginning: ``--key`` is none.
-    """
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(allow_abbrev=False, **settings)
-
-    def error(self, message: str) -> NoReturn:
-        """End with usage and message, but for what may be a key in it."""
-        super().error(without_keys(message))
-
-
-def add_job(
-    jobs: Any, name: str, run: Callable[[argparse.Namespace], int], about: str, example: str
-) -> argparse.ArgumentParser:
-    """Add a job to the subparsers of ``maplines``; returns its parser.
-
-    Args:
-        jobs: what ``ArgumentParser.add_subparsers`` returned.
-        name: of the job.
-        run: takes the parsed arguments and returns the exit status.
-        about: what the job does, in a sentence.
-        example: a command.
-    """
-    parser: argparse.ArgumentParser = jobs.add_parser(
-        name,
-        help=about,
-        description=about,
-        epilog=f"example: {example}",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
-    )
-    parser.set_defaults(run=run)
-    return parser
-
-
-def add_json(parser: argparse.ArgumentParser) -> None:
-    """``--json``."""
-    parser.add_argument("--json", action="store_true", help="for machines")
-
-
-# ---- what is sent -----------------------------------------------------------------------
-
-
-def add_sending(parser: argparse.ArgumentParser) -> None:
-    """Which lines are sent, how often and as what."""
-    add = parser.add_argument
-    add("--scenario", default="highway", choices=list(SCENARIOS), help="the scene")
-    add("--lines", type=number(int, 1, 8), default=4, metavar="N", help="1 to 8 lines")
-    add("--rate", type=number(float, 1e-3, 1000), default=20.0, help="lines of each slot a second")
-    add(
-        "--components",
-        type=number(int, 1, 8, "auto"),
-        default=1,
-        metavar="K",
-        help="send each line as a Gaussian mixture of so many parts; auto: of as many as its "
-        "bend asks for and the bus allows",
-    )
-    add(
-        "--max-load",
-        type=number(float, 1e-3, 1),
-        metavar="SHARE",
-        help=f"most of the bus's time that the lines may take; for auto {MAX_LOAD:g}",
-    )
-    add(
-        "--map-error",
-        type=number(float, 1e-6, 100),
-        metavar="SIGMA",
-        help="error of the map's points and of their common offset [m], beside the pose's",
-    )
-
-
-def sending(arguments: argparse.Namespace) -> dict[str, Any]:
-    """How the lines are sent, for ``choose_components`` and ``round_trip``."""
-    names = ("lines", "components", "max_load", "rate", "fd")
-    settings = {name: getattr(arguments, name) for name in names}
-    return settings | {"bitrate": arguments.bitrate or 500_000}
-
-
-def map_error(arguments: argparse.Namespace) -> MapError | None:
-    """The error of the map, if there is one."""
-    if not arguments.map_error:
-        return None
-    return MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
+def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
+    """Add ``--json``."""
+    parser.add_argument("--json", action="store_true", help=f"print {what} as JSON")
 
 
 # ---- the bus ----------------------------------------------------------------------------
 
 
-def add_bus(parser: argparse.ArgumentParser, interface: str | None = None) -> None:
-    """Which bus, and how it is spoiled; ``interface`` is the one that is not asked for."""
+def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
+    """Add the options of the CAN interface.
+
+    Args:
+        parser: parser of the command.
+        private: whether the command uses a bus within its own process by default.
+    """
     add = parser.add_argument
+    configured = "the configuration of python-can"
     add(
         "--interface",
-        default=interface,
-        help="python-can interface, such as virtual, socketcan, udp_multicast; "
-        "without it, python-can's own configuration",
+        metavar="NAME",
+        default="virtual" if private else None,
+        help="python-can interface, such as socketcan, virtual or udp_multicast "
+        f"(default: {'virtual, within this process' if private else configured})",
     )
-    add("--channel", help="channel of the interface, such as vcan0")
-    add("--bitrate", type=natural, help="[bit/s]")
-    add("--fd", action="store_true", help="CAN FD: one frame of 32 bytes a line")
     add(
-        "--faults",
-        type=_faults,
-        metavar="SPEC",
-        help="spoil the bus by rates: loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02,seed=7; also "
-        "late=0.1,delay=0.02,jitter=0.01 [s]; garbage=0.01; flood=1000,flood_ids=0x340+0 "
-        "[1/s]; or by a script, script=FILE, with lines such as 'loss 3' and 'flip 20-29 3'; a "
-        "wrong key is answered with the right ones",
+        "--channel",
+        metavar="NAME",
+        help="channel of the interface, such as vcan0 "
+        f"(default: {'one of its own' if private else configured})",
+    )
+    add(
+        "--bitrate",
+        type=natural,
+        metavar="BITRATE",
+        help="nominal bit rate [bit/s], for interfaces that set it, and for the bus load; the data "
+        "phase of CAN FD is taken to be 4 times as fast (default for the bus load: 500000)",
+    )
+    add(
+        "--fd",
+        action="store_true",
+        help="CAN FD: one frame of 32 bytes for each line, instead of 4 classic frames of 8 bytes",
     )
 
 
 def bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Settings of ``Link``; what is not given is left to python-can's own configuration."""
+    """Return the settings for ``Link``; python-can's configuration supplies those not given."""
     names = ("interface", "channel", "bitrate")
     settings = {name: getattr(arguments, name) for name in names}
     settings = {name: value for name, value in settings.items() if value is not None}
     return settings | ({"fd": True} if arguments.fd else {})
 
 
+# ---- faults -----------------------------------------------------------------------------
+
+
+def add_faults(parser: argparse.ArgumentParser) -> None:
+    """Add ``--faults``."""
+    parser.add_argument(
+        "--faults",
+        type=_faults,
+        metavar="SPEC",
+        help="inject faults into the frames, for tests; KEY=VALUE joined by commas. Shares of the "
+        "frames: loss=0.1 dup=0.05 reorder=0.05 corrupt=0.02 garbage=0.01 late=0.1, the latter by "
+        "delay=0.02 and jitter=0.01 [s]. Foreign frames per second: flood=1000 with "
+        "flood_ids=0x340-0x347. Seed: seed=7. Faults of single frames: script=FILE, with rows such "
+        "as 'loss 3' or 'flip 20-29 3'",
+    )
+
+
 def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
-    """Return the opener of ``--faults`` for ``Link``; None without faults."""
+    """Return the opener for ``Link`` that injects ``--faults``; None without faults."""
     if arguments.faults is None:
         return None
     from ..testing import FaultyOpener
@@ -177,11 +110,12 @@ def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
 
 
 def fault_counts(opener: FaultyOpener | None) -> dict[str, int]:
-    """Return what the faults did so far; empty without faults."""
+    """Return the counters of the injected faults; empty without faults."""
     return {} if opener is None else opener.as_dict()
 
 
 def _faults(text: str) -> Faults:
+    """Argparse type of ``--faults``."""
     from ..testing import Faults
 
     try:
@@ -194,21 +128,23 @@ def _faults(text: str) -> Faults:
 
 
 def add_dbc(parser: argparse.ArgumentParser) -> None:
-    """``--dbc``."""
-    parser.add_argument("--dbc", help="another DBC than the project's own")
+    """Add ``--dbc``."""
+    parser.add_argument(
+        "--dbc", metavar="FILE", help="DBC of the messages (default: the one of this package)"
+    )
 
 
 def add_codec(parser: argparse.ArgumentParser) -> None:
-    """Keys and DBC, for ``keyed_codec``."""
+    """Add the options for ``keyed_codec``: keys and DBC."""
     parser.add_argument(
         "--key-file",
         action="append",
         dest="keys",
         type=_key_from(key_from_file),
         metavar="[ID:]FILE",
-        help="authenticate (AUTOSAR SecOC, CAN FD only) with the key whose 32 or 64 hex digits "
-        "are in this file, number 1 if no other is given; the first key is sent with, all are "
-        "accepted",
+        help="authenticate the lines (AUTOSAR SecOC; implies --fd) with the key in this file, "
+        "32 or 64 hex digits. ID is the number of the key, 1 to 255 (default: 1). If repeated, "
+        "the first key is used to send and all of them to receive",
     )
     parser.add_argument(
         "--key-env",
@@ -216,7 +152,7 @@ def add_codec(parser: argparse.ArgumentParser) -> None:
         dest="keys",
         type=_key_from(key_from_env),
         metavar="[ID:]NAME",
-        help="the same, from an environment variable",
+        help="like --key-file, with the key in an environment variable",
     )
     add_dbc(parser)
 
@@ -227,13 +163,13 @@ def keyed_codec(
     clock: Callable[[], int] | None = time.time_ns,
     window: float = 1.0,
 ) -> Codec:
-    """The codec of the DBC, with the keys if there are any.
+    """Return the codec of the DBC, with the keys if there are any.
 
     Args:
-        arguments: of a job with ``add_codec``.
-        clock: for the freshness of authenticated frames [ns]; None for a log, which is as old
-            as it is.
-        window: how far a frame's time may be from the clock [s].
+        arguments: parsed options of ``add_codec``.
+        clock: returns the time that the freshness of a frame is checked against [ns]; None for
+            a log, which is not checked against a clock.
+        window: largest difference of the time in a frame and the clock [s].
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     if not keys:
@@ -259,7 +195,7 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
 
 
 def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:
-    """A type for argparse: where a key is, after its number if that is not 1."""
+    """Return an argparse type that gives ``read``, the file or variable, and the key number."""
 
     def parse(text: str) -> tuple[Any, str, int]:
         key_id, colon, name = text.partition(":")
@@ -270,19 +206,19 @@ def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str
 
 
 def add_cycle(parser: argparse.ArgumentParser) -> None:
-    """How often lines come, for ``decoder_of``."""
+    """Add ``--cycle-ms``, for ``decoder_of``."""
     parser.add_argument(
         "--cycle-ms",
         type=number(float, 1, 60_000),
         metavar="MS",
-        help="how often the sender sends each line [ms], such as 500 for --rate 2: by this cycles "
-        "without data are progress_bar and slots judged; by default what the DBC states, 50 in the "
-        "project's own",
+        help="period at which each line is sent [ms], such as 500 for 'send --rate 2'; cycles "
+        "without data are counted by it (default: the cycle time in the DBC, 50 in the one of "
+        "this package)",
     )
 
 
 def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
-    """A receiver's state, for lines that come as often as is said."""
+    """Return a new decoder for the cycle time of ``--cycle-ms``."""
     return codec.decoder(cycle_ms=arguments.cycle_ms)
 
 
@@ -290,8 +226,17 @@ def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
 
 
 def add_draws(parser: argparse.ArgumentParser, samples: int) -> None:
-    """``--seed`` and ``--samples``; so many samples unless others are asked for."""
-    parser.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of the draws")
+    """Add ``--seed`` and ``--samples``, with this number of samples by default."""
     parser.add_argument(
-        "--samples", type=number(int, 1000, 10**7), default=samples, help="Monte Carlo draws"
+        "--seed",
+        type=number(int, 0, 2**32),
+        default=0,
+        help="seed of the random samples (default: 0)",
+    )
+    parser.add_argument(
+        "--samples",
+        type=number(int, 1000, 10**7),
+        default=samples,
+        metavar="N",
+        help="number of Monte Carlo samples, 1000 to 1e7 (default: %(default)s)",
     )

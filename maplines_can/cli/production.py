@@ -24,10 +24,16 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         help=about,
         description=about,
         epilog="example: maplines study production --markdown",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("--n", type=int, default=2000, help="lines, 100 or more")
-    parser.add_argument("--seed", type=int, default=0, help="of the roads and their errors")
+    parser.add_argument(
+        "--n", type=int, default=2000, help="lines, 100 or more (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the roads and their errors (default: %(default)s)",
+    )
     form = parser.add_mutually_exclusive_group()
     form.add_argument("--markdown", action="store_true", help="tables for a page")
     form.add_argument("--csv", action="store_true", help="all figures as a table")

@@ -12,37 +12,47 @@ from typing import Any
 from ..bus import Link, Receiver
 from ..line import MapLine, Slot
 from ..wire import E2EState, SlotStats
-from .listing import check_dict, check_text, line_dict, line_text, slot_text
 from .options import (
     add_bus,
     add_codec,
     add_cycle,
-    add_job,
+    add_faults,
     add_json,
     bus_settings,
     decoder_of,
     fault_counts,
     fault_opener,
     keyed_codec,
-    natural,
-    seconds,
 )
-from .progress import note
-from .trip_text import counts_text, faults_text
+from .output import (
+    check_dict,
+    check_text,
+    counts_text,
+    faults_text,
+    line_dict,
+    line_text,
+    slot_text,
+)
+from .parsing import add_command, natural, seconds
+from .stderr import note
 
 __all__ = ["add_receive"]
 
-#: How often a silent bus is looked at for slots that go INVALID [s].
-WATCH = 0.05
+#: How often slots are checked for a change of state while nothing arrives [s].
+CHECK_PERIOD = 0.05
+
+DESCRIPTION = """\
+Print the lines that arrive on a bus until Ctrl-C. Standard error shows when the end-to-end (E2E)
+state of a slot changes and, at the end, how many frames were dropped and why."""
 
 
-def add_receive(jobs: Any) -> None:
-    """Add the job ``receive`` to those of ``maplines``."""
-    parser = add_job(
-        jobs,
+def add_receive(commands: Any) -> None:
+    """Add the command ``receive``."""
+    parser = add_command(
+        commands,
         "receive",
         _receive,
-        "Print the lines that arrive until Ctrl-C, then what was dropped and why.",
+        DESCRIPTION,
         "maplines receive --interface socketcan --channel vcan0 --json",
     )
     add_bus(parser)
@@ -53,11 +63,20 @@ def add_receive(jobs: Any) -> None:
         type=seconds,
         default=1.0,
         metavar="S",
-        help="with a key, how far a frame's time may be from this machine's clock [s]",
+        help="with a key, largest difference of the time in a frame and the clock of this "
+        "machine [s] (default: 1)",
     )
-    parser.add_argument("--count", type=natural, help="end after so many lines")
-    parser.add_argument("--timeout", type=seconds, help="end when nothing comes for so long [s]")
-    add_json(parser)
+    parser.add_argument(
+        "--count", type=natural, metavar="N", help="stop after N lines (default: no limit)"
+    )
+    parser.add_argument(
+        "--timeout",
+        type=seconds,
+        metavar="S",
+        help="stop when no line arrives for this time [s] (default: never)",
+    )
+    add_faults(parser)
+    add_json(parser, "each line")
 
 
 def _receive(arguments: argparse.Namespace) -> int:
@@ -69,7 +88,7 @@ def _receive(arguments: argparse.Namespace) -> int:
         Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
     ):
         if not arguments.json:
-            note(f"listening on {link.name}; Ctrl-C ends")
+            note(f"listening on {link.name}; stop with Ctrl-C")
         try:
             for line, check in _arriving(receiver, arguments.timeout):
                 row = line_dict(line) | {"e2e": check_dict(check)}
@@ -84,7 +103,8 @@ def _receive(arguments: argparse.Namespace) -> int:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
         f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
-        f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting"
+        f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting "
+        "for other frames of their line"
         + "".join(
             f"; {n} {what}"
             for n, what in (
@@ -103,11 +123,11 @@ def _receive(arguments: argparse.Namespace) -> int:
 
 
 def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
-    """Lines with the checks of their slots; says when a slot's state changes, in silence too."""
+    """Yield lines with the checks of their slots; print each change of a slot's state."""
     states: dict[Slot, tuple[E2EState, bool]] = {}
     last = time.monotonic()
     while True:
-        line = receiver.get(WATCH if timeout is None else min(WATCH, timeout))
+        line = receiver.get(CHECK_PERIOD if timeout is None else min(CHECK_PERIOD, timeout))
         slots = receiver.slots()
         for slot, check in slots.items():
             state = check.state, check.two_senders

@@ -24,11 +24,10 @@ def add_report(jobs: Any) -> argparse.ArgumentParser:
         description="Make one HTML file with interactive plots of a sweep's tables. "
         "It holds all it needs, and opens without a network.",
         epilog="example: maplines study report sweep --out report.html",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
     parser.add_argument("folder", metavar="DIR", help="the tables of a sweep")
     parser.add_argument("--out", required=True, metavar="FILE", help="the HTML file")
-    parser.add_argument("--title", default=TITLE, help="of the page")
+    parser.add_argument("--title", default=TITLE, help="title of the page (default: %(default)s)")
     parser.set_defaults(run=_report)
     return parser
 

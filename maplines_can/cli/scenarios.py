@@ -7,15 +7,19 @@ import json
 from typing import Any
 
 from ..scenarios import SCENARIOS
-from .options import add_job, add_json
+from .options import add_json
+from .parsing import add_command
 
 __all__ = ["add_scenarios"]
 
 
-def add_scenarios(jobs: Any) -> None:
-    """Add the job ``scenarios`` to those of ``maplines``."""
-    parser = add_job(jobs, "scenarios", _scenarios, "List the scenes.", "maplines scenarios --json")
-    add_json(parser)
+def add_scenarios(commands: Any) -> None:
+    """Add the command ``scenarios``."""
+    description = "List the scenes that 'send' and 'demo' can send."
+    parser = add_command(
+        commands, "scenarios", _scenarios, description, "maplines scenarios --json"
+    )
+    add_json(parser, "the scenes")
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:

@@ -1,86 +1,137 @@
-"""What a car sends of a scene: its lines, and in how many parts where it may choose."""
+"""Sending a scene: options of ``send`` and ``demo``, and components within a bus load."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import argparse
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from ..bus import bus_load, transfers_within
-from ..gaussian import Gaussian
 from ..line import MapLine
-from ..mixture import GaussianMixture
-from ..propagation import (
-    MapError,
-    Mixture,
-    Refit,
-    SigmaPoints,
-    Transform,
-    nonlinearity,
-)
-from ..propagation import (
-    component_counts as component_counts,
-)
+from ..propagation import MapError, Refit, component_counts, map_lines, nonlinearity
 from ..propagation.component_counts import remaining_nonlinearity
-from ..scenarios import Scenario
+from ..scenarios import SCENARIOS, Scenario
 from ..wire import Codec
+from .parsing import number
 
 __all__ = [
     "MAX_LOAD",
     "LineComponents",
-    "bus_pace",
+    "add_sending",
+    "bitrates",
     "carrier_text",
     "choose_components",
-    "scene_lines",
+    "components_text",
+    "lines_of",
 ]
 
-#: Most of the bus's time for lines whose parts are chosen.
+#: Largest bus load of lines whose numbers of components are chosen.
 MAX_LOAD = 0.3
 
 
 @dataclass(frozen=True)
 class LineComponents:
-    """In how many parts a line is sent, and why."""
+    """Number of mixture components of a line, and its nonlinearity."""
 
     slot: str
-    parts: int
-    nonlinearity: float  #: of the line as one Gaussian: ``Nonlinearity.amount``
-    remaining_nonlinearity: float  #: of its parts
+    components: int
+    nonlinearity: float  #: of the line as a single Gaussian; see ``Nonlinearity.amount``
+    remaining_nonlinearity: float  #: within each component
 
 
-def scene_lines(
-    scenario: Scenario,
-    lines: int = 4,
-    *,
-    components: int | Sequence[int] = 1,
-    transform: Transform | None = None,
-    map_error: MapError | None = None,
-) -> list[MapLine]:
-    """The first lines of a scene as the car sends them.
+def add_sending(parser: argparse.ArgumentParser) -> None:
+    """Add the options for ``lines_of``: scene, lines, rate and components."""
+    add = parser.add_argument
+    add(
+        "--scenario",
+        default="production",
+        choices=list(SCENARIOS),
+        metavar="NAME",
+        help=f"scene to send: {', '.join(SCENARIOS)} (default: production)",
+    )
+    add(
+        "--lines",
+        type=number(int, 1, 8),
+        default=4,
+        metavar="N",
+        help="send the first N lines of the scene, 1 to 8 (default: 4)",
+    )
+    add(
+        "--rate",
+        type=number(float, 1e-3, 1000),
+        default=20.0,
+        metavar="HZ",
+        help="how often each line is sent [1/s] (default: 20)",
+    )
+    add(
+        "--components",
+        type=number(int, 1, 8, "auto"),
+        default=1,
+        metavar="K",
+        help="send each line as a Gaussian mixture of K components, 1 to 8; auto: as many as its "
+        "nonlinearity needs and --max-load allows (default: 1, a single Gaussian)",
+    )
+    add(
+        "--max-load",
+        type=number(float, 1e-3, 1),
+        metavar="SHARE",
+        help="largest bus load of the lines, as a share of the bus time from 0.001 to 1 "
+        f"(default: {MAX_LOAD:g} with --components auto, otherwise no limit)",
+    )
+    add(
+        "--map-error",
+        type=number(float, 1e-6, 100),
+        metavar="SIGMA",
+        help="standard deviation of the map [m]: of each point, and of the common offset of all "
+        "points of a line; the pose error comes on top (default: the map is exact)",
+    )
+
+
+def lines_of(
+    scenario: Scenario, codec: Codec, arguments: argparse.Namespace
+) -> tuple[list[MapLine], list[LineComponents]]:
+    """Return the lines to send, and the number of components of each.
 
     Args:
         scenario: the scene.
-        lines: how many.
-        components: parts of a Gaussian mixture, for all lines or for each; 1 is a plain Gaussian.
-        transform: sigma points by default.
-        map_error: error of the map beside the pose's.
+        codec: codec of the sender.
+        arguments: parsed options of ``add_sending`` and ``add_bus``.
+
+    Raises:
+        ValueError: the lines exceed ``--max-load``.
     """
-    scene = scenario.lines[:lines]
-    counts = [components] * len(scene) if isinstance(components, int) else components
-    result = []
-    for line, k in zip(scene, counts, strict=True):
-        refit = Refit(line.polyline, scenario.ego.mean, scenario.window, map_error)
-        weights, means, covs = Mixture(k, transform or SigmaPoints()).moments(refit, scenario.ego)
-        parts = tuple(Gaussian(m, S) for m, S in zip(means, covs, strict=True))
-        low, high = (float(x) for x in refit.x_range)
-        extent: dict[str, Any] = {"x_min": low, "x_max": high, "kind": line.kind}
-        if k == 1:
-            result.append(MapLine(line.slot, parts[0], **extent))
-        else:
-            result.append(MapLine.of_mixture(line.slot, GaussianMixture(weights, parts), **extent))
-    return result
+    components = choose_components(
+        scenario,
+        codec,
+        arguments.lines,
+        components=arguments.components,
+        rate=arguments.rate,
+        fd=arguments.fd,
+        bitrate=bitrates(arguments)[0],
+        max_load=arguments.max_load,
+    )
+    map_error = None
+    if arguments.map_error:
+        map_error = MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
+    lines = map_lines(
+        scenario.lines[: arguments.lines],
+        scenario.ego,
+        scenario.window,
+        components=[line.components for line in components],
+        map_error=map_error,
+    )
+    return lines, components
+
+
+def bitrates(arguments: argparse.Namespace) -> tuple[int, int | None]:
+    """Return the bit rates for the bus load: nominal, and of the data phase of CAN FD [bit/s]."""
+    return _bitrates(arguments.bitrate or 500_000, fd=arguments.fd)
+
+
+def _bitrates(bitrate: int, *, fd: bool) -> tuple[int, int | None]:
+    return bitrate, 4 * bitrate if fd else None
 
 
 def choose_components(
@@ -94,21 +145,22 @@ def choose_components(
     bitrate: int = 500_000,
     max_load: float | None = None,
 ) -> list[LineComponents]:
-    """In how many parts each of the first lines of a scene is sent, within a bus load.
+    """Choose the number of mixture components of each line within a bus load.
 
     Args:
         scenario: the scene.
-        codec: of the sender.
-        lines: how many.
-        components: of all lines; "auto": as many as the bend of each line asks for.
-        rate: lines of each slot a second [1/s].
-        fd: CAN FD frames.
-        bitrate: of the bus [bit/s].
-        max_load: most of the bus's time that the lines may take, in the worst case of bit
-            stuffing; by default no bound, and ``MAX_LOAD`` for "auto".
+        codec: codec of the sender.
+        lines: number of lines, the first of the scene.
+        components: components of every line; "auto": as many as the nonlinearity of each
+            line needs.
+        rate: how often each line is sent [1/s].
+        fd: whether the frames are CAN FD.
+        bitrate: nominal bit rate of the bus [bit/s].
+        max_load: largest share of the bus time that the lines may take, with worst-case bit
+            stuffing. None: ``MAX_LOAD`` for "auto", otherwise no limit.
 
     Raises:
-        ValueError: the lines do not keep within the bound, with one part each for "auto".
+        ValueError: the lines exceed the limit, for "auto" even with one component each.
     """
     scene, auto = scenario.lines[:lines], components == "auto"
     least = [1 if components == "auto" else components] * len(scene)
@@ -116,17 +168,17 @@ def choose_components(
         max_load = MAX_LOAD
     budget = None
     if max_load is not None:
-        pace = bus_pace(rate, bitrate, fd=fd)
+        bus = (1 / rate, *_bitrates(bitrate, fd=fd))
         blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
         transfers = [codec.frames(blank, line.slot, fd=fd) for line in scene]
-        budget = min(transfers_within(max_load, transfer, *pace) for transfer in transfers)
+        budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
         if budget < sum(least):
-            load = sum(least) * max(bus_load(transfer, *pace) for transfer in transfers)
+            load = sum(least) * max(bus_load(transfer, *bus) for transfer in transfers)
             raise ValueError(
-                f"{len(scene)} lines in {sum(least)} parts take {100 * load:.3g} % of the bus at "
-                f"{rate:g} Hz and {bitrate / 1000:g} kbit/s, and {100 * max_load:g} % are allowed; "
-                "send fewer lines or parts, lower the rate, take CAN FD or a faster bus, or allow "
-                "more"
+                f"{len(scene)} lines with {sum(least)} components take {100 * load:.3g} % of the "
+                f"bus at {rate:g} Hz and {bitrate / 1000:g} kbit/s, and {100 * max_load:g} % are "
+                "allowed; use fewer --lines or --components, a lower --rate, --fd, a higher "
+                "--bitrate or a higher --max-load"
             )
     amounts = [
         nonlinearity(Refit(line.polyline, scenario.ego.mean, scenario.window), scenario.ego).amount
@@ -139,12 +191,18 @@ def choose_components(
     ]
 
 
+def components_text(line: LineComponents) -> str:
+    """Return the number of components of a line and its nonlinearity as text."""
+    text = f"nonlinearity {line.nonlinearity:.2f}"
+    if line.components == 1:
+        return f"1 component, {text}"
+    return (
+        f"{line.components} components, {text}, {line.remaining_nonlinearity:.2f} within each of "
+        "them"
+    )
+
+
 def carrier_text(codec: Codec, *, fd: bool) -> str:
-    """What the lines travel on, for reports."""
+    """Return the frame format, and whether the frames are authenticated, as text."""
     authenticated = ", authenticated" if codec.authenticator else ""
     return f"{'CAN FD' if fd else 'classic CAN'}{authenticated}"
-
-
-def bus_pace(rate: float, bitrate: int, *, fd: bool) -> tuple[float, float, float | None]:
-    """Period [s], and bit rates of the arbitration and of the data phase, four times as fast."""
-    return 1 / rate, bitrate, 4 * bitrate if fd else None

@@ -1,12 +1,11 @@
-"""The command ``maplines study``, and its job ``run``."""
+"""The command ``maplines study run``."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,10 @@ from ..study.sets import DRAWN_SETS, line_set
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.tables import read_table, summary_text
-from .arguments import number
+from .parsing import number
+from .stderr import Bar, progress_bar
 
-__all__ = ["Bar", "add_study"]
-
-#: A progress bar: from its unit to a context that is told how much of how much is done.
-Bar = Callable[[str], AbstractContextManager[Callable[[int, int], None]]]
+__all__ = ["add_run"]
 
 ABOUT = """\
 Send sets of Gaussians through all codes of the covariance at several widths, and measure what
@@ -56,20 +53,14 @@ DEFAULTS = {"n": 1_000_000, "fields_n": 100_000, "limit_n": 20_000}
 QUICK = {"n": 50_000, "fields_n": 20_000, "limit_n": 10_000}
 
 
-def add_study(subparsers: Any, bar: Bar | None = None) -> Any:
-    """Add the job ``study`` to those of ``maplines``, with its job ``run``.
+def add_run(commands: Any, bar: Bar | None = progress_bar) -> argparse.ArgumentParser:
+    """Add the command ``run`` to those of ``maplines study``; returns its parser.
 
     Args:
-        subparsers: what ``ArgumentParser.add_subparsers`` returned.
-        bar: shows progress; without it there is none.
-
-    Returns:
-        The subparsers of ``study``, for further jobs.
+        commands: subparsers, as returned by ``ArgumentParser.add_subparsers``.
+        bar: progress bar; None for none.
     """
-    about = "Study what the wire costs: sweep codes, widths and sets."
-    study: argparse.ArgumentParser = subparsers.add_parser("study", help=about, description=about)
-    jobs = study.add_subparsers(title="jobs", required=True, metavar="JOB")
-    parser: argparse.ArgumentParser = jobs.add_parser(
+    parser: argparse.ArgumentParser = commands.add_parser(
         "run",
         help="Sweep codes x widths x sets into tables; goes on where it stopped.",
         description=ABOUT,
@@ -125,7 +116,7 @@ def add_study(subparsers: Any, bar: Bar | None = None) -> Any:
     add("--quick", action="store_true", help="fewer Gaussians: under two minutes on two cores")
     add("--json", action="store_true", help="print the table summary for machines")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
-    return jobs
+    return parser
 
 
 def _run(arguments: argparse.Namespace, bar: Bar | None) -> int:

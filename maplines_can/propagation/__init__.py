@@ -2,6 +2,7 @@
 
 from .component_counts import component_counts, remaining_nonlinearity
 from .linear import Linear
+from .map_lines import map_lines
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
@@ -26,6 +27,7 @@ __all__ = [
     "SigmaPoints",
     "Transform",
     "component_counts",
+    "map_lines",
     "nonlinearity",
     "pose_time_ns",
     "predict",

@@ -1,251 +1,295 @@
-"""A scene over a bus and back: what was true, what came back, and what it took."""
+"""Round trip of lines over a bus: send them, receive them, and compare."""
 
 from __future__ import annotations
 
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
-from ..cli.sending import LineComponents, bus_pace, carrier_text, choose_components, scene_lines
 from ..line import MapLine
-from ..propagation import MapError
-from ..scenarios import Scenario
-from ..testing import Faults, FaultyOpener
 from ..wire import Codec
 from .metrics import LATERAL_X, evaluate
 
-__all__ = ["LineResult", "RoundTrip", "round_trip"]
+if TYPE_CHECKING:
+    from ..testing import Faults, FaultyOpener
+
+__all__ = ["BusSettings", "LineResult", "RoundTrip", "round_trip"]
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """Bus of a round trip.
+
+    Args:
+        rate: how often each line is sent [1/s].
+        bitrate: nominal bit rate, for the bus load [bit/s].
+        data_bitrate: bit rate of the data phase of CAN FD, for the bus load [bit/s]; None
+            for frames of classic CAN.
+        interface: settings of ``Link``; None for a bus of its own within this process.
+    """
+
+    rate: float = 20.0
+    bitrate: int = 500_000
+    data_bitrate: int | None = None
+    interface: Mapping[str, Any] | None = None
+
+    @property
+    def fd(self) -> bool:
+        """Whether the frames are CAN FD."""
+        return self.data_bitrate is not None
+
+    def link_settings(self) -> dict[str, Any]:
+        """Return the settings of ``Link``, the same for both ends."""
+        interface = self.interface
+        if interface is None:
+            interface = {"interface": "virtual", "channel": f"maplines-{uuid.uuid4()}"}
+        return {**interface, "fd": True} if self.fd else dict(interface)
 
 
 @dataclass(frozen=True)
 class LineResult:
-    """One line: true, received, and how they differ. None received: all None."""
+    """Line before encoding and as received; if it was not received, ``mean`` and so on are None."""
 
     slot: str
-    true_mean: list[float]
+    true_mean: list[float]  #: before encoding
     true_sigma: list[float]
-    mean: list[float] | None = None
+    true_sigma_80m: float  #: standard deviation of y at x = 80 m [m]
+    mean: list[float] | None = None  #: as received
     sigma: list[float] | None = None
+    sigma_80m: float | None = None
     status: str | None = None
-    kl_covered: float | None = None  #: against the covered target [nat]
-    kl: float | None = None  #: against the true Gaussian [nat]
-    lateral_error_80m: float | None = None  #: [m]
-    true_sigma_80m: float | None = None  #: of the lateral position [m]
-    sigma_80m: float | None = None  #: [m]
+    kl_covered: float | None = None  #: from the covered target [nat], see ``metrics.Evaluation``
+    kl: float | None = None  #: from the Gaussian before encoding [nat]
+    lateral_error_80m: float | None = None  #: error of the mean of y at x = 80 m [m]
 
 
 @dataclass(frozen=True)
 class RoundTrip:
-    """What a run over a bus gave."""
+    """Results of a round trip."""
 
-    scenario: str
-    carrier: str
-    seconds: float
-    rate: float  #: [1/s]
-    lines: list[LineResult]
-    parts: list[LineComponents]
-    sent: dict[str, Any]
-    received: dict[str, Any]
-    lines_lost: int
-    frames_lost: int
-    bus_load: float  #: share of the bus's time, worst case of bit stuffing
-    bitrate: int  #: [bit/s]
-    period_jitter: dict[str, float]  #: |time between a slot's lines - period| [s]
-    cpu_share: float | None  #: of one core, sender and receiver; None where it cannot be told
-    faults: dict[str, int] | None = None  #: what they did; None where there were none
-    received_lines: Mapping[str, MapLine] = field(repr=False, default_factory=dict)
-    true_lines: Sequence[MapLine] = field(repr=False, default=())
+    bus: BusSettings
+    authenticated: bool  #: whether the frames carried a MAC
+    seconds: float  #: duration, with opening and closing the bus [s]
+    lines: Sequence[LineResult]
+    sent: TransmitterStats
+    received: ReceiverStats
+    bus_load: float  #: share of the bus time, with worst-case bit stuffing
+    period_jitter: Mapping[str, float]  #: |time between two lines of a slot - period| [s]
+    cpu_share: float | None  #: share of one core, both ends together; None if unknown
+    faults: Mapping[str, int] | None  #: counters of the injected faults; None without faults
+    true_lines: Sequence[MapLine] = field(repr=False)
+    received_lines: Mapping[str, MapLine] = field(repr=False)  #: the latest line of each slot
+
+    @property
+    def carrier(self) -> str:
+        """Frame format, and whether the frames are authenticated, as text."""
+        return f"{'CAN FD' if self.bus.fd else 'classic CAN'}" + (
+            ", authenticated" if self.authenticated else ""
+        )
+
+    @property
+    def lines_lost(self) -> int:
+        """Lines that were sent and not received."""
+        return self.sent.lines - self.received.lines
+
+    @property
+    def frames_lost(self) -> int:
+        """Frames that were sent, or added by faults, and not received."""
+        added = self.faults["duplicated"] + self.faults["flooded"] if self.faults else 0
+        return self.sent.frames + added - self.received.frames
 
     def as_dict(self) -> dict[str, Any]:
-        """All figures, for JSON."""
-        skipped = ("received_lines", "true_lines")
-        figures = {key: value for key, value in vars(self).items() if key not in skipped}
-        return figures | {key: [asdict(x) for x in figures[key]] for key in ("lines", "parts")}
+        """Return all figures, for JSON."""
+        dropped = {reason.name: n for reason, n in self.received.counts.items()}
+        return {
+            "carrier": self.carrier,
+            "seconds": self.seconds,
+            "rate": self.bus.rate,
+            "lines": [asdict(line) for line in self.lines],
+            "sent": self.sent._asdict() | {"lateness": self.sent.lateness._asdict()},
+            "received": self.received._asdict() | {"counts": dropped},
+            "lines_lost": self.lines_lost,
+            "frames_lost": self.frames_lost,
+            "bus_load": self.bus_load,
+            "bitrate": self.bus.bitrate,
+            "data_bitrate": self.bus.data_bitrate,
+            "period_jitter": self.period_jitter,
+            "cpu_share": self.cpu_share,
+            "faults": self.faults,
+        }
+
+
+def round_trip(
+    lines: Sequence[MapLine],
+    codec: Codec,
+    *,
+    bus: BusSettings | None = None,
+    seconds: float = 3.0,
+    faults: Faults | None = None,
+    tick: Callable[[float], object] | None = None,
+) -> RoundTrip:
+    """Send lines over a bus for some time, receive them and compare. Ctrl-C ends it early.
+
+    Args:
+        lines: lines to send, of different slots.
+        codec: codec of both ends.
+        bus: the bus; None for ``BusSettings()``.
+        seconds: how long to send [s].
+        faults: faults to inject into the frames: at the sender if their direction is "send",
+            otherwise at the receiver.
+        tick: called about ten times a second with the elapsed time [s].
+
+    Raises:
+        BusError: the interface cannot be opened.
+    """
+    bus = BusSettings() if bus is None else bus
+    arrivals = _Arrivals(1 / bus.rate)
+    cpu, start = time.process_time(), time.monotonic()
+
+    def elapsed() -> float:
+        return time.monotonic() - start
+
+    sent, received, fault_counts = _run(
+        lines,
+        codec,
+        bus,
+        count=max(1, round(seconds * bus.rate)),
+        faults=faults,
+        arrivals=arrivals,
+        tick=lambda: None if tick is None else tick(elapsed()),
+    )
+    duration, cpu = elapsed(), time.process_time() - cpu
+    frames = chain(*codec.encode_lines(lines, fd=bus.fd))
+    return RoundTrip(
+        bus=bus,
+        authenticated=codec.authenticator is not None,
+        seconds=duration,
+        lines=[_result(line, arrivals.latest.get(line.slot.name), codec) for line in lines],
+        sent=sent,
+        received=received,
+        bus_load=bus_load(frames, 1 / bus.rate, bus.bitrate, bus.data_bitrate),
+        period_jitter=arrivals.jitter(),
+        cpu_share=cpu / duration if _cpu_time_is_true() else None,
+        faults=fault_counts,
+        true_lines=lines,
+        received_lines=arrivals.latest,
+    )
 
 
 class _Arrivals:
-    """Keeps the latest line of each slot and the times between them."""
+    """The latest line of each slot, and the deviations from the period."""
 
     def __init__(self, period: float) -> None:
         self._period, self._changed = period, threading.Condition()
         self._last_ns: dict[Any, int] = {}
+        self._deviations: list[float] = []
+        self._lines = 0
         self.latest: dict[str, MapLine] = {}
-        self.deviations: list[float] = []
-        self.lines = 0
 
     def take(self, line: MapLine) -> None:
         with self._changed:
             t_ns = line.t_ns or 0
             if line.slot in self._last_ns:
                 between = (t_ns - self._last_ns[line.slot]) * 1e-9
-                self.deviations.append(abs(between - self._period))
+                self._deviations.append(abs(between - self._period))
             self._last_ns[line.slot] = t_ns
             self.latest[line.slot.name] = line
-            self.lines += 1
+            self._lines += 1
             self._changed.notify_all()
 
     def wait_for(self, lines: int, timeout: float) -> None:
         with self._changed:
-            self._changed.wait_for(lambda: self.lines >= lines, timeout)
+            self._changed.wait_for(lambda: self._lines >= lines, timeout)
+
+    def jitter(self) -> dict[str, float]:
+        quantiles = np.quantile(self._deviations or [0.0], [0.5, 0.99, 1.0])
+        return dict(zip(("median", "p99", "max"), quantiles.tolist(), strict=True))
 
 
-def round_trip(
-    scenario: Scenario,
+def _run(
+    lines: Iterable[MapLine],
     codec: Codec,
+    bus: BusSettings,
     *,
-    lines: int = 4,
-    components: int | Literal["auto"] = 1,
-    max_load: float | None = None,
-    seconds: float = 3.0,
-    rate: float = 20.0,
-    fd: bool = False,
-    bitrate: int = 500_000,
-    interface: Mapping[str, Any] | None = None,
-    map_error: MapError | None = None,
-    faults: Faults | None = None,
-    tick: Callable[[float], object] | None = None,
-) -> RoundTrip:
-    """Send the lines of a scene over a bus for a while and receive them.
-
-    Args:
-        scenario: the scene.
-        codec: of both ends.
-        lines: how many lines of the scene.
-        components: parts of a mixture for each line; "auto": see ``choose_components``.
-        max_load: most of the bus's time that the lines may take; see ``choose_components``.
-        seconds: how long [s].
-        rate: lines of each slot a second [1/s].
-        fd: CAN FD frames.
-        bitrate: for which the bus load is stated [bit/s].
-        interface: settings of ``can.Bus``; None for python-can's in-process bus.
-        map_error: error of the map beside the pose's.
-        faults: what happens to the frames on their way: at the receiver's end, unless their
-            direction is "send".
-        tick: called about ten times a second with the time gone [s].
-
-    Raises:
-        BusError: the interface cannot be opened.
-        ValueError: the lines do not keep within ``max_load``.
-    """
-    parts = choose_components(
-        scenario,
-        codec,
-        lines,
-        components=components,
-        rate=rate,
-        fd=fd,
-        bitrate=bitrate,
-        max_load=max_load,
-    )
-    counts = [line.parts for line in parts]
-    true_lines = scene_lines(scenario, lines, components=counts, map_error=map_error)
-    if interface is None:
-        interface = {"interface": "virtual", "channel": f"maplines-{uuid.uuid4()}"}
-    settings = {**interface, "fd": True} if fd else dict(interface)
-    arrivals = _Arrivals(1 / rate)
-    count = max(1, round(seconds * rate))
-    cpu, start = time.process_time(), time.monotonic()
-    opener = FaultyOpener(faults) if faults else None
-    of_out, of_back = (opener, None) if faults and faults.direction == "send" else (None, opener)
-    with Link(of_out, **settings) as out, Link(of_back, **settings) as back:
-        transmitter = Transmitter(out, codec, period=1 / rate, fd=fd, count=count)
-        # With faults none is filtered away, so that every frame is counted in the end.
-        can_ids = None if faults else codec.can_ids
-        decoder = codec.decoder(cycle_ms=1e3 / rate)
+    count: int,
+    faults: Faults | None,
+    arrivals: _Arrivals,
+    tick: Callable[[], object],
+) -> tuple[TransmitterStats, ReceiverStats, dict[str, int] | None]:
+    """Send and receive each line ``count`` times; return the counters, also those of the faults."""
+    opener, out_opener, back_opener = _openers(faults)
+    settings = bus.link_settings()
+    # With faults no frame is filtered out, so that the receiver counts every one.
+    can_ids = None if faults else codec.can_ids
+    with Link(out_opener, **settings) as out, Link(back_opener, **settings) as back:
+        transmitter = Transmitter(out, codec, period=1 / bus.rate, fd=bus.fd, count=count)
+        decoder = codec.decoder(cycle_ms=1e3 / bus.rate)
         receiver = Receiver(back, decoder, on_line=arrivals.take, can_ids=can_ids)
         with receiver:
             try:
                 with transmitter:
-                    transmitter.publish(true_lines)
+                    transmitter.publish(lines)
                     while not transmitter.wait(0.1):
-                        if tick is not None:
-                            tick(time.monotonic() - start)
-            except KeyboardInterrupt:  # what there is, is shown
+                        tick()
+            except KeyboardInterrupt:  # the lines so far are still useful
                 pass
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
-        done = opener.as_dict() if opener else None
-    elapsed = time.monotonic() - start
-    cpu = time.process_time() - cpu
-    sent, received = transmitter.stats(), receiver.stats()
-    jitter = np.quantile(arrivals.deviations or [0.0], [0.5, 0.99, 1.0])
-    frames = chain(*codec.encode_lines(true_lines, fd=fd))
-    return RoundTrip(
-        scenario=scenario.name,
-        carrier=carrier_text(codec, fd=fd),
-        seconds=elapsed,
-        rate=rate,
-        lines=_results(true_lines, arrivals.latest, codec),
-        parts=parts,
-        sent=_sent(sent),
-        received=_received(received),
-        lines_lost=sent.lines - received.lines,
-        frames_lost=sent.frames + _added(done) - received.frames,
-        bus_load=bus_load(frames, *bus_pace(rate, bitrate, fd=fd)),
-        bitrate=bitrate,
-        period_jitter=dict(zip(("median", "p99", "max"), jitter.tolist(), strict=True)),
-        cpu_share=cpu / elapsed if _cpu_time_is_true() else None,
-        faults=done,
-        received_lines=arrivals.latest,
-        true_lines=true_lines,
+        fault_counts = opener.as_dict() if opener else None  # before closing sends held frames
+    return transmitter.stats(), receiver.stats(), fault_counts
+
+
+def _openers(
+    faults: Faults | None,
+) -> tuple[FaultyOpener | None, FaultyOpener | None, FaultyOpener | None]:
+    """Return the opener that injects the faults, and the openers of sender and receiver."""
+    if faults is None:
+        return None, None, None
+    from ..testing import FaultyOpener  # without faults nothing of it is loaded
+
+    opener = FaultyOpener(faults)
+    return (opener, opener, None) if faults.direction == "send" else (opener, None, opener)
+
+
+def _result(line: MapLine, back: MapLine | None, codec: Codec) -> LineResult:
+    """Compare a line as sent with the same line as received."""
+    sent: dict[str, Any] = {
+        "slot": line.slot.name,
+        "true_mean": line.gaussian.mean.tolist(),
+        "true_sigma": line.gaussian.sigma.tolist(),
+        "true_sigma_80m": float(line.y_sigma(80.0)),
+    }
+    if back is None:
+        return LineResult(**sent)
+    figures = evaluate(
+        line.gaussian.mean[None],
+        line.gaussian.cov[None],
+        back.gaussian.mean[None],
+        back.gaussian.cov[None],
+        codec.resolution,
+    )
+    return LineResult(
+        **sent,
+        mean=back.gaussian.mean.tolist(),
+        sigma=back.gaussian.sigma.tolist(),
+        sigma_80m=float(back.y_sigma(80.0)),
+        status=back.status.name,
+        kl_covered=float(figures.kl_covered[0]),
+        kl=float(figures.kl[0]),
+        lateral_error_80m=float(figures.lateral_error[0, LATERAL_X.index(80.0)]),
     )
 
 
-def _added(done: Mapping[str, int] | None) -> int:
-    return done["duplicated"] + done["flooded"] if done else 0
-
-
 def _cpu_time_is_true() -> bool:
-    """User Mode Linux charges a process for hardly any of the CPU time that it takes."""
+    """Return False under User Mode Linux, which accounts almost no CPU time to a process."""
     try:
         return "User Mode Linux" not in Path("/proc/cpuinfo").read_text()
     except OSError:
         return True
-
-
-def _sent(stats: TransmitterStats) -> dict[str, Any]:
-    return stats._asdict() | {"lateness": stats.lateness._asdict()}
-
-
-def _received(stats: ReceiverStats) -> dict[str, Any]:
-    return stats._asdict() | {"counts": {reason.name: n for reason, n in stats.counts.items()}}
-
-
-def _results(
-    true_lines: Sequence[MapLine], latest: Mapping[str, MapLine], codec: Codec
-) -> list[LineResult]:
-    results = []
-    for true in true_lines:
-        result = LineResult(
-            true.slot.name, true.gaussian.mean.tolist(), true.gaussian.sigma.tolist()
-        )
-        back = latest.get(true.slot.name)
-        if back is not None:
-            verdict = evaluate(
-                true.gaussian.mean[None],
-                true.gaussian.cov[None],
-                back.gaussian.mean[None],
-                back.gaussian.cov[None],
-                codec.resolution,
-            )
-            at_80m = LATERAL_X.index(80.0)
-            result = replace(
-                result,
-                mean=back.gaussian.mean.tolist(),
-                sigma=back.gaussian.sigma.tolist(),
-                status=back.status.name,
-                kl_covered=float(verdict.kl_covered[0]),
-                kl=float(verdict.kl[0]),
-                lateral_error_80m=float(verdict.lateral_error[0, at_80m]),
-                true_sigma_80m=float(true.y_sigma(80.0)),
-                sigma_80m=float(back.y_sigma(80.0)),
-            )
-        results.append(result)
-    return results

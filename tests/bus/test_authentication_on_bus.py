@@ -5,11 +5,11 @@ import uuid
 
 import can
 import pytest
+from scenes import scene_lines
 from secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
 
 from maplines_can import Link, Receiver, Transmitter, scenario
 from maplines_can.bus.tx_queue import AHEAD, TxQueue
-from maplines_can.cli.sending import scene_lines
 from maplines_can.wire import Key, Reason
 
 

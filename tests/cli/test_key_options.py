@@ -10,12 +10,12 @@ from pathlib import Path
 
 import can
 import pytest
+from scenes import scene_lines
 from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_secret, codec_of, key_file, sent
 
 from maplines_can import Codec, Link, Transmitter, scenario
 from maplines_can.bus import key_from_file
 from maplines_can.cli import _parser, main
-from maplines_can.cli.sending import scene_lines
 from maplines_can.wire import Authenticator
 
 ROOT = Path(__file__).parents[2]
@@ -165,7 +165,7 @@ def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
 
 def test_keys_are_sent_with_in_the_order_they_are_given():
     """Files and variables alike; a number before the colon, else 1."""
-    parsed: argparse.Namespace = _parser().parse_args(
+    parsed: argparse.Namespace = _parser(["send"]).parse_args(
         ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
     )
     assert [(name, number) for _, name, number in parsed.keys] == [

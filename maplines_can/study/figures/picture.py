@@ -54,8 +54,8 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     axes[0].legend(shown.values(), shown.keys(), loc="upper left", frameon=False, fontsize=9)
     axes[0].set_ylabel("y, to the left [m]")
     axes[0].set_title(
-        f"{trip.scenario}: {len(trip.true_lines)} lines over {trip.carrier}, "
-        f"bus load {100 * trip.bus_load:.1f} % at {trip.bitrate / 1000:g} kbit/s, "
+        f"{scenario.name}: {len(trip.true_lines)} lines over {trip.carrier}, "
+        f"bus load {100 * trip.bus_load:.1f} % at {trip.bus.bitrate / 1000:g} kbit/s, "
         f"{trip.lines_lost} lines lost",
         loc="left",
         fontsize=11,

@@ -10,7 +10,7 @@ from ..message.layout import Layout
 from ..message.reader import RecordReader
 from ..protection.e2e_state import E2EConfig
 from ..protection.secoc import Verifier
-from ..reasons import NOT_BELIEVED, Reason
+from ..reasons import NOT_AUTHENTIC, Reason
 from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
@@ -144,7 +144,7 @@ class Decoder:
     def _check_dropped(self, reason: Reason, key: tuple[int, bool], t_ns: int) -> None:
         """Pass a dropped frame to the check of its slot, unless nobody knows who sent it."""
         slot = self._slot_of_id.get(key)
-        if slot is None or reason in NOT_BELIEVED:
+        if slot is None or reason in NOT_AUTHENTIC:
             return  # as in AUTOSAR: what is not authentic does not reach the E2E check
         if reason is Reason.DUPLICATE:
             self.checks[slot].frame_duplicated(t_ns)

@@ -1,10 +1,10 @@
 """Fixtures of the tests of authentication."""
 
 import pytest
+from scenes import scene_lines
 from secoc_streams import Clock
 
 from maplines_can import scenario
-from maplines_can.cli.sending import scene_lines
 
 
 @pytest.fixture

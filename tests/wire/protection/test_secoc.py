@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import scene_lines
 from secoc_streams import (
     DATA_ID,
     FORM,
@@ -31,7 +32,6 @@ from secoc_streams import (
 )
 
 from maplines_can import Codec, Slot, scenario
-from maplines_can.cli.sending import scene_lines
 from maplines_can.errors import EncodeError, LayoutError
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for

@@ -1,0 +1,127 @@
+"""Received lines, slots and counters as text, JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Mapping
+from typing import Any, TextIO
+
+import numpy as np
+
+from ..line import STATES, MapLine
+from ..wire import SlotStats
+
+__all__ = [
+    "check_dict",
+    "check_text",
+    "counts_text",
+    "faults_text",
+    "line_dict",
+    "line_text",
+    "slot_text",
+    "write_csv",
+]
+
+UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
+
+
+def slot_text(slot: str) -> str:
+    """Return the name of a slot for a reader.
+
+    >>> slot_text("EGO_LEFT")
+    'ego left'
+    """
+    return slot.replace("_", " ").lower()
+
+
+def line_text(line: MapLine) -> str:
+    """Return a line as one row of text."""
+    slot = slot_text(line.slot.name)
+    mean, sigma = line.gaussian.mean, line.gaussian.sigma
+    return (
+        f"{(line.t_ns or 0) / 1e9:.3f}  {slot:<10}  {line.status.name.lower():<9}  "
+        f"y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
+        f"{np.degrees(sigma[1]):.2f} deg  c0 {1e3 * mean[2]:+.3f} ± {1e3 * sigma[2]:.3f} /km  "
+        f"c1 {1e6 * mean[3]:+.2f} ± {1e6 * sigma[3]:.2f} /km^2  "
+        f"x {line.x_min:.0f}..{line.x_max:.0f} m  age {1e3 * line.age:.0f} ms"
+    )
+
+
+def line_dict(line: MapLine) -> dict[str, Any]:
+    """Return all fields of a line, for JSON."""
+    return {
+        "t": None if line.t_ns is None else line.t_ns / 1e9,
+        "slot": line.slot.name,
+        "kind": line.kind.name,
+        "status": line.status.name,
+        "x_min": line.x_min,
+        "x_max": line.x_max,
+        "age": line.age,
+        "components": 1 if line.mixture is None else len(line.mixture.weights),
+        "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
+        "cov": line.gaussian.cov.tolist(),
+        "mixture": None
+        if line.mixture is None
+        else {
+            "weights": line.mixture.weights.tolist(),
+            "means": line.mixture.means.tolist(),
+            "covs": line.mixture.covs.tolist(),
+        },
+    }
+
+
+def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
+    """Write lines as a table with a header.
+
+    A mixture is written with the mean and covariance of the whole.
+
+    Args:
+        out: text file.
+        lines: channel and line of each row.
+    """
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(
+        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components", *STATES]
+        + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER_TRIANGLE]
+    )
+    for channel, line in lines:
+        row = line_dict(line)
+        writer.writerow(
+            [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
+            + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
+            + [row["cov"][i][j] for i, j in UPPER_TRIANGLE]
+        )
+
+
+def check_text(stats: SlotStats) -> str:
+    """Return the E2E state of a slot and its counters as text."""
+    return (
+        f"{stats.state.name}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
+        f"{stats.wrong_sequence} wrong sequence, {stats.errors} errors, "
+        f"{stats.no_new_data} cycles without data"
+        + ("; TWO SENDERS on this slot, or a path that doubles frames" * stats.two_senders)
+    )
+
+
+def check_dict(stats: SlotStats) -> dict[str, Any]:
+    """Return the E2E state of a slot and its counters, for JSON."""
+    status = None if stats.status is None else stats.status.name
+    return stats._asdict() | {"state": stats.state.name, "status": status}
+
+
+def counts_text(counts: Mapping[str, int]) -> str:
+    """Return the counters that are not zero as text, sorted by name.
+
+    >>> counts_text({"CRC": 2, "FOREIGN": 1, "TIMEOUT": 0}), counts_text({})
+    ('2 crc, 1 foreign', 'none')
+    """
+    return ", ".join(f"{n} {name.lower()}" for name, n in sorted(counts.items()) if n) or "none"
+
+
+def faults_text(counts: Mapping[str, int]) -> str:
+    """Return the counters of injected faults as text."""
+    kinds = {name: n for name, n in counts.items() if name not in ("frames", "passed", "held")}
+    return (
+        f"of {counts['frames']} frames: {counts_text(kinds)}; {counts['passed']} passed on, "
+        f"{counts['held']} held back"
+    )

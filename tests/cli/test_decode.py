@@ -1,0 +1,166 @@
+"""The command ``maplines decode``."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import can
+import pytest
+from scenes import scene_lines
+
+from maplines_can import Codec, scenario
+from maplines_can.cli import main
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A candump log of 20 lines on can0 and 5 on can1, a foreign frame and an incomplete line."""
+    codec, path = Codec.from_dbc(), tmp_path / "drive.log"
+    lines = scene_lines(scenario("highway"))
+    with can.Logger(path) as writer:
+        t = 1000.0
+        for k in range(5):
+            for line in lines:
+                for frame in codec.encode(line):
+                    t += 0.0002
+                    writer(message(frame, t, "can0"))
+            for frame in codec.encode(lines[0]):
+                writer(message(frame, t, "can1"))
+            if k == 2:
+                writer(can.Message(t, 0x7AA, is_extended_id=False, data=b"hello", channel="can0"))
+                for frame in codec.encode(lines[1])[:2]:
+                    writer(message(frame, t, "can0"))
+            t += 0.05
+    return path
+
+
+def message(frame, t, channel):
+    return can.Message(
+        t, frame.can_id, is_extended_id=False, is_fd=frame.is_fd, data=frame.data, channel=channel
+    )
+
+
+def test_lines_are_printed_as_json(capsys, log):
+    """Every line of every channel is printed, then the dropped frames."""
+    assert main(["decode", str(log)]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(row) for row in out.splitlines()]
+    assert sum(row["channel"] == "can0" for row in rows) == 20
+    assert sum(row["channel"] == "can1" for row in rows) == 5
+    times = [row["t"] for row in rows if row["channel"] == "can0"]
+    assert times == sorted(times)
+    assert "1 foreign" in err
+    assert "2 timeout" in err
+
+
+def test_lines_are_printed_as_csv(capsys, log):
+    """One header, one row for each line, with the upper triangle of the covariance."""
+    assert main(["decode", str(log), "--csv"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert len(rows) == 25
+    assert float(rows[0]["y_off"]) == pytest.approx(1.757, abs=2**-9 / 2 + 1e-3)
+    assert float(rows[0]["cov_y_off_y_off"]) > 0.25
+    assert len([name for name in rows[0] if name.startswith("cov_")]) == 10
+
+
+def test_a_damaged_log_is_decoded_as_far_as_possible(capsys, log):
+    """A truncated record is one error and status 1; the lines before and after it are printed."""
+    text = log.read_text().splitlines(keepends=True)
+    log.write_text("".join([*text[:40], "(1000.1) can0 34\n", *text[40:]]))
+    assert main(["decode", str(log)]) == 1
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 25
+    assert "damaged" in err
+
+
+def test_the_number_of_channels_is_limited(capsys, tmp_path):
+    """A log with arbitrary channel names does not fill the memory; what is skipped is reported."""
+    path = tmp_path / "names.log"
+    path.write_text("".join(f"({k}.0) v{k % 300} 340#0011223344556677\n" for k in range(600)))
+    assert main(["decode", str(path)]) == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first == (
+        f"maplines: error: {path}: 88 frames are not read, they are of channels beyond the first "
+        "256; split the log by channel"
+    )
+    assert "0 lines from 512 frames" in second
+
+
+@pytest.mark.parametrize(
+    ("text", "notes", "status"),
+    [
+        pytest.param("", ["0 lines from 0 frames"], 0, id="empty"),
+        pytest.param(";$FILEVERSION=1.1\n;$STARTTIME=1\n;--\n", ["0 lines from 0"], 0, id="head"),
+        pytest.param(
+            "1) 2\n1) 0.5 0340 1 11\n", ["1 of 2 records", "1 frames", "1 errors"], 1, id="short"
+        ),
+    ],
+)
+def test_a_trc_log_is_reported_in_our_words(tmp_path, text, notes, status):
+    """Messages that python-can prints about a .trc file do not reach the user."""
+    path = tmp_path / "a.trc"
+    path.write_text(text)
+    done = subprocess.run(
+        [sys.executable, "-m", "maplines_can.cli", "decode", str(path)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    rows = done.stderr.splitlines()
+    assert all(note in row for note, row in zip(notes, rows, strict=True)), rows
+    assert done.returncode == status
+
+
+def test_a_closed_pipe_ends_the_command(log):
+    """maplines decode LOG | head -1 prints no traceback."""
+    command = f"{sys.executable} -m maplines_can.cli decode {log} | head -1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("{")
+    assert "Traceback" not in done.stderr
+
+
+def drive(path, *, cycle, channels=("can0",), cut=(), n=20):
+    """Write a candump log of one slot, a line in each cycle [s], without the lines in ``cut``."""
+    (line,) = scene_lines(scenario("highway"), 1)
+    codecs = {channel: Codec.from_dbc() for channel in channels}
+    with can.Logger(path) as writer:
+        for k in range(n):
+            for channel, codec in codecs.items():
+                frames = codec.encode(line)
+                for frame in frames if (channel, k) not in cut else []:
+                    writer(message(frame, 1000 + k * cycle, channel))
+    return str(path)
+
+
+def test_the_state_of_each_slot_is_printed(slot_notes, tmp_path):
+    """Missing lines are counted as lost; slots without any line are not printed."""
+    path = drive(tmp_path / "cut.log", cycle=0.05, cut={("can0", 8), ("can0", 13)})
+    assert main(["decode", path]) == 0
+    (note,) = slot_notes()
+    assert note == (
+        "maplines: ego left: VALID; 18 ok, 2 lost, 0 repeated, 0 wrong sequence, 0 errors, "
+        "2 cycles without data"
+    )
+
+
+def test_the_channel_of_a_slot_is_printed(slot_notes, tmp_path):
+    """If there are several channels; the end of the log is the same time for all of them."""
+    cut = {("can1", k) for k in range(10, 20)}
+    path = drive(tmp_path / "two.log", cycle=0.05, channels=("can0", "can1"), cut=cut)
+    assert main(["decode", path, "--csv"]) == 0
+    first, second = slot_notes()
+    assert first.startswith("maplines: can0 ego left: VALID; 20 ok, 0 lost")
+    assert second.startswith("maplines: can1 ego left: INVALID; 10 ok, 0 lost")
+    assert second.endswith("9 cycles without data")
+
+
+def test_the_cycle_time_decides_how_many_cycles_are_missing(slot_notes, tmp_path):
+    """A log of 2 Hz is complete with --cycle-ms 500, and incomplete for the 20 Hz of the DBC."""
+    path = drive(tmp_path / "slow.log", cycle=0.5)
+    assert main(["decode", path, "--cycle-ms", "500"]) == 0
+    (with_cycle,) = slot_notes()
+    assert main(["decode", path]) == 0
+    (without,) = slot_notes()
+    assert with_cycle.startswith("maplines: ego left: VALID; 20 ok, 0 lost")
+    assert with_cycle.endswith(" 0 cycles without data")
+    assert not without.startswith("maplines: ego left: VALID")
+    assert without.endswith(f" {19 * 9} cycles without data")

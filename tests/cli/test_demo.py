@@ -1,0 +1,135 @@
+"""The command ``maplines demo``, for people and for machines."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from scenes import scene_lines
+
+from maplines_can import Codec, Link, Slot, Transmitter, scenario
+from maplines_can.cli import main
+from maplines_can.scenarios import SCENARIOS
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_json(capsys, fd):
+    """All lines are received, and each has its figures."""
+    arguments = ["demo", "--seconds", "0.3", "--rate", "50", "--json", *(["--fd"] if fd else [])]
+    assert main([*arguments, "--scenario", "production", "--lines", "8"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["lines_lost"], result["frames_lost"]) == (0, 0)
+    lines = result["sent"]["lines"]
+    assert lines == result["received"]["lines"] > 0
+    assert lines + result["sent"]["overruns"] == 15 * 8  # a busy machine may skip periods
+    assert result["sent"]["frames"] == lines * (1 if fd else 4)
+    assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
+    for line in result["lines"]:
+        assert line["kl_covered"] < 0.02
+        assert abs(line["lateral_error_80m"]) < 0.005
+        assert 1 <= line["sigma_80m"] / line["true_sigma_80m"] < 1.06
+
+
+def test_text_and_picture(capsys, tmp_path):
+    """The table names each line, and the picture is drawn."""
+    pytest.importorskip("matplotlib")
+    picture = tmp_path / "demo.png"
+    assert main(["demo", "--seconds", "0.2", "--map-error", "0.1", "--plot", str(picture)]) == 0
+    text = capsys.readouterr().out
+    for words in ("ego left", "next right", "KL", "at 80 m", "bus load  8.6 % at 500 kbit/s"):
+        assert words in text
+    assert re.search(r"lost +0 lines, 0 frames", text)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_each_scenario(capsys, name):
+    """No line of any scene is lost."""
+    assert main(["demo", "--seconds", "0.1", "--scenario", name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lines_lost"] == 0
+
+
+def test_bus_load(capsys):
+    """Four lines of four frames of at most 135 bits at 20 Hz and 500 kbit/s: 8.64 %."""
+    main(["demo", "--seconds", "0.1", "--json"])
+    load = json.loads(capsys.readouterr().out)["bus_load"]
+    assert load == pytest.approx(4 * 4 * 135 * 20 / 500_000)
+
+
+def test_a_mixture_is_received_as_one_line(capsys, channel):
+    """A mixture of three components is three transfers, and one line at the receiver."""
+    assert main(["demo", "--seconds", "0.2", "--components", "3", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["sent"]["frames"] == 3 * 4 * result["sent"]["lines"]
+    assert result["lines_lost"] == result["frames_lost"] == 0
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.05) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("street-turn"), 2, components=3))
+        bus = ["--interface", "virtual", "--channel", channel]
+        assert main(["receive", *bus, "--count", "2", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert row["components"] == 3
+    assert sum(row["mixture"]["weights"]) == 1
+
+
+def test_components_auto(capsys):
+    """One for an accurate pose; in a turn as many as needed, or as the bus load allows."""
+
+    def demo(name, *more):
+        command = ["demo", "--components", "auto", "--seconds", "0.1", "--rate", "50", "--json"]
+        assert main([*command, "--scenario", name, *more]) == 0
+        result = json.loads(capsys.readouterr().out)
+        return result["bus_load"], result["components"]
+
+    assert [line["components"] for line in demo("production")[1]] == [1] * 4
+    load, lines = demo("street-turn-10deg", "--max-load", "0.5")
+    assert load == pytest.approx(sum(line["components"] for line in lines) * 4 * 135 * 50 / 500_000)
+    assert 0.5 - 4 * 135 * 50 / 500_000 < load <= 0.5
+    for line in demo("street-turn-10deg", "--fd")[1]:
+        assert line["remaining_nonlinearity"] <= 0.3 < line["nonlinearity"]
+
+
+def test_the_number_of_components_is_printed(capsys, channel):
+    """By demo under each line, by send before it starts, and in the JSON of both."""
+    turn = ["--components", "auto", "--scenario", "street-turn-10deg", "--lines", "2", "--fd"]
+    assert main(["demo", "--seconds", "0.1", *turn]) == 0
+    send = ["send", "--interface", "virtual", "--channel", channel, "--rate", "50", "--count", "2"]
+    assert main([*send, *turn]) == 0
+    out, err = capsys.readouterr()
+    for text in (out, err):
+        assert "5 components, nonlinearity 0.87, 0.26 within each of them" in text
+    assert main([*send, *turn, "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [line["components"] for line in result["components"]] == [4, 5]
+    assert result["frames"] / result["lines"] > 4
+
+
+def test_the_default_scene_is_the_production_car(capsys):
+    """Its lateral sigma at 80 m is below a metre."""
+    assert main(["demo", "--seconds", "0.1", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["scenario"] == "production"
+    assert all(line["true_sigma_80m"] < 1 for line in result["lines"])
+    assert np.allclose(scenario("production").ego.sigma, [0.3, 0.1, np.radians(0.5)])
+
+
+def test_the_text_explains_itself(capsys):
+    """Both divergences and the covered target are named and explained."""
+    assert main(["demo", "--seconds", "0.1", "--lines", "1"]) == 0
+    text = capsys.readouterr().out
+    (row,) = re.findall(r"KL [\d.]+ nat from the (.*), [\d.]+ nat from the (.*)", text)
+    assert row == ("covered target", "sent Gaussian")
+    assert "KL: Kullback-Leibler divergence" in text
+    assert "covered target: the sent Gaussian" in text
+
+
+def test_nonlinearity_is_printed_for_mixtures_only(capsys):
+    """It is explained there, and says little about a single Gaussian."""
+    assert main(["demo", "--seconds", "0.1"]) == 0
+    assert "nonlinearity" not in capsys.readouterr().out
+    assert main(["demo", "--seconds", "0.1", "--components", "2"]) == 0
+    text = capsys.readouterr().out
+    assert "2 components, nonlinearity" in text
+    assert "\nnonlinearity: share" in text

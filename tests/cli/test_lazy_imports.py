@@ -1,0 +1,131 @@
+"""A command imports only what it runs; asserted by the loaded modules, never by time."""
+
+import ast
+import json
+import subprocess
+import sys
+from itertools import chain
+from pathlib import Path
+
+import can
+import pytest
+from scenes import scene_lines
+
+import maplines_can
+from maplines_can import Codec, scenario
+
+SHOW = "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
+MAIN = "from maplines_can.cli import main\ntry: main({})\nexcept SystemExit: pass"
+
+
+def modules_after(code):
+    """Return the modules that a fresh interpreter has loaded after some code."""
+    done = subprocess.run(
+        [sys.executable, "-c", code + SHOW], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def among(modules, *packages):
+    """Return the modules of some packages."""
+    return [m for m in modules if any(f"{m}.".startswith(f"{package}.") for package in packages)]
+
+
+STUDY = ("maplines_can.study", "maplines_can.testing", "matplotlib", "scipy.stats", "pyarrow")
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A log of 4 lines."""
+    path = tmp_path / "drive.log"
+    with can.Logger(path) as writer:
+        for line in scene_lines(scenario("production")):
+            for frame in Codec.from_dbc().encode(line):
+                writer(can.Message(1.0, frame.can_id, is_extended_id=False, data=frame.data))
+    return path
+
+
+def test_the_package_imports_names_when_they_are_used():
+    """Before that it has loaded no package but itself."""
+    modules = modules_after("import maplines_can")
+    assert among(modules, "maplines_can") == ["maplines_can"]
+    assert not among(modules, "numpy", "can", "cantools", "scipy")
+
+
+def test_all_names_of_the_package_load_nothing_of_the_study():
+    """The product does not need it."""
+    modules = modules_after("from maplines_can import *")
+    assert among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
+    assert not among(modules, *STUDY, "tqdm", "cryptography", "asammdf")
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"], ["study", "--help"]])
+def test_help_loads_nothing(words):
+    """Names and one line of help are in a table."""
+    modules = modules_after(MAIN.format(words))
+    assert not among(modules, "numpy", "can", "cantools", *STUDY)
+    assert not among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
+
+
+@pytest.mark.parametrize("name", ["receive", "decode", "send"])
+def test_help_of_a_command_loads_nothing_of_the_study(name):
+    """Nor does it load other commands."""
+    modules = modules_after(MAIN.format([name, "--help"]))
+    assert f"maplines_can.cli.{name}" in modules
+    assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.accuracy")
+
+
+def test_a_receiver_loads_no_estimation_and_no_study():
+    """Receiving for a short time, on a silent bus."""
+    bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
+    modules = modules_after(MAIN.format(["receive", *bus]))
+    assert "maplines_can.bus.receiver" in modules
+    assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
+
+
+def test_decoding_loads_no_estimation_and_no_study(log):
+    """Decoding a log with lines."""
+    modules = modules_after(MAIN.format(["decode", str(log)]))
+    assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
+
+
+def test_sending_loads_nothing_of_the_study():
+    """Sending a line."""
+    bus = ["--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
+    assert not among(modules_after(MAIN.format(["send", *bus])), *STUDY)
+
+
+def test_only_faults_load_the_fault_injection():
+    """The receiver of the test above loads none."""
+    bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
+    modules = modules_after(MAIN.format(["receive", *bus, "--faults", "loss=0.5"]))
+    assert "maplines_can.testing" in modules
+    assert not among(modules, "maplines_can.study")
+
+
+@pytest.mark.parametrize("name", maplines_can.__all__)
+def test_every_exported_name_is_there(name):
+    """Each is found, and is listed by dir()."""
+    assert getattr(maplines_can, name) is not None
+    assert name in dir(maplines_can)
+
+
+def test_the_lists_of_exported_names_are_the_same():
+    """Names in __all__, names by module, and what a type checker reads."""
+    (block,) = (
+        node
+        for node in ast.parse(Path(maplines_can.__file__).read_text()).body
+        if isinstance(node, ast.If)
+    )
+    typed = {node.module: [alias.name for alias in node.names] for node in block.body}
+    assert typed == maplines_can._EXPORTS
+    assert sorted(chain(*typed.values())) == sorted(maplines_can.__all__)
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    """As of any module."""
+    with pytest.raises(AttributeError, match="module 'maplines_can' has no attribute 'nothing'"):
+        _ = maplines_can.nothing
+    with pytest.raises(ImportError, match="nothing"):
+        from maplines_can import nothing  # noqa: F401

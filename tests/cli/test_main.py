@@ -1,0 +1,164 @@
+"""The command line as a whole: help, usage, errors and how it ends."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import maplines_can
+from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
+
+ROOT = Path(__file__).parents[2]
+ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]
+
+
+def help_of(capsys, *words):
+    with pytest.raises(SystemExit, match="0"):
+        main([*words, "--help"])
+    return capsys.readouterr().out
+
+
+def test_help_lists_every_command(capsys):
+    """Each command has a line of help, and so have the commands of the study."""
+    top, study = help_of(capsys), help_of(capsys, "study")
+    for text, table in ((top, COMMANDS), (study, STUDY_COMMANDS)):
+        for name, (_, about) in table.items():
+            assert f"\n    {name}" in text
+            assert about in text
+    assert "\n    study " in top
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_help_of_a_command_has_an_example(capsys, name):
+    """Each command describes itself and gives an example."""
+    text = help_of(capsys, *name.split())
+    assert text.startswith(f"usage: maplines {name} ")
+    assert "example" in text
+    assert f"maplines {name} " in text.split("example")[1]
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_help_states_defaults_once_and_none_that_is_not_one(capsys, name):
+    """No option says that its default is None or False."""
+    text = " ".join(help_of(capsys, *name.split()).split())
+    assert "default: None" not in text
+    assert "default: False" not in text
+    assert ") (default" not in text
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, "study"])
+def test_every_command_is_in_the_readme(name):
+    """README shows each command at least once."""
+    assert f"maplines {name}" in (ROOT / "README.md").read_text()
+
+
+def test_version(capsys):
+    """It is the version of the package."""
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out == f"maplines {maplines_can.__version__}\n"
+
+
+@pytest.mark.parametrize("module", ["maplines_can", "maplines_can.cli"])
+def test_the_command_runs_as_a_module(module):
+    """python -m maplines_can is maplines."""
+    command = [sys.executable, "-m", module, "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"maplines {maplines_can.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        pytest.param(["decode", "nowhere.log"], "no such file", id="no-log"),
+        pytest.param(["decode", "pyproject.toml"], "format '.toml' is unknown", id="format"),
+        pytest.param(["demo", "--dbc", "nowhere.dbc"], "nowhere.dbc", id="no-dbc"),
+        pytest.param(["demo", "--seconds", "0.1", "--plot", "/nowhere/a.png"], "/nowhere/a.png",
+                     id="no-folder"),
+        pytest.param(["demo", "--seconds", "0.1", "--plot", "a.xyz"], "xyz", id="no-such-format"),
+        pytest.param(["send", "--interface", "socketcan", "--channel", "nocan9"], "nocan9",
+                     id="no-interface"),
+        pytest.param(["receive", "--interface", "warp"], "warp", id="no-such-driver"),
+        pytest.param(["demo", "--components", "auto", "--max-load", "0.08"],
+                     "4 lines with 4 components take 8.64 % of the bus", id="too-little-bus"),
+    ],
+)  # fmt: skip
+def test_errors_are_one_clear_line(capsys, arguments, words):
+    """Nonzero status, one line on standard error that names the thing, no traceback."""
+    assert main(arguments) == 1
+    err = capsys.readouterr().err
+    assert words in err
+    assert "Traceback" not in err
+    assert len([row for row in err.splitlines() if "error" in row]) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        pytest.param(["receive"], "--interface and --channel", id="no-interface"),
+        pytest.param(["receive", "--interface", "socketcan"], "--channel can0", id="no-channel"),
+    ],
+)
+def test_errors_name_options_and_not_python_arguments(capsys, monkeypatch, arguments, words):
+    """The user of the command cannot pass interface=..."""
+    for variable in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
+        monkeypatch.delenv(variable, raising=False)
+    assert main(arguments) == 1
+    err = capsys.readouterr().err
+    assert words in err
+    assert "interface=" not in err
+    assert "channel=" not in err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["demo", "--scenario", "moon"],
+        ["demo", "--rate", "0"],
+        ["demo", "--lines", "9"],
+        ["demo", "--components", "9"],
+        ["demo", "--max-load", "0"],
+        ["send", "--components", "all"],
+        ["send", "--count", "-1"],
+        ["receive", "--cycle-ms", "0.5"],
+        ["decode", "--cycle-ms", "nan", "drive.log"],
+        ["study"],
+        ["study", "fly"],
+        ["fly"],
+        [],
+    ],
+)
+def test_wrong_usage_is_status_2(capsys, arguments):
+    """argparse says what is allowed."""
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "usage: maplines" in capsys.readouterr().err
+
+
+def test_an_unknown_command_is_answered_with_the_known_ones(capsys):
+    """All of them, although their modules are not loaded."""
+    with pytest.raises(SystemExit, match="2"):
+        main(["fly"])
+    err = capsys.readouterr().err
+    assert all(f"'{name}'" in err for name in [*COMMANDS, "study"])
+
+
+def test_interrupt_ends_cleanly():
+    """SIGINT to a sender: the counters, status 0, no traceback."""
+    script = (
+        "import os, signal, threading, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
+        "from maplines_can.cli import main\n"
+        "from maplines_can.bus import Link\n"
+        "threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
+        "bus = ['--interface', 'virtual', '--channel', 'x']\n"
+        "raise SystemExit(main(['send', *bus, '--rate', '100']))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=30
+    )
+    assert done.returncode == 0, done.stderr
+    assert "sent" in done.stdout
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,50 @@
+"""The command ``maplines receive``."""
+
+import json
+
+from scenes import scene_lines
+
+from maplines_can import Codec, Link, Transmitter, scenario
+from maplines_can.cli import main
+
+
+def test_lines_are_printed_until_the_count(capsys, channel):
+    """JSON lines on standard output, the counters on standard error."""
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.02) as transmitter,
+    ):
+        for line in scene_lines(scenario("highway")):
+            transmitter.publish(line)
+        bus = ["--interface", "virtual", "--channel", channel]
+        assert main(["receive", *bus, "--count", "8", "--json"]) == 0
+        assert main(["receive", *bus, "--count", "2"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(row) for row in out.splitlines()[:8]]
+    assert {row["slot"] for row in rows} == {"EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"}
+    assert rows[0]["status"] == "FULL"
+    assert "y_off" in out.splitlines()[8]
+    assert "0 lines lost" in err
+
+
+def test_a_silent_bus_ends_it_after_the_timeout(capsys, channel):
+    """The status is 1 if fewer lines arrived than --count."""
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--count", "1", "--timeout", "0.05"]) == 1
+    assert "nothing received for 0.05 s" in capsys.readouterr().err
+
+
+def test_the_cycle_time_decides_whether_a_slot_is_valid(slot_notes, channel):
+    """The slot of a slow sender is VALID with --cycle-ms and not VALID without it."""
+    bus = ["--interface", "virtual", "--channel", channel]
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.2) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("highway"), 1))
+        assert main(["receive", *bus, "--count", "8", "--cycle-ms", "200"]) == 0
+        (with_cycle,) = slot_notes()
+        assert main(["receive", *bus, "--count", "4"]) == 0
+        (without,) = slot_notes()
+    assert with_cycle.startswith("maplines: ego left: VALID; 8 ok, 0 lost")
+    assert not without.startswith("maplines: ego left: VALID")

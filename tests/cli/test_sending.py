@@ -1,0 +1,69 @@
+"""Numbers of mixture components within a bus load."""
+
+from itertools import chain
+
+import pytest
+from dbcs import default_codec
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import scene_lines
+
+from maplines_can import Slot, scenario
+from maplines_can.bus import bus_load
+from maplines_can.cli.sending import MAX_LOAD, choose_components
+
+
+@given(
+    st.sampled_from(["production", "street-turn-10deg"]),
+    st.integers(1, 8),
+    st.floats(1, 100),
+    st.booleans(),
+    st.floats(0.01, 1),
+)
+def test_the_bus_load_stays_within_its_limit(name, lines, rate, fd, max_load):
+    """If one component for each line exceeds the limit, an error says so."""
+    codec, scene = default_codec(), scenario(name)
+    one_each = codec.encode_lines(scene_lines(scene, lines), fd=fd)
+    if bus_load(chain(*one_each), 1 / rate, 5e5, 2e6) > max_load:
+        with pytest.raises(ValueError, match=f"{100 * max_load:g} % are allowed"):
+            choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
+        return
+    chosen = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
+    sent = scene_lines(scene, lines, components=[line.components for line in chosen])
+    assert bus_load(chain(*codec.encode_lines(sent, fd=fd)), 1 / rate, 5e5, 2e6) <= max_load * (
+        1 + 1e-9
+    )
+
+
+def test_one_component_each_may_exceed_the_limit():
+    """Four transfers of 4 x 135 bits at 20 Hz and 500 kbit/s take 8.64 %."""
+    scene, codec = scenario("highway"), default_codec()
+    with pytest.raises(
+        ValueError, match=r"4 lines with 4 components take 8.64 % .* 8 % are allowed; use fewer"
+    ):
+        choose_components(scene, codec, max_load=0.08)
+    chosen = choose_components(scene, codec, max_load=0.0864)
+    assert [line.components for line in chosen] == [1] * 4
+
+
+def test_a_fixed_number_has_no_limit_by_default():
+    """A number of components is used as it is unless ``max_load`` is given."""
+    scene, codec = scenario("highway"), default_codec()
+    chosen = choose_components(scene, codec, components=8)
+    assert [line.components for line in chosen] == [8] * 4
+    with pytest.raises(ValueError, match=r"4 lines with 32 components take 69.1 %"):
+        choose_components(scene, codec, components=8, max_load=MAX_LOAD)
+
+
+def test_can_fd_allows_more_components():
+    """On CAN FD each line of a turn gets what it needs; classic CAN has no room for that."""
+    scene, codec = scenario("street-turn-10deg"), default_codec()
+    classic, fd = (
+        {line.slot: line.components for line in choose_components(scene, codec, fd=fd)}
+        for fd in (False, True)
+    )
+    assert sum(classic.values()) == 13
+    assert sum(fd.values()) > 13
+    assert fd[Slot.EGO_RIGHT.name] == 5
+    assert all(classic[slot] <= fd[slot] for slot in fd)
+    assert all(line.components == 1 for line in choose_components(scenario("production"), codec))

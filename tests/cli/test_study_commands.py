@@ -1,0 +1,37 @@
+"""The commands ``accuracy``, ``figures`` and ``scenarios``."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+from maplines_can.cli import main
+from maplines_can.scenarios import SCENARIOS
+
+
+def test_figures_are_written_to_the_folder(capsys, tmp_path):
+    """Every figure is there in both formats; other tests check what they show."""
+    pytest.importorskip("matplotlib")
+    assert main(["figures", "--out", str(tmp_path), "--samples", "1000", "--json"]) == 0
+    paths = json.loads(capsys.readouterr().out)
+    assert {Path(path).suffix for path in paths} == {".png", ".svg"}
+    assert all(Path(path).stat().st_size for path in paths)
+
+
+def test_accuracy_as_csv(capsys):
+    """There is a row for each representation, before and after the bus."""
+    arguments = ["accuracy", "--scenario", "production", "--samples", "20000", "--format", "csv"]
+    assert main(arguments) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert {row["wire"] for row in rows} == {"before", "after"}
+    assert len(rows) >= 2 * 6
+
+
+def test_scenarios_are_listed(capsys):
+    """By name, as text and as JSON."""
+    assert main(["scenarios"]) == 0
+    text = capsys.readouterr().out
+    assert all(name in text for name in SCENARIOS)
+    assert main(["scenarios", "--json"]) == 0
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == list(SCENARIOS)

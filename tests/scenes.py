@@ -1,0 +1,8 @@
+"""Lines of example scenes, for tests."""
+
+from maplines_can import map_lines
+
+
+def scene_lines(scene, lines=4, **settings):
+    """Return the first lines of a scene as ``map_lines`` does, with its settings."""
+    return map_lines(scene.lines[:lines], scene.ego, scene.window, **settings)

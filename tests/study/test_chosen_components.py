@@ -1,0 +1,36 @@
+"""False positives of the numbers of components that are chosen by nonlinearity."""
+
+import pytest
+
+from maplines_can import MonteCarlo, Refit, scenario
+from maplines_can.propagation import Mixture, component_counts, nonlinearity
+from maplines_can.study.accuracy.approximations import Approximation
+from maplines_can.study.accuracy.evaluation import judged, truth_of
+
+
+@pytest.mark.filterwarnings("ignore:.* draws are ill-posed")
+@pytest.mark.parametrize(
+    ("name", "parts", "before", "after"),
+    [
+        pytest.param("production", 1, 0.02, 0.02, id="production"),
+        pytest.param("street-turn", 1, 0.04, 0.04, id="street-turn"),
+        pytest.param("street-turn-10deg", 5, 0.14, 0.05, id="street-turn-10deg"),
+        pytest.param("highway", 5, 0.43, 0.10, id="highway"),
+        pytest.param("highway-10deg", 5, 0.43, 0.11, id="highway-10deg"),
+    ],
+)
+def test_false_positives_of_the_chosen_components(name, parts, before, after):
+    """One component stays where it is good enough; in the other scenes most false positives go."""
+    scene = scenario(name)
+    refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
+    truth = truth_of(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
+
+    def false_positives(k):
+        mixture = Approximation(*Mixture(k).moments(refit, scene.ego))
+        return judged(truth, mixture, (name, str(k), "before")).false_positives
+
+    (k,) = component_counts([nonlinearity(refit, scene.ego).amount])
+    assert k == parts
+    assert false_positives(k) < after
+    if k > 1:
+        assert false_positives(1) > before
