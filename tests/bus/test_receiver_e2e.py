@@ -1,16 +1,13 @@
 """The E2E state of a slot at a receiver on a bus."""
 
-import re
 import threading
 import time
-from pathlib import Path
 
 import can
 import pytest
 from dbcs import default_codec
 from e2e_streams import MS, SLOT, frames
 
-import maplines_can as ml
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent
 from maplines_can.wire import E2EState
@@ -80,18 +77,3 @@ def test_time_goes_by_the_clock_of_the_frames(links):
         view = receiver.latest(SLOT)
         assert 0 <= view.age - view.line.age < 20.0
         assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale
-
-
-def test_the_snippet_of_the_readme_runs(links, capsys):
-    """On the in-process bus, with a sender beside it."""
-    readme = (Path(__file__).parents[2] / "README.md").read_text()
-    (code,) = (c for c in re.findall(r"```python\n(.*?)```", readme, re.S) if "latest(" in c)
-    channel = links[0].name.split()[1]
-    socketcan = 'interface="socketcan", channel="vcan0"'
-    assert socketcan in code
-    code = code.replace(socketcan, f'interface="virtual", channel="{channel}"')
-    codec = Codec.from_dbc()
-    with Transmitter(links[0], codec, period=0.02) as transmitter:
-        transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
-        exec(code, {"ml": ml, "codec": codec})  # noqa: S102
-    assert "VALID" in capsys.readouterr().out

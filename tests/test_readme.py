@@ -1,0 +1,42 @@
+"""The pages: their Python examples run and print what is shown, and their links lead somewhere."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("dbc/*.md")])
+#: A block of Python, and the block of text right after it, if there is one: its output.
+EXAMPLE = re.compile(r"(?ms)^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?")
+CODE = re.compile(r"(?ms)^```.*?^```|`[^`\n]*`")
+LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
+def test_examples_run_and_print_what_the_page_shows(page, capsys, monkeypatch, tmp_path):
+    """The examples of a page continue each other; they need neither hardware nor other files."""
+    monkeypatch.chdir(tmp_path)
+    examples = EXAMPLE.findall((ROOT / page).read_text(encoding="utf-8"))
+    namespace = {}
+
+    assert examples
+    for code, output in examples:
+        exec(compile(code, page, "exec"), namespace)  # noqa: S102 - our own page
+        assert capsys.readouterr().out == output
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_to_files_and_headings(page):
+    """Every relative link has its file, and every fragment a heading there."""
+    for path, fragment in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
+        target = (page.parent / path).resolve() if path else page
+
+        assert target.exists(), f"{page.name}: {path}"
+        assert not fragment or fragment in anchors(target), f"{page.name}: {path}#{fragment}"
+
+
+def anchors(page):
+    """Anchors of the headings of a page, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
