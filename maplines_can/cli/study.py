@@ -77,7 +77,12 @@ def add_study(subparsers: Any, bar: Bar) -> Any:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--out", required=True, metavar="DIR", help="directory of the tables and of the results so far")
+    add(
+        "--out",
+        required=True,
+        metavar="DIR",
+        help="directory of the tables and of the results so far",
+    )
     add(
         "--set",
         action="append",
@@ -104,7 +109,9 @@ def add_study(subparsers: Any, bar: Bar) -> Any:
         "--n", type=number(int, 1, 10**12), help="Gaussians of each drawn set; 1 000 000 by default"
     )
     add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the draws; 0 by default")
-    add("--chunk", type=number(int, 100, 10**6), default=10_000, help="Gaussians in a chunk; 10 000")
+    add(
+        "--chunk", type=number(int, 100, 10**6), default=10_000, help="Gaussians in a chunk; 10 000"
+    )
     add("--jobs", type=number(int, 1, 1024), help="processes; one per processor by default")
     add("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
     add("--map", metavar="FILE", help="CSV of the lines that poses see")

@@ -86,7 +86,10 @@ def _client(distributed: Any, jobs: int, address: str) -> Iterator[Any]:
     if not address:
         with _interrupts_blocked():
             cluster = distributed.LocalCluster(
-                n_workers=jobs, threads_per_worker=1, memory_limit=0, dashboard_address=None
+                n_workers=jobs,
+                threads_per_worker=1,
+                memory_limit=0,
+                dashboard_address="127.0.0.1:0",
             )
         with cluster, distributed.Client(cluster) as client:
             yield client
