@@ -161,7 +161,7 @@ def _lines(
             sets_of(arguments.lines, arguments.n, arguments.seed + HELD_OUT_SEED),
         )
     own = line_set(arguments.lines)
-    chunks = [chunk.gaussians() for chunk in own.chunks(arguments.n, 10_000, arguments.seed)]
+    chunks = [chunk() for chunk in own.chunks(arguments.n, 10_000, arguments.seed)]
     means, covs = (np.concatenate(parts) for parts in zip(*chunks, strict=True))
     return {own.name: Gaussians(means, covs)}, None
 

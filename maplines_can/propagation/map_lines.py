@@ -9,7 +9,7 @@ from ..gaussian import Gaussian
 from ..line import Kind, MapLine, Slot
 from ..mixture import GaussianMixture
 from ..polyline import Polyline
-from .mixture import Mixture
+from .splitting import Mixture
 from .refit import MapError, Refit
 from .sigma_points import SigmaPoints
 from .transform import Transform

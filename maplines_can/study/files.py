@@ -1,12 +1,14 @@
-"""A user's own Gaussians, poses and map: read piece by piece, and checked before a study begins.
+"""Gaussians, poses and maps in a user's own files, checked before a study begins.
 
 Gaussians of lines (y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]) and of poses (e_x [m], e_y [m],
-e_h [rad]) come in one form, with 4 numbers or with 3:
+e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 
 - ``.npz``: arrays ``mean`` (N, d) and ``cov`` (N, d, d), or (N, d (d + 1) / 2) with the upper
   triangles row by row;
-- ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., the upper triangle
-  at least. A CSV names its columns in the first line.
+- ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., at least those of
+  the upper triangle. The first line of a CSV names its columns.
+
+Tables are read in blocks, the arrays of an ``.npz`` as a whole.
 
 The lines of a map are a CSV with the columns ``line``, ``x`` and ``y`` [m]: points in their order,
 those of a line next to each other.
@@ -14,14 +16,14 @@ those of a line next to each other.
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import zipfile
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,15 +36,14 @@ __all__ = ["GaussianFile", "arrow", "read_map"]
 
 Array = NDArray[np.float64]
 
-#: Rows read at a time where a file is checked.
+#: Rows read at a time when a file is checked.
 BLOCK = 50_000
-SUFFIXES = (".npz", ".csv", ".parquet")
-#: Rounding to expect of what a user's own program wrote, relative.
+#: Relative rounding to expect of the program that wrote a file.
 ROUNDING = 1e-6
 
 
 def arrow() -> Any:
-    """The package ``pyarrow``, with ``pyarrow.parquet``.
+    """Return the package ``pyarrow``, with ``pyarrow.parquet``.
 
     Raises:
         MissingExtraError: it is not installed.
@@ -58,30 +59,23 @@ def arrow() -> Any:
 
 @dataclass(frozen=True)
 class GaussianFile:
-    """A file of Gaussians, checked; see the head of this module for the forms.
-
-    Args:
-        path: .npz, .csv or .parquet.
-        dimension: 4 of lines, 3 of poses.
-        rows: how many.
-        sha256: of the bytes.
-    """
+    """A file of Gaussians that has been checked; see the head of this module for the forms."""
 
     path: Path
-    dimension: Literal[3, 4]
+    dimension: Literal[3, 4]  #: 4 for lines, 3 for poses
     rows: int
     sha256: str
 
     @classmethod
     def opened(cls, path: Path) -> GaussianFile:
-        """Read the file once, to check it.
+        """Read the file once and check it.
 
         Raises:
-            StudyError: a column is missing, or a row is no Gaussian; which one is told.
+            StudyError: the file cannot be read, a column is missing, or a row is not a Gaussian.
         """
-        if path.suffix.lower() not in SUFFIXES:
-            raise StudyError(f"{path}: a file is one of {', '.join(SUFFIXES)}")
-        rows, dimension = 0, 0
+        if path.suffix.lower() not in _READERS:
+            raise StudyError(f"{path}: a file is one of {', '.join(_READERS)}")
+        rows = dimension = 0
         for mean, cov in _blocks(path, BLOCK):
             dimension = mean.shape[1]
             _check(path, rows, mean, cov)
@@ -91,9 +85,9 @@ class GaussianFile:
         return cls(path, 4 if dimension == 4 else 3, rows, _sha256(path))
 
     def blocks(self, size: int) -> Iterator[tuple[Array, Array]]:
-        """(n, d) means and (n, d, d) covariances, up to so many rows at a time.
+        """Yield (n, d) means and (n, d, d) covariances, at most ``size`` rows at a time.
 
-        What rounding in the file made of singular matrices is made good.
+        Covariances that rounding in the file has made slightly indefinite are repaired.
         """
         for mean, cov in _blocks(self.path, size):
             cov = (cov + cov.transpose(0, 2, 1)) / 2
@@ -103,54 +97,50 @@ class GaussianFile:
 
 
 def read_map(path: Path) -> tuple[tuple[Polyline, ...], str]:
-    """The lines of a map and the file's SHA-256.
+    """Return the lines of a map and the SHA-256 of its file.
 
     Raises:
-        StudyError: the file is no such map.
+        StudyError: the file is not such a map.
     """
-    names: list[str] = []
-    points: list[list[tuple[float, float]]] = []
+    lines: dict[str, list[tuple[float, float]]] = {}
+    last = None
     try:
-        with path.open(encoding="utf-8") as file:
-            columns = [name.strip() for name in file.readline().split(",")]
-            missing = {"line", "x", "y"} - set(columns)
-            if missing:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = csv.DictReader(file, skipinitialspace=True)
+            columns = [name.strip() for name in rows.fieldnames or ()]
+            if missing := {"line", "x", "y"} - set(columns):
                 raise StudyError(
                     f"{path}: a map has the columns line, x and y; "
                     f"there is no {', '.join(sorted(missing))}"
                 )
-            places = [columns.index(name) for name in ("line", "x", "y")]
-            for number, text in enumerate(file, 2):
-                if not text.strip():
-                    continue
-                values = text.split(",")
+            rows.fieldnames = columns
+            for row in rows:
+                if not any(row.values()):
+                    continue  # a blank line
+                where = f"{path}: line {rows.line_num}"
                 try:
-                    name, x, y = (values[place].strip() for place in places)
-                    point = float(x), float(y)
-                except (ValueError, IndexError):
+                    name, point = row["line"].strip(), (float(row["x"]), float(row["y"]))
+                except (AttributeError, TypeError, ValueError):
+                    values = ",".join(str(value) for value in row.values() if value is not None)
+                    raise StudyError(f"{where}: {values!r} is not a point of a map") from None
+                if name != last and name in lines:
                     raise StudyError(
-                        f"{path}: line {number}: {text.strip()!r} is no point of a map"
-                    ) from None
-                if not names or name != names[-1]:
-                    if name in names:
-                        raise StudyError(
-                            f"{path}: line {number}: {name!r} has points at two places; put "
-                            "the points of a line next to each other"
-                        )
-                    names.append(name)
-                    points.append([])
-                points[-1].append(point)
-    except (OSError, UnicodeDecodeError) as error:
+                        f"{where}: {name!r} has points at two places; put the points of a line "
+                        "next to each other"
+                    )
+                lines.setdefault(name, []).append(point)
+                last = name
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
-    if not names:
+    if not lines:
         raise StudyError(f"{path}: has no points")
-    lines = []
-    for name, of_line in zip(names, points, strict=True):
+    polylines = []
+    for name, points in lines.items():
         try:
-            lines.append(Polyline(np.array(of_line)))
+            polylines.append(Polyline(np.array(points)))
         except ValueError as error:
             raise StudyError(f"{path}: line {name!r}: {error}") from None
-    return tuple(lines), _sha256(path)
+    return tuple(polylines), _sha256(path)
 
 
 def _sha256(path: Path) -> str:
@@ -159,15 +149,7 @@ def _sha256(path: Path) -> str:
 
 
 def _check(path: Path, first: int, mean: Array, cov: Array) -> None:
-    """Refuse what is no Gaussian.
-
-    Args:
-        path: of the file.
-        first: number of the first row.
-        mean: (n, d).
-        cov: (n, d, d).
-    """
-    variances = np.einsum("nii->ni", cov)
+    """Raise ``StudyError`` for rows, numbered from ``first``, that are not Gaussians."""
 
     def refuse(bad: NDArray[np.bool_], what: str) -> None:
         if bad.any():
@@ -179,85 +161,47 @@ def _check(path: Path, first: int, mean: Array, cov: Array) -> None:
 
     finite = np.isfinite(mean).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
     refuse(np.asarray(~finite), "has a number that is not finite")
-    refuse(np.asarray((variances < 0).any(axis=1)), "has a negative variance")
+    refuse((np.einsum("nii->ni", cov) < 0).any(axis=1), "has a negative variance")
     refuse(asymmetric(cov, ROUNDING), "has a covariance that is not symmetric")
     refuse(indefinite(cov, ROUNDING), "has a covariance that is not positive semidefinite")
 
 
 def _blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
-    readers = {".npz": _npz_blocks, ".csv": _csv_blocks, ".parquet": _parquet_blocks}
     try:
-        yield from readers[path.suffix.lower()](path, size)
+        yield from _READERS[path.suffix.lower()](path, size)
     except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
 
 
 def _npz_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
-    """Rows of the two arrays, without ever holding all of them."""
-    with ExitStack() as stack:
-        archive = stack.enter_context(zipfile.ZipFile(path))
-        missing = {"mean.npy", "cov.npy"} - set(archive.namelist())
-        if missing:
+    with zipfile.ZipFile(path), np.load(path) as archive:  # np.load takes other files too
+        if missing := {"mean", "cov"} - set(archive.files):
             raise StudyError(
-                f"{path}: needs the arrays mean and cov; there is no "
-                f"{', '.join(sorted(name.removesuffix('.npy') for name in missing))}"
+                f"{path}: holds the arrays mean and cov; there is no {', '.join(sorted(missing))}"
             )
-        mean_rows, cov_rows = (
-            _NpyRows(path, stack.enter_context(archive.open(f"{name}.npy")))
-            for name in ("mean", "cov")
-        )
-        n, d = mean_rows.shape if len(mean_rows.shape) == 2 else (0, 0)
-        if d not in (3, 4) or cov_rows.shape not in ((n, d, d), (n, d * (d + 1) // 2)):
-            raise StudyError(
-                f"{path}: mean must have shape (N, 4) of lines or (N, 3) of poses, and cov "
-                f"(N, d, d) or the upper triangles (N, d (d + 1) / 2); got {mean_rows.shape} and "
-                f"{cov_rows.shape}"
-            )
-        for start in range(0, n, size):
-            count = min(size, n - start)
-            mean, cov = mean_rows.take(count), cov_rows.take(count)
-            yield mean, cov if cov.ndim == 3 else _full(cov, d)
-
-
-class _NpyRows:
-    """The rows of an array in a file, in their order.
-
-    An array that is stored by columns is read as a whole.
-    """
-
-    def __init__(self, path: Path, file: IO[bytes]) -> None:
-        form = np.lib.format
         try:
-            major, _ = form.read_magic(file)
-            read_header = form.read_array_header_1_0 if major == 1 else form.read_array_header_2_0
-            self.shape, by_columns, self._type = read_header(file)
+            mean, cov = archive["mean"], archive["cov"]
         except ValueError as error:
-            raise StudyError(f"{path}: is no archive of numpy arrays: {error}") from error
-        if self._type.kind not in "fiu":
-            raise StudyError(f"{path}: needs arrays of numbers, got {self._type}")
-        self._file = file
-        self._whole = self._read(self.shape[::-1]).T if by_columns else None
-        self._next = 0
-
-    def take(self, count: int) -> Array:
-        """(count, ...) the next rows."""
-        self._next += count
-        if self._whole is not None:
-            return self._whole[self._next - count : self._next]
-        return self._read((count, *self.shape[1:]))
-
-    def _read(self, shape: tuple[int, ...]) -> Array:
-        size = int(np.prod(shape)) * self._type.itemsize
-        data = self._file.read(size)
-        if len(data) < size:
-            raise EOFError("it ends in the middle of an array")
-        return np.frombuffer(data, dtype=self._type).reshape(shape).astype(float)
+            raise StudyError(f"{path}: cannot be read: {error}") from error
+    for array in (mean, cov):
+        if array.dtype.kind not in "fiu":
+            raise StudyError(f"{path}: needs arrays of numbers, got {array.dtype}")
+    n, d = mean.shape if mean.ndim == 2 else (0, 0)
+    if d not in (3, 4) or cov.shape not in ((n, d, d), (n, d * (d + 1) // 2)):
+        raise StudyError(
+            f"{path}: mean must have shape (N, 4) of lines or (N, 3) of poses, and cov (N, d, d) "
+            f"or the upper triangles (N, d (d + 1) / 2); got {mean.shape} and {cov.shape}"
+        )
+    for start in range(0, n, size):
+        rows = slice(start, start + size)
+        yield mean[rows].astype(float), _squares(cov[rows].astype(float), d)
 
 
 def _csv_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     with path.open(encoding="utf-8-sig") as file:
         columns = [name.strip() for name in file.readline().split(",")]
-        form = _Columns(path, columns)
+        d, names = _columns(path, columns)
+        places = [columns.index(name) for name in names]
         first = 0
         while rows := list(islice(file, size)):
             try:
@@ -271,7 +215,8 @@ def _csv_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
                     f"{path}: the first line names {len(columns)} columns, but row {first} has "
                     f"{table.shape[1]}"
                 )
-            yield form.split(dict(zip(columns, table.T, strict=True)))
+            values = table[:, places]
+            yield values[:, :d], _squares(values[:, d:], d)
             first += len(rows)
 
 
@@ -279,55 +224,43 @@ def _parquet_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     pa = arrow()
     try:
         with pa.parquet.ParquetFile(path) as file:
-            form = _Columns(path, list(file.schema_arrow.names))
-            for batch in file.iter_batches(batch_size=size, columns=form.names):
-                yield form.split(
-                    {
-                        name: batch.column(name).to_numpy(zero_copy_only=False).astype(float)
-                        for name in form.names
-                    }
-                )
+            d, names = _columns(path, file.schema_arrow.names)
+            for batch in file.iter_batches(batch_size=size, columns=names):
+                columns = (batch.column(name).to_numpy(zero_copy_only=False) for name in names)
+                values = np.stack([column.astype(float) for column in columns], axis=-1)
+                yield values[:, :d], _squares(values[:, d:], d)
     except (pa.ArrowException, ValueError) as error:
         if isinstance(error, StudyError):
             raise
         raise StudyError(f"{path}: cannot be read: {error}") from error
 
 
-class _Columns:
-    """Which columns of a table hold means and covariances.
+_READERS = {".npz": _npz_blocks, ".csv": _csv_blocks, ".parquet": _parquet_blocks}
+
+
+def _columns(path: Path, columns: Sequence[str]) -> tuple[int, list[str]]:
+    """Return d, and the columns of a table that hold means and covariances.
 
     Raises:
-        StudyError: one is missing.
+        StudyError: a column is missing.
     """
-
-    def __init__(self, path: Path, columns: list[str]) -> None:
-        d = 4 if "mean_3" in columns else 3
-        pairs = [(i, j) for i in range(d) for j in range(i, d)]
-        self.means = [f"mean_{i}" for i in range(d)]
-        self.upper = [f"cov_{i}{j}" for i, j in pairs]
-        lower = [f"cov_{j}{i}" for i, j in pairs if i != j]
-        missing = [name for name in (*self.means, *self.upper) if name not in columns]
-        if missing:
-            raise StudyError(
-                f"{path}: a table has the columns mean_0 .. mean_{d - 1} and cov_00, cov_01 .. "
-                f"cov_{d - 1}{d - 1}; there is no {', '.join(missing)}"
-            )
-        self.whole = all(name in columns for name in lower)
-        every = [f"cov_{i}{j}" for i in range(d) for j in range(d)]
-        self.names = [*self.means, *(every if self.whole else self.upper)]
-        self._covs = every if self.whole else self.upper
-
-    def split(self, table: dict[str, Array]) -> tuple[Array, Array]:
-        """(n, d) means and (n, d, d) covariances of a table."""
-        d = len(self.means)
-        mean = np.stack([table[name] for name in self.means], axis=-1)
-        cov = np.stack([table[name] for name in self._covs], axis=-1)
-        return mean, cov.reshape(-1, d, d) if self.whole else _full(cov, d)
+    d = 4 if "mean_3" in columns else 3
+    means = [f"mean_{i}" for i in range(d)]
+    square = [f"cov_{i}{j}" for i in range(d) for j in range(d)]
+    upper = [f"cov_{i}{j}" for i in range(d) for j in range(i, d)]
+    if missing := [name for name in (*means, *upper) if name not in columns]:
+        raise StudyError(
+            f"{path}: a table has the columns mean_0 .. mean_{d - 1} and cov_00, cov_01 .. "
+            f"cov_{d - 1}{d - 1}; there is no {', '.join(missing)}"
+        )
+    return d, [*means, *(square if set(square) <= set(columns) else upper)]
 
 
-def _full(upper: Array, d: int) -> Array:
-    """(n, d, d) matrices of their upper triangles, row by row."""
-    cov = np.empty((len(upper), d, d))
+def _squares(cov: Array, d: int) -> Array:
+    """Return (n, d, d) matrices, given them, their rows, or their upper triangles."""
+    if cov.shape[1:] in ((d, d), (d * d,)):
+        return cov.reshape(-1, d, d)
+    full = np.empty((len(cov), d, d))
     i, j = np.triu_indices(d)
-    cov[:, i, j] = cov[:, j, i] = upper
-    return cov
+    full[:, i, j] = full[:, j, i] = cov
+    return full

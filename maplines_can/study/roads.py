@@ -1,9 +1,9 @@
-"""Random roads in bulk: the lines of ``random_scenarios``, refitted for all roads at once.
+"""Gaussians of the lines of random roads, for many roads at once.
 
-The laws are those of ``scenarios.random_scenarios`` and the Gaussians those of ``SigmaPoints`` over
-``Refit``, within rounding; the draws are other ones. Two things make it a hundred times
-faster: arrays over roads instead of a loop, and that a shift of the car moves a fitted cubic
-without another fit, so that of the seven sigma points only those of the heading need one.
+The roads have the distributions of ``scenarios.random_scenarios``, but other draws. The Gaussians
+are those of ``SigmaPoints`` over ``Refit``, up to rounding. This is a hundred times faster for two
+reasons: the arrays run over roads, and a fitted cubic can be shifted without another fit, so that
+only the sigma points of the heading need a fit of their own.
 """
 
 from __future__ import annotations
@@ -22,33 +22,30 @@ __all__ = ["Roads", "lines_of_roads", "random_roads"]
 
 Array = NDArray[np.float64]
 
-#: Most points of a road.
+#: Largest number of points of a road.
 POINTS = 60
-#: Roads worked on at a time: what they need stays in the processor's cache.
+#: Roads computed at a time, so that their arrays stay in the processor's cache.
 BLOCK = 256
-#: Of the derivative with respect to the pose, as ``Refit`` has it [m, rad].
+#: Step of the derivative with respect to the pose, as in ``Refit`` [m, rad].
 STEP = 1e-4
 
 
 class Roads(NamedTuple):
-    """N roads, one line each, and what the car knows of its pose; it stands at the origin."""
+    """N roads of one line each, and the uncertainty of the car's pose at the origin."""
 
     points: Array  #: (N, POINTS, 2), in the frame of the mean pose [m]
-    number: NDArray[np.int64]  #: (N,) how many of the points each has
-    sigma: Array  #: (N, 3) of the pose [m, m, rad]
+    number: NDArray[np.int64]  #: (N,) number of valid points of each road
+    sigma: Array  #: (N, 3) standard deviations of the pose [m, m, rad]
     correlation: Array  #: (N,) of e_x and e_y
-    #: (N, 3) errors of the map: of each point [m], of all of them [m], of their turn [rad]; or None
+    #: (N, 3) sigmas of the map: of each point [m], of the offset [m], of the heading [rad]; or None
     map_error: Array | None
 
 
 def random_roads(n: int, rng: np.random.Generator, *, with_map_error: bool) -> Roads:
-    """Random roads from motorway to street turn, as ``random_scenarios`` tells.
+    """Draw n roads from motorway to street turn, as described at ``random_scenarios``.
 
-    Args:
-        n: how many.
-        rng: where the draws come from.
-        with_map_error: the map errs too: by 2 to 20 cm at each point and in common, and by
-            a turn of 0.05 deg.
+    With map error, its sigmas are 2 to 20 cm for each point and for the common offset, and
+    0.05 deg for the heading.
     """
     radius = 10 ** rng.uniform(np.log10(15.0), 4.5, n)
     sharpest = rng.choice([-1.0, 1.0], n) / radius
@@ -79,7 +76,7 @@ def random_roads(n: int, rng: np.random.Generator, *, with_map_error: bool) -> R
 
 
 def _curves(y_off: Array, heading: Array, curvature: Array, spacing: Array, place: Array) -> Array:
-    """(N, P, 2) points as ``scenarios.curve`` lays them; ``place`` is the index of s = 0."""
+    """Return (N, P, 2) points as ``scenarios.curve`` does; ``place`` is the index of s = 0."""
     rows = np.arange(len(place))
     middle = (curvature[:, 1:] + curvature[:, :-1]) / 2 * spacing[:, None]  # turn of each step
     turn = np.zeros_like(curvature)
@@ -89,10 +86,10 @@ def _curves(y_off: Array, heading: Array, curvature: Array, spacing: Array, plac
     steps = spacing[:, None, None] * np.stack([np.cos(chord), np.sin(chord)], axis=-1)
     steps.cumsum(axis=1, out=points[:, 1:])
     first = place.astype(int)
-    part = place - first
+    rest = place - first
 
     def at_zero(values: Array) -> Array:
-        weight = part.reshape(-1, *[1] * (values.ndim - 2))
+        weight = rest.reshape(-1, *[1] * (values.ndim - 2))
         return values[rows, first] * (1 - weight) + values[rows, first + 1] * weight
 
     points -= at_zero(points)[:, None]
@@ -103,26 +100,26 @@ def _curves(y_off: Array, heading: Array, curvature: Array, spacing: Array, plac
 
 
 def lines_of_roads(roads: Roads) -> tuple[Array, Array]:
-    """The Gaussian of each road's line, as sigma points of the pose give it.
+    """Propagate the pose through the refit of each road, with sigma points.
 
     Returns:
-        (N, 4) means and (N, 4, 4) covariances; rows of NaN where the points double back
-        or stand across the car at a sigma point.
+        (N, 4) means and (N, 4, 4) covariances; NaN where the points double back or run across the
+        car at a sigma point.
     """
     n = len(roads.number)
     mean, cov = np.empty((n, 4)), np.empty((n, 4, 4))
     for start in range(0, n, BLOCK):
         rows = slice(start, start + BLOCK)
         block = Roads(*(None if field is None else field[rows] for field in roads))  # type: ignore[arg-type]
-        mean[rows], cov[rows] = _lines(block)
+        mean[rows], cov[rows] = _lines_of_block(block)
     return mean, cov
 
 
-def _lines(roads: Roads) -> tuple[Array, Array]:
+def _lines_of_block(roads: Roads) -> tuple[Array, Array]:
     zero = np.zeros(len(roads.number))
     s_x, s_y, s_h = np.sqrt(3) * roads.sigma.T
     rho = roads.correlation
-    e_x = np.stack([zero, s_x, zero, -s_x, zero])  # the sigma points without a turn
+    e_x = np.stack([zero, s_x, zero, -s_x, zero])  # sigma points with no change of heading
     e_y = np.stack([zero, rho * s_y, np.sqrt(1 - rho**2) * s_y])
     e_y = np.concatenate([e_y, -e_y[1:]])
     straight = _Fit(roads, zero)
@@ -138,49 +135,44 @@ def _lines(roads: Roads) -> tuple[Array, Array]:
 
 
 class _Fit:
-    """Cubics through the points of roads, as seen after a turn of each car.
-
-    Args:
-        roads: N of them.
-        turn: (N,) of the cars [rad].
-    """
+    """Cubics fitted to the points of N roads, after a turn of each car by (N,) ``turn`` [rad]."""
 
     def __init__(self, roads: Roads, turn: Array) -> None:
-        self.there = np.arange(POINTS) < roads.number[:, None]  # (N, P)
+        self.valid = np.arange(POINTS) < roads.number[:, None]  # (N, P)
         x, y = np.moveaxis(roads.points, -1, 0)
         c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
         self.u, self.v = c * x + s * y, c * y - s * x
-        low = np.where(self.there, self.u, np.inf).min(axis=1)
-        high = np.where(self.there, self.u, -np.inf).max(axis=1)
+        low = np.where(self.valid, self.u, np.inf).min(axis=1)
+        high = np.where(self.valid, self.u, -np.inf).max(axis=1)
         self.centre, self.half = (low + high) / 2, (high - low) / 2
         self.posed = self._posed()
         w = (self.u - self.centre[:, None]) / self.half[:, None]
         powers = np.ones((4, *w.shape))
         for k in range(3):
             np.multiply(powers[k], w, out=powers[k + 1])
-        powers *= self.there
+        powers *= self.valid
         self.A = powers.transpose(1, 2, 0)  # (N, P, 4)
         self.normal = self.A.transpose(0, 2, 1) @ self.A
-        middle = (self.v * self.there).sum(axis=1) / roads.number
+        middle = (self.v * self.valid).sum(axis=1) / roads.number
         right = self.A.transpose(0, 2, 1) @ (self.v - middle[:, None])[..., None]
         self.q = np.linalg.solve(self.normal, right)[..., 0].T  # (4, N)
         self.q[0] += middle
         self.line = line_of_cubic(self.q, self.centre, self.half)  # (N, 4)
 
     def seen_from(self, e_x: Array, e_y: Array) -> Array:
-        """(N, 4) lines as seen from cars that are shifted too [m]."""
+        """Return (N, 4) lines as seen from cars that are also shifted [m]."""
         return line_of_cubic(self.q - [[1], [0], [0], [0]] * e_y, self.centre - e_x, self.half)
 
     def _posed(self) -> NDArray[np.bool_]:
-        """(N,) where the points neither double back nor stand across, as ``Refit`` has it."""
-        along, across = (np.diff(a, axis=1) * self.there[:, 1:] for a in (self.u, self.v))
+        """Return (N,) whether a cubic follows the points, by the criteria of ``Refit``."""
+        along, across = (np.diff(a, axis=1) * self.valid[:, 1:] for a in (self.u, self.v))
         net, way = np.abs(along.sum(axis=1)), np.abs(along).sum(axis=1)
         length = np.hypot(along, across).sum(axis=1)
         return (net >= LEAST_ADVANCE * length) & (net >= LEAST_PROGRESS * way)
 
 
 def _noise_cov(fit: _Fit, roads: Roads, map_error: Array) -> Array:
-    """(N, 4, 4) map error through the fit, to first order at the mean pose."""
+    """Propagate the map error through the fit, to first order at the mean pose: (N, 4, 4)."""
     point_sigma, offset_sigma, heading_sigma = map_error.T
     zero = np.zeros(len(roads.number))
     J = np.stack(
@@ -195,11 +187,11 @@ def _noise_cov(fit: _Fit, roads: Roads, map_error: Array) -> Array:
 
 
 def _fit_cov(fit: _Fit) -> Array:
-    """(N, 4, 4) covariance of the fitted lines for unit errors of their points."""
+    """Return the (N, 4, 4) covariance of fitted lines whose points have unit variance."""
     _, beta, c0, c1 = fit.line.T[..., None]
     slope = np.tan(beta) + fit.u * (c0 + fit.u * c1 / 2)
     residual = fit.v - lateral(fit.line[:, None, :], fit.u)
-    # An error of u acts as one of v, by the slope, and moves the residual to another place.
+    # An error of u acts as an error of v times the slope, and moves the residual along the line.
     moved = -fit.A * slope[..., None]
     moved[..., 1:] += fit.A[..., :3] * [1, 2, 3] * (residual / fit.half[:, None])[..., None]
     error = fit.normal + moved.transpose(0, 2, 1) @ moved

@@ -1,14 +1,15 @@
-"""Sets of line Gaussians on which the wire is judged.
+"""Sets of line Gaussians on which the wire is evaluated.
 
-``paper``, ``road`` and ``hostile`` make small sets at once. For a study of any size a
-``LineSet`` hands out chunks: small values that any process turns into the same Gaussians.
+``paper``, ``road`` and ``adversarial`` draw small sets at once. For a study of any size, a
+``LineSet`` yields chunks: small picklable functions that return the same Gaussians in any process.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -26,50 +27,54 @@ from .roads import lines_of_roads, random_roads
 __all__ = [
     "DRAWN_SETS",
     "Chunk",
-    "DrawnChunk",
     "DrawnSet",
     "FileSet",
     "Gaussians",
-    "GivenChunk",
     "LineSet",
-    "PoseChunk",
-    "PoseSet",
+    "MapView",
     "adversarial",
+    "drawn_chunk",
     "line_set",
     "paper",
     "road",
 ]
 
+Array = NDArray[np.float64]
+
 
 class Gaussians(NamedTuple):
-    """Lines as Gaussians."""
+    """Gaussians of N lines."""
 
-    mean: NDArray[np.float64]  #: (N, 4)
-    cov: NDArray[np.float64]  #: (N, 4, 4)
+    mean: Array  #: (N, 4)
+    cov: Array  #: (N, 4, 4)
 
 
-#: A seed, or what of it numpy takes.
-Seed = int | Sequence[int]
+#: A chunk of a set: returns its Gaussians, the same at each call.
+Chunk = Callable[[], Gaussians]
 
 
 def paper(n: int, seed: int = 0) -> Gaussians:
-    """Pose error only: the fixed scenarios and random roads, n in all. Nearly singular."""
-    return _gathered(_lines(n, seed, with_map_error=False), n)
+    """Return n lines of the fixed scenarios and random roads, with pose error only.
+
+    Their covariances are nearly singular.
+    """
+    return _small_set(n, seed, with_map_error=False)
 
 
 def road(n: int, seed: int = 0) -> Gaussians:
-    """Pose and map error: point errors and offsets of 2 to 20 cm, a turn of 0.05 deg."""
-    return _gathered(_lines(n, seed, with_map_error=True), n)
+    """Return n lines like those of ``paper``, with pose and map error.
+
+    Point errors and offsets of the map are 2 to 20 cm, its heading error is 0.05 deg.
+    """
+    return _small_set(n, seed, with_map_error=True)
 
 
-def adversarial(
-    n: int, seed: Seed = 0, singular_share: float = 0.1, at_limit_share: float = 0.1
-) -> Gaussians:
-    """Random covariances that spare nothing.
+def adversarial(n: int, seed: int | Sequence[int] = 0, at_limit_share: float = 0.1) -> Gaussians:
+    """Return n random Gaussians that cover all that the wire may meet.
 
-    Sigmas log-uniform over 1e-4 to 30 m, 1e-6 to 0.5 rad, 1e-8 to 0.1 1/m, 1e-10
-    to 0.05 1/m^2; correlation matrices with condition numbers log-uniform up to 1e10;
-    a share of exactly singular ones (ranks 0 to 3), a share of means at the limits.
+    Sigmas are log-uniform over 1e-4 to 30 m, 1e-6 to 0.5 rad, 1e-8 to 0.1 1/m and 1e-10 to
+    0.05 1/m^2; condition numbers of the correlation matrices are log-uniform up to 1e10. A tenth
+    of the covariances is exactly singular (ranks 0 to 3); a share of the means is at a limit.
     """
     rng = np.random.default_rng(seed)
     low, high = np.log([1e-4, 1e-6, 1e-8, 1e-10]), np.log([30.0, 0.5, 0.1, 0.05])
@@ -78,7 +83,7 @@ def adversarial(
     log_condition = rng.uniform(0, np.log(1e10), size=(n, 1))
     values = np.exp(-log_condition * np.sort(rng.uniform(0, 1, size=(n, 4)), axis=1))
     values[:, 0], values[:, 3] = 1.0, np.exp(-log_condition[:, 0])
-    singular = rng.random(n) < singular_share
+    singular = rng.random(n) < 0.1
     rank = rng.integers(0, 4, size=n)
     values[singular] *= np.arange(4) < rank[singular, None]
     root = rotation * np.sqrt(values)[:, None, :]
@@ -92,150 +97,98 @@ def adversarial(
     return Gaussians(mean, (cov + np.swapaxes(cov, 1, 2)) / 2)
 
 
-def _lines(n: int, seed: int, with_map_error: bool) -> Iterator[tuple[NDArray[np.float64], ...]]:
-    rng = np.random.default_rng([seed, 1])
-    scenes = (*SCENARIOS.values(), *random_scenarios(2 * n, seed))
-    return _lines_of_scenes(scenes, rng, with_map_error)
+def _small_set(n: int, seed: int, with_map_error: bool) -> Gaussians:
+    scenes = chain(SCENARIOS.values(), random_scenarios(2 * n, seed))
+    return _lines_of_scenes(scenes, n, np.random.default_rng([seed, 1]), with_map_error)
 
 
 def _lines_of_scenes(
-    scenes: Iterable[Scenario], rng: np.random.Generator, with_map_error: bool
-) -> Iterator[tuple[NDArray[np.float64], ...]]:
-    transform = SigmaPoints()
-    # A random road whose sigma points look across the line is no line to send: skipped.
+    scenes: Iterable[Scenario], n: int, rng: np.random.Generator, with_map_error: bool
+) -> Gaussians:
+    """Return the first n lines of scenes; a scene with a line across the car is skipped."""
+    means: list[Array] = []
+    covs: list[Array] = []
     for scene in scenes:
+        if len(means) >= n:
+            break
         error = None
         if with_map_error:
             point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
             error = MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
         try:
             refit = Refit(scene.polylines, scene.ego.mean, scene.window, error)
-            yield from zip(*transform.moments(refit, scene.ego), strict=True)
+            mean, cov = SigmaPoints().moments(refit, scene.ego)
         except IllPosedError:
             continue
-
-
-def _gathered(lines: Iterator[tuple[NDArray[np.float64], ...]], n: int) -> Gaussians:
-    means, covs = zip(*(line for line, _ in zip(lines, range(n), strict=False)), strict=True)
-    return Gaussians(np.array(means), np.array(covs))
+        means += list(mean)
+        covs += list(cov)
+    return Gaussians(np.reshape(means[:n], (-1, 4)), np.reshape(covs[:n], (-1, 4, 4)))
 
 
 # ---- sets of any size, in chunks ------------------------------------------------------
 
-#: Sets that are drawn, by name; the place is part of the seed, so append only.
+#: Sets that are drawn, by name; the position is part of the seed, so only append.
 DRAWN_SETS = ("paper", "road", "adversarial")
-
-
-class Chunk(ABC):
-    """A part of a set, small enough to be sent to another process."""
-
-    @abstractmethod
-    def gaussians(self) -> Gaussians:
-        """The Gaussians; each time the same ones."""
-
-
-@dataclass(frozen=True)
-class DrawnChunk(Chunk):
-    """Chunk ``index`` of a drawn set: a function of what is written here, and of nothing else.
-
-    The first chunk of ``paper`` and ``road`` begins with the fixed scenarios; all else are random
-    roads. The laws are those of the functions of the same names, the draws are not.
-    """
-
-    name: str
-    seed: int
-    index: int
-    size: int
-
-    def gaussians(self) -> Gaussians:
-        """``size`` Gaussians."""
-        seed = [self.seed, self.index, 1 + DRAWN_SETS.index(self.name)]
-        if self.name == "adversarial":
-            return adversarial(self.size, seed)
-        rng = np.random.default_rng(seed)
-        with_map_error = self.name == "road"
-        means, covs = np.empty((0, 4)), np.empty((0, 4, 4))
-        if self.index == 0:
-            fixed = _lines_of_scenes(SCENARIOS.values(), rng, with_map_error)
-            means, covs = _gathered(fixed, self.size)
-        while len(means) < self.size:
-            missing = self.size - len(means)
-            mean, cov = lines_of_roads(random_roads(missing, rng, with_map_error=with_map_error))
-            good = np.isfinite(mean).all(axis=1)
-            means, covs = np.concatenate([means, mean[good]]), np.concatenate([covs, cov[good]])
-        return Gaussians(means, covs)
-
-
-@dataclass(frozen=True, eq=False)
-class GivenChunk(Chunk):
-    """Gaussians of a user's own."""
-
-    mean: NDArray[np.float64]  #: (N, 4)
-    cov: NDArray[np.float64]  #: (N, 4, 4)
-
-    def gaussians(self) -> Gaussians:
-        """Them."""
-        return Gaussians(self.mean, self.cov)
-
-
-@dataclass(frozen=True, eq=False)
-class PoseChunk(Chunk):
-    """Lines of a map as seen from uncertain poses.
-
-    Of each pose, those lines that pass the car within ``REACH`` and that a cubic follows.
-    """
-
-    mean: NDArray[np.float64]  #: (N, 3) e_x, e_y [m], e_h [rad], in the frame of the map
-    cov: NDArray[np.float64]  #: (N, 3, 3)
-    lines: tuple[Polyline, ...]
-    window: tuple[float, float]  #: where points are taken, ahead of the car [m]
-    transform: Transform
-
-    def gaussians(self) -> Gaussians:
-        """From no line to all lines of the map for each pose."""
-        boxes = np.array([[p.points.min(axis=0), p.points.max(axis=0)] for p in self.lines])
-        means: list[NDArray[np.float64]] = [np.empty((0, 4))]
-        covs: list[NDArray[np.float64]] = [np.empty((0, 4, 4))]
-        reach = max(REACH, *map(abs, self.window))
-        for mean, cov in zip(self.mean, self.cov, strict=True):
-            outside = np.maximum(boxes[:, 0] - mean[:2], mean[:2] - boxes[:, 1]).clip(0)
-            for i in np.flatnonzero(np.hypot(*outside.T) <= reach):
-                try:
-                    refit = Refit(self.lines[i], mean, self.window)
-                    line_mean, line_cov = self.transform.moments(refit, Gaussian(mean, cov))
-                except IllPosedError:  # not ahead of the car, or across it
-                    continue
-                if abs(line_mean[0]) <= REACH:
-                    means.append(line_mean[None])
-                    covs.append(line_cov[None])
-        return Gaussians(np.concatenate(means), np.concatenate(covs))
-
-
-#: Lines of a map farther aside than this at the car are no lines of its road [m].
+#: Lines of a map that pass the car farther aside than this do not belong to its road [m].
 REACH = 16.0
+#: Most poses in a chunk: propagating a pose takes far longer than reading a Gaussian.
+POSES_IN_A_CHUNK = 1000
 
 
-class LineSet(ABC):
-    """A set of any size, in chunks."""
+def drawn_chunk(name: str, seed: int, index: int, size: int) -> Gaussians:
+    """Draw chunk ``index`` of a drawn set, ``size`` Gaussians.
 
-    name: str  #: as in the tables of a study
+    The first chunk of ``paper`` and ``road`` begins with the fixed scenarios; the rest are random
+    roads. They have the distributions of the functions of the same names, but other draws.
+    """
+    rng_seed = [seed, index, 1 + DRAWN_SETS.index(name)]
+    if name == "adversarial":
+        return adversarial(size, rng_seed)
+    rng = np.random.default_rng(rng_seed)
+    with_map_error = name == "road"
+    fixed = SCENARIOS.values() if index == 0 else ()
+    means, covs = _lines_of_scenes(fixed, size, rng, with_map_error)
+    while len(means) < size:
+        missing = size - len(means)
+        mean, cov = lines_of_roads(random_roads(missing, rng, with_map_error=with_map_error))
+        good = np.isfinite(mean).all(axis=1)
+        means, covs = np.concatenate([means, mean[good]]), np.concatenate([covs, cov[good]])
+    return Gaussians(means, covs)
 
-    @abstractmethod
-    def describe(self) -> dict[str, Any]:
-        """What the set is, so that another one of the same name is known as another."""
 
-    @abstractmethod
-    def sizes(self, n: int, size: int) -> list[int]:
-        """How much is in each chunk; of poses, how many of them.
+def _seen_lines(
+    means: Array,
+    covs: Array,
+    lines: Sequence[Polyline],
+    window: tuple[float, float],
+    transform: Transform,
+) -> Gaussians:
+    """Return the lines of a map as seen from uncertain poses.
 
-        Args:
-            n: Gaussians in all, of a drawn set; a file is taken whole.
-            size: most in a chunk.
-        """
+    Of each pose, these are the lines that pass the car within ``REACH`` and that a cubic follows.
 
-    @abstractmethod
-    def chunks(self, n: int, size: int, seed: int) -> Iterator[Chunk]:
-        """The chunks, one after the other, none made before it is asked for."""
+    Args:
+        means: (N, 3) e_x, e_y [m], e_h [rad], in the frame of the map.
+        covs: (N, 3, 3).
+        lines: of the map.
+        window: from where to where points are taken, ahead of the car [m].
+        transform: from a pose to a line.
+    """
+    boxes = np.array([[line.points.min(axis=0), line.points.max(axis=0)] for line in lines])
+    line_means, line_covs = [np.empty((0, 4))], [np.empty((0, 4, 4))]
+    reach = max(REACH, *map(abs, window))
+    for mean, cov in zip(means, covs, strict=True):
+        outside = np.maximum(boxes[:, 0] - mean[:2], mean[:2] - boxes[:, 1]).clip(0)
+        for i in np.flatnonzero(np.hypot(*outside.T) <= reach):
+            try:
+                refit = Refit(lines[i], mean, window)
+                line_mean, line_cov = transform.moments(refit, Gaussian(mean, cov))
+            except IllPosedError:  # not ahead of the car, or across it
+                continue
+            if abs(line_mean[0]) <= REACH:
+                line_means.append(line_mean[None])
+                line_covs.append(line_cov[None])
+    return Gaussians(np.concatenate(line_means), np.concatenate(line_covs))
 
 
 def _sizes(n: int, size: int) -> list[int]:
@@ -243,115 +196,90 @@ def _sizes(n: int, size: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class DrawnSet(LineSet):
+class DrawnSet:
     """One of ``DRAWN_SETS``."""
 
     name: str
 
     def describe(self) -> dict[str, Any]:
-        """Its name says it all."""
+        """Return JSON values that identify the Gaussians."""
         return {"name": self.name}
 
     def sizes(self, n: int, size: int) -> list[int]:
-        """As many as are wanted."""
+        """Return the number of Gaussians in each chunk: n in all, at most ``size`` in one."""
         return _sizes(n, size)
 
     def chunks(self, n: int, size: int, seed: int) -> Iterator[Chunk]:
-        """Each drawn by itself."""
+        """Yield the chunks in order."""
         for index, count in enumerate(self.sizes(n, size)):
-            yield DrawnChunk(self.name, seed, index, count)
+            yield partial(drawn_chunk, self.name, seed, index, count)
 
 
 @dataclass(frozen=True)
-class FileSet(LineSet):
-    """The Gaussians of a file, all of them."""
+class MapView:
+    """How poses see the lines of a map."""
 
-    file: GaussianFile
-    name: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "name", self.file.path.name)
-
-    def describe(self) -> dict[str, Any]:
-        """By what is in the file, not by its place."""
-        return {"name": self.name, "sha256": self.file.sha256}
-
-    def sizes(self, n: int, size: int) -> list[int]:  # noqa: ARG002
-        """All rows of the file."""
-        return _sizes(self.file.rows, size)
-
-    def chunks(self, n: int, size: int, seed: int) -> Iterator[Chunk]:  # noqa: ARG002
-        """The rows in their order; ``n`` and ``seed`` do not matter."""
-        for mean, cov in self.file.blocks(size):
-            yield GivenChunk(mean, cov)
-
-
-#: Poses take so much longer than Gaussians, which are there already.
-POSES_IN_A_CHUNK = 1000
-
-
-@dataclass(frozen=True)
-class PoseSet(LineSet):
-    """The lines of a map, as seen from the poses of a file.
-
-    Args:
-        file: of the poses.
-        map_path: of the map's lines.
-        window: where points are taken, ahead of the car [m].
-        transform: from the pose to the line.
-    """
-
-    file: GaussianFile
-    map_path: Path
-    window: tuple[float, float] = (-20.0, 80.0)
-    transform: Literal["sigma-points", "quadrature"] = "sigma-points"
-    name: str = field(init=False)
+    path: Path  #: of the map
+    window: tuple[float, float] = (-20.0, 80.0)  #: where points are taken, ahead of the car [m]
+    transform: Literal["sigma-points", "quadrature"] = "sigma-points"  #: from a pose to a line
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "name", self.file.path.name)
         if not self.window[0] < self.window[1]:
             raise StudyError(f"the window must have x_min < x_max [m], got {self.window}")
 
+
+@dataclass(frozen=True)
+class FileSet:
+    """All Gaussians of a file, or the lines that its poses see; ``n`` and ``seed`` are ignored."""
+
+    file: GaussianFile
+    view: MapView | None = None  #: for poses
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return self.file.path.name
+
     def describe(self) -> dict[str, Any]:
-        """By what is in the files."""
-        _, sha256 = read_map(self.map_path)
-        return {
-            "name": self.name,
-            "sha256": self.file.sha256,
-            "map_sha256": sha256,
-            "window": list(self.window),
-            "transform": self.transform,
-        }
+        """Return JSON values that identify the Gaussians, by the content of the files."""
+        description: dict[str, Any] = {"name": self.name, "sha256": self.file.sha256}
+        if self.view is not None:
+            _, description["map_sha256"] = read_map(self.view.path)
+            description |= {"window": list(self.view.window), "transform": self.view.transform}
+        return description
 
     def sizes(self, n: int, size: int) -> list[int]:  # noqa: ARG002
-        """All poses of the file."""
-        return _sizes(self.file.rows, min(size, POSES_IN_A_CHUNK))
+        """Return the number of rows in each chunk."""
+        return _sizes(self.file.rows, self._rows(size))
 
     def chunks(self, n: int, size: int, seed: int) -> Iterator[Chunk]:  # noqa: ARG002
-        """The poses in their order; ``n`` and ``seed`` do not matter."""
-        lines, _ = read_map(self.map_path)
-        transform = SigmaPoints() if self.transform == "sigma-points" else Quadrature()
-        for mean, cov in self.file.blocks(min(size, POSES_IN_A_CHUNK)):
-            yield PoseChunk(mean, cov, lines, self.window, transform)
+        """Yield the chunks in order, each read only when it is asked for."""
+        blocks = self.file.blocks(self._rows(size))
+        if self.view is None:
+            yield from (partial(Gaussians, mean, cov) for mean, cov in blocks)
+            return
+        lines, _ = read_map(self.view.path)
+        transform = SigmaPoints() if self.view.transform == "sigma-points" else Quadrature()
+        for mean, cov in blocks:
+            yield partial(_seen_lines, mean, cov, lines, self.view.window, transform)
+
+    def _rows(self, size: int) -> int:
+        return size if self.view is None else min(size, POSES_IN_A_CHUNK)
 
 
-def line_set(
-    what: str,
-    *,
-    map_path: Path | None = None,
-    window: tuple[float, float] = (-20.0, 80.0),
-    transform: Literal["sigma-points", "quadrature"] = "sigma-points",
-) -> LineSet:
-    """The set of a name, or of a file.
+#: A set of any size, in chunks.
+LineSet = DrawnSet | FileSet
+
+
+def line_set(what: str, view: MapView | None = None) -> LineSet:
+    """Return the set of a name, or of a file.
 
     Args:
         what: one of ``DRAWN_SETS``, or the path of a file of Gaussians or of poses.
-        map_path: a file with the lines of the map, for poses.
-        window: for poses, where points are taken [m].
-        transform: for poses.
+        view: of the map, for poses.
 
     Raises:
-        StudyError: there is no such set or file, or what is in it does not serve.
+        StudyError: there is no such set or file, or its content is not valid.
     """
     if what in DRAWN_SETS:
         return DrawnSet(what)
@@ -364,6 +292,6 @@ def line_set(
     file = GaussianFile.opened(path)
     if file.dimension == 4:
         return FileSet(file)
-    if map_path is None:
+    if view is None:
         raise StudyError(f"{path}: holds poses; give the lines of their map with --map FILE")
-    return PoseSet(file, map_path, window, transform)
+    return FileSet(file, view)

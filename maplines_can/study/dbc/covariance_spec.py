@@ -1,10 +1,9 @@
-"""Signals of each covariance code, for the DBC writer."""
+"""The signals of each covariance code, for the DBC writer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 
 from ...wire.message.layout import STATE_SIGNALS
 from ..codes.floats import half_name
@@ -14,35 +13,85 @@ from .dbc_writer import SignalSpec
 
 __all__ = ["covariance_signals", "pivot_signal", "ratio_signal"]
 
+#: Units of the states.
+UNITS = ("m", "rad", "1/m", "1/m^2")
+#: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
+LARGEST_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
+#: log2 of the smallest standard deviation [octave], usually half a step of the mean.
+LEAST_OCTAVES = (-12.0, -18.0, -24.0, -32.0)
+
+
+def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
+    """Return the signals of a code.
+
+    Args:
+        code: a name of ``study.codes.CODES``.
+        finer_bits: more bits for each signal, for finer steps; negative for fewer.
+
+    Raises:
+        ValueError: the code does not have such widths.
+    """
+    signals: Iterable[SignalSpec]
+    match code:
+        case "Cholesky":
+            signals = (*_PIVOTS_AND_RATIOS, _INFLATION)
+        case "LogCholesky":
+            signals = _PIVOTS_AND_RATIOS
+        case "IntegerCholesky":
+            signals = (_SCALE_EXPONENT, *_integer_entries())
+        case "Linear" | "LinearNearest":
+            signals = _linear_triangle()
+        case "LogCorrelation":
+            signals = (*_sigmas(), *_correlations())
+        case "Sigmas":
+            signals = _sigmas()
+        case "Float16" | "Float32":
+            signals = _float_triangle(int(code.removeprefix("Float")))
+        case _:
+            signals = ()
+    if finer_bits and code in ("Float16", "Float32", "MeanOnly"):
+        raise ValueError(f"finer_bits must be 0 for {code}, got {finer_bits}")
+    return tuple(_finer(spec, finer_bits) for spec in signals)
+
+
+def _finer(spec: SignalSpec, bits: int) -> SignalSpec:
+    if spec is _SCALE_EXPONENT:
+        return spec
+    if spec is _INFLATION:  # the inflation needed shrinks with the steps: its bits stay
+        return replace(spec, factor=spec.factor / 2.0**bits)
+    return spec.finer(bits)
+
+
+# ---- the default code -----------------------------------------------------------------
+
 
 def ratio_signal(
     row: str, column: str, bits: int, factor: float, zero: float = 0.5, why: str = ""
 ) -> SignalSpec:
-    """The signal of an entry left of the diagonal.
+    """Return the signal of an entry left of the diagonal.
 
     Args:
         row: state of the row.
         column: state of the column.
         bits: width.
         factor: step.
-        zero: where in the range 0 lies, from 0 at its low end to 1 at its high one.
-        why: what the range is made for.
+        zero: position of 0 in the range, from 0 at its low end to 1 at its high end.
+        why: reason for the range.
     """
     offset = -(2.0**bits) * zero * factor
     signed = zero == 0.5
     ends = offset, offset + 2**bits * factor
     reach = f"+-{ends[1]:g}" if signed else f"{ends[0]:g} to {ends[1]:g}"
     return SignalSpec(
-        f"Ratio{row}{column}",
-        bits,
-        factor,
-        "",
-        f"Part of {row} that goes with {column}: entry ({row}, {column}) of the lower Cholesky "
-        f"factor of the covariance, divided by the pivot of {row}.",
-        f"step {_fraction(factor)}: the expected KL of its rounding is step^2/24; range "
-        f"{reach}, {why or 'as far as a pose-only covariance drives it'}",
-        offset=0.0 if signed else offset,
+        name=f"Ratio{row}{column}",
+        bits=bits,
+        factor=factor,
+        offset=0 if signed else offset,
         signed=signed,
+        about=f"Entry ({row}, {column}) of the lower Cholesky factor of the covariance, divided "
+        f"by the pivot of {row}.",
+        why=f"step {_fraction(factor)}: the expected KL of its rounding is step^2/24; range "
+        f"{reach}, {why or 'as far as covariances of pose error alone need'}",
     )
 
 
@@ -54,7 +103,7 @@ def _fraction(factor: float) -> str:
 def pivot_signal(
     state: str, given: tuple[str, ...], bits: int, factor: float, offset: float
 ) -> SignalSpec:
-    """The signal of a diagonal entry.
+    """Return the signal of a diagonal entry.
 
     Args:
         state: of the row.
@@ -63,26 +112,24 @@ def pivot_signal(
         factor: step [octave].
         offset: low end of the range [octave].
     """
-    unit = UNIT_OF_STATE[state]
+    unit = UNITS[STATE_SIGNALS.index(state)]
     *first, last = given or ("",)
     of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
     return SignalSpec(
-        f"Pivot{state}",
-        bits,
-        factor,
-        "octave",
-        f"log2 of the standard deviation of {state} [{unit}]{of}.",
-        f"from the resolution of the mean's own grid, 2^{offset:g} {unit}, upwards in steps of "
+        name=f"Pivot{state}",
+        bits=bits,
+        factor=factor,
+        offset=offset,
+        unit="octave",
+        about=f"log2 of the standard deviation of {state} [{unit}]{of}.",
+        why=f"from the resolution of the mean, 2^{offset:g} {unit}, upwards in steps of "
         f"{100 * (2**factor - 1):.2g} %",
-        offset=float(offset),
     )
 
 
-#: Units of the states.
-UNIT_OF_STATE = dict(zip(STATE_SIGNALS, ("m", "rad", "1/m", "1/m^2"), strict=True))
-#: The rows of the default wire. They are what ``maplines design`` makes of the targets in
-#: dbc/README.md, where also is told why this order, these ranges and steps.
-PIVOTS_AND_RATIOS = (
+#: The rows of the default DBC. ``maplines design`` computes them from the targets in
+#: dbc/README.md, which also explains the order, the ranges and the steps.
+_PIVOTS_AND_RATIOS = (
     pivot_signal("C1", (), 9, 0.054, -32),
     pivot_signal("C0", ("C1",), 9, 0.0401, -23),
     ratio_signal("C0", "C1", 12, 1 / 32, zero=5 / 8),
@@ -94,168 +141,94 @@ PIVOTS_AND_RATIOS = (
     ratio_signal("Beta", "C0", 15, 5 / 128),
     ratio_signal("Beta", "YOff", 8, 1 / 32, zero=3 / 8),
 )
-
-
-INFLATION = SignalSpec(
-    "Inflation",
-    3,
-    0.0124,
-    "octave",
-    "log2 of the factor on the whole covariance that makes up for the rounding: the decoded "
+_INFLATION = SignalSpec(
+    name="Inflation",
+    bits=3,
+    factor=0.0124,
+    unit="octave",
+    about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
     "covariance is 2^Inflation L L^T.",
-    "steps of 0.9 % of the variance; up to 6.2 %, what all but two in a thousand roundings need",
+    why="steps of 0.9 % of the variance; up to 6.2 %, enough for all but two roundings in a "
+    "thousand",
 )
 
 
-#: Units of the states, in the order of a mean.
-UNITS = tuple(UNIT_OF_STATE.values())
-#: Largest standard deviations that linear entries hold: a street turn with 10 deg of heading.
-LARGEST_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
-#: log2 of the least standard deviation [octave], half a step of the mean as a rule.
-LEAST_OCTAVES = (-12.0, -18.0, -24.0, -32.0)
+# ---- codes for comparison -------------------------------------------------------------
+
+_SCALE_EXPONENT = SignalSpec(
+    name="ScaleExponent",
+    bits=3,
+    offset=-5,
+    unit="octave",
+    about="log2 of the common factor of all elements.",
+    why="as in SBAS Message Type 28",
+)
 
 
-def _finer(specs: Iterable[SignalSpec], finer_bits: int) -> tuple[SignalSpec, ...]:
-    return tuple(spec.finer(finer_bits) for spec in specs)
+def _integer_entries() -> Iterator[SignalSpec]:
+    for i in range(4):
+        for j in range(i, 4):
+            yield SignalSpec(
+                name=entry_name(i, j),
+                bits=9 if i == j else 10,
+                signed=i != j,
+                about=f"Element of the upper Cholesky factor, of {STATE_SIGNALS[ORDER[i]]} and "
+                f"{STATE_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, 2^-16 1/m^2.",
+                why="as in SBAS Message Type 28",
+            )
 
 
-def _log_cholesky(finer_bits: int) -> tuple[SignalSpec, ...]:
-    return _finer(PIVOTS_AND_RATIOS, finer_bits)
-
-
-def _cholesky(finer_bits: int) -> tuple[SignalSpec, ...]:
-    # The inflation needed shrinks with the steps, so it needs no bits of its own for that.
-    inflation = replace(INFLATION, factor=INFLATION.factor / 2.0**finer_bits)
-    return (*_log_cholesky(finer_bits), inflation)
-
-
-def _integer_cholesky(finer_bits: int) -> tuple[SignalSpec, ...]:
-    exponent = SignalSpec(
-        "ScaleExponent",
-        3,
-        1,
-        "octave",
-        "log2 of what multiplies all elements of the factor.",
-        "as SBAS Message Type 28",
-        offset=-5,
-    )
-    entries = (
-        SignalSpec(
-            entry_name(i, j),
-            9 if i == j else 10,
-            1,
-            "",
-            f"Element of the upper Cholesky factor, of {STATE_SIGNALS[ORDER[i]]} and "
-            f"{STATE_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, 2^-16 1/m^2.",
-            "as SBAS Message Type 28",
+def _linear_triangle() -> Iterator[SignalSpec]:
+    for i, j in PAIRS:
+        first, second = (f"{LARGEST_SIGMA[k]:g} {UNITS[k]}" for k in (i, j))
+        yield SignalSpec(
+            name=triangle_name(i, j),
+            bits=16,
+            factor=LARGEST_SIGMA[i] * LARGEST_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
+            unit=f"{UNITS[i]} {UNITS[j]}",
             signed=i != j,
+            about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
+            why=f"up to sigmas of {first} and {second}",
         )
-        for i in range(4)
-        for j in range(i, 4)
-    )
-    return (exponent, *_finer(entries, finer_bits))
 
 
-def _linear(finer_bits: int) -> tuple[SignalSpec, ...]:
-    specs = (
-        SignalSpec(
-            triangle_name(i, j),
-            16,
-            LARGEST_SIGMA[i] * LARGEST_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
-            f"{UNITS[i]} {UNITS[j]}",
-            f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
-            f"up to sigmas of {LARGEST_SIGMA[i]:g} {UNITS[i]} and {LARGEST_SIGMA[j]:g} {UNITS[j]}",
-            signed=i != j,
-        )
-        for i, j in PAIRS
-    )
-    return _finer(specs, finer_bits)
-
-
-def _sigmas(finer_bits: int) -> tuple[SignalSpec, ...]:
-    specs = (
-        SignalSpec(
-            f"Sigma{state}",
-            8,
-            0.0625 if least > -20 else 0.109375,
-            "octave",
-            f"log2 of the standard deviation of {state} [{unit}].",
-            "from the mean's own resolution upwards",
-            offset=least,
-        )
-        for state, unit, least in zip(STATE_SIGNALS, UNITS, LEAST_OCTAVES, strict=True)
-    )
-    return _finer(specs, finer_bits)
-
-
-def _log_correlation(finer_bits: int) -> tuple[SignalSpec, ...]:
-    correlations = (
-        SignalSpec(
-            f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}",
-            8,
-            0.01,
-            "",
-            f"Correlation of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
-            "steps of 1 %, as ETSI's CorrelationCellValue",
-            signed=True,
-        )
-        for i, j in PAIRS
-        if i != j
-    )
-    return (*_sigmas(finer_bits), *_finer(correlations, finer_bits))
-
-
-def _float_triangle(code: str, bits: int, finer_bits: int) -> tuple[SignalSpec, ...]:
-    _refuse_widths(f"for {code}", finer_bits)
+def _float_triangle(bits: int) -> Iterator[SignalSpec]:
+    """Yield entries as binary32, or as the bit patterns of binary16, for which a DBC has no type."""
     is_float = bits == 32
-    pattern = "" if is_float else ", as the bit pattern of IEEE 754 binary16"
-    return tuple(
-        SignalSpec(
-            (triangle_name if is_float else half_name)(i, j),
-            bits,
-            1.0,
-            f"{UNITS[i]} {UNITS[j]}" if is_float else "",
-            f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]} "
-            f"[{UNITS[i]} {UNITS[j]}]{pattern}.",
-            f"a float{bits}",
+    for i, j in PAIRS:
+        unit = f"{UNITS[i]} {UNITS[j]}"
+        pattern = "" if is_float else ", as the bit pattern of IEEE 754 binary16"
+        yield SignalSpec(
+            name=triangle_name(i, j) if is_float else half_name(i, j),
+            bits=bits,
+            unit=unit if is_float else "",
             is_float=is_float,
+            about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]} [{unit}]{pattern}.",
+            why=f"a float{bits}",
         )
-        for i, j in PAIRS
-    )
 
 
-def _mean_only(finer_bits: int) -> tuple[SignalSpec, ...]:
-    _refuse_widths("where no covariance is sent", finer_bits)
-    return ()
+def _sigmas() -> Iterator[SignalSpec]:
+    for state, unit, least in zip(STATE_SIGNALS, UNITS, LEAST_OCTAVES, strict=True):
+        yield SignalSpec(
+            name=f"Sigma{state}",
+            bits=8,
+            factor=0.0625 if least > -20 else 0.109375,
+            offset=least,
+            unit="octave",
+            about=f"log2 of the standard deviation of {state} [{unit}].",
+            why="from the resolution of the mean upwards",
+        )
 
 
-def _refuse_widths(why: str, finer_bits: int) -> None:
-    if finer_bits:
-        raise ValueError(f"finer_bits must be 0 {why}, got {finer_bits}")
-
-
-_SIGNALS: dict[str, Callable[[int], tuple[SignalSpec, ...]]] = {
-    "Cholesky": _cholesky,
-    "LogCholesky": _log_cholesky,
-    "IntegerCholesky": _integer_cholesky,
-    "Linear": _linear,
-    "LinearNearest": _linear,
-    "LogCorrelation": _log_correlation,
-    "Float16": partial(_float_triangle, "Float16", 16),
-    "Float32": partial(_float_triangle, "Float32", 32),
-    "Sigmas": _sigmas,
-    "MeanOnly": _mean_only,
-}
-
-
-def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
-    """Return the signals of a code.
-
-    Args:
-        code: a name of ``study.codes.CODES``.
-        finer_bits: extra bits of each signal, all of them for finer steps; negative for fewer.
-
-    Raises:
-        ValueError: the code has no such widths.
-    """
-    return _SIGNALS[code](finer_bits)
+def _correlations() -> Iterator[SignalSpec]:
+    for i, j in PAIRS:
+        if i != j:
+            yield SignalSpec(
+                name=f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}",
+                bits=8,
+                factor=0.01,
+                signed=True,
+                about=f"Correlation of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
+                why="steps of 1 %, as in ETSI's CorrelationCellValue",
+            )

@@ -1,4 +1,4 @@
-"""From a description of the wire to its DBC and to the table of its fields."""
+"""Write the DBC of a record, and the table of its fields, from a description of its signals."""
 
 from __future__ import annotations
 
@@ -17,39 +17,30 @@ from cantools.database.conversion import BaseConversion
 from ...line import Slot
 from ...wire.message.layout import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, fd_length
 
-__all__ = ["DbcWriter", "SignalSpec", "paged"]
+__all__ = ["TRANSFER_ID_BITS", "DbcWriter", "SignalSpec", "paged"]
+
+TRANSFER_ID_BITS = 4
+#: Largest payload of CAN FD; a longer record has no FD message [byte].
+LARGEST_FD_PAYLOAD = 64
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SignalSpec:
-    """One signal of the record.
-
-    Args:
-        name: in the DBC.
-        bits: width.
-        factor: physical = raw factor + offset.
-        unit: of the physical value.
-        about: what it is, for the DBC's comment.
-        why: why it has this width, for the page beside the DBC.
-        offset: see factor.
-        signed: two's complement.
-        choices: names of raw values.
-        is_float: an IEEE 754 number of 32 bits.
-    """
+    """One signal of the record: physical = raw * factor + offset."""
 
     name: str
     bits: int
-    factor: float
-    unit: str
-    about: str
-    why: str
-    offset: float = 0.0
-    signed: bool = False
-    choices: dict[int, str] | None = None
-    is_float: bool = False
+    factor: float = 1
+    offset: float = 0
+    unit: str = ""  #: of the physical value
+    signed: bool = False  #: two's complement
+    is_float: bool = False  #: IEEE 754 binary32
+    choices: dict[int, str] | None = None  #: names of raw values
+    about: str  #: what the signal is, for its comment in the DBC
+    why: str  #: why it has this width, for the table beside the DBC
 
     def finer(self, bits: int) -> SignalSpec:
-        """The signal with so many bits more, for finer steps over the same range.
+        """Return the signal with more bits, for finer steps over the same range.
 
         Raises:
             ValueError: no bit is left.
@@ -60,55 +51,74 @@ class SignalSpec:
 
     @property
     def range(self) -> tuple[float, float]:
-        """Least and greatest physical value."""
+        """Smallest and largest physical value."""
         low = -(2 ** (self.bits - 1)) if self.signed else 0
         high = low + 2**self.bits - 1
-        if self.factor == 1 and self.offset == 0:  # exact, where a float has too few digits
+        if self.factor == 1 and self.offset == 0:  # exact even beyond the precision of a float
             return low, high
         return _plain(low * self.factor + self.offset), _plain(high * self.factor + self.offset)
 
 
 def _plain(value: float) -> float:
-    """The number as a person would write it in a DBC."""
+    """Return a number without the digits that rounding adds, whole numbers as int."""
     value = float(f"{value:.15g}")
     return int(value) if value.is_integer() else value
 
 
+_PAGE = SignalSpec(
+    name=PAGE, bits=0, about="Page of the record: the multiplexer.", why="as many as pages"
+)
+_TRANSFER_ID = SignalSpec(
+    name=TRANSFER_ID,
+    bits=TRANSFER_ID_BITS,
+    about="Transfer that the page belongs to: the low bits of Counter. A line is accepted only if "
+    "all pages have the same number and the checksum over all of them is correct.",
+    why="distinguishes 16 transfers in a row, long enough for an incomplete one to time out",
+)
+_KEY_ID = SignalSpec(
+    name="KeyId",
+    bits=8 * SECURED_SIGNALS["KeyId"],
+    about="Number of the key of the MAC, which covers it.",
+    why="a byte: the old key, the new one, and numbers for later ones",
+)
+_FRESHNESS = SignalSpec(
+    name="Freshness",
+    bits=0,
+    unit="us",
+    about="Low bytes of the freshness value: the sender's time since 1970, larger in each frame "
+    "than in the frame before.",
+    why="7 bytes last 2283 years, so that each frame holds the whole value and no synchronisation "
+    "is needed; a record of 32 bytes leaves 16 in the next length of CAN FD",
+)
+_MAC = SignalSpec(
+    name="Mac",
+    bits=0,
+    about="First bytes of the AES-CMAC (RFC 4493).",
+    why="64 bits, the minimum that NIST SP 800-38B advises without an analysis of guesses",
+)
+
+
 @dataclass(frozen=True)
 class DbcWriter:
-    """What is on the wire: pages of signals, and the slots that carry them.
+    """Writer of a DBC: pages of signals, and the slots that have messages.
 
-    Each page ends with its number, so that the first page can begin with the
-    header of E2E profile 5; before it the other pages repeat the transfer number, which
-    in the first one is the low bits of Counter. Everything is little-endian, but for what
-    an authenticated message adds, which is as AUTOSAR has it.
-
-    Args:
-        pages: the signals of each page, in the order of their bits.
-        first_can_id: of the classic message of slot 0; the others follow.
-        first_fd_can_id: of the FD message of slot 0; the others follow.
-        first_data_id: E2E data ID of slot 0; the others follow.
-        cycle_ms: cycle time [ms].
-        covariance_code: which code the covariance is written in.
-        slots: that have messages.
-        first_secured_can_id: of the authenticated FD message of slot 0; the others follow.
-            None for a bus without.
-        first_secured_data_id: SecOC data ID of slot 0; the others follow.
-        freshness_bytes: of the freshness value that are sent, 1 to 7.
-        mac_bytes: of the MAC that are sent, 1 to 8.
+    Each page ends with its number, so that the first page can begin with the header of E2E
+    profile 5. On the other pages the transfer number comes before it; on the first page this is
+    the low bits of Counter. All signals are little-endian, except those that an authenticated
+    message adds, which are big-endian as in AUTOSAR.
     """
 
-    pages: tuple[tuple[SignalSpec, ...], ...]
-    first_can_id: int = 0x340
-    first_fd_can_id: int = 0x348
-    first_data_id: int = 0x4D40
+    pages: tuple[tuple[SignalSpec, ...], ...]  #: the signals of each page, in the order of bits
+    first_can_id: int = 0x340  #: classic message of slot 0; the other slots follow
+    first_fd_can_id: int = 0x348  #: FD message of slot 0
+    first_data_id: int = 0x4D40  #: E2E data ID of slot 0
     cycle_ms: int = 50
     covariance_code: str = "Cholesky"
     slots: tuple[Slot, ...] = tuple(Slot)
-    first_secured_can_id: int | None = None
-    first_secured_data_id: int = 0x4D50
-    freshness_bytes: int = SECURED_SIGNALS["Freshness"]
-    mac_bytes: int = SECURED_SIGNALS["Mac"]
+    first_secured_can_id: int | None = None  #: authenticated message of slot 0, if there are any
+    first_secured_data_id: int = 0x4D50  #: SecOC data ID of slot 0
+    freshness_bytes: int = SECURED_SIGNALS["Freshness"]  #: 1 to 7
+    mac_bytes: int = SECURED_SIGNALS["Mac"]  #: 1 to 8
 
     def __post_init__(self) -> None:
         for number in range(len(self.pages)):
@@ -122,53 +132,42 @@ class DbcWriter:
         return max(1, (len(self.pages) - 1).bit_length())
 
     def dbc(self) -> str:
-        """The text of the DBC."""
+        """Return the text of the DBC."""
         definitions = _attribute_definitions()
         if self.first_secured_can_id is None:
             del definitions["SecOCDataId"]
-        carriers = [self._classic]
-        if len(self.pages) * PAGE_BYTES <= LARGEST_FD_PAYLOAD:
-            carriers.append(self._fd)
-        if self.first_secured_can_id is not None:
-            carriers.append(self._secured)
-        messages = [message(slot) for slot in self.slots for message in carriers]
+        network = {"BusType": "CAN FD", "CovarianceCode": self.covariance_code}
         database = Database(
-            messages=messages,
+            messages=[message for slot in self.slots for message in self._messages(slot)],
             nodes=[
                 Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
                 Node("AdasEcu", "Fuses the lines, steers by them or checks its camera with them."),
             ],
             version="1",
             dbc_specifics=DbcSpecifics(
-                attributes=OrderedDict(
-                    BusType=DbcAttribute("CAN FD", definitions["BusType"]),
-                    CovarianceCode=DbcAttribute(
-                        self.covariance_code, definitions["CovarianceCode"]
-                    ),
-                ),
-                attribute_definitions=definitions,
+                attributes=_attributes(network), attribute_definitions=definitions
             ),
         )
         return str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
 
     def table(self) -> str:
-        """The fields as a Markdown table, for the page beside the DBC."""
+        """Return the fields as a Markdown table, for the page beside the DBC."""
         rows = [
-            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |"
+            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |",
+            "|---|---|---|---|---|---|---|---|---|",
         ]
-        rows.append("|---|---|---|---|---|---|---|---|---|")
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
                 low, high = spec.range
-                end = start + spec.bits - 1
                 rows.append(
-                    f"| {number} | {start}..{end} | `{spec.name}` | {spec.bits} | "
-                    f"{spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
+                    f"| {number} | {start}..{start + spec.bits - 1} | `{spec.name}` | {spec.bits} "
+                    f"| {spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
                     f"{spec.about} | {spec.why} |"
                 )
         return "\n".join(rows)
 
     def _placed(self, number: int) -> Iterator[tuple[SignalSpec, int]]:
+        """Yield the signals of a page and their first bits."""
         start = 0
         for spec in self.pages[number]:
             yield spec, start
@@ -176,83 +175,82 @@ class DbcWriter:
         end = 8 * PAGE_BYTES - self.page_bits
         if number > 0:
             yield replace(_TRANSFER_ID, name=f"{TRANSFER_ID}{number}"), end - TRANSFER_ID_BITS
-        yield _page_spec(self.page_bits), end
+        yield replace(_PAGE, bits=self.page_bits), end
 
-    def _classic(self, slot: Slot) -> Message:
+    def _messages(self, slot: Slot) -> Iterator[Message]:
+        """Yield the classic message of a slot, and the FD and authenticated ones if any."""
+        name = "".join(word.capitalize() for word in slot.name.split("_"))
+        line, size = f"The {slot.name.replace('_', ' ').lower()} line", PAGE_BYTES * len(self.pages)
+        about = f"{line}: {len(self.pages)} pages, sent back to back with the same transfer number."
+        yield self._message(name, self.first_can_id, PAGE_BYTES, self._paged(), about, slot)
+        if size <= LARGEST_FD_PAYLOAD:
+            about = f"{line}: the pages of {name} laid end to end."
+            can_id, length = self.first_fd_can_id, fd_length(size)
+            yield self._message(f"{name}Fd", can_id, length, self._end_to_end(), about, slot, True)
+        if self.first_secured_can_id is not None:
+            specs = (
+                _KEY_ID,
+                replace(_FRESHNESS, bits=8 * self.freshness_bytes),
+                replace(_MAC, bits=8 * self.mac_bytes),
+            )
+            tail = sum(spec.bits for spec in specs)
+            length = fd_length(size + tail // 8)
+            signals, start = self._end_to_end(), 8 * length - tail
+            for spec in specs:
+                signals.append(_signal(spec, start + 7, byte_order="big_endian"))
+                start += spec.bits
+            about = (
+                f"{line}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then the number of "
+                "the key, the freshness value and the MAC over SecOCDataId, all bytes before "
+                "Freshness, and the freshness value in 64 bits."
+            )
+            data_id = self.first_secured_data_id + slot
+            yield self._message(
+                *(f"{name}SecOc", self.first_secured_can_id, length, signals, about, slot, True),
+                SecOCDataId=data_id,
+            )
+
+    def _paged(self) -> list[Signal]:
+        """Return the signals of the multiplexed message."""
         signals = []
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
                 if spec.name != PAGE:
-                    mux: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
-                    signals.append(_signal(spec, start, **mux))
+                    ids = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                    signals.append(_signal(spec, start, **ids))
                 elif number == 0:
                     signals.append(_signal(spec, start, is_multiplexer=True))
-        about = (
-            f"The {_slot_words(slot)} line: {len(self.pages)} pages, sent back to back with one "
-            "transfer number."
-        )
-        return self._message(_slot_name(slot), self.first_can_id + slot, PAGE_BYTES, signals, about)
-
-    def _fd(self, slot: Slot) -> Message:
-        length = fd_length(PAGE_BYTES * len(self.pages))
-        name = _slot_name(slot) + "Fd"
-        about = f"The {_slot_words(slot)} line: the pages of {_slot_name(slot)} laid end to end."
-        can_id, signals = self.first_fd_can_id + slot, self._end_to_end()
-        return self._message(name, can_id, length, signals, about, is_fd=True)
-
-    def _secured(self, slot: Slot) -> Message:
-        specs = _secured_specs(self.freshness_bytes, self.mac_bytes)
-        tail = sum(spec.bits for spec in specs) // 8
-        length = fd_length(PAGE_BYTES * len(self.pages) + tail)
-        signals, start = self._end_to_end(), 8 * (length - tail)
-        for spec in specs:
-            signals.append(_signal(spec, start + 7, big_endian=True))
-            start += spec.bits
-        name = _slot_name(slot) + "SecOc"
-        about = (
-            f"The {_slot_words(slot)} line, authenticated (AUTOSAR SecOC, AES-CMAC): "
-            f"{_slot_name(slot)}Fd, then the key's number, the freshness value and the MAC over "
-            "SecOCDataId, all bytes before Freshness, and the freshness value in 64 bits."
-        )
-        can_id = (self.first_secured_can_id or 0) + slot
-        data_id = self.first_secured_data_id + slot
-        return self._message(
-            name, can_id, length, signals, about, is_fd=True, secured_data_id=data_id
-        )
+        return signals
 
     def _end_to_end(self) -> list[Signal]:
+        """Return the signals of all pages laid end to end."""
         signals = []
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
-                suffix = str(number) if spec.name == PAGE else ""
-                signals.append(_signal(spec, start + 8 * PAGE_BYTES * number, suffix=suffix))
+                name = f"{PAGE}{number}" if spec.name == PAGE else spec.name
+                signals.append(_signal(replace(spec, name=name), start + 8 * PAGE_BYTES * number))
         return signals
 
     def _message(
         self,
         name: str,
-        can_id: int,
+        first_can_id: int,
         length: int,
         signals: list[Signal],
         about: str,
+        slot: Slot,
         is_fd: bool = False,
-        secured_data_id: int | None = None,
+        **attributes: int,
     ) -> Message:
-        definitions = _attribute_definitions()
-        slot = can_id - (self.first_fd_can_id if is_fd else self.first_can_id)
-        if secured_data_id is not None:
-            slot = secured_data_id - self.first_secured_data_id
-        values: dict[str, Any] = {
-            "MapLineSlot": slot,
+        values = {
+            "MapLineSlot": int(slot),
             "E2EDataId": self.first_data_id + slot,
             "GenMsgCycleTime": self.cycle_ms,
             "GenMsgSendType": 0,
             "VFrameFormat": 14 if is_fd else 0,
         }
-        if secured_data_id is not None:
-            values["SecOCDataId"] = secured_data_id
         return Message(
-            frame_id=can_id,
+            frame_id=first_can_id + slot,
             name=name,
             length=length,
             signals=signals,
@@ -262,36 +260,66 @@ class DbcWriter:
             cycle_time=self.cycle_ms,
             is_fd=is_fd,
             sort_signals=None,
-            dbc_specifics=DbcSpecifics(
-                attributes=OrderedDict(
-                    (name, DbcAttribute(value, definitions[name])) for name, value in values.items()
-                )
-            ),
+            dbc_specifics=DbcSpecifics(attributes=_attributes(values | attributes)),
         )
 
 
-TRANSFER_ID_BITS = 4
-#: A longer record has no CAN FD message [byte].
-LARGEST_FD_PAYLOAD = 64
-_TRANSFER_ID = SignalSpec(
-    TRANSFER_ID,
-    TRANSFER_ID_BITS,
-    1,
-    "",
-    "Which transfer the page belongs to: the low bits of Counter. A line is accepted only when all "
-    "its pages carry the same number and the checksum over all of them holds.",
-    "tells 16 transfers in a row apart, long after a lost page's transfer has timed out",
-)
+def _signal(
+    spec: SignalSpec, start: int, byte_order: str = "little_endian", **multiplexing: Any
+) -> Signal:
+    low, high = (None, None) if spec.is_float else spec.range
+    return Signal(
+        name=spec.name,
+        start=start,
+        length=spec.bits,
+        byte_order=byte_order,  # type: ignore[arg-type]
+        is_signed=spec.signed,
+        conversion=BaseConversion.factory(
+            scale=_plain(spec.factor),
+            offset=_plain(spec.offset),
+            choices=OrderedDict(spec.choices) if spec.choices else None,
+            is_float=spec.is_float,
+        ),
+        minimum=low,
+        maximum=high,
+        unit=spec.unit or None,
+        comment=spec.about,
+        receivers=["AdasEcu"],
+        **multiplexing,
+    )
+
+
+def _attributes(values: dict[str, Any]) -> OrderedDict[str, DbcAttribute]:
+    definitions = _attribute_definitions()
+    return OrderedDict(
+        (name, DbcAttribute(value, definitions[name])) for name, value in values.items()
+    )
+
+
+def _attribute_definitions() -> OrderedDict[str, Any]:
+    formats = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD", "ExtendedCAN_FD"]
+    send_types = ["Cyclic", "Event", "IfActive"]
+    definitions = (
+        DbcAttributeDefinition("BusType", "CAN", "", "STRING"),
+        DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
+        DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
+        DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
+        DbcAttributeDefinition("SecOCDataId", 0, "BO_", "INT", 0, 0xFFFF),
+        DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
+        DbcAttributeDefinition("GenMsgSendType", "Cyclic", "BO_", "ENUM", choices=send_types),
+        DbcAttributeDefinition("VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=formats),
+    )
+    return OrderedDict((definition.name, definition) for definition in definitions)
 
 
 def paged(signals: Sequence[SignalSpec]) -> tuple[tuple[SignalSpec, ...], ...]:
-    """Signals on as few pages as a search finds; the header of E2E first.
+    """Distribute signals to as few pages as a search finds.
 
-    Each page is filled as far as its signals allow (a subset sum); where
-    the last ones do not fit, other fillings are tried, always the same ones.
+    Each page is filled as far as its signals allow (a subset sum); if the last signals do not
+    fit, the search repeats with other orders, the same ones at each call.
 
     Args:
-        signals: the first two are the header; any of 1 to 56 bits.
+        signals: of 1 to 56 bits; the first two are the header of E2E.
     """
     head, rest = signals[:2], list(signals[2:])
     rng = np.random.default_rng(0)
@@ -316,102 +344,10 @@ def paged(signals: Sequence[SignalSpec]) -> tuple[tuple[SignalSpec, ...], ...]:
 
 
 def _fullest(sizes: Sequence[int], space: int) -> set[int]:
-    """Indices of sizes whose sum comes next to ``space`` from below, early ones first."""
+    """Return the indices of the sizes with the largest sum up to ``space``, early ones first."""
     reached: dict[int, tuple[int, ...]] = {0: ()}
     for index, size in enumerate(sizes):
         for total, chosen in list(reached.items()):
             if total + size <= space:
                 reached.setdefault(total + size, (*chosen, index))
     return set(reached[max(reached)])
-
-
-def _secured_specs(freshness_bytes: int, mac_bytes: int) -> tuple[SignalSpec, ...]:
-    return (
-        SignalSpec(
-            "KeyId",
-            8,
-            1,
-            "",
-            "Number of the key of the MAC, which covers it.",
-            "a byte: the old key and the new one, and room to number them on",
-        ),
-        SignalSpec(
-            "Freshness",
-            8 * freshness_bytes,
-            1,
-            "us",
-            "Low bytes of the freshness value: the sender's time since 1970, and always more than "
-            "in the frame before.",
-            "7 bytes last 2283 years, so each frame says all of it and none is needed to "
-            "synchronise; a record of 32 bytes leaves 16 in the next length of CAN FD",
-        ),
-        SignalSpec(
-            "Mac",
-            8 * mac_bytes,
-            1,
-            "",
-            "First bytes of the AES-CMAC (RFC 4493).",
-            "64 bits, the least that NIST SP 800-38B advises without an analysis of guesses",
-        ),
-    )
-
-
-def _page_spec(bits: int) -> SignalSpec:
-    return SignalSpec(PAGE, bits, 1, "", "Page of the record: the multiplexer.", "as many as pages")
-
-
-def _slot_name(slot: Slot) -> str:
-    return "".join(part.capitalize() for part in slot.name.split("_"))
-
-
-def _slot_words(slot: Slot) -> str:
-    return slot.name.replace("_", " ").lower()
-
-
-def _signal(
-    spec: SignalSpec,
-    start: int,
-    suffix: str = "",
-    *,
-    big_endian: bool = False,
-    **multiplexing: Any,
-) -> Signal:
-    low, high = (None, None) if spec.is_float else spec.range
-    return Signal(
-        name=spec.name + suffix,
-        start=start,
-        length=spec.bits,
-        byte_order="big_endian" if big_endian else "little_endian",
-        is_signed=spec.signed,
-        conversion=BaseConversion.factory(
-            scale=_plain(spec.factor),
-            offset=_plain(spec.offset),
-            choices=OrderedDict(spec.choices) if spec.choices else None,
-            is_float=spec.is_float,
-        ),
-        minimum=low,
-        maximum=high,
-        unit=spec.unit or None,
-        comment=spec.about,
-        receivers=["AdasEcu"],
-        **multiplexing,
-    )
-
-
-def _attribute_definitions() -> OrderedDict[str, Any]:
-    frame_formats = ["StandardCAN", "ExtendedCAN", *["reserved"] * 12, "StandardCAN_FD"]
-    definitions = (
-        DbcAttributeDefinition("BusType", "CAN", "", "STRING"),
-        DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
-        DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
-        DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
-        DbcAttributeDefinition("SecOCDataId", 0, "BO_", "INT", 0, 0xFFFF),
-        DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),
-        DbcAttributeDefinition(
-            "GenMsgSendType", "Cyclic", "BO_", "ENUM", choices=["Cyclic", "Event", "IfActive"]
-        ),
-        DbcAttributeDefinition(
-            "VFrameFormat", "StandardCAN", "BO_", "ENUM", choices=[*frame_formats, "ExtendedCAN_FD"]
-        ),
-    )
-    return OrderedDict((definition.name, definition) for definition in definitions)

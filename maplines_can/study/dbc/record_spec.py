@@ -1,4 +1,4 @@
-"""The one description of the wire: what a record holds, and why."""
+"""The description of the record, from which its DBCs are written: each signal, and why."""
 
 from __future__ import annotations
 
@@ -12,139 +12,76 @@ from .dbc_writer import DbcWriter, SignalSpec, paged
 
 __all__ = ["DEFAULT", "SECURED", "SERVICE", "dbc_writer_for"]
 
-
+# fmt: off
 _PROTECTION = (
     SignalSpec(
-        "Crc",
-        16,
-        1,
-        "",
-        "CRC-16/CCITT-FALSE over all other bytes of the record, then the slot's E2EDataId, low "
-        "byte first (AUTOSAR E2E profile 5).",
-        "profile 5 asks for 16 bits, and for this place at the head of the record",
-    ),
+        name="Crc", bits=16,
+        about="CRC-16/CCITT-FALSE over all other bytes of the record, then the slot's E2EDataId, "
+              "low byte first (AUTOSAR E2E profile 5).",
+        why="profile 5 asks for 16 bits, and for this place at the head of the record"),
     SignalSpec(
-        "Counter",
-        8,
-        1,
-        "",
-        "Counts the records of the slot (AUTOSAR E2E profile 5); its low four bits are the "
-        "transfer number, which the other pages repeat.",
-        "profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz",
-    ),
+        name="Counter", bits=8,
+        about="Counts the records of the slot (AUTOSAR E2E profile 5). Its low four bits are the "
+              "transfer number, which the other pages repeat.",
+        why="profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz"),
 )
 _MEAN = (
     SignalSpec(
-        "YOff",
-        16,
-        2**-10,
-        "m",
-        "Lateral offset of the line at x = 0, positive to the left.",
-        "half a step is 0.5 mm; +-32 m holds four lanes to either side",
-        signed=True,
-    ),
+        name="YOff", bits=16, factor=2**-10, unit="m", signed=True,
+        about="Lateral offset of the line at x = 0, positive to the left.",
+        why="half a step is 0.5 mm; +-32 m holds four lanes to either side"),
     SignalSpec(
-        "Beta",
-        16,
-        2**-16,
-        "rad",
-        "Heading of the line relative to the car, positive to the left; tan(Beta) is the slope.",
-        "half a step is 0.6 mm at 80 m; +-28.6 deg",
-        signed=True,
-    ),
+        name="Beta", bits=16, factor=2**-16, unit="rad", signed=True,
+        about="Heading of the line relative to the car, positive to the left; tan(Beta) is the "
+              "slope.",
+        why="half a step is 0.6 mm at 80 m; +-28.6 deg"),
     SignalSpec(
-        "C0",
-        19,
-        2**-21,
-        "1/m",
-        "Curvature at x = 0: the second derivative of y(x), positive to the left.",
-        "half a step is 0.8 mm at 80 m; +-0.125 1/m is a radius of 8 m",
-        signed=True,
-    ),
+        name="C0", bits=19, factor=2**-21, unit="1/m", signed=True,
+        about="Curvature at x = 0: the second derivative of y(x), positive to the left.",
+        why="half a step is 0.8 mm at 80 m; +-0.125 1/m is a radius of 8 m"),
     SignalSpec(
-        "C1",
-        26,
-        2**-30,
-        "1/m^2",
-        "Curvature rate: the third derivative of y(x).",
-        "a step is an eighth of what a good pose leaves open, since coarser ones blur how c1 goes "
-        "with beta; a turn of radius 15 m needs 0.02 of the 0.031",
-        signed=True,
-    ),
+        name="C1", bits=26, factor=2**-30, unit="1/m^2", signed=True,
+        about="Curvature rate: the third derivative of y(x).",
+        why="a step is an eighth of the sigma of c1 given beta with a good pose, since coarser "
+            "steps blur their correlation; a turn of radius 15 m needs 0.02 of the 0.031"),
 )
 _STATUS = SignalSpec(
-    "Status",
-    3,
-    1,
-    "",
-    "What the covariance is worth.",
-    "six values; 6 and 7 are refused",
-    choices={status.value: status.name for status in Status},
-)
+    name="Status", bits=3, choices={status.value: status.name for status in Status},
+    about="Validity of the covariance.", why="six values; 6 and 7 are refused")
 _KIND = SignalSpec(
-    "Kind",
-    3,
-    1,
-    "",
-    "What the line is on the road.",
-    "eight values",
-    choices={kind.value: kind.name for kind in Kind},
-)
+    name="Kind", bits=3, choices={kind.value: kind.name for kind in Kind},
+    about="Kind of line on the road.", why="eight values")
 _EXTENT = (
     SignalSpec(
-        "XMin",
-        3,
-        8,
-        "m",
-        "The cubic holds from here on. Rounded up: never claims too much.",
-        "-32 to 24 m: from what lies behind the car to where a merging line begins",
-        offset=-32,
-    ),
+        name="XMin", bits=3, factor=8, offset=-32, unit="m",
+        about="Start of the range where the cubic is valid, rounded up: never too wide.",
+        why="-32 to 24 m: from behind the car to where a merging line begins"),
     SignalSpec(
-        "XMax",
-        5,
-        8,
-        "m",
-        "The cubic holds up to here. Rounded down: never claims too much.",
-        "0 to 248 m, beyond the reach of any camera",
-    ),
+        name="XMax", bits=5, factor=8, unit="m",
+        about="End of the range where the cubic is valid, rounded down: never too wide.",
+        why="0 to 248 m, beyond the range of any camera"),
     SignalSpec(
-        "Age",
-        5,
-        8,
-        "ms",
-        "Time from the pose to the sending, rounded up; 248 means this or more.",
-        "a step is 24 cm of way at 30 m/s, along the line where it matters least",
-    ),
+        name="Age", bits=5, factor=8, unit="ms",
+        about="Time from the pose to the transmission, rounded up; 248 means this or more.",
+        why="a step is 24 cm of travel at 30 m/s, along the line where it matters least"),
 )
 _COMPONENT = (
     SignalSpec(
-        "ComponentIndex", 3, 1, "", "Which component of a Gaussian mixture, from 0.", "8 components"
-    ),
+        name="ComponentIndex", bits=3,
+        about="Component of a Gaussian mixture, from 0.", why="8 components"),
     SignalSpec(
-        "ComponentCount",
-        3,
-        1,
-        "",
-        "How many components the line has; 1 is a plain Gaussian.",
-        "8 components",
-        offset=1,
-    ),
+        name="ComponentCount", bits=3, offset=1,
+        about="Number of components of the line; 1 is a plain Gaussian.", why="8 components"),
     SignalSpec(
-        "ComponentWeight",
-        5,
-        2**-5,
-        "",
-        "Weight of the component.",
-        "steps of 1/32, and no component weighs nothing",
-        offset=2**-5,
-    ),
+        name="ComponentWeight", bits=5, factor=2**-5, offset=2**-5,
+        about="Weight of the component.", why="steps of 1/32; no component has weight 0"),
 )
-#: What a record holds besides its covariance.
+# fmt: on
+#: The signals of a record other than its covariance.
 SERVICE = (*_PROTECTION, *_MEAN, _STATUS, _KIND, *_EXTENT, *_COMPONENT)
 
 _COVARIANCE = covariance_signals("Cholesky")
-#: What ``dbc/maplines.dbc`` describes.
+#: The writer of ``dbc/maplines.dbc``.
 DEFAULT = DbcWriter(
     pages=(
         (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, _KIND),
@@ -153,23 +90,23 @@ DEFAULT = DbcWriter(
         _COVARIANCE[5:],
     )
 )
-#: What ``dbc/maplines-secoc.dbc`` describes: the same, and an authenticated message for each slot.
+#: The writer of ``dbc/maplines-secoc.dbc``: the same, with an authenticated message for each slot.
 SECURED = replace(DEFAULT, first_secured_can_id=0x350)
 
 
 def dbc_writer_for(
     code: str, finer_bits: int = 0, field_bits: Mapping[str, int] | None = None
 ) -> DbcWriter:
-    """The writer of any covariance code, in as few pages as it fits.
+    """Return the writer for a covariance code, with as few pages as its signals fit on.
 
     Args:
         code: a name of ``CODES``.
-        finer_bits: so many bits more in each field of the covariance, for finer steps.
-        field_bits: so many bits more in single fields, by name, over the same range: of the
-            covariance or of the mean.
+        finer_bits: more bits for each field of the covariance, for finer steps.
+        field_bits: more bits for single fields of the covariance or the mean, by name, over the
+            same range.
 
     Raises:
-        ValueError: there is no such code or field, or it has no such widths.
+        ValueError: there is no such code or field, or it does not have such widths.
 
     >>> [len(dbc_writer_for(code).pages) for code in ("MeanOnly", "Cholesky", "Float32")]
     [3, 4, 11]
@@ -178,12 +115,12 @@ def dbc_writer_for(
         raise ValueError(f"code must be one of {', '.join(CODES)}, got {code!r}")
     if code == DEFAULT.covariance_code and not finer_bits and not field_bits:
         return DEFAULT
-    signals = (*SERVICE, *covariance_signals(code, finer_bits))
-    if field_bits:
-        names = [spec.name for spec in (*_MEAN, *signals[len(SERVICE) :])]
-        if unknown := [name for name in field_bits if name not in names]:
-            raise ValueError(
-                f"field_bits must be of {', '.join(names)}, got {', '.join(map(repr, unknown))}"
-            )
-        signals = tuple(spec.finer(field_bits.get(spec.name, 0)) for spec in signals)
+    covariance = covariance_signals(code, finer_bits)
+    bits = field_bits or {}
+    names = [spec.name for spec in (*_MEAN, *covariance)]
+    if unknown := [name for name in bits if name not in names]:
+        raise ValueError(
+            f"field_bits must be of {', '.join(names)}, got {', '.join(map(repr, unknown))}"
+        )
+    signals = [spec.finer(bits.get(spec.name, 0)) for spec in (*SERVICE, *covariance)]
     return DbcWriter(paged(signals), covariance_code=code)

@@ -1,1 +1,1 @@
-"""The quantization study: sets through codes and widths, into tables."""
+"""The study of covariance codes: sets of Gaussians through codes and widths, into tables."""

@@ -1,7 +1,8 @@
-"""The directory of a study: what it is, what is done of it, and its tables."""
+"""The directory of a study: its manifest, the results of its tasks, and its tables."""
 
 from __future__ import annotations
 
+import gzip
 import hashlib
 import json
 import os
@@ -10,81 +11,82 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import StudyError
-from .tasks import unpacked
 
 __all__ = ["StudyDirectory"]
 
 
 class StudyDirectory:
-    """The files of one study: what it is, what is done of it, and its tables.
+    """The files of one study.
 
     Args:
-        path: is made where it is not there.
-        description: of the study, all that its result depends on.
+        path: created if it does not exist.
+        description: everything that the result of the study depends on, as JSON values.
 
     Raises:
-        StudyError: the directory holds another study, or other things.
+        StudyError: the directory holds another study, or other files.
     """
-
-    MANIFEST = "study.json"
 
     def __init__(self, path: Path, description: Mapping[str, Any]) -> None:
         self.path = path
-        self._results = path / "chunks"
-        description = json.loads(json.dumps(description))  # as it is read back
-        manifest = path / self.MANIFEST
+        manifest = path / "study.json"
+        text = json.dumps(description, indent=2)
+        #: Identifies the study.
+        self.fingerprint = hashlib.sha256(text.encode()).hexdigest()[:12]
         try:
             if manifest.exists():
-                self._compare(json.loads(manifest.read_text(encoding="utf-8")), description)
+                _compare(manifest, json.loads(text))
             elif path.exists() and (not path.is_dir() or any(path.iterdir())):
                 raise StudyError(f"{path}: holds other things than a study; name a new directory")
-            self._results.mkdir(parents=True, exist_ok=True)
-            if not manifest.exists():
-                self.write(self.MANIFEST, json.dumps(description, indent=2).encode() + b"\n")
+            else:
+                path.mkdir(parents=True, exist_ok=True)
+                self.write(manifest.name, text.encode() + b"\n")
+            (path / "chunks").mkdir(exist_ok=True)
         except (OSError, ValueError) as error:
             if isinstance(error, StudyError):
                 raise
             raise StudyError(f"{path}: cannot be used: {error}") from error
-        digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
-        #: Tells this study from all others.
-        self.fingerprint = digest.hexdigest()[:12]
-
-    def _compare(self, there: Any, wanted: Mapping[str, Any]) -> None:
-        if not isinstance(there, dict):
-            raise StudyError(f"{self.path / self.MANIFEST}: is no manifest of a study")
-        differing = [key for key in wanted if there.get(key) != wanted[key]]
-        if differing:
-            key = differing[0]
-            raise StudyError(
-                f"{self.path}: holds another study: there {key} is {json.dumps(there.get(key))}, "
-                f"and now {json.dumps(wanted[key])}; name another directory, or ask for the same"
-            )
 
     def write(self, name: str, content: bytes) -> None:
-        """A file that is there as a whole or not at all."""
+        """Write a file as a whole or not at all."""
         path = self.path / name
         partial = path.with_name(f".{path.name}.{os.getpid()}")
         partial.write_bytes(content)
         partial.replace(path)
 
-    def store(self, key: str, content: bytes) -> None:
-        """Keep the result of a task."""
-        self.write(f"chunks/{key}.json.gz", content)
+    def store(self, key: str, result: Mapping[str, Any]) -> None:
+        """Store the result of a task."""
+        text = json.dumps(result, separators=(",", ":"))
+        self.write(f"chunks/{key}.json.gz", gzip.compress(text.encode(), 6, mtime=0))
 
     def done(self) -> set[str]:
-        """The tasks whose results are there."""
-        return {path.name.removesuffix(".json.gz") for path in self._results.glob("*.json.gz")}
+        """Return the keys of the tasks whose results are stored."""
+        chunks = (self.path / "chunks").glob("*.json.gz")
+        return {path.name.removesuffix(".json.gz") for path in chunks}
 
     def result(self, key: str) -> Any:
-        """The result of a task.
+        """Return the result of a task.
 
         Raises:
             StudyError: its file is damaged.
         """
-        path = self._results / f"{key}.json.gz"
+        path = self.path / "chunks" / f"{key}.json.gz"
         try:
-            return unpacked(path.read_bytes())
+            return json.loads(gzip.decompress(path.read_bytes()))
         except (OSError, EOFError, ValueError) as error:
             raise StudyError(
                 f"{path}: cannot be read ({error}); delete it and run the study again"
             ) from error
+
+
+def _compare(manifest: Path, wanted: Mapping[str, Any]) -> None:
+    """Raise ``StudyError`` if a manifest describes another study than the wanted one."""
+    there = json.loads(manifest.read_text(encoding="utf-8"))
+    if not isinstance(there, dict):
+        raise StudyError(f"{manifest}: is not the manifest of a study")
+    for key, value in wanted.items():
+        if there.get(key) != value:
+            raise StudyError(
+                f"{manifest.parent}: holds another study: there {key} is "
+                f"{json.dumps(there.get(key))}, and now {json.dumps(value)}; name another "
+                "directory, or ask for the same"
+            )

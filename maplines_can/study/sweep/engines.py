@@ -1,157 +1,99 @@
-"""Who does the work of a study: this process, processes of this machine, or a Dask cluster.
+"""Engines: run the tasks of a study in this process, or on Dask workers here or elsewhere.
 
-An engine takes an iterator of tasks and yields ``(key, content)`` as they are done, in any order.
-It draws a few tasks ahead of its workers and no more, so that memory stays flat. A worker that dies
-changes nothing in the end: its tasks are done again.
+An engine takes an iterator of tasks and yields ``(key, result)`` as tasks finish, in any order. It
+draws only a few tasks ahead of its workers, so that memory use stays flat. If a worker dies, Dask
+runs its tasks again on another one.
 """
 
 from __future__ import annotations
 
-import os
 import signal
-import threading
-from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Generator, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
-from multiprocessing import active_children, get_context, parent_process
-from multiprocessing.connection import wait as wait_for_end
-from typing import Any
+from typing import Any, NamedTuple
 
 from ...errors import MissingExtraError, StudyError
 
-__all__ = ["Task", "in_processes", "in_this_process", "on_dask"]
+__all__ = ["Result", "Results", "Task", "in_this_process", "on_dask"]
 
-#: Times that workers may die one after the other with no task done in between.
-DEATHS = 3
-#: Tasks that wait for each worker, so that it need not wait for them.
+#: Tasks in flight for each worker thread, so that none waits for the next one.
 AHEAD = 2
-#: How long a Dask cluster may take to answer, and to have a worker [s].
+#: Time limit for a Dask scheduler to answer, and to have a worker [s].
 PATIENCE = 30.0
 
-
-class Task(ABC):
-    """A piece of work that any process can do."""
-
-    key: str  #: no two tasks of a study have the same
-    weight: int  #: of the progress
-
-    @abstractmethod
-    def content(self) -> bytes:
-        """Do the work."""
+#: The result of a task, as JSON values.
+Result = dict[str, Any]
 
 
-#: (key, content) of each task, as it is done; to be closed where they are not all taken.
-Results = Generator[tuple[str, bytes], None, None]
+class Task(NamedTuple):
+    """A piece of work for any process."""
+
+    key: str  #: unique within a study
+    work: Callable[[], Result]  #: can be pickled
+
+
+#: (key, result) of each task as it finishes; to be closed if not exhausted.
+Results = Generator[tuple[str, Result], None, None]
 
 
 def in_this_process(tasks: Iterator[Task]) -> Results:
-    """One after the other."""
+    """Run one task after the other."""
     for task in tasks:
-        yield task.key, task.content()
+        yield task.key, task.work()
 
 
-# ---- processes of this machine --------------------------------------------------------
+def on_dask(tasks: Iterator[Task], name: str, *, jobs: int = 1, address: str = "") -> Results:
+    """Run tasks on processes of this machine, or on the workers of a Dask scheduler.
 
-
-def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
-    """On so many processes, which are started anew where one dies.
-
-    Raises:
-        StudyError: they die again and again.
-    """
-    owed: deque[Task] = deque()
-    deaths = 0
-    while True:
-        others = set(active_children())
-        pool = ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin)
-        running: dict[Future[bytes], Task] = {}
-        try:
-            while True:
-                while len(running) < AHEAD * jobs and (owed or _draw(tasks, owed)):
-                    with _no_interrupts():
-                        running[pool.submit(_work, owed[0])] = owed[0]
-                    owed.popleft()
-                if not running:
-                    return
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    content = future.result()
-                    task = running.pop(future)
-                    deaths = 0
-                    yield task.key, content
-        except BrokenProcessPool:
-            deaths += 1
-            owed.extendleft(reversed(running.values()))
-            if deaths > DEATHS:
-                raise StudyError(
-                    f"the workers died {deaths} times in a row; make chunks smaller (--chunk) or "
-                    "take fewer jobs (--jobs) if memory is short. What is done is kept"
-                ) from None
-        except BaseException:  # Ctrl-C above all: nobody waits for what is half done
-            for child in set(active_children()) - others:
-                child.terminate()
-            raise
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _draw(tasks: Iterator[Task], owed: deque[Task]) -> bool:
-    """Whether there is another task; it is put with those that are owed."""
-    task = next(tasks, None)
-    if task is not None:
-        owed.append(task)
-    return task is not None
-
-
-def _work(task: Task) -> bytes:
-    return task.content()
-
-
-def _begin() -> None:
-    """In each new process: Ctrl-C is the parent's affair, and without a parent there is no work."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    if parent is not None:
-        threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
-
-
-def _end_with(sentinel: int) -> None:
-    wait_for_end([sentinel])
-    os._exit(1)
-
-
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """A process that is started in here is deaf to Ctrl-C from its first instruction on."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-# ---- a Dask cluster -------------------------------------------------------------------
-
-
-def on_dask(tasks: Iterator[Task], address: str, name: str) -> Results:
-    """On the workers of a Dask scheduler, which need this package too, and no files.
+    The workers of a scheduler need this package too, but no files.
 
     Args:
-        tasks: to be done.
-        address: of the scheduler, such as tcp://10.0.0.1:8786.
+        tasks: to run.
         name: of the study, for the scheduler's dashboard.
+        jobs: processes, if there is no address.
+        address: of a scheduler, such as tcp://10.0.0.1:8786.
 
     Raises:
         MissingExtraError: dask.distributed is not installed.
-        StudyError: there is no scheduler or no worker, or they are lost.
+        StudyError: the scheduler or its workers cannot be reached, or a task kills each worker.
     """
-    distributed = _distributed()
+    try:
+        import distributed
+    except ImportError as error:
+        option = "--scheduler" if address else "--jobs above 1"
+        raise MissingExtraError(
+            f"{option} needs Dask; pip install 'maplines_can[study]'"
+        ) from error
+    with _client(distributed, jobs, address) as client:
+        try:
+            yield from _flow(distributed, client, tasks, name)
+        except distributed.KilledWorker as error:
+            raise StudyError(
+                f"a task killed each worker that took it ({error}); make chunks smaller (--chunk) "
+                "or take fewer jobs (--jobs) if memory is short. Finished tasks are kept"
+            ) from error
+        except (CancelledError, OSError) as error:
+            raise StudyError(
+                f"the Dask scheduler at {client.scheduler.address} is lost ({error}); run the same "
+                "command again to go on"
+            ) from error
+
+
+@contextmanager
+def _client(distributed: Any, jobs: int, address: str) -> Iterator[Any]:
+    if not address:
+        with _interrupts_blocked():
+            cluster = distributed.LocalCluster(
+                n_workers=jobs,
+                threads_per_worker=1,
+                memory_limit=0,
+                dashboard_address="127.0.0.1:0",
+            )
+        with cluster, distributed.Client(cluster) as client:
+            yield client
+        return
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
@@ -164,18 +106,23 @@ def on_dask(tasks: Iterator[Task], address: str, name: str) -> Results:
                 f"the Dask scheduler at {address} has no workers; start some: dask worker {address}"
             ) from None
         _check_versions(client, address)
-        try:
-            yield from _flow(distributed, client, tasks, name)
-        except distributed.KilledWorker as error:
-            raise StudyError(
-                f"a task killed each Dask worker that took it ({error}); make chunks smaller "
-                "(--chunk) if memory is short. What is done is kept"
-            ) from error
-        except (CancelledError, OSError) as error:
-            raise StudyError(
-                f"the Dask scheduler at {address} is lost ({error}); run the same command again to "
-                "go on"
-            ) from error
+        yield client
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block SIGINT in threads and processes started within: Ctrl-C then reaches only the parent.
+
+    There is no signal mask on Windows, where Ctrl-C prints a traceback for each worker.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _check_versions(client: Any, address: str) -> None:
@@ -201,24 +148,14 @@ def _flow(distributed: Any, client: Any, tasks: Iterator[Task], name: str) -> Re
             task = next(tasks, None)
             if task is None:
                 return
-            future = client.submit(_work, task, key=f"{name}-{task.key}", pure=False)
+            future = client.submit(task.work, key=f"{name}-{task.key}", pure=False)
             keys[future] = task.key
             flow.add(future)
 
     refill()
     for future in flow:
-        content = future.result()
+        result = future.result()
         key = keys.pop(future)
         future.release()
         refill()
-        yield key, content
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as error:
-        raise MissingExtraError(
-            "--scheduler needs Dask; pip install 'maplines_can[study]'"
-        ) from error
-    return distributed
+        yield key, result

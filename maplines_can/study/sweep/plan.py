@@ -1,4 +1,4 @@
-"""What a study asks: which codes, at which widths, of which sets."""
+"""The plan of a study: which codes, at which widths, on which sets."""
 
 from __future__ import annotations
 
@@ -31,35 +31,35 @@ __all__ = [
 
 #: The code of the project's own DBC.
 DEFAULT_CODE = next(iter(CODES))
-#: Of a Gaussian: the limit is told for both.
+#: What of a Gaussian the rate-distortion limit is computed for.
 LIMIT_PARTS = ("all", "covariance")
-#: Of the files of a study; another number is another study.
-FORMAT = 1
+#: Version of the files of a study; a study of another version is another study.
+FORMAT = 2
 
 
 class Plan(NamedTuple):
     """A code with the widths of its fields."""
 
     code: str
-    finer_bits: int = 0
-    field: str = ""  #: a single field that is wider, or empty
-    delta_bits: int = 0  #: by so many bits
+    finer_bits: int = 0  #: more bits for all fields of the covariance
+    field: str = ""  #: a single field with another width, or empty
+    delta_bits: int = 0  #: more bits for that field
 
 
 @dataclass(frozen=True)
 class Study:
-    """What is to be found out.
+    """A study of covariance codes.
 
     Args:
-        sets: of Gaussians, of different names.
-        codes: of the covariance.
-        finer_bits: widths of the fields, as ``dbc_writer_for`` has them; a code without widths of
-            choice takes part with 0 alone.
+        sets: of Gaussians, with different names.
+        codes: names of ``CODES``.
+        finer_bits: widths of the fields, as for ``dbc_writer_for``; a code with fixed widths takes
+            part only with 0.
         n: Gaussians of each drawn set; files are taken whole.
         seed: of the draws.
         chunk_size: Gaussians at a time.
-        fields_n: so many Gaussians of each set tell what each single field is worth.
-        limit_n: so many tell how few bits could do; 0 for none.
+        fields_n: Gaussians of each set for the table ``fields``.
+        limit_n: Gaussians of each set for the table ``limit``; 0 for none.
 
     Raises:
         StudyError: a value is out of its range.
@@ -75,13 +75,8 @@ class Study:
     limit_n: int = 20_000
 
     def __post_init__(self) -> None:
-        for name, least in (
-            ("n", 1),
-            ("seed", 0),
-            ("chunk_size", 1),
-            ("fields_n", 0),
-            ("limit_n", 0),
-        ):
+        minima = {"n": 1, "seed": 0, "chunk_size": 1, "fields_n": 0, "limit_n": 0}
+        for name, least in minima.items():
             if getattr(self, name) < least:
                 raise StudyError(f"{name} must be {least} or more, got {getattr(self, name)}")
         names = [line_set.name for line_set in self.sets]
@@ -89,15 +84,15 @@ class Study:
             raise StudyError(f"sets must be one or more, of different names, got {names}")
         if unknown := [code for code in self.codes if code not in CODES]:
             raise StudyError(f"there is no code {unknown[0]!r}; codes are {', '.join(CODES)}")
-        for what in (self.codes, self.finer_bits):
-            if not what or len(set(what)) < len(what):
-                raise StudyError(f"codes and finer_bits must be different ones, got {list(what)}")
-        if len(self.plans) == 0:
+        for values in (self.codes, self.finer_bits):
+            if not values or len(set(values)) < len(values):
+                raise StudyError(f"codes and finer_bits must be different ones, got {list(values)}")
+        if not self.plans:
             raise StudyError("no code has such widths; add 0 to finer_bits")
 
     @property
     def plans(self) -> list[Plan]:
-        """All codes at all widths that they have."""
+        """All codes at all of ``finer_bits`` that they support."""
         plans = []
         for code in self.codes:
             for finer_bits in self.finer_bits:
@@ -115,15 +110,11 @@ class Study:
         """The default code with a bit more and less in each field of mean and covariance."""
         if DEFAULT_CODE not in self.codes:
             return []
-        names = [spec.name for spec in covariance_signals(DEFAULT_CODE)]
-        return [
-            Plan(DEFAULT_CODE, 0, name, delta)
-            for name in (*STATE_SIGNALS, *names)
-            for delta in (-1, 1)
-        ]
+        names = (*STATE_SIGNALS, *(spec.name for spec in covariance_signals(DEFAULT_CODE)))
+        return [Plan(DEFAULT_CODE, 0, name, delta) for name in names for delta in (-1, 1)]
 
     def describe(self) -> dict[str, Any]:
-        """All that the result depends on, as the manifest has it."""
+        """Return everything that the result depends on, for the manifest."""
         return {
             "format": FORMAT,
             "maplines_can": version("maplines_can"),
@@ -138,7 +129,7 @@ class Study:
         }
 
     def weights(self) -> dict[str, int]:
-        """How much of the progress each task is, by name; the chunks of a set in their order."""
+        """Return the size of each task [Gaussians] by its key, for progress."""
         weights = {}
         for place, line_set in enumerate(self.sets):
             sizes = line_set.sizes(self.n, self.chunk_size)
@@ -157,18 +148,18 @@ def _has_widths(code: str) -> bool:
 
 
 def chunk_key(place: int, index: int) -> str:
-    """The name of the task of a chunk, by the places of its set and of itself."""
+    """Return the key of a chunk's task, from the index of the set and of the chunk."""
     return f"{place}-{index:06d}"
 
 
 def limit_key(place: int, part: str) -> str:
-    """The name of the task that tells the limit of a set."""
+    """Return the key of the task that computes the limit of a set."""
     return f"{place}-limit-{part}"
 
 
 @lru_cache(maxsize=256)
 def codec_of(plan: Plan) -> Codec:
-    """The codec of a plan's own DBC."""
+    """Return the codec of a plan, with a DBC of its own."""
     writer = dbc_writer_for(
         plan.code, plan.finer_bits, {plan.field: plan.delta_bits} if plan.field else None
     )
@@ -176,19 +167,16 @@ def codec_of(plan: Plan) -> Codec:
 
 
 def theory(codec: Codec) -> dict[str, float]:
-    """Expected KL [nat] of the rounding of each field before any inflation, nothing saturated.
+    """Return the expected KL [nat] of the rounding of each field, before inflation.
 
     A ratio of step D costs D^2 / 24, a pivot of D octaves (D ln 2)^2 / 12 (see
-    ``wire/covariance/cholesky.py``), where its values spread over several steps; less where most
-    of them lie within one. Empty for a code that has no such theory. It leaves
-    out that without feedback an error in one entry goes into those that lean on it.
+    ``wire/covariance/cholesky.py``), if its values spread over several steps; less if most of them
+    lie within one. Saturation is left out, and that without feedback an error in one entry
+    propagates to those that depend on it. Empty for codes other than Cholesky and LogCholesky.
     """
     if codec.covariance.name not in ("Cholesky", "LogCholesky"):
         return {}
-    ratios = {f.name: f.factor**2 / 24 for f in codec.covariance.signals if "Ratio" in f.name}
-    pivots = {
-        f.name: (f.factor * np.log(2)) ** 2 / 12
-        for f in codec.covariance.signals
-        if "Pivot" in f.name
-    }
+    signals = codec.covariance.signals
+    ratios = {s.name: s.factor**2 / 24 for s in signals if "Ratio" in s.name}
+    pivots = {s.name: (s.factor * np.log(2)) ** 2 / 12 for s in signals if "Pivot" in s.name}
     return pivots | ratios

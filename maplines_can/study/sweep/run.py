@@ -1,10 +1,10 @@
-"""A study of the wire: codes x widths x sets, in chunks, on as many processors as there are.
+"""Run a study of the wire: codes x widths x sets, in chunks, on all processors.
 
-Each chunk of a set is drawn once and goes through all codes and widths; what remains of it is a
-small file of sums. The files of all chunks, added up in their order, make the tables. So a study
-may be stopped or killed anywhere, goes on from there with the same command, and comes out the same
-on one process, on many, and on a Dask cluster, whichever of them died. (The same to the last bit
-on processors of one kind; the times that it took are measured anew.)
+Each chunk of a set is drawn once and goes through all codes and widths; the study keeps a small
+file of sums for it. The files of all chunks, added up in order, make the tables. A study may
+therefore be stopped or killed at any time and continues with the same command. Its tables are the
+same from one process, from many, and from a Dask cluster, whatever workers died on the way: to the
+last bit on processors of one kind, except for the measured times.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from pathlib import Path
 
 from ..files import arrow
 from .directory import StudyDirectory
-from .engines import in_processes, in_this_process, on_dask
-from .plan import Plan, Study
+from .engines import in_this_process, on_dask
+from .plan import Study
 from .tables import write_tables
 from .tasks import tasks_of
 
-__all__ = ["Plan", "Study", "StudyDirectory", "run_study"]
+__all__ = ["run_study"]
 
 
 def run_study(
@@ -30,44 +30,45 @@ def run_study(
     *,
     jobs: int | None = None,
     scheduler: str | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> StudyDirectory:
-    """Do what is left of a study, and write its tables.
+    """Run the tasks of a study that are not done yet, and write its tables.
 
-    A script that calls this with several jobs does so under ``if __name__ == "__main__"``, as
-    new processes import it.
+    A script that calls this with several jobs must do so under ``if __name__ == "__main__"``,
+    since new processes import it.
 
     Args:
-        study: what is to be found out.
-        out: the directory of its files; where it holds a part of this study, that goes on.
+        study: to run.
+        out: the directory of its files; if it holds a part of this study, the study continues.
         jobs: processes; by default as many as this one may use.
-        scheduler: address of a Dask scheduler, whose workers then do the work.
-        progress: is told how much of how much is done [Gaussians].
+        scheduler: address of a Dask scheduler whose workers run the tasks.
+        progress: called with the finished and the total number of Gaussians.
 
     Raises:
-        StudyError: ``out`` holds another study, or the workers fail. What is done is kept, as
+        StudyError: ``out`` holds another study, or the workers fail. Finished tasks are kept, as
             after Ctrl-C.
         MissingExtraError: pyarrow or Dask is not installed.
     """
-    arrow()  # rather now than when all is done
+    arrow()  # fail now rather than after the work
     directory = StudyDirectory(Path(out), study.describe())
     weights = study.weights()
     done = directory.done() & weights.keys()
     total, so_far = sum(weights.values()), sum(weights[key] for key in done)
-    tell = progress or (lambda _done, _total: None)
-    tell(so_far, total)
-    tasks = tasks_of(study, done)
-    if scheduler is not None:
-        engine = on_dask(tasks, scheduler, f"maplines-{directory.fingerprint}")
-    else:
-        jobs = jobs or _processors()
-        engine = in_this_process(tasks) if jobs == 1 else in_processes(tasks, jobs)
+    progress(so_far, total)
     if so_far < total:
-        with closing(engine):
-            for key, content in engine:
-                directory.store(key, content)
+        tasks = tasks_of(study, done)
+        name = f"maplines-{directory.fingerprint}"
+        if scheduler is not None:
+            results = on_dask(tasks, name, address=scheduler)
+        elif (jobs := jobs or _processors()) > 1:
+            results = on_dask(tasks, name, jobs=jobs)
+        else:
+            results = in_this_process(tasks)
+        with closing(results):
+            for key, result in results:
+                directory.store(key, result)
                 so_far += weights[key]
-                tell(so_far, total)
+                progress(so_far, total)
     write_tables(study, directory)
     return directory
 

@@ -1,8 +1,8 @@
-"""The results of a study as tidy tables, one row for each thing that was judged.
+"""The results of a study as tidy tables.
 
 ``summary``: codes at their widths. ``fields``: the default code with a bit more or less in one
-field. ``terms``: what of its divergence each field has caused. ``worst``: the worst cases.
-``limit``: how few bits could do.
+field. ``terms``: the part of each field in its divergence. ``worst``: the worst cases. ``limit``:
+the rate-distortion limit of each set.
 """
 
 from __future__ import annotations
@@ -19,15 +19,13 @@ from ..metrics import LATERAL_X, Figure, Score
 from ..sets import LineSet
 from .directory import StudyDirectory
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key, theory
-from .tasks import KLS, WORST
+from .tasks import WORST
 
-__all__ = ["TABLES", "read_table", "summary_text", "write_tables"]
+__all__ = ["SCHEMAS", "TABLES", "read_table", "summary_text", "write_tables"]
 
-TABLES = ("summary", "fields", "terms", "worst", "limit")
-
-#: Of Gaussians that came out in some way; "clipped" are means that met the end of their range.
+#: Outcomes whose shares are in the tables; "clipped" are means that were clipped to their range.
 SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range", "clipped")
-#: How far from its theory a field may be before the text tells it.
+#: Relative deviation from theory that ``summary_text`` reports.
 TOLERANCE = 0.03
 
 Row = dict[str, Any]
@@ -47,27 +45,21 @@ def write_tables(study: Study, directory: StudyDirectory) -> None:
         rows["fields"] += sums.fields()
         rows["terms"] += sums.terms()
         rows["worst"] += sums.worst()
-        if study.limit_n:
-            for part in LIMIT_PARTS:
-                result = directory.result(limit_key(place, part))
-                rows["limit"] += _limit_rows(line_set.name, part, result)
+        for part in LIMIT_PARTS if study.limit_n else ():
+            result = directory.result(limit_key(place, part))
+            rows["limit"] += [{"set": line_set.name, "part": part} | row for row in result["rows"]]
     for name, of_table in rows.items():
         directory.write(f"{name}.parquet", _as_parquet(of_table, SCHEMAS[name]))
 
 
 def read_table(directory: StudyDirectory, name: str) -> list[Row]:
-    """The rows of a table that was written.
-
-    Args:
-        directory: of the study.
-        name: one of ``TABLES``.
-    """
+    """Return the rows of one of ``TABLES``."""
     rows: list[Row] = arrow().parquet.read_table(directory.path / f"{name}.parquet").to_pylist()
     return rows
 
 
 class _Sums:
-    """The chunks of one set, added up in their order."""
+    """The scores of one set, added up over its chunks in their order."""
 
     def __init__(
         self, study: Study, directory: StudyDirectory, place: int, line_set: LineSet
@@ -86,22 +78,19 @@ class _Sums:
                 self.seconds[plan] = self.seconds.get(plan, 0.0) + entry["seconds"]
                 if "terms" in entry:
                     _add(self.term_scores, plan, entry["terms"])
-                # The sort is stable: of equal ones the first in the set come first.
+                # The sort is stable: among equals, the first of the set come first.
                 cases = self.worst_cases.get(plan, []) + entry.get("worst", [])
                 self.worst_cases[plan] = sorted(cases, key=lambda case: -case["kl"])[:WORST]
             for entry in result["fields"]:
                 _add(self.field_scores, Plan(*entry["plan"]), entry["score"])
 
     def summary(self) -> Iterator[Row]:
-        """A row for each code and width."""
+        """Yield a row for each code and width."""
         for plan, score in self.scores.items():
-            codec, n, seconds = codec_of(plan), score.counts["n"], self.seconds[plan]
-            code = CODES[plan.code]
-            figures = score.figures
-            row: Row = {"set": self.name, "code": plan.code, "finer_bits": plan.finer_bits}
-            row |= {"n": n, "seed": self.seed, **_widths(plan)}
-            row["definite_guarantee"] = code.positive_definite
-            row["covering_guarantee"] = code.covering
+            n, seconds, figures = score.counts["n"], self.seconds[plan], score.figures
+            row = self._row(plan) | {"n": n, "seed": self.seed}
+            row["definite_guarantee"] = CODES[plan.code].positive_definite
+            row["covering_guarantee"] = CODES[plan.code].covering
             for name in SHARES:
                 row[name], row[f"{name}_se"] = score.share(name)
             kl = figures["kl"]
@@ -112,7 +101,7 @@ class _Sums:
             row |= _mean("kl_untouched", figures["kl_untouched"])
             terms = self.term_scores.get(plan)
             row |= _mean("kl_before_inflation", terms.figures["kl"] if terms else Figure())
-            row["kl_theory"] = sum(theory(codec).values()) or None
+            row["kl_theory"] = sum(theory(codec_of(plan)).values()) or None
             for x in LATERAL_X:
                 error, ratio = figures[f"mean_error_{x:g}"], figures[f"sigma_ratio_{x:g}"]
                 row[f"mean_error_rms_{x:g}"] = error.rms
@@ -126,10 +115,9 @@ class _Sums:
             yield row
 
     def fields(self) -> Iterator[Row]:
-        """A row for each field of the default code with a bit more or less."""
+        """Yield a row for each field of the default code with a bit more or less."""
         for plan, score in self.field_scores.items():
-            row: Row = {"set": self.name, "code": plan.code, "field": plan.field}
-            row |= {"delta_bits": plan.delta_bits, **_widths(plan), "n": score.counts["n"]}
+            row = self._row(plan) | {"n": score.counts["n"]}
             row |= _mean("kl", score.figures["kl"])
             row |= _mean("kl_change", score.figures["kl_change"])
             row["saturated"], row["saturated_se"] = score.share("saturated")
@@ -137,26 +125,35 @@ class _Sums:
             yield row
 
     def terms(self) -> Iterator[Row]:
-        """A row for each field of the default code at each width."""
+        """Yield a row for each field of the default code at each width."""
         for plan, score in self.term_scores.items():
             for name, expected in theory(codec_of(plan)).items():
-                row: Row = {"set": self.name, "code": plan.code, "finer_bits": plan.finer_bits}
-                row |= {"field": name, "n": score.counts["n"]}
+                row = self._row(plan) | {"field": name, "n": score.counts["n"]}
                 row |= _mean("kl", score.figures[name]) | {"kl_theory": expected}
                 row["rounded_to_zero"] = score.share(name)[0] if name in score.counts else None
                 yield row
 
     def worst(self) -> Iterator[Row]:
-        """A row for each of the worst cases of each code at its own widths."""
+        """Yield a row for each of the worst cases of each code at its own widths."""
         for plan, cases in self.worst_cases.items():
             for rank, case in enumerate(cases, 1):
-                row: Row = {"set": self.name, "code": plan.code, "rank": rank}
-                row |= {"kl": case["kl"], "status": case["status"]}
+                row = self._row(plan) | {"rank": rank, "kl": case["kl"], "status": case["status"]}
                 for prefix in ("", "decoded_"):
-                    mean, cov = case[f"{prefix}mean"], case[f"{prefix}cov"]
-                    row |= dict(zip(_mean_names(prefix), mean, strict=True))
-                    row |= dict(zip(_cov_names(prefix), cov, strict=True))
+                    names = (*_mean_names(prefix), *_cov_names(prefix))
+                    values = (*case[f"{prefix}mean"], *case[f"{prefix}cov"])
+                    row |= dict(zip(names, values, strict=True))
                 yield row
+
+    def _row(self, plan: Plan) -> Row:
+        """Return the columns that say what a row is about."""
+        codec = codec_of(plan)
+        return {
+            "set": self.name,
+            **plan._asdict(),
+            "covariance_bits": sum(signal.length for signal in codec.covariance.signals),
+            "record_bits": 8 * codec.layout.record_bytes,
+            "classic_frames": codec.layout.pages,
+        }
 
 
 def _add(scores: dict[Plan, Score], plan: Plan, data: Row) -> None:
@@ -164,33 +161,8 @@ def _add(scores: dict[Plan, Score], plan: Plan, data: Row) -> None:
     scores[plan] = scores[plan] + score if plan in scores else score
 
 
-def _widths(plan: Plan) -> Row:
-    codec = codec_of(plan)
-    return {
-        "covariance_bits": sum(field.length for field in codec.covariance.signals),
-        "record_bits": 8 * codec.layout.record_bytes,
-        "classic_frames": codec.layout.pages,
-    }
-
-
 def _mean(name: str, figure: Figure) -> Row:
     return {f"{name}_mean": figure.mean, f"{name}_mean_se": figure.mean_se}
-
-
-def _limit_rows(name: str, part: str, result: Row) -> Iterator[Row]:
-    for k, kl in enumerate(KLS):
-        yield {
-            "set": name,
-            "part": part,
-            "entropy_bits": result.get("entropy_bits"),
-            "se_bits": result.get("se_bits"),
-            "bias_bits": result.get("bias_bits"),
-            "kl": kl,
-            "bits": result["bits"][k] if "bits" in result else None,
-            "samples": result["samples"],
-            "dimension": result.get("dimension"),
-            "caveat": result.get("refused", result.get("caveat")),
-        }
 
 
 # ---- Parquet --------------------------------------------------------------------------
@@ -204,100 +176,79 @@ def _cov_names(prefix: str = "") -> list[str]:
     return [f"{prefix}cov_{i}{j}" for i in range(4) for j in range(4)]
 
 
-def _with_errors(names: Iterable[str]) -> list[str]:
+def _with_errors(*names: str) -> list[str]:
     return [column for name in names for column in (name, f"{name}_se")]
 
 
-_WIDTHS = {"covariance_bits": "int64", "record_bits": "int64", "classic_frames": "int64"}
-_OF_LATERAL = ("mean_error_rms", "mean_error_max", "sigma_ratio_min", "sigma_ratio_p50")
-_LATERAL = [f"{name}_{x:g}" for name in (*_OF_LATERAL, "sigma_ratio_p99") for x in LATERAL_X]
-#: The columns of each table and their types, in their order.
-SCHEMAS: dict[str, dict[str, str]] = {
-    "summary": {
-        "set": "string",
-        "code": "string",
-        "finer_bits": "int64",
-        "n": "int64",
-        "seed": "int64",
-        **_WIDTHS,
-        "definite_guarantee": "bool",
-        "covering_guarantee": "bool",
-        **dict.fromkeys(
-            [
-                *_with_errors(["not_positive_definite", "overconfident", "saturated"]),
-                *_with_errors(["out_of_range", "kl_mean", "kl_p50", "kl_p99"]),
-                "kl_max",
-                *_with_errors(["kl_untouched_mean", "kl_before_inflation_mean"]),
-                "kl_theory",
-                *_LATERAL,
-                *("clipped", "clipped_se", "clipped_error_max_80"),
-                "seconds",
-                "gaussians_per_second",
-            ],
-            "float64",
-        ),
-    },
-    "fields": {
-        "set": "string",
-        "code": "string",
-        "field": "string",
-        "delta_bits": "int64",
-        **_WIDTHS,
-        "n": "int64",
-        **dict.fromkeys(
-            [*_with_errors(["kl_mean", "kl_change_mean", "saturated"]), "lateral_rms_80"],
-            "float64",
-        ),
-    },
-    "terms": {
-        "set": "string",
-        "code": "string",
-        "finer_bits": "int64",
-        "field": "string",
-        "n": "int64",
-        **dict.fromkeys([*_with_errors(["kl_mean"]), "kl_theory", "rounded_to_zero"], "float64"),
-    },
-    "worst": {
-        "set": "string",
-        "code": "string",
-        "rank": "int64",
-        "kl": "float64",
-        "status": "string",
-        **dict.fromkeys(
-            [*_mean_names(), *_cov_names(), *_mean_names("decoded_"), *_cov_names("decoded_")],
-            "float64",
-        ),
-    },
-    "limit": {
-        "set": "string",
-        "part": "string",
-        **dict.fromkeys(["entropy_bits", "se_bits", "bias_bits", "kl", "bits"], "float64"),
-        "samples": "int64",
-        "dimension": "int64",
-        "caveat": "string",
-    },
+def _schema(*columns: str) -> dict[str, str]:
+    return {column: _TYPES.get(column, "float64") for column in columns}
+
+
+#: Types of the columns that do not hold float64.
+_TYPES = {
+    **dict.fromkeys(("set", "code", "field", "status", "part", "caveat"), "string"),
+    **dict.fromkeys(("finer_bits", "delta_bits", "n", "seed", "rank"), "int64"),
+    **dict.fromkeys(("covariance_bits", "record_bits", "classic_frames"), "int64"),
+    **dict.fromkeys(("samples", "dimension"), "int64"),
+    **dict.fromkeys(("definite_guarantee", "covering_guarantee"), "bool"),
 }
+_WIDTHS = ("covariance_bits", "record_bits", "classic_frames")
+_OF_LATERAL = ("mean_error_rms", "mean_error_max", "sigma_ratio_min", "sigma_ratio_p50")
+#: The columns of each table and their types, in their order.
+SCHEMAS = {
+    "summary": _schema(
+        *("set", "code", "finer_bits", "n", "seed", *_WIDTHS),
+        *("definite_guarantee", "covering_guarantee"),
+        *_with_errors("not_positive_definite", "overconfident", "saturated", "out_of_range"),
+        *(*_with_errors("kl_mean", "kl_p50", "kl_p99"), "kl_max"),
+        *(*_with_errors("kl_untouched_mean", "kl_before_inflation_mean"), "kl_theory"),
+        *(f"{name}_{x:g}" for name in (*_OF_LATERAL, "sigma_ratio_p99") for x in LATERAL_X),
+        *("clipped", "clipped_se", "clipped_error_max_80", "seconds", "gaussians_per_second"),
+    ),
+    "fields": _schema(
+        *("set", "code", "field", "delta_bits", *_WIDTHS, "n"),
+        *(*_with_errors("kl_mean", "kl_change_mean", "saturated"), "lateral_rms_80"),
+    ),
+    "terms": _schema(
+        *("set", "code", "finer_bits", "field", "n"),
+        *(*_with_errors("kl_mean"), "kl_theory", "rounded_to_zero"),
+    ),
+    "worst": _schema(
+        *("set", "code", "rank", "kl", "status"),
+        *(*_mean_names(), *_cov_names(), *_mean_names("decoded_"), *_cov_names("decoded_")),
+    ),
+    "limit": _schema(
+        *("set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"),
+        *("samples", "dimension", "caveat"),
+    ),
+}
+TABLES = tuple(SCHEMAS)
 
 
-def _as_parquet(rows: Sequence[Row], schema: dict[str, str]) -> bytes:
+def _as_parquet(rows: Iterable[Row], schema: dict[str, str]) -> bytes:
     pa = arrow()
-    columns = {name: [_known(row[name]) for row in rows] for name in schema}
     types = pa.schema([(name, pa.type_for_alias(kind)) for name, kind in schema.items()])
+    known = [{name: _known(row.get(name)) for name in schema} for row in rows]
     buffer = io.BytesIO()
-    pa.parquet.write_table(pa.table(columns, schema=types), buffer)
+    pa.parquet.write_table(pa.Table.from_pylist(known, schema=types), buffer)
     return buffer.getvalue()
 
 
 def _known(value: Any) -> Any:
-    """None for NaN: what is not known is null in a table."""
+    """Return None for NaN: unknown values are null in the tables."""
     return None if isinstance(value, float) and isnan(value) else value
 
 
-# ---- for people -----------------------------------------------------------------------
+# ---- text -----------------------------------------------------------------------------
+
+_HEAD = (
+    *("code", "finer", "bits", "frames", "indefinite", "overconfident", "saturated", "lost"),
+    *("KL mean", "+-", "50 %", "99 %", "sigma 50 %", "99 %", "mean"),
+)
 
 
 def summary_text(summary: Sequence[Row], terms: Sequence[Row]) -> str:
-    """What each code costs and what it is worth, as plain text: the default at all its widths.
+    """Format cost and quality of each code as plain text, of the default code at all widths.
 
     Args:
         summary: rows of that table.
@@ -312,24 +263,18 @@ def summary_text(summary: Sequence[Row], terms: Sequence[Row]) -> str:
         table = [list(_HEAD), *cells]
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines.append(f"{name}: {of_set[0]['n']} Gaussians")
-        for row_ in table:
-            code, *rest = (cell.rjust(width) for cell, width in zip(row_, widths, strict=True))
-            lines.append("  ".join(["", row_[0].ljust(len(code)), *rest]))
+        for code, *rest in table:
+            padded = (cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True))
+            lines.append("  ".join(["", code.ljust(widths[0]), *padded]))
         lines += ["", *_theory_lines(of_set, [row for row in terms if row["set"] == name])]
     lines += [
         "KL [nat] is of the covered target, over lines that are definite and in range. At "
         f"{LATERAL_X[-1]:g} m: sigma of the",
-        "lateral position, decoded over true, and the error of the mean line (rms). lost: "
+        "lateral position, decoded over true, and the error of the mean line (rms), without means",
+        f"that were clipped to their range, which the covariance covers. lost: "
         f"{Status.OUT_OF_RANGE.name}.",
-        "Means that met the end of their range, which the covariance covers, are not in it.",
     ]
     return "\n".join(lines)
-
-
-_HEAD = (
-    *("code", "finer", "bits", "frames", "indefinite", "overconfident", "saturated", "lost"),
-    *("KL mean", "+-", "50 %", "99 %", "sigma 50 %", "99 %", "mean"),
-)
 
 
 def _cells(row: Row) -> list[str]:
@@ -348,11 +293,11 @@ def _cells(row: Row) -> list[str]:
 
 
 def _theory_lines(summary: Sequence[Row], terms: Sequence[Row]) -> Iterator[str]:
-    """How near the default code is to its theory, and which fields are not."""
+    """Yield how near the default code is to its theory, and which fields are not."""
     of_code = [row for row in summary if row["kl_before_inflation_mean"] is not None]
     if not of_code:
         return
-    yield f"{DEFAULT_CODE}, KL before the inflation where nothing saturates, over its theory:"
+    yield f"{DEFAULT_CODE}, KL before inflation where nothing saturates, over its theory:"
     for row in of_code:
         measured, expected = row["kl_before_inflation_mean"], row["kl_theory"]
         error = (row["kl_before_inflation_mean_se"] or 0.0) / expected
@@ -366,7 +311,7 @@ def _theory_lines(summary: Sequence[Row], terms: Sequence[Row]) -> Iterator[str]
         yield (
             f"  {row['finer_bits']:>+2d} bits: {measured:.3e} / {expected:.3e} = "
             f"{measured / expected:.3f} +- {error:.1g}"
-            + (f"; of this {', '.join(off)}" if off else "")
+            + (f"; by field: {', '.join(off)}" if off else "")
         )
     yield ""
 

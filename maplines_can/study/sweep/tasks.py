@@ -1,12 +1,11 @@
-"""The work of a study: a chunk through all codes and widths, and the limit of a set."""
+"""The tasks of a study: a chunk through all codes and widths, and the limit of a set."""
 
 from __future__ import annotations
 
-import gzip
-import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -15,140 +14,110 @@ from numpy.typing import NDArray
 from ...line import Status
 from ...wire.covariance.cholesky import CholeskyCode
 from ...wire.message.packing import Packing
-from ...wire.message.reader import Batch
 from ..metrics import Figure, Score, evaluate, kl_terms
-from ..sets import Chunk, Gaussians, LineSet
-from .engines import Task
+from ..sets import Chunk, Gaussians
+from .engines import Result, Task
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key
 
-__all__ = ["KLS", "WORST", "LimitTask", "SweepTask", "packed", "tasks_of", "unpacked"]
+__all__ = ["KLS", "WORST", "tasks_of"]
 
-#: So many of the worst cases are kept.
+#: Number of worst cases to keep.
 WORST = 5
-#: Divergences for which the limit is told [nat].
+#: Divergences for which the limit is computed [nat].
 KLS = (1e-2, 1e-3, 1e-4)
-#: The rows of the covariance as the default code orders them, whose ratios are small.
+#: States in the order of the default code, which makes ratios small.
 ORDER = [3, 1, 0, 2]
 
 
 def tasks_of(study: Study, done: set[str]) -> Iterator[Task]:
-    """What is left to do of a study, the long tasks first; none is made before it is asked for.
-
-    Args:
-        study: which.
-        done: names of the tasks whose results are there.
-    """
-    sets, plans, field_plans = list(enumerate(study.sets)), study.plans, study.field_plans
-    for place, line_set in sets if study.limit_n else []:
-        keys = {part: limit_key(place, part) for part in LIMIT_PARTS}
-        if not done.issuperset(keys.values()):
-            chunks, size = _first_chunks(study, line_set)
-            for part, key in keys.items():
-                if key not in done:
-                    yield LimitTask(key, part, chunks, size, study.seed)
-    for place, line_set in sets:
+    """Yield the tasks whose keys are not in ``done``, the long ones first, each made on demand."""
+    plans, field_plans = study.plans, study.field_plans
+    for place, line_set in enumerate(study.sets) if study.limit_n else ():
+        parts = [part for part in LIMIT_PARTS if limit_key(place, part) not in done]
+        if not parts:
+            continue
+        rows = np.cumsum(line_set.sizes(study.n, study.chunk_size))
+        chunks = line_set.chunks(study.n, study.chunk_size, study.seed)
+        first = list(islice(chunks, int(np.searchsorted(rows, study.limit_n)) + 1))
+        n = min(study.limit_n, int(rows[-1]))
+        for part in parts:
+            yield Task(limit_key(place, part), partial(_limit_result, first, n, part, study.seed))
+    for place, line_set in enumerate(study.sets):
         start = 0
         sizes = line_set.sizes(study.n, study.chunk_size)
-        made = line_set.chunks(study.n, study.chunk_size, study.seed)
-        for index, (size, chunk) in enumerate(zip(sizes, made, strict=True)):
+        chunks_of_set = line_set.chunks(study.n, study.chunk_size, study.seed)
+        for index, (size, chunk) in enumerate(zip(sizes, chunks_of_set, strict=True)):
             fields = field_plans if start < study.fields_n else []
             start += size
             key = chunk_key(place, index)
             if key not in done:
-                yield SweepTask(key, chunk, plans, fields, size)
+                yield Task(key, partial(_chunk_result, chunk, plans, fields))
 
 
-def _first_chunks(study: Study, line_set: LineSet) -> tuple[list[Chunk], int]:
-    """Those that tell the limit, and how many Gaussians of them do."""
-    chunks: list[Chunk] = []
-    total = 0
-    sizes = line_set.sizes(study.n, study.chunk_size)
-    for size, chunk in zip(
-        sizes, line_set.chunks(study.n, study.chunk_size, study.seed), strict=True
-    ):
-        chunks.append(chunk)
-        total += size
-        if total >= study.limit_n:
-            break
-    return chunks, min(total, study.limit_n)
-
-
-@dataclass(frozen=True, eq=False)
-class SweepTask(Task):
-    """One chunk through all codes and widths."""
-
-    key: str
-    chunk: Chunk
-    plans: Sequence[Plan]
-    field_plans: Sequence[Plan]
-    weight: int
-
-    def content(self) -> bytes:
-        """Sums and worst cases, as ``packed`` has them."""
-        given = self.chunk.gaussians()
-        base = None
-        scores, fields = [], []
-        for plan in self.plans:
-            trial = _Trial(plan, given)
-            entry = {"plan": plan, "seconds": trial.seconds, "score": trial.score().as_json()}
-            if plan.code == DEFAULT_CODE:
-                entry["terms"] = trial.terms_before_inflation().as_json()
-            if plan == Plan(DEFAULT_CODE):
-                base = trial
-            if plan.finer_bits == 0:
-                entry["worst"] = trial.worst()
-            scores.append(entry)
-        if self.field_plans:
-            base = base or _Trial(Plan(DEFAULT_CODE), given)
-            for plan in self.field_plans:
-                trial = _Trial(plan, given)
-                entry = {"plan": plan, "score": trial.score_of_field(base).as_json()}
-                fields.append(entry)
-        return packed({"n": len(given.mean), "scores": scores, "fields": fields})
+def _chunk_result(chunk: Chunk, plans: Sequence[Plan], field_plans: Sequence[Plan]) -> Result:
+    """Send a chunk through all codes and widths; return scores and worst cases."""
+    given = chunk()
+    scores, fields = [], []
+    base = None
+    for plan in plans:
+        trial = _Trial(plan, given)
+        entry = {"plan": plan, "seconds": trial.seconds, "score": trial.score().as_json()}
+        if plan.code == DEFAULT_CODE:
+            entry["terms"] = trial.terms_before_inflation().as_json()
+        if plan == Plan(DEFAULT_CODE):
+            base = trial
+        if plan.finer_bits == 0:
+            entry["worst"] = trial.worst()
+        scores.append(entry)
+    if field_plans:
+        base = base or _Trial(Plan(DEFAULT_CODE), given)
+        for plan in field_plans:
+            score = _Trial(plan, given).score_of_field(base)
+            fields.append({"plan": plan, "score": score.as_json()})
+    return {"scores": scores, "fields": fields}
 
 
 class _Trial:
-    """One chunk through one code and back, timed."""
+    """A set of Gaussians, encoded and decoded by the codec of one plan, and evaluated."""
 
     def __init__(self, plan: Plan, given: Gaussians) -> None:
         self.codec, self.given = codec_of(plan), given
         started = time.perf_counter()
         self.payloads = self.codec.encode_batch(*given)
-        self.batch: Batch = self.codec.decode_batch(self.payloads)
-        resolution = self.codec.resolution
-        self.verdict = evaluate(*given, self.batch.mean, self.batch.cov, resolution)
+        self.batch = self.codec.decode_batch(self.payloads)
+        decoded = self.batch.mean, self.batch.cov
+        self.evaluation = evaluate(*given, *decoded, self.codec.resolution)
         self.seconds = time.perf_counter() - started
 
     @property
     def good(self) -> NDArray[np.bool_]:
         """(N,) rows whose covariance may be used."""
         stated = self.batch.accepted & (self.batch.status != Status.OUT_OF_RANGE)
-        return stated & self.verdict.positive_definite
+        return stated & self.evaluation.positive_definite
 
     def score(self) -> Score:
-        """All that is counted and added up of it."""
+        """Return all counts and figures."""
         d = np.abs(self.given.mean - self.batch.mean)
         beyond_rounding = d > 0.51 * np.sqrt(12 * self.codec.resolution)
         clipped = np.asarray(beyond_rounding.any(axis=1))
-        return Score.of(self.verdict, self.batch.status, self.batch.accepted, clipped)
+        return Score.of(self.evaluation, self.batch.status, self.batch.accepted, clipped)
 
     def score_of_field(self, base: _Trial) -> Score:
-        """Less than a whole score, and the difference to what it is without the bit."""
+        """Return counts, KL, and its change against the base plan."""
         whole = self.score()
-        both = self.good & base.good
-        change = self.verdict.kl_covered[both] - base.verdict.kl_covered[both]
+        kl, good, both = self.evaluation.kl_covered, self.good, self.good & base.good
         figures = {
-            "kl": Figure.of(self.verdict.kl_covered[self.good]),
-            "kl_change": Figure.of(change),
+            "kl": Figure.of(kl[good]),
+            "kl_change": Figure.of(kl[both] - base.evaluation.kl_covered[both]),
             "mean_error_80": whole.figures["mean_error_80"],
         }
         return Score(whole.counts, figures)
 
     def terms_before_inflation(self) -> Score:
-        """KL of the covered target with the covariance before it was inflated, field by field.
+        """Return the KL of the covered target by field, with the covariance before inflation.
 
-        Of the default code, over the rows where nothing saturates. The figure "kl" is the sum of
-        all; the count of a ratio's name is of those that are rounded to zero.
+        For the default code, over the rows where nothing saturates. The figure "kl" is the sum of
+        all terms; the count of a ratio's name is the number of those that are rounded to zero.
         """
         layout, code = self.codec.layout, self.codec.covariance
         if not isinstance(code, CholeskyCode):
@@ -160,13 +129,12 @@ class _Trial:
         d = mean - self.batch.mean
         target = cov + d[:, :, None] * d[:, None, :] + np.diag(self.codec.resolution)
         decoded = self.batch.cov / factor[:, None, None]
-        target, decoded = (
-            S[rows][:, code.factor.order][:, :, code.factor.order] for S in (target, decoded)
-        )
+        order = code.factor.order
+        target, decoded = (S[rows][:, order][:, :, order] for S in (target, decoded))
         terms = kl_terms(target, decoded)
+        L = np.linalg.cholesky(decoded)
         figures = {"kl": Figure.of(terms.sum(axis=(1, 2)))}
         counts = {"n": int(rows.sum())}
-        L = np.linalg.cholesky(decoded)
         for i, pivot in enumerate(code.factor.pivots):
             figures[pivot.name] = Figure.of(terms[:, i, i])
             for j, ratio in enumerate(code.factor.ratios[i]):
@@ -176,8 +144,8 @@ class _Trial:
         return Score(counts, figures)
 
     def worst(self) -> list[dict[str, Any]]:
-        """The rows of the greatest KL, with all that is known of them."""
-        kl = np.where(self.good, self.verdict.kl_covered, -np.inf)
+        """Return the rows of the largest KL with all their values."""
+        kl = np.where(self.good, self.evaluation.kl_covered, -np.inf)
         rows = np.argsort(-kl, kind="stable")[:WORST]
         return [
             {
@@ -193,57 +161,29 @@ class _Trial:
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class LimitTask(Task):
-    """How few bits could do for a set."""
+def _limit_result(chunks: Sequence[Chunk], n: int, part: str, seed: int) -> Result:
+    """Return rows of the table ``limit`` for the first n Gaussians, or why there is no limit."""
+    from .limit import limit_of
 
-    key: str
-    part: str
-    chunks: Sequence[Chunk]
-    weight: int
-    seed: int
-
-    def content(self) -> bytes:
-        """The limit, or why there is none."""
-        from .limit import limit_of
-
-        parts = [chunk.gaussians() for chunk in self.chunks]
-        mean = np.concatenate([part.mean for part in parts])[: self.weight, ORDER]
-        cov = np.concatenate([part.cov for part in parts])[: self.weight, ORDER][:, :, ORDER]
-        resolution = codec_of(Plan(DEFAULT_CODE)).resolution[ORDER]
-        try:
-            limit = limit_of(
-                mean,
-                cov,
-                part=self.part,  # type: ignore[arg-type]
-                resolution=resolution,
-                seed=self.seed,
-            )
-        except ValueError as error:
-            return packed({"refused": str(error), "samples": len(mean)})
-        known = not np.isnan(limit.entropy_bits)
-        return packed(
-            {
-                "entropy_bits": limit.entropy_bits if known else None,
-                "se_bits": limit.entropy_se_bits if known else None,
-                "bias_bits": limit.bias_bits if known else None,
-                "bits": limit.bits(KLS).tolist() if known else [None] * len(KLS),
-                "samples": limit.samples,
-                "dimension": limit.dimension,
-                "caveat": limit.caveat,
-            }
+    means, covs = zip(*(chunk() for chunk in chunks), strict=True)
+    mean, cov = (np.concatenate(arrays)[:n] for arrays in (means, covs))
+    try:
+        limit = limit_of(
+            mean[:, ORDER],
+            cov[:, ORDER][:, :, ORDER],
+            part=part,  # type: ignore[arg-type]
+            resolution=codec_of(Plan(DEFAULT_CODE)).resolution[ORDER],
+            seed=seed,
         )
-
-
-def packed(data: dict[str, Any]) -> bytes:
-    """A result as the bytes of its file."""
-    return gzip.compress(json.dumps(data, separators=(",", ":")).encode(), 6, mtime=0)
-
-
-def unpacked(content: bytes) -> Any:
-    """What ``packed`` made bytes of.
-
-    Raises:
-        OSError, EOFError, ValueError: something else did.
-    """
-    return json.loads(gzip.decompress(content))
+    except ValueError as error:
+        return {"rows": [{"kl": kl, "samples": len(mean), "caveat": str(error)} for kl in KLS]}
+    row: dict[str, Any] = {
+        "entropy_bits": limit.entropy_bits,
+        "se_bits": limit.entropy_se_bits,
+        "bias_bits": limit.bias_bits,
+        "samples": limit.samples,
+        "dimension": limit.dimension,
+        "caveat": limit.caveat,
+    }
+    bits = limit.bits(KLS).tolist()
+    return {"rows": [row | {"kl": kl, "bits": b} for kl, b in zip(KLS, bits, strict=True)]}

@@ -70,7 +70,7 @@ def test_value_tables_are_the_enumerations(database):
 
 def test_a_page_that_is_too_full_is_refused():
     """The description itself is checked."""
-    wide = SignalSpec("Wide", 59, 1, "", "", "")
+    wide = SignalSpec(name="Wide", bits=59, about="", why="")
     with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
         DbcWriter(((wide,), (wide,), (wide,), (wide,)))
 

@@ -19,7 +19,7 @@ from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
 from maplines_can.wire import Layout
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
 

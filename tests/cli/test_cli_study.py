@@ -1,0 +1,64 @@
+"""The command ``maplines study run``: output, help, wrong usage."""
+
+import argparse
+import contextlib
+import json
+
+import pytest
+
+from maplines_can.cli.study import add_study
+
+
+def command(*arguments):
+    """Run the command; return its status and the calls of its progress bar."""
+    parser = argparse.ArgumentParser(prog="maplines")
+    seen = []
+
+    @contextlib.contextmanager
+    def bar(unit):
+        yield lambda done, total: seen.append((done, total))
+
+    add_study(parser.add_subparsers(), bar)
+    parsed = parser.parse_args(["study", "run", *map(str, arguments)])
+    return parsed.run(parsed), seen
+
+
+SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e2", "--jobs", 1)
+
+
+def test_the_command_prints_the_summary(tmp_path, capsys, monkeypatch):
+    """As text or as JSON; the second run has nothing left to do."""
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr("maplines_can.cli.study.DEFAULTS", {"fields_n": 0, "limit_n": 0})
+    status, seen = command("--out", tmp_path / "out", *SMALL)
+    text = capsys.readouterr().out
+
+    assert status == 0
+    assert seen == [(0, 200), (200, 200)]
+    assert "road: 200 Gaussians" in text
+    assert "over its theory" in text
+    status, seen = command("--out", tmp_path / "out", *SMALL, "--json")
+    rows = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert seen == [(200, 200)]
+    assert [(row["code"], row["finer_bits"]) for row in rows] == [("Cholesky", -1), ("Cholesky", 0)]
+
+
+def test_the_help_explains_sets_files_and_tables(capsys):
+    """It also says how to resume and how to use a cluster."""
+    with pytest.raises(SystemExit):
+        command("--help")
+    text = capsys.readouterr().out
+
+    for word in ("paper", "road", "cov_00", "Parquet", "dask scheduler", "goes on"):
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--n", "0"), ("--n", "1.5"), ("--finer", "99"), ("--code", "Morse")]
+)
+def test_wrong_usage_is_refused(arguments, tmp_path, capsys):
+    """argparse ends with status 2 and names the option."""
+    with pytest.raises(SystemExit, match="2"):
+        command("--out", tmp_path / "out", *arguments)
+    assert arguments[0] in capsys.readouterr().err

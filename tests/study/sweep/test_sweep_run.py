@@ -1,0 +1,97 @@
+"""The run of a study: it resumes, refuses other studies, and takes files and poses."""
+
+import numpy as np
+import pytest
+from study_helpers import small, tables, write_csv
+
+from maplines_can.errors import StudyError
+from maplines_can.study import road
+from maplines_can.study.sets import DrawnSet, MapView, line_set
+from maplines_can.study.sweep.run import run_study
+from maplines_can.study.sweep.tables import summary_text
+
+
+def test_a_finished_study_is_not_run_again(undisturbed, tmp_path):
+    """Only its tables are written again, the same to the last byte."""
+    out = tmp_path / "out"
+    run_study(small(), out, jobs=1)
+    before = {path.name: path.read_bytes() for path in out.glob("*.parquet")}
+    seen = []
+    run_study(small(), out, jobs=1, progress=lambda *progress: seen.append(progress))
+
+    assert seen == [(400, 400)]
+    assert before == {path.name: path.read_bytes() for path in out.glob("*.parquet")}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": 4}, "there seed is 3, and now 4"),
+        ({"n": 401}, "there n is 400"),
+        ({"codes": ("Cholesky",)}, "there codes is"),
+        ({"sets": [DrawnSet("paper")]}, "there sets is"),
+    ],
+)
+def test_another_study_in_the_same_directory_is_refused(changes, message, tmp_path):
+    """The message says what differs."""
+    pytest.importorskip("pyarrow")
+    run_study(small(n=50), tmp_path / "out", jobs=1)
+    manifest = (tmp_path / "out" / "study.json").read_text()
+    (tmp_path / "out" / "study.json").write_text(manifest.replace('"n": 50', '"n": 400'))
+
+    with pytest.raises(StudyError, match=message):
+        run_study(small(**changes), tmp_path / "out", jobs=1)
+
+
+def test_a_directory_of_other_files_is_refused(tmp_path):
+    """A study does not write among files that are not its own."""
+    pytest.importorskip("pyarrow")
+    (tmp_path / "thesis.tex").touch()
+
+    with pytest.raises(StudyError, match="holds other things"):
+        run_study(small(), tmp_path, jobs=1)
+
+
+def test_a_damaged_result_is_refused(tmp_path):
+    """The message names the file and the cure."""
+    pytest.importorskip("pyarrow")
+    run_study(small(n=50), tmp_path / "out", jobs=1)
+    path = tmp_path / "out" / "chunks" / "0-000000.json.gz"
+    path.write_bytes(path.read_bytes()[:100])
+
+    with pytest.raises(StudyError, match=r"0-000000.json.gz: cannot be read .* delete it"):
+        run_study(small(n=50), tmp_path / "out", jobs=1)
+
+
+def test_poses_that_see_nothing_make_an_empty_study(drive):
+    """It has tables and text, without figures."""
+    pytest.importorskip("pyarrow")
+    write_csv(drive / "lost.csv", np.array([[-900.0, 0, 0]]), np.eye(3)[None] / 100)
+    given_set = line_set(str(drive / "lost.csv"), MapView(drive / "map.csv"))
+    study = small(sets=[given_set], codes=("Cholesky",), fields_n=1, limit_n=1)
+    result = tables(run_study(study, drive / "out", jobs=1))
+
+    assert result["summary"][0]["n"] == 0
+    assert result["summary"][0]["kl_mean"] is None
+    assert "lost.csv: 0 Gaussians" in summary_text(result["summary"], result["terms"])
+
+
+def test_a_file_and_poses_in_one_study(drive):
+    """They are taken whole, whatever n is."""
+    pytest.importorskip("pyarrow")
+    means, covs = road(25, seed=8)
+    np.savez(drive / "mine.npz", mean=means, cov=covs)
+    sets = [
+        line_set(str(drive / "mine.npz")),
+        line_set(str(drive / "drive.csv"), MapView(drive / "map.csv")),
+    ]
+    study = small(sets=sets, codes=("Cholesky",), n=1, chunk_size=10)
+    summary = tables(run_study(study, drive / "out", jobs=2))["summary"]
+
+    assert [(row["set"], row["n"]) for row in summary] == [("mine.npz", 25), ("drive.csv", 6)]
+    np.savez(drive / "mine.npz", mean=means[::-1], cov=covs[::-1])
+    changed = small(
+        sets=[line_set(str(drive / "mine.npz")), sets[1]], codes=("Cholesky",), n=1, chunk_size=10
+    )
+    with pytest.raises(StudyError, match="there sets is"):
+        run_study(changed, drive / "out", jobs=1)

@@ -1,0 +1,42 @@
+"""Helpers of the tests of the study: small studies, and files of Gaussians, poses and maps."""
+
+import numpy as np
+
+from maplines_can.study.sets import DrawnSet
+from maplines_can.study.sweep.plan import Study
+from maplines_can.study.sweep.tables import TABLES, read_table
+
+
+def small(**changes):
+    """Return a study of 400 Gaussians in 8 chunks."""
+    values = {"codes": ("Cholesky", "Sigmas"), "finer_bits": (0,), "n": 400, "chunk_size": 50}
+    values |= {"sets": [DrawnSet("road")], "fields_n": 0, "limit_n": 0, "seed": 3}
+    return Study(**(values | changes))
+
+
+def tables(directory):
+    """Return all tables without the measured times."""
+    result = {name: read_table(directory, name) for name in TABLES}
+    for row in result["summary"]:
+        del row["seconds"], row["gaussians_per_second"]
+    return result
+
+
+def table_of(mean, cov):
+    """Return the columns of a table of Gaussians by name."""
+    d = mean.shape[1]
+    columns = {f"mean_{i}": mean[:, i] for i in range(d)}
+    return columns | {f"cov_{i}{j}": cov[:, i, j] for i in range(d) for j in range(i, d)}
+
+
+def write_csv(path, mean, cov):
+    """Write Gaussians as CSV."""
+    table = table_of(mean, cov)
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(path, rows, delimiter=",", header=",".join(table), comments="", fmt="%.17g")
+
+
+def write_map(path, lines):
+    """Write the points of lines, by name, as a map."""
+    rows = [f"{name},{x},{y}" for name, points in lines.items() for x, y in points]
+    path.write_text("\n".join(["line,x,y", *rows]))
