@@ -13,7 +13,6 @@ import pytest
 
 import maplines_can as ml
 from maplines_can import bus, propagation, testing, wire
-from maplines_can.study import fits
 from maplines_can.study.dbc.record_spec import DEFAULT
 
 #: What Python itself raises where an object of another class is passed. A type checker finds it.
@@ -51,7 +50,7 @@ def _objects() -> dict[str, Any]:
     """Return the public names, and an object of each kind."""
     names = {
         name: getattr(module, name)
-        for module in (ml, propagation, wire, bus, testing, fits)
+        for module in (ml, propagation, wire, bus, testing)
         for name in module.__all__
     }
     cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2

@@ -9,9 +9,9 @@ from ..gaussian import Gaussian
 from ..line import Kind, MapLine, Slot
 from ..mixture import GaussianMixture
 from ..polyline import Polyline
-from .splitting import Mixture
 from .refit import MapError, Refit
 from .sigma_points import SigmaPoints
+from .splitting import Mixture
 from .transform import Transform
 
 __all__ = ["map_lines"]

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from maplines_can.cli.study import add_study
+from maplines_can.cli.study import add_run
 
 
 def command(*arguments):
@@ -18,8 +18,8 @@ def command(*arguments):
     def bar(unit):
         yield lambda done, total: seen.append((done, total))
 
-    add_study(parser.add_subparsers(), bar)
-    parsed = parser.parse_args(["study", "run", *map(str, arguments)])
+    add_run(parser.add_subparsers(), bar)
+    parsed = parser.parse_args(["run", *map(str, arguments)])
     return parsed.run(parsed), seen
 
 
