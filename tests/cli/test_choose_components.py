@@ -30,8 +30,8 @@ def test_the_bus_load_is_within_its_bound(name, lines, rate, fd, max_load):
         with pytest.raises(ValueError, match=f"{100 * max_load:g} % are allowed"):
             choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
         return
-    parts = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
-    sent = scene_lines(scene, lines, components=[line.parts for line in parts])
+    chosen = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
+    sent = scene_lines(scene, lines, components=[line.parts for line in chosen])
     assert bus_load(chain(*codec.encode_lines(sent, fd=fd)), 1 / rate, 5e5, 2e6) <= max_load * (
         1 + 1e-9
     )
@@ -51,15 +51,15 @@ def test_a_bus_too_slow_for_one_component_each_raises():
 def test_a_fixed_number_is_bounded_only_on_demand():
     """A fixed number of components has no default bound of the load."""
     scene, codec = scenario("highway"), default_codec()
-    parts = choose_components(scene, codec, components=8)
-    assert [line.parts for line in parts] == [8] * 4
+    chosen = choose_components(scene, codec, components=8)
+    assert [line.parts for line in chosen] == [8] * 4
     with pytest.raises(ValueError, match=r"4 lines in 32 parts take 69.1 %"):
         choose_components(scene, codec, components=8, max_load=MAX_LOAD)
 
 
 @pytest.mark.filterwarnings("ignore:.* draws are ill-posed")
 @pytest.mark.parametrize(
-    ("name", "parts", "before", "after"),
+    ("name", "count", "before", "after"),
     [
         pytest.param("production", 1, 0.02, 0.02, id="production"),
         pytest.param("street-turn", 1, 0.04, 0.04, id="street-turn"),
@@ -68,7 +68,7 @@ def test_a_fixed_number_is_bounded_only_on_demand():
         pytest.param("highway-10deg", 5, 0.43, 0.11, id="highway-10deg"),
     ],
 )
-def test_false_positives_of_the_chosen_components(name, parts, before, after):
+def test_false_positives_of_the_chosen_components(name, count, before, after):
     """One component stays where it is good enough; in the other scenes most false positives go."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
@@ -79,7 +79,7 @@ def test_false_positives_of_the_chosen_components(name, parts, before, after):
         return judged(truth, mixture, (name, str(k), "before")).false_positives
 
     (k,) = component_counts([nonlinearity(refit, scene.ego).amount])
-    assert k == parts
+    assert k == count
     assert false_positives(k) < after
     if k > 1:
         assert false_positives(1) > before
