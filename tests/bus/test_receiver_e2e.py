@@ -33,8 +33,8 @@ def wait_until(condition, timeout=20.0):
         time.sleep(0.005)
 
 
-def test_a_controller_sees_a_slot_come_and_go(links):
-    """Many threads at once ask for the newest line: VALID while lines come, then stale."""
+def test_a_controller_sees_a_slot_become_valid_and_stale(links):
+    """Many threads at once request the newest line: VALID while lines are received, then stale."""
     codec, wrong = Codec.from_dbc(), []
     decoder = codec.decoder(cycle_ms=100)  # and lines at 50 Hz: a busy machine is no fault here
     with Receiver(links[1], decoder, can_ids=codec.can_ids) as receiver:
@@ -62,8 +62,8 @@ def test_a_controller_sees_a_slot_come_and_go(links):
         assert list(receiver.slots()) == [SLOT]
 
 
-def test_time_goes_by_the_clock_of_the_frames(links):
-    """An adapter whose time stamps begin at power-up ages its lines all the same."""
+def test_age_is_by_the_clock_of_the_frames(links):
+    """Also if the time stamps of the adapter start at power-up."""
     with Receiver(links[1], default_codec().decoder()) as receiver:
         start = time.monotonic()
         for counter in range(2):  # one alone may be of a backlog
@@ -82,8 +82,8 @@ def test_time_goes_by_the_clock_of_the_frames(links):
         assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale
 
 
-def test_the_snippet_of_the_readme_runs(links, capsys):
-    """On the in-process bus, with a sender beside it."""
+def test_the_example_of_the_readme_runs(links, capsys):
+    """On the in-process bus, with a sender."""
     readme = (Path(__file__).parents[2] / "README.md").read_text()
     (code,) = (c for c in re.findall(r"```python\n(.*?)```", readme, re.S) if "latest(" in c)
     channel = links[0].name.split()[1]
