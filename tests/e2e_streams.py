@@ -4,23 +4,21 @@ from functools import cache
 
 import numpy as np
 from dbcs import default_codec
+from random_lines import random_lines
 
 from maplines_can import Slot
-from maplines_can.study import road
 
 MS = 1_000_000
 CYCLE = 50 * MS
 SLOT = Slot.EGO_LEFT
 
 
-# ---- the decoder -------------------------------------------------------------------------------
-
-MEANS, COVS = road(256, seed=11)
+MEANS, COVS = random_lines(256, seed=11)
 
 
 @cache
 def record(counter, which=None):
-    """One record; its line is another for each counter, or the one that is named."""
+    """Return the record of a counter; its line depends on the counter, or on ``which``."""
     i = counter % 256 if which is None else which
     one = MEANS[i : i + 1], COVS[i : i + 1]
     return default_codec().encode_batch(*one, slot=SLOT, counter=[counter % 256])[0]
@@ -28,18 +26,18 @@ def record(counter, which=None):
 
 @cache
 def frames(counter, fd=False, which=None):
-    """The frames of that record."""
+    """Return the frames of that record."""
     return default_codec().frames(record(counter, which=which), SLOT, fd=fd)
 
 
 def feed(decoder, transfer, t_ns):
-    """The answer to the last frame of a transfer, its frames 0.25 ms apart."""
+    """Return the answer to the last frame of a transfer, whose frames are 0.25 ms apart."""
     answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(transfer)]
     return answers[-1]
 
 
 def run(decoder, counters, t_ns=0, fd=False, other=0):
-    """Lines at 20 Hz, or other ones of the same counters; their answers, and the next time."""
+    """Feed lines at 20 Hz, other ones with ``other``; return the answers and the next time."""
     answers = []
     for counter in counters:
         which = (counter + other) % 256
@@ -55,7 +53,7 @@ def check_accounts(decoder):
 
 @cache
 def mixture_frames(counter, k, fd, seed=0):
-    """The parts of one line, their counters from ``counter``."""
+    """Return the frames of the k components of a line, with counters from ``counter``."""
     rng = np.random.default_rng([seed, counter])
     means = MEANS[rng.integers(0, 256, k)]
     weights = np.full((1, k), 1 / k)
@@ -67,7 +65,7 @@ def mixture_frames(counter, k, fd, seed=0):
 
 
 def two_senders(decoder, offset_ms, apart, *, fd=False, every=1, k=1, cycles=40, loss=0.0):
-    """Two senders of a slot, the second later by an offset and ahead by some counters."""
+    """Feed the lines of two senders, the second one later and with other counters."""
     rng = np.random.default_rng(3)
     transfers = []
     for cycle in range(cycles):

@@ -17,7 +17,7 @@ NOW = 1_750_000_000 * S
 
 
 class Clock:
-    """A clock [ns] that a test sets."""
+    """Clock that a test sets [ns]."""
 
     def __init__(self, now=NOW):
         self.now = now
@@ -31,7 +31,7 @@ def codec_of(*keys, clock=None, **rest):
 
 
 def feed(decoder, frames, t_ns=NOW, step_ns=50 * MS):
-    """Answers to frames, a period apart."""
+    """Return the answers to frames, a period apart."""
     return [decoder.feed(f.can_id, f.data, t_ns + i * step_ns) for i, f in enumerate(frames)]
 
 
@@ -40,7 +40,7 @@ def names(answers):
 
 
 def sent(codec, clock, line, n, step_ns=50 * MS):
-    """n frames of a line, a period apart."""
+    """Return n frames of a line, a period apart."""
     frames = []
     for _ in range(n):
         frames += codec.encode(line, fd=True)
@@ -51,8 +51,8 @@ def sent(codec, clock, line, n, step_ns=50 * MS):
 AES_256 = OTHER + bytes.fromhex("1f352c073b6108d72d9810a30914dff4")
 
 
-def cmac_by_the_book(secret, data):
-    """RFC 4493 figures 2.2 and 2.3, with nothing but AES of single blocks."""
+def reference_cmac(secret, data):
+    """RFC 4493 figures 2.2 and 2.3, from AES of single blocks."""
 
     def aes(block):
         encryptor = Cipher(algorithms.AES(secret), modes.ECB()).encryptor()  # noqa: S305 - single blocks
@@ -78,11 +78,8 @@ def key_file(tmp_path, text, mode=0o600):
     return path
 
 
-# ---- no key in any text ------------------------------------------------------------------------
-
-
-def check_secret(text):
-    """No eight digits in a row of the secret, and none of its bytes as Python prints them."""
+def check_no_secret(text):
+    """Check for eight digits of the secret in a row, and for its bytes as Python prints them."""
     lowered = text.lower()
     for i in range(len(SECRET.hex()) - 7):
         assert SECRET.hex()[i : i + 8] not in lowered
@@ -94,7 +91,7 @@ def check_traceback(error):
     text = whole_traceback(error)
     assert "path = " in text or "monkeypatch = " in text  # locals are there
     assert "repr() failed" not in text
-    check_secret(text)
+    check_no_secret(text)
 
 
 def whole_traceback(error):

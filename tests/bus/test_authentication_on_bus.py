@@ -18,16 +18,13 @@ def clock():
     return Clock()
 
 
-# ---- over a bus ----------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def channel():
     return f"test-{uuid.uuid4()}"
 
 
-def test_over_a_bus_with_an_attacker_and_a_key_change(channel):
-    """All that was sent arrives, once; what the attacker plays is counted."""
+def test_an_attacker_and_a_key_change(channel):
+    """All lines are received once; the frames of the attacker are counted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=time.time_ns), codec_of(old, new, clock=time.time_ns)
     bus = {"interface": "virtual", "channel": channel, "fd": True}
@@ -55,7 +52,7 @@ def test_over_a_bus_with_an_attacker_and_a_key_change(channel):
 
 @pytest.mark.parametrize("period", [0.01, 0.05, 0.4, 3.0, 3600.0])
 def test_a_slow_sender_signs_just_before_it_sends(clock, period):
-    """At any rate no line is older than a tenth of a second, so the window can be narrow."""
+    """At any rate no line is older than 0.1 s, so the window can be short."""
     sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
     decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
     tx_queue = TxQueue(sender, period, fd=True, count=3)

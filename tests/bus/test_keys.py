@@ -1,7 +1,7 @@
 """Keys from files and from the environment."""
 
 import pytest
-from secoc_streams import AES_256, OTHER, SECRET, check_secret, key_file
+from secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
 
 from maplines_can.bus import key_from_env, key_from_file
 from maplines_can.errors import KeyMaterialError
@@ -12,7 +12,7 @@ HEX = SECRET.hex()
 
 @pytest.mark.parametrize("text", [SECRET.hex(), f"\n {SECRET.hex().upper()}\r\n", AES_256.hex()])
 def test_a_key_from_a_file_and_from_the_environment(tmp_path, monkeypatch, text):
-    """Hex digits in either case, and the end of the line that an editor adds."""
+    """Hex digits in either case, and with the newline that an editor adds."""
     monkeypatch.setenv("CAR_KEY", text)
     key = key_from_file(key_file(tmp_path, text.encode()), key_id=7)
     assert key == key_from_env("CAR_KEY", 7) == Key(bytes.fromhex(text.strip()), 7)
@@ -34,17 +34,17 @@ def test_a_key_from_a_file_and_from_the_environment(tmp_path, monkeypatch, text)
         (SECRET.hex().encode(), 0o644, r"everybody .* \(mode 0644\); chmod 600"),
     ],
 )
-def test_a_bad_key_file_is_one_clear_error(tmp_path, text, mode, message):
-    """It names the file and what is wrong, and not what is in it."""
+def test_an_invalid_key_file_raises(tmp_path, text, mode, message):
+    """The message names the file and what is wrong, but not its content."""
     path = key_file(tmp_path, text, mode)
     with pytest.raises(KeyMaterialError, match=message) as caught:
         key_from_file(path)
     assert str(path) in str(caught.value)
-    check_secret(str(caught.value))
+    check_no_secret(str(caught.value))
 
 
-def test_a_missing_key_is_one_clear_error(tmp_path, monkeypatch):
-    """No such file, no such variable."""
+def test_a_missing_key_raises(tmp_path, monkeypatch):
+    """There is no such file, or no such variable."""
     monkeypatch.delenv("CAR_KEY", raising=False)
     with pytest.raises(KeyMaterialError, match=r"none\.key: cannot be read: No such file"):
         key_from_file(tmp_path / "none.key")
@@ -52,8 +52,8 @@ def test_a_missing_key_is_one_clear_error(tmp_path, monkeypatch):
         key_from_env("CAR_KEY")
 
 
-def test_a_name_like_a_key_is_a_name_where_there_is_such_a_thing(tmp_path, monkeypatch):
-    """Files and variables may be named by numbers of their own."""
+def test_an_existing_file_or_variable_may_look_like_a_key(tmp_path, monkeypatch):
+    """Its name may consist of hex digits."""
     path = key_file(tmp_path, HEX.encode()).rename(tmp_path / f"{OTHER.hex()}.key")
     monkeypatch.setenv("F47AC10B58CC4372A5670E02", HEX)
     assert key_from_file(path) == key_from_env("F47AC10B58CC4372A5670E02") == Key(SECRET)

@@ -30,8 +30,8 @@ def wait_until(condition, timeout=20.0):
         time.sleep(0.005)
 
 
-def test_a_controller_sees_a_slot_come_and_go(links):
-    """Many threads at once ask for the newest line: VALID while lines come, then stale."""
+def test_a_controller_sees_a_slot_become_valid_and_stale(links):
+    """Many threads at once request the newest line: VALID while lines are received, then stale."""
     codec, wrong = Codec.from_dbc(), []
     decoder = codec.decoder(cycle_ms=100)  # and lines at 50 Hz: a busy machine is no fault here
     with Receiver(links[1], decoder, can_ids=codec.can_ids) as receiver:
@@ -59,8 +59,8 @@ def test_a_controller_sees_a_slot_come_and_go(links):
         assert list(receiver.slots()) == [SLOT]
 
 
-def test_time_goes_by_the_clock_of_the_frames(links):
-    """An adapter whose time stamps begin at power-up ages its lines all the same."""
+def test_age_is_by_the_clock_of_the_frames(links):
+    """Also if the time stamps of the adapter start at power-up."""
     with Receiver(links[1], default_codec().decoder()) as receiver:
         start = time.monotonic()
         for counter in range(2):  # one alone may be of a backlog

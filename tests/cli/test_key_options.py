@@ -11,7 +11,7 @@ from pathlib import Path
 import can
 import pytest
 from scenes import scene_lines
-from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_secret, codec_of, key_file, sent
+from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_no_secret, codec_of, key_file, sent
 
 from maplines_can import Codec, Link, Transmitter, scenario
 from maplines_can.bus import key_from_file
@@ -44,12 +44,12 @@ HEX = SECRET.hex()
         *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
     ],
 )
-def test_a_key_on_the_command_line_is_not_repeated(capsys, option, text):
-    """Who gives the key itself instead of its file is told so, without it."""
+def test_a_key_on_the_command_line_is_not_printed(capsys, option, text):
+    """The error says that this looks like a key, without printing it."""
     assert main(["demo", option, text]) == 1
     out, err = capsys.readouterr()
     assert "looks like a key itself" in err
-    check_typed(out + err)
+    check_no_typed_secret(out + err)
 
 
 @pytest.mark.parametrize(
@@ -69,30 +69,30 @@ def test_a_key_on_the_command_line_is_not_repeated(capsys, option, text):
         [HEX],
     ],
 )
-def test_a_wrong_command_line_is_not_repeated_where_it_may_hold_a_key(capsys, words):
-    """No option is taken by its beginning, and what may be a key is left out of errors."""
+def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(capsys, words):
+    """Options cannot be abbreviated, and errors leave out what may be a key."""
     with pytest.raises(SystemExit, match="2"):
         main(words)
     out, err = capsys.readouterr()
     assert "(hidden)" in err
-    check_typed(out + err)
+    check_no_typed_secret(out + err)
 
 
-def check_typed(text):
-    """As check_secret, however the digits are set apart."""
-    check_secret(text)
-    check_secret(re.sub("[^0-9A-Za-z]", "", text))
+def check_no_typed_secret(text):
+    """As check_no_secret, whatever separates the digits."""
+    check_no_secret(text)
+    check_no_secret(re.sub("[^0-9A-Za-z]", "", text))
 
 
-def test_a_wrong_command_line_is_told_as_ever(capsys):
-    """What cannot be a key is repeated."""
+def test_a_wrong_command_line_without_a_key_is_printed(capsys):
+    """What cannot be a key is printed."""
     with pytest.raises(SystemExit, match="2"):
         main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
     assert "arguments: --keyfile car.key --key 2024-10-11\n" in capsys.readouterr().err
 
 
 def test_the_demo_with_a_key(capsys, caplog, tmp_path, monkeypatch):
-    """From a file for people and from the environment for machines, and no key anywhere."""
+    """With a key from a file or the environment, as text or JSON, and no key in any output."""
     caplog.set_level(logging.DEBUG)
     path = key_file(tmp_path, SECRET.hex().encode())
     assert main(["demo", "--key-file", str(path), "--seconds", "0.2"]) == 0
@@ -103,11 +103,11 @@ def test_the_demo_with_a_key(capsys, caplog, tmp_path, monkeypatch):
     machine = capsys.readouterr()
     result = json.loads(machine.out)
     assert (result["lines_lost"], result["carrier"]) == (0, "CAN FD, authenticated")
-    check_secret("".join([*text, *machine, caplog.text]))
+    check_no_secret("".join([*text, *machine, caplog.text]))
 
 
 def test_send_and_receive_with_keys(capsys, tmp_path, monkeypatch):
-    """Right key: lines. Wrong key: none, and why."""
+    """With the right key there are lines; with the wrong one there are none, and the reason."""
     path = key_file(tmp_path, SECRET.hex().encode())
     monkeypatch.setenv("WRONG", OTHER.hex())
     channel = f"test-{uuid.uuid4()}"
@@ -126,11 +126,11 @@ def test_send_and_receive_with_keys(capsys, tmp_path, monkeypatch):
     out, err = capsys.readouterr()
     assert not out
     assert re.search(r"0 lines from \d+ frames.*dropped frames: \d+ mac", err)
-    check_secret(out + err)
+    check_no_secret(out + err)
 
 
 def test_a_recorded_log_is_decoded_with_its_key(capsys, tmp_path, clock, lines):
-    """However old it is: only the order counts."""
+    """However old it is: only the order matters."""
     path, codec = tmp_path / "drive.log", codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 4)
     with can.Logger(path) as writer:
@@ -155,7 +155,7 @@ def test_a_recorded_log_is_decoded_with_its_key(capsys, tmp_path, clock, lines):
 
 
 def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
-    """A DBC without authenticated messages cannot be sent or received with a key."""
+    """With a DBC without authenticated messages, lines cannot be sent or received with a key."""
     path = key_file(tmp_path, SECRET.hex().encode())
     dbc = str(ROOT / "dbc" / "maplines.dbc")
     for job in ("demo", "send", "receive"):
@@ -163,8 +163,8 @@ def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
         assert "plain CAN FD are not authenticated" in capsys.readouterr().err
 
 
-def test_keys_are_sent_with_in_the_order_they_are_given():
-    """Files and variables alike; a number before the colon, else 1."""
+def test_keys_are_in_the_order_of_the_options():
+    """Files and variables alike; the key ID is before the colon, or 1."""
     parsed: argparse.Namespace = _parser(["send"]).parse_args(
         ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]
     )

@@ -23,8 +23,8 @@ def links():
         yield one, other
 
 
-def test_receive_prints_the_states_and_names_two_senders(links, capsys):
-    """A note of each change, a summary of each slot, and in JSON the checks beside each line."""
+def test_receive_prints_the_states_and_two_senders(links, capsys):
+    """A note of each change, a summary of each slot, and in JSON the checks with each line."""
 
     def send():
         for cycle in range(30):

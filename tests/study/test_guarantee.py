@@ -14,19 +14,19 @@ LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
 
 
 def check_guarantee(codec, means, covs):
-    """Never overconfident, always definite; returns the batch and the verdict."""
+    """Check that no covariance is overconfident or indefinite."""
     payloads = codec.encode_batch(means, covs)
     batch = codec.decode_batch(payloads)
     assert batch.accepted.all()
     stated = batch.status != Status.OUT_OF_RANGE
-    verdict = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
-    assert verdict.positive_definite.all()
-    assert not verdict.overconfident[stated].any()
-    return batch, verdict
+    evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
+    assert evaluation.positive_definite.all()
+    assert not evaluation.overconfident[stated].any()
+    return batch, evaluation
 
 
-def test_a_hundred_thousand_hostile_covariances(codec):
-    """Sigmas over the whole range, condition to 1e10, exactly singular, means at the limits."""
+def test_a_hundred_thousand_adversarial_covariances(codec):
+    """Sigmas over the whole range, condition to 1e10, singular ones, means at the limits."""
     batch, _ = check_guarantee(codec, *adversarial(100_000, seed=1))
     assert (batch.status == Status.OUT_OF_RANGE).mean() < 0.01
     assert set(np.unique(batch.status)) <= {Status.FULL, Status.SATURATED, Status.OUT_OF_RANGE}
@@ -39,8 +39,8 @@ def test_a_hundred_thousand_hostile_covariances(codec):
     st.lists(st.floats(-12, 3), min_size=4, max_size=4),
     st.integers(0, 4),
 )
-def test_any_covariance_is_covered_or_says_so(mean, entries, log_sigma, rank):
-    """Any square of any matrix, any rank, any scale, any mean."""
+def test_any_covariance_is_covered_or_out_of_range(mean, entries, log_sigma, rank):
+    """Any matrix times its transpose, of any rank and scale, with any mean."""
     root = np.array(entries).reshape(4, 4) * 10.0 ** np.array(log_sigma)[:, None]
     root[:, rank:] = 0
     cov = root @ root.T
@@ -49,19 +49,19 @@ def test_any_covariance_is_covered_or_says_so(mean, entries, log_sigma, rank):
 
 @pytest.mark.parametrize("make", [paper, road])
 def test_the_sets_stay_within_the_bounds_of_the_design(codec, make):
-    """KL, saturation, lateral error and sigma ratio on pose error alone and with map error."""
+    """KL, saturation, lateral error and sigma ratio, for pose error alone and with map error."""
     means, covs = make(4000, seed=11)
-    batch, verdict = check_guarantee(codec, means, covs)
-    assert verdict.kl_covered.mean() <= 5e-3
-    assert np.quantile(verdict.kl_covered, 0.99) <= 1.2e-2
+    batch, evaluation = check_guarantee(codec, means, covs)
+    assert evaluation.kl_covered.mean() <= 5e-3
+    assert np.quantile(evaluation.kl_covered, 0.99) <= 1.2e-2
     assert (batch.status == Status.SATURATED).mean() <= 5e-3
-    assert np.abs(verdict.lateral_error).max() <= 5e-3
-    assert np.quantile(verdict.sigma_ratio, 0.99, axis=0).max() <= 1.06
-    assert verdict.sigma_ratio.min() >= 1
+    assert np.abs(evaluation.lateral_error).max() <= 5e-3
+    assert np.quantile(evaluation.sigma_ratio, 0.99, axis=0).max() <= 1.06
+    assert evaluation.sigma_ratio.min() >= 1
 
 
-def test_kl_of_the_rounding_is_what_the_theory_says(codec):
-    """With the inflation taken out: sum of D^2/24 for ratios, (D ln 2)^2/12 for pivots."""
+def test_kl_of_the_rounding_agrees_with_the_theory(codec):
+    """Without the inflation: the sum of D^2/24 for ratios and (D ln 2)^2/12 for pivots."""
     rng = np.random.default_rng(4)
     n = 40_000
     root = rng.standard_normal((n, 4, 4)) * [0.5, 0.02, 1e-3, 1e-4] + 0
@@ -77,12 +77,12 @@ def test_kl_of_the_rounding_is_what_the_theory_says(codec):
     plain = batch.cov / inflation[:, None, None]
     keep = batch.status == Status.FULL
     measured = evaluate(means, covs, means, plain, codec.resolution).kl_covered[keep].mean()
-    # An error of n samples of a divergence whose spread is about its mean: 1 / sqrt(n) = 0.5 %.
+    # The standard deviation of the divergence is about its mean: the error is 1/sqrt(n) = 0.5 %.
     assert measured == pytest.approx(theory, rel=0.03)
 
 
-def test_zero_covariance_is_legal(codec):
-    """An exactly known line decodes to the resolution of the grid, not to zero."""
+def test_zero_covariance_is_valid(codec):
+    """An exactly known line decodes to the resolution of the mean, not to zero."""
     batch, _ = check_guarantee(codec, np.array([[1.75, 0.01, 1e-3, 1e-5]]), np.zeros((1, 4, 4)))
     assert batch.status[0] == Status.FULL
     assert np.linalg.eigvalsh(batch.cov[0])[0] > 0
@@ -91,7 +91,7 @@ def test_zero_covariance_is_legal(codec):
 @pytest.mark.parametrize("state", range(4))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_mean_beyond_its_range_is_covered_or_out_of_range(codec, state, sign):
-    """Just over the limit the covariance grows; far over it the line says OUT_OF_RANGE."""
+    """Just beyond the limit the covariance is wider; far beyond it the line is OUT_OF_RANGE."""
     near, far = np.zeros((2, 1, 4))
     near[0, state] = sign * 1.02 * LIMITS[state]
     far[0, state] = sign * 1e6
@@ -105,13 +105,13 @@ def test_a_mean_beyond_its_range_is_covered_or_out_of_range(codec, state, sign):
 
 
 def test_a_sigma_beyond_the_range_is_out_of_range(codec):
-    """A line that is known to a kilometre is not stated."""
+    """Such as a standard deviation of a kilometre."""
     batch, _ = check_guarantee(codec, np.zeros((1, 4)), np.diag([1e6, 1e-4, 1e-8, 1e-12])[None])
     assert batch.status[0] == Status.OUT_OF_RANGE
 
 
-def test_an_indefinite_covariance_is_repaired_upwards(codec):
-    """What is decoded covers the matrix that was given, and says REPAIRED."""
+def test_an_indefinite_covariance_is_covered(codec):
+    """The decoded covariance covers the given matrix, and the line is REPAIRED."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
     cov[0, 1] = cov[1, 0] = 1.5e-3  # a correlation of 1.5
     batch, _ = check_guarantee(codec, np.zeros((1, 4)), cov[None])
@@ -119,7 +119,7 @@ def test_an_indefinite_covariance_is_repaired_upwards(codec):
 
 
 def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
-    """A rank-one matrix with a correlation of 1 + 1e-15 is FULL."""
+    """A rank-one matrix with a correlation of 1 + 1e-15 is not REPAIRED."""
     root = np.array([[0.3], [0.01], [1e-4], [1e-6]])
     cov = root @ root.T
     cov[0, 1] = cov[1, 0] = cov[0, 1] * (1 + 1e-15)
@@ -127,7 +127,7 @@ def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
     assert batch.status[0] == Status.SATURATED  # the ratios of a singular matrix have no end
 
 
-# ---- the DBC is the only truth ---------------------------------------------------------
+# ---- other DBCs ------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -142,7 +142,7 @@ def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
     ],
 )  # fmt: skip
 def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
-    """Another factor or width in a copy of the DBC, and the guarantee still holds."""
+    """With another factor or length in a copy of the DBC, the guarantee still holds."""
     codec, other = Codec.from_dbc(), Codec.from_dbc(edited(tmp_path, edit))
     means, covs = road(500, seed=6)
     first, second = codec.encode_batch(means, covs), other.encode_batch(means, covs)
@@ -155,16 +155,16 @@ def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
         assert b.kl_covered.mean() > a.kl_covered.mean()
 
 
-def test_a_coarse_inflation_is_made_up_by_wider_pivots(tmp_path):
-    """Where the DBC leaves next to no inflation, the pivots are lifted instead."""
+def test_wider_pivots_replace_a_small_inflation(tmp_path):
+    """If the DBC has hardly any inflation, the pivots are lifted instead."""
     starved = (r"(Inflation[^:]*: \d+\|3@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.007]")
     codec = Codec.from_dbc(edited(tmp_path, starved))
     batch, _ = check_guarantee(codec, *road(2000, seed=7))
     assert (batch.status == Status.FULL).mean() > 0.9
 
 
-def test_another_order_of_rows_is_in_the_names(tmp_path):
-    """Renaming Ratio<row><column> and the pivots reorders the rows; still covered."""
+def test_the_names_of_the_ratios_order_the_rows(tmp_path):
+    """After renaming Ratio<row><column> and the pivots, the covariance is still covered."""
 
     def edits():
         for name in ("Pivot", "RatioYOff", "RatioBeta"):

@@ -6,23 +6,23 @@ import pytest
 from dbcs import DBC, default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from random_lines import random_lines
 
 from maplines_can.errors import EncodeError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.study import paper, road
 from maplines_can.wire import Codec, Reason
 
 
 def test_huge_numbers_do_not_overflow(codec):
-    """1e150 and the like are out of range, without a warning."""
+    """Numbers such as 1e200 are out of range, without a warning."""
     batch = codec.decode_batch(codec.encode_batch(np.full((1, 4), 1e200), 1e300 * np.eye(4)[None]))
     assert batch.status[0] == Status.OUT_OF_RANGE
     assert np.isfinite(batch.cov).all()
 
 
 def test_the_three_data_structures_of_the_paper(codec):
-    """Mean only, mean and standard deviations, mean and covariance."""
+    """Mean only, mean and standard deviations, or mean and covariance."""
     mean = np.array([[1.75, 0.01, 1e-3, 1e-5]])
     root = np.array([[0.3, 0, 0, 0], [0.01, 0.02, 0, 0], [1e-4, 0, 1e-4, 0], [0, 0, 0, 1e-6]])
     cov = (root @ root.T)[None]
@@ -40,22 +40,22 @@ def test_the_three_data_structures_of_the_paper(codec):
         assert batch.mean == pytest.approx(mean, abs=1e-3)
 
 
-def test_diagonal_stays_diagonal_where_a_value_meets_its_end(codec):
-    """Who sent sigmas alone is not taken for one who sent correlations."""
+def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec):
+    """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
     payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=30.0)
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
 
 
-def test_age_is_never_younger_than_it_is(codec):
-    """Rounded up to the step; the top value means this or more."""
+def test_age_is_rounded_up(codec):
+    """To the next step; the greatest value means this age or more."""
     ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.247, 0.249, 9.0])
     batch = codec.decode_batch(codec.encode_batch(np.zeros((7, 4)), age=ages))
     assert batch.age.tolist() == [0.0, 0.008, 0.008, 0.016, 0.248, 0.248, 0.248]
 
 
-def test_single_precision_is_welcome(codec):
-    """J P J^T worked in float32 is symmetric and definite to float32's rounding."""
+def test_single_precision_is_accepted(codec):
+    """A product J P J^T in float32 is symmetric and definite to the rounding of float32."""
     rng = np.random.default_rng(8)
     root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
     covs = np.einsum("nik,njk->nij", root, root)
@@ -64,16 +64,16 @@ def test_single_precision_is_welcome(codec):
     assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
 
 
-def test_unknown_stays_unknown_with_a_mean_out_of_range(codec):
-    """A mean that was cut has nothing to cover it where no covariance is sent."""
+def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec):
+    """Without a covariance, nothing covers a clipped mean."""
     batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
     assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
 
 
-def test_cantools_reads_what_we_write_and_writes_what_we_read(codec):
-    """Each page of each carrier, raw bits and physical values."""
+def test_cantools_decodes_and_encodes_the_same_frames(codec):
+    """In each page of each carrier, the bytes and the physical values are the same."""
     database = cantools.database.load_file(DBC)
-    means, covs = paper(40, seed=3)
+    means, covs = random_lines(40, seed=3)
     payloads = codec.encode_batch(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
     batch = codec.decode_batch(payloads, Slot.NEXT_LEFT)
     for i, payload in enumerate(payloads):
@@ -95,7 +95,7 @@ def test_cantools_reads_what_we_write_and_writes_what_we_read(codec):
 
 
 def covariance_by_hand(signals):
-    """The decoding as a reader of the DBC's page would do it, from cantools' values."""
+    """Decode the covariance as dbc/README.md describes it, from the values of cantools."""
     names = ["C1", "C0", "YOff", "Beta"]
     L = np.zeros((4, 4))
     for i, row in enumerate(names):
@@ -108,17 +108,17 @@ def covariance_by_hand(signals):
 
 
 @pytest.mark.parametrize("length", [0, 1, 31, 33, 64])
-def test_a_record_of_another_length_is_none(length):
-    """Whatever else is in it."""
+def test_a_record_of_another_length_is_rejected(length):
+    """Whatever its content."""
     assert default_codec().decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
-def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
+def test_both_readers_agree_on_any_bytes(data, valid, slot):
     """decode_one and decode_batch agree to the last bit, or on the reason."""
     codec = default_codec()
-    if honest:  # make the bytes pass: the right pages, transfers and checksum
+    if valid:  # correct page numbers, transfer IDs and checksum
         raw = codec._reader._packing.unpack_one(data)
         raw |= {f"Page{p}": p for p in range(4)} | {
             f"TransferId{p}": raw["Counter"] for p in range(4)
@@ -135,20 +135,20 @@ def test_both_readers_say_the_same_of_any_bytes(data, honest, slot):
         assert np.array_equal(one.gaussian.cov, batch.cov[0])
         assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
         assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
-        part = codec.read_record(data, slot)
-        assert (part.index, part.count, part.weight) == (
+        record = codec.read_record(data, slot)
+        assert (record.index, record.count, record.weight) == (
             batch.component_index[0],
             batch.component_count[0],
             batch.component_weight[0],
         )
-    if honest:
+    if valid:
         assert batch.rejects.keys() <= {Reason.CONTENT}
     np.linalg.cholesky(batch.cov)  # whatever the bytes, a definite matrix
 
 
-def test_both_writers_write_the_same(codec):
+def test_all_writers_agree(codec):
     """encode, encode_lines and encode_batch give the same bytes."""
-    means, covs = road(50, seed=5)
+    means, covs = random_lines(50, seed=5)
     lines = [
         MapLine(Slot(i % 8), Gaussian(m, S), Kind(i % 8), -20, 60 + i, 0.008 * (i % 9))
         for i, (m, S) in enumerate(zip(means, covs, strict=True))
@@ -169,8 +169,8 @@ def test_both_writers_write_the_same(codec):
     assert one_by_one == together == [payload.tobytes() for payload in payloads]
 
 
-def test_extents_never_claim_too_much(codec):
-    """x_min is rounded up and x_max down; what still claims too much is flagged."""
+def test_the_valid_range_is_rounded_inwards(codec):
+    """x_min is rounded up and x_max down; if the range is still too long, the line is SATURATED."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
     ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [24.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
     for x_min, x_max in ends:
@@ -209,8 +209,8 @@ def test_extents_never_claim_too_much(codec):
         pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),
     ],
 )
-def test_a_callers_mistake_raises_at_once(codec, change, words):
-    """The message names the value, the row or signal, and what is allowed."""
+def test_an_invalid_argument_raises(codec, change, words):
+    """The message names the value, the row or signal, and the allowed values."""
     good = {"means": np.zeros((1, 4)), "covs": np.zeros((1, 4, 4))}
     with pytest.raises((ValueError, EncodeError), match=words):
         codec.encode_batch(**{**good, **change})
@@ -221,13 +221,13 @@ def test_a_callers_mistake_raises_at_once(codec, change, words):
     [np.zeros((1, 31), np.uint8), np.zeros(32, np.uint8), np.zeros((1, 32), np.int64)],
 )
 def test_payloads_of_another_shape_raise(codec, payloads):
-    """Bytes may be anything, but they must be bytes, 32 a row."""
+    """The bytes may be anything, but there must be 32 uint8 in each row."""
     with pytest.raises(ValueError, match="payloads must"):
         codec.decode_batch(payloads)
 
 
-def test_no_records_at_all(codec):
-    """Empty in, empty out."""
+def test_no_records(codec):
+    """No lines give no records, and no records give no lines."""
     payloads = codec.encode_batch(np.zeros((0, 4)), np.zeros((0, 4, 4)))
     assert payloads.shape == (0, 32)
     assert codec.decode_batch(payloads).mean.shape == (0, 4)
@@ -258,8 +258,8 @@ RECORD = np.zeros((1, 32), dtype=np.uint8)
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_odd_numbers_are_refused_in_words(make, words):
-    """By name and range, in a message that one can read, and without a warning beside it."""
+def test_extreme_numbers_raise_a_short_message(make, words):
+    """The message names the argument and its range, and there is no warning."""
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())
     assert len(str(refusal.value)) < 400

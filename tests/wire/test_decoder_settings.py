@@ -8,12 +8,12 @@ from maplines_can.wire import Codec, E2EConfig
 
 
 def test_a_time_of_an_hour_is_allowed():
-    """The bounds belong to the range."""
+    """The upper bound is part of the range."""
     assert default_codec().decoder(timeout_ms=3_600_000, cycle_ms=3_600_000).lines == 0
 
 
-def test_a_step_must_be_less_than_half_of_the_counters_of_the_dbc(tmp_path):
-    """A narrow counter shrinks the default, and contradicts a step that is given."""
+def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path):
+    """A short counter reduces the default; with a given value it is an error."""
     narrow = [(rf"({name} m0 : 16\|)8@1\+ \(1,0\) \[0\|255\]", r"\g<1>4@1+ (1,0) [0|15]")
               for name in ("Counter",)]  # fmt: skip
     codec = Codec.from_dbc(edited(tmp_path, *narrow, (r"Counter : 16\|8@1\+", "Counter : 16|4@1+")))
@@ -24,6 +24,6 @@ def test_a_step_must_be_less_than_half_of_the_counters_of_the_dbc(tmp_path):
 
 @pytest.mark.parametrize("cycle_ms", [0, -5, float("nan"), float("inf")])
 def test_a_cycle_time_must_be_positive(cycle_ms):
-    """The message names value and unit."""
+    """The message has the name, the value and the unit."""
     with pytest.raises(ValueError, match="cycle_ms must be more than 0 ms"):
         default_codec().decoder(cycle_ms=cycle_ms)

@@ -6,15 +6,15 @@ from pathlib import Path
 import cantools
 import pytest
 from dbcs import edited
+from random_lines import random_lines
 
 from maplines_can.errors import LayoutError
 from maplines_can.line import Kind, MapLine, Slot
-from maplines_can.study import road
 from maplines_can.wire import Codec, Layout
 
 
-def test_motorola_signals_work_alike(tmp_path):
-    """Counter and Kind in Motorola order at the same bits: the same bytes, as cantools says."""
+def test_motorola_signals_are_supported(tmp_path):
+    """Counter and Kind in Motorola order at the same bits give the same bytes, also in cantools."""
     path = edited(
         tmp_path,
         (r"SG_ Counter m0 : 16\|8@1\+", "SG_ Counter m0 : 23|8@0+"),
@@ -24,13 +24,13 @@ def test_motorola_signals_work_alike(tmp_path):
     )
     codec, other = Codec.from_dbc(), Codec.from_dbc(path)
     message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")
-    means, covs = road(20, seed=9)
+    means, covs = random_lines(20, seed=9)
     payloads = other.encode_batch(means, covs, kind=Kind.KERB)
     assert other.decode_batch(payloads).accepted.all()
     for i, payload in enumerate(payloads):
-        witness = message.decode(payload.tobytes())
-        assert (witness["Kind"], witness["Counter"]) == ("KERB", i)
-    # Fields of whole bytes, or within one, lie where they lay: the order does not show.
+        decoded = message.decode(payload.tobytes())
+        assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)
+    # Signals of whole bytes, or within one, have the same bits in both byte orders.
     assert (payloads == codec.encode_batch(means, covs, kind=Kind.KERB)).all()
 
 
@@ -57,16 +57,16 @@ def test_motorola_signals_work_alike(tmp_path):
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
     ],
 )  # fmt: skip
-def test_a_wrong_dbc_is_refused_with_its_reason(tmp_path, edit, words):
-    """What is wrong is named, with the file."""
+def test_an_unsuitable_dbc_is_rejected_with_the_reason(tmp_path, edit, words):
+    """The message names the file and what is wrong."""
     path = edited(tmp_path, edit)
     with pytest.raises(LayoutError, match=words) as error:
         Codec.from_dbc(path)
     assert "edited.dbc" in str(error.value)
 
 
-def test_each_carrier_may_have_its_own_kind_of_id(tmp_path):
-    """Classic with 11 bits, CAN FD with 29: frames and decoder agree."""
+def test_each_carrier_may_have_its_own_id_length(tmp_path):
+    """Classic CAN with 11 bits and CAN FD with 29 bits: frames and decoder agree."""
     fd_id = 0x80000000 | 0x18FF0048
     path = edited(tmp_path, (r"\b840\b", str(fd_id)))
     codec = Codec.from_dbc(path)
@@ -78,8 +78,8 @@ def test_each_carrier_may_have_its_own_kind_of_id(tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])
-def test_a_file_that_is_no_dbc(tmp_path, content):
-    """Missing, empty, binary, cut off: one clear error."""
+def test_a_file_that_is_not_a_dbc_is_rejected(tmp_path, content):
+    """Missing, empty, binary or truncated: the error names the file."""
     path = tmp_path / "bad.dbc"
     if content is not None:
         path.write_bytes(content)
@@ -105,8 +105,8 @@ ROOT = Path(__file__).parents[3]
         (r'"VFrameFormat" BO_ 848 14', '"VFrameFormat" BO_ 848 0', "must be a CAN FD message"),
     ],
 )
-def test_a_dbc_whose_mac_is_elsewhere_is_refused(pattern, replacement, message):
-    """Rather than to check the wrong bytes."""
+def test_a_dbc_with_another_secured_format_is_rejected(pattern, replacement, message):
+    """Otherwise the wrong bytes would be verified."""
     text, found = re.subn(
         pattern, replacement, (ROOT / "dbc" / "maplines-secoc.dbc").read_text(), count=1
     )

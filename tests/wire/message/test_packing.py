@@ -1,4 +1,4 @@
-"""Raw values to bytes and back, with cantools as the witness."""
+"""Packing and unpacking of raw values, compared with cantools."""
 
 import cantools
 import numpy as np
@@ -20,7 +20,7 @@ def layouts(draw):
     """Random signals of both byte orders, 1 to 64 bits (unsigned 63), that do not overlap."""
     length = draw(st.sampled_from(LENGTHS))
     free = np.ones(8 * length, dtype=bool)  # numbered as Intel numbers bits
-    fields = []
+    signals = []
     for i in range(draw(st.integers(1, 12))):
         bits = draw(st.integers(1, 64))
         big_endian = draw(st.booleans())
@@ -36,66 +36,66 @@ def layouts(draw):
         free[taken] = False
         signed = draw(st.booleans()) or bits == 64
         low = -(2 ** (bits - 1)) if signed else 0
-        fields.append(
+        signals.append(
             Signal(f"S{i}", start, bits, big_endian, signed, 1.0, 0.0, "", low, low + 2**bits - 1)
         )
-    return length, fields
+    return length, signals
 
 
-def message_of(length, fields):
+def message_of(length, signals):
     signals = [
         DbcSignal(
-            f.name,
-            f.start,
-            f.length,
-            "big_endian" if f.big_endian else "little_endian",
-            f.signed,
+            s.name,
+            s.start,
+            s.length,
+            "big_endian" if s.big_endian else "little_endian",
+            s.signed,
             conversion=BaseConversion.factory(1, 0, None, False),
         )
-        for f in fields
+        for s in signals
     ]
     return Message(1, "M", length, signals, is_fd=length > 8)
 
 
 @settings(max_examples=300, deadline=None)
 @given(layouts(), st.integers(0, 2**32))
-def test_any_layout_reads_and_writes_as_cantools_does(layout, seed):
-    """Random layouts, random bytes: same raw values; packed again: same bits."""
-    length, fields = layout
-    packing = Packing(fields, length)
+def test_any_layout_agrees_with_cantools(layout, seed):
+    """Random bytes give the same raw values, and raw values the same bytes."""
+    length, signals = layout
+    packing = Packing(signals, length)
     payloads = np.random.default_rng(seed).integers(0, 256, (5, length), dtype=np.uint8)
     raw = packing.unpack(payloads)
     packed = packing.pack(raw, len(payloads))
-    message = message_of(length, fields)
+    message = message_of(length, signals)
     for i, payload in enumerate(payloads):
-        witness = message.decode(payload.tobytes())
-        assert {name: int(raw[name][i]) for name in raw} == witness
-        assert packing.unpack_one(payload.tobytes()) == witness
-        assert packed[i].tobytes() == message.encode(witness)
-        assert packing.pack_one(witness) == packed[i].tobytes()
+        expected = message.decode(payload.tobytes())
+        assert {name: int(raw[name][i]) for name in raw} == expected
+        assert packing.unpack_one(payload.tobytes()) == expected
+        assert packed[i].tobytes() == message.encode(expected)
+        assert packing.pack_one(expected) == packed[i].tobytes()
 
 
-def test_blocks_do_not_show():
-    """More records than one block: each is read and written as if alone."""
-    field = Signal("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
-    packing = Packing([field], 8)
+def test_blocks_do_not_matter():
+    """With more records than a block, each is packed and unpacked as if it were alone."""
+    signal = Signal("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
+    packing = Packing([signal], 8)
     raw = np.random.default_rng(0).integers(-4096, 4096, 10_000)
     payloads = packing.pack({"A": raw}, len(raw))
     assert (packing.unpack(payloads)["A"] == raw).all()
-    assert (field.physical(packing.unpack(payloads)["A"]) == raw * 0.5 + 1.0).all()
+    assert (signal.physical(packing.unpack(payloads)["A"]) == raw * 0.5 + 1.0).all()
     assert packing.pack({"A": raw[9_999:]}, 1).tobytes() == payloads[9_999].tobytes()
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_none_and_one(n):
-    """No records give no records."""
+def test_no_records_and_one_record(n):
+    """No records give no values."""
     packing = Packing([Signal("A", 0, 8, False, False, 1.0, 0.0, "", 0, 255)], 8)
     payloads = packing.pack({"A": np.full(n, 7)}, n)
     assert payloads.shape == (n, 8)
     assert packing.unpack(payloads)["A"].tolist() == [7] * n
 
 
-def test_values_beyond_the_field_do_not_reach_its_neighbours():
+def test_too_large_values_do_not_change_other_signals():
     """Only the low bits of a value are written."""
     a = Signal("A", 0, 4, False, False, 1.0, 0.0, "", 0, 15)
     b = Signal("B", 4, 4, False, False, 1.0, 0.0, "", 0, 15)
@@ -105,6 +105,6 @@ def test_values_beyond_the_field_do_not_reach_its_neighbours():
     assert packing.pack_one({"A": 0x1F, "B": 2}) == payload[0].tobytes()
 
 
-def test_cantools_is_what_users_have():
-    """The version whose rounding and bit order were tested against."""
+def test_the_version_of_cantools_is_supported():
+    """The rounding and bit order are those of this version and later ones."""
     assert int(cantools.__version__.split(".")[0]) >= 45

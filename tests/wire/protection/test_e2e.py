@@ -1,4 +1,4 @@
-"""AUTOSAR profile 5, with the package autosar-e2e as the witness."""
+"""AUTOSAR E2E profile 5, compared with the package autosar-e2e."""
 
 import e2e
 import numpy as np
@@ -10,8 +10,8 @@ from maplines_can.wire.protection.e2e import record_crc, record_crc_one
 
 
 @given(st.binary(min_size=4, max_size=64), st.integers(0, 0xFFFF), st.data())
-def test_crc_is_that_of_profile_5(data, data_id, draw):
-    """Any record, data ID and place of the header: the checksum that autosar-e2e writes."""
+def test_crc_agrees_with_autosar_e2e(data, data_id, draw):
+    """For any record, data ID and offset of the header."""
     offset = draw.draw(st.integers(0, len(data) - 3))
     protected = bytearray(data)
     e2e.p05.e2e_p05_protect(protected, data_id, offset=offset, increment_counter=False)
@@ -29,8 +29,8 @@ def test_published_example_of_a_zero_record():
 
 
 @pytest.mark.parametrize("bit", range(32 * 8))
-def test_every_single_bit_counts(bit):
-    """Flipping any bit of a 32-byte record breaks its checksum."""
+def test_every_flipped_bit_is_detected(bit):
+    """Flipping any bit of a 32-byte record makes its checksum wrong."""
     record = np.random.default_rng(1).integers(0, 256, (1, 32), dtype=np.uint8)
     crc = int(record_crc(record, 0x4D40)[0])
     record[0, :2] = crc & 0xFF, crc >> 8
@@ -40,8 +40,8 @@ def test_every_single_bit_counts(bit):
     assert record_crc(flipped, 0x4D40)[0] != stored
 
 
-def test_a_record_of_another_slot_is_refused():
-    """The data ID is in the checksum: no line passes for another."""
+def test_records_of_two_slots_have_different_checksums():
+    """The checksum covers the data ID, so a record of another slot is detected."""
     record = np.zeros((2, 32), dtype=np.uint8)
     a, b = record_crc(record, np.array([0x4D40, 0x4D41]))
     assert a != b

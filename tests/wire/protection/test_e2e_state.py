@@ -15,7 +15,7 @@ VALID, NODATA, INIT, INVALID = E2EState
 LETTERS = {"o": OK, "l": OKSOMELOST, "e": ERROR, "r": REPEATED, "w": WRONGSEQUENCE, "n": NONEWDATA}
 STATES = {"D": NODATA, "I": INIT, "V": VALID, "X": INVALID}
 
-#: Windows of three sizes and bounds that all differ where they may.
+#: Window sizes and bounds that differ wherever the standard allows it.
 SMALL = E2EConfig(
     window_size_init=3,
     window_size_valid=5,
@@ -37,24 +37,24 @@ SMALL = E2EConfig(
     [
         pytest.param(None, 77, OK, id="first"),
         pytest.param(7, 8, OK, id="next"),
-        pytest.param(255, 0, OK, id="next-round"),
+        pytest.param(255, 0, OK, id="next-after-the-wrap"),
         pytest.param(7, 7, REPEATED, id="same"),
         pytest.param(7, 9, OKSOMELOST, id="one-lost"),
         pytest.param(7, 10, OKSOMELOST, id="at-max-delta"),
-        pytest.param(254, 1, OKSOMELOST, id="at-max-delta-over-the-round"),
+        pytest.param(254, 1, OKSOMELOST, id="at-max-delta-after-the-wrap"),
         pytest.param(7, 11, WRONGSEQUENCE, id="one-beyond"),
         pytest.param(7, 6, WRONGSEQUENCE, id="one-back"),
-        pytest.param(0, 255, WRONGSEQUENCE, id="one-back-over-the-round"),
+        pytest.param(0, 255, WRONGSEQUENCE, id="one-back-before-the-wrap"),
     ],
 )
 def test_the_counter_check(last, counter, status):
-    """E2E_P05Check with max_delta_counter 3: the step from the last counter decides."""
+    """E2E_P05Check with max_delta_counter 3: the step from the last counter counts."""
     assert check(counter, last, 3) is status
 
 
 @given(st.integers(0, 255), st.integers(0, 255), st.integers(1, 127))
-def test_every_counter_has_one_status(last, counter, max_delta):
-    """As the standard says it: by the difference on the circle of counters."""
+def test_any_step_of_the_counter(last, counter, max_delta):
+    """As in the standard: the step is the difference modulo 256."""
     forward = counter - last if counter >= last else counter + 256 - last
     expected = (
         REPEATED
@@ -74,7 +74,7 @@ def test_every_counter_has_one_status(last, counter, max_delta):
 @pytest.mark.parametrize(
     ("statuses", "states"),
     [
-        # NODATA: the first that is neither ERROR nor NONEWDATA, and it does not count
+        # NODATA: the first check that is neither ERROR nor NONEWDATA; it does not count
         pytest.param("n", "D", id="nodata-nonewdata"),
         pytest.param("e", "D", id="nodata-error"),
         pytest.param("eeeeeennnnnn", "DDDDDDDDDDDD", id="nodata-errors-do-not-add-up"),
@@ -107,8 +107,8 @@ def test_every_counter_has_one_status(last, counter, max_delta):
         pytest.param("oooeooee", "IIVVVVVX", id="valid-error-at-the-edge-of-the-window"),
         pytest.param("oooeoooee", "IIVVVVVVV", id="valid-error-just-out-of-the-window"),
         # The window grows from 3 to 5 between INIT and VALID
-        pytest.param("oeooee", "IIIVVX", id="init-s-error-goes-along"),
-        pytest.param("oenooee", "IIIIVVV", id="what-left-init-s-window-does-not-come-back"),
+        pytest.param("oeooee", "IIIVVX", id="an-error-in-init-is-kept"),
+        pytest.param("oenooee", "IIIIVVV", id="older-checks-do-not-return"),
         # INVALID: window 4, OKs 3, errors 0, from an empty window
         pytest.param("oeeoo", "IIXXX", id="invalid-one-ok-less"),
         pytest.param("oeeooo", "IIXXXV", id="invalid-oks-at-bound"),
@@ -122,7 +122,7 @@ def test_every_counter_has_one_status(last, counter, max_delta):
     ],
 )
 def test_the_table_of_states(statuses, states):
-    """Each transition of E2E_SMCheck, at its bounds and one off, and at the edge of its window."""
+    """Each transition of E2E_SMCheck, at its bounds, one off, and at the edge of its window."""
     machine = StateMachine(SMALL)
     assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
 
@@ -132,20 +132,22 @@ def test_the_table_of_states(statuses, states):
     [
         pytest.param(True, "oooeeeooo", "IIVVVXXXV", id="from-valid-cleared"),
         pytest.param(False, "oooeeeooo", "IIVVVXXXX", id="from-valid-kept"),
-        pytest.param(False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-it-leaves"),
+        pytest.param(
+            False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-gone"
+        ),
         pytest.param(True, "oeeooo", "IIXXXV", id="from-init-cleared"),
         pytest.param(False, "oeeooo", "IIXXXX", id="from-init-kept"),
-        pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="oks-of-before-do-not-suffice"),
+        pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="old-oks-do-not-suffice"),
     ],
 )
-def test_what_invalid_begins_with(clear, statuses, states):
-    """With clear_to_invalid an empty window, else the last checks."""
+def test_the_window_at_the_transition_to_invalid(clear, statuses, states):
+    """With clear_to_invalid it is empty, otherwise it holds the last checks."""
     machine = StateMachine(replace(SMALL, clear_to_invalid=clear))
     assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
 
 
 class Reference:
-    """E2E_SMCheck as the standard has it: an array, an index, and routines on them."""
+    """E2E_SMCheck as the standard describes it: an array, an index, and routines on them."""
 
     def __init__(self, config):
         self.c = asdict(config)
@@ -197,7 +199,7 @@ class Reference:
 
 @st.composite
 def configs(draw):
-    """Any that the standard allows, with small windows."""
+    """Any configuration that the standard allows, with small windows."""
     errors = sorted(draw(st.lists(st.integers(0, 3), min_size=3, max_size=3)))
     oks = sorted(draw(st.lists(st.integers(1, 4), min_size=3, max_size=3)))
     pairs = {"valid": (oks[0], errors[2]), "init": (oks[1], errors[1])}
@@ -212,8 +214,8 @@ def configs(draw):
 
 @settings(max_examples=300)
 @given(configs(), st.text("oooooolerwn", max_size=80))
-def test_the_machine_is_the_standard_s(config, statuses):
-    """Any configuration and any checks: states and counts of an array with an index."""
+def test_the_state_machine_agrees_with_the_reference(config, statuses):
+    """For any configuration and any checks, the states and counts are the same."""
     machine, reference = StateMachine(config), Reference(config)
     for letter in statuses:
         state = machine.step(LETTERS[letter])
@@ -237,7 +239,7 @@ def test_the_machine_is_the_standard_s(config, statuses):
         ({"max_error_state_invalid": 2}, "max_error_state_invalid <= max_error_state_init"),
     ],
 )
-def test_a_configuration_that_the_standard_forbids(values, words):
+def test_a_configuration_that_the_standard_forbids_raises(values, words):
     """The message names the constraint and the values."""
     with pytest.raises(ValueError, match=words):
         E2EConfig(**values)

@@ -9,11 +9,11 @@ import pytest
 from secoc_streams import (
     AES_256,
     SECRET,
-    check_secret,
+    check_no_secret,
     check_traceback,
-    cmac_by_the_book,
     codec_of,
     key_file,
+    reference_cmac,
     whole_traceback,
 )
 
@@ -24,7 +24,7 @@ from maplines_can.wire import Authenticator, Key
 ROOT = Path(__file__).parents[3]
 
 
-# ---- the MAC ------------------------------------------------------------------------------
+# ---- the MAC ---------------------------------------------------------------------
 
 #: RFC 4493 section 4 has AES-128, NIST SP 800-38B appendix D.3 AES-256; the messages are the same.
 MESSAGE = bytes.fromhex(
@@ -47,21 +47,21 @@ MESSAGE = bytes.fromhex(
     ],
 )
 def test_the_published_vectors(secret, length, mac):
-    """RFC 4493 and NIST SP 800-38B, twice each: a key is used again and again."""
+    """RFC 4493 and NIST SP 800-38B, twice each, because a key is used repeatedly."""
     key = Key.from_hex(secret.hex())
     assert [key.mac(MESSAGE[:length]).hex() for _ in range(2)] == [mac, mac]
-    assert cmac_by_the_book(secret, MESSAGE[:length]).hex() == mac
+    assert reference_cmac(secret, MESSAGE[:length]).hex() == mac
 
 
 def test_without_cryptography_the_extra_is_named(monkeypatch):
-    """And everything else works."""
+    """The message has the command that installs it."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
     with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[secoc\]"'):
         Key(SECRET)
 
 
 def test_the_package_starts_without_cryptography():
-    """Who does not authenticate does not load it."""
+    """It is imported only for authentication."""
     code = "import sys, maplines_can.cli; print('cryptography' in sys.modules)"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
@@ -69,19 +69,19 @@ def test_the_package_starts_without_cryptography():
     assert done.stdout.strip() == "False"
 
 
-def test_no_text_of_any_object_holds_the_key(clock, lines):
-    """Not repr, str, vars, pickle or a traceback with all locals, with logging at its loudest."""
+def test_no_text_of_an_object_contains_the_key(clock, lines):
+    """Not repr, str, vars, pickle, or a traceback with all locals."""
     key = Key(SECRET)
     codec = codec_of(key, clock=clock)
     for thing in (key, codec.authenticator, codec, codec.decoder(), codec.verifier()):
-        check_secret(f"{thing!r} {thing} {getattr(thing, '__dict__', '')} {dir(thing)}")
+        check_no_secret(f"{thing!r} {thing} {getattr(thing, '__dict__', '')} {dir(thing)}")
     assert repr(key) == f"Key(key_id=1, fingerprint='{key.fingerprint}')"
     with pytest.raises(TypeError, match="cannot be pickled"):
         pickle.dumps(key)
     try:
         codec.encode(lines[0])
     except EncodeError as error:
-        check_secret(whole_traceback(error))
+        check_no_secret(whole_traceback(error))
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_no_text_of_any_object_holds_the_key(clock, lines):
         pytest.param(lambda path: key_from_file(path, 300), id="number-in-file"),
         pytest.param(lambda _: key_from_env("CAR_KEY", "1"), id="number-in-env"),
         pytest.param(lambda _: Key.from_hex(SECRET.hex(), None), id="number-of-hex"),
-        pytest.param(lambda _: Key(1, SECRET), id="the-wrong-way-round"),
+        pytest.param(lambda _: Key(1, SECRET), id="swapped-arguments"),
         pytest.param(lambda _: Key(SECRET[:15]), id="too-short"),
         pytest.param(lambda _: Key(list(SECRET)), id="list"),
         pytest.param(lambda _: Key(SECRET.hex()), id="hex-for-bytes"),
@@ -103,8 +103,8 @@ def test_no_text_of_any_object_holds_the_key(clock, lines):
         pytest.param(lambda _: key_from_env(SECRET.hex()), id="key-for-env"),
     ],
 )
-def test_no_traceback_of_a_bad_key_holds_it(tmp_path, monkeypatch, act):
-    """Not even with the locals of every frame of ours, and their repr works."""
+def test_no_traceback_of_an_invalid_key_contains_it(tmp_path, monkeypatch, act):
+    """Not even with the locals of every frame of this package, and their repr works."""
     monkeypatch.setenv("CAR_KEY", SECRET.hex())
     monkeypatch.setenv("CAR_KEY_AND_MORE", SECRET.hex() + "0")
     path = key_file(tmp_path, SECRET.hex().encode())
@@ -115,8 +115,8 @@ def test_no_traceback_of_a_bad_key_holds_it(tmp_path, monkeypatch, act):
     check_traceback(caught.value)
 
 
-def test_no_traceback_without_cryptography_holds_a_key(tmp_path, monkeypatch):
-    """The key was read by then."""
+def test_no_traceback_without_cryptography_contains_a_key(tmp_path, monkeypatch):
+    """The key has been read by then."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
     monkeypatch.setenv("CAR_KEY", SECRET.hex())
     path = key_file(tmp_path, SECRET.hex().encode())

@@ -24,10 +24,10 @@ from secoc_streams import (
     US,
     Clock,
     S,
-    cmac_by_the_book,
     codec_of,
     feed,
     names,
+    reference_cmac,
     sent,
 )
 
@@ -42,8 +42,8 @@ from maplines_can.wire.protection.secoc import complete
 ROOT = Path(__file__).parents[3]
 
 
-def test_every_byte_of_a_frame_is_where_the_page_says(clock, lines):
-    """Record, key number, time in microseconds, MAC: made again by hand from the same line."""
+def test_every_byte_of_a_frame_is_as_documented(clock, lines):
+    """Record, key ID, time in microseconds and MAC, computed independently from the same line."""
     codec = codec_of(Key(SECRET, key_id=9), clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
     (plain,) = Codec.from_dbc().encode(lines[0], fd=True)
@@ -52,11 +52,11 @@ def test_every_byte_of_a_frame_is_where_the_page_says(clock, lines):
     assert frame.data[:33] == plain.data + b"\x09"
     assert frame.data[33:40] == freshness.to_bytes(7, "big")
     data = b"\x4d\x50" + frame.data[:33] + freshness.to_bytes(8, "big")
-    assert frame.data[40:] == cmac_by_the_book(SECRET, data)[:8]
+    assert frame.data[40:] == reference_cmac(SECRET, data)[:8]
 
 
-def test_cantools_reads_what_is_sent(clock, lines):
-    """The DBC names the key, the time and the MAC, and the record as the FD message has it."""
+def test_cantools_decodes_authenticated_frames(clock, lines):
+    """The DBC has the key ID, freshness value and MAC, and the record of the CAN FD message."""
     database = cantools.database.load_file(ROOT / "dbc" / "maplines-secoc.dbc")
     (frame,) = codec_of(Key(SECRET, key_id=9), clock=clock).encode(lines[0], fd=True)
     signals = database.get_message_by_name("EgoLeftSecOc").decode(frame.data)
@@ -77,12 +77,12 @@ def test_cantools_reads_what_is_sent(clock, lines):
     ("sent", "bits", "floor", "value"),
     [
         pytest.param(0x01, 8, 0x00, 0x01, id="first"),
-        pytest.param(0x00, 8, 0x00, 0x100, id="zero-again-is-a-round-later"),
-        pytest.param(0xFE, 8, 0x1FE, 0x2FE, id="the-last-again-is-a-round-later"),
+        pytest.param(0x00, 8, 0x00, 0x100, id="zero-again-is-256-later"),
+        pytest.param(0xFE, 8, 0x1FE, 0x2FE, id="the-last-again-is-256-later"),
         pytest.param(0xFF, 8, 0x1FE, 0x1FF, id="the-next"),
         pytest.param(0x00, 8, 0x1FF, 0x200, id="the-next-wraps"),
         pytest.param(0xFF, 8, 0x1FF, 0x2FF, id="the-farthest"),
-        pytest.param(0xFD, 8, 0x1FE, 0x2FD, id="one-back-is-nearly-a-round-on"),
+        pytest.param(0xFD, 8, 0x1FE, 0x2FD, id="one-back-is-255-later"),
         pytest.param(0x0000, 16, 0xFFFF, 0x10000, id="carry"),
         pytest.param(0xFFFFFFFF, 32, 0x5_00000000, 0x5_FFFFFFFF, id="32-bits"),
         pytest.param(0, 32, 0x5_FFFFFFFF, 0x6_00000000, id="32-bits-wrap"),
@@ -90,20 +90,20 @@ def test_cantools_reads_what_is_sent(clock, lines):
         pytest.param(0, 56, 2**56 - 1, 2**56, id="beyond-56-bits"),
     ],
 )
-def test_freshness_is_completed(sent, bits, floor, value):
-    """The next value that ends so: the same high part if the low one has grown, else one more."""
+def test_freshness_is_reconstructed(sent, bits, floor, value):
+    """The next value with these low bits."""
     assert complete(sent, bits, floor) == value
 
 
 @given(st.integers(0, 2**60), st.sampled_from([8, 16, 32, 56]), st.data())
-def test_whatever_is_near_enough_is_completed_right(floor, bits, data):
-    """Every value of the next 2^bits is found again from its low bits."""
+def test_any_of_the_next_values_is_reconstructed(floor, bits, data):
+    """Each of the next 2^bits values is found from its low bits."""
     value = floor + data.draw(st.integers(1, 2**bits))
     assert complete(value % 2**bits, bits, floor) == value
 
 
 def test_replay_reordering_and_loss(clock, lines):
-    """A frame is good once, not after a later one, and however many are lost before it."""
+    """A frame is accepted once, not after a later one, and after any number of lost frames."""
     codec = codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 40)
     order = [0, 0, 1, 3, 2, 1, 3, 39, 38]
@@ -115,7 +115,7 @@ def test_replay_reordering_and_loss(clock, lines):
 
 
 def test_each_slot_has_its_own_freshness(clock, lines):
-    """Frames of two slots may overtake each other, and none passes for the other's."""
+    """Frames of two slots may be reordered, and none is accepted for the other slot."""
     codec = codec_of(clock=clock)
     left, right = (codec.encode(line, fd=True)[0] for line in lines)
     decoder = codec.decoder()
@@ -123,8 +123,8 @@ def test_each_slot_has_its_own_freshness(clock, lines):
     assert names(feed(decoder, [right, left, swapped])) == ["line", "line", "MAC"]
 
 
-def test_a_mixture_is_authentic_in_all_its_parts(clock):
-    """A part that was forged or held back leaves no line."""
+def test_all_components_of_a_mixture_must_be_authentic(clock):
+    """With a forged or missing component there is no line."""
     (line,) = scene_lines(scenario("street-turn"), 1, components=3)
     codec = codec_of(clock=clock)
     first, second, third = codec.encode(line, fd=True)
@@ -134,8 +134,8 @@ def test_a_mixture_is_authentic_in_all_its_parts(clock):
     assert names(answers) == ["PENDING", "MAC", "PENDING", "REPLAY", "PENDING", "PENDING", "line"]
 
 
-def test_values_grow_though_the_clock_stands_or_is_set_back(clock, lines):
-    """A sender never gives a value twice."""
+def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock, lines):
+    """A sender never uses a freshness value twice."""
     codec = codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 3, step_ns=0) + sent(codec, clock, lines[0], 3, -S)
     decoder = codec_of().decoder()
@@ -143,8 +143,8 @@ def test_values_grow_though_the_clock_stands_or_is_set_back(clock, lines):
     assert codec.authenticator.last_sent == NOW // US + 5
 
 
-def test_a_sender_that_starts_anew(clock, lines):
-    """Is heard at once if its clock went on; if that was set back, not until it has caught up."""
+def test_a_sender_that_restarts(clock, lines):
+    """Accepted at once if its clock continued; if it was set back, after it has caught up."""
     decoder = codec_of().decoder()
     first = sent(codec_of(clock=clock), clock, lines[0], 10)
     clock.now += 3 * S
@@ -154,14 +154,14 @@ def test_a_sender_that_starts_anew(clock, lines):
     set_back = codec_of(clock=clock)
     assert names(feed(decoder, sent(set_back, clock, lines[0], 2), NOW + 9 * S)) == ["REPLAY"] * 2
     remembers = codec_of(clock=clock, not_before=last)
-    # The first one is refused by E2E: a new sender begins with the counter that was the last.
+    # E2E rejects the first one: the restarted sender starts with the last counter.
     frames = sent(remembers, clock, lines[0], 2)
     assert "line" in names(feed(decoder, frames, NOW + 10 * S))
 
 
 @pytest.mark.parametrize("apart", [3, 77, 128, 200])
 def test_two_senders_with_the_same_key(clock, lines, apart):
-    """Both are authentic and always newer: all is delivered, never VALID for long, and reported."""
+    """Both are authentic and always newer: all lines are delivered, but not VALID, and reported."""
     first, second, decoder = codec_of(clock=clock), codec_of(clock=clock), codec_of().decoder()
     sent(second, clock, lines[0], apart)
     answers = []
@@ -176,30 +176,30 @@ def test_two_senders_with_the_same_key(clock, lines, apart):
 
 
 def decoder_last(decoder, frames):
-    """Feed frames that are all good; returns the last freshness value."""
+    """Feed frames that are all accepted, and return the last freshness value."""
     answers = names(feed(decoder, frames))
     assert set(answers) <= {"line", "DUPLICATE"}
     assert answers.count("line") >= len(frames) - 1
     return decoder.verifier.last_accepted[DATA_ID]
 
 
-def test_old_traffic_to_a_receiver_that_has_just_started(clock, lines):
-    """Refused by its clock, or by what it has stored; without either it is taken, once."""
+def test_a_recording_to_a_receiver_that_has_just_started(clock, lines):
+    """Rejected by its clock or a stored freshness value; without either, accepted once."""
     recorded = sent(codec_of(clock=clock), clock, lines[0], 20)
     last = clock.now // US
     clock.now += 10 * S
     assert set(names(feed(codec_of(clock=clock).decoder(), recorded))) == {"AGE"}
     assert set(names(feed(codec_of(not_before=last).decoder(), recorded))) == {"REPLAY"}
-    believer = codec_of().decoder()
-    assert names(feed(believer, recorded * 2)) == ["line"] * 20 + ["REPLAY"] * 20
+    without_clock = codec_of().decoder()
+    assert names(feed(without_clock, recorded * 2)) == ["line"] * 20 + ["REPLAY"] * 20
 
 
 @pytest.mark.parametrize(
     ("ahead_ns", "answer"),
     [(-S - MS, "AGE"), (-S, "line"), (0, "line"), (S, "line"), (S + MS, "AGE")],
 )
-def test_the_window_about_now(clock, lines, ahead_ns, answer):
-    """A frame that was held back, or that is of tomorrow, is not accepted."""
+def test_the_window_about_the_current_time(clock, lines, ahead_ns, answer):
+    """A frame that was delayed too long, or is from the future, is rejected."""
     receiver = codec_of(clock=clock).decoder()
     frames = codec_of(clock=Clock(NOW + ahead_ns)).encode(lines[0], fd=True)
     assert names(feed(receiver, frames)) == [answer]
@@ -208,8 +208,8 @@ def test_the_window_about_now(clock, lines, ahead_ns, answer):
 
 
 @pytest.mark.parametrize("freshness_bytes", [1, 2, 4, 7])
-def test_narrow_freshness_with_a_counter(freshness_bytes):
-    """Where the value counts frames, one byte will do: 255 lost ones are bridged, 256 are not."""
+def test_short_freshness_with_a_counter(freshness_bytes):
+    """If the value counts frames, one byte survives 255 lost frames, but not 256."""
     form = replace(FORM, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
     count = Clock(0)
     sender = Authenticator(Key(SECRET), clock=count)
@@ -225,8 +225,8 @@ def test_narrow_freshness_with_a_counter(freshness_bytes):
     assert late is Reason.MAC if freshness_bytes == 1 else isinstance(late, bytes)
 
 
-def test_a_clock_completes_narrow_freshness_after_any_silence(tmp_path, clock, lines):
-    """With 32 bits of microseconds a receiver without a clock is lost after 72 minutes."""
+def test_a_clock_reconstructs_short_freshness_after_any_silence(tmp_path, clock, lines):
+    """With 32 bits of microseconds, a receiver without a clock fails after 72 minutes."""
     path = tmp_path / "narrow.dbc"
     path.write_text(replace(SECURED, freshness_bytes=4, mac_bytes=8).dbc())
     sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock))
@@ -245,11 +245,11 @@ def test_a_clock_completes_narrow_freshness_after_any_silence(tmp_path, clock, l
     assert names(answers) == ["line", "MAC"]
 
 
-# ---- what is refused -----------------------------------------------------------------------
+# ---- rejected frames ----------------------------------------------------------------------
 
 
-def test_every_bit_counts(clock, lines):
-    """Each of the 384 bits of a frame, flipped: refused, and the frame itself is still good."""
+def test_every_flipped_bit_is_rejected(clock, lines):
+    """Each of the 384 bits of a frame; the frame itself is still accepted."""
     codec = codec_of(Key(SECRET, 1), Key(OTHER, 2), clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
     decoder = codec.decoder()
@@ -261,8 +261,8 @@ def test_every_bit_counts(clock, lines):
 
 
 @pytest.mark.parametrize("length", [0, 8, 32, 33, 47, 49, 64])
-def test_another_length_is_refused(clock, lines, length):
-    """Truncated or longer; a frame of 32 bytes is the record without its proof."""
+def test_another_length_is_rejected(clock, lines, length):
+    """Truncated or longer; a frame of 32 bytes is the record without its MAC."""
     codec = codec_of(clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
     decoder = codec.decoder()
@@ -271,8 +271,8 @@ def test_another_length_is_refused(clock, lines, length):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_what_has_no_mac_is_refused(clock, lines, fd):
-    """The other messages of the same slots, right to the last bit, and what they say of E2E."""
+def test_a_frame_without_a_mac_is_rejected(clock, lines, fd):
+    """Even a correct frame of the slot's other messages, and the E2E state does not change."""
     codec = codec_of(clock=clock)
     decoder = codec.decoder()
     good = sent(codec, clock, lines[0], 20)
@@ -280,17 +280,17 @@ def test_what_has_no_mac_is_refused(clock, lines, fd):
     assert decoder.checks[Slot.EGO_LEFT].state is E2EState.VALID
     before = decoder.checks[Slot.EGO_LEFT].stats()
     plain = Codec.from_dbc()
-    unproved = [frame for _ in range(20) for frame in plain.encode(lines[0], fd=fd)]
-    spoilt = [frame._replace(data=b"?") for frame in [*unproved, *good]]
-    answers = feed(decoder, unproved + spoilt, clock.now, step_ns=1)
-    assert set(names(answers[: len(unproved) * 2])) == {"UNAUTHENTICATED"}
-    assert set(names(answers[len(unproved) * 2 :])) == {"LENGTH"}
+    without_mac = [frame for _ in range(20) for frame in plain.encode(lines[0], fd=fd)]
+    damaged = [frame._replace(data=b"?") for frame in [*without_mac, *good]]
+    answers = feed(decoder, without_mac + damaged, clock.now, step_ns=1)
+    assert set(names(answers[: len(without_mac) * 2])) == {"UNAUTHENTICATED"}
+    assert set(names(answers[len(without_mac) * 2 :])) == {"LENGTH"}
     assert decoder.checks[Slot.EGO_LEFT].stats() == before
     assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
 
 
-def test_a_receiver_without_a_key_does_not_believe_a_mac(clock, lines):
-    """It says that the key is missing, and takes the plain messages as before."""
+def test_a_receiver_without_a_key_rejects_authenticated_frames(clock, lines):
+    """The reason is the missing key; plain messages are accepted as before."""
     path = ROOT / "dbc" / "maplines-secoc.dbc"
     plain = Codec.from_dbc(path)
     decoder = plain.decoder()
@@ -301,8 +301,8 @@ def test_a_receiver_without_a_key_does_not_believe_a_mac(clock, lines):
     ]
 
 
-def test_classic_can_says_that_it_is_not_authenticated(clock, lines):
-    """Rather than to send without a MAC what was meant to have one."""
+def test_classic_can_with_a_key_raises(clock, lines):
+    """Otherwise a line would be sent without the MAC that the caller expects."""
     codec = codec_of(clock=clock)
     with pytest.raises(EncodeError, match="classic CAN is not authenticated; send CAN FD"):
         codec.encode(lines[0])
@@ -315,7 +315,7 @@ def test_classic_can_says_that_it_is_not_authenticated(clock, lines):
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=64), st.sampled_from([0x340, 0x348, 0x350, 0x7FF]), st.booleans())
 def test_no_bytes_from_the_bus_can_raise(data, can_id, is_extended):
-    """Whatever comes is dropped with a reason."""
+    """Any frame is rejected with a reason."""
     decoder = CODEC.decoder()
     assert isinstance(decoder.feed(can_id, data, NOW, is_extended=is_extended), Reason)
 
@@ -327,7 +327,7 @@ CODEC = codec_of(Key(SECRET, 0), Key(OTHER, 255), clock=Clock())
 
 
 def test_a_key_change_loses_no_line(clock, lines):
-    """New key to the receiver, new key at the sender, old key away: every line arrives."""
+    """New key to the receiver, new key to the sender, old key retired: every line is accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
     decoder = receiver.decoder()
@@ -357,8 +357,8 @@ def test_a_key_change_loses_no_line(clock, lines):
     assert receiver.authenticator.keys == (new,)
 
 
-def test_a_key_that_others_do_not_have(clock, lines):
-    """Another secret, another number, or the same secret under two numbers."""
+def test_a_key_that_the_receiver_does_not_have(clock, lines):
+    """Another secret, another key ID, or the same secret with two key IDs."""
     sender = codec_of(Key(SECRET, 1), clock=clock)
     frames = sent(sender, clock, lines[0], 1)
     clock.now = NOW
@@ -370,7 +370,7 @@ def test_a_key_that_others_do_not_have(clock, lines):
 
 
 def test_the_steps_of_a_key_change(clock, lines):
-    """Those of docs/security.md: no line is lost, and in the end the old key is none any more."""
+    """As in docs/security.md: no line is lost, and the old key is no longer accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
     decoder = receiver.decoder()
@@ -391,8 +391,8 @@ def test_the_steps_of_a_key_change(clock, lines):
     assert receiver.authenticator.active == new
 
 
-def test_the_page_tells_the_steps_of_a_key_change():
-    """The code of docs/security.md, run as it stands."""
+def test_the_code_of_a_key_change_in_the_docs_runs():
+    """The code in docs/security.md."""
     (steps,) = re.findall("```python\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = (Authenticator(old, clock=time.time_ns) for _ in range(2))
@@ -402,8 +402,8 @@ def test_the_page_tells_the_steps_of_a_key_change():
     assert sender.keys == receiver.keys == (new,)
 
 
-def test_who_sends_keeps_the_key_it_sends_with(clock, lines):
-    """And who has never sent keeps one; the first of those that are left is then sent with."""
+def test_the_key_in_use_cannot_be_retired(clock, lines):
+    """Before the first frame, any key but the last one can be retired."""
     first, second, third = (Key(SECRET, number) for number in (7, 2, 3))
     authenticator = codec_of(first, second, third, clock=clock).authenticator
     authenticator.retire(7)
@@ -441,21 +441,21 @@ def test_who_sends_keeps_the_key_it_sends_with(clock, lines):
         (lambda _: Key(bytes(16)), "a single byte repeated"),
     ],
 )
-def test_a_mistake_of_the_caller_raises(act, message):
-    """At once, with the cure."""
+def test_an_invalid_argument_of_authentication_raises(act, message):
+    """The message has the cure."""
     with pytest.raises(ValueError, match=message):
         act(Authenticator(Key(SECRET)))
 
 
-def test_a_clock_beyond_all_time_is_refused():
-    """The value must fit 64 bits."""
+def test_a_time_of_more_than_63_bits_raises():
+    """The freshness value must fit 64 bits."""
     with pytest.raises(EncodeError, match="freshness must be"):
         Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, FORM)
 
 
 @pytest.mark.parametrize("code", ["MeanOnly", "Float16"])
-def test_other_records_are_authenticated_too(tmp_path, clock, code):
-    """Of 24 bytes, with padding that the MAC covers, and of 48, which fill the largest frame."""
+def test_records_of_other_lengths_are_authenticated(tmp_path, clock, code):
+    """24 bytes, with padding that the MAC covers, and 48 bytes, which fill the largest frame."""
     path = tmp_path / "other.dbc"
     path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
     authenticator = Authenticator(Key(SECRET), clock=clock)
@@ -464,13 +464,13 @@ def test_other_records_are_authenticated_too(tmp_path, clock, code):
     (frame,) = codec.encode(line, fd=True)
     decoder = codec.decoder()
     padding = codec.layout.record_bytes
-    spoilt = frame.data[:padding] + bytes([frame.data[padding] ^ 1]) + frame.data[padding + 1 :]
-    assert names(feed(decoder, [frame._replace(data=spoilt)]))[0] in {"MAC", "KEY"}
+    damaged = frame.data[:padding] + bytes([frame.data[padding] ^ 1]) + frame.data[padding + 1 :]
+    assert names(feed(decoder, [frame._replace(data=damaged)]))[0] in {"MAC", "KEY"}
     assert names(feed(decoder, [frame])) == ["line"]
 
 
-def test_the_evidence_holds_for_few():
-    """tools/evidence_secoc.py at a thousandth of its size."""
+def test_the_evidence_with_few_frames():
+    """tools/evidence_secoc.py with a thousandth of its frames."""
     tool = [sys.executable, ROOT / "tools" / "evidence_secoc.py", "--n", "1000", "--json"]
     done = subprocess.run(tool, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

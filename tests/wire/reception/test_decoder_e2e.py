@@ -28,8 +28,8 @@ VALID, NODATA, INIT, INVALID = E2EState
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.integers(0, 32 * 8 - 1), max_size=4), st.integers(0, 254))
-def test_a_record_is_in_error_where_autosar_e2e_says_so(bits, counter):
-    """The witness writes the counter and the checksum, and judges what is flipped after that."""
+def test_errors_agree_with_autosar_e2e(bits, counter):
+    """That package writes the counter and the checksum, and checks the damaged record."""
     data_id = default_codec().layout.channels[SLOT].data_id
     before, after = (record(k).tobytes() for k in (counter, counter + 1))
     counted = bytearray(before)
@@ -45,8 +45,8 @@ def test_a_record_is_in_error_where_autosar_e2e_says_so(bits, counter):
     assert decoder.checks[SLOT].status is (OK if good else ERROR)
 
 
-def test_a_calm_slot_becomes_valid():
-    """The seventh line: the first is for NODATA, six count."""
+def test_a_slot_becomes_valid():
+    """With the seventh line: the first one leaves NODATA, then six count."""
     decoder = default_codec().decoder()
     states = []
     for counter in range(8):
@@ -59,8 +59,8 @@ def test_a_calm_slot_becomes_valid():
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("k", [0, 1, 4, 5, 15, 16, 40])
-def test_lines_that_are_lost(k, fd):
-    """Up to 15 pass for lost ones; each cycle without one is NONEWDATA, and five end VALID."""
+def test_lost_lines(k, fd):
+    """Up to 15 are OKSOMELOST; each missing cycle is NONEWDATA, and five of them end VALID."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(250, 262), fd=fd)
     (line,), _ = run(decoder, [262 + k], t_ns + k * CYCLE, fd=fd)
@@ -75,10 +75,8 @@ def test_lines_that_are_lost(k, fd):
 
 @pytest.mark.parametrize("silence", [0, 3, 9, 10, 1000])
 @pytest.mark.parametrize("at", [10, 120, 130, 250])
-def test_a_sender_that_starts_anew(at, silence):
-    """Two lines are kept back where they might be old ones and the newest is not older than ten
-    cycles; then eight OKs make it VALID.
-    """
+def test_a_sender_that_restarts(at, silence):
+    """Up to two lines that may be old are held back, for ten cycles at most."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(at - 10, at))
     slot = decoder.checks[SLOT]
@@ -100,8 +98,8 @@ def test_a_sender_that_starts_anew(at, silence):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_a_sender_that_starts_anew_with_the_same_lines_is_heard_after_half_a_second(fd):
-    """Bit for bit they are copies of old ones: until nothing was new for ten cycles."""
+def test_a_sender_that_restarts_with_the_same_lines(fd):
+    """Bit for bit they are duplicates of old ones, until no line was new for ten cycles."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(60), fd=fd)
     answers, _ = run(decoder, range(60), t_ns, fd=fd)
@@ -110,8 +108,8 @@ def test_a_sender_that_starts_anew_with_the_same_lines_is_heard_after_half_a_sec
     assert not decoder.checks[SLOT].two_senders
 
 
-def test_senders_that_start_anew_again_and_again_are_not_two():
-    """Each time two lines are kept back, a trace of a second sender but for what follows."""
+def test_repeated_restarts_are_not_two_senders():
+    """Each time two lines are held back, as with a second sender, but not for long."""
     decoder, t_ns = default_codec().decoder(), 0
     for k in range(30):
         _, t_ns = run(decoder, range(20), t_ns, other=20 * k)
@@ -122,8 +120,8 @@ def test_senders_that_start_anew_again_and_again_are_not_two():
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("back", [1, 2, 7, 16, 100, 127])
 @pytest.mark.parametrize("later_ms", [1, 24, 26, 40])
-def test_a_line_that_comes_late_is_not_delivered(later_ms, back, fd):
-    """Whether it was delivered before or not: a newer one was, and the next ones are."""
+def test_a_late_line_is_not_delivered(later_ms, back, fd):
+    """Whether it was delivered before or not; later lines are."""
     decoder = default_codec().decoder()
     counters = [c for c in range(140) if c not in (10, 120, 131, 132)]
     _, t_ns = run(decoder, counters, fd=fd)
@@ -137,7 +135,7 @@ def test_a_line_that_comes_late_is_not_delivered(later_ms, back, fd):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_old_lines_that_come_all_at_once_are_not_delivered(fd):
+def test_a_queue_of_old_lines_is_not_delivered(fd):
     """A gateway empties its queue between two lines: in order, but none follows the newest."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(100), fd=fd)
@@ -150,8 +148,8 @@ def test_old_lines_that_come_all_at_once_are_not_delivered(fd):
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("later_ms", [1, 24, 30, 500, 10**7])
-def test_a_burst_that_comes_again_is_never_delivered_twice(later_ms, fd):
-    """Within the time-out reassembly drops it; after that its counter does, however late."""
+def test_a_repeated_transfer_is_never_delivered_twice(later_ms, fd):
+    """Within the time-out the reassembly drops it; after that the counter check does."""
     decoder = default_codec().decoder()
     run(decoder, range(10), fd=fd)
     t_ns = 9 * CYCLE + later_ms * MS
@@ -164,8 +162,8 @@ def test_a_burst_that_comes_again_is_never_delivered_twice(later_ms, fd):
     check_accounts(decoder)
 
 
-def test_a_sender_that_starts_anew_at_that_very_counter_loses_one_line():
-    """It cannot be told from a transfer that was held up, so its first line is refused."""
+def test_a_sender_that_restarts_at_the_last_counter_loses_one_line():
+    """It cannot be distinguished from a delayed transfer, so its first line is rejected."""
     decoder = default_codec().decoder()
     run(decoder, [0])
     answers, _ = run(decoder, [0, 1, 2], t_ns=100 * CYCLE)
@@ -176,7 +174,7 @@ def test_a_sender_that_starts_anew_at_that_very_counter_loses_one_line():
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("lines", [20, 31, 32, 33, 64])
 def test_a_sender_that_is_stuck(lines, fd):
-    """The same record for ever is one line, INVALID after a while, and not two senders."""
+    """The same record forever is one line, INVALID after a while, and not two senders."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(lines), fd=fd)
     answers, t_ns = run(decoder, [lines - 1] * 30, t_ns, fd=fd)
@@ -190,7 +188,7 @@ def test_a_sender_that_is_stuck(lines, fd):
 
 @pytest.mark.parametrize("fd", [False, True])
 def test_damaged_records_end_valid(fd):
-    """Two of ten do not, the third does; lines go on being delivered."""
+    """Two of ten do not, the third does; other lines are still delivered."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(20), fd=fd)
     slot = decoder.checks[SLOT]
@@ -206,7 +204,7 @@ def test_damaged_records_end_valid(fd):
 
 
 def test_a_frame_of_the_wrong_length_is_an_error():
-    """On an ID of the slot; a foreign one is nobody's."""
+    """With a CAN ID of the slot; a frame of another ID counts for no slot."""
     decoder = default_codec().decoder()
     run(decoder, range(10))
     decoder.feed(0x348, b"short", 10 * CYCLE)
@@ -217,8 +215,8 @@ def test_a_frame_of_the_wrong_length_is_an_error():
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("k", [2, 3, 8])
-def test_each_part_of_a_mixture_is_a_check(k, fd):
-    """A lost line of 8 parts is OKSOMELOST; the last line again, whenever, is REPEATED k times."""
+def test_each_component_of_a_mixture_is_a_check(k, fd):
+    """A lost line of k components is OKSOMELOST; a repeated line is REPEATED k times."""
     decoder = default_codec().decoder()
     slot, t_ns, first = decoder.checks[SLOT], 0, 240
     for _ in range(6):
@@ -245,7 +243,7 @@ def test_each_part_of_a_mixture_is_a_check(k, fd):
 @pytest.mark.parametrize("offset_ms", [5, 20, 30, 45])
 @pytest.mark.parametrize("apart", [0, 1, 2, 5, 8, 16, 100, 128, 200, 255])
 def test_two_senders_on_a_slot(apart, offset_ms, fd):
-    """However far their counters and times are apart: never VALID for long, and reported."""
+    """With any difference of counters and times: reported, and not VALID."""
     decoder = default_codec().decoder()
     slot = two_senders(decoder, offset_ms, apart, fd=fd)
     assert slot.two_senders
@@ -265,7 +263,7 @@ def test_two_senders_on_a_slot(apart, offset_ms, fd):
 )
 @pytest.mark.parametrize("offset_ms", [15, 30])
 @pytest.mark.parametrize("apart", [2, 77])
-def test_two_senders_are_found_under_harder_conditions(apart, offset_ms, how):
+def test_two_senders_are_found_under_other_conditions(apart, offset_ms, how):
     """Other rates, losses, and lines of many records."""
     how = {"cycles": 80} | how
     assert two_senders(default_codec().decoder(), offset_ms, apart, **how).two_senders
@@ -276,27 +274,27 @@ def test_two_senders_are_found_under_harder_conditions(apart, offset_ms, how):
     st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
 )
 def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
-    """It loses frames, starts anew, is silent, and much of what it sends comes late or twice."""
+    """It loses frames, restarts, is silent, and many of its frames are late or duplicated."""
     rng = np.random.default_rng(seed)
-    decoder, t_ns, counter, anew, arrivals = default_codec().decoder(), 0, 0, 0, []
+    decoder, t_ns, counter, restarts, arrivals = default_codec().decoder(), 0, 0, 0, []
     for _ in range(300):
-        fate = rng.random()
-        if fate < 0.005:
-            counter, anew = 0, anew + 1
-        elif fate < 0.01:
+        chance = rng.random()
+        if chance < 0.005:
+            counter, restarts = 0, restarts + 1
+        elif chance < 0.01:
             t_ns += int(rng.integers(1, 40)) * CYCLE
         transfer = (
-            frames(counter, fd, which=(counter + 50 * anew) % 256)
+            frames(counter, fd, which=(counter + 50 * restarts) % 256)
             if k == 1
-            else mixture_frames(counter, k, fd, seed=anew)
+            else mixture_frames(counter, k, fd, seed=restarts)
         )
         for i, frame in enumerate(transfer):
             at = t_ns + i * MS // 4
             late = int(rng.integers(1, 300)) * MS
-            fate = rng.random()
-            if fate >= 0.1:
-                arrivals.append((at + late * (fate < 0.1 + bad / 3), len(arrivals), frame))
-            if fate > 1 - bad:
+            chance = rng.random()
+            if chance >= 0.1:
+                arrivals.append((at + late * (chance < 0.1 + bad / 3), len(arrivals), frame))
+            if chance > 1 - bad:
                 arrivals.append((at + late // 10, len(arrivals), frame))
         counter, t_ns = (counter + k) % 256, t_ns + CYCLE
     for at, _, frame in sorted(arrivals):
@@ -309,7 +307,7 @@ def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
 @pytest.mark.parametrize("gap_ms", [0, 150, 300, 10_000])
 @pytest.mark.parametrize("late_ms", [60, 160, 300, 450])
 def test_a_slower_path_repeats_nothing(late_ms, gap_ms, fd):
-    """All comes over two gateways, and the faster one fails: nothing twice, nothing backwards."""
+    """All frames come over two gateways; when the faster one fails, no line is repeated."""
     arrivals = []
     for k in range(120):
         for i, frame in enumerate(frames(k, fd)):

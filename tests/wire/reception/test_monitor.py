@@ -13,7 +13,7 @@ VALID, NODATA, INIT, INVALID = E2EState
 
 @pytest.mark.parametrize("every", [1, 5, 10])
 def test_a_slot_with_two_senders_is_not_usable(every):
-    """However much slower one of them is, once that is known."""
+    """Once the second sender is known, however slow it is."""
     monitor = Monitor(decoder := default_codec().decoder())
     usable = 0
     for cycle in range(400):
@@ -27,8 +27,8 @@ def test_a_slot_with_two_senders_is_not_usable(every):
     assert usable == 0
 
 
-def test_a_line_that_has_grown_stale_says_so():
-    """After three cycles; its age counts from its pose, and the state follows at 275 ms."""
+def test_a_line_becomes_stale():
+    """After three cycles; its age counts from its pose, and the state changes at 275 ms."""
     codec = Codec.from_dbc()
     monitor = Monitor(codec.decoder())
     before = monitor.latest(SLOT, 0)
@@ -53,8 +53,8 @@ def test_a_line_that_has_grown_stale_says_so():
         assert view.usable == (not stale and state is VALID)
 
 
-def test_what_is_stale_is_the_caller_s_choice():
-    """By cycles of his own, and by the cycle time of the decoder."""
+def test_the_caller_defines_stale():
+    """By a number of cycles, and by the cycle time of the decoder."""
     monitor = Monitor(default_codec().decoder())
     slow = Monitor(default_codec().decoder(cycle_ms=200))
     for frame in frames(0):
@@ -67,7 +67,7 @@ def test_what_is_stale_is_the_caller_s_choice():
     assert monitor.latest(SLOT, -(10**12)).stale  # the clock was set back
 
 
-def test_a_slot_that_the_dbc_does_not_have():
-    """The message names those that it has."""
+def test_a_slot_that_the_dbc_does_not_have_raises():
+    """The message names the slots of the DBC."""
     with pytest.raises(ValueError, match=r"slot must be one of the DBC's, EGO_LEFT, .* got 99"):
         Monitor(default_codec().decoder()).latest(99, 0)

@@ -13,8 +13,8 @@ NONEWDATA = ProfileStatus.NONEWDATA
 
 
 @pytest.mark.parametrize(("good", "certain"), [(10, True), (30, True), (40, False)])
-def test_proofs_that_are_far_apart_do_not_add_up(good, certain):
-    """Another record with a counter that was there, now and then, is an accident."""
+def test_rare_conflicts_do_not_add_up(good, certain):
+    """An occasional other record with a counter that was received before is an accident."""
     slot, t_ns = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0
     for k in range(12 * good):
         slot.received(k % 256, k, t_ns)
@@ -25,8 +25,8 @@ def test_proofs_that_are_far_apart_do_not_add_up(good, certain):
 
 
 @pytest.mark.parametrize(("share", "certain"), [(0.5, False), (0.7, False), (1.0, True)])
-def test_all_that_comes_twice(share, certain):
-    """As two senders of the same lines would do, and one line in a hundred is lost."""
+def test_lines_that_are_received_twice(share, certain):
+    """Two senders of the same lines look like this; one line in a hundred is lost."""
     rng = np.random.default_rng(5)
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in range(400):
@@ -36,20 +36,17 @@ def test_all_that_comes_twice(share, certain):
     assert slot.two_senders is certain
 
 
-def test_a_line_lost_a_round_after_another_is_counted():
-    """Where the counter stood at the last loss says nothing a round later."""
+def test_a_line_lost_256_lines_after_another_is_counted():
+    """The counter of the last loss is not remembered for that long."""
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in [*range(11), *range(12, 256 + 10), *range(256 + 11, 256 + 20)]:
         slot.received(k % 256, k % 256, k * CYCLE)
     assert slot.lost == 2
 
 
-# ---- time ----------------------------------------------------------------------------------------
-
-
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=20))
-def test_cycles_without_data_do_not_depend_on_who_asks(steps_ms):
-    """One falls due 1.5 cycles after the last record, and one each cycle after that."""
+def test_cycles_without_data_do_not_depend_on_the_calls(steps_ms):
+    """The first is due 1.5 cycles after the last record, and the next ones every cycle."""
     asked, once = (SequenceCheck(E2EConfig(), 256, 4, CYCLE) for _ in range(2))
     now = 0
     for slot in (asked, once):
@@ -75,7 +72,7 @@ def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid():
 
 @pytest.mark.parametrize("asks_every_ms", [None, 10, 50, 200])
 def test_a_backlog_is_not_missed_twice(asks_every_ms):
-    """A receiver that was stopped takes old frames after it was asked: they were missed once."""
+    """Old frames after a pause of the receiver were counted as missing once already."""
     slot, now, asked = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0, 0
     for k in range(10):
         slot.received(k, k, k * CYCLE)
