@@ -62,13 +62,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         ``SystemExit`` with status 2.
     """
     argv = sys.argv[1:] if argv is None else argv
-    arguments = _parser(argv).parse_args(argv)
-    if getattr(arguments, "keys", None):
-        arguments.fd = True  # a frame of classic CAN is too short for a MAC
     logging.basicConfig(format="maplines: %(message)s", stream=sys.stderr)
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # kill ends it as Ctrl-C does
     try:
+        arguments = _parser(argv).parse_args(argv)
+        if getattr(arguments, "keys", None):
+            arguments.fd = True  # a frame of classic CAN is too short for a MAC
         return int(arguments.run(arguments))
     except KeyboardInterrupt:
         return 130

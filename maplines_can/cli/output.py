@@ -99,7 +99,7 @@ def check_text(stats: SlotStats) -> str:
         f"{stats.state.name}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
         f"{stats.wrong_sequence} wrong sequence, {stats.errors} errors, "
         f"{stats.no_new_data} cycles without data"
-        + ("; TWO SENDERS on this slot, or a path that doubles frames" * stats.two_senders)
+        + ("; TWO SENDERS on this slot, or a path that duplicates frames" * stats.two_senders)
     )
 
 

@@ -1,5 +1,6 @@
 """The command line as a whole: help, usage, errors and how it ends."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -145,20 +146,30 @@ def test_an_unknown_command_is_answered_with_the_known_ones(capsys):
     assert all(f"'{name}'" in err for name in [*COMMANDS, "study"])
 
 
-def test_interrupt_ends_cleanly():
+def test_interrupt_ends_cleanly(channel):
     """SIGINT to a sender: the counters, status 0, no traceback."""
     script = (
-        "import os, signal, threading, time\n"
+        "import signal\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # ignored in the background
         "from maplines_can.cli import main\n"
-        "from maplines_can.bus import Link\n"
-        "threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()\n"
-        "bus = ['--interface', 'virtual', '--channel', 'x']\n"
+        f"bus = ['--interface', 'virtual', '--channel', '{channel}']\n"
         "raise SystemExit(main(['send', *bus, '--rate', '100']))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False, timeout=30
-    )
-    assert done.returncode == 0, done.stderr
-    assert "sent" in done.stdout
-    assert "Traceback" not in done.stderr
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, "-c", script], **pipes) as sender:
+        assert "until Ctrl-C" in sender.stderr.readline()
+        sender.send_signal(signal.SIGINT)
+        out, err = sender.communicate(timeout=30)
+    assert sender.returncode == 0, err
+    assert "sent" in out
+    assert "Traceback" not in err
+
+
+def test_interrupt_while_a_module_is_imported(monkeypatch):
+    """The status of Ctrl-C, no traceback."""
+
+    def import_module(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("maplines_can.cli.import_module", import_module)
+    assert main(["demo"]) == 130
