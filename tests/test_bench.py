@@ -1,8 +1,10 @@
-"""The bench runs, says what it measured, and refuses to compare what is not the same."""
+"""The benchmark runs, reports what it measured, and compares equal results only."""
 
 import importlib.util
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -10,13 +12,15 @@ TARGETS = {"refit": 3, "scene": 2, "signals": 2, "batch": 2, "one": 0}
 
 
 @pytest.fixture
-def bench(monkeypatch):
-    """The tool as a module, in sizes that take no time."""
+def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The tool as a module, with tiny sizes."""
     pytest.importorskip("filterpy")
     path = Path(__file__).parents[1] / "tools" / "bench.py"
     spec = importlib.util.spec_from_file_location("bench", path)
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    for library in ("OPENBLAS", "MKL", "OMP"):  # the module sets them; put back what was there
+    for library in ("OPENBLAS", "MKL", "OMP"):  # the module sets them; this restores them
         monkeypatch.setenv(f"{library}_NUM_THREADS", "1")
     spec.loader.exec_module(module)
     tiny = module.Sizes(poses=16, lines=8, singles=8, rounds=2, seconds=0.0)
@@ -24,19 +28,25 @@ def bench(monkeypatch):
     return module
 
 
-def test_every_part_gives_a_row_for_each_of_its_targets(bench, capsys):
+def test_every_part_gives_a_row_for_each_of_its_targets(
+    bench: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The JSON report has ratios, times and memory of each pair."""
     assert bench.main(["--quick", "--json"]) == 0
 
     report = json.loads(capsys.readouterr().out)
-    judged = [row["part"] for row in report["results"] if row["target"]]
-    assert {part: judged.count(part) for part in bench.PARTS} == TARGETS
+    targets = [row["part"] for row in report["results"] if row["target"]]
+    assert {part: targets.count(part) for part in bench.PARTS} == TARGETS
     for row in report["results"]:
         assert 0 < row["ratio_min"] <= row["ratio"] <= row["ratio_max"]
         assert min(row["ours_s"], row["peer_s"], row["ours_bytes"], row["peer_bytes"]) > 0
         assert (row["met"] is None) == (row["target"] is None)
 
 
-def test_the_table_has_its_columns_in_line(bench, capsys):
+def test_the_columns_of_the_table_are_aligned(
+    bench: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table has the chosen parts only."""
     bench.main(["--quick", "signals", "one"])
 
     lines = capsys.readouterr().out.splitlines()
@@ -46,8 +56,12 @@ def test_the_table_has_its_columns_in_line(bench, capsys):
 
 
 @pytest.mark.parametrize(("target", "status"), [(0.0, 0), (1e9, 1)])
-def test_a_missed_target_is_an_error_with_strict_only(bench, monkeypatch, target, status):
-    def part(sizes, seed):
+def test_a_missed_target_is_an_error_with_strict_only(
+    bench: Any, monkeypatch: pytest.MonkeyPatch, target: float, status: int
+) -> None:
+    """Without --strict the exit status is 0."""
+
+    def part(sizes: Any, seed: int) -> Iterator[Any]:
         yield bench.Pair("ours", "peer", 1, lambda: bytes(10), lambda: bytes(10), target)
 
     monkeypatch.setitem(bench.PARTS, "one", (part, "one"))
@@ -56,7 +70,8 @@ def test_a_missed_target_is_an_error_with_strict_only(bench, monkeypatch, target
     assert status == bench.main(["one", "--quick", "--strict"])
 
 
-def test_growth_must_stay_below_its_target(bench):
+def test_growth_must_stay_below_its_target(bench: Any) -> None:
+    """A pair with growth=True meets its target if the ratio is below it."""
     pair = bench.Pair("ours", "peer", 1, lambda: bytes(10), lambda: bytes(10), 1e9, growth=True)
 
     result = bench.measured(pair, bench.QUICK)
@@ -65,12 +80,14 @@ def test_growth_must_stay_below_its_target(bench):
 
 
 @pytest.mark.parametrize("difference", [1e-3, float("nan")])
-def test_sides_that_differ_are_not_compared(bench, difference):
+def test_sides_that_differ_are_not_compared(bench: Any, difference: float) -> None:
+    """Different results end the benchmark."""
     with pytest.raises(SystemExit, match="lines of the two sides differ by"):
         bench.agree("lines", difference, 1e-6)
 
 
-def test_an_unknown_part_is_named(bench, capsys):
+def test_an_unknown_part_is_named(bench: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """Wrong usage names the part and lists the parts."""
     with pytest.raises(SystemExit):
         bench.main(["moon"])
 

@@ -1,4 +1,4 @@
-"""The default DBC is found in a checkout, in an editable install and from a wheel."""
+"""A checkout, an editable install and a wheel find the default DBC; the wheel is complete."""
 
 import subprocess
 import sys
@@ -6,21 +6,25 @@ import sysconfig
 import venv
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
-WHERE = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_dbc_path())"
+STUDY_DBCS = "maplines_can/study/dbc"
+FIND_DBC = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_dbc_path())"
+BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
-def run(*command, **options):
+def run(*command: str | Path, **options: Any) -> str:
+    """Run a command, check that it succeeds, and return its output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout.strip()
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
     (path,) = folder.glob("*.whl")
@@ -28,49 +32,76 @@ def wheel(tmp_path_factory):
 
 
 @pytest.fixture
-def empty_python(tmp_path):
-    """A fresh environment that sees this one's dependencies, but not this one's own packages.
+def empty_python(tmp_path: Path) -> Path:
+    """A fresh environment that sees the dependencies of this one, but not its own packages.
 
     A .pth file may add a folder; the .pth files in that folder, such as the one
     of an editable install, are not read again.
     """
-    venv.create(tmp_path / "venv", with_pip=False)
-    (site,) = (tmp_path / "venv").glob("lib/python*/site-packages")
+    environment = tmp_path / "venv"
+    venv.create(environment, with_pip=False)
+    site = Path(sysconfig.get_path("purelib", "venv", {"base": str(environment)}))
     (site / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
-    return tmp_path / "venv" / "bin" / "python"
+    return environment / BIN / "python"
 
 
-def install(python, *what):
-    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--no-deps", "--no-index"]
+def install(python: Path, *what: str | Path) -> None:
+    """Install into the environment of a Python, without the network."""
+    pip: list[str | Path] = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--python",
+        python,
+        "install",
+        "--no-deps",
+        "--no-index",
+    ]
     run(*pip, "--no-build-isolation", "--disable-pip-version-check", "--force-reinstall", *what)
 
 
-def test_in_a_checkout(tmp_path):
-    """Straight from the source folder, without an install."""
-    found = run(sys.executable, "-c", WHERE, cwd=ROOT)
+def test_in_a_checkout() -> None:
+    """The source folder works without an install."""
+    found = run(sys.executable, "-c", FIND_DBC, cwd=ROOT)
     assert Path(found) == ROOT / "dbc" / "maplines.dbc"
 
 
-def test_in_an_editable_install(empty_python, tmp_path):
-    """The checkout's own file, from any folder."""
+def test_in_an_editable_install(empty_python: Path, tmp_path: Path) -> None:
+    """An editable install finds the file of the checkout, from any folder."""
     install(empty_python, "--editable", ROOT)
-    found = run(empty_python, "-c", WHERE, cwd=tmp_path)
+    found = run(empty_python, "-c", FIND_DBC, cwd=tmp_path)
     assert Path(found) == ROOT / "dbc" / "maplines.dbc"
 
 
-def test_from_a_wheel(empty_python, wheel, tmp_path):
-    """The copy inside the package, the same to the last byte, and the command works."""
+def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
+    """An installed wheel finds its own copy, equal to the last byte, and its command works."""
     install(empty_python, wheel)
-    found = Path(run(empty_python, "-c", WHERE, cwd=tmp_path))
+    found = Path(run(empty_python, "-c", FIND_DBC, cwd=tmp_path))
     assert found.is_relative_to(tmp_path / "venv")
     assert found.read_bytes() == (ROOT / "dbc" / "maplines.dbc").read_bytes()
     assert "highway" in run(empty_python.parent / "maplines", "scenarios", cwd=tmp_path)
 
 
-def test_the_wheel_says_that_it_is_typed(wheel):
-    """py.typed is in it, and nothing but the package is."""
+def test_the_wheel_has_the_package_and_nothing_else(wheel: Path) -> None:
+    """The wheel has py.typed, and no tests or tools."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     assert "maplines_can/py.typed" in names
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if not name.endswith(".dist-info")} == {"maplines_can"}
+
+
+def test_the_wheel_has_every_dbc(wheel: Path) -> None:
+    """The wheel has the DBCs of the product and of the study, equal to the last byte."""
+    sources = {ROOT / "dbc": "maplines_can/dbc", ROOT / STUDY_DBCS: STUDY_DBCS}
+    expected = {
+        f"{target}/{path.name}": path.read_bytes()
+        for source, target in sources.items()
+        for path in source.glob("*.dbc")
+    }
+    with zipfile.ZipFile(wheel) as archive:
+        found = {name: archive.read(name) for name in archive.namelist() if name.endswith(".dbc")}
+
+    assert {"maplines_can/dbc/maplines.dbc", "maplines_can/dbc/maplines-secoc.dbc"} <= set(found)
+    assert len(found) > 2
+    assert expected == found

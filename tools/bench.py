@@ -53,7 +53,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", OMP_NUM_THREADS
 
 import cantools
 import numpy as np
-from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints  # type: ignore[import-untyped]
+from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints
 from filterpy.kalman import unscented_transform
 
 from maplines_can.gaussian import Gaussian
