@@ -216,7 +216,7 @@ def line_of_cubic(
         half: (...) [m], positive.
 
     Returns:
-        (..., 4) lines (y_off, beta, c0, c1): the derivatives at u = 0, with the first as an angle.
+        (..., 4) lines: value and derivatives at u = 0, the first derivative as an angle.
     """
     q0, q1, q2, q3 = q
     r = 1 / np.asarray(half, dtype=float)

@@ -21,8 +21,8 @@ class Nonlinearity(NamedTuple):
     """Direction and amount of the largest deviation of a function from its tangent."""
 
     direction: NDArray[np.float64]  #: (n,) unit vector in the standardised variables
-    #: Standard deviation of the second-order term along the direction divided by the whole
-    #: standard deviation, of the output where this is largest; from 0 to 1.
+    #: Standard deviation of the second-order term along the direction, divided by the total
+    #: standard deviation, for the output where this ratio is largest; from 0 to 1.
     amount: float
 
 

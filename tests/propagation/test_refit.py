@@ -56,8 +56,8 @@ def test_all_lines_of_all_scenarios_agree_with_qr(scene):
     assert not np.isnan(lines).any()
 
     for i, polyline in enumerate(scene.polylines):
-        witness = qr_refit(polyline.window(scene.ego.mean, *scene.window), poses)
-        assert (np.abs(lines[:, i] - witness).max(axis=0) <= 1e-9 * witness.std(axis=0)).all()
+        reference = qr_refit(polyline.window(scene.ego.mean, *scene.window), poses)
+        assert (np.abs(lines[:, i] - reference).max(axis=0) <= 1e-9 * reference.std(axis=0)).all()
 
 
 def test_random_roads_agree_with_qr():
@@ -68,10 +68,10 @@ def test_random_roads_agree_with_qr():
         lines, points = refit(poses)[:, 0], road.polylines[0].points
         x = np.linspace(*refit.x_range[0], 9)
         well_posed = ~np.isnan(lines[:, 0])
-        witness = lateral(qr_refit(points, poses)[well_posed, None], x)
+        reference = lateral(qr_refit(points, poses)[well_posed, None], x)
 
         assert well_posed.mean() > 0.9
-        assert np.abs(lateral(lines[well_posed, None], x) - witness).max() <= 1e-9
+        assert np.abs(lateral(lines[well_posed, None], x) - reference).max() <= 1e-9
 
 
 def test_large_map_coordinates_lose_no_precision():

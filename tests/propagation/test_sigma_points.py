@@ -31,15 +31,15 @@ def test_sigma_points_agree_with_filterpy(name, alpha, kappa):
     """
     scene, transform = SCENARIOS[name], SigmaPoints(alpha, kappa)
     refit = Refit(scene.polylines, scene.ego.mean, scene.window)
-    witness = MerweScaledSigmaPoints(3, alpha=alpha, beta=2.0, kappa=kappa)
-    points = witness.sigma_points(scene.ego.mean, scene.ego.cov)
+    reference = MerweScaledSigmaPoints(3, alpha=alpha, beta=2.0, kappa=kappa)
+    points = reference.sigma_points(scene.ego.mean, scene.ego.cov)
     mean, cov = transform.moments(refit, scene.ego)
     bound = 1e-10 * max(1.0, 0.1 / alpha**2)
 
     assert np.allclose(transform.points(scene.ego), points, rtol=1e-12, atol=1e-15)
-    assert np.allclose(transform.weights(3), [witness.Wm, witness.Wc], rtol=1e-12)
+    assert np.allclose(transform.weights(3), [reference.Wm, reference.Wc], rtol=1e-12)
     for values, m, S in zip(refit(points).swapaxes(0, 1), mean, cov, strict=True):
-        expected_mean, expected = unscented_transform(values, witness.Wm, witness.Wc)
+        expected_mean, expected = unscented_transform(values, reference.Wm, reference.Wc)
         sigma = np.sqrt(S.diagonal())
         assert (np.abs(m - expected_mean) <= bound * sigma).all()
         assert (np.abs(S - expected) <= bound * np.outer(sigma, sigma)).all()

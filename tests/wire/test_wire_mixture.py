@@ -23,7 +23,7 @@ def test_weights_of_a_split_are_multiples_of_the_step():
 
 @given(st.lists(st.floats(1e-3, 1), min_size=1, max_size=8))
 def test_quantized_weights_add_up(weights):
-    """They are positive whole steps with sum 1, within a step unless raised to the minimum."""
+    """Positive numbers of steps with sum 32, less than a step off unless one is raised to 1."""
     w = np.array([weights]) / sum(weights)
     steps = quantized_weights(w, 32)
     assert steps.sum() == 32
