@@ -153,7 +153,7 @@ def test_there_is_no_circle():
     [
         pytest.param("line.py", "from .scenarios import scenario", id="value-imports-scene"),
         pytest.param(
-            "wire/message/packing.py", "from .layout import Layout", id="upward-in-one-folder"
+            "wire/message/signals.py", "from .packing import Packing", id="upward-in-one-folder"
         ),
         pytest.param("wire/protection/e2e.py", "from ..codec import Codec", id="to-the-facade"),
         pytest.param("bus/link.py", "from ..testing import FaultyBus", id="product-imports-faults"),
