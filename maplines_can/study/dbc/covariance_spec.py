@@ -6,9 +6,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from ...wire.message.layout import STATE_SIGNALS
-from ..codes.floats import half_name
 from ..codes.integer_cholesky import ORDER, entry_name
-from ..codes.linear import PAIRS, triangle_name
+from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec
 
 __all__ = ["covariance_signals", "pivot_signal", "ratio_signal"]
@@ -193,7 +192,7 @@ def _linear_triangle() -> Iterator[SignalSpec]:
 
 
 def _float_triangle(bits: int) -> Iterator[SignalSpec]:
-    """Yield entries as binary32, or as the bit patterns of binary16, for which a DBC has no type."""
+    """Yield entries as binary32, or as bit patterns of binary16 (a DBC has no type for it)."""
     is_float = bits == 32
     for i, j in PAIRS:
         unit = f"{UNITS[i]} {UNITS[j]}"

@@ -216,7 +216,7 @@ class DbcWriter:
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
                 if spec.name != PAGE:
-                    ids = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                    ids: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
                     signals.append(_signal(spec, start, **ids))
                 elif number == 0:
                     signals.append(_signal(spec, start, is_multiplexer=True))
@@ -289,7 +289,7 @@ def _signal(
     )
 
 
-def _attributes(values: dict[str, Any]) -> OrderedDict[str, DbcAttribute]:
+def _attributes(values: dict[str, Any]) -> OrderedDict[str, DbcAttribute[Any]]:
     definitions = _attribute_definitions()
     return OrderedDict(
         (name, DbcAttribute(value, definitions[name])) for name, value in values.items()

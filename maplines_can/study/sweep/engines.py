@@ -143,12 +143,7 @@ def on_dask(tasks: Iterator[Task], address: str, name: str) -> Results:
         MissingExtraError: dask.distributed is not installed.
         StudyError: the scheduler or its workers cannot be reached, or a task kills each worker.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        raise MissingExtraError(
-            "--scheduler needs Dask; pip install 'maplines_can[study]'"
-        ) from error
+    distributed = _distributed()
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
@@ -209,3 +204,13 @@ def _flow(distributed: Any, client: Any, tasks: Iterator[Task], name: str) -> Re
         future.release()
         refill()
         yield key, result
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError(
+            "--scheduler needs Dask; pip install 'maplines_can[study]'"
+        ) from error
+    return distributed

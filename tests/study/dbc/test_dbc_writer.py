@@ -1,0 +1,115 @@
+"""The description of the record, its DBC and its page agree."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import cantools
+import pytest
+
+from maplines_can.line import Kind, Slot, Status
+from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
+from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.wire import Codec, Layout
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.fixture(scope="module")
+def database():
+    return cantools.database.load_file(ROOT / "dbc" / "maplines.dbc")
+
+
+def test_the_files_are_up_to_date():
+    """The DBCs and the tables in dbc/README.md are those of the description."""
+    check = [sys.executable, ROOT / "tools" / "make_dbc.py", "--check"]
+    done = subprocess.run(check, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_every_bit_is_used_once(database):
+    """Four pages of 64 bits, and the FD message of 256."""
+    for slot in Slot:
+        name = "".join(part.capitalize() for part in slot.name.split("_"))
+        classic = database.get_message_by_name(name)
+        fd = database.get_message_by_name(f"{name}Fd")
+        assert (classic.length, fd.length, fd.is_fd, classic.is_fd) == (8, 32, True, False)
+        assert sum(signal.length for signal in fd.signals) == 256
+        for page in range(4):
+            assert (
+                sum(s.length for s in classic.signals if page in (s.multiplexer_ids or [page]))
+                == 64
+            )
+
+
+def test_each_signal_explains_itself(database):
+    """It has a comment, unit and range; its message has a cycle time and a send type."""
+    units = {"YOff": "m", "Beta": "rad", "C0": "1/m", "C1": "1/m^2", "Age": "ms", "XMax": "m"}
+    for message in database.messages:
+        assert message.comment
+        assert message.cycle_time == 50
+        assert message.send_type == "Cyclic"
+        assert message.senders == ["PositionEcu"]
+        for signal in message.signals:
+            assert signal.comment, signal.name
+            assert signal.minimum is not None
+            assert signal.receivers == ["AdasEcu"]
+            if signal.name in units:
+                assert signal.unit == units[signal.name]
+
+
+def test_value_tables_are_the_enumerations(database):
+    """A trace tool shows FULL and DASHED instead of numbers."""
+    message = database.get_message_by_name("EgoLeft")
+    for name, enumeration in (("Status", Status), ("Kind", Kind)):
+        choices = message.get_signal_by_name(name).choices
+        assert {int(n): str(text) for n, text in choices.items()} == {
+            e.value: e.name for e in enumeration
+        }
+
+
+def test_the_page_names_the_ids_of_the_dbc():
+    """The table of slots in dbc/README.md agrees with the DBC."""
+    page = (ROOT / "dbc" / "README.md").read_text()
+    for channel in Layout.from_dbc().channels.values():
+        row = f"| 0x{channel.can_id:03X} | 0x{channel.fd_can_id:03X} | 0x{channel.data_id:04X} |"
+        assert row in page
+
+
+def test_a_page_that_is_too_full_is_refused():
+    """The constructor of the writer raises."""
+    wide = SignalSpec(name="Wide", bits=59, about="", why="")
+    with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
+        DbcWriter(((wide,), (wide,), (wide,), (wide,)))
+
+
+def test_another_arrangement_of_pages_works(tmp_path):
+    """Pages in another order and other CAN IDs are written, loaded, encoded and decoded."""
+    first, second, third, fourth = DEFAULT.pages
+    other = DbcWriter(
+        (first, fourth, third, second), first_can_id=0x100, first_fd_can_id=0x108, cycle_ms=20
+    )
+    path = tmp_path / "other.dbc"
+    path.write_text(other.dbc())
+    codec = Codec.from_dbc(path)
+    assert min(codec.can_ids) == 0x100
+    assert codec.layout.channels[Slot.EGO_LEFT].cycle_ms == 20
+    payload = codec.encode_batch([[1.75, 0, 0, 0]])
+    assert codec.decode_batch(payload).mean[0, 0] == 1.75
+
+
+def test_a_single_field_is_wider_over_the_same_range():
+    """All other fields stay the same. The field may be one of the mean."""
+
+    def fields(writer):
+        return {spec.name: spec for page in writer.pages for spec in page}
+
+    plain = fields(dbc_writer_for("Cholesky"))
+    for name in ("RatioC0C1", "YOff"):
+        wider = fields(dbc_writer_for("Cholesky", 0, {name: 1}))
+        assert wider[name].bits == plain[name].bits + 1
+        assert wider[name].range[0] == plain[name].range[0]
+        assert wider[name].factor == plain[name].factor / 2
+        assert {**wider, name: None} == {**plain, name: None}
+    with pytest.raises(ValueError, match="field_bits must be of YOff"):
+        dbc_writer_for("Cholesky", 0, {"Crc": 1})
