@@ -162,7 +162,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
             )
     except KeyboardInterrupt:
         print(
-            f"maplines: stopped; the results so far are in {arguments.out}; the same command goes on",
+            f"maplines: stopped; the same command goes on from the results in {arguments.out}",
             file=sys.stderr,
         )
         raise
