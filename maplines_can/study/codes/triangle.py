@@ -65,9 +65,7 @@ class _LinearTriangle(BatchCode):
         return cov
 
     def widest(self) -> dict[str, int]:
-        return {
-            signal.name: signal.raw_max if i == j else 0 for (i, j), signal in self.entries.items()
-        }
+        return {s.name: s.raw_max if i == j else 0 for (i, j), s in self.entries.items()}
 
 
 class LinearNearest(_LinearTriangle):
@@ -187,9 +185,7 @@ class _FloatTriangle(BatchCode):
 
     def widest(self) -> dict[str, int]:
         largest = np.array(np.finfo(self._type).max, dtype=self._type).view(self._pattern)
-        return {
-            signal.name: int(largest) if i == j else 0 for (i, j), signal in self.entries.items()
-        }
+        return {s.name: int(largest) if i == j else 0 for (i, j), s in self.entries.items()}
 
 
 class Float32Triangle(_FloatTriangle):
