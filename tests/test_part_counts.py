@@ -16,7 +16,7 @@ from maplines_can.propagation import nonlinearity
 from maplines_can.propagation.component_counts import remaining_nonlinearity
 from maplines_can.propagation.mixture import SPLITS, Mixture
 from maplines_can.study.accuracy.approximations import Approximation
-from maplines_can.study.accuracy.evaluation import judged, truth_of
+from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
 from maplines_can.wire import Frame
 
 amounts = st.lists(st.floats(0, 1), min_size=1, max_size=8)
@@ -253,11 +253,11 @@ def test_false_positives_of_the_chosen_parts(name, parts, before, after):
     """A scene that one Gaussian serves keeps it; the others lose most of their false positives."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
-    truth = truth_of(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
+    truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
 
     def false_positives(k):
         mixture = Approximation(*Mixture(k).moments(refit, scene.ego))
-        return judged(truth, mixture, (name, str(k), "before")).false_positives
+        return evaluate_approximation(truth, mixture, (name, str(k), "before")).false_positives
 
     (k,) = component_counts([nonlinearity(refit, scene.ego).amount])
     assert k == parts

@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..study.production.messages import production_table
+from ..study.production.rounding import production_table
 from ..study.production.text import as_csv, as_markdown, as_records, as_text
 
 __all__ = ["add_production"]

@@ -11,13 +11,13 @@ from scipy import stats
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
 from maplines_can.scenarios import SCENARIOS, random_scenarios
-from maplines_can.study.accuracy import evaluation as judging
+from maplines_can.study.accuracy import evaluation
 from maplines_can.study.accuracy.approximations import (
     Approximation,
     representations,
     through_the_wire,
 )
-from maplines_can.study.accuracy.evaluation import judged, truth_of
+from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
 from maplines_can.study.accuracy.table import accuracy_table, refit_of
 from maplines_can.study.accuracy.text import as_csv, as_markdown, as_text
 
@@ -33,30 +33,30 @@ KINDS += ["mixture of 3", "mixture of 5"]
 
 
 @pytest.fixture(scope="module")
-def gaussian_truth():
-    return truth_of(Gaussian(MEAN, COV).sample(N, seed=1))
+def true_gaussian():
+    return true_distribution(Gaussian(MEAN, COV).sample(N, seed=1))
 
 
 @pytest.fixture(scope="module")
 def rows():
     """All scenes, coarse; by scene, representation and side of the wire."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judging, "DRAWS", CLAIMS_N)
+        patch.setattr(evaluation, "DRAWS", CLAIMS_N)
         table = accuracy_table(n=CLAIMS_N)
     return {(row.scenario, row.representation, row.wire): row for row in table}
 
 
 @pytest.fixture
 def few(monkeypatch):
-    monkeypatch.setattr(judging, "DRAWS", 2000)
+    monkeypatch.setattr(evaluation, "DRAWS", 2000)
     return lambda seed=0: accuracy_table([scenario("street-turn")], n=2000, seed=seed)
 
 
 # -- definitions ----------------------------------------------------------------
 
 
-def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives == pytest.approx(0.01, abs=5 * row.false_negatives_se)
     assert row.false_negatives_pairs == pytest.approx(0.01, abs=5 * row.false_negatives_pairs_se)
@@ -69,8 +69,8 @@ def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(gaussian_trut
 
 
 @pytest.mark.parametrize("scale", [0.7, 1.5])
-def test_a_gaussian_of_another_size_against_scipy(gaussian_truth, scale):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, scale**2 * COV), NAMES)
+def test_a_gaussian_of_another_size_against_scipy(true_gaussian, scale):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, scale**2 * COV), NAMES)
 
     def outside(parameters, size):
         return stats.chi2.sf(stats.chi2.ppf(0.99, parameters) * size**2, parameters)
@@ -85,9 +85,9 @@ def test_a_gaussian_of_another_size_against_scipy(gaussian_truth, scale):
     assert np.array(row.sigma_ratio) == pytest.approx(scale, abs=5 * max(row.sigma_ratio_se))
 
 
-def test_a_gaussian_that_is_off_against_scipy(gaussian_truth):
+def test_a_gaussian_that_is_off_against_scipy(true_gaussian):
     shift = ROOT @ [1.0, 0, 0, 0] * SIGMA  # one standard deviation
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN + shift, COV), NAMES)
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN + shift, COV), NAMES)
 
     outside = stats.ncx2.sf(stats.chi2.ppf(0.99, 4), 4, 1)
     assert row.false_negatives == pytest.approx(outside, abs=5 * row.false_negatives_se)
@@ -101,8 +101,8 @@ def test_a_true_mixture_has_one_percent_of_each():
     parts = [Gaussian(MEAN, COV), Gaussian(MEAN + gap, COV)]
     first = round(weights[0] * N)
     samples = np.concatenate([parts[0].sample(first, 1), parts[1].sample(N - first, 2)])
-    true = truth_of(np.random.default_rng(3).permutation(samples))
-    row = judged(
+    true = true_distribution(np.random.default_rng(3).permutation(samples))
+    row = evaluate_approximation(
         true, Approximation(weights, np.array([MEAN, MEAN + gap]), np.array([COV] * 2)), NAMES
     )
 
@@ -112,33 +112,33 @@ def test_a_true_mixture_has_one_percent_of_each():
     assert row.kl < 1e-3
     assert np.array(row.sigma_ratio) == pytest.approx(1, abs=0.01)
     whole = true.moments[0]
-    one = judged(true, Approximation.gaussian(whole.mean, whole.cov), NAMES)
+    one = evaluate_approximation(true, Approximation.gaussian(whole.mean, whole.cov), NAMES)
     assert one.false_positives > 0.2
 
 
-def test_equal_parts_are_one_gaussian(gaussian_truth):
+def test_equal_parts_are_one_gaussian(true_gaussian):
     twice = Approximation(np.full(2, 0.5), np.array([MEAN] * 2), np.array([COV] * 2))
-    row = judged(gaussian_truth, twice, NAMES)
+    row = evaluate_approximation(true_gaussian, twice, NAMES)
 
-    one = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+    one = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
     assert row.false_negatives == pytest.approx(one.false_negatives, abs=5 * row.false_negatives_se)
     assert row.kl == pytest.approx(one.kl, abs=1e-9)
     assert np.array(row.sigma_ratio) == pytest.approx(np.array(one.sigma_ratio))
 
 
-def test_a_mean_alone_is_a_point(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, None), NAMES)
+def test_a_mean_alone_is_a_point(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, None), NAMES)
 
     assert (row.false_negatives, row.false_negatives_pairs, row.false_positives) == (1, 1, 0)
     assert (row.kl, row.coverage, row.sigma_ratio) == (np.inf, 0, (0, 0, 0, 0))
     assert row.mean_error[0] == pytest.approx(0, abs=5 * row.mean_error_se[0])
 
 
-def test_a_singular_covariance_has_no_volume(gaussian_truth):
+def test_a_singular_covariance_has_no_volume(true_gaussian):
     flat = ROOT.copy()
     flat[3, 3] = 0
-    row = judged(
-        gaussian_truth, Approximation.gaussian(MEAN, flat @ flat.T * np.outer(SIGMA, SIGMA)), NAMES
+    row = evaluate_approximation(
+        true_gaussian, Approximation.gaussian(MEAN, flat @ flat.T * np.outer(SIGMA, SIGMA)), NAMES
     )
 
     assert (row.false_negatives, row.kl) == (1, np.inf)
@@ -149,15 +149,15 @@ def test_a_singular_covariance_has_no_volume(gaussian_truth):
 def test_the_region_is_the_fewest_cells_that_hold_the_mass():
     count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # of 100: 99 needs all but a 1
 
-    chosen = judging._densest(count)
+    chosen = evaluation._densest(count)
 
     assert count[chosen].sum() == 99
     assert count[~chosen].max() <= count[chosen].min()
     assert not chosen[0, 1]
 
 
-def test_sampling_errors_are_those_of_theory(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+def test_sampling_errors_are_those_of_theory(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives_se == pytest.approx(np.sqrt(0.01 * 0.99 / N), rel=0.1)
     sigma = np.sqrt(COV[0, 0])
@@ -166,10 +166,10 @@ def test_sampling_errors_are_those_of_theory(gaussian_truth):
     assert row.sigma_ratio_se[0] == pytest.approx(1 / np.sqrt(2 * N), rel=0.75)
 
 
-def test_draws_beyond_the_grid_are_outside(gaussian_truth):
+def test_draws_beyond_the_grid_are_outside(true_gaussian):
     far = Approximation.gaussian(MEAN + 1000 * SIGMA, COV)
 
-    row = judged(gaussian_truth, far, NAMES)
+    row = evaluate_approximation(true_gaussian, far, NAMES)
 
     assert (row.false_positives, row.false_negatives) == (1, 1)
 

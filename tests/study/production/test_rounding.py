@@ -14,10 +14,9 @@ import pytest
 from maplines_can.cli.production import add_production
 from maplines_can.line import STATES, lateral
 from maplines_can.study import Gaussians, road
-from maplines_can.study.production.messages import (
+from maplines_can.study.production.messages import PRODUCTION, default_message
+from maplines_can.study.production.rounding import (
     DISTANCES,
-    PRODUCTION,
-    default_message,
     measured,
     production_table,
     rms,
@@ -46,7 +45,7 @@ def of(rows, message):
 def lines_within(message, n, seed=0):
     """Lines of small heading that fill the message's ranges and fit them."""
     rng = np.random.default_rng(seed)
-    ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.fields]
+    ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.signals]
     low, high = np.array(ends).T
     values = rng.uniform(low, high, size=(n, 4))
     values[:, 1] *= 1e-2 / high[1]  # the formulas are of a line along the car's axis
@@ -90,7 +89,7 @@ def test_the_formulas_are_what_rounding_does(message):
     n = 50_000
     lines = lines_within(message, n)
     read, clipped = message.rounded(lines)
-    if None in message.fields:
+    if None in message.signals:
         read[:, 3] = lines[:, 3]
     error = lateral(read[:, None, :], X) - lateral(lines[:, None, :], X)
     fits = ~clipped.any(axis=1)
@@ -165,7 +164,7 @@ def test_cantools_rounds_to_the_same_lines(name, message):
 def test_a_rounded_factor_is_a_bias():
     """The page's example: zero heading, read with 0.000977 for 1/1024, is 0.7 m at 50 m."""
     (_, zero, _, _) = MOBILEYE.sent([0.0, 0.0, 0.0, 0.0])
-    raw = MOBILEYE.fields[1].raw(zero)
+    raw = MOBILEYE.signals[1].raw(zero)
 
     assert raw == 32767
     assert raw * 0.000977 - 31.999023 == pytest.approx(0.01434, abs=5e-6)
@@ -180,9 +179,9 @@ def test_the_default_is_the_dbc():
     coarse = dict(layout.signals) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
 
     message = default_message(layout)
-    changed = default_message(replace(layout, fields=coarse))
+    changed = default_message(replace(layout, signals=coarse))
 
-    assert message.fields == tuple(layout[name] for name in ("YOff", "Beta", "C0", "C1"))
+    assert message.signals == tuple(layout[name] for name in ("YOff", "Beta", "C0", "C1"))
     assert message.uncertainty == "covariance, 105 b"  # dbc/README.md, the table of the codes
     assert changed.bits == message.bits - layout["C1"].length + 16
     assert worst(changed, 80.0) > worst(message, 80.0) + 0.03
@@ -201,7 +200,7 @@ def test_what_does_not_fit_is_counted_and_left_out():
     read, _ = TESLA.rounded(mean)
 
     assert row.clipped == (2, 0, 2, 0)
-    assert (row.lines, row.fit, row.judged) == (4, 1, (1, 1, 1))
+    assert (row.lines, row.fit, row.evaluated) == (4, 1, (1, 1, 1))
     assert read[0, 0] == pytest.approx(3.5)
     # 1.01 m is nearest to 129 steps of 0.035 m above -3.5 m; the rest rounds to zero.
     assert row.measured_rms == pytest.approx([1.015 - 1.01] * 3, abs=1e-9)
@@ -214,7 +213,7 @@ def test_a_line_is_not_judged_where_it_has_turned_away():
     lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
     row = measured(default_message(), lines, lines)
 
-    assert row.judged == (1, 0, 0)
+    assert row.evaluated == (1, 0, 0)
     assert np.isnan(row.measured_rms[1:]).all()
 
 
@@ -243,7 +242,7 @@ def test_the_side_of_a_distance_is_kept():
 def test_the_table_on_the_set(rows):
     """Measured rms is the formula's, to what sampling and slanted lines allow."""
     for row in rows:
-        fewest = min(row.judged)
+        fewest = min(row.evaluated)
         tolerance = 5 * np.sqrt(2 / (4 * fewest)) + 0.05
 
         assert row.measured_rms == pytest.approx(row.rms, rel=tolerance), row.message.name
@@ -256,7 +255,7 @@ def test_the_missing_rate_outweighs_the_rounding(rows):
     row = of(rows, HONDA)
 
     assert row.truncated_rms[2] > 10 * row.measured_rms[2]
-    assert all(r.truncated_rms is None for r in rows if None not in r.message.fields)
+    assert all(r.truncated_rms is None for r in rows if None not in r.message.signals)
 
 
 def test_each_row_says_where_it_is_from():
@@ -313,7 +312,7 @@ def test_the_command(form, capsys):
 
 def test_the_page_has_what_the_command_prints(rows):
     """docs/bits.md, the section on production messages."""
-    page = (Path(__file__).parents[1] / "docs" / "bits.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "bits.md").read_text(encoding="utf-8")
 
     for table in as_markdown(rows).split("\n\n"):
         assert table.strip() in page
