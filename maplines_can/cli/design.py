@@ -14,7 +14,7 @@ import numpy as np
 
 from ..line import STATES
 from ..study.design.search import SETS, design, sets_of
-from ..study.design.wire_plan import Targets
+from ..study.design.plan import Targets
 from ..study.sets import Gaussians, line_set
 from .study import Bar
 

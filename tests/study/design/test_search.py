@@ -24,7 +24,8 @@ from maplines_can.study.design.sensitivity import (
     inflation_width,
     rows_of,
 )
-from maplines_can.study.design.wire_plan import Targets, allocated
+from maplines_can.study.design.plan import Targets
+from maplines_can.study.design.planner import allocated
 from maplines_can.study.sets import Gaussians
 from maplines_can.wire import Codec, Layout
 
@@ -181,14 +182,14 @@ def test_ranges_are_kept(roads):
     """Those of the mean to the letter; those of the standard deviations at least."""
     narrow = {"y_off": 7.0, "beta": 0.3, "c0": 0.07, "c1": 0.025}
     made = a_design(roads, frames=4, ranges=narrow, sigmas={"y_off": 20.0, "c1": 0.05})
-    signals = {spec.name: spec for page in made.contract.pages for spec in page}
+    signals = {spec.name: spec for page in made.writer.pages for spec in page}
     for name, end in zip(MEAN, narrow.values(), strict=True):
         low, high = signals[name].range
         assert low == pytest.approx(-end)
         assert high == pytest.approx(end - signals[name].factor)
     assert 2.0 ** signals["PivotYOff"].range[1] >= 20 * 0.999
     assert 2.0 ** signals["PivotC1"].range[1] >= 0.05 * 0.999
-    codec = Codec(Layout.from_text(made.contract.dbc()))
+    codec = Codec(Layout.from_text(made.writer.dbc()))
     batch = codec.decode_batch(codec.encode_batch([[6.99, -0.3, 0.07, 0.025]]))
     assert batch.mean[0] == pytest.approx([6.99, -0.3, 0.07, 0.025], abs=5e-3)
 
@@ -197,7 +198,7 @@ def test_the_mean_is_kept(roads):
     """As it is in the project's own DBC."""
     own = Codec.from_dbc().layout
     made = a_design(roads, frames=4, keep_mean=True)
-    layout = Layout.from_text(made.contract.dbc())
+    layout = Layout.from_text(made.writer.dbc())
     for name in MEAN:
         assert (layout[name].length, layout[name].factor) == (own[name].length, own[name].factor)
 
@@ -211,7 +212,7 @@ def test_the_mean_is_as_exact_as_asked(roads):
 def test_a_design_can_be_had_again(roads):
     """The same lines and targets, the same wire."""
     first, second = (a_design(roads, frames=3) for _ in range(2))
-    assert first.contract.dbc() == second.contract.dbc()
+    assert first.writer.dbc() == second.writer.dbc()
     assert first.as_dict() == second.as_dict()
 
 
@@ -230,7 +231,7 @@ def test_progress_ends_at_all_of_it(roads):
         pytest.param({"frames": 2}, "2 leave 68 bits .* need", id="two-frames"),
         pytest.param({"max_kl": 0.0}, "max_kl must be positive", id="zero"),
         pytest.param(
-            {"frames": 3, "max_kl": 1e-3}, "not to be had in 3 frames, which reach 0.0", id="both"
+            {"frames": 3, "max_kl": 1e-3}, "cannot be reached in 3 frames, which reach 0.0", id="both"
         ),
         pytest.param({"frames": 4, "ranges": {"y": 3}}, "ranges must be .* got y=3", id="state"),
         pytest.param({"frames": 4, "sigmas": {"beta": -1}}, "sigmas must be", id="sigma"),
