@@ -13,12 +13,8 @@ __all__ = ["add_production"]
 
 
 def add_production(subparsers: Any) -> argparse.ArgumentParser:
-    """Add the job ``production`` to the jobs of ``maplines study``.
-
-    Args:
-        subparsers: what ``ArgumentParser.add_subparsers`` returned.
-    """
-    about = "Lateral error of rounding in production lane messages, beside this project's own."
+    """Add the job ``production`` to the subparsers of ``maplines study`` and return its parser."""
+    about = "Print the lateral rounding error of production lane messages and of this project's."
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "production",
         help=about,
@@ -26,12 +22,12 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         epilog="example: maplines study production --markdown",
         formatter_class=argparse.ArgumentDefaultsHelpFormatter,
     )
-    parser.add_argument("--n", type=int, default=2000, help="lines, 100 or more")
-    parser.add_argument("--seed", type=int, default=0, help="of the roads and their errors")
+    parser.add_argument("--n", type=int, default=2000, help="number of lines, 100 or more")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the roads and their errors")
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--markdown", action="store_true", help="tables for a page")
-    form.add_argument("--csv", action="store_true", help="all figures as a table")
-    form.add_argument("--json", action="store_true", help="for machines")
+    form.add_argument("--markdown", action="store_true", help="print Markdown tables")
+    form.add_argument("--csv", action="store_true", help="print all figures as CSV")
+    form.add_argument("--json", action="store_true", help="print all figures as JSON")
     parser.set_defaults(run=_production)
     return parser
 

@@ -236,7 +236,7 @@ def _false_negatives(
         _outside(mixture, list(columns), samples, draws) for columns in (range(4), *PAIRS)
     )
     edge = max(edge_error, *(error for _, error in pairs))
-    of_pairs = sum(out for out, _ in pairs) / len(PAIRS)
+    of_pairs = np.mean([out for out, _ in pairs], axis=0)
     return tuple(  # type: ignore[return-value]  # two of them
         (float(out.mean()), float(np.hypot(out.std() / np.sqrt(len(samples)), edge)))
         for out in (four, of_pairs)

@@ -119,7 +119,7 @@ def measured(message: Message, lines: Gaussians, pose_only: Gaussians) -> Row:
     J = lateral_jacobian(mean[:, None, :], x)
     sigma = np.sqrt(np.einsum("nxi,nij,nxj->nx", J, cov, J).clip(0))
     read, clipped = message.rounded(mean)
-    fits = ~clipped.any(axis=1)
+    fits = np.asarray(~clipped.any(axis=1))
     line = lateral(mean[:, None, :], x)
     error, truncated = (
         np.abs(lateral(other[:, None, :], x) - line)

@@ -13,15 +13,7 @@ from numpy.typing import NDArray
 
 from ...line import Status, lateral, lateral_jacobian
 from ..metrics import LATERAL_X
-from .drawing import (
-    BLUE,
-    VERMILLION,
-    add_hover,
-    clip,
-    draw_rule,
-    new_plot,
-    set_options,
-)
+from .drawing import BLUE, VERMILLION, add_hover, clip, draw_rule, new_plot, set_options
 from .tables import SUMMARY, Row, Tables, number, percent, with_error
 
 __all__ = ["fields_plot", "worst_groups", "worst_key", "worst_plots"]
@@ -113,7 +105,8 @@ def _fields_view(tables: Tables, set_: str, code: str) -> dict[Any, Any]:
 
 def _two_errors(row: Row) -> float:
     """Return twice the standard error of the change, which is paired and therefore small."""
-    error = 2 * float(row.get("kl_change_mean_se", row["kl_mean_se"]))
+    name = "kl_change_mean_se" if "kl_change_mean_se" in row else "kl_mean_se"
+    error = 2 * float(row[name])
     return error if math.isfinite(error) and error < row["kl_mean"] else 0.0
 
 

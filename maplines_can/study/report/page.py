@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
 from pathlib import Path
 from typing import Any
 
 from ...errors import MissingExtraError
-from . import numbers
-from .tables import SUMMARY, Row, Tables, number, percent, read_tables
+from ..metrics import LATERAL_X
+from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
 
 __all__ = ["TITLE", "write_report"]
 
@@ -46,100 +46,80 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         from bokeh.resources import Resources
         from jinja2 import Environment, PackageLoader
 
-        from .cases import BAND, worst_groups
+        from .cases import BAND, fields_plot, worst_groups, worst_plots
         from .drawing import looks
+        from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
     except ImportError as error:
         raise MissingExtraError(
             'the report needs bokeh, jinja2 and pyarrow: pip install "maplines_can[study]"'
         ) from error
     tables = read_tables(folder)
-    first = [row for set_ in tables.sets if (row := tables.shipped(set_, tables.codes[0]))]
-    content = _content(tables)
-    models = {
-        f"{section}-{i}-{k}": plot
-        for section, figures in content.items()
-        for i, (plots, _) in enumerate(figures)
-        for k, plot in enumerate(plots)
+    sets, look, groups = tables.sets, looks(tables.codes), worst_groups(tables)
+    field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
+    keys = [key for group in groups.values() for key in group]
+    #: Plots by section and set; none if the sweep did not compute them.
+    content: dict[str, list[Any]] = {
+        "kl": [[kl_plot(tables, s, look)] for s in sets],
+        "along": [
+            [lateral_error_plot(tables, s, look), sigma_ratio_plot(tables, s, look)] for s in sets
+        ],
+        "definite": [[share_plot(tables, s, look, NOT_DEFINITE)] for s in sets],
+        "fields": [[fields_plot(tables, s, field_codes)] for s in sets if field_codes],
+        "saturation": [[share_plot(tables, s, look, SATURATION)] for s in sets],
+        "worst": [worst_plots(tables, s, keys) for s in sets if keys],
     }
-    script, plots = components(models)
+    script, plots = components(
+        {
+            f"{section}-{i}-{k}": plot
+            for section, of_sets in content.items()
+            for i, of_set in enumerate(of_sets)
+            for k, plot in enumerate(of_set)
+        }
+    )
     environment = Environment(
         loader=PackageLoader(__package__, "."), autoescape=True, trim_blocks=True
     )
-    environment.globals |= {"number": number, "percent": percent}
+    texts = {"number": number, "percent": percent, "share": share, "with_error": with_error}
+    first = [row for s in sets if (row := tables.shipped(s, tables.codes[0]))]
+    environment.globals |= texts | {
+        "nan": math.nan,
+        "tables": tables,
+        "content": content,
+        "plots": plots,
+        "looks": look,
+        "kl_names": SUMMARY,
+        "lateral_x": [f"{x:g}" for x in LATERAL_X],
+        "not_definite": NOT_DEFINITE,
+        "saturation": SATURATION,
+    }
     html = environment.get_template("report.html.j2").render(
         title=title,
-        tables=tables,
-        content=content,
-        plots=plots,
         script=script,
         library=Resources(mode="inline", components=["bokeh"]).render_js(),
-        looks=looks(tables.codes),
         first=first,
         counts={"n": sum(row["n"] for row in first)}
         | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
-        broken=list(_broken_guarantees(tables)),
+        broken=[
+            (row, words, row[column])
+            for row in tables.summary
+            for column, words, guarantee in NOT_DEFINITE
+            if row[guarantee] and row[column] > 0
+        ],
         sound=_sound(tables),
-        nearest=[row for set_ in tables.sets if (row := _nearest(tables, set_))],
+        nearest=[row for s in sets if (row := _nearest(tables, s))],
         caveats={
             row["caveat"]: row["set"]
             for row in tables.limit
             if row["part"] == "covariance" and isinstance(row.get("caveat"), str)
         },
-        kl_names=SUMMARY,
-        field_codes={code: code for code in _field_codes(tables)},
-        worst_groups=worst_groups(tables),
+        field_codes={code: code for code in field_codes},
+        worst_groups=groups,
         band=BAND,
     )
     out_path = Path(out_path)
     out_path.parent.mkdir(parents=True, exist_ok=True)
     out_path.write_text(html, encoding="utf-8")
     return out_path
-
-
-def _content(tables: Tables) -> dict[str, list[tuple[list[Any], list[numbers.NumberTable]]]]:
-    """Return plots and tables by section and set; no sets if the sweep did not compute them."""
-    from .cases import fields_plot, worst_groups, worst_plots
-    from .drawing import looks
-    from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
-
-    look = looks(tables.codes)
-    codes = _field_codes(tables)
-    keys = [key for group in worst_groups(tables).values() for key in group]
-
-    def along(set_: str) -> list[Any]:
-        return [lateral_error_plot(tables, set_, look), sigma_ratio_plot(tables, set_, look)]
-
-    def shares(set_: str, quantities: Any) -> tuple[list[Any], list[numbers.NumberTable]]:
-        plot = share_plot(tables, set_, look, quantities)
-        return [plot], [numbers.share_table(tables, set_, quantities)]
-
-    content: dict[str, list[Any]] = {
-        name: [] for name in ("kl", "along", "definite", "fields", "saturation", "worst")
-    }
-    for set_ in tables.sets:
-        kl_tables = [numbers.kl_table(tables, set_), numbers.limit_table(tables, set_)]
-        content["kl"].append(([kl_plot(tables, set_, look)], kl_tables))
-        content["along"].append((along(set_), [numbers.along_table(tables, set_)]))
-        content["definite"].append(shares(set_, NOT_DEFINITE))
-        content["saturation"].append(shares(set_, SATURATION))
-        if codes:
-            plots = [fields_plot(tables, set_, codes)]
-            content["fields"].append((plots, [numbers.fields_table(tables, set_)]))
-        if keys:
-            plots = list(worst_plots(tables, set_, keys))
-            content["worst"].append((plots, [numbers.worst_table(tables, set_)]))
-    return content
-
-
-def _field_codes(tables: Tables) -> list[str]:
-    return [code for code in tables.codes if any(row["code"] == code for row in tables.fields)]
-
-
-def _broken_guarantees(tables: Tables) -> Iterator[tuple[Row, str, float]]:
-    for row in tables.summary:
-        for column, words, guarantee in NOT_DEFINITE:
-            if row[guarantee] and row[column] > 0:
-                yield row, words, row[column]
 
 
 def _sound(tables: Tables) -> list[str]:

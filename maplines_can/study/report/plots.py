@@ -92,9 +92,9 @@ def kl_plot(tables: Tables, set_: str, looks: Looks) -> figure:
         source = ColumnDataSource(views["kl_mean"]["data"])
         set_options(source, "kl", views)
         dots = draw_code(plot, source, code, look)
-        aside = ASIDE[0 if code in endless else beside.index(code) % len(ASIDE)]
-        style = {"text_font_size": "10px", "text_color": look.colour}
-        shares = plot.text("x", "y", text="mark", source=source, **style, **aside)
+        style = ASIDE[0 if code in endless else beside.index(code) % len(ASIDE)]
+        style = style | {"text_font_size": "10px", "text_color": look.colour}
+        shares = plot.text("x", "y", text="mark", source=source, **style)
         shares.tags = [f"code:{code}"]
         add_hover(
             plot,

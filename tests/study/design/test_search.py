@@ -268,7 +268,7 @@ def test_rows_are_those_of_the_cholesky_factor(roads):
 
 def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec, others):
     """Without steps of the inflation 2 to 2.7 times the theory's; with them, what is measured."""
-    rows = [MEAN[i] for i in codec.covariance.order]
+    rows = [MEAN[i] for i in codec.covariance.factor.order]
     pairs = [(row, column) for i, row in enumerate(rows) for column in rows[:i]]
     pivots = np.array([codec.layout[f"Pivot{row}"].factor for row in rows])
     ratios = np.array([codec.layout[f"Ratio{row}{column}"].factor for row, column in pairs])
