@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ..line import STATES
-from ..study.design.search import SETS, design, sets_of
 from ..study.design.plan import Targets
+from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
 from .study import Bar
 

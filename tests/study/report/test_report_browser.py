@@ -18,7 +18,7 @@ def browser(report, tmp_path_factory):
 
 
 def painted(browser):
-    """For each plot, whether it looks otherwise than an empty one."""
+    """Return for each plot whether its canvas is not empty."""
     return browser.run(
         """[...document.querySelectorAll("figure .bk-Figure")].map(plot =>
             [...plot.shadowRoot.querySelector(".bk-Canvas").shadowRoot.querySelectorAll("canvas")]
@@ -33,12 +33,12 @@ def painted(browser):
 
 
 def model(name, test):
-    """JavaScript for the first model of a kind that passes a test."""
+    """Return JavaScript for the first model of a type that passes a test."""
     return f'[...models()].find(m => m.type === "{name}" && ({test}))'
 
 
 def test_all_plots_are_drawn_and_no_request_leaves(browser, report):
-    """Two plots each of the road and the worst cases, one of the others, for each set."""
+    """For each set: two plots along the road and of the worst cases, one in other sections."""
     assert painted(browser) == [True] * 8 * len(SETS)
     assert browser.requests[0] == report.resolve().as_uri()
     assert {url.split(":")[0] for url in browser.requests[1:]} <= {"data", "blob"}
@@ -46,7 +46,7 @@ def test_all_plots_are_drawn_and_no_request_leaves(browser, report):
 
 
 def test_a_code_and_a_set_can_be_hidden(browser):
-    """Its curves in all plots; the figures of the set."""
+    """A code hides its curves in all plots, a set its figures."""
 
     def click(kind, value):
         browser.run(
@@ -73,7 +73,7 @@ def test_a_code_and_a_set_can_be_hidden(browser):
 
 
 def test_the_choices_change_the_plots(browser):
-    """Another quantity of the KL, another worst case."""
+    """The lists choose another KL and another worst case."""
 
     def choose(control, value):
         browser.run(
@@ -104,7 +104,7 @@ def test_ink_is_light_on_a_dark_page(browser):
 
 
 def test_pictures_of_the_plots_are_printed(browser):
-    """In place of canvases as wide as the screen, and only for as long."""
+    """Pictures replace the canvases only while the page is printed."""
     pictures = "[...document.querySelectorAll('img.print')].map(p => p.src.length > 3000)"
     browser.run("dispatchEvent(new Event('beforeprint'))")
     assert browser.run(pictures) == [True] * 8 * len(SETS)

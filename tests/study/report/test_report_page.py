@@ -1,4 +1,4 @@
-"""The HTML report: its content, and the tables that it refuses."""
+"""The HTML report: its content, and errors for unusable tables."""
 
 import argparse
 import math
@@ -17,7 +17,7 @@ from maplines_can.study.report.tables import COLUMNS, read_tables
 
 
 class Page(HTMLParser):
-    """Elements, text, and all that could be loaded."""
+    """Elements, text and links of an HTML page."""
 
     def __init__(self, text):
         super().__init__()
@@ -45,8 +45,8 @@ def page(report):
 # ---- the file ---------------------------------------------------------------------
 
 
-def test_nothing_is_loaded_from_elsewhere(page, report):
-    """No link, no import; and the page itself forbids the browser to."""
+def test_nothing_is_loaded_from_other_files(page, report):
+    """There is no link and no import, and the content security policy forbids them."""
     assert page.links == []
     style = re.search(r"<style>(.*?)</style>", report.read_text("utf-8"), re.DOTALL)[1]
     assert "url(" not in style
@@ -58,7 +58,7 @@ def test_nothing_is_loaded_from_elsewhere(page, report):
 
 
 def test_every_code_set_and_section_is_there(page):
-    """Codes with their toggles, sets as their text, a figure a set and section."""
+    """Each code has a toggle, each set and section a figure."""
     toggles = [a["value"] for t, a in page.elements if a.get("data-controls") == "code"]
     assert toggles == USED
     assert [a for t, a in page.elements if t == "h2"] == [{}] * 6
@@ -69,7 +69,7 @@ def test_every_code_set_and_section_is_there(page):
 
 
 def test_a_name_is_text_and_never_markup(page, report):
-    """Of sets, which may be paths, and in the plots' own script too."""
+    """Names of sets, which may be paths, are escaped, also in the script of the plots."""
     assert all(tag not in ("img", "b") for tag, _ in page.elements)
     assert SETS[1] in page.text()
     assert "</script><img" not in report.read_text("utf-8")
@@ -82,22 +82,22 @@ def test_title_is_escaped(folder, tmp_path):
 
 
 def test_the_findings_are_those_of_the_tables(page, folder):
-    """The first code's shares and KL, bits over the limit, infinities as such."""
+    """Shares and KL of the first code, bits above the limit, and infinite values."""
     tables = read_tables(folder)
     row = tables.shipped("paper", "Cholesky")
-    told = page.text()
+    text = page.text()
 
-    assert f"Cholesky: 0 not definite and 0 overconfident of {2 * N:,} Gaussians." in told
+    assert f"Cholesky: 0 not definite and 0 overconfident of {2 * N:,} Gaussians." in text
     limit = 34.0 + 5 * math.log2(1e-2 / row["kl_mean"])
     assert tables.over_limit(row) == pytest.approx(105 - limit)
-    assert f"{105 - limit:.0f} to {107 - limit:.0f}" in told
-    assert "No guarantee was broken" in told
+    assert f"{105 - limit:.0f} to {107 - limit:.0f}" in text
+    assert "No guarantee was broken" in text
     bad = tables.shipped("paper", "LinearNearest")
     assert 0 < bad["not_positive_definite"] < 1
     assert math.isinf(bad["kl_mean"])
-    assert f"{100 * bad['not_positive_definite']:.3g} %" in told
-    assert "∞" in told
-    assert "nan" not in told.lower().replace("finance", "")
+    assert f"{100 * bad['not_positive_definite']:.3g} %" in text
+    assert "∞" in text
+    assert "nan" not in text.lower().replace("finance", "")
 
 
 def test_a_broken_guarantee_is_the_first_finding(rows, tmp_path):
@@ -105,13 +105,13 @@ def test_a_broken_guarantee_is_the_first_finding(rows, tmp_path):
     summary[0]["overconfident"] = 0.01
     folder = write(tmp_path / "sweep", rows, summary=summary)
 
-    told = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
+    text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
 
-    assert "A guarantee is broken. Cholesky on paper: overconfident 1 %." in told
+    assert "A guarantee is broken. Cholesky on paper: overconfident 1 %." in text
 
 
-def test_the_limit_is_straight_in_the_logarithm_of_kl(folder):
-    """Inside the table, below it, and nothing above where its law holds."""
+def test_the_limit_is_linear_in_log_kl(folder):
+    """Inside the table and below it; it is not defined for a large KL."""
     tables = read_tables(folder)
 
     for kl in (3e-2, 1e-2, 2e-3, 1e-4, 1e-7):
@@ -121,20 +121,20 @@ def test_the_limit_is_straight_in_the_logarithm_of_kl(folder):
     assert tables.limit_bits("another", 1e-3) is None
 
 
-def test_what_a_sweep_left_out_is_said(rows, tmp_path):
-    """Without fields, worst cases and limit there is a report all the same."""
+def test_missing_sections_are_reported(rows, tmp_path):
+    """A sweep without fields, worst cases and limit still gives a report."""
     folder = write(tmp_path / "sweep", rows)
     for name in ("fields", "worst", "limit"):
         schema = pq.read_schema(folder / f"{name}.parquet")
         pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
 
-    told = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
+    text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
 
-    assert told.count("The sweep did not compute this.") == 2
+    assert text.count("The sweep did not compute this.") == 2
 
 
 def test_the_tables_of_a_sweep_are_read(tmp_path):
-    """The names of the columns are the same on both sides."""
+    """Sweep and report use the same names of columns."""
     from maplines_can.study.sets import line_set
     from maplines_can.study.sweep.plan import Study
     from maplines_can.study.sweep.run import run_study
@@ -145,9 +145,9 @@ def test_the_tables_of_a_sweep_are_read(tmp_path):
     )  # fmt: skip
     run_study(study, tmp_path / "sweep", jobs=1)
 
-    told = Page(write_report(tmp_path / "sweep", tmp_path / "a.html").read_text("utf-8")).text()
+    text = Page(write_report(tmp_path / "sweep", tmp_path / "a.html").read_text("utf-8")).text()
 
-    assert "Cholesky: 0 not definite and 0 overconfident of 200 Gaussians." in told
+    assert "Cholesky: 0 not definite and 0 overconfident of 200 Gaussians." in text
 
 
 # ---- errors -----------------------------------------------------------------------
@@ -181,8 +181,8 @@ def damaged(folder, how):
         pytest.param("empty", r"summary\.parquet: has no rows", id="no-rows"),
     ],
 )
-def test_what_cannot_be_reported_is_refused(rows, tmp_path, how, words):
-    """In one sentence with the file's name, and nothing is written."""
+def test_unusable_tables_raise(rows, tmp_path, how, words):
+    """The message names the file, and nothing is written."""
     folder = damaged(write(tmp_path / "sweep", rows), how)
 
     with pytest.raises(StudyError, match=words):
@@ -190,8 +190,8 @@ def test_what_cannot_be_reported_is_refused(rows, tmp_path, how, words):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("package", ["bokeh", "pyarrow"])
-def test_without_the_extra_its_name_is_told(monkeypatch, folder, tmp_path, package):
+@pytest.mark.parametrize("package", ["bokeh", "jinja2", "pyarrow"])
+def test_a_missing_extra_is_named(monkeypatch, folder, tmp_path, package):
     for name in [n for n in sys.modules if n.split(".")[0] == package]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
@@ -201,7 +201,7 @@ def test_without_the_extra_its_name_is_told(monkeypatch, folder, tmp_path, packa
 
 
 def test_the_command(folder, tmp_path, capsys):
-    """Arguments go where they belong; each column that is read has been named."""
+    """The command passes its arguments on; no column is listed twice."""
     parser = argparse.ArgumentParser()
     add_report(parser.add_subparsers())
     out = tmp_path / "report.html"

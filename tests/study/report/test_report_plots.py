@@ -12,8 +12,8 @@ from maplines_can.study.report.plots import kl_plot
 from maplines_can.study.report.tables import read_tables
 
 
-def test_an_infinite_kl_has_its_place_and_its_share(folder):
-    """Marked above the axis, for each width; the finite median of the same code is below."""
+def test_an_infinite_kl_is_above_the_axis_with_its_share(folder):
+    """Each width has a mark at the infinity tick; the 99 % quantile has a view of its own."""
     tables = read_tables(folder)
     plot = kl_plot(tables, "paper", looks(tables.codes))
     source = next(
@@ -31,7 +31,7 @@ def test_an_infinite_kl_has_its_place_and_its_share(folder):
 
 
 def test_worst_cases_are_the_lines_and_their_bands(folder):
-    """l(x) and 3 sigma to first order; where a variance is negative there is a cross."""
+    """Bands are 3 sigma of l(x) to first order; crosses mark negative variances."""
     tables = read_tables(folder)
     keys = [worst_key(row) for row in tables.worst if row["set"] == "paper"]
     plot, less = worst_plots(tables, "paper", keys)
@@ -54,8 +54,8 @@ def test_worst_cases_are_the_lines_and_their_bands(folder):
     np.testing.assert_array_equal(relative["true"], 0)
 
 
-def test_fields_stand_by_what_a_bit_less_costs(folder):
-    """The dearest on top."""
+def test_fields_are_sorted_by_the_cost_of_one_bit_less(folder):
+    """The most expensive field is at the top."""
     plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
 
     assert plot.y_range.factors == ["Inflation", "PivotC0", "RatioC0C1"]
