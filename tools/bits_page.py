@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 from reporting import fill_tables, parser_of
 
+from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.study.design.wire_plan import Targets
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003

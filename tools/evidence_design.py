@@ -15,8 +15,8 @@ import time
 from reporting import bar, parser_of
 
 from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.study.design.wire_plan import Targets
 from maplines_can.wire.message.layout import STATE_SIGNALS
 
 #: The targets in dbc/README.md.
