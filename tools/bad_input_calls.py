@@ -286,7 +286,7 @@ REFUSED = {
     "Bus": """
         Link(interface="warp")
         Link(interface="socketcan", channel="nocan9")
-        Link(interface="virtual", bitrate="fast", faults="loss")
+        FaultyOpener("loss")
         Link(None)
         Transmitter(link, codec, period=0)
         Transmitter(link, codec, period=nan)
