@@ -44,6 +44,12 @@ class FakeCodec:
         return FakeDecoder()
 
 
+def sent_values(opener):
+    """(age [ms], y_off [mm]) of the lines that were sent on the buses of a ``FakeOpener``."""
+    pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
+    return [struct.unpack_from("<Hh", page, 4) for page in pages if page[0] == 0]
+
+
 class FakeDecoder:
     def __init__(self):
         self.counts = Counter()

@@ -247,6 +247,7 @@ class Testbed:
         self.scenes, self.senders, self.others = [], [], []
         self.frame_counter = FrameCounter(channel)
         self.killed = False
+        self.extra_lines = 0  # sent by `drain`
         self.receiver = None
 
     def __enter__(self):
@@ -304,7 +305,7 @@ class Testbed:
             row.given_up += down + full
         if self.killed:
             row.sent += (self.frame_counter.count() - frames) // PAGES
-        attempts = self.drain()
+        self.extra_lines = self.drain()
         receiver.end()
         row.delivered, row.lost = receiver.figures(r"(\d+) lines from \d+ frames; (\d+) lines lost")
         row.wrong = receiver.wrong(self.scenes)
@@ -314,7 +315,7 @@ class Testbed:
         # A sender that is suspended for half a cycle within a line exceeds the time-out of the
         # reassembly. How often depends on the machine, so these lines are counted separately.
         frames = receiver.figures(r"dropped frames: .*?(?:(\d+) timeout)?; (\d+) still waiting")
-        row.timed_out = sum(frames) // PAGES - (attempts - 1)
+        row.timed_out = sum(frames) // PAGES - (self.extra_lines - 1)
 
     def drain(self):
         """Wait until the receiver has read its queue; return how many lines that took.

@@ -1,7 +1,6 @@
 """Every published line is sent once a period, whole or not at all."""
 
 import itertools
-import struct
 import threading
 
 import can
@@ -18,7 +17,7 @@ from fake_bus import (
     map_line,
     send_frames,
 )
-from fake_codec import PAGES, FakeCodec, Reason
+from fake_codec import PAGES, FakeCodec, Reason, sent_values
 
 from maplines_can.bus import (
     Link,
@@ -74,12 +73,6 @@ def test_the_latest_value_wins(link, other):
             assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
 
 
-def values(opener):
-    """(y_off [m], age [s]) of the lines that went out."""
-    pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
-    return [struct.unpack_from("<Hh", page, 4) for page in pages if page[0] == 0]
-
-
 def test_the_age_counts_from_the_pose(monkeypatch):
     monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
     opener, clock = FakeOpener(), Clock()
@@ -87,7 +80,7 @@ def test_the_age_counts_from_the_pose(monkeypatch):
         transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
         drive(transmitter, clock, 1000.5)
-        assert values(opener)[0][0] == 2000
+        assert sent_values(opener)[0][0] == 2000
 
 
 @pytest.mark.parametrize("t_pose_ns", [0, 2**62])

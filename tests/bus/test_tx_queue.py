@@ -1,7 +1,5 @@
 """Lines are encoded together, a little ahead; counters have no gap."""
 
-import struct
-
 import pytest
 from fake_bus import (
     Clock,
@@ -9,7 +7,7 @@ from fake_bus import (
     drive,
     map_line,
 )
-from fake_codec import FakeCodec
+from fake_codec import FakeCodec, sent_values
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -44,12 +42,6 @@ class Recorder(FakeCodec):
         return super().encode_lines(lines, fd=fd, counters=counters)
 
 
-def values(opener):
-    """(y_off [m], age [s]) of the lines that went out."""
-    pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
-    return [struct.unpack_from("<Hh", page, 4) for page in pages if page[0] == 0]
-
-
 def test_lines_are_encoded_together_with_the_ages_at_their_deadlines():
     """One call a period; each age is that at the line's own deadline."""
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
@@ -59,7 +51,7 @@ def test_lines_are_encoded_together_with_the_ages_at_their_deadlines():
         drive(transmitter, clock, 1000.075)
 
         assert codec.batches == [[(slot, 1.75, round(0.1 + slot / 100, 9)) for slot in Slot]]
-        assert values(opener) == [(100 + 10 * slot, 1750) for slot in Slot]
+        assert sent_values(opener) == [(100 + 10 * slot, 1750) for slot in Slot]
 
 
 @pytest.mark.parametrize("offset", [0.005, 0.035, 0.065])
@@ -72,7 +64,7 @@ def test_a_producer_of_the_same_period_is_never_behind(offset):
             transmitter.publish(map_line(slot, y=k) for slot in Slot)
             drive(transmitter, clock, 1000.0 + offset + 0.08 * k)
             if k == 5:
-                values(opener)
+                sent_values(opener)
                 codec.batches.clear()
 
         assert [len(batch) for batch in codec.batches] == [8] * 4
@@ -102,7 +94,7 @@ def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period):
         transmitter.publish(map_line(slot, y=2) for slot in Slot)
         drive(transmitter, clock, 1000.0 + period * 0.99)
 
-    assert [y for _, y in values(opener)] == [1000] * 5 + [2000] * 3
+    assert [y for _, y in sent_values(opener)] == [1000] * 5 + [2000] * 3
     assert max(map(len, codec.batches)) <= 1 + AHEAD / (period / 8)
 
 
@@ -118,7 +110,7 @@ def test_a_line_encoded_before_a_retract_is_not_sent_after_it():
         transmitter.publish(map_line(Slot.ROUTE, y=2))
         drive(transmitter, clock, 1000.075)
 
-        assert [y for _, y in values(opener)] == [1000] * 7 + [2000]
+        assert [y for _, y in sent_values(opener)] == [1000] * 7 + [2000]
 
 
 @given(st.lists(st.sampled_from([0.2, 0.9, 1.1, 2.7]), min_size=1, max_size=30), st.integers(1, 3))

@@ -5,7 +5,7 @@ import pytest
 from maplines_can import MonteCarlo, Refit, scenario
 from maplines_can.propagation import Mixture, component_counts, nonlinearity
 from maplines_can.study.accuracy.approximations import Approximation
-from maplines_can.study.accuracy.evaluation import judged, truth_of
+from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
 
 
 @pytest.mark.filterwarnings("ignore:.* draws are ill-posed")
@@ -23,11 +23,11 @@ def test_false_positives_of_the_chosen_components(name, parts, before, after):
     """One component stays where it is good enough; in the other scenes most false positives go."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
-    truth = truth_of(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
+    truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
 
     def false_positives(k):
         mixture = Approximation(*Mixture(k).moments(refit, scene.ego))
-        return judged(truth, mixture, (name, str(k), "before")).false_positives
+        return evaluate_approximation(truth, mixture, (name, str(k), "before")).false_positives
 
     (k,) = component_counts([nonlinearity(refit, scene.ego).amount])
     assert k == parts
