@@ -219,8 +219,9 @@ class Faults:
             except TypeError:
                 raise TypeError(f"{allowed} or ranges of them, got {ids!r}") from None
             if not span or not all(0 <= end <= LAST_EXTENDED_ID for end in (span[0], span[-1])):
-                got = ids if isinstance(ids, range) else f"{ids:#x}"
-                raise ValueError(f"{allowed}, got {got}")
+                last = f"-{ids.stop - 1:#x}" if isinstance(ids, range) else ""
+                first = ids.start if isinstance(ids, range) else ids
+                raise ValueError(f"{allowed}, got {first:#x}{last}")
         if self.direction not in _DIRECTIONS:
             allowed = ", ".join(_DIRECTIONS)
             raise ValueError(f"faults: direction must be {allowed}, got {self.direction!r}")

@@ -110,9 +110,9 @@ def error_line(stderr: str) -> str:
     ("command", "status", "words"),
     cases(
         # maplines
-        ("", 2, "JOB"),
+        ("", 2, "COMMAND"),
         ("fly", 2, "'fly'"),
-        ("--rate", 2, "JOB"),
+        ("--rate", 2, "COMMAND"),
         # maplines demo
         ("demo --scenario moon", 2, "--scenario.*'moon'"),
         ("demo --rate 0", 2, "--rate.*'0'"),
@@ -150,7 +150,7 @@ def error_line(stderr: str) -> str:
         ("demo --faults script=/dev/zero", 2, "--faults.*/dev/zero"),
         ("demo --faults script={d}/half-range.faults", 2, "--faults.*half-range.faults.*'1-'"),
         ("demo --faults script={d}/huge.faults", 2, "--faults.*huge.faults.*wrong_id"),
-        ("demo --faults flood=1,flood_ids=0-0x20000000", 2, "--faults.*flood_ids.*'0-0x20000000'"),
+        ("demo --faults flood=1,flood_ids=0-0x20000000", 2, "--faults.*flood_ids.*0x0-0x20000000"),
         ("demo --key-file {d}/nowhere", 1, "/nowhere"),
         ("demo --key-file {d}/short.key", 1, "short.key.*4 characters"),
         ("demo --key-file {d}/open.key", 1, "open.key.*0644"),
@@ -184,7 +184,7 @@ def error_line(stderr: str) -> str:
         ("receive --interface virtual --key-file {d}/short.key", 1, "short.key"),
         ("receive --interface virtual --count 1 --timeout 0.1", 1, "0 lines from 0 frames"),
         # maplines decode
-        ("decode", 2, "log"),
+        ("decode", 2, "LOG"),
         ("decode {d}/nowhere.log", 1, "nowhere.log"),
         ("decode {d}", 1, "format"),
         ("decode {d}/good.dbc", 1, "good.dbc"),
@@ -209,16 +209,16 @@ def error_line(stderr: str) -> str:
         ("figures --out /proc/figures --samples 1000", 1, "/proc/figures"),
         ("figures --out {d}/f --dbc {d}/nowhere.dbc", 1, "nowhere.dbc"),
         # maplines truth
-        ("truth --scenario moon", 2, "--scenario.*'moon'"),
-        ("truth --samples 10", 2, "--samples.*'10'"),
-        ("truth --samples 1e99", 2, "--samples.*'1e99'"),
-        ("truth --format pdf", 2, "--format.*'pdf'"),
-        ("truth --dbc {d}/missing-signal.dbc --samples 1000", 1, "missing-signal.dbc"),
+        ("accuracy --scenario moon", 2, "--scenario.*'moon'"),
+        ("accuracy --samples 10", 2, "--samples.*'10'"),
+        ("accuracy --samples 1e99", 2, "--samples.*'1e99'"),
+        ("accuracy --format pdf", 2, "--format.*'pdf'"),
+        ("accuracy --dbc {d}/missing-signal.dbc --samples 1000", 1, "missing-signal.dbc"),
         # maplines scenarios
         ("scenarios --csv", 2, "--csv"),
         ("scenarios extra", 2, "extra"),
         # maplines study run
-        ("study", 2, "JOB"),
+        ("study", 2, "COMMAND"),
         ("study run", 2, "--out"),
         ("study run --out {d}/s --n 0", 2, "--n.*'0'"),
         ("study run --out {d}/s --n nan", 2, "--n.*'nan'"),
@@ -329,7 +329,7 @@ def test_a_command_refuses_bad_input(
         "send --interface virtual --count 1 --rate 1000",
         "decode {d}/good.log",
         "decode {d}/good.log --csv",
-        "truth --scenario production --samples 1000",
+        "accuracy --scenario production --samples 1000",
         "scenarios",
         "scenarios --json",
         "study production --n 100",
