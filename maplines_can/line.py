@@ -86,9 +86,8 @@ class Status(IntEnum):
 class MapLine:
     """One map line in the ego frame: a Gaussian over the parameters of a cubic.
 
-    The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line
-    Interface, eq. 1), x forward and y to the left (ISO 8855), for x in
-    [x_min, x_max].
+    The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line Interface, eq. 1), x
+    forward and y to the left (ISO 8855), for x in [x_min, x_max].
 
     Args:
         slot: identity of the line in the scene.

@@ -29,12 +29,11 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
 
         C = g + 8 s + 13 + floor((g + 8 s - 1) / 4)
 
-    CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way:
-    17 bits (29-bit identifiers: 36) up to BRS at the nominal rate; ESI, DLC and
-    data at the data rate; over both together at most one stuff bit for each 4 bits
-    after the first; then, at the data rate, stuff count and CRC of 4 + 17 bits
-    with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13 nominal bits
-    from the CRC delimiter to the end of the intermission.
+    CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way: 17 bits (29-bit
+    identifiers: 36) up to BRS at the nominal rate; ESI, DLC and data at the data rate; over both
+    together at most one stuff bit for each 4 bits after the first; then, at the data rate, stuff
+    count and CRC of 4 + 17 bits with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13
+    nominal bits from the CRC delimiter to the end of the intermission.
 
     Args:
         length: of the payload [bytes].

@@ -1,8 +1,7 @@
 """The command ``maplines``.
 
-Each command has a module of its own, which is imported only if the command is
-given: a receiver loads nothing of the study, and ``maplines --help`` nothing
-at all.
+Each command has a module of its own, which is imported only if the command is given: a receiver
+loads nothing of the study, and ``maplines --help`` nothing at all.
 """
 
 from __future__ import annotations

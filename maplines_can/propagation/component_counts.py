@@ -18,13 +18,12 @@ TOLERANCE = 0.3
 def remaining_nonlinearity(amount: float, k: int) -> float:
     """Return the nonlinearity within the components of a ``Mixture`` of k components.
 
-    Like ``Nonlinearity.amount``, it is the standard deviation of the second-order term
-    divided by the total standard deviation, here within a component, with variances
-    averaged over the components. Let the output have the variance 1 and the function be
-    quadratic, with a second-order term of variance a^2 and a squared slope of 1 - a^2 at
-    the mean. A component of the variance s^2 = 1 - sum w_i m_i^2 has a second-order term
-    of the variance s^4 a^2. At its mean m_i the squared slope is larger by 2 a^2 m_i^2,
-    averaged over +m_i and -m_i. The result is
+    Like ``Nonlinearity.amount``, it is the standard deviation of the second-order term divided by
+    the total standard deviation, here within a component, with variances averaged over the
+    components. Let the output have the variance 1 and the function be quadratic, with a
+    second-order term of variance a^2 and a squared slope of 1 - a^2 at the mean. A component of the
+    variance s^2 = 1 - sum w_i m_i^2 has a second-order term of the variance s^4 a^2. At its mean
+    m_i the squared slope is larger by 2 a^2 m_i^2, averaged over +m_i and -m_i. The result is
 
         a_k^2 = a^2 s^2 / (1 + a^2 (1 - s^2)),
 

@@ -82,15 +82,13 @@ def predict_to(
 ) -> MapLine:
     """Predict a received line to another time, in the ego frame of that time.
 
-    The prediction starts at the time of the pose (``pose_time_ns``). ``t_ns`` may be
-    earlier, for example that of an older camera image. Each component of a mixture is
-    predicted and keeps its weight. Slot, kind and status stay. x_min and x_max become
-    the ends of the mean line in the new frame, moved inwards by three standard
-    deviations of the displacement.
+    The prediction starts at the time of the pose (``pose_time_ns``). ``t_ns`` may be earlier, for
+    example that of an older camera image. Each component of a mixture is predicted and keeps its
+    weight. Slot, kind and status stay. x_min and x_max become the ends of the mean line in the new
+    frame, moved inwards by three standard deviations of the displacement.
 
-    The result has the time ``t_ns`` and the age 0, since its frame is that of ``t_ns``.
-    It may be predicted further, or sent. The age of the measurement is only known from
-    the received line.
+    The result has the time ``t_ns`` and the age 0, since its frame is that of ``t_ns``. It may be
+    predicted further, or sent. The age of the measurement is only known from the received line.
 
     The status determines how the covariance is predicted. For UNKNOWN only the mean is
     transformed; the covariance stays ``VAGUE_SIGMA``. For OUT_OF_RANGE only the time

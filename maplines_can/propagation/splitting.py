@@ -43,11 +43,10 @@ WEIGHT_STEPS = 32
 class Mixture:
     """k components, each propagated by a moment transform.
 
-    The Gaussian is split along the direction in which the function is most
-    nonlinear (for a refit, the heading). The components are narrower in that
-    direction and as wide as the Gaussian in the others. In a street turn with 10 deg
-    of heading uncertainty a single Gaussian has a third of its mass on impossible
-    lines; five components have about 4 %.
+    The Gaussian is split along the direction in which the function is most nonlinear (for a refit,
+    the heading). The components are narrower in that direction and as wide as the Gaussian in the
+    others. In a street turn with 10 deg of heading uncertainty a single Gaussian has a third of its
+    mass on impossible lines; five components have about 4 %.
 
     Args:
         k: number of components, 1 to 8.

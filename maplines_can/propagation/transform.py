@@ -36,8 +36,7 @@ class Transform(ABC):
         """Return the Gaussian with the moments of the function's value.
 
         Raises:
-            IllPosedError: the function has no value at a point that the
-                transform needs.
+            IllPosedError: the function has no value at a point that the transform needs.
             ValueError: the function returns several outputs (use ``moments``).
         """
         mean, cov = self.moments(function, gaussian)
@@ -55,8 +54,7 @@ class Transform(ABC):
             mean (m,) and cov (m, m); or (L, m) and (L, m, m).
 
         Raises:
-            IllPosedError: the function has no value at a point that the
-                transform needs.
+            IllPosedError: the function has no value at a point that the transform needs.
         """
         mean, cov = self._moments(function, gaussian)
         noise_cov = getattr(function, "noise_cov", None)

@@ -138,8 +138,7 @@ class CholeskyCode(CovarianceCode):
                 to the semidefinite target; rounding must not yield less.
 
         Returns:
-            Raw pivots and ratios, the rows of the decoded L', and which targets had a pivot
-            lifted.
+            Raw pivots and ratios, the rows of the decoded L', and which targets had a pivot lifted.
         """
         raw: dict[str, Array] = {}
         L: list[list[Array]] = []
