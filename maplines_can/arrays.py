@@ -7,8 +7,6 @@ import sys
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LARGEST", "floats", "number_text"]
-
 #: The largest float, 1.8e308.
 LARGEST = sys.float_info.max
 #: Messages show an integer of more bits by its magnitude instead of its digits.

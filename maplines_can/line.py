@@ -14,20 +14,6 @@ from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
 
-__all__ = [
-    "STATES",
-    "VAGUE_SIGMA",
-    "Kind",
-    "MapLine",
-    "Slot",
-    "Status",
-    "lateral",
-    "lateral_jacobian",
-    "line_of_cubic",
-    "transform_line",
-    "transform_line_or_nan",
-]
-
 #: The line's parameters, in the order of every mean and covariance.
 STATES = ("y_off", "beta", "c0", "c1")
 

@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .gaussian import Gaussian
 
-__all__ = ["GaussianMixture"]
-
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:

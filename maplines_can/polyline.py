@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
 
-__all__ = ["Polyline", "to_ego"]
-
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
 

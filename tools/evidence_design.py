@@ -17,7 +17,7 @@ from reporting import bar, parser_of
 from maplines_can.study.dbc.record_spec import DEFAULT
 from maplines_can.study.design.search import design, sets_of
 from maplines_can.study.design.wire_plan import Targets
-from maplines_can.wire.message.layout import STATE_SIGNALS
+from maplines_can.wire.message.signals import STATE_SIGNALS
 
 #: Of dbc/README.md.
 OF_THE_DEFAULT = Targets(

@@ -10,8 +10,6 @@ from pathlib import Path
 from ..errors import KeyMaterialError
 from ..wire import Key
 
-__all__ = ["key_from_env", "key_from_file", "without_keys"]
-
 #: Text that may be a key or a part of one: 16 or more hex digits with at most one separator
 #: between two of them. The first two are adjacent, so that the last letter of a word before the key
 #: is not taken for its first digit.

@@ -18,8 +18,6 @@ from ..errors import BusError
 from .bus_factory import BusFactory, UnsuitableInterfaceError
 from .driver_errors import DriverError, classify_error, error_text
 
-__all__ = ["Link", "Sent"]
-
 log = logging.getLogger("maplines_can.bus")
 
 
@@ -252,7 +250,9 @@ class Link:
         with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
             bus.shutdown()
         if was_up:
-            self._report(False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back")
+            self._report(
+                False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back"
+            )
 
     def _check_deleted(self, bus: can.BusABC) -> None:
         """Lose a bus that received nothing because its interface was deleted: see `socketcan`."""

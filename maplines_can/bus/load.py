@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from ..wire import Frame
 
-__all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time", "transfers_within"]
-
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 

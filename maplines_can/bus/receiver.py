@@ -14,8 +14,6 @@ from .background import BackgroundThread
 from .link import Link
 from .stamp_clock import StampClock
 
-__all__ = ["Receiver", "ReceiverStats"]
-
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
 

@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Hashable
 from typing import Generic, NamedTuple, TypeVar
 
-__all__ = ["Due", "Lateness", "LatenessHistogram", "Schedule"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 

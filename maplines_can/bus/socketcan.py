@@ -18,8 +18,6 @@ import struct
 import sys
 from typing import NamedTuple
 
-__all__ = ["Problem", "index", "problem"]
-
 _SIOCGIFFLAGS, _SIOCGIFMTU = 0x8913, 0x8921  # linux/sockios.h
 _IFF_UP = 1  # linux/if.h
 _CANFD_MTU = 72  # linux/can.h: sizeof(struct canfd_frame)

@@ -11,8 +11,6 @@ from ..line import MapLine, Slot
 from ..wire import Codec, Frame
 from .schedule import Schedule
 
-__all__ = ["AHEAD", "Transfer", "TxQueue"]
-
 #: Longest time before its deadline at which a line is encoded, and so authenticated [s]: a small
 #: fraction of the second within which a receiver must get an authenticated frame.
 AHEAD = 0.1

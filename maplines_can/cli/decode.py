@@ -18,8 +18,6 @@ from .output import check_text, counts_text, line_dict, slot_text, write_csv
 from .parsing import add_command
 from .stderr import note, with_progress
 
-__all__ = ["add_decode"]
-
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MOST_CHANNELS = 256
 

@@ -21,8 +21,6 @@ from .parsing import add_command, seconds
 from .sending import LineComponents, add_sending, bitrates, components_text, lines_of
 from .stderr import progress_bar
 
-__all__ = ["add_demo"]
-
 PICTURES = (".png", ".svg", ".pdf")
 
 DESCRIPTION = """\

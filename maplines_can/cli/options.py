@@ -14,22 +14,6 @@ from .parsing import natural, number
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
 
-__all__ = [
-    "add_bus",
-    "add_codec",
-    "add_cycle",
-    "add_dbc",
-    "add_draws",
-    "add_faults",
-    "add_json",
-    "bus_settings",
-    "codec_from",
-    "decoder_of",
-    "fault_counts",
-    "fault_opener",
-    "keyed_codec",
-]
-
 
 def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
     """Add ``--json``."""

@@ -11,17 +11,6 @@ import numpy as np
 from ..line import STATES, MapLine
 from ..wire import SlotStats
 
-__all__ = [
-    "check_dict",
-    "check_text",
-    "counts_text",
-    "faults_text",
-    "line_dict",
-    "line_text",
-    "slot_text",
-    "write_csv",
-]
-
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
 
 

@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-__all__ = ["Parser", "add_command", "natural", "number", "seconds"]
-
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose error messages do not repeat a secret key.

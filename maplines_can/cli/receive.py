@@ -36,8 +36,6 @@ from .output import (
 from .parsing import add_command, natural, seconds
 from .stderr import note
 
-__all__ = ["add_receive"]
-
 #: How often slots are checked for a change of state while nothing arrives [s].
 CHECK_PERIOD = 0.05
 

@@ -24,8 +24,6 @@ from .parsing import add_command, natural
 from .sending import add_sending, carrier_text, components_text, lines_of
 from .stderr import note
 
-__all__ = ["add_send"]
-
 DESCRIPTION = """\
 Send the lines of a scene until Ctrl-C, each as a Gaussian over its lateral offset, heading,
 curvature and curvature rate. Then print the counters."""

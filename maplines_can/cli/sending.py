@@ -16,17 +16,6 @@ from ..scenarios import SCENARIOS, Scenario
 from ..wire import Codec
 from .parsing import number
 
-__all__ = [
-    "MAX_LOAD",
-    "LineComponents",
-    "add_sending",
-    "bitrates",
-    "carrier_text",
-    "choose_components",
-    "components_text",
-    "lines_of",
-]
-
 #: Largest bus load of lines whose numbers of components are chosen.
 MAX_LOAD = 0.3
 

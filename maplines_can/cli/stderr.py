@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, TypeVar
 
-__all__ = ["Bar", "note", "progress_bar", "with_progress"]
-
 T = TypeVar("T")
 
 #: Progress bar: takes the unit of the work, and yields a function to call with the work done

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from .splitting import SPLITS, standard_split
 
-__all__ = ["TOLERANCE", "component_counts", "remaining_nonlinearity"]
-
 #: Largest nonlinearity within a component that needs no further component: the second-order term
 #: then has less than a tenth of the variance of the component. In the street turn with 10 deg of
 #: heading uncertainty five components meet it; about 4 % of their mass is on impossible lines.

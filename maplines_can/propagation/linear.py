@@ -11,8 +11,6 @@ import numpy as np
 from ..gaussian import Gaussian
 from .transform import Moments, Transform, values_at
 
-__all__ = ["Linear"]
-
 
 @dataclass(frozen=True)
 class Linear(Transform):

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from ..gaussian import Gaussian
 from .transform import values_at
 
-__all__ = ["Nonlinearity", "nonlinearity"]
-
 #: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
 REACH = np.sqrt(3.0)
 

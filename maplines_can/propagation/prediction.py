@@ -16,8 +16,6 @@ from .motion import Motion
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["pose_time_ns", "predict", "predict_to"]
-
 #: The default transform. Compared with a million draws and a heading sigma of 5 deg, its 15 points
 #: give standard deviations that are rather too large. On a highway the means are within 0.4 % of
 #: sigma and the sigmas 0 to 1.3 % too large; in a street turn the sigma of c1 is up to 12 % too

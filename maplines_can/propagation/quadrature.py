@@ -14,9 +14,6 @@ from ..errors import IllPosedError
 from ..gaussian import Gaussian
 from .transform import Moments, Transform, weighted_moments
 
-__all__ = ["Quadrature"]
-
-
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
 

@@ -14,8 +14,6 @@ from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, STATES, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
 
-__all__ = ["MapError", "Refit"]
-
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6

@@ -15,8 +15,6 @@ from .nonlinearity import nonlinearity
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["SPLITS", "Mixture", "standard_split"]
-
 #: Splits of N(0, 1) into 1 to 8 components of equal variance: the first half of the symmetric
 #: weights, in steps of 1/32, and of the means. They minimise the criterion of DeMars, Bishop and
 #: Jah (J. Guidance, Control, and Dynamics 36, 2013): the squared difference of the densities plus

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..errors import IllPosedError
 from ..gaussian import Gaussian
 
-__all__ = ["Moments", "Transform"]
-
 
 class Moments(NamedTuple):
     """Means and covariances of one or several outputs, as ``Codec.encode_batch`` takes them."""

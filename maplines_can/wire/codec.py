@@ -14,8 +14,9 @@ from ..line import MapLine, Slot
 from .covariance import CholeskyCode, CovarianceCode
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
 from .message.components import MixtureWriter
+from .message.dbc_reader import default_dbc_path
 from .message.frames import Frame, FrameWriter
-from .message.layout import Layout, default_dbc_path
+from .message.layout import Layout
 from .message.line_writer import LineWriter
 from .message.packing import Packing
 from .message.reader import Batch, DecodedRecord, RecordReader
@@ -26,8 +27,6 @@ from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
-
-__all__ = ["CODES", "Codec", "Frame"]
 
 #: Covariance codes of the product, by the name in the DBC's attribute CovarianceCode.
 CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}

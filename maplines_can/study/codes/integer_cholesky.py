@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ...errors import LayoutError
 from ...wire.covariance.code import Array, Coded, check_octaves
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import Layout
+from ...wire.message.signals import STATE_SIGNALS
 from .batch import BatchCode
 
 __all__ = ["IntegerCholesky", "entry_name"]

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LayoutError
-from ...wire.covariance.code import Array, Coded, nearest_raw
-from ...wire.message.layout import STATE_SIGNALS, Layout
-from .batch import BatchCode
+from ...wire.covariance.code import Array, Coded
+from ...wire.message.layout import Layout
+from ...wire.message.signals import STATE_SIGNALS
+from .batch import BatchCode, nearest_raw
 
 __all__ = ["PAIRS", "Linear", "LinearNearest", "triangle_name"]
 

@@ -11,9 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded, CovarianceCode, nearest_raw
+from ...wire.covariance.code import Array, Coded, CovarianceCode
 from ...wire.covariance.factor import CholeskyFactor
 from ...wire.message.layout import Layout
+from .batch import nearest_raw
 
 __all__ = ["LogCholesky"]
 

@@ -12,9 +12,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded, check_octaves, nearest_raw
-from ...wire.message.layout import STATE_SIGNALS, Layout
-from .batch import BatchCode
+from ...wire.covariance.code import Array, Coded, check_octaves
+from ...wire.message.layout import Layout
+from ...wire.message.signals import STATE_SIGNALS
+from .batch import BatchCode, nearest_raw
 
 __all__ = ["LogCorrelation"]
 

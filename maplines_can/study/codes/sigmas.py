@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ...line import VAGUE_SIGMA, Status
 from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import Layout
+from ...wire.message.signals import STATE_SIGNALS
 from .batch import BatchCode
 
 __all__ = ["MeanOnly", "Sigmas"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.signals import STATE_SIGNALS
 from ..codes.floats import half_name
 from ..codes.integer_cholesky import ORDER, entry_name
 from ..codes.linear import PAIRS, triangle_name

@@ -15,7 +15,8 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from cantools.database.conversion import BaseConversion
 
 from ...line import Slot
-from ...wire.message.layout import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, fd_length
+from ...wire.message.channel import fd_length
+from ...wire.message.signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID
 
 __all__ = ["TRANSFER_ID_BITS", "DbcWriter", "SignalSpec", "paged"]
 

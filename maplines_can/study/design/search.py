@@ -20,7 +20,7 @@ import numpy as np
 from ...errors import LayoutError
 from ...line import Slot, Status
 from ...wire import Codec, Layout
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.signals import STATE_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...line import STATES, lateral_jacobian
-from ...wire.message.layout import PAGE_BYTES, STATE_SIGNALS
+from ...wire.message.signals import PAGE_BYTES, STATE_SIGNALS
 from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ..dbc.record_spec import SERVICE

@@ -36,8 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...line import STATES, lateral, lateral_jacobian
 from ...wire import Layout
-from ...wire.message.layout import STATE_SIGNALS
-from ...wire.message.signals import Signal
+from ...wire.message.signals import STATE_SIGNALS, Signal
 from ..dbc.covariance_spec import covariance_signals
 from ..metrics import evaluate
 from ..sets import Gaussians, paper, road

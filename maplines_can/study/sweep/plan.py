@@ -12,7 +12,8 @@ import numpy as np
 
 from ...errors import StudyError
 from ...wire import Codec
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import Layout
+from ...wire.message.signals import STATE_SIGNALS
 from ..codes import CODES
 from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for

@@ -29,8 +29,6 @@ from ..message.layout import Layout
 from .code import Array, Coded, CovarianceCode, check_octaves
 from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
 
-__all__ = ["CholeskyCode"]
-
 #: Margin of the inflation, so that a check with another algorithm's rounding passes.
 MARGIN = 1e-6
 

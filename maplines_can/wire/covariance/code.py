@@ -15,8 +15,6 @@ from ...line import Status
 from ..message.layout import Layout
 from ..message.signals import Signal
 
-__all__ = ["Array", "Coded", "CovarianceCode", "check_octaves", "nearest_raw"]
-
 Array = NDArray[np.float64]
 #: Greatest exponent of 2 that a signal may hold, so that squares and products of four are finite.
 FARTHEST_OCTAVE = 200
@@ -85,13 +83,6 @@ class CovarianceCode(ABC):
     @abstractmethod
     def widest(self) -> dict[str, int]:
         """Return the raw values of the widest covariance, for a line without a covariance."""
-
-
-def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
-    nearest = signal.raw(physical)
-    limited = signal.limited(nearest)
-    return limited.astype(np.int64), nearest != limited
 
 
 def check_octaves(layout: Layout, signals: Sequence[Signal]) -> None:

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LayoutError
-from ..message.layout import STATE_SIGNALS, Layout
-from ..message.signals import Signal
+from ..message.layout import Layout
+from ..message.signals import STATE_SIGNALS, Signal
 from .code import Array, check_octaves
-
-__all__ = ["BLOCK", "CholeskyFactor", "exp2_table", "lookup", "lookup_one"]
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
 BLOCK = 2048

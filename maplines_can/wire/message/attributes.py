@@ -13,8 +13,6 @@ from ...arrays import floats
 from ...errors import EncodeError
 from ...line import Kind, Slot, Status
 
-__all__ = ["LINE_ATTRIBUTES", "RecordAttributes"]
-
 #: Attributes that the components of a mixture share; those of the line.
 LINE_ATTRIBUTES = ("slot", "counter", "kind", "x_min", "x_max", "age", "status")
 

@@ -9,8 +9,6 @@ from .attributes import RecordAttributes
 from .validation import checked_gaussians
 from .writer import RecordWriter
 
-__all__ = ["MixtureWriter", "deficit", "quantized_weights"]
-
 Array = NDArray[np.float64]
 
 

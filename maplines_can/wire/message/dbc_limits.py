@@ -21,8 +21,6 @@ import re
 
 from ...errors import LayoutError
 
-__all__ = ["LARGEST_DBC", "check_numbers"]
-
 #: Largest size of a DBC file [byte]; the DBC of a whole car has a few million.
 LARGEST_DBC = 64_000_000
 

@@ -20,8 +20,6 @@ from .channel import LONGEST_MS, Channel, SecuredForm, fd_length
 from .dbc_limits import LARGEST_DBC, check_numbers
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 
-__all__ = ["DbcContent", "default_dbc_path", "parse_dbc", "read_text"]
-
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
 

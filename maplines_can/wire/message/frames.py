@@ -11,8 +11,6 @@ from .channel import Channel
 from .layout import Layout
 from .signals import PAGE_BYTES
 
-__all__ = ["Frame", "FrameWriter"]
-
 
 class Frame(NamedTuple):
     """CAN frame to be sent on any bus."""

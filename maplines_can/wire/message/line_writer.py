@@ -16,8 +16,6 @@ from .components import MixtureWriter
 from .validation import CheckedGaussians
 from .writer import RecordWriter
 
-__all__ = ["LineWriter"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Record:

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from .signals import Signal
 
-__all__ = ["Packing", "Piece", "pieces_of"]
-
 #: Records processed at a time, so that one signal of a block stays in the first-level cache.
 BLOCK = 4096
 

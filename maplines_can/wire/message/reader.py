@@ -17,8 +17,6 @@ from .layout import Layout
 from .packing import Packing
 from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
 
-__all__ = ["Batch", "DecodedRecord", "RecordReader"]
-
 #: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 

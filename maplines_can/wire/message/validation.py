@@ -11,8 +11,6 @@ from ...arrays import floats
 from ...gaussian import MOST_COV, asymmetric, indefinite, rounding_of
 from .signals import STATE_SIGNALS
 
-__all__ = ["CheckedGaussians", "checked_gaussians", "checked_mixtures", "checked_payloads"]
-
 
 class CheckedGaussians(NamedTuple):
     """Gaussians that may be sent."""

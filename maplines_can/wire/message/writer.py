@@ -16,8 +16,6 @@ from .packing import Packing
 from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
 from .validation import CheckedGaussians
 
-__all__ = ["RecordWriter"]
-
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8

@@ -7,8 +7,6 @@ from binascii import crc_hqx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["crc16", "record_crc", "record_crc_one"]
-
 #: Bytes of the header: CRC (little-endian), then the counter.
 CRC_BYTES, HEADER_BYTES = 2, 3
 

@@ -27,8 +27,6 @@ from ..message.channel import SecuredForm
 from ..reasons import Reason
 from .key import Key
 
-__all__ = ["Authenticator", "Verifier", "complete"]
-
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
 MOST_FRESHNESS = 2**63 - 1

@@ -15,8 +15,6 @@ from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 
-__all__ = ["Decoder"]
-
 PENDING = Reason.PENDING  # looked up once: feed is called for every frame
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["RecordHistory"]
-
 
 class _Entry(NamedTuple):
     """A received record."""

@@ -14,8 +14,6 @@ from ...mixture import GaussianMixture
 from ..message.reader import DecodedRecord
 from ..reasons import Reason
 
-__all__ = ["CompleteLine", "MixtureAssembler"]
-
 #: The status of a mixture is that of its worst component; from best to worst.
 SEVERITY = (
     Status.FULL,

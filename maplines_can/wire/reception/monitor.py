@@ -10,8 +10,6 @@ from ..reasons import Reason
 from .decoder import Decoder
 from .sequence import SlotStats
 
-__all__ = ["STALE_CYCLES", "Monitor", "SlotView"]
-
 #: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
 #: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
 STALE_CYCLES = 3.0

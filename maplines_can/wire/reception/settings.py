@@ -10,8 +10,6 @@ from ..message.channel import LONGEST_MS
 from ..message.layout import Layout
 from ..protection.e2e_state import E2EConfig
 
-__all__ = ["DecoderSettings", "decoder_settings"]
-
 #: Time-out of a transfer if the DBC has no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
 
