@@ -1,4 +1,4 @@
-"""A headless Chromium, spoken to by the DevTools protocol over a pipe: no driver needed."""
+"""Headless Chromium, controlled by the DevTools protocol over a pipe, without a driver."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FLAGS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
 
 
 class Browser:
-    """One page of a browser: what it asked the network for, and what went wrong in it."""
+    """One page of a browser, with its network requests and its errors."""
 
     def __init__(self, profile: Path, width: int = 1300, height: int = 900) -> None:
         to_browser, from_us = os.pipe()
@@ -55,7 +55,7 @@ class Browser:
             os.close(end)
 
     def call(self, method: str, **params: Any) -> dict[str, Any]:
-        """One command and its answer; events on the way are noted."""
+        """Send a command and return its result; record events that arrive before it."""
         self._last += 1
         message = {"id": self._last, "method": method, "params": params}
         if self._session:
@@ -68,7 +68,7 @@ class Browser:
         return answer["result"]
 
     def resize(self, width: int, height: int) -> None:
-        """The window's inside [px]."""
+        """Set the size of the page [px]."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -78,7 +78,7 @@ class Browser:
         )
 
     def scheme(self, name: str) -> None:
-        """The reader prefers "light" or "dark"."""
+        """Set the preferred colour scheme to "light" or "dark"."""
         features = [{"name": "prefers-color-scheme", "value": name}]
         self.call("Emulation.setEmulatedMedia", features=features)
 
@@ -86,7 +86,7 @@ class Browser:
         self.call("Page.navigate", url=path.resolve().as_uri())
 
     def run(self, expression: str) -> Any:
-        """The value of an expression in the page; a promise is awaited."""
+        """Return the value of an expression in the page; await it if it is a promise."""
         answer = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
@@ -111,7 +111,7 @@ class Browser:
             ready, _, _ = select.select([self._ends[1]], [], [], 30)
             chunk = os.read(self._ends[1], 1 << 20) if ready else b""
             if not chunk:
-                raise TimeoutError("the browser does not answer")
+                raise TimeoutError("the browser does not answer within 30 s")
             self._buffer += chunk
         message, self._buffer = self._buffer.split(b"\0", 1)
         return json.loads(message)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Write the tables of docs/bits.md from those of a study, and from designs to order.
+"""Write the tables of docs/bits.md from the tables of a study and from custom designs.
 
     maplines study run --out sweep --n 200000
     python tools/bits_page.py sweep
@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 from reporting import fill_tables, parser_of
 
+from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.study.design.wire_plan import Targets
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003
@@ -25,7 +25,7 @@ TARGETS = (1e-2, 1e-3, 1e-4)
 
 def main():
     parser = parser_of(__doc__)
-    parser.add_argument("folder", type=Path, help="what 'maplines study run --out' was given")
+    parser.add_argument("folder", type=Path, help="directory that 'maplines study run --out' wrote")
     folder = parser.parse_args().folder
     names = ("summary", "fields", "terms", "limit")
     summary, fields, terms, limit = (
@@ -48,13 +48,13 @@ def main():
 
 
 def table(head, rows):
-    """Markdown; the first column is words."""
+    """Return a Markdown table whose first column is text."""
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def codes(rows):
-    """All codes as they are, and the default at other widths."""
+    """Return all codes at their own widths, and the default at others."""
     head = ["code", "bits", "frames", "not definite", "overconfident", "saturated", "out of range"]
     head += ["KL mean", "KL 99 %", "sigma at 80 m: 50 %", "99 %"]
     body = []
@@ -76,7 +76,7 @@ def codes(rows):
 
 
 def theory(summary, terms):
-    """The default code: measured KL of the rounding over what is foretold."""
+    """Return the measured KL of the rounding of the default code over its theory."""
     of_code = [row for row in summary if row["code"] == "Cholesky"]
     body = [
         [
@@ -95,16 +95,16 @@ def theory(summary, terms):
         ]
         for row in of_code
     ]
-    head = ["set and width", "measured", "foretold", "ratio", "fields off by more than 3 %"]
+    head = ["set and width", "measured", "predicted", "ratio", "fields off by more than 3 %"]
     return table(head, body)
 
 
 def over_the_limit(summary, limit):
-    """Bits of the default code's covariance at each KL, and how many fewer could do."""
+    """Return the bits of the default code at each KL, and how many fewer could do."""
     body = []
     for name in dict.fromkeys(row["set"] for row in limit):
         widths = [row for row in summary if (row["set"], row["code"]) == (name, "Cholesky")]
-        # Bits are linear in log KL: four times less for each bit more in all fields.
+        # Bits are linear in log KL: a bit more in all fields divides KL by four.
         slope, offset = np.polyfit(
             [np.log2(row["kl_untouched_mean"]) for row in widths],
             [row["covariance_bits"] for row in widths],
@@ -131,7 +131,7 @@ def over_the_limit(summary, limit):
 
 
 def of_fields(fields):
-    """KL with a bit less and a bit more in each field."""
+    """Return the change of KL with a bit less and a bit more in each field."""
     body = []
     for name in dict.fromkeys(row["field"] for row in fields):
         cells = []
@@ -148,13 +148,13 @@ def of_fields(fields):
 
 
 def designs():
-    """What 3, 4 and 5 classic frames hold."""
+    """Return the designs for 3, 4 and 5 classic frames."""
     sets = sets_of("road", 5000, 0)
     held_out = sets_of("both", 5000, HELD_OUT_SEED)
     body = []
     for frames in (3, 4, 5):
         made = design(sets, Targets(frames=frames), held_out=held_out)
-        bits = {spec.name: spec.bits for page in made.contract.pages for spec in page}
+        bits = {spec.name: spec.bits for page in made.writer.pages for spec in page}
         mean = sum(bits[name] for name in ("YOff", "Beta", "C0", "C1"))
         cov = sum(b for name, b in bits.items() if name.startswith(("Pivot", "Ratio", "Infl")))
         road, paper = made.measured["road"], made.measured["paper"]

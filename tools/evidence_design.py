@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Show what wires to order are worth.
+"""Evaluate designs of the wire.
 
     evidence_design.py frames    3, 4 and 5 classic frames for the set road: bits and figures
-    evidence_design.py default   dbc/maplines.dbc is what its targets lead to, field by field
+    evidence_design.py default   dbc/maplines.dbc follows from its targets, field by field
 
 Run it in the project's environment: python3 tools/run.py python tools/evidence_design.py ...
 
-Ends with a nonzero status where a bound is missed.
+The exit status is nonzero if a bound is missed.
 """
 
 import sys
@@ -15,11 +15,11 @@ import time
 from reporting import bar, parser_of
 
 from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.study.design.wire_plan import Targets
-from maplines_can.wire.message.signals import STATE_SIGNALS
+from maplines_can.wire.message.layout import STATE_SIGNALS
 
-#: Of dbc/README.md.
+#: The targets in dbc/README.md.
 OF_THE_DEFAULT = Targets(
     frames=4,
     keep_mean=True,
@@ -30,12 +30,12 @@ HELD_OUT_SEED = 1_000_003
 
 
 def frames(n):
-    """The wires of some lengths, and whether three frames keep to a divergence of 0.02."""
+    """Return whether designs are definite and cover, and three frames keep KL below 0.02."""
     sets, held_out = (sets_of("road", n, seed) for seed in (0, HELD_OUT_SEED))
     held_out |= sets_of("paper", n, HELD_OUT_SEED)
     met = True
     for count in (3, 4, 5):
-        made = told(sets, Targets(frames=count), held_out)
+        made = designed(sets, Targets(frames=count), held_out)
         figures = made.measured["road"]
         met &= count > 3 or figures.kl_mean <= 0.02
         met &= not any(f.not_definite or f.overconfident for f in made.measured.values())
@@ -43,17 +43,17 @@ def frames(n):
 
 
 def default(n):
-    """The search of the default once more."""
+    """Return whether the search gives the default DBC again."""
     sets, held_out = (sets_of("both", n, seed) for seed in (1, 1 + HELD_OUT_SEED))
-    made = told(sets, OF_THE_DEFAULT, held_out)
-    found, own = of_covariance(made.contract), of_covariance(DEFAULT)
+    made = designed(sets, OF_THE_DEFAULT, held_out)
+    found, own = of_covariance(made.writer), of_covariance(DEFAULT)
     for name in sorted({*found, *own}):
         if found.get(name) != own.get(name):
             print(f"{name}: {found.get(name)} instead of {own.get(name)} (bits, factor, range)")
     return found == own
 
 
-def told(sets, targets, held_out):
+def designed(sets, targets, held_out):
     started = time.perf_counter()
     with bar(100, unit=" %", leave=False) as percents:
         made = design(
@@ -66,11 +66,11 @@ def told(sets, targets, held_out):
     return made
 
 
-def of_covariance(contract):
+def of_covariance(writer):
     kept = (*STATE_SIGNALS, "Inflation")
     return {
         spec.name: (spec.bits, spec.factor, spec.range)
-        for page in contract.pages
+        for page in writer.pages
         for spec in page
         if spec.name in kept or spec.name.startswith(("Pivot", "Ratio"))
     }

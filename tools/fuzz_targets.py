@@ -24,8 +24,8 @@ from maplines_can.line import MapLine, Slot, Status
 from maplines_can.study.codes import CODES as STUDY_CODES
 from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Monitor, Reason
+from maplines_can.wire.message.layout import PAGE, PAGE_BYTES, TRANSFER_ID
 from maplines_can.wire.message.packing import Packing
-from maplines_can.wire.message.signals import PAGE, PAGE_BYTES, TRANSFER_ID
 from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc_one
 
 MS = 1_000_000

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
-"""Write the DBC of each covariance code into dbc/, and the tables in dbc/README.md.
+"""Write the DBC of each covariance code, and the tables in dbc/README.md.
 
 python tools/make_dbc.py            write them
-python tools/make_dbc.py --check    say whether they are up to date
+python tools/make_dbc.py --check    report whether they are up to date
 """
 
 import sys
@@ -16,12 +16,12 @@ from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "dbc"
-#: Where the DBCs of the comparison codes are.
+#: Folder of the DBCs of the codes for comparison.
 STUDY = ROOT / "maplines_can" / "study" / "dbc"
 
 
 def wanted():
-    """The texts of all files."""
+    """Return the text of each file."""
     tables = {"fields": DEFAULT.table(), "codes": codes_table()}
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
     files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
@@ -30,17 +30,17 @@ def wanted():
 
 
 def path_of(code):
-    """``maplines.dbc`` for the default, else ``maplines-<code>.dbc`` of the study."""
+    """Return ``maplines.dbc`` for the default, else ``maplines-<code>.dbc`` of the study."""
     if code == DEFAULT.covariance_code:
         return FOLDER / "maplines.dbc"
     return STUDY / f"maplines-{code.lower()}.dbc"
 
 
 def codes_table():
-    """Each code with its file, its size and its guarantees."""
+    """Return the table of codes with their files, sizes and guarantees."""
     rows = [
         "| `CovarianceCode` | DBC | what is sent | bits of the covariance | classic frames | "
-        "definite whatever the bits | covers what is sent |",
+        "definite for all bits | covers the true covariance |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, code in CODES.items():

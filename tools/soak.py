@@ -37,7 +37,7 @@ from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults, FaultyBus, FaultyOpener
 from maplines_can.wire import Codec
-from maplines_can.wire.message.signals import PAGE_BYTES
+from maplines_can.wire.message.layout import PAGE_BYTES
 from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc
 
 FAULTS = "loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02"

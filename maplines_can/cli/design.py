@@ -6,23 +6,22 @@ import argparse
 import json
 import shlex
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..line import STATES
+from ..study.design.plan import Targets
 from ..study.design.search import SETS, design, sets_of
-from ..study.design.wire_plan import Targets
 from ..study.sets import Gaussians, line_set
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_design"]
 
 ABOUT = """\
-Design a wire to order: find the widths and factors of all fields and the order of the rows of
-the covariance that meet a target, and write the DBC and the page that goes with it.
+Design a message layout: find the widths and factors of all fields and the order of the covariance
+rows that meet a target, and write the DBC and a page about it.
 
 Targets, one of them or both:
   --frames N   the least divergence in N classic CAN frames
@@ -30,17 +29,17 @@ Targets, one of them or both:
                standard deviations 5 % too large, 1e-3 is 1.6 %, 1e-4 is 0.5 %
 
 for lines like those of a set:
-  paper        lines as the pose alone makes them uncertain: nearly singular covariances
-  road         the same with an uncertain map: what a real car would send
-  both         each counts alike
+  paper        uncertainty from the pose alone: nearly singular covariances
+  road         uncertainty from pose and map, as a car would send them
+  both         both sets, with equal weights
   FILE         your own Gaussians, .npz, .csv or .parquet: mean (N, 4) and cov (N, 4, 4)
 
-Whatever the design, each decoded covariance is definite and covers the one that was sent. Lines
-that are not like those of the set are covered too, by a covariance that is wider than need be
-(status SATURATED), or say that they do not fit (OUT_OF_RANGE).
+With any design, each decoded covariance is positive definite and covers the one that was sent.
+Lines unlike those of the set are covered too, by a covariance that is wider than necessary (status
+SATURATED), or are reported as OUT_OF_RANGE.
 
-Figures: predicted, from the fields' steps and ranges; measured, through the DBC and the codec on
-lines that the search has not seen.
+Figures: predicted, from the steps and ranges of the fields; measured, through the DBC and the codec
+on lines that the search has not seen.
 """
 EXAMPLES = """\
 examples:
@@ -52,23 +51,23 @@ examples:
 HELD_OUT_SEED = 1_000_003
 
 
-def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.ArgumentParser:
-    """Add the job ``design`` to those of ``maplines``.
+def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
+    """Add the command ``design`` to those of ``maplines``.
 
     Args:
-        subparsers: what ``ArgumentParser.add_subparsers`` returned.
-        bar: progress bar; None for none.
+        subparsers: from ``ArgumentParser.add_subparsers``.
+        bar: progress bar.
     """
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "design",
-        help="Design a wire to order: so many frames, or so small a divergence.",
+        help="Design a message layout for a number of frames or a divergence.",
         description=ABOUT,
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--frames", type=int, metavar="N", help="classic CAN frames of a line")
-    add("--max-kl", type=float, metavar="X", help="most divergence [nat]")
+    add("--frames", type=int, metavar="N", help="number of classic CAN frames of a line")
+    add("--max-kl", type=float, metavar="X", help="largest divergence [nat]")
     add("--set", dest="lines", default="both", metavar="SET", help="see above; both by default")
     add(
         "--range",
@@ -76,8 +75,8 @@ def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.Argu
         type=_of_states,
         default={},
         metavar="STATE=END,...",
-        help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]; the others "
-        "as in the project's own DBC, y_off=32,beta=0.5,c0=0.125,c1=0.03125",
+        help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]; by default "
+        "those of the project's own DBC, y_off=32,beta=0.5,c0=0.125,c1=0.03125",
     )
     add(
         "--sigma",
@@ -85,7 +84,7 @@ def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.Argu
         type=_of_states,
         default={},
         metavar="STATE=MOST,...",
-        help="greatest standard deviations; the others twice the greatest of the set",
+        help="greatest standard deviations; by default twice the greatest of the set",
     )
     add("--keep-mean", action="store_true", help="leave the mean as in the project's own DBC")
     add(
@@ -93,7 +92,7 @@ def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.Argu
         type=float,
         default=Targets.max_lateral,
         metavar="M",
-        help="most that rounding the mean may do to the lateral position at 80 m [m]; "
+        help="largest effect of rounding the mean on the lateral position at 80 m [m]; "
         f"{Targets.max_lateral:g} by default",
     )
     add(
@@ -101,24 +100,24 @@ def add_design(subparsers: Any, bar: Bar | None = progress_bar) -> argparse.Argu
         type=float,
         default=Targets.max_saturated,
         metavar="SHARE",
-        help="most lines that may meet the end of a range; "
-        f"{Targets.max_saturated:g} by default. Fewer take wider ranges, and so bits",
+        help="largest share of saturated lines; "
+        f"{Targets.max_saturated:g} by default. A smaller one needs wider ranges, and so bits",
     )
     add(
         "--n",
         type=int,
         default=5000,
-        help="lines of each set, and as many again to judge by; 5000 by default. With few, the "
-        "ends of the ranges are guesses",
+        help="lines of each set for the search, and as many for the figures; 5000 by default. Few "
+        "lines do not determine the ends of the ranges well",
     )
-    add("--seed", type=int, default=0, help="of the sets; 0 by default")
+    add("--seed", type=int, default=0, help="seed of the sets; 0 by default")
     add("--out", default="design.dbc", metavar="FILE", help="the DBC; design.dbc by default")
-    add("--json", action="store_true", help="print all figures and fields for machines")
+    add("--json", action="store_true", help="print all figures and fields as JSON")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
     return parser
 
 
-def _run(arguments: argparse.Namespace, bar: Bar | None) -> int:
+def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     targets = Targets(
         frames=arguments.frames,
         max_kl=arguments.max_kl,
@@ -131,28 +130,28 @@ def _run(arguments: argparse.Namespace, bar: Bar | None) -> int:
     if Path(arguments.out).suffix.lower() != ".dbc":
         raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
     sets, held_out = _lines(arguments)
-    with nullcontext() if bar is None else bar(" %") as tell:
+    with bar(" %") as update:
         progress = None
-        if tell is not None:
-            progress = _percent(tell)
+        if update is not None:
+            progress = _percent(update)
         result = design(sets, targets, held_out=held_out, progress=progress)
     dbc, page = result.write(arguments.out, _command(arguments))
     if arguments.json:
         print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
     else:
         print(result.text())
-        print(f"\n{dbc}: the wire\n{page}: what is in it")
+        print(f"\n{dbc}: the message layout\n{page}: its description")
     return 0
 
 
-def _percent(tell: Callable[[int, int], None]) -> Callable[[float, float], None]:
-    return lambda done, total: tell(round(100 * done / total), 100)
+def _percent(update: Callable[[int, int], None]) -> Callable[[float, float], None]:
+    return lambda done, total: update(round(100 * done / total), 100)
 
 
 def _lines(
     arguments: argparse.Namespace,
 ) -> tuple[dict[str, Gaussians], dict[str, Gaussians] | None]:
-    """Lines to search with, and lines to judge by."""
+    """Return lines for the search, and lines for the figures."""
     if not 100 <= arguments.n <= 10**6:
         raise ValueError(f"--n must be from 100 to 1000000, got {arguments.n}")
     if arguments.lines in SETS:
@@ -167,7 +166,7 @@ def _lines(
 
 
 def _command(arguments: argparse.Namespace) -> str:
-    """The command as it would be typed."""
+    """Return the command that repeats the design."""
     words = ["maplines", "design"]
     for flag, value in (
         ("--frames", arguments.frames),
@@ -189,7 +188,7 @@ def _command(arguments: argparse.Namespace) -> str:
 
 
 def _of_states(text: str) -> dict[str, float]:
-    """A type for argparse: numbers of some states."""
+    """Parse numbers of some states, for argparse."""
     numbers = {}
     for part in text.split(","):
         state, _, number = part.partition("=")

@@ -6,19 +6,15 @@ import argparse
 import json
 from typing import Any
 
-from ..study.production.messages import production_table
+from ..study.production.rounding import production_table
 from ..study.production.text import as_csv, as_markdown, as_records, as_text
 
 __all__ = ["add_production"]
 
 
 def add_production(subparsers: Any) -> argparse.ArgumentParser:
-    """Add the job ``production`` to the jobs of ``maplines study``.
-
-    Args:
-        subparsers: what ``ArgumentParser.add_subparsers`` returned.
-    """
-    about = "Lateral error of rounding in production lane messages, beside this project's own."
+    """Add the job ``production`` to the subparsers of ``maplines study`` and return its parser."""
+    about = "Print the lateral rounding error of production lane messages and of this project's."
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "production",
         help=about,
@@ -26,7 +22,7 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         epilog="example: maplines study production --markdown",
     )
     parser.add_argument(
-        "--n", type=int, default=2000, help="lines, 100 or more (default: %(default)s)"
+        "--n", type=int, default=2000, help="number of lines, 100 or more (default: %(default)s)"
     )
     parser.add_argument(
         "--seed",
@@ -35,9 +31,9 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         help="seed of the roads and their errors (default: %(default)s)",
     )
     form = parser.add_mutually_exclusive_group()
-    form.add_argument("--markdown", action="store_true", help="tables for a page")
-    form.add_argument("--csv", action="store_true", help="all figures as a table")
-    form.add_argument("--json", action="store_true", help="for machines")
+    form.add_argument("--markdown", action="store_true", help="print Markdown tables")
+    form.add_argument("--csv", action="store_true", help="print all figures as CSV")
+    form.add_argument("--json", action="store_true", help="print all figures as JSON")
     parser.set_defaults(run=_production)
     return parser
 

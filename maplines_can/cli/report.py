@@ -13,16 +13,12 @@ __all__ = ["add_report"]
 
 
 def add_report(jobs: Any) -> argparse.ArgumentParser:
-    """Add the job ``report`` to the subparsers of ``maplines study``; returns its parser.
-
-    Its default ``run`` takes the parsed arguments and returns the exit status; errors of the
-    tables and of the file are raised, in one line.
-    """
+    """Add the job ``report`` to the subparsers of ``maplines study`` and return its parser."""
+    about = "Write one HTML file with interactive plots of a sweep's tables."
     parser: argparse.ArgumentParser = jobs.add_parser(
         "report",
-        help="Make one HTML file with interactive plots of a sweep's tables.",
-        description="Make one HTML file with interactive plots of a sweep's tables. "
-        "It holds all it needs, and opens without a network.",
+        help=about,
+        description=f"{about} It includes its scripts, and opens without a network.",
         epilog="example: maplines study report sweep --out report.html",
     )
     parser.add_argument("folder", metavar="DIR", help="the tables of a sweep")

@@ -33,8 +33,8 @@ A set is
 
 The tables are written to DIR as Parquet: summary (codes and widths), fields (a bit more or less in
 each field), terms (the part of each field in the divergence, and theory), worst (the worst cases)
-and limit (the fewest bits that could do). You can stop the study at any time: the same command goes
-on where it stopped and gives the same tables, whichever workers ran it.
+and limit (the fewest bits that could do). You can stop the study at any time: the same command
+goes on where it stopped and gives the same tables, whichever workers ran it.
 """
 EXAMPLES = """\
 examples:
@@ -152,7 +152,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
             )
     except KeyboardInterrupt:
         print(
-            f"maplines: stopped; the results so far are in {arguments.out}; the same command goes on",
+            f"maplines: stopped; the same command goes on from the results in {arguments.out}",
             file=sys.stderr,
         )
         raise

@@ -1,4 +1,4 @@
-"""What the wire costs: sets of Gaussians, and figures of merit."""
+"""Studies of the wire: sets of Gaussians, figures of merit, sweeps, designs and reports."""
 
 from .metrics import LATERAL_X, Evaluation, evaluate
 from .sets import Gaussians, adversarial, paper, road

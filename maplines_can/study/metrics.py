@@ -99,7 +99,8 @@ def evaluate(
         sigma_ratio = np.sqrt(decoded_variance / variance)  # NaN where a variance is negative
     return Evaluation(
         positive_definite=definite,
-        largest_ratio=np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1] + penalty,
+        largest_ratio=np.asarray(np.linalg.eigvalsh((W + np.swapaxes(W, 1, 2)) / 2)[:, -1])
+        + penalty,
         kl_covered=divergence(target, np.zeros_like(z)) + penalty,
         kl=divergence(cov, z) + penalty,
         lateral_error=lateral(decoded_mean[:, None, :], x) - lateral(mean[:, None, :], x),
@@ -250,7 +251,7 @@ class Figure:
         if self.infinite or n < 2:
             return nan
         spread = self.squares - self.total**2 / n  # rounding within a chunk may make it negative
-        return sqrt(max(spread, 0) / (n * (n - 1)))
+        return sqrt(max(spread, Fraction()) / (n * (n - 1)))
 
     @property
     def rms(self) -> float:
@@ -302,8 +303,10 @@ class Figure:
             bins = Bins(*data["bins"])
             histogram = np.zeros(bins.count, dtype=np.int64)
             histogram[data["histogram"][0]] = data["histogram"][1]
-        sums, extremes = map(Fraction, data["sums"]), map(float, data["extremes"])
-        return cls(data["count"], data["infinite"], *sums, *extremes, bins, histogram)
+        total, squares = map(Fraction, data["sums"])
+        least, greatest = map(float, data["extremes"])
+        counts = data["count"], data["infinite"]
+        return cls(*counts, total, squares, least, greatest, bins, histogram)
 
 
 @dataclass(frozen=True, eq=False)

@@ -182,7 +182,7 @@ def _seen_lines(
         outside = np.maximum(boxes[:, 0] - mean[:2], mean[:2] - boxes[:, 1]).clip(0)
         for i in np.flatnonzero(np.hypot(*outside.T) <= reach):
             try:
-                refit = Refit(lines[i], mean, window)
+                refit = Refit(lines[int(i)], mean, window)
                 line_mean, line_cov = transform.moments(refit, Gaussian(mean, cov))
             except IllPosedError:  # not ahead of the car, or across it
                 continue

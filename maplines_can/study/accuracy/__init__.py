@@ -1,1 +1,1 @@
-"""How well each representation of a line stands for its true distribution."""
+"""Accuracy of the representations of a line against its true distribution."""

@@ -1,6 +1,6 @@
-"""The true distribution as a sample, and how well something stands for it.
+"""The true distribution as a sample, and the figures of an approximation of it.
 
-Definitions are those of ``study.truth``.
+The module ``table`` defines the figures.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from scipy.special import gammaincinv
 
 from ...gaussian import Gaussian
 from ...line import STATES, lateral, lateral_jacobian
+from ...mixture import GaussianMixture
 from ..metrics import LATERAL_X
 from .approximations import Approximation
 
-__all__ = ["Row", "Truth", "judged", "truth_of"]
+__all__ = ["Row", "TrueDistribution", "evaluate_approximation", "true_distribution"]
 
 Array = NDArray[np.float64]
 
@@ -25,18 +26,18 @@ Array = NDArray[np.float64]
 MASS = 0.99
 #: Cells of the grid along each parameter.
 BINS = 60
-#: Batches of the samples, for sampling errors.
+#: Batches of the samples, for the jackknife.
 BATCHES = 10
-#: Draws of each approximation, for its mass outside the true region.
+#: Draws from each approximation, for its mass outside the true region.
 DRAWS = 400_000
-#: Below this smallest eigenvalue of its correlation matrix a covariance is singular.
+#: Smallest eigenvalue of the correlation matrix below which a covariance is singular.
 SINGULAR = 1e-12
 PAIRS = tuple(combinations(range(len(STATES)), 2))
 
 
 @dataclass(frozen=True)
 class Row:
-    """One representation of one scene's line; ``_se`` is the standard error of a figure."""
+    """Figures of one representation of a scene's line; ``_se`` is a figure's standard error."""
 
     scenario: str
     representation: str
@@ -53,16 +54,27 @@ class Row:
     mean_error_se: tuple[float, ...]
     sigma_ratio: tuple[float, ...]  #: of l(x) at each of LATERAL_X
     sigma_ratio_se: tuple[float, ...]
-    coverage: float  #: in all four parameters
-    coverage_se: float
+
+    @property
+    def coverage(self) -> float:
+        """Share of the true samples inside the region, in all four parameters."""
+        return 1 - self.false_negatives
+
+    @property
+    def coverage_se(self) -> float:
+        """Standard error of the coverage."""
+        return self.false_negatives_se
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """The true distribution: samples, their moments and regions, and the same less each batch."""
+class TrueDistribution:
+    """Samples of the true distribution, with moments and regions for the jackknife.
+
+    Arrays of 1 + BATCHES entries have one for all samples, then one without each batch.
+    """
 
     samples: Array  #: (n, 4)
-    low: Array  #: (4,) where the grid begins
+    low: Array  #: (4,) lower ends of the grid
     width: Array  #: (4,) of its cells
     regions: NDArray[np.bool_]  #: (1 + BATCHES, 6, BINS + 2, BINS + 2); the border is outside
     moments: tuple[Gaussian, ...]  #: 1 + BATCHES
@@ -70,8 +82,8 @@ class Truth:
     lateral_sigma: Array  #: (1 + BATCHES, X) [m]
 
 
-def truth_of(samples: Array) -> Truth:
-    """The true distribution from (n, 4) samples.
+def true_distribution(samples: Array) -> TrueDistribution:
+    """Return the true distribution of (n, 4) samples.
 
     Raises:
         ValueError: fewer than 100 samples.
@@ -82,31 +94,28 @@ def truth_of(samples: Array) -> Truth:
     width = np.where(high > low, high - low, 1.0) / BINS
     x = np.array(LATERAL_X)
     mean, line_mean = samples.mean(axis=0), lateral(samples.mean(axis=0), x)
-    sizes, counts, sums = [], [], []
+    sums = []
     for batch in np.array_split(samples, BATCHES):
-        cells = _cells(batch, low, width, inside=True)
+        cells = _cells(batch, low, width).clip(1, BINS)  # rounding moves no sample out
         d, e = batch - mean, lateral(batch[:, None, :], x) - line_mean
-        sizes.append(len(batch))
-        counts.append(_counts(cells))
-        sums.append((d.sum(axis=0), d.T @ d, e.sum(axis=0), (e**2).sum(axis=0)))
+        moments = (d.sum(axis=0), d.T @ d, e.sum(axis=0), (e**2).sum(axis=0))
+        sums.append((len(batch), _counts(cells), *moments))
 
-    def left(values: Array) -> Array:
-        """The sum of all batches, and of all but each one."""
-        whole = values.sum(axis=0)
-        return np.concatenate([whole[None], whole - values])
+    def left(values: tuple[Array, ...]) -> Array:
+        """Return the sum of all batches, then the sums that leave out one batch."""
+        parts = np.array(values, dtype=float)
+        whole = parts.sum(axis=0)
+        return np.concatenate([whole[None], whole - parts])
 
-    size = left(np.array(sizes, dtype=float))
+    size, counts, *totals = map(left, zip(*sums, strict=True))
     first, second, line, line2 = (
-        left(np.array(part)) / size.reshape(-1, *[1] * np.ndim(part[0]))
-        for part in zip(*sums, strict=True)
+        total / size.reshape(-1, *[1] * (total.ndim - 1)) for total in totals
     )
-    return Truth(
+    return TrueDistribution(
         samples=samples,
         low=low,
         width=width,
-        regions=np.array(
-            [[_densest(pair) for pair in count] for count in left(np.array(counts, dtype=float))]
-        ),
+        regions=np.array([[_densest(pair) for pair in count] for count in counts]),
         moments=tuple(
             Gaussian(mean + a, S - np.outer(a, a)) for a, S in zip(first, second, strict=True)
         ),
@@ -115,76 +124,67 @@ def truth_of(samples: Array) -> Truth:
     )
 
 
-def judged(
-    truth: Truth, approximation: Approximation, names: tuple[str, str, str], seed: int = 0
+def evaluate_approximation(
+    true: TrueDistribution,
+    approximation: Approximation,
+    names: tuple[str, str, str],
+    seed: int = 0,
 ) -> Row:
-    """All figures of one representation.
+    """Return all figures of one representation.
 
     Args:
-        truth: what it stands for.
+        true: the true distribution.
         approximation: the representation.
         names: scenario, representation, and "before" or "after".
-        seed: of the draws of the approximation: the same before and after the wire.
+        seed: of the draws from the approximation, which are the same before and after the wire.
     """
-    if approximation.covs is None:
-        outside, outside_se, pairs, pairs_se = 1.0, 0.0, 1.0, 0.0
-        positives, positives_se, kl, kl_se = 0.0, 0.0, np.inf, 0.0
+    weights, means, covs = approximation.weights, approximation.means, approximation.covs
+    if covs is None:
+        negatives, pairs, positives, kl = (1.0, 0.0), (1.0, 0.0), (0.0, 0.0), (np.inf, 0.0)
     else:
-        draws = _draws(approximation, seed)
-        outside, outside_se, pairs, pairs_se = _false_negatives(truth, approximation, draws)
-        positives, positives_se = _false_positives(truth, draws)
-        whole = _whole(approximation)
-        values = np.array([_kl(true, whole) for true in truth.moments])
-        kl, kl_se = float(values[0]), float(_jackknife(values))
-    mean, sigma = _band(approximation)
-    ratios = sigma / truth.lateral_sigma
-    scenario, representation, wire = names
+        mixture = GaussianMixture(weights, tuple(map(Gaussian, means, covs)))
+        draws = _draws(mixture, seed)
+        negatives, pairs = _false_negatives(true.samples, mixture, draws)
+        positives, kl = _false_positives(true, draws), _kl(true, mixture.overall)
+    x = np.array(LATERAL_X)
+    lines = lateral(means[:, None, :], x)  # (k, X)
+    mean, sigma = weights @ lines, np.zeros(len(x))
+    if covs is not None:
+        J = lateral_jacobian(means[:, None, :], x)
+        within = np.einsum("kxi,kij,kxj->kx", J, covs, J)
+        sigma = np.sqrt(weights @ (within + (lines - mean) ** 2))
+    ratios = sigma / true.lateral_sigma
     return Row(
-        scenario=scenario,
-        representation=representation,
-        wire=wire,
-        false_negatives=outside,
-        false_negatives_se=outside_se,
-        false_negatives_pairs=pairs,
-        false_negatives_pairs_se=pairs_se,
-        false_positives=positives,
-        false_positives_se=positives_se,
-        kl=kl,
-        kl_se=kl_se,
-        mean_error=_floats(mean - truth.lateral_mean[0]),
-        mean_error_se=_floats(_jackknife(truth.lateral_mean)),
-        sigma_ratio=_floats(ratios[0]),
-        sigma_ratio_se=_floats(_jackknife(ratios)),
-        coverage=1 - outside,
-        coverage_se=outside_se,
+        *names,
+        *negatives,
+        *pairs,
+        *positives,
+        *kl,
+        mean_error=tuple((mean - true.lateral_mean[0]).tolist()),
+        mean_error_se=tuple(_jackknife(true.lateral_mean).tolist()),
+        sigma_ratio=tuple(ratios[0].tolist()),
+        sigma_ratio_se=tuple(_jackknife(ratios).tolist()),
     )
 
 
-def _floats(values: Array) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
-
-
 def _jackknife(values: Array) -> Array:
-    """Standard error from (1 + BATCHES, ...) figures, of all and of all but each batch."""
+    """Return the standard error from (1 + BATCHES, ...) values; 0 if one is not finite."""
     if not np.isfinite(values).all():
         return np.zeros(values.shape[1:])
     spread = ((values[1:] - values[1:].mean(axis=0)) ** 2).sum(axis=0)
     return np.asarray(np.sqrt((BATCHES - 1) / BATCHES * spread), dtype=float)
 
 
-# -- regions of the truth -------------------------------------------------------
+# -- false positives ------------------------------------------------------------
 
 
-def _cells(samples: Array, low: Array, width: Array, *, inside: bool = False) -> NDArray[np.intp]:
-    """(n, 4) numbers of cells, 1 to BINS; 0 and BINS + 1 are outside of the grid."""
-    place = np.floor((samples - low) / width).clip(-1, BINS)
-    if inside:  # the last cell holds its upper edge, and rounding moves no sample out
-        place = place.clip(0, BINS - 1)
-    return place.astype(np.intp) + 1
+def _cells(samples: Array, low: Array, width: Array) -> NDArray[np.intp]:
+    """Return the (n, 4) cells of samples, 1 to BINS; 0 and BINS + 1 are outside the grid."""
+    return np.floor((samples - low) / width).clip(-1, BINS).astype(np.intp) + 1
 
 
 def _counts(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-    """(6, BINS + 2, BINS + 2) samples in each cell of each pair."""
+    """Return the (6, BINS + 2, BINS + 2) number of samples in each cell of each pair."""
     side = BINS + 2
     return np.array(
         [
@@ -195,7 +195,7 @@ def _counts(cells: NDArray[np.intp]) -> NDArray[np.intp]:
 
 
 def _densest(count: Array) -> NDArray[np.bool_]:
-    """The fewest cells that hold ``MASS`` of the samples."""
+    """Return the smallest set of cells that holds ``MASS`` of the samples."""
     order = np.argsort(-count, axis=None, kind="stable")
     total = np.cumsum(count.ravel()[order])
     chosen = np.zeros(count.size, dtype=bool)
@@ -203,106 +203,91 @@ def _densest(count: Array) -> NDArray[np.bool_]:
     return chosen.reshape(count.shape)
 
 
-# -- figures --------------------------------------------------------------------
+def _draws(mixture: GaussianMixture, seed: int) -> Array:
+    """Draw (DRAWS, 4) samples, stratified: each component gets exactly its share.
+
+    The normal numbers are the same before and after the wire.
+    """
+    draws = np.random.default_rng([seed, 3]).standard_normal((DRAWS, len(STATES)))
+    edges = np.round(np.cumsum(mixture.weights) * DRAWS).astype(int)
+    for start, end, component in zip((0, *edges), edges, mixture.components, strict=False):
+        draws[start:end] = component.mean + draws[start:end] @ component.root.T
+    return draws
 
 
-def _draws(approximation: Approximation, seed: int) -> Array:
-    """(DRAWS, 4) of the approximation; its parts in turn."""
-    assert approximation.covs is not None  # noqa: S101  # a point is not drawn from
-    rng = np.random.default_rng([seed, 3])
-    normal = rng.standard_normal((DRAWS, len(STATES)))
-    # Stratified: each part gets its share to the draw, and the same normals as before the wire.
-    edges = np.round(np.cumsum(approximation.weights) * DRAWS).astype(int)
-    start = 0
-    for end, mean, cov in zip(edges, approximation.means, approximation.covs, strict=True):
-        normal[start:end] = mean + normal[start:end] @ Gaussian(mean, cov).root.T
-        start = end
-    return normal
-
-
-def _false_positives(truth: Truth, draws: Array) -> tuple[float, float]:
-    cells = _cells(draws, truth.low, truth.width)
-    counts = _counts(cells)
-    inside = np.einsum("bpij,pij->b", truth.regions, counts) / (len(draws) * len(PAIRS))
+def _false_positives(true: TrueDistribution, draws: Array) -> tuple[float, float]:
+    cells = _cells(draws, true.low, true.width)
+    inside = np.einsum("bpij,pij->b", true.regions, _counts(cells)) / (len(draws) * len(PAIRS))
     out = np.zeros(len(draws))
-    for region, (i, j) in zip(truth.regions[0], PAIRS, strict=True):
+    for region, (i, j) in zip(true.regions[0], PAIRS, strict=True):
         out += ~region[cells[:, i], cells[:, j]]
     own = out.std() / len(PAIRS) / np.sqrt(len(draws))
     return float(1 - inside[0]), float(np.hypot(own, _jackknife(inside)))
 
 
+# -- false negatives and KL -----------------------------------------------------
+
+
 def _false_negatives(
-    truth: Truth, approximation: Approximation, draws: Array
-) -> tuple[float, float, float, float]:
-    """In four parameters and over the pairs, each with its error."""
-    regions = [
-        _Region(approximation, list(columns), draws) for columns in (range(len(STATES)), *PAIRS)
-    ]
-    n, four, pairs, pairs2 = len(truth.samples), 0, 0.0, 0.0
-    for part in np.array_split(truth.samples, BATCHES):
-        batch = np.ascontiguousarray(part.T)
-        four += int(regions[0].outside(batch).sum())
-        out = np.zeros(len(part))
-        for region in regions[1:]:
-            out += region.outside(batch)
-        out /= len(PAIRS)
-        pairs, pairs2 = pairs + float(out.sum()), pairs2 + float((out**2).sum())
-    share, pair_share = four / n, pairs / n
-    edge = max(region.edge_error for region in regions)
-    return (
-        share,
-        float(np.hypot(np.sqrt(share * (1 - share) / n), edge)),
-        pair_share,
-        float(np.hypot(np.sqrt(max(pairs2 / n - pair_share**2, 0) / n), edge)),
+    samples: Array, mixture: GaussianMixture, draws: Array
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return share and standard error in four parameters, and as the mean over the pairs."""
+    (four, edge_error), *pairs = (
+        _outside(mixture, list(columns), samples, draws) for columns in (range(4), *PAIRS)
+    )
+    edge = max(edge_error, *(error for _, error in pairs))
+    of_pairs = np.mean([out for out, _ in pairs], axis=0)
+    return tuple(  # type: ignore[return-value]  # two of them
+        (float(out.mean()), float(np.hypot(out.std() / np.sqrt(len(samples)), edge)))
+        for out in (four, of_pairs)
     )
 
 
-class _Region:
-    """The region of highest density of some parameters of an approximation."""
+def _outside(
+    mixture: GaussianMixture, columns: list[int], samples: Array, draws: Array
+) -> tuple[NDArray[np.bool_], float]:
+    """Return which samples lie outside the region of highest density of some parameters.
 
-    def __init__(self, approximation: Approximation, columns: list[int], draws: Array) -> None:
-        assert approximation.covs is not None  # noqa: S101  # a point has no region
-        self._columns = columns
-        self._means = approximation.means[:, columns]
-        covs = approximation.covs[:, columns][:, :, columns]
-        whiteners = [_whitener(cov) for cov in covs]
-        self._whiteners = [W for W in whiteners if W is not None]
-        self._flat = len(self._whiteners) < len(whiteners)
-        self.edge_error = 0.0
-        self._edge, self._log_weights = 2 * gammaincinv(len(columns) / 2, MASS), np.zeros(1)
-        if len(whiteners) > 1 and not self._flat:
-            log_dets = np.array([np.log(np.abs(W.diagonal())).sum() for W in self._whiteners])
-            self._log_weights = np.log(approximation.weights) + log_dets
-            self._log_weights -= self._log_weights.max()
-            self._edge = float(np.quantile(self._depth(draws.T[columns]), MASS))
-            self.edge_error = float(np.sqrt(MASS * (1 - MASS) / len(draws)))
+    Args:
+        mixture: whose marginal has the region.
+        columns: the parameters.
+        samples: (n, 4).
+        draws: from the mixture; its edge is found from them unless it is one Gaussian.
 
-    def _depth(self, x: Array) -> Array:
-        """(n,) minus twice the log density at (parameters, n) points, up to a constant.
+    Returns:
+        (n,) which samples are outside: all of them if a component is singular.
+        Standard error of the region's mass.
+    """
+    marginal = mixture.marginal(columns)
+    whiteners = [W for cov in marginal.covs if (W := _whitener(cov)) is not None]
+    k = len(marginal.weights)
+    if len(whiteners) < k:
+        return np.ones(len(samples), dtype=bool), 0.0
+    log_weights = np.log(marginal.weights)
+    log_weights += [np.log(np.abs(W.diagonal())).sum() for W in whiteners]
+    log_weights -= log_weights.max()
 
-        For one Gaussian it is the squared distance.
-        """
+    def depth(points: Array) -> Array:
+        """Return -2 log density of (n, 4) points, up to a constant."""
+        x = np.ascontiguousarray(points.T)[columns]
         depths = [
             ((W @ (x - mean[:, None])) ** 2).sum(axis=0) - 2 * log_weight
-            for mean, W, log_weight in zip(
-                self._means, self._whiteners, self._log_weights, strict=True
-            )
+            for mean, W, log_weight in zip(marginal.means, whiteners, log_weights, strict=True)
         ]
         least = np.min(depths, axis=0)
-        if len(depths) == 1:
-            return np.asarray(least, dtype=float)
-        total = sum(np.exp((least - depth) / 2) for depth in depths)
+        total = sum(np.exp((least - each) / 2) for each in depths)
         return np.asarray(least - 2 * np.log(total), dtype=float)
 
-    def outside(self, samples: Array) -> NDArray[np.bool_]:
-        """(n,) which of (4, n) samples lie outside."""
-        if self._flat:
-            return np.ones(samples.shape[1], dtype=bool)
-        return np.asarray(self._depth(samples[self._columns]) > self._edge)
+    edge, edge_error = 2 * gammaincinv(len(columns) / 2, MASS), 0.0
+    if k > 1:
+        edge = float(np.quantile(depth(draws), MASS))
+        edge_error = float(np.sqrt(MASS * (1 - MASS) / len(draws)))
+    out = [depth(part) > edge for part in np.array_split(samples, BATCHES)]
+    return np.concatenate(out), edge_error
 
 
 def _whitener(cov: Array) -> Array | None:
-    """Lower-triangular W with ``W cov W^T`` the identity; None where cov is singular."""
+    """Return the lower-triangular W with ``W cov W^T = I``, or None if cov is singular."""
     variance = cov.diagonal()
     if not (variance > 0).all():
         return None
@@ -313,27 +298,8 @@ def _whitener(cov: Array) -> Array | None:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / scale, dtype=float)
 
 
-def _whole(approximation: Approximation) -> Gaussian:
-    """The one Gaussian with its mean and covariance."""
-    assert approximation.covs is not None  # noqa: S101  # a point has no moments to compare
-    w, means, covs = approximation.weights, approximation.means, approximation.covs
-    mean = w @ means
-    d = means - mean
-    return Gaussian(mean, np.einsum("k,kij->ij", w, covs + d[:, :, None] * d[:, None, :]))
-
-
-def _kl(true: Gaussian, other: Gaussian) -> float:
-    return np.inf if _whitener(other.cov) is None else true.kl(other)
-
-
-def _band(approximation: Approximation) -> tuple[Array, Array]:
-    """Mean and standard deviation of l(x) at LATERAL_X."""
-    x = np.array(LATERAL_X)
-    w, means = approximation.weights, approximation.means
-    lines = lateral(means[:, None, :], x)  # (k, X)
-    mean = w @ lines
-    if approximation.covs is None:
-        return mean, np.zeros(len(x))
-    J = lateral_jacobian(means[:, None, :], x)
-    within = np.einsum("kxi,kij,kxj->kx", J, approximation.covs, J)
-    return mean, np.sqrt(w @ (within + (lines - mean) ** 2))
+def _kl(true: TrueDistribution, other: Gaussian) -> tuple[float, float]:
+    if _whitener(other.cov) is None:
+        return np.inf, 0.0
+    values = np.array([each.kl(other) for each in true.moments])
+    return float(values[0]), float(_jackknife(values))

@@ -1,21 +1,22 @@
-"""Base of the codes that decode arrays only, and rounding that several codes share."""
+"""What the codes for comparison share."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ...errors import LayoutError
 from ...wire.covariance.code import Array, CovarianceCode
+from ...wire.message.layout import Layout
 from ...wire.message.signals import Signal
 
-__all__ = ["BatchCode", "nearest_raw"]
+__all__ = ["BatchCode", "check_linear"]
 
 
 class BatchCode(CovarianceCode):
-    """A code whose single records are decoded as batches of one."""
+    """Base of codes that decode a single record as a batch of one."""
 
     @final
     def decode_one(self, raw: Mapping[str, int]) -> Array:
@@ -23,8 +24,10 @@ class BatchCode(CovarianceCode):
         return self.decode({name: np.array([raw[name]]) for name in names})[0]
 
 
-def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
-    nearest = signal.raw(physical)
-    limited = signal.limited(nearest)
-    return limited.astype(np.int64), nearest != limited
+def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
+    """Raise ``LayoutError`` unless the signals have positive factors and no offsets."""
+    for signal in signals:
+        if signal.factor <= 0 or signal.offset:
+            raise LayoutError(
+                f"{layout.source}: signal {signal.name} needs a positive factor and no offset"
+            )

@@ -2,9 +2,8 @@
 
 RTCA DO-229, A.4.4.16: ``R = 2^(scale exponent - 5) E`` with E upper triangular, four diagonal
 elements of 9 bits, six others of 10 bits, and a scale exponent of 3 bits, 99 in all; the covariance
-is ``R^T R``. The states have static units here, and the order c0, beta, y_off, c1. SBAS
-makes up for the rounding by a constant that it broadcasts besides; here the factor
-itself is made larger until it covers.
+is ``R^T R``. Here the states have fixed units and the order c0, beta, y_off, c1. SBAS makes up
+for rounding by a constant that it also broadcasts; here the factor is enlarged until it covers.
 """
 
 from __future__ import annotations
@@ -14,29 +13,27 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import LayoutError
 from ...wire.covariance.code import Array, Coded, check_octaves
-from ...wire.message.layout import Layout
-from ...wire.message.signals import STATE_SIGNALS
-from .batch import BatchCode
+from ...wire.message.layout import STATE_SIGNALS, Layout
+from .batch import BatchCode, check_linear
 
 __all__ = ["IntegerCholesky", "entry_name"]
 
 #: States in the order of the factor, and the unit of each.
 ORDER = (2, 1, 0, 3)
 UNIT = np.array([2.0**-8, 2.0**-12, 2.0**-14, 2.0**-16])
-#: Least excess of what is coded over what it must cover, relative.
+#: Relative margin of the coded matrix over the one it must cover.
 MARGIN = 1e-6
 TRIES = 24
 
 
 def entry_name(i: int, j: int) -> str:
-    """Return the signal of an entry of the factor."""
+    """Return the name of the signal of an entry of the factor."""
     return f"Root{STATE_SIGNALS[ORDER[i]]}{STATE_SIGNALS[ORDER[j]]}"
 
 
 class IntegerCholesky(BatchCode):
-    """The factor with the least exponent into which it fits, and large enough to cover.
+    """A factor with the smallest exponent that holds it, enlarged until it covers.
 
     Any bits with diagonal elements of 1 or more give a positive definite matrix.
     """
@@ -53,11 +50,7 @@ class IntegerCholesky(BatchCode):
         }  # of the upper triangle
         self.signals = (self.exponent, *self.entries.values())
         check_octaves(layout, [self.exponent])
-        for signal in self.entries.values():
-            if signal.factor <= 0 or signal.offset:
-                raise LayoutError(
-                    f"{layout.source}: signal {signal.name} needs a positive factor and no offset"
-                )
+        check_linear(layout, self.entries.values())
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         n, order = len(error), list(ORDER)
@@ -87,7 +80,7 @@ class IntegerCholesky(BatchCode):
         return Coded(raw, np.zeros(n, dtype=bool), done)
 
     def _rounded(self, M: Array) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
-        """Raw values of (n, 4, 4) matrices, with the least exponent that holds them."""
+        """Return raw values of (n, 4, 4) matrices, and which fit, with the smallest exponents."""
         L = np.linalg.cholesky(M)
         least = np.full(len(M), self.exponent.physical_range[0])
         for (i, j), signal in self.entries.items():
@@ -124,7 +117,7 @@ class IntegerCholesky(BatchCode):
 
 
 def _largest_ratio(decoded: Array, M: Array) -> Array:
-    """(n,) largest eigenvalue of decoded^-1 M, and a little more for rounding."""
+    """Return (n,) largest eigenvalues of decoded^-1 M, with a margin for rounding."""
     inverse = np.linalg.inv(np.linalg.cholesky(decoded))
     ratio = np.linalg.eigvalsh(inverse @ M @ inverse.transpose(0, 2, 1))[:, -1]
     return np.asarray(ratio * (1 + MARGIN), dtype=float)

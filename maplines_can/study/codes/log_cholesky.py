@@ -1,7 +1,7 @@
-"""Log-Cholesky without feedback: each pivot and each ratio rounded by itself.
+"""Log-Cholesky without feedback: each pivot and each ratio is rounded on its own.
 
-The signals are those of the default code. Nothing makes the result cover what was sent: an error
-in one entry propagates to all entries that depend on it.
+The signals are those of the default code without its inflation. The decoded covariance need not
+cover the true one: an error in one entry propagates to all entries that depend on it.
 """
 
 from __future__ import annotations
@@ -11,19 +11,18 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...wire.covariance.code import Array, Coded, CovarianceCode
+from ...wire.covariance.code import Array, Coded, CovarianceCode, nearest_raw
 from ...wire.covariance.factor import CholeskyFactor
 from ...wire.message.layout import Layout
-from .batch import nearest_raw
 
 __all__ = ["LogCholesky"]
 
 
 class LogCholesky(CovarianceCode):
-    """Pivots and ratios, each the nearest."""
+    """Pivots and ratios, each rounded to the nearest."""
 
     name = "LogCholesky"
-    about = "log2 of the Cholesky pivots, and the rows over their pivots, each rounded by itself"
+    about = "log2 of the Cholesky pivots, and the rows over their pivots, each rounded on its own"
     positive_definite = True
     covering = False
 

@@ -1,4 +1,9 @@
-"""Less than a covariance: standard deviations only, or nothing besides the mean."""
+"""Logarithmic standard deviations, with or without correlations, or the mean only.
+
+ETSI's collective perception message (TS 103 324) sends a standard deviation for each state and the
+lower triangle of the correlation matrix in steps of 1 %. The six rounded correlations need not be
+consistent, so that the decoded matrix need not be positive definite.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +13,72 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...line import VAGUE_SIGMA, Status
-from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves
-from ...wire.message.layout import Layout
-from ...wire.message.signals import STATE_SIGNALS
+from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
+from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.signals import Signal
 from .batch import BatchCode
 
-__all__ = ["MeanOnly", "Sigmas"]
+__all__ = ["LogCorrelation", "MeanOnly", "Sigmas"]
+
+
+def _rounded_up(
+    signal: Signal, octaves: Array, slack: float
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the smallest (N,) raw values that are no less, and which exceed the range."""
+    steps = np.ceil((octaves - signal.offset) / signal.factor + slack)
+    return signal.limited(steps).astype(np.int64), steps > signal.raw_max
+
+
+class LogCorrelation(BatchCode):
+    """Standard deviations rounded up, correlations rounded to the nearest."""
+
+    name = "LogCorrelation"
+    about = "log2 of the standard deviations, rounded up, and correlations in steps of 1 %"
+    positive_definite = False
+    covering = False
+
+    def __init__(self, layout: Layout) -> None:
+        self.sigmas = [layout[f"Sigma{state}"] for state in STATE_SIGNALS]
+        self.correlations = {
+            (i, j): layout[f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}"]
+            for i in range(4)
+            for j in range(i + 1, 4)
+        }
+        self.signals = (*self.sigmas, *self.correlations.values())
+        check_octaves(layout, self.sigmas)
+
+    def encode(self, error: Array, resolution: Array) -> Coded:
+        sigma = np.sqrt(np.einsum("nii->ni", error) + resolution)
+        raw: dict[str, NDArray[np.int64]] = {}
+        cut = np.zeros(len(error), dtype=bool)
+        for i, signal in enumerate(self.sigmas):
+            raw[signal.name], beyond = _rounded_up(signal, np.log2(sigma[:, i]), -1e-9)
+            cut |= beyond
+        for (i, j), signal in self.correlations.items():
+            value = error[:, i, j] / (sigma[:, i] * sigma[:, j])
+            raw[signal.name], _ = nearest_raw(signal, value.clip(-1, 1))
+        return Coded(raw, cut, ~cut)
+
+    def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        sigma = np.stack([np.exp2(signal.physical(raw[signal.name])) for signal in self.sigmas], -1)
+        cov = np.empty((len(sigma), 4, 4))
+        for i in range(4):
+            cov[:, i, i] = sigma[:, i] ** 2
+        for (i, j), signal in self.correlations.items():
+            value = signal.physical(raw[signal.name]) * sigma[:, i] * sigma[:, j]
+            cov[:, i, j] = cov[:, j, i] = value
+        return cov
+
+    def widest(self) -> dict[str, int]:
+        zero = {signal.name: 0 for signal in self.signals}
+        return zero | {signal.name: signal.raw_max for signal in self.sigmas}
 
 
 class Sigmas(BatchCode):
     """Four logarithmic standard deviations, rounded up.
 
-    They cover the variances. Correlations are not sent, and not covered: the
-    line's status is DIAGONAL.
+    They cover the variances. Correlations are neither sent nor covered; the status of the line
+    is DIAGONAL.
     """
 
     name = "Sigmas"
@@ -34,17 +92,17 @@ class Sigmas(BatchCode):
         check_octaves(layout, self.signals)
 
     def encode(self, error: Array, resolution: Array) -> Coded:
-        # A diagonal matrix covers another when each row's other entries fit into its surplus, in
-        # any units; in those of the mean's own resolution they are of one size.
+        # A diagonal matrix covers another one if in each row the surplus of its diagonal is at
+        # least the sum of the other entries, in any units. In units of the resolution of the mean
+        # all entries are of similar size.
         unit = np.sqrt(resolution)
         bound = (np.abs(error / (unit[:, None] * unit))).sum(axis=2) * unit**2
         raw: dict[str, NDArray[np.int64]] = {}
         cut = np.zeros(len(error), dtype=bool)
         for i, signal in enumerate(self.signals):
-            wanted = np.log2(np.maximum(bound[:, i], resolution[i])) / 2
-            steps = np.ceil((wanted - signal.offset) / signal.factor + 1e-6)
-            raw[signal.name] = signal.limited(steps).astype(np.int64)
-            cut |= steps > signal.raw_max
+            octaves = np.log2(np.maximum(bound[:, i], resolution[i])) / 2
+            raw[signal.name], beyond = _rounded_up(signal, octaves, 1e-6)
+            cut |= beyond
         return Coded(raw, cut, ~cut)
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
@@ -56,10 +114,10 @@ class Sigmas(BatchCode):
 
 
 class MeanOnly(CovarianceCode):
-    """No covariance at all: what most interfaces send. The line's status is UNKNOWN."""
+    """No covariance, as in most interfaces; the status of the line is UNKNOWN."""
 
     name = "MeanOnly"
-    about = "the mean, and nothing of its covariance"
+    about = "the mean only"
     positive_definite = True
     covering = False
     status = Status.UNKNOWN

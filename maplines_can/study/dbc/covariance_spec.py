@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from ...wire.message.signals import STATE_SIGNALS
-from ..codes.floats import half_name
+from ...wire.message.layout import STATE_SIGNALS
 from ..codes.integer_cholesky import ORDER, entry_name
-from ..codes.linear import PAIRS, triangle_name
+from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec
 
 __all__ = ["covariance_signals", "pivot_signal", "ratio_signal"]
@@ -62,6 +61,9 @@ def _finer(spec: SignalSpec, bits: int) -> SignalSpec:
     return spec.finer(bits)
 
 
+# The numbers of a signal stand on one line, its texts below.
+# fmt: off
+
 # ---- the default code -----------------------------------------------------------------
 
 
@@ -83,16 +85,12 @@ def ratio_signal(
     ends = offset, offset + 2**bits * factor
     reach = f"+-{ends[1]:g}" if signed else f"{ends[0]:g} to {ends[1]:g}"
     return SignalSpec(
-        name=f"Ratio{row}{column}",
-        bits=bits,
-        factor=factor,
-        offset=0 if signed else offset,
+        name=f"Ratio{row}{column}", bits=bits, factor=factor, offset=0 if signed else offset,
         signed=signed,
         about=f"Entry ({row}, {column}) of the lower Cholesky factor of the covariance, divided "
-        f"by the pivot of {row}.",
+              f"by the pivot of {row}.",
         why=f"step {_fraction(factor)}: the expected KL of its rounding is step^2/24; range "
-        f"{reach}, {why or 'as far as covariances of pose error alone need'}",
-    )
+            f"{reach}, {why or 'as far as covariances of pose error alone need'}")
 
 
 def _fraction(factor: float) -> str:
@@ -116,15 +114,10 @@ def pivot_signal(
     *first, last = given or ("",)
     of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
     return SignalSpec(
-        name=f"Pivot{state}",
-        bits=bits,
-        factor=factor,
-        offset=offset,
-        unit="octave",
+        name=f"Pivot{state}", bits=bits, factor=factor, offset=offset, unit="octave",
         about=f"log2 of the standard deviation of {state} [{unit}]{of}.",
         why=f"from the resolution of the mean, 2^{offset:g} {unit}, upwards in steps of "
-        f"{100 * (2**factor - 1):.2g} %",
-    )
+            f"{100 * (2**factor - 1):.2g} %")
 
 
 #: The rows of the default DBC. ``maplines design`` computes them from the targets in
@@ -142,93 +135,69 @@ _PIVOTS_AND_RATIOS = (
     ratio_signal("Beta", "YOff", 8, 1 / 32, zero=3 / 8),
 )
 _INFLATION = SignalSpec(
-    name="Inflation",
-    bits=3,
-    factor=0.0124,
-    unit="octave",
+    name="Inflation", bits=3, factor=0.0124, unit="octave",
     about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
-    "covariance is 2^Inflation L L^T.",
+          "covariance is 2^Inflation L L^T.",
     why="steps of 0.9 % of the variance; up to 6.2 %, enough for all but two roundings in a "
-    "thousand",
-)
+        "thousand")
 
 
 # ---- codes for comparison -------------------------------------------------------------
 
 _SCALE_EXPONENT = SignalSpec(
-    name="ScaleExponent",
-    bits=3,
-    offset=-5,
-    unit="octave",
+    name="ScaleExponent", bits=3, offset=-5, unit="octave",
     about="log2 of the common factor of all elements.",
-    why="as in SBAS Message Type 28",
-)
+    why="as in SBAS Message Type 28")
 
 
 def _integer_entries() -> Iterator[SignalSpec]:
     for i in range(4):
         for j in range(i, 4):
             yield SignalSpec(
-                name=entry_name(i, j),
-                bits=9 if i == j else 10,
-                signed=i != j,
+                name=entry_name(i, j), bits=9 if i == j else 10, signed=i != j,
                 about=f"Element of the upper Cholesky factor, of {STATE_SIGNALS[ORDER[i]]} and "
-                f"{STATE_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, 2^-16 1/m^2.",
-                why="as in SBAS Message Type 28",
-            )
+                      f"{STATE_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, "
+                      "2^-16 1/m^2.",
+                why="as in SBAS Message Type 28")
 
 
 def _linear_triangle() -> Iterator[SignalSpec]:
     for i, j in PAIRS:
         first, second = (f"{LARGEST_SIGMA[k]:g} {UNITS[k]}" for k in (i, j))
         yield SignalSpec(
-            name=triangle_name(i, j),
-            bits=16,
+            name=triangle_name(i, j), bits=16,
             factor=LARGEST_SIGMA[i] * LARGEST_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
-            unit=f"{UNITS[i]} {UNITS[j]}",
-            signed=i != j,
+            unit=f"{UNITS[i]} {UNITS[j]}", signed=i != j,
             about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
-            why=f"up to sigmas of {first} and {second}",
-        )
+            why=f"up to sigmas of {first} and {second}")
 
 
 def _float_triangle(bits: int) -> Iterator[SignalSpec]:
-    """Yield entries as binary32, or as the bit patterns of binary16, for which a DBC has no type."""
+    """Yield entries as binary32, or as bit patterns of binary16 (a DBC has no type for it)."""
     is_float = bits == 32
     for i, j in PAIRS:
         unit = f"{UNITS[i]} {UNITS[j]}"
         pattern = "" if is_float else ", as the bit pattern of IEEE 754 binary16"
         yield SignalSpec(
-            name=triangle_name(i, j) if is_float else half_name(i, j),
-            bits=bits,
-            unit=unit if is_float else "",
-            is_float=is_float,
+            name=triangle_name(i, j) if is_float else half_name(i, j), bits=bits,
+            unit=unit if is_float else "", is_float=is_float,
             about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]} [{unit}]{pattern}.",
-            why=f"a float{bits}",
-        )
+            why=f"a float{bits}")
 
 
 def _sigmas() -> Iterator[SignalSpec]:
     for state, unit, least in zip(STATE_SIGNALS, UNITS, LEAST_OCTAVES, strict=True):
         yield SignalSpec(
-            name=f"Sigma{state}",
-            bits=8,
-            factor=0.0625 if least > -20 else 0.109375,
-            offset=least,
+            name=f"Sigma{state}", bits=8, factor=0.0625 if least > -20 else 0.109375, offset=least,
             unit="octave",
             about=f"log2 of the standard deviation of {state} [{unit}].",
-            why="from the resolution of the mean upwards",
-        )
+            why="from the resolution of the mean upwards")
 
 
 def _correlations() -> Iterator[SignalSpec]:
     for i, j in PAIRS:
         if i != j:
             yield SignalSpec(
-                name=f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}",
-                bits=8,
-                factor=0.01,
-                signed=True,
+                name=f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}", bits=8, factor=0.01, signed=True,
                 about=f"Correlation of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
-                why="steps of 1 %, as in ETSI's CorrelationCellValue",
-            )
+                why="steps of 1 %, as in ETSI's CorrelationCellValue")

@@ -15,8 +15,7 @@ from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 from cantools.database.conversion import BaseConversion
 
 from ...line import Slot
-from ...wire.message.channel import fd_length
-from ...wire.message.signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID
+from ...wire.message.layout import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, fd_length
 
 __all__ = ["TRANSFER_ID_BITS", "DbcWriter", "SignalSpec", "paged"]
 
@@ -66,37 +65,31 @@ def _plain(value: float) -> float:
     return int(value) if value.is_integer() else value
 
 
+# fmt: off
 _PAGE = SignalSpec(
-    name=PAGE, bits=0, about="Page of the record: the multiplexer.", why="as many as pages"
-)
+    name=PAGE, bits=0,
+    about="Page of the record: the multiplexer.",
+    why="as many as pages")
 _TRANSFER_ID = SignalSpec(
-    name=TRANSFER_ID,
-    bits=TRANSFER_ID_BITS,
+    name=TRANSFER_ID, bits=TRANSFER_ID_BITS,
     about="Transfer that the page belongs to: the low bits of Counter. A line is accepted only if "
-    "all pages have the same number and the checksum over all of them is correct.",
-    why="distinguishes 16 transfers in a row, long enough for an incomplete one to time out",
-)
+          "all pages have the same number and the checksum over all of them is correct.",
+    why="distinguishes 16 transfers in a row, long enough for an incomplete one to time out")
 _KEY_ID = SignalSpec(
-    name="KeyId",
-    bits=8 * SECURED_SIGNALS["KeyId"],
+    name="KeyId", bits=8 * SECURED_SIGNALS["KeyId"],
     about="Number of the key of the MAC, which covers it.",
-    why="a byte: the old key, the new one, and numbers for later ones",
-)
+    why="a byte: the old key, the new one, and numbers for later ones")
 _FRESHNESS = SignalSpec(
-    name="Freshness",
-    bits=0,
-    unit="us",
+    name="Freshness", bits=0, unit="us",
     about="Low bytes of the freshness value: the sender's time since 1970, larger in each frame "
-    "than in the frame before.",
+          "than in the frame before.",
     why="7 bytes last 2283 years, so that each frame holds the whole value and no synchronisation "
-    "is needed; a record of 32 bytes leaves 16 in the next length of CAN FD",
-)
+        "is needed; a record of 32 bytes leaves 16 in the next length of CAN FD")
 _MAC = SignalSpec(
-    name="Mac",
-    bits=0,
+    name="Mac", bits=0,
     about="First bytes of the AES-CMAC (RFC 4493).",
-    why="64 bits, the minimum that NIST SP 800-38B advises without an analysis of guesses",
-)
+    why="64 bits, the minimum that NIST SP 800-38B advises without an analysis of guesses")
+# fmt: on
 
 
 @dataclass(frozen=True)
@@ -217,7 +210,7 @@ class DbcWriter:
         for number in range(len(self.pages)):
             for spec, start in self._placed(number):
                 if spec.name != PAGE:
-                    ids = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                    ids: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
                     signals.append(_signal(spec, start, **ids))
                 elif number == 0:
                     signals.append(_signal(spec, start, is_multiplexer=True))
@@ -290,7 +283,7 @@ def _signal(
     )
 
 
-def _attributes(values: dict[str, Any]) -> OrderedDict[str, DbcAttribute]:
+def _attributes(values: dict[str, Any]) -> OrderedDict[str, DbcAttribute[Any]]:
     definitions = _attribute_definitions()
     return OrderedDict(
         (name, DbcAttribute(value, definitions[name])) for name, value in values.items()

@@ -1,1 +1,1 @@
-"""A wire to order: widths, factors and the order of rows that meet a target."""
+"""Design of message layouts: widths, factors and row order that meet a target."""

@@ -1,16 +1,18 @@
-"""What each bit of a covariance's fields buys, before anything is encoded.
+"""Sensitivity of the KL divergence to the width of each field, without encoding a line.
 
 With ``T = S + F`` the covered target, F the resolution of the mean's grid, and L its Cholesky
-factor in some order of the rows, four things cost divergence, each known of a set of covariances:
+factor in some order of the rows, four effects cost divergence. Each is a property of a set of
+covariances:
 
-- rounding: a ratio of step D costs D^2 / 24, a pivot of step D octaves (D ln 2)^2 / 12, whatever
-  the covariance;
-- the inflation that makes up for the rounding: about as much again as the rounding and a little
-  more; what it comes to depends on the steps alone, and a sample of roundings says it;
-- the ends of a range: a ratio r beyond an end e lifts its pivot by g = |r| / e, which costs
+- rounding: a ratio of step D costs D^2 / 24, a pivot of step D octaves (D ln 2)^2 / 12, for any
+  covariance;
+- inflation, which compensates the rounding: about as much as the rounding and a little more. It
+  depends on the steps alone, and is estimated from a sample of roundings;
+- ends of a range: a ratio r beyond an end e lifts its pivot by g = |r| / e, which costs
   ln g + (g^-2 - 1) / 2;
-- the mean's grid: it blurs what is thinner than it. The blur is ln sqrt(det (S + F) / det S), in
-  first order the sum of D_i^2 (S^-1)_ii / 24 over the steps of the mean.
+- the mean's grid: it blurs covariances that are thinner than it. The blur is
+  ln sqrt(det (S + F) / det S), to first order the sum of D_i^2 (S^-1)_ii / 24 over the steps of
+  the mean.
 """
 
 from __future__ import annotations
@@ -37,41 +39,41 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-#: A unit of rounding costs so much with its inflation, in the limit of small steps.
+#: Cost of rounding with its inflation over that of rounding alone, in the limit of small steps.
 PIVOT_WEIGHT, RATIO_WEIGHT = 2.0, 2.6
 #: Least and most bits of pivots and ratios that are tried.
 MIN_BITS, MAX_BITS = 3, 20
 #: Steps of ratios are these times a power of two: exact in decimals and in binary.
-MANTISSAS = (1.0, 1.25, 1.5, 1.75)
-#: Zero lies at so many eighths of a ratio's range.
-EIGHTHS = range(1, 8)
-#: Both ends of a ratio's range are so far out at least, whatever the set.
+STEPS = np.outer(2.0 ** np.arange(-24, 4), (1.0, 1.25, 1.5, 1.75)).ravel()
+#: Places of zero in a ratio's range: eighths of it.
+ZEROS = np.arange(1, 8) / 8
+#: Least distance of both ends of a ratio's range from zero.
 LEAST_END = 1.0
-#: The ratios of lines that the set does not have go so much further than those of its outermost.
+#: Largest ratios of unseen lines over the outermost ones of the set.
 UNSEEN = 2.0
-#: Roundings that stand for all.
+#: Number of sampled roundings.
 DRAWS = 1000
-#: Share of roundings whose inflation the field holds. The encoder tries the others again with a
-#: target that is 2 % larger, which is nothing much, unless all inflations are less than this.
+#: Share of roundings whose inflation the field holds. The encoder repeats the others with a target
+#: that is 2 % larger. This costs little unless all inflations are below 2 %.
 INFLATION_HELD = 0.998
 RETRY = float(np.log2(1.02))
-#: Those that are drawn fall short of the greatest there are by about this.
+#: Estimate of the greatest possible inflation over the greatest sampled one.
 SELDOM_MORE = 1.1
 
 
 @dataclass(frozen=True)
 class Width:
-    """A way to fill some bits of a field.
+    """Width, step and range of a field.
 
     Args:
-        bits: how many.
+        bits: of the field.
         factor: step.
         offset: physical value of raw 0.
-        loss: what it counts: expected divergence of the rounding with its share of the inflation,
-            and of the ends with the price of meeting them [nat].
+        loss: expected divergence of the rounding with its share of the inflation, plus that of
+            the ends with the price of lines beyond them [nat].
         beyond: share of the lines beyond an end.
-        beyond_loss: expected divergence of that [nat].
-        unseen_loss: what of it is of lines that the set does not have [nat].
+        beyond_loss: their expected divergence [nat].
+        unseen_loss: the part of it for unseen lines [nat].
     """
 
     bits: int
@@ -89,12 +91,12 @@ class Width:
 
     @property
     def zero(self) -> float:
-        """Where in the range 0 lies, from 0 at its low end to 1 at its high one."""
+        """Place of 0 in the range, from 0 at its low end to 1 at its high one."""
         return -self.offset / (2**self.bits * self.factor)
 
 
 def rows_of(T: Array, floor: Array, order: tuple[int, ...]) -> tuple[Array, Array]:
-    """Cholesky's factors as the wire has them.
+    """Return Cholesky factors in the form of the message.
 
     Args:
         T: (N, 4, 4) positive semidefinite.
@@ -116,109 +118,106 @@ def rows_of(T: Array, floor: Array, order: tuple[int, ...]) -> tuple[Array, Arra
 
 
 def pivot_widths(low: float, high: float) -> list[Width]:
-    """For MIN_BITS, MIN_BITS + 1, ... bits: a pivot from ``low`` to ``high`` octaves."""
+    """Return the widths of a pivot from ``low`` to ``high`` octaves, from MIN_BITS to MAX_BITS."""
     widths = []
     for bits in range(MIN_BITS, MAX_BITS + 1):
-        factor = rounded_up((high - low) / (2**bits - 1))
+        factor = _rounded_up((high - low) / (2**bits - 1))
         loss = PIVOT_WEIGHT * (factor * np.log(2)) ** 2 / 12
         widths.append(Width(bits, factor, low, loss))
     return widths
 
 
 class RatioSpread:
-    """The values of one ratio over a set, and what a range loses of them.
+    """The values of one ratio over a set, and the loss of a range on them.
 
-    Lines to come go further than those of the set: about as much weight as its outermost line has,
-    on either side.
+    Unseen lines are assumed to reach further than those of the set: beyond the outermost line on
+    either side, with the weight of that line.
 
     Args:
         values: (N,) of the ratio.
-        weights: (N,) of sum 1.
+        weights: (N,) with the sum 1.
     """
 
     def __init__(self, values: Array, weights: Array) -> None:
         outer = np.array([values.argmax(), values.argmin()])
         further, rare = UNSEEN * values[outer], weights[outer]
         self._grids: list[tuple[Array, Array]] | None = None
-        self._unseen = _Tails(further, rare)
-        self._all = _Tails(np.concatenate([values, further]), np.concatenate([weights, rare]))
+        self._unseen = _tails(further, rare)
+        self._all = _tails(np.concatenate([values, further]), np.concatenate([weights, rare]))
 
     def width(self, bits: int, factor: float, zero: float, price: float) -> Width:
-        """A step and a range.
+        """Return the width with a step and a range.
 
         Args:
             bits: of the field.
             factor: step.
-            zero: where in the range 0 lies, from 0 to 1.
-            price: what a share of 1 beyond the ends counts beside its divergence [nat].
+            zero: place of 0 in the range, from 0 to 1.
+            price: added to the loss for a share of 1 beyond the ends [nat].
         """
         ends = _ends(bits, np.array(factor), np.array(zero))
         loss, beyond, beyond_loss = map(float, self._losses(np.array(factor), *ends, price))
-        unseen = float(self._unseen(*ends)[0])
+        unseen = float(_beyond(self._unseen, *ends)[0])
         return Width(bits, factor, -factor * 2**bits * zero, loss, beyond, beyond_loss, unseen)
 
-    def _losses(
-        self, factor: Array, low: Array, high: Array, price: float
-    ) -> tuple[Array, Array, Array]:
-        """As a width has them; the loss is infinite where the range is too narrow for anyone."""
-        beyond_loss, beyond = self._all(low, high)
-        loss = RATIO_WEIGHT * factor**2 / 24 + beyond_loss + price * beyond
-        return np.where(np.minimum(low, high) < LEAST_END, np.inf, loss), beyond, beyond_loss
-
     def widths(self, price: float) -> list[Width]:
-        """For MIN_BITS, MIN_BITS + 1, ... bits: the step and the range that lose least."""
-        factor = np.outer(2.0 ** np.arange(-24, 4), MANTISSAS).ravel()[:, None]
-        zero = np.array(EIGHTHS) / 8
+        """Return the widths with step and range of least loss, from MIN_BITS to MAX_BITS."""
+        factor = STEPS[:, None]
         if self._grids is None:
             self._grids = [
-                self._losses(factor, *_ends(bits, factor, zero), 0.0)[:2]
+                self._losses(factor, *_ends(bits, factor, ZEROS), 0.0)[:2]
                 for bits in range(MIN_BITS, MAX_BITS + 1)
             ]
         widths = []
         for bits, (loss, beyond) in enumerate(self._grids, MIN_BITS):
             charged = loss + price * beyond
             i, j = np.unravel_index(charged.argmin(), charged.shape)
-            widths.append(self.width(bits, float(factor[i, 0]), float(zero[j]), price))
+            widths.append(self.width(bits, float(STEPS[i]), float(ZEROS[j]), price))
         return widths
+
+    def _losses(
+        self, factor: Array, low: Array, high: Array, price: float
+    ) -> tuple[Array, Array, Array]:
+        """Return loss, beyond and beyond_loss; the loss of a too narrow range is infinite."""
+        beyond_loss, beyond = _beyond(self._all, low, high)
+        loss = RATIO_WEIGHT * factor**2 / 24 + beyond_loss + price * beyond
+        return np.where(np.minimum(low, high) < LEAST_END, np.inf, loss), beyond, beyond_loss
 
 
 def _ends(bits: int, factor: Array, zero: Array) -> tuple[Array, Array]:
-    """How far below and above 0 a range holds what is rounded into it."""
+    """Return the distances from 0 to the ends of the values that are rounded into a range."""
     return factor * (2**bits * zero + 0.5), factor * (2**bits * (1 - zero) - 0.5)
 
 
-class _Tails:
-    """What lies beyond the ends of a range: its expected loss and its share."""
+def _tails(values: Array, weights: Array) -> list[tuple[Array, Array]]:
+    """Return magnitudes and sums of weight, log and inverse square, below and above zero."""
+    sides = []
+    for v in (-values, values):
+        order = np.argsort(-v)
+        order = order[v[order] > 0]
+        v, w = v[order], weights[order]
+        sums = np.cumsum([w, w * np.log(v), w / v**2], axis=1)
+        sides.append((v[::-1], np.concatenate([np.zeros((3, 1)), sums], axis=1)))
+    return sides
 
-    def __init__(self, values: Array, weights: Array) -> None:
-        self._sides = []
-        for v in (-values, values):
-            order = np.argsort(-v)
-            order = order[v[order] > 0]
-            v, w = v[order], weights[order]
-            sums = np.cumsum([w, w * np.log(v), w / v**2], axis=1)
-            self._sides.append((v[::-1], np.concatenate([np.zeros((3, 1)), sums], axis=1)))
 
-    def __call__(self, low: Array, high: Array) -> tuple[Array, Array]:
-        loss, beyond = np.zeros(()), np.zeros(())
-        for end, (ascending, sums) in zip((low, high), self._sides, strict=True):
-            count = len(ascending) - np.searchsorted(ascending, end, side="right")
-            share, logs, squares = sums[:, count]
-            loss = loss + logs - share * np.log(end) + (end**2 * squares - share) / 2
-            beyond = beyond + share
-        return loss, beyond
+def _beyond(tails: list[tuple[Array, Array]], low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the expected loss and the share of the values beyond the ends of a range."""
+    loss, beyond = np.zeros(()), np.zeros(())
+    for end, (ascending, sums) in zip((low, high), tails, strict=True):
+        count = len(ascending) - np.searchsorted(ascending, end, side="right")
+        share, logs, squares = sums[:, count]
+        loss = loss + logs - share * np.log(end) + (end**2 * squares - share) / 2
+        beyond = beyond + share
+    return loss, beyond
 
 
 def conservative(pivots: Array, ratios: Array, inflation: Width) -> Array:
-    """Divergence of roundings with their inflation, whatever the covariance.
+    """Return (DRAWS,) divergences of roundings with their inflation, for any covariance [nat].
 
     Args:
         pivots: (4,) steps [octave].
         ratios: (6,) steps.
         inflation: its field.
-
-    Returns:
-        (DRAWS,) [nat].
     """
     W, needed = _roundings(tuple(pivots), tuple(ratios))
     steps = np.ceil(np.maximum(needed, 0) / inflation.factor)
@@ -228,17 +227,17 @@ def conservative(pivots: Array, ratios: Array, inflation: Width) -> Array:
 
 
 def inflation_width(bits: int, pivots: Array, ratios: Array) -> Width:
-    """The field that holds the inflation which the steps ask for."""
+    """Return the field for the inflation that the steps need."""
     needed = _roundings(tuple(pivots), tuple(ratios))[1]
     most = float(needed.max()) * SELDOM_MORE
     if most > RETRY:
         most = float(np.quantile(needed, INFLATION_HELD))
-    return Width(bits, rounded_up(most / (2**bits - 1)), 0.0)
+    return Width(bits, _rounded_up(most / (2**bits - 1)), 0.0)
 
 
 @lru_cache(maxsize=16)
 def _roundings(pivots: tuple[float, ...], ratios: tuple[float, ...]) -> tuple[Array, Array]:
-    """(DRAWS, 4, 4) ``L'^-1 T L'^-T`` of roundings, and the inflation they need [octave]."""
+    """Return (DRAWS, 4, 4) ``L'^-1 T L'^-T`` of roundings, and their inflation [octave]."""
     u = np.random.default_rng(0).uniform(-0.5, 0.5, size=(DRAWS, 10))
     A = np.zeros((DRAWS, 4, 4))
     A[:, range(4), range(4)] = np.exp2(u[:, :4] * np.array(pivots))
@@ -248,7 +247,7 @@ def _roundings(pivots: tuple[float, ...], ratios: tuple[float, ...]) -> tuple[Ar
 
 
 def blurs(S: Array, F: Array) -> Array:
-    """(N,) what the mean's grid blurs: ln sqrt(det (S + F) / det S) [nat].
+    """Return the (N,) blur by the mean's grid: ln sqrt(det (S + F) / det S) [nat].
 
     Args:
         S: (N, 4, 4) covariances.
@@ -256,17 +255,17 @@ def blurs(S: Array, F: Array) -> Array:
     """
     variances = np.einsum("nii->ni", S) + F
     scale = np.sqrt(variances)
-    # A matrix that is singular in double precision counts as thin as that precision tells.
+    # A matrix that is singular in double precision is as thin as that precision shows.
     correlation = S / scale[:, :, None] / scale[:, None, :] + 1e-15 * np.eye(4)
     grid = np.einsum("ni,ij->nij", F / variances, np.eye(4))
     blurred, sharp = np.linalg.slogdet(correlation + grid)[1], np.linalg.slogdet(correlation)[1]
     return np.asarray((blurred - sharp) / 2, dtype=float)
 
 
-def rounded_up(value: float, digits: int = 3) -> float:
-    """The next decimal number of so many digits, as a person would write it in a DBC.
+def _rounded_up(value: float, digits: int = 3) -> float:
+    """Return the next greater decimal number with a number of digits, to be readable in a DBC.
 
-    >>> rounded_up(0.033444), rounded_up(0.05), rounded_up(1.211)
+    >>> _rounded_up(0.033444), _rounded_up(0.05), _rounded_up(1.211)
     (0.0335, 0.05, 1.22)
     """
     exponent = int(np.floor(np.log10(value))) - digits + 1

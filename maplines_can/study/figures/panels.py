@@ -1,4 +1,4 @@
-"""The panels of the paper's figures: lines on the map, correlations, marginals, the head."""
+"""Panels of the paper's figures: lines on the map, correlations, marginals, the legend."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ...gaussian import Gaussian
 from ...line import lateral
 
 __all__ = [
+    "Z99",
     "Layer",
     "LineStyle",
     "View",
@@ -23,6 +24,7 @@ __all__ = [
     "draw_marginals",
     "draw_mean",
     "draw_poses",
+    "ellipse",
     "place_inset",
 ]
 
@@ -31,7 +33,7 @@ LineStyle = str | tuple[float, tuple[float, ...]]
 
 #: Okabe and Ito's vermillion for poses, as the paper's red; their green for the map's points.
 POSE, MAP = "#D55E00", "#009E73"
-#: The true distribution is grey: neither of the colours of the two Gaussians.
+#: The true distribution is grey, unlike the two Gaussians.
 TRUE = "0.35"
 DOTTED, LONG_DASHES, FINE_DOTS = (0, (1, 1.2)), (0, (6, 2)), (0, (1, 1.6))
 #: Half the width of an interval that holds 99 % of a Gaussian, in standard deviations.
@@ -39,7 +41,7 @@ Z99 = 2.5758
 #: Radius of the ellipse that holds 99 % of a Gaussian in the plane, in standard deviations.
 RADIUS99 = float(np.sqrt(-2 * np.log(0.01)))
 
-#: How the states are written, and the units in which their numbers are of a size to read.
+#: Symbols of the states, and the units in which their figures are printed.
 STATE_NAMES = (r"$y_\mathrm{off}$", r"$\beta$", r"$c_0$", r"$c_1$")
 UNIT_NAMES = ("m", "deg", "1/km", "1/km$^2$")
 UNITS = np.array([1.0, 180 / np.pi, 1e3, 1e6])
@@ -47,40 +49,44 @@ UNITS = np.array([1.0, 180 / np.pi, 1e3, 1e6])
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """One of the two Gaussians as it is drawn: its line style tells it too, not colour alone."""
+    """One of the two Gaussians as it is drawn; they differ in line style, not in colour alone."""
 
     name: str
     gaussian: Gaussian
     colour: str
     style: LineStyle
-    before: Gaussian | None = None  #: what it was before it went over the bus
+    before: Gaussian | None = None  #: before it was encoded and decoded
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What all map panels of a figure share."""
+    """Properties that all map panels of a figure share."""
 
     ego: Gaussian  #: pose, its mean at the origin [m, m, rad]
     line: Array  #: (4,) at the mean pose
     points: Array  #: (n, 2) of the map, in the frame of the mean pose [m]
-    x_range: tuple[float, float]  #: where lines are drawn [m]
-    band: Array  #: (2, X), 99 % of the true lines lie between at each of X places in x_range [m]
+    x_range: tuple[float, float]  #: of the drawn lines [m]
+    band: Array  #: (2, X), between which 99 % of the true lines are, at X places in x_range [m]
     limits: tuple[float, float, float, float]  #: x and y of the panel [m]
     arrow: float  #: length of a pose's arrow [m]
-    fan: float  #: length of the arrows of the fan of headings [m]
+    fan: float  #: length of the arrows of the heading fan [m]
 
 
 def draw_map(ax: Any, view: View, title: str = "") -> None:
-    """What every map panel shows: the map, the mean pose's line, the true band, the car.
+    """Draw the content of every map panel: map points, mean pose's line, true band, car.
 
-    Lines wilder than the panel are cut at its edge.
+    Lines that leave the panel are clipped.
     """
     x = np.linspace(*view.x_range, view.band.shape[1])
     ax.plot(*view.points.T, ls="none", marker="s", ms=2.4, color=MAP, mew=0, zorder=4)
     for edge in view.band:
         ax.plot(x, edge, color="black", lw=0.9, ls=LONG_DASHES, zorder=4)
     ax.plot(x, lateral(view.line, x), color="black", lw=1.8, ls=DOTTED, zorder=6)
-    _draw_ego(ax, view)
+    ax.plot(*ellipse(view.ego.marginal([0, 1])), color="black", lw=1.3, zorder=7)
+    fan = Z99 * view.ego.sigma[2] * np.array([-1.0, 1.0])
+    arrows = {"lw": 0.7, "edgecolor": "black", "headwidth": 4.5, "headlength": 5.5, "zorder": 8}
+    _quiver(ax, np.zeros((2, 2)), fan, view.fan, width=0.004, facecolor="black", **arrows)
+    _quiver(ax, np.zeros((1, 2)), np.zeros(1), view.fan, width=0.008, facecolor="white", **arrows)
     ax.set_xlim(view.limits[:2])
     ax.set_ylim(view.limits[2:])
     ax.set_aspect("equal")
@@ -89,31 +95,8 @@ def draw_map(ax: Any, view: View, title: str = "") -> None:
     ax.tick_params(labelsize=7.5, length=2.5)
 
 
-def _draw_ego(ax: Any, view: View) -> None:
-    """The ellipse and the fan that hold 99 % of the positions and of the headings."""
-    ax.plot(*_ellipse(view.ego.marginal([0, 1])), color="black", lw=1.3, zorder=7)
-    fan = Z99 * view.ego.sigma[2] * np.array([-1.0, 1.0])
-    for headings, face in ((fan, "black"), (np.zeros(1), "white")):
-        ax.quiver(
-            np.zeros_like(headings),
-            np.zeros_like(headings),
-            view.fan * np.cos(headings),
-            view.fan * np.sin(headings),
-            angles="xy",
-            scale_units="xy",
-            scale=1,
-            width=0.004 if face == "black" else 0.008,
-            headwidth=4.5,
-            headlength=5.5,
-            facecolor=face,
-            edgecolor="black",
-            lw=0.7,
-            zorder=8,
-        )
-
-
 def place_inset(ax: Any, view: View) -> Any:
-    """Axes in the upper left corner of a map panel, as wide as the car's 99 % ellipse needs."""
+    """Return axes in the upper left corner of a map panel, in the shape of its square close-up."""
     left, right, bottom, top = view.limits
     tall = 0.36
     inset = ax.inset_axes((0.015, 0.985 - tall, tall * (top - bottom) / (right - left), tall))
@@ -125,13 +108,14 @@ def place_inset(ax: Any, view: View) -> Any:
 def draw_lines(
     ax: Any, lines: Array, x_range: tuple[float, float], colour: str, width: float, alpha: float
 ) -> None:
-    """(N, 4) lines: a cubic is one Bezier segment, exactly, so that an SVG stays small."""
+    """Draw (N, 4) lines, each as one Bezier segment: it is exact and keeps an SVG small."""
     from matplotlib.collections import PathCollection
     from matplotlib.path import Path
 
     x = np.linspace(*x_range, 4)
     start, stop = lateral(lines[:, None], x[[0, -1]]).T
-    slope_start, slope_stop = _slope(lines[:, None], x[[0, -1]]).T
+    _, beta, c0, c1 = lines.T[:, :, None]
+    slope_start, slope_stop = (np.tan(beta) + x[[0, -1]] * (c0 + x[[0, -1]] * c1 / 2)).T
     third = x[1] - x[0]
     y = np.column_stack([start, start + third * slope_start, stop - third * slope_stop, stop])
     codes = [Path.MOVETO, Path.CURVE4, Path.CURVE4, Path.CURVE4]
@@ -148,28 +132,18 @@ def draw_lines(
     )
 
 
-def _slope(lines: Array, x: Array) -> Array:
-    _, beta, c0, c1 = np.moveaxis(lines, -1, 0)
-    return np.asarray(np.tan(beta) + x * (c0 + x * c1 / 2))
-
-
 def draw_poses(ax: Any, poses: Array, length: float, alpha: float, width: float) -> None:
-    """(N, 3) poses as arrows, in the frame of the mean pose; above the car's own fan."""
-    x, y, heading = poses.T
-    ax.quiver(
-        *(x, y, length * np.cos(heading), length * np.sin(heading)),
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        color=POSE,
-        alpha=alpha,
-        width=width,
-        zorder=9,
-    )
+    """Draw (N, 3) poses as arrows above the car's fan, in the frame of the mean pose."""
+    _quiver(ax, poses[:, :2], poses[:, 2], length, color=POSE, alpha=alpha, width=width, zorder=9)
+
+
+def _quiver(ax: Any, tails: Array, headings: Array, length: float, **style: Any) -> None:
+    tips = length * np.array([np.cos(headings), np.sin(headings)])
+    ax.quiver(*tails.T, *tips, angles="xy", scale_units="xy", scale=1, **style)
 
 
 def draw_mean(ax: Any, layer: Layer, x_range: tuple[float, float]) -> None:
-    """The mean of a Gaussian: white, as in the paper, cased in its colour."""
+    """Draw the mean of a Gaussian in white, as in the paper, with an edge in its colour."""
     x = np.linspace(*x_range, 100)
     y = lateral(layer.gaussian.mean, x)
     for colour, width in ((layer.colour, 4.2), ("white", 2.4)):
@@ -177,14 +151,15 @@ def draw_mean(ax: Any, layer: Layer, x_range: tuple[float, float]) -> None:
 
 
 def draw_correlation(ax: Any, layer: Layer, other: tuple[str, Gaussian], title: str) -> None:
-    """A correlation matrix: number, colour and area of a square; below it another's number.
+    """Draw a correlation matrix as numbers on coloured squares, another one's numbers below.
 
-    On the diagonal stand the standard deviations, since there 1 says nothing.
+    The area of a square is proportional to the correlation. The diagonal has the standard
+    deviations.
 
     Args:
-        ax: where.
+        ax: axes to draw on.
         layer: whose matrix.
-        other: name and Gaussian of what it is compared with.
+        other: name and Gaussian to compare with.
         title: of the panel.
     """
     from matplotlib import colormaps
@@ -192,6 +167,7 @@ def draw_correlation(ax: Any, layer: Layer, other: tuple[str, Gaussian], title: 
 
     R, R_other = layer.gaussian.correlation, other[1].correlation
     sigma, sigma_other = layer.gaussian.sigma * UNITS, other[1].sigma * UNITS
+    centred = {"ha": "center", "va": "center"}
     for i, j in np.ndindex(4, 4):
         r, r_other = float(R[i, j]), float(R_other[i, j])
         side, size = 0.96 * abs(r) ** 0.5, 11.0
@@ -202,11 +178,11 @@ def draw_correlation(ax: Any, layer: Layer, other: tuple[str, Gaussian], title: 
             face, ink, size = "0.93", "black", 9.5
             large = f"{_number(sigma[i])} {UNIT_NAMES[i]}"
             small = f"{other[0]} {_number(sigma_other[i])}"
-            ax.text(j, i - 0.3, "std. dev.", fontsize=6.5, ha="center", va="center")
+            ax.text(j, i - 0.3, "std. dev.", fontsize=6.5, **centred)
         ax.add_patch(Rectangle((j - side / 2, i - side / 2), side, side, fc=face, lw=0))
         ax.add_patch(Rectangle((j - 0.48, i - 0.48), 0.96, 0.96, fc="none", ec="0.85", lw=0.6))
-        ax.text(j, i, large, fontsize=size, color=ink, ha="center", va="center")
-        ax.text(j, i + 0.28, small, fontsize=7.5, color=ink, ha="center", va="center")
+        ax.text(j, i, large, fontsize=size, color=ink, **centred)
+        ax.text(j, i + 0.28, small, fontsize=7.5, color=ink, **centred)
     ax.set_xlim(-0.5, 3.5)
     ax.set_ylim(3.5, -0.5)
     ax.set_aspect("equal", anchor="N")
@@ -218,7 +194,6 @@ def draw_correlation(ax: Any, layer: Layer, other: tuple[str, Gaussian], title: 
 
 
 def _signed(r: float) -> str:
-    """Three digits, and 0 without a sign."""
     return f"{r:+.3f}" if abs(r) >= 0.0005 else "0"
 
 
@@ -227,24 +202,22 @@ def _number(x: float) -> str:
 
 
 def draw_marginals(axes: Any, samples: Array, shown: int, layers: Sequence[Layer]) -> Array:
-    """The 4 x 4 grid of marginals: column against row, as the matrix of the correlations.
+    """Draw the 4 x 4 grid of marginals: column against row, as in the correlation matrix.
 
-    On the diagonal the paper plots each parameter against itself, which shows
-    its range and nothing of its shape: all samples fall on one line, and a
-    skewed or two-humped marginal looks like a Gaussian one. A histogram with
-    both Gaussians' densities shows the shape. Above the upper right half
-    stands the share of true samples outside each ellipse, and in the corner that
-    outside the region in all four states: 1 % where the Gaussian fits.
+    The diagonal has histograms with the densities of both Gaussians. (The paper plots each
+    parameter against itself there, which hides the shape of the marginal.) Panels of the upper
+    right half are headed by the share of true samples outside each ellipse; the upper left corner
+    by the share outside the region in all four states. A Gaussian that fits has 1 %.
 
     Args:
         axes: (4, 4).
         samples: (N, 4) true lines; all of them are in the histograms and shares.
-        shown: how many of them are dots.
+        shown: number of samples drawn as dots.
         layers: the Gaussians.
 
     Returns:
-        (4, 2) the limits of the axes, in SI units: all of the ellipses, and
-        all but the wildest samples.
+        (4, 2) the limits of the axes, in SI units: they include all of the ellipses, and all
+        samples but the outermost 0.6 %.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -307,50 +280,48 @@ def _draw_density(ax: Any, values: Array, ends: Array, i: int, layers: Sequence[
 
 def _draw_ellipse(ax: Any, layer: Layer, pair: tuple[int, int]) -> None:
     units = UNITS[list(pair)][:, None]
-    ellipse = _ellipse(layer.gaussian.marginal(pair))
-    ax.plot(*ellipse * units, color=layer.colour, ls=layer.style, lw=1.5)
-    ax.plot(*layer.gaussian.marginal(pair).mean * units[:, 0], "+", color=layer.colour, ms=5)
+    marginal = layer.gaussian.marginal(pair)
+    ax.plot(*ellipse(marginal) * units, color=layer.colour, ls=layer.style, lw=1.5)
+    ax.plot(*marginal.mean * units[:, 0], "+", color=layer.colour, ms=5)
     if layer.before is not None:
-        ax.plot(*_ellipse(layer.before.marginal(pair)) * units, color="black", ls=FINE_DOTS, lw=0.8)
+        ax.plot(*ellipse(layer.before.marginal(pair)) * units, color="black", ls=FINE_DOTS, lw=0.8)
 
 
-def _ellipse(gaussian: Gaussian) -> Array:
-    """(2, 120) points of the ellipse that holds 99 % of a Gaussian in the plane."""
+def ellipse(gaussian: Gaussian) -> Array:
+    """Return (2, 120) points of the ellipse that holds 99 % of a Gaussian in the plane."""
     t = np.linspace(0, 2 * np.pi, 120)
     circle = RADIUS99 * np.array([np.cos(t), np.sin(t)])
     return np.asarray(gaussian.mean[:, None] + gaussian.root @ circle)
 
 
 def draw_legend(figure: Any, layers: Sequence[Layer], corner: tuple[float, float]) -> None:
-    """What the lines and colours of a figure stand for.
+    """Draw the legend of a figure.
 
     Args:
-        figure: where.
-        layers: the Gaussians in it; none in a close-up, which has no room for the band either.
+        figure: to draw on.
+        layers: its Gaussians; none in a close-up, which has no room for the band either.
         corner: the upper left one.
     """
     from matplotlib.lines import Line2D
 
+    def handle(color: str, **style: Any) -> Line2D:
+        return Line2D([], [], color=color, **style)
+
     handles = {
-        "line at the mean pose": Line2D([], [], color="black", lw=1.8, ls=DOTTED),
-        "points of the map": Line2D([], [], color=MAP, lw=0, marker="s", ms=4),
-        "true sample": Line2D([], [], color=TRUE, lw=1),
-        "pose, at the arrow's tail": Line2D(
-            [], [], color=POSE, lw=0, marker=r"$\rightarrow$", ms=10
-        ),
-        "car: 99 % of positions and headings": Line2D(
-            [], [], color="black", lw=0, marker="o", ms=8, mfc="none", mew=1.3
+        "line at the mean pose": handle("black", lw=1.8, ls=DOTTED),
+        "points of the map": handle(MAP, lw=0, marker="s", ms=4),
+        "true sample": handle(TRUE, lw=1),
+        "pose, at the arrow's tail": handle(POSE, lw=0, marker=r"$\rightarrow$", ms=10),
+        "car: 99 % of positions and headings": handle(
+            "black", lw=0, marker="o", ms=8, mfc="none", mew=1.3
         ),
     }
     if layers:
-        handles["band of 99 % of the true lines"] = Line2D(
-            [], [], color="black", lw=1, ls=LONG_DASHES
-        )
+        handles["band of 99 % of the true lines"] = handle("black", lw=1, ls=LONG_DASHES)
     for layer in layers:
-        label = f"Gaussian of {layer.name}"
-        handles[label] = Line2D([], [], color=layer.colour, ls=layer.style, lw=1.8)
+        handles[f"Gaussian of {layer.name}"] = handle(layer.colour, ls=layer.style, lw=1.8)
     if layers and layers[0].before is not None:
-        handles["sent, before the wire"] = Line2D([], [], color="black", ls=FINE_DOTS, lw=1)
+        handles["sent, before the wire"] = handle("black", ls=FINE_DOTS, lw=1)
     figure.legend(
         handles.values(),
         handles.keys(),

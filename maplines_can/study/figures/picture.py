@@ -8,28 +8,28 @@ from typing import Any
 import numpy as np
 
 from ...errors import MissingExtraError
+from ...gaussian import Gaussian
 from ...line import MapLine
 from ...scenarios import Scenario
 from ..round_trip import RoundTrip
+from .panels import Z99, ellipse
 
 __all__ = ["draw_round_trip"]
 
-#: Okabe and Ito's colours, told apart by colour-blind readers too.
+#: Okabe and Ito's colours, which colour-blind readers can distinguish.
 COLOURS = (
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7"),
     *("#56B4E9", "#E69F00", "#444444", "#8A7500"),
 )
-#: Half the width of a band that holds 99 % of a Gaussian, in standard deviations.
-Z99 = 2.5758
 
 
 def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> None:
-    """Draw what was sent and what came back; the suffix of the path is the format.
+    """Draw the sent and the received lines; the suffix of the path is the format.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
         OSError: the file cannot be written.
-        ValueError: the format is not known.
+        ValueError: the format is not supported.
     """
     try:
         from matplotlib.figure import Figure
@@ -41,15 +41,12 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     figure = Figure(figsize=(10, 6.2), layout="constrained")
     axes = figure.subplots(2, 1, height_ratios=[3, 1.25], sharex=True)
     for colour, line in zip(COLOURS, trip.true_lines, strict=False):
-        back = trip.received_lines.get(line.slot.name)
-        _draw_line(axes[0], line, colour, back)
-        if back is not None:
-            _draw_difference(axes[1], line, back, colour)
+        _draw_line(axes, line, colour, trip.received_lines.get(line.slot.name))
     _draw_ego(axes[0], scenario)
     shown = {
-        "what the car knows: 99 % band": Line2D([], [], color="0.6", lw=7, alpha=0.5),
-        "what came back: mean": Line2D([], [], color="0.2", lw=1.4, ls="--"),
-        "what came back: 99 % band": Line2D([], [], color="0.2", lw=0.9, ls=":"),
+        "sent: 99 % band": Line2D([], [], color="0.6", lw=7, alpha=0.5),
+        "received: mean": Line2D([], [], color="0.2", lw=1.4, ls="--"),
+        "received: 99 % band": Line2D([], [], color="0.2", lw=0.9, ls=":"),
     }
     axes[0].legend(shown.values(), shown.keys(), loc="upper left", frameon=False, fontsize=9)
     axes[0].set_ylabel("y, to the left [m]")
@@ -61,41 +58,35 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
         fontsize=11,
     )
     axes[1].axhline(0, color="0.8", lw=0.8, zorder=0)
-    axes[1].set_ylabel("sigma(y), received\nover true, less 1 [%]")
+    axes[1].set_ylabel("sigma(y), received\nover sent, less 1 [%]")
     axes[1].set_xlabel("x, ahead of the car [m]")
     for ax in axes:
         ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=150)
 
 
-def _draw_line(ax: Any, line: MapLine, colour: str, back: MapLine | None) -> None:
+def _draw_line(axes: Any, line: MapLine, colour: str, received: MapLine | None) -> None:
+    ax = axes[0]
     x = np.linspace(line.x_min, line.x_max, 200)
-    y, half = line.y(x), Z99 * line.y_sigma(x)
-    ax.fill_between(x, y - half, y + half, color=colour, alpha=0.16, lw=0)
+    y, sigma = line.y(x), line.y_sigma(x)
+    ax.fill_between(x, y - Z99 * sigma, y + Z99 * sigma, color=colour, alpha=0.16, lw=0)
     ax.plot(x, y, color=colour, lw=2.6, alpha=0.6)
     name = line.slot.name.replace("_", " ").lower()
     ax.annotate(name, (x[-1], y[-1]), (4, 0), textcoords="offset points", color=colour, va="center")
-    if back is not None:
-        y, half = back.y(x), Z99 * back.y_sigma(x)
-        ax.plot(x, y, color="0.15", lw=1.1, ls="--")
-        for edge in (y - half, y + half):
-            ax.plot(x, edge, color=colour, lw=0.9, ls=":")
-
-
-def _draw_difference(ax: Any, line: MapLine, back: MapLine, colour: str) -> None:
-    x = np.linspace(line.x_min, line.x_max, 200)
-    sigma = line.y_sigma(x)
+    if received is None:
+        return
+    y, half = received.y(x), Z99 * received.y_sigma(x)
+    ax.plot(x, y, color="0.15", lw=1.1, ls="--")
+    for edge in (y - half, y + half):
+        ax.plot(x, edge, color=colour, lw=0.9, ls=":")
     known = sigma > 0
-    ax.plot(x[known], 100 * (back.y_sigma(x[known]) / sigma[known] - 1), color=colour, lw=1.6)
+    ratio = received.y_sigma(x[known]) / sigma[known]
+    axes[1].plot(x[known], 100 * (ratio - 1), color=colour, lw=1.6)
 
 
 def _draw_ego(ax: Any, scenario: Scenario) -> None:
-    """The car's own uncertainty: the 99 % ellipse of the position, the 99 % fan of the heading."""
-    t = np.linspace(0, 2 * np.pi, 100)
-    circle = np.sqrt(-2 * np.log(0.01)) * np.array([np.cos(t), np.sin(t)])
-    ellipse = scenario.ego.root[:2, :2] @ circle
-    ax.plot(*ellipse, color="black", lw=1.2)
-    fan = Z99 * scenario.ego.sigma[2] * np.array([-1.0, 1.0])
-    for heading in fan:
+    """Draw the uncertainty of the pose: 99 % ellipse of the position, 99 % fan of the heading."""
+    ax.plot(*ellipse(Gaussian(np.zeros(2), scenario.ego.cov[:2, :2])), color="black", lw=1.2)
+    for heading in Z99 * scenario.ego.sigma[2] * np.array([-1.0, 1.0]):
         ax.plot([0, 8 * np.cos(heading)], [0, 8 * np.sin(heading)], color="black", lw=0.9)
     ax.annotate("", (8, 0), (0, 0), arrowprops={"arrowstyle": "-|>", "color": "black", "lw": 1.4})

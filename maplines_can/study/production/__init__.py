@@ -1,1 +1,1 @@
-"""What production lane messages lose by rounding."""
+"""Rounding errors of production lane messages."""

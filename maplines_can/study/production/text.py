@@ -10,64 +10,54 @@ import numpy as np
 
 from ...line import STATES
 from ...wire.message.signals import Signal
-from .messages import DISTANCES, KL_QUANTILES, Message, Row
+from ..text_table import aligned, markdown
+from .messages import Message
+from .rounding import DISTANCES, KL_QUANTILES, Row
 
 __all__ = ["as_csv", "as_markdown", "as_records", "as_text"]
 
+Record = dict[str, str | int | float | None]
 
-def as_records(rows: Sequence[Row]) -> list[dict[str, str | int | float | None]]:
-    """One flat dictionary a row, in SI units; what is not sent or not known is None."""
+
+def as_records(rows: Sequence[Row]) -> list[Record]:
+    """Return a flat dictionary per row, in SI units; None is not sent or not known."""
     return [_record(row) for row in rows]
 
 
-def _record(row: Row) -> dict[str, str | int | float | None]:
+def _record(row: Row) -> Record:
     message = row.message
-    record: dict[str, str | int | float | None] = {
-        "maker": message.maker,
-        "message": message.name,
-        "bits": message.bits,
-    }
-    for state, field in zip(STATES, message.fields, strict=True):
-        low, high = field.physical_range if field else (None, None)
-        record |= {
-            f"{state}_bits": field.length if field else None,
-            f"{state}_factor": field.factor if field else None,
-            f"{state}_offset": field.offset if field else None,
-            f"{state}_signed": int(field.signed) if field else None,
-            f"{state}_unit": field.unit if field else None,
-            f"{state}_low": low,
-            f"{state}_high": high,
-        }
-    record |= {
-        "reading": _reading(message),
-        "documented": int(message.documented),
-        "uncertainty": message.uncertainty,
-        "source": message.source,
-        "certainty": message.certainty,
-        "lines": row.lines,
-        "fit": row.fit,
-    }
+    record: Record = {"maker": message.maker, "message": message.name, "bits": message.bits}
+    for state, signal in zip(STATES, message.signals, strict=True):
+        values: Sequence[str | int | float | None] = (None,) * 7
+        if signal:
+            values = (signal.length, signal.factor, signal.offset, int(signal.signed), signal.unit)
+            values = (*values, *signal.physical_range)
+        names = ("bits", "factor", "offset", "signed", "unit", "low", "high")
+        record |= {f"{state}_{name}": v for name, v in zip(names, values, strict=True)}
+    record |= {"reading": _reading(message), "documented": int(message.documented)}
+    record |= {name: getattr(message, name) for name in ("uncertainty", "source", "certainty")}
+    record |= {"lines": row.lines, "fit": row.fit}
     record |= {f"{s}_clipped": count for s, count in zip(STATES, row.clipped, strict=True)}
     for name in (
-        *("judged", "worst", "worst_other", "rms", "measured_rms", "measured_worst"),
+        *("evaluated", "worst", "worst_other", "rms", "measured_rms", "measured_worst"),
         *("truncated_rms", "truncated_median", "sigma_best", "sigma_median"),
     ):
-        values = getattr(row, name) or (None,) * len(DISTANCES)
-        suffix = "" if name == "judged" else "_m"
-        record |= {
-            f"{name}_at_{x:g}m{suffix}": None if value is None or np.isnan(value) else value
-            for x, value in zip(DISTANCES, values, strict=True)
-        }
+        figures = getattr(row, name) or (np.nan,) * len(DISTANCES)
+        suffix = "" if name == "evaluated" else "_m"
+        places = (f"{name}_at_{x:g}m{suffix}" for x in DISTANCES)
+        record |= dict(zip(places, map(_known, figures), strict=True))
     for name in ("rounding_kl", "rounding_kl_pose"):
-        record |= {
-            f"{name}_{100 * share:g}": None if np.isnan(value) else value
-            for share, value in zip(KL_QUANTILES, getattr(row, name), strict=True)
-        }
+        quantiles = (f"{name}_{100 * share:g}" for share in KL_QUANTILES)
+        record |= dict(zip(quantiles, map(_known, getattr(row, name)), strict=True))
     return record
 
 
+def _known(value: float) -> float | None:
+    return None if np.isnan(value) else value
+
+
 def as_csv(rows: Sequence[Row]) -> str:
-    """One line a row, all of it, in SI units and to six digits."""
+    """Return one line per row with all figures, in SI units and to six digits."""
     out = io.StringIO()
     records = as_records(rows)
     writer = csv.DictWriter(out, list(records[0]) if records else [], lineterminator="\n")
@@ -78,27 +68,18 @@ def as_csv(rows: Sequence[Row]) -> str:
 
 
 def as_markdown(rows: Sequence[Row]) -> str:
-    """Tables for a page: what is sent, how sure that is, what steps lose, what lines show."""
-    return "\n".join(
-        "".join(
-            "| " + " | ".join(line) + " |\n"
-            for line in (header, ["---"] + [mark] * (len(header) - 1), *body)
-        )
-        for mark, (header, *body) in zip(("---", "---", "---:", "---:"), _tables(rows), strict=True)
-    )
+    """Return tables for a page: signals, sources, errors of steps, errors measured on lines."""
+    sent, known, steps, seen = _tables(rows)
+    return "\n".join([markdown(sent), markdown(known), markdown(steps, 1), markdown(seen, 1)])
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """The same tables for a terminal."""
-    blocks = []
-    for table in _tables(rows):
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        blocks.append("\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in table))
-    return "\n\n".join(blocks) + "\n"
+    """Return the same tables for a terminal."""
+    return "\n\n".join(map(aligned, _tables(rows))) + "\n"
 
 
 def _tables(rows: Sequence[Row]) -> tuple[list[list[str]], ...]:
-    """Cells of the tables, their headings first."""
+    """Return the cells of the tables, headings first."""
     at = " / ".join(f"{x:g}" for x in DISTANCES) + " m"
     sent = [["message", *STATES, "bits"]]
     known = [["message", "reading", "says of its uncertainty", "source", "certainty"]]
@@ -116,36 +97,28 @@ def _tables(rows: Sequence[Row]) -> tuple[list[list[str]], ...]:
     for row in rows:
         message = row.message
         title = f"{message.maker} {message.name}"
-        sent.append([title, *map(_field_text, message.fields), str(message.bits)])
+        sent.append([title, *map(_signal_text, message.signals), str(message.bits)])
         known.append(
             [title, _reading(message), message.uncertainty, message.source, message.certainty]
         )
         steps.append([title, _cm(row.worst), _cm(row.worst_other), _cm(row.rms)])
         clipped = (
-            _share(count, row.lines) if field else "-"
-            for count, field in zip(row.clipped, message.fields, strict=True)
+            _share(count, row.lines) if signal else "-"
+            for count, signal in zip(row.clipped, message.signals, strict=True)
         )
-        seen.append(
-            [
-                title,
-                _share(row.fit, row.lines),
-                ", ".join(clipped),
-                _cm(row.measured_rms),
-                _cm(row.measured_worst),
-                f"{row.rounding_kl[0]:.1g} / {row.rounding_kl_pose[0]:.1g}",
-            ]
-        )
+        fit, kl = _share(row.fit, row.lines), (row.rounding_kl[0], row.rounding_kl_pose[0])
+        measured = [_cm(row.measured_rms), _cm(row.measured_worst)]
+        seen.append([title, fit, ", ".join(clipped), *measured, "{:.1g} / {:.1g}".format(*kl)])
         if row.truncated_rms is not None:
             median = f"median {_cm(row.truncated_median)}"
             seen.append(
                 [f"{title}, its missing part as 0", "", "", _cm(row.truncated_rms), median, ""]
             )
-    if rows:
-        for name, values in (
-            ("10 % of the lines are below", rows[-1].sigma_best),
-            ("half of the lines are below", rows[-1].sigma_median),
-        ):
-            seen.append([f"sigma: {name}", "", "", _cm(values), "", ""])
+    for name, values in (
+        ("10 % of the lines are below", rows[-1].sigma_best),
+        ("half of the lines are below", rows[-1].sigma_median),
+    ):
+        seen.append([f"sigma: {name}", "", "", _cm(values), "", ""])
     return sent, known, steps, seen
 
 
@@ -155,35 +128,32 @@ def _reading(message: Message) -> str:
     )
 
 
-def _field_text(field: Signal | None) -> str:
-    """Width, factor, offset and range.
+def _signal_text(signal: Signal | None) -> str:
+    """Return width, factor, offset and range.
 
     >>> from .messages import PRODUCTION
-    >>> _field_text(PRODUCTION[3].fields[0]), _field_text(PRODUCTION[0].fields[0])
+    >>> _signal_text(PRODUCTION[3].signals[0]), _signal_text(PRODUCTION[0].signals[0])
     ('10 b, 0.01 m - 5.12, -5.12 .. 5.11', '16 b signed, 0.00390625 m, -128 .. 128')
     """
-    if field is None:
+    if signal is None:
         return "-"
-    sign = " signed" if field.signed else ""
-    unit = f" {field.unit}" if field.unit else ""
-    offset = f" {'-' if field.offset < 0 else '+'} {abs(field.offset):.6g}" if field.offset else ""
-    low, high = field.physical_range
-    return f"{field.length} b{sign}, {field.factor:.6g}{unit}{offset}, {low:.3g} .. {high:.3g}"
+    sign = " signed" if signal.signed else ""
+    unit = f" {signal.unit}" if signal.unit else ""
+    offset = signal.offset and f" {'-' if signal.offset < 0 else '+'} {abs(signal.offset):.6g}"
+    low, high = signal.physical_range
+    step = f"{signal.factor:.6g}{unit}{offset or ''}"
+    return f"{signal.length} b{sign}, {step}, {low:.3g} .. {high:.3g}"
 
 
 def _cm(values: Sequence[float] | None) -> str:
-    """Metres at the distances, in cm and to two digits.
+    """Return metres at the distances, in cm and to two digits.
 
     >>> _cm((0.0012, 0.0975, 7.658)), _cm(None)
     ('0.12 / 9.8 / 770', '-')
     """
     if values is None:
         return "-"
-    return " / ".join(_two_digits(100 * value) for value in values)
-
-
-def _two_digits(value: float) -> str:
-    return "-" if np.isnan(value) else f"{float(f'{value:.2g}'):g}"
+    return " / ".join("-" if np.isnan(v) else f"{float(f'{100 * v:.2g}'):g}" for v in values)
 
 
 def _share(count: int, total: int) -> str:

@@ -1,1 +1,1 @@
-"""The tables of a study as one HTML page."""
+"""The HTML report on the tables of a sweep."""

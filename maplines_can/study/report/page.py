@@ -2,144 +2,139 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from html import escape
-from importlib.resources import files
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import MissingExtraError
-from .findings import findings, headline
-from .tables import Tables, read_tables
-from .text import swatch
-
-if TYPE_CHECKING:
-    from .parts import Look
-    from .sections import Section
+from ..metrics import LATERAL_X
+from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
 
 __all__ = ["TITLE", "write_report"]
 
 TITLE = "Covariance codes on the wire"
-#: The browser itself keeps the page from loading anything from elsewhere.
-POLICY = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src data: blob:; font-src data:"
+#: Pairs of shares: column, words, and the column of the guarantee that it is 0.
+NOT_DEFINITE = (
+    ("not_positive_definite", "not positive definite", "definite_guarantee"),
+    ("overconfident", "overconfident", "covering_guarantee"),
 )
+SATURATION = (("saturated", "saturated", ""), ("out_of_range", "out of range", ""))
 
 
 def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE) -> Path:
     """Write the report on the tables of a sweep.
 
-    The file holds all it needs, scripts included, and loads nothing from elsewhere.
+    The file includes its scripts and plots, and loads nothing.
 
     Args:
         folder: with the sweep's tables, ``summary.parquet``, ``fields.parquet``,
             ``worst.parquet`` and ``limit.parquet``.
-        out_path: the HTML file; its folder is made where it is missing.
+        out_path: the HTML file; its folder is created if it does not exist.
         title: of the page.
 
     Returns:
         The path of the file.
 
     Raises:
-        MissingExtraError: bokeh or pyarrow is not installed.
-        StudyError: the folder or a table in it is missing, cannot be read, lacks columns, or has
-            no rows where there must be some.
+        MissingExtraError: bokeh, jinja2 or pyarrow is not installed.
+        StudyError: the folder or a table does not exist, is not readable, lacks columns, or the
+            summary has no rows.
         OSError: the file cannot be written.
     """
     try:
         from bokeh.embed import components
         from bokeh.resources import Resources
+        from jinja2 import Environment, PackageLoader
 
-        from .parts import looks
-        from .sections import sections
+        from .cases import BAND, fields_plot, worst_groups, worst_plots
+        from .drawing import looks
+        from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
     except ImportError as error:
         raise MissingExtraError(
-            'the report needs bokeh and pyarrow: pip install "maplines_can[study]"'
+            'the report needs bokeh, jinja2 and pyarrow: pip install "maplines_can[study]"'
         ) from error
     tables = read_tables(folder)
-    look = looks(tables.codes)
-    plots: dict[str, Any] = {}
-    body = "\n".join(_section_html(tables, section, plots) for section in sections(tables))
-    script, places = components(plots)
-    for name, place in places.items():
-        body = body.replace(_slot(name), place)
-    own = files(__package__)
-    html = f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{POLICY}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{escape(title)}</title>
-<style>
-{own.joinpath("report.css").read_text("utf-8")}</style>
-</head>
-<body>
-<header>
-<h1>{escape(title)}</h1>
-{headline(tables)}
-{findings(tables, look)}
-</header>
-{_controls(tables, look)}
-<main>
-{body}
-</main>
-<script>
-{"".join(Resources(mode="inline", components=["bokeh"]).js_raw)}
-</script>
-{script}
-<script>
-{own.joinpath("report.js").read_text("utf-8")}</script>
-</body>
-</html>
-"""
+    sets, look, groups = tables.sets, looks(tables.codes), worst_groups(tables)
+    field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
+    keys = [key for group in groups.values() for key in group]
+    #: Plots by section and set; none if the sweep did not compute them.
+    content: dict[str, list[Any]] = {
+        "kl": [[kl_plot(tables, s, look)] for s in sets],
+        "along": [
+            [lateral_error_plot(tables, s, look), sigma_ratio_plot(tables, s, look)] for s in sets
+        ],
+        "definite": [[share_plot(tables, s, look, NOT_DEFINITE)] for s in sets],
+        "fields": [[fields_plot(tables, s, field_codes)] for s in sets if field_codes],
+        "saturation": [[share_plot(tables, s, look, SATURATION)] for s in sets],
+        "worst": [worst_plots(tables, s, keys) for s in sets if keys],
+    }
+    script, plots = components(
+        {
+            f"{section}-{i}-{k}": plot
+            for section, of_sets in content.items()
+            for i, of_set in enumerate(of_sets)
+            for k, plot in enumerate(of_set)
+        }
+    )
+    environment = Environment(
+        loader=PackageLoader(__package__, "."), autoescape=True, trim_blocks=True
+    )
+    texts = {"number": number, "percent": percent, "share": share, "with_error": with_error}
+    first = [row for s in sets if (row := tables.shipped(s, tables.codes[0]))]
+    environment.globals |= texts | {
+        "nan": math.nan,
+        "tables": tables,
+        "content": content,
+        "plots": plots,
+        "looks": look,
+        "kl_names": SUMMARY,
+        "lateral_x": [f"{x:g}" for x in LATERAL_X],
+        "not_definite": NOT_DEFINITE,
+        "saturation": SATURATION,
+    }
+    html = environment.get_template("report.html.j2").render(
+        title=title,
+        script=script,
+        library=Resources(mode="inline", components=["bokeh"]).render_js(),
+        first=first,
+        counts={"n": sum(row["n"] for row in first)}
+        | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
+        broken=[
+            (row, words, row[column])
+            for row in tables.summary
+            for column, words, guarantee in NOT_DEFINITE
+            if row[guarantee] and row[column] > 0
+        ],
+        sound=_sound(tables),
+        nearest=[row for s in sets if (row := _nearest(tables, s))],
+        caveats={
+            row["caveat"]: row["set"]
+            for row in tables.limit
+            if row["part"] == "covariance" and isinstance(row.get("caveat"), str)
+        },
+        field_codes={code: code for code in field_codes},
+        worst_groups=groups,
+        band=BAND,
+    )
     out_path = Path(out_path)
     out_path.parent.mkdir(parents=True, exist_ok=True)
     out_path.write_text(html, encoding="utf-8")
     return out_path
 
 
-def _section_html(tables: Tables, section: Section, plots: dict[str, Any]) -> str:
-    """A section with a slot for each of its plots, which go into ``plots``."""
-    if section.of_set is None:
-        body = '<p class="soft">The sweep was told to leave this out.</p>'
-    else:
-        figures = []
-        for i, set_ in enumerate(tables.sets):
-            made, numbers = section.of_set(set_)
-            names = [f"{section.name}-{i}-{k}" for k in range(len(made))]
-            plots |= dict(zip(names, made, strict=True))
-            label = escape(f"{section.heading}, set {set_}; the numbers are below it")
-            figures.append(
-                f'<figure data-set="{i}" aria-label="{label}">'
-                f"<figcaption>{escape(set_)}</figcaption>"
-                f"{''.join(map(_slot, names))}{numbers}</figure>"
-            )
-        body = f'{section.controls}<div class="sets">{"".join(figures)}</div>'
-    return (
-        f'<section id="{section.name}"><h2>{escape(section.heading)}</h2>\n'
-        f"<p>{escape(section.reading)}</p>\n{body}</section>"
-    )
+def _sound(tables: Tables) -> list[str]:
+    """Return the codes that are always definite and never overconfident with their DBCs."""
+    shipped = [row for set_ in tables.sets for row in tables.shipped_of(set_)]
+    failed = {r["code"] for r in shipped if r["not_positive_definite"] + r["overconfident"] > 0}
+    return [code for code in tables.codes if code not in failed]
 
 
-def _slot(name: str) -> str:
-    return f"<!-- plot {name} -->"
-
-
-def _controls(tables: Tables, look: Mapping[str, Look]) -> str:
-    """Which codes and which sets are shown."""
-    box = '<input type="checkbox" data-controls="{}" value="{}" autocomplete="off" checked>'
-    codes = "".join(
-        f"<label>{box.format('code', escape(code))}{swatch(of.marker, of.colour)}"
-        f"{escape(code)}</label>"
-        for code, of in look.items()
-    )
-    sets = "".join(
-        f'<label class="path">{box.format("set", i)}{escape(set_)}</label>'
-        for i, set_ in enumerate(tables.sets)
-    )
-    return (
-        f'<div class="controls"><fieldset><legend>Curves</legend>{codes}</fieldset>\n'
-        f"<fieldset><legend>Sets</legend>{sets}</fieldset></div>"
-    )
+def _nearest(tables: Tables, set_: str) -> Row | None:
+    """Return the row with the fewest bits above the limit among those never overconfident."""
+    rows = [
+        (over, i, row)
+        for i, row in enumerate(tables.summary)
+        if row["set"] == set_ and row["overconfident"] == 0
+        if (over := tables.over_limit(row)) is not None
+    ]
+    return min(rows)[2] if rows else None

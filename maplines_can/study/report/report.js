@@ -1,7 +1,7 @@
 "use strict";
-// The controls of the report: which codes and sets are shown, what a plot shows, light or dark.
+// Controls of the report: shown codes and sets, quantity of a plot, light or dark.
 
-// All models of the plots; those of Bokeh's documents, once they are there.
+// Return all models of the plots.
 function models() {
   return Bokeh.documents.flatMap((doc) => [...doc.all_models]);
 }
@@ -10,7 +10,7 @@ function tagged(test) {
   return models().filter((model) => model.tags.some(test));
 }
 
-// What is in ink cannot be seen on dark paper: rules, axes and titles follow the reader's setting.
+// Rules, axes and titles follow the reader's colour scheme, since dark ones are invisible on a dark page.
 function paint(dark) {
   const ink = dark ? "#e4e4e4" : "#222222";
   const look = (model, names) => {
@@ -29,10 +29,10 @@ function showCode(code, shown) {
 }
 
 function showSet(index, shown) {
-  for (const part of document.querySelectorAll(`[data-set="${index}"]`)) part.hidden = !shown;
+  for (const element of document.querySelectorAll(`[data-set="${index}"]`)) element.hidden = !shown;
 }
 
-// Properties before data, so that no mark is placed on an axis that is about to change.
+// Set properties before data, so that no mark is drawn on an axis that is about to change.
 function choose(control, value) {
   const changes = [];
   for (const model of models()) {
@@ -44,7 +44,7 @@ function choose(control, value) {
   for (const [model, properties] of changes) model.setv(properties);
 }
 
-// A canvas has the width of the screen: on paper stand pictures of the plots, with dark ink.
+// A canvas has the width of the screen. Print pictures of the plots instead, in dark colours.
 function takePictures() {
   paint(false);
   for (const view of Bokeh.index) {

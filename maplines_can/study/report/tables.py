@@ -1,9 +1,8 @@
-"""The tables of a sweep, read back and checked, and what the report says of them."""
+"""The tables of a sweep as rows, checked, and numbers as text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ __all__ = [
     "Row",
     "Tables",
     "number",
+    "percent",
     "read_tables",
     "share",
     "with_error",
@@ -26,21 +26,19 @@ __all__ = [
 
 Row = dict[str, Any]
 
-#: Quantities of the KL that a summary has, and how the report names them.
+#: Columns of the summary with a KL divergence, and their names in the report.
 SUMMARY = {
     "kl_mean": "KL of the covered target, mean",
     "kl_p50": "KL of the covered target, median",
     "kl_p99": "KL of the covered target, 99 %",
     "kl_max": "KL of the covered target, largest",
-    "kl_before_inflation_mean": "KL before the inflation that covers, mean",
-    "kl_theory": "KL foretold by theory",
-    "kl_untouched_mean": "KL against the untouched Gaussian, mean",
+    "kl_before_inflation_mean": "KL before the inflation, mean",
+    "kl_theory": "KL predicted by theory",
+    "kl_untouched_mean": "KL of the true Gaussian, mean",
 }
-#: The law of the limit is one of high rates: at a larger KL it says nothing.
+#: The rate-distortion limit is an approximation for high rates, and does not hold for a larger KL.
 LARGEST_KL = 0.1
-_PLACES = [f"{x:g}" for x in LATERAL_X]
-_UPPER = [(i, j) for i in range(4) for j in range(4)]
-#: The columns that the report reads of each table.
+#: The columns that the report reads from each table.
 COLUMNS: dict[str, list[str]] = {
     "summary": [
         *("set", "code", "finer_bits", "n", "seed", "covariance_bits", "record_bits"),
@@ -48,8 +46,8 @@ COLUMNS: dict[str, list[str]] = {
         *("not_positive_definite", "not_positive_definite_se", "overconfident"),
         *("overconfident_se", "saturated", "saturated_se", "out_of_range", "out_of_range_se"),
         *(*SUMMARY, "kl_mean_se", "kl_untouched_mean_se"),
-        *(f"mean_error_{kind}_{x}" for kind in ("rms", "max") for x in _PLACES),
-        *(f"sigma_ratio_{kind}_{x}" for kind in ("min", "p50", "p99") for x in _PLACES),
+        *(f"mean_error_{kind}_{x:g}" for kind in ("rms", "max") for x in LATERAL_X),
+        *(f"sigma_ratio_{kind}_{x:g}" for kind in ("min", "p50", "p99") for x in LATERAL_X),
         "gaussians_per_second",
     ],
     "fields": [
@@ -59,12 +57,10 @@ COLUMNS: dict[str, list[str]] = {
     "worst": [
         *("set", "code", "rank", "kl", "status"),
         *(f"{side}mean_{i}" for side in ("", "decoded_") for i in range(4)),
-        *(f"{side}cov_{i}{j}" for side in ("", "decoded_") for i, j in _UPPER),
+        *(f"{side}cov_{i}{j}" for side in ("", "decoded_") for i in range(4) for j in range(4)),
     ],
     "limit": ["set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"],
 }
-#: What a sweep may have been told to leave out.
-MAY_BE_EMPTY = ("fields", "worst", "limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,47 +75,43 @@ class Tables:
     @property
     def sets(self) -> list[str]:
         """Names of the sets, in the order of the summary."""
-        return _distinct(row["set"] for row in self.summary)
+        return list(dict.fromkeys(row["set"] for row in self.summary))
 
     @property
     def codes(self) -> list[str]:
         """Names of the codes: the project's in their order, then others."""
-        seen = _distinct(row["code"] for row in self.summary)
+        seen = dict.fromkeys(row["code"] for row in self.summary)
         return [code for code in CODES if code in seen] + [c for c in seen if c not in CODES]
 
-    def rank_of(self, code: str) -> int:
-        """Place of a code among the codes."""
-        return self.codes.index(code) if code in self.codes else len(self.codes)
-
     def of(self, set_: str, code: str) -> list[Row]:
-        """Rows of the summary for one code, by its bits."""
+        """Return the rows of the summary for one code, by its bits."""
         rows = [row for row in self.summary if (row["set"], row["code"]) == (set_, code)]
         return sorted(rows, key=lambda row: row["covariance_bits"])
 
     def shipped(self, set_: str, code: str) -> Row | None:
-        """The row of the code as its DBC has it, or the nearest to it."""
+        """Return the row of the code with the widths of its DBC, or with the nearest ones."""
         return min(self.of(set_, code), key=lambda row: abs(row["finer_bits"]), default=None)
 
     def shipped_of(self, set_: str) -> list[Row]:
-        """The rows of all codes on a set, as their DBCs have them."""
+        """Return the rows of all codes on a set, with the widths of their DBCs."""
         return [row for code in self.codes if (row := self.shipped(set_, code))]
 
-    def limit_of(self, set_: str, part: str = "covariance") -> list[Row]:
-        """The rate-distortion limit of a set, from fine to coarse; empty where it is not known."""
+    def limit_of(self, set_: str) -> list[Row]:
+        """Return the rate-distortion limit of a set, by KL; empty if it is not known."""
         rows = [
             row
             for row in self.limit
-            if (row["set"], row["part"]) == (set_, part)
+            if (row["set"], row["part"]) == (set_, "covariance")
             and math.isfinite(row["bits"])
             and row["kl"] > 0
         ]
         return sorted(rows, key=lambda row: row["kl"])
 
     def limit_bits(self, set_: str, kl: float) -> float | None:
-        """Bits of the covariance at the limit [bit].
+        """Return the bits of the covariance at the limit.
 
-        Straight in the logarithm of the KL, also beyond the ends of the table, up to
-        ``LARGEST_KL``; None above it, and where the limit or the KL is not known.
+        The table is interpolated and extrapolated linearly in log KL, up to ``LARGEST_KL``.
+        Return None above it, and if the limit or the KL is not known.
         """
         rows = self.limit_of(set_)
         if len(rows) < 2 or not 0 < kl <= LARGEST_KL:
@@ -131,10 +123,10 @@ class Tables:
         return float(max(0.0, low["bits"] + way * (high["bits"] - low["bits"])))
 
     def over_limit(self, row: Row) -> float | None:
-        """Bits of the covariance that a row spends over the limit at its own KL [bit].
+        """Return the bits of the covariance above the limit at the KL of a row.
 
-        None where the limit is not known, and where the KL leaves out matrices that are not
-        definite.
+        Return None if the limit is not known, and if the KL leaves out matrices that are not
+        positive definite.
         """
         least = self.limit_bits(row["set"], row["kl_mean"])
         if least is None or row["not_positive_definite"] > 0:
@@ -142,7 +134,7 @@ class Tables:
         return float(row["covariance_bits"]) - least
 
     def over_text(self, row: Row) -> str:
-        """``over_limit`` in words, up to what it is if the limit has all of its likely bias."""
+        """Return ``over_limit`` as a range: without and with the estimated bias of the limit."""
         over = self.over_limit(row)
         if over is None:
             return "-"
@@ -151,12 +143,12 @@ class Tables:
 
 
 def read_tables(folder: str | Path) -> Tables:
-    """Read what a sweep has left in a folder.
+    """Read the tables of a sweep from a folder.
 
     Raises:
         MissingExtraError: pyarrow is not installed.
-        StudyError: the folder or a table in it is missing, cannot be read, lacks columns, or has
-            no rows where there must be some.
+        StudyError: the folder or a table does not exist, is not readable, lacks columns, or the
+            summary has no rows.
     """
     try:
         import pyarrow as pa
@@ -167,12 +159,12 @@ def read_tables(folder: str | Path) -> Tables:
         ) from error
     folder = Path(folder)
     if not folder.is_dir():
-        raise StudyError(f"{folder}: there is no such folder; a sweep makes one with its tables")
+        raise StudyError(f"{folder}: there is no such folder; a sweep creates one for its tables")
     tables: dict[str, list[Row]] = {}
     for name, columns in COLUMNS.items():
         path = folder / f"{name}.parquet"
         if not path.is_file():
-            raise StudyError(f"{path}: is missing; a sweep writes it when all is done")
+            raise StudyError(f"{path}: is missing; a sweep writes it when it is complete")
         try:
             table = pq.ParquetFile(path).read()
         except (pa.ArrowException, OSError) as error:
@@ -180,16 +172,17 @@ def read_tables(folder: str | Path) -> Tables:
         missing = [column for column in columns if column not in table.column_names]
         if missing:
             raise StudyError(f"{path}: lacks the columns {', '.join(missing)}")
-        if not table.num_rows and name not in MAY_BE_EMPTY:
+        if not table.num_rows and name == "summary":
             raise StudyError(f"{path}: has no rows; run the sweep to its end")
         tables[name] = [
-            {key: _plain(value) for key, value in row.items()} for row in table.to_pylist()
+            {key: math.nan if value is None else value for key, value in row.items()}
+            for row in table.to_pylist()
         ]
     return Tables(**tables)
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number for a reader.
+    """Return a number for a reader.
 
     >>> number(0.0023456), number(1234567.0), number(float("inf")), number(float("nan"))
     ('0.00235', '1,230,000', '∞', 'none')
@@ -203,8 +196,13 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}"
 
 
+def percent(value: float) -> str:
+    """Return a share in percent."""
+    return f"{number(100 * value)} %" if value else "0"
+
+
 def with_error(value: float, error: float) -> str:
-    """A number and twice its standard error.
+    """Return a number and twice its standard error.
 
     >>> with_error(0.0023456, 0.00001), with_error(float("inf"), float("nan"))
     ('0.00235 ± 2e-05', '∞')
@@ -215,7 +213,7 @@ def with_error(value: float, error: float) -> str:
 
 
 def share(value: float, error: float, n: int) -> str:
-    """A share of n cases in percent; of none, what may be in truth (95 %: 3 / n).
+    """Return a share of n cases in percent; of none, the 95 % upper bound of the true share, 3 / n.
 
     >>> share(0.0, 0.0, 3000), share(0.25, 0.01, 3000)
     ('0 (true share below 0.1 %)', '25 ± 2 %')
@@ -223,11 +221,3 @@ def share(value: float, error: float, n: int) -> str:
     if value == 0:
         return f"0 (true share below {number(300 / n, 1)} %)"
     return f"{with_error(100 * value, 100 * error)} %"
-
-
-def _plain(value: Any) -> Any:
-    return math.nan if value is None else value
-
-
-def _distinct(values: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(values))

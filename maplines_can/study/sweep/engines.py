@@ -1,24 +1,32 @@
-"""Engines: run the tasks of a study in this process, or on Dask workers here or elsewhere.
+"""Engines: run the tasks of a study in this process, on processes of this machine, or on Dask.
 
 An engine takes an iterator of tasks and yields ``(key, result)`` as tasks finish, in any order. It
-draws only a few tasks ahead of its workers, so that memory use stays flat. If a worker dies, Dask
-runs its tasks again on another one.
+draws only a few tasks ahead of its workers, so that memory use stays flat. If a worker dies, its
+tasks are run again.
 """
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
+from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import CancelledError
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, NamedTuple
 
 from ...errors import MissingExtraError, StudyError
 
-__all__ = ["Result", "Results", "Task", "in_this_process", "on_dask"]
+__all__ = ["Result", "Results", "Task", "in_processes", "in_this_process", "on_dask"]
 
-#: Tasks in flight for each worker thread, so that none waits for the next one.
+#: Number of times in a row that a process may die before the study is given up.
+DEATHS = 3
+#: Tasks in flight for each worker, so that none waits for the next one.
 AHEAD = 2
 #: Time limit for a Dask scheduler to answer, and to have a worker [s].
 PATIENCE = 30.0
@@ -44,56 +52,98 @@ def in_this_process(tasks: Iterator[Task]) -> Results:
         yield task.key, task.work()
 
 
-def on_dask(tasks: Iterator[Task], name: str, *, jobs: int = 1, address: str = "") -> Results:
-    """Run tasks on processes of this machine, or on the workers of a Dask scheduler.
+# ---- processes of this machine --------------------------------------------------------
 
-    The workers of a scheduler need this package too, but no files.
+
+def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
+    """Run tasks on processes of this machine, which are replaced if they die.
+
+    Raises:
+        StudyError: they die again and again.
+    """
+    waiting: deque[Task] = deque()
+    deaths = 0
+    while deaths <= DEATHS:
+        running: dict[Future[Result], Task] = {}
+        try:
+            with _pool(jobs) as pool:
+                while True:
+                    waiting.extend(islice(tasks, AHEAD * jobs - len(running) - len(waiting)))
+                    while waiting and len(running) < AHEAD * jobs:
+                        with _interrupts_blocked():  # a process may start here
+                            running[pool.submit(waiting[0].work)] = waiting[0]
+                        waiting.popleft()
+                    if not running:
+                        return
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        result = future.result()
+                        deaths = 0
+                        yield running.pop(future).key, result
+        except BrokenProcessPool:
+            waiting.extend(running.values())
+            deaths += 1
+    raise StudyError(
+        f"the workers died {deaths} times in a row; make chunks smaller (--chunk) or take fewer "
+        "jobs (--jobs) if memory is short. Finished tasks are kept"
+    )
+
+
+@contextmanager
+def _pool(jobs: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of processes; after an error or Ctrl-C, do not wait for unfinished tasks."""
+    others = set(active_children())
+    pool = ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin)
+    try:
+        yield pool
+    except BaseException:
+        for child in set(active_children()) - others:
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Ignore Ctrl-C, which is for the parent, and end with the parent, even if it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if (parent := parent_process()) is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    """Block Ctrl-C, so that a process started here does not see one before it can ignore it."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+# ---- a Dask cluster -------------------------------------------------------------------
+
+
+def on_dask(tasks: Iterator[Task], address: str, name: str) -> Results:
+    """Run tasks on the workers of a Dask scheduler, which need this package too, but no files.
 
     Args:
         tasks: to run.
+        address: of the scheduler, such as tcp://10.0.0.1:8786.
         name: of the study, for the scheduler's dashboard.
-        jobs: processes, if there is no address.
-        address: of a scheduler, such as tcp://10.0.0.1:8786.
 
     Raises:
         MissingExtraError: dask.distributed is not installed.
         StudyError: the scheduler or its workers cannot be reached, or a task kills each worker.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        option = "--scheduler" if address else "--jobs above 1"
-        raise MissingExtraError(
-            f"{option} needs Dask; pip install 'maplines_can[study]'"
-        ) from error
-    with _client(distributed, jobs, address) as client:
-        try:
-            yield from _flow(distributed, client, tasks, name)
-        except distributed.KilledWorker as error:
-            raise StudyError(
-                f"a task killed each worker that took it ({error}); make chunks smaller (--chunk) "
-                "or take fewer jobs (--jobs) if memory is short. Finished tasks are kept"
-            ) from error
-        except (CancelledError, OSError) as error:
-            raise StudyError(
-                f"the Dask scheduler at {client.scheduler.address} is lost ({error}); run the same "
-                "command again to go on"
-            ) from error
-
-
-@contextmanager
-def _client(distributed: Any, jobs: int, address: str) -> Iterator[Any]:
-    if not address:
-        with _interrupts_blocked():
-            cluster = distributed.LocalCluster(
-                n_workers=jobs,
-                threads_per_worker=1,
-                memory_limit=0,
-                dashboard_address="127.0.0.1:0",
-            )
-        with cluster, distributed.Client(cluster) as client:
-            yield client
-        return
+    distributed = _distributed()
     try:
         client = distributed.Client(address, timeout=PATIENCE)
     except (OSError, ValueError, TimeoutError) as error:
@@ -106,23 +156,18 @@ def _client(distributed: Any, jobs: int, address: str) -> Iterator[Any]:
                 f"the Dask scheduler at {address} has no workers; start some: dask worker {address}"
             ) from None
         _check_versions(client, address)
-        yield client
-
-
-@contextmanager
-def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT in threads and processes started within: Ctrl-C then reaches only the parent.
-
-    There is no signal mask on Windows, where Ctrl-C prints a traceback for each worker.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        try:
+            yield from _flow(distributed, client, tasks, name)
+        except distributed.KilledWorker as error:
+            raise StudyError(
+                f"a task killed each Dask worker that took it ({error}); make chunks smaller "
+                "(--chunk) if memory is short. Finished tasks are kept"
+            ) from error
+        except (CancelledError, OSError) as error:
+            raise StudyError(
+                f"the Dask scheduler at {address} is lost ({error}); run the same command again to "
+                "go on"
+            ) from error
 
 
 def _check_versions(client: Any, address: str) -> None:
@@ -159,3 +204,13 @@ def _flow(distributed: Any, client: Any, tasks: Iterator[Task], name: str) -> Re
         future.release()
         refill()
         yield key, result
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError(
+            "--scheduler needs Dask; pip install 'maplines_can[study]'"
+        ) from error
+    return distributed

@@ -1,23 +1,23 @@
-"""How few bits could do: the rate-distortion bound of a source of Gaussians.
+"""The rate-distortion limit: the fewest bits that could send a source of Gaussians.
 
-A Gaussian of p components is sent at a mean KL divergence from the true to the decoded one. Where
-it is small it is a quadratic form, 2 KL = d^T F d, with F the Fisher information of the n
+Gaussians of p components are sent with a mean KL divergence from the true to the decoded one. If
+it is small, it is a quadratic form, 2 KL = d^T F d, with F the Fisher information of the n
 parameters; then (Linder and Zamir, IEEE Trans. Inf. Theory 45(2), 1999, 533)
 
     R(KL) = h_F - n/2 log2(2 pi e 2 KL / n)  bit,    h_F = h(theta) + E log2 sqrt(det F(theta))
 
 bounds the mean length of every code as KL goes to 0, and codes of long blocks attain it. Scalar
-steps lose at least 1/2 log2(2 pi e / 12) = 0.2546 bit per parameter against it. h_F, the entropy
-with respect to the Fisher volume, is the same in all coordinates. Here they are, with S = L L^T,
-the mean m, ln L_ii and t_ij = L_ij / L_ii for j < i. With L'^-1 L = 1 + A and z = L'^-1 (m - m'),
-2 KL = |z|^2 + 2 sum A_ii^2 + sum A_ij^2, where A_ii = d ln L_ii and A_ij = d t_ij up to terms of
-the other parameters whose Jacobian is 1. So
+quantizers lose at least 1/2 log2(2 pi e / 12) = 0.2546 bit per parameter against it. h_F, the
+entropy with respect to the Fisher volume, is the same in all coordinates. The coordinates here,
+with S = L L^T, are the mean m, ln L_ii, and t_ij = L_ij / L_ii for j < i. With L'^-1 L = 1 + A and
+z = L'^-1 (m - m'), 2 KL = |z|^2 + 2 sum A_ii^2 + sum A_ij^2, where A_ii = d ln L_ii and
+A_ij = d t_ij up to terms of the other parameters whose Jacobian is 1. Therefore
 
     h_F = h(m, ln L_ii, t_ij) + p/2 bit - E log2 sqrt(det S)    n = p + p (p + 1) / 2: all
     h_F = h(ln L_ii, t_ij)    + p/2 bit                         n = p (p + 1) / 2: covariance
 
-The second is of the covariances by themselves, KL(N(m, S) || N(m, S')): what the mean tells of
-them is not made use of. First less second is the mean's, given the covariance.
+The second is for the covariances alone, KL(N(m, S) || N(m, S')), without using what the mean says
+about them. The difference of the two is the entropy of the mean, given the covariance.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import nan
 from typing import Literal
 
 import numpy as np
@@ -36,25 +37,25 @@ __all__ = ["Limit", "limit_of"]
 
 Array = NDArray[np.float64]
 
-#: Disjoint parts of the samples: their scatter is the standard error, and how far they lie above
-#: the estimate of all samples tells the bias.
+#: Disjoint batches of samples. Their scatter gives the standard error, and their excess over the
+#: estimate from all samples gives the bias.
 BATCHES = 8
-#: Neighbours that tell the shape of a neighbourhood, for each dimension. Fewer follow a bent
-#: source more closely and know its shape less well: 4 to 30 differ by half a bit there.
+#: Neighbours for each dimension that estimate the shape of a neighbourhood. Fewer follow a curved
+#: source more closely but estimate its shape less well: 4 to 30 differ by half a bit there.
 NEIGHBOURS = 10
-#: Rows worked on at a time; 14 dimensions take 60 MB.
+#: Rows computed at a time; 14 dimensions take 60 MB.
 BLOCK = 1024
 #: Least eigenvalue of a correlation matrix whose coordinates are independent.
 COLLINEAR = 1e-9
-#: Sources that fill their n dimensions come out at 0.9 n and more, surfaces in them at 0.8 n.
+#: Sources that fill their n dimensions are estimated at 0.9 n and more, surfaces at 0.8 n.
 LEAST_DIMENSION = 0.85
 
 
 @dataclass(frozen=True)
 class Limit:
-    """The bound R(KL) of a source, with what is known of its errors.
+    """The bound R(KL) of a source, with estimates of its errors.
 
-    Also of a source with a closed form, or of one that lies on a surface of ``dimension``.
+    It may also come from a closed form, or from a source on a surface of ``dimension``.
 
     >>> limit = Limit(entropy_bits=10.0, dimension=14)
     >>> limit.bits([1e-3, 1e-4]).round(2)
@@ -63,19 +64,19 @@ class Limit:
     array(0.00025)
     """
 
-    entropy_bits: float  #: h_F [bit]; NaN where the source is singular
-    dimension: int  #: n, numbers in a Gaussian
+    entropy_bits: float  #: h_F [bit]; NaN if the source is singular
+    dimension: int  #: n, parameters of a Gaussian
     entropy_se_bits: float = 0.0  #: standard error of h_F [bit]
-    bias_bits: float = 0.0  #: by how much h_F, and R with it, probably comes out too high [bit]
-    samples: int = 0  #: distinct ones that h_F was taken from
-    duplicates: int = 0  #: exact copies of others, left out
-    local_dimension: float = float("nan")  #: about how many dimensions the samples fill
-    caveat: str = ""  #: why h_F is not to be trusted; empty if nothing speaks against it
+    bias_bits: float = 0.0  #: probable excess of h_F, and of R [bit]
+    samples: int = 0  #: distinct samples used
+    duplicates: int = 0  #: exact copies of others, not used
+    local_dimension: float = nan  #: estimated dimension that the samples fill
+    caveat: str = ""  #: why h_F is not reliable; empty if it is
 
     def bits(self, kl: ArrayLike) -> Array:
-        """(...,) least mean length of a message [bit] for mean divergences ``kl``.
+        """Return the (...,) smallest mean length of a message [bit] for mean divergences ``kl``.
 
-        For high rates: where it is no longer much more than ``dimension`` bits it means little.
+        Valid at high rates: well above ``dimension`` bits.
 
         Args:
             kl: (...,) positive, KL(true || decoded) [nat].
@@ -90,7 +91,7 @@ class Limit:
         return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * np.e * 2 * kl / n))
 
     def kl(self, bits: ArrayLike) -> Array:
-        """(...,) least mean divergence [nat] for mean lengths of a message [bit]."""
+        """Return the (...,) smallest mean divergence [nat] for mean lengths of a message [bit]."""
         n = self.dimension
         excess = (self.entropy_bits - np.asarray(bits, dtype=float)) * 2 / n
         return np.asarray(n / (4 * np.pi * np.e) * 2**excess)
@@ -105,46 +106,46 @@ def limit_of(
     k: int = 1,
     seed: int = 0,
 ) -> Limit:
-    """The bound of the source that Gaussians were drawn from, by nearest neighbours.
+    """Estimate the bound of the source of a sample of Gaussians, by nearest neighbours.
 
-    The entropy of the coordinates is that of each by itself, plus that of their normal scores,
-    less as many standard normal ones: exact, and heavy tails are gone. Either is taken from the
-    distances to the k-th neighbours (Kozachenko and Leonenko 1987; Kraskov, Stoegbauer and
-    Grassberger, Phys. Rev. E 69, 066138, 2004), of the scores in the metric of the neighbours'
-    own covariance, which follows a bent source (after Lord, Sun and Bollt, Chaos 28, 033114,
-    2018). What the same procedure makes too much or too little of a standard normal sample of
-    the same size is taken off.
+    The entropy of the coordinates is the sum of their single entropies, plus the entropy of their
+    normal scores, less that of as many standard normal numbers. This is exact and removes heavy
+    tails. Each entropy is estimated from the distances to the k-th neighbours (Kozachenko and
+    Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys. Rev. E 69, 066138, 2004); that of the
+    scores in the metric of the covariance of the neighbours, which follows a curved source (after
+    Lord, Sun and Bollt, Chaos 28, 033114, 2018). The error of the same procedure on a standard
+    normal sample of the same size is subtracted.
 
-    What remains is too high where the source is finer than the neighbours are apart, for smooth
-    sources in proportion to N^(-2/n) (Berrett, Samworth and Yuan, Ann. Statist. 47, 288, 2019).
-    ``bias_bits`` is what that law makes of the step from N/8 samples to N: told, not taken off,
-    so ``entropy_bits`` is the high end and ``entropy_bits - bias_bits`` the likely low end. On
-    sources with closed forms the truth lay between them, up to the standard errors (the bias has
-    some three times that of the entropy), but for sources a tenth as thick as wide, or thinner:
-    theirs lay lower still.
+    The result is still too high if the source is finer than the distance of neighbours; for smooth
+    sources the excess goes with N^(-2/n) (Berrett, Samworth and Yuan, Ann. Statist. 47, 288,
+    2019). ``bias_bits`` extrapolates this law from N/8 and N samples. It is not subtracted:
+    ``entropy_bits`` is the high end and ``entropy_bits - bias_bits`` the probable low end. On
+    sources with closed forms the true value lay between them, up to the standard errors (that of
+    the bias is about three times that of the entropy), except for sources that are ten times as
+    wide as thick, or thinner, where it lay lower.
 
-    A source on a surface of fewer than n dimensions has no h_F (it is minus infinity), and
-    its bound rises by less than n/2 log2 10 bit a decade. Exact ties come back as NaN; where the
-    samples only look so, by ``local_dimension``, the ``caveat`` says it, and against the high end
-    a code looks better than it is.
+    A source on a surface of fewer than n dimensions has no h_F (it is minus infinity), and its
+    bound rises by less than n/2 log2 10 bit per decade. Exact ties give NaN. If the samples only
+    look like a surface, by ``local_dimension``, ``caveat`` says so; a code then looks better
+    against the high end than it is.
 
-    h_F depends neither on the order of the components nor on their units, but its bias does on
-    the order: take one whose ratios are small.
+    h_F depends neither on the order of the components nor on their units, but its bias depends on
+    the order: choose one with small ratios.
 
     20 000 samples of 14 dimensions take 15 s, 100 000 take 4 min, half of it for the normal sample,
-    which is kept for the next set of this size; 200 and 300 MB.
+    which is cached for the next set of this size; 200 and 300 MB.
 
     Args:
-        means: (N, p); not looked at for the part "covariance".
-        covs: (N, p, p) positive definite. N of at least 160 n.
-        part: "all", n = p + p (p + 1) / 2 parameters, or "covariance", n = p (p + 1) / 2, by
-            themselves.
-        resolution: (p,) variances added to each covariance, as ``judge`` does; none by default.
-        k: which neighbour, 1 to 10. More than 1 smooth more, and save little of the error.
+        means: (N, p); unused for the part "covariance".
+        covs: (N, p, p) positive definite; N is at least 160 n.
+        part: "all", n = p + p (p + 1) / 2 parameters, or "covariance", n = p (p + 1) / 2.
+        resolution: (p,) variances added to each covariance, as by ``evaluate``; none by default.
+        k: the neighbour used, 1 to 10. More than 1 smooths more and reduces the error little.
         seed: of the split into batches and of the normal samples.
 
     Raises:
-        ValueError: a shape or value is wrong, a covariance is singular, too few distinct samples.
+        ValueError: a shape or value is wrong, a covariance is singular, or there are too few
+            distinct samples.
 
     >>> rng = np.random.default_rng(1)
     >>> sigma = 2 ** rng.uniform(0, 10, size=2000)  # 10 octaves, and KL = (ln sigma'/sigma)^2
@@ -167,13 +168,13 @@ def limit_of(
     samples = len(theta)
     sizes = {"dimension": n, "samples": samples, "duplicates": given - samples}
     if reason := _singular(theta, names):
-        return Limit(float("nan"), **sizes, entropy_se_bits=float("nan"), caveat=reason)
+        return Limit(nan, **sizes, entropy_se_bits=nan, bias_bits=nan, caveat=reason)
 
-    h, parts, filled = _estimates(theta, log_volume, k)
-    error, error_parts, normal_filled = _of_normal(samples, n, k, seed)
+    h, batches, filled = _estimates(theta, log_volume, k)
+    error, error_batches, normal_filled = _of_normal(samples, n, k, seed)
     shrinkage = BATCHES ** (-2 / n)
-    step = parts.mean() - h - (np.mean(error_parts) - error)
-    se = np.sqrt((parts.var(ddof=1) + np.var(error_parts, ddof=1)) / BATCHES)
+    step = batches.mean() - h - (np.mean(error_batches) - error)
+    se = np.sqrt((batches.var(ddof=1) + np.var(error_batches, ddof=1)) / BATCHES)
     local_dimension = n * filled / normal_filled
     caveat = ""
     if local_dimension < LEAST_DIMENSION * n:
@@ -194,7 +195,7 @@ def limit_of(
 def _coordinates(
     means: ArrayLike, covs: ArrayLike, part: str, resolution: ArrayLike | None
 ) -> tuple[Array, Array, list[str]]:
-    """Coordinates (N, n), the logarithm of the Fisher volume of each (N,), and their names."""
+    """Return coordinates (N, n), the logarithm of their Fisher volume (N,), and their names."""
     if part not in ("all", "covariance"):
         raise ValueError(f"part must be 'all' or 'covariance', got {part!r}")
     m, S = np.asarray(means, dtype=float), np.asarray(covs, dtype=float)
@@ -216,7 +217,7 @@ def _coordinates(
         L = np.asarray(np.linalg.cholesky(S), dtype=float)
     except np.linalg.LinAlgError:
         raise ValueError(
-            "covs must be positive definite: a singular one cannot be told at any finite rate; "
+            "covs must be positive definite: a singular one has no finite rate; "
             "add the resolution of the means, Codec.resolution"
         ) from None
     log_pivots = np.log(np.einsum("nii->ni", L))
@@ -233,47 +234,50 @@ def _coordinates(
 
 
 def _singular(theta: Array, names: Sequence[str]) -> str:
-    """Why the entropy of (N, n) coordinates is minus infinity; empty if it is not."""
+    """Return why the entropy of (N, n) coordinates is minus infinity, or an empty text."""
     for x, name in zip(theta.T, names, strict=True):
         _, count = np.unique(x, return_counts=True)
         if count.max() > NEIGHBOURS // 2:
             share = count.max() / len(x)
-            return f"singular: {name} has one and the same value in {share:.1%} of the samples"
+            return f"singular: {name} has the same value in {share:.1%} of the samples"
     values, vectors = np.linalg.eigh(np.atleast_2d(np.corrcoef(_normal_scores(theta).T)))
     if values[0] < COLLINEAR:
-        tied = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
-        return f"singular: {', '.join(tied)} determine each other"
+        dependent = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
+        return f"singular: {', '.join(dependent)} determine each other"
     return ""
 
 
 def _estimates(theta: Array, log_volume: Array, k: int) -> tuple[float, Array, float]:
-    """Entropy [nat] of all coordinates, of each batch (BATCHES,), and the dimension they fill.
+    """Return the entropy [nat] of all samples, of each batch, and the dimension they fill.
 
     Args:
-        theta: (N, n) coordinates, in no order.
-        log_volume: (N,) logarithm of what a unit of their volume counts.
-        k: which neighbour.
+        theta: (N, n) coordinates, in random order.
+        log_volume: (N,) logarithm of the weight of a unit of volume.
+        k: the neighbour used.
+
+    Returns:
+        The entropy, (BATCHES,) entropies, and the dimension.
     """
     h, local_dimension = _entropy(theta, k)
     size = len(theta) // BATCHES
-    parts = [slice(i * size, (i + 1) * size) for i in range(BATCHES)]
-    h_parts = np.array([_entropy(theta[part], k)[0] + log_volume[part].mean() for part in parts])
-    return h + float(log_volume.mean()), h_parts, local_dimension
+    rows = [slice(i * size, (i + 1) * size) for i in range(BATCHES)]
+    h_batches = np.array([_entropy(theta[r], k)[0] + log_volume[r].mean() for r in rows])
+    return h + float(log_volume.mean()), h_batches, local_dimension
 
 
 @lru_cache
 def _of_normal(samples: int, n: int, k: int, seed: int) -> tuple[float, tuple[float, ...], float]:
-    """``_estimates`` of a standard normal sample: its errors, for they are to be 0."""
+    """Return the errors of ``_estimates`` for a standard normal sample."""
     x = np.random.default_rng([seed, samples, n]).standard_normal((samples, n))
-    # Counted by the density at the points themselves: then their fluctuation is no error.
+    # Relative to the density at the points, so that their scatter does not count as an error.
     log_density = -((x**2).sum(axis=1) + n * np.log(2 * np.pi)) / 2
-    error, error_parts, local_dimension = _estimates(x, log_density, k)
-    return error, tuple(error_parts.tolist()), local_dimension
+    error, error_batches, local_dimension = _estimates(x, log_density, k)
+    return error, tuple(error_batches.tolist()), local_dimension
 
 
 def _entropy(theta: Array, k: int) -> tuple[float, float]:
-    """Differential entropy [nat] of (N, n) coordinates as it comes; the dimension they fill."""
-    # A few neighbours are close enough along a line, and spare the estimate single near ties.
+    """Return the uncorrected entropy [nat] of (N, n) coordinates, and the dimension they fill."""
+    # In one dimension a few neighbours are close enough, and near ties do not matter.
     single = sum(_neighbours(x[:, None], NEIGHBOURS // 2, shaped=False)[0] for x in theta.T)
     scores = _normal_scores(theta)
     root = np.asarray(np.linalg.cholesky(np.atleast_2d(np.cov(scores.T))), dtype=float)
@@ -284,14 +288,10 @@ def _entropy(theta: Array, k: int) -> tuple[float, float]:
 
 
 def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
-    """Entropy [nat] of (N, n) points by their k-th neighbours, and the dimension they fill.
+    """Return the entropy [nat] of (N, n) points by their k-th neighbours, and their dimension.
 
-    The dimension is that of Levina and Bickel (2004), averaged as MacKay and Ghahramani do.
-
-    Args:
-        x: (N, n) points.
-        k: which neighbour.
-        shaped: distances in the metric of the neighbours' covariance, else of the points.
+    The dimension is that of Levina and Bickel (2004), averaged as by MacKay and Ghahramani.
+    ``shaped`` distances are in the metric of the covariance of the neighbours.
     """
     samples, n = x.shape
     near = NEIGHBOURS * n if shaped else k
@@ -300,7 +300,7 @@ def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
     for start in range(0, samples, BLOCK):
         centre = x[start : start + BLOCK]
         distance, index = tree.query(centre, k=near + 1)
-        distance = distance[:, 1:]  # the first is the point itself
+        distance = distance[:, 1:]  # the nearest is the point itself
         if not shaped:
             log_radius += n * np.log(distance[:, k - 1]).sum()
             continue
@@ -314,10 +314,10 @@ def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
         log_radius += np.log(np.einsum("bii->bi", L)).sum()
     log_ball = n / 2 * np.log(np.pi) - gammaln(n / 2 + 1)
     entropy = digamma(samples) - digamma(k) + log_ball + log_radius / samples
-    return float(entropy), samples / log_ratio if shaped else float("nan")
+    return float(entropy), samples / log_ratio if shaped else nan
 
 
 def _normal_scores(theta: Array) -> Array:
-    """(N, n) coordinates, each stretched to a standard normal distribution."""
+    """Map each of (N, n) coordinates to a standard normal distribution, by ranks."""
     rank = np.argsort(np.argsort(theta, axis=0), axis=0)
     return np.asarray(ndtri((rank + 0.5) / len(theta)), dtype=float)

@@ -12,8 +12,7 @@ import numpy as np
 
 from ...errors import StudyError
 from ...wire import Codec
-from ...wire.message.layout import Layout
-from ...wire.message.signals import STATE_SIGNALS
+from ...wire.message.layout import STATE_SIGNALS, Layout
 from ..codes import CODES
 from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for
@@ -116,18 +115,8 @@ class Study:
 
     def describe(self) -> dict[str, Any]:
         """Return everything that the result depends on, for the manifest."""
-        return {
-            "format": FORMAT,
-            "maplines_can": version("maplines_can"),
-            "sets": [line_set.describe() for line_set in self.sets],
-            "codes": list(self.codes),
-            "finer_bits": list(self.finer_bits),
-            "n": self.n,
-            "seed": self.seed,
-            "chunk_size": self.chunk_size,
-            "fields_n": self.fields_n,
-            "limit_n": self.limit_n,
-        }
+        versions = {"format": FORMAT, "maplines_can": version("maplines_can")}
+        return versions | vars(self) | {"sets": [line_set.describe() for line_set in self.sets]}
 
     def weights(self) -> dict[str, int]:
         """Return the size of each task [Gaussians] by its key, for progress."""

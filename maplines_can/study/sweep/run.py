@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..files import arrow
 from .directory import StudyDirectory
-from .engines import in_this_process, on_dask
+from .engines import in_processes, in_this_process, on_dask
 from .plan import Study
 from .tables import write_tables
 from .tasks import tasks_of
@@ -57,11 +57,10 @@ def run_study(
     progress(so_far, total)
     if so_far < total:
         tasks = tasks_of(study, done)
-        name = f"maplines-{directory.fingerprint}"
         if scheduler is not None:
-            results = on_dask(tasks, name, address=scheduler)
+            results = on_dask(tasks, scheduler, f"maplines-{directory.fingerprint}")
         elif (jobs := jobs or _processors()) > 1:
-            results = on_dask(tasks, name, jobs=jobs)
+            results = in_processes(tasks, jobs)
         else:
             results = in_this_process(tasks)
         with closing(results):

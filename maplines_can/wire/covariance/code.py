@@ -85,6 +85,13 @@ class CovarianceCode(ABC):
         """Return the raw values of the widest covariance, for a line without a covariance."""
 
 
+def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Return the (N,) nearest raw values within the range, and which were clipped to it."""
+    nearest = signal.raw(physical)
+    limited = signal.limited(nearest)
+    return limited.astype(np.int64), nearest != limited
+
+
 def check_octaves(layout: Layout, signals: Sequence[Signal]) -> None:
     """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
 

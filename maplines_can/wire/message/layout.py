@@ -12,16 +12,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
-from .channel import Channel, SecuredForm
+from .channel import Channel, SecuredForm, fd_length
 from .dbc_reader import default_dbc_path, parse_dbc, read_text
 from .signals import (
     PAGE,
     PAGE_BYTES,
+    SECURED_SIGNALS,
     SERVICE_SIGNALS,
     STATE_SIGNALS,
     TRANSFER_ID,
     Signal,
 )
+
+__all__ = [
+    "PAGE",
+    "PAGE_BYTES",
+    "SECURED_SIGNALS",
+    "STATE_SIGNALS",
+    "TRANSFER_ID",
+    "Layout",
+    "default_dbc_path",
+    "fd_length",
+]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Covariance codes: what each guarantees, held to it, and the same signals as cantools reads."""
+"""Covariance codes: their guarantees, and agreement with the signals that cantools reads."""
 
 from functools import cache
 from pathlib import Path
@@ -56,39 +56,39 @@ def test_every_code_has_a_dbc_that_names_it(name):
 
 @pytest.mark.parametrize("which", ["paper", "road"])
 @pytest.mark.parametrize("name", CODES)
-def test_a_code_holds_what_it_promises(name, which):
-    """A covering code is never overconfident; and all that is sent by it is definite."""
+def test_a_code_keeps_its_guarantees(name, which):
+    """A covering code is never overconfident, and its decoded covariances are definite."""
     means, covs = lines_of(which)
     codec, _, batch = sent_and_decoded(name, means, covs)
     assert batch.accepted.all()
     usable = batch.status != Status.OUT_OF_RANGE
     assert usable.mean() > 0.99
-    verdict = evaluate(
+    evaluation = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
     )
     if codec.covariance.covering:
-        assert not verdict.overconfident.any()
-        assert verdict.positive_definite.all()
+        assert not evaluation.overconfident.any()
+        assert evaluation.positive_definite.all()
     if codec.covariance.positive_definite:
-        assert verdict.positive_definite.all()
+        assert evaluation.positive_definite.all()
     assert set(batch.status[usable].tolist()) <= {codec.covariance.status, Status.SATURATED}
 
 
 @pytest.mark.parametrize("name", [name for name in CODES if CODES[name].covering])
-def test_a_covering_code_covers_hostile_covariances_or_says_that_it_cannot(name):
+def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(name):
     means, covs = adversarial(1500, seed=11)
     codec, _, batch = sent_and_decoded(name, means, covs)
     usable = batch.status != Status.OUT_OF_RANGE
-    verdict = evaluate(
+    evaluation = evaluate(
         means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
     )
-    assert not verdict.overconfident.any()
-    assert verdict.positive_definite.all()
+    assert not evaluation.overconfident.any()
+    assert evaluation.positive_definite.all()
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_any_bits_are_read_without_an_error_and_a_line_is_definite(name):
-    """One by one, as a receiver does: what is not definite is repaired, or refused."""
+def test_any_bits_decode_to_a_definite_line_or_a_reason(name):
+    """One by one, as in a receiver: an indefinite covariance is repaired or refused."""
     codec = codec_of(name)
     rng = np.random.default_rng(3)
     fields = codec.layout.signals.values()
@@ -113,7 +113,7 @@ def test_any_bits_are_read_without_an_error_and_a_line_is_definite(name):
 
 @pytest.mark.parametrize("name", CODES)
 def test_cantools_reads_the_same_signals(name):
-    """Every page, physical values; and it writes the same bytes."""
+    """Physical values of every page agree, and cantools encodes the same bytes."""
     means, covs = (values[:20] for values in lines_of("road"))
     codec, payloads, batch = sent_and_decoded(name, means, covs)
     database = cantools.database.load_file(dbc_of(name))
@@ -130,7 +130,7 @@ def test_cantools_reads_the_same_signals(name):
 
 
 def covariance_by_hand(name, signals):
-    """From cantools' values, as the README of the DBCs tells."""
+    """Return the covariance from cantools' values, as described in dbc/README.md."""
     states = ("YOff", "Beta", "C0", "C1")
     S = np.zeros((4, 4))
     for i, one in enumerate(states):
@@ -174,7 +174,7 @@ def test_the_integer_factor_has_the_99_bits_of_sbas():
 
 
 def test_half_precision_loses_small_variances():
-    """The variance of c1 is below 6e-8: float16 has nothing for it, float32 has."""
+    """The variance of c1 is below 6e-8, too small for float16 but not for float32."""
     means, covs = lines_of("road")
     half, single = (sent_and_decoded(name, means, covs)[2].cov for name in ("Float16", "Float32"))
     assert (half[:, 3, 3] == 0).mean() > 0.5
@@ -184,20 +184,20 @@ def test_half_precision_loses_small_variances():
     )
 
 
-def test_feedback_is_what_holds_the_error_of_thin_matrices():
-    """With the same fields: rounding by itself is worse on nearly singular matrices, by far."""
+def test_feedback_limits_the_error_of_nearly_singular_matrices():
+    """With the same fields, rounding without feedback is far worse."""
     means, covs = lines_of("paper")
     found = {}
     for name in ("Cholesky", "LogCholesky"):
         codec, _, batch = sent_and_decoded(name, means, covs)
         ok = batch.status == Status.FULL
-        verdict = evaluate(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
-        found[name] = np.quantile(verdict.kl_covered, 0.99)
+        evaluation = evaluate(means[ok], covs[ok], batch.mean[ok], batch.cov[ok], codec.resolution)
+        found[name] = np.quantile(evaluation.kl_covered, 0.99)
     assert found["LogCholesky"] > 20 * found["Cholesky"]
 
 
-def test_one_bit_more_in_each_field_is_a_quarter_of_the_divergence():
-    """KL of the rounding goes with the square of the step."""
+def test_one_bit_more_in_each_field_divides_the_divergence_by_four():
+    """The KL of rounding is proportional to the square of the step."""
     means, covs = lines_of("road")
     kl = []
     for finer in (-1, 0, 1):
@@ -209,7 +209,7 @@ def test_one_bit_more_in_each_field_is_a_quarter_of_the_divergence():
 
 
 @pytest.mark.parametrize("name", WITH_WIDTHS)
-def test_widths_change_and_the_code_goes_on_working(name):
+def test_codes_work_with_other_widths(name):
     means, covs = lines_of("road")
     for finer in (-1, 2):
         writer = dbc_writer_for(name, finer)
@@ -218,19 +218,19 @@ def test_widths_change_and_the_code_goes_on_working(name):
         assert batch.accepted.all()
         if codec.covariance.covering:
             usable = batch.status != Status.OUT_OF_RANGE
-            verdict = evaluate(
+            evaluation = evaluate(
                 means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
             )
-            assert not verdict.overconfident.any()
+            assert not evaluation.overconfident.any()
 
 
 @pytest.mark.parametrize("name", ["Float16", "Float32", "MeanOnly"])
-def test_a_code_without_widths_says_so(name):
+def test_a_code_with_fixed_widths_refuses_others(name):
     with pytest.raises(ValueError, match="finer_bits must be 0"):
         dbc_writer_for(name, 1)
 
 
-def test_errors_name_what_there_is():
+def test_messages_name_the_alternatives():
     with pytest.raises(ValueError, match="code must be one of Cholesky"):
         dbc_writer_for("Magic")
     with pytest.raises(ValueError, match="finer_bits cannot be -9"):
@@ -242,7 +242,7 @@ def test_errors_name_what_there_is():
 
 @pytest.mark.parametrize("name", CODES)
 def test_lines_travel_over_a_bus_with_every_dbc(name):
-    """Sent, received, and every received covariance definite."""
+    """Lines are sent and received, and every received covariance is definite."""
     lines = scene_lines(SCENARIOS["street-turn"])
     trip = round_trip(lines, Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3)
     assert {line.status for line in trip.lines} - {None}

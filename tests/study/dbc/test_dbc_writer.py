@@ -1,4 +1,4 @@
-"""The description of the wire, its DBC and its page are one and the same."""
+"""The description of the record, its DBC and its page agree."""
 
 import subprocess
 import sys
@@ -9,8 +9,8 @@ import pytest
 
 from maplines_can.line import Kind, Slot, Status
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
-from maplines_can.study.dbc.record_spec import DEFAULT
-from maplines_can.wire import Codec
+from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.wire import Codec, Layout
 
 ROOT = Path(__file__).parents[3]
 
@@ -21,7 +21,7 @@ def database():
 
 
 def test_the_files_are_up_to_date():
-    """dbc/maplines.dbc and the table beside it are what the description gives."""
+    """The DBCs and the tables in dbc/README.md are those of the description."""
     check = [sys.executable, ROOT / "tools" / "make_dbc.py", "--check"]
     done = subprocess.run(check, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -43,7 +43,7 @@ def test_every_bit_is_used_once(database):
 
 
 def test_each_signal_explains_itself(database):
-    """Comment, unit where there is one, range, and cycle time and send type of the message."""
+    """It has a comment, unit and range; its message has a cycle time and a send type."""
     units = {"YOff": "m", "Beta": "rad", "C0": "1/m", "C1": "1/m^2", "Age": "ms", "XMax": "m"}
     for message in database.messages:
         assert message.comment
@@ -68,15 +68,23 @@ def test_value_tables_are_the_enumerations(database):
         }
 
 
+def test_the_page_names_the_ids_of_the_dbc():
+    """The table of slots in dbc/README.md agrees with the DBC."""
+    page = (ROOT / "dbc" / "README.md").read_text()
+    for channel in Layout.from_dbc().channels.values():
+        row = f"| 0x{channel.can_id:03X} | 0x{channel.fd_can_id:03X} | 0x{channel.data_id:04X} |"
+        assert row in page
+
+
 def test_a_page_that_is_too_full_is_refused():
-    """The description itself is checked."""
+    """The constructor of the writer raises."""
     wide = SignalSpec(name="Wide", bits=59, about="", why="")
     with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
         DbcWriter(((wide,), (wide,), (wide,), (wide,)))
 
 
-def test_a_contract_of_another_shape_works(tmp_path):
-    """Pages in another order and other IDs: written, loaded, sent, received."""
+def test_another_arrangement_of_pages_works(tmp_path):
+    """Pages in another order and other CAN IDs are written, loaded, encoded and decoded."""
     first, second, third, fourth = DEFAULT.pages
     other = DbcWriter(
         (first, fourth, third, second), first_can_id=0x100, first_fd_can_id=0x108, cycle_ms=20
@@ -88,3 +96,20 @@ def test_a_contract_of_another_shape_works(tmp_path):
     assert codec.layout.channels[Slot.EGO_LEFT].cycle_ms == 20
     payload = codec.encode_batch([[1.75, 0, 0, 0]])
     assert codec.decode_batch(payload).mean[0, 0] == 1.75
+
+
+def test_a_single_field_is_wider_over_the_same_range():
+    """All other fields stay the same. The field may be one of the mean."""
+
+    def fields(writer):
+        return {spec.name: spec for page in writer.pages for spec in page}
+
+    plain = fields(dbc_writer_for("Cholesky"))
+    for name in ("RatioC0C1", "YOff"):
+        wider = fields(dbc_writer_for("Cholesky", 0, {name: 1}))
+        assert wider[name].bits == plain[name].bits + 1
+        assert wider[name].range[0] == plain[name].range[0]
+        assert wider[name].factor == plain[name].factor / 2
+        assert {**wider, name: None} == {**plain, name: None}
+    with pytest.raises(ValueError, match="field_bits must be of YOff"):
+        dbc_writer_for("Cholesky", 0, {"Crc": 1})

@@ -48,8 +48,8 @@ def wisharts(samples, p, seed, freedom=30, mean_factor=3.0):
     return means, S, covariance + p * (NORMAL_BITS + np.log2(mean_factor)), covariance
 
 
-def assert_told(limit, true_bits, standard_errors=5):
-    """The truth lies where the limit says: between the estimate and its low end, up to its SE."""
+def assert_within_errors(limit, true_bits, standard_errors=5):
+    """The true value lies between the estimate and its low end, up to standard errors."""
     error = limit.entropy_bits - true_bits
     slack = standard_errors * limit.entropy_se_bits
     assert min(0, limit.bias_bits) - slack <= error <= max(0, limit.bias_bits) + slack
@@ -60,7 +60,7 @@ def assert_told(limit, true_bits, standard_errors=5):
 
 
 def test_the_fisher_volume_is_that_of_the_divergence():
-    """In these coordinates sqrt(det F) is 2^(p/2) / sqrt(det S): second differences of the KL."""
+    """sqrt(det F) = 2^(p/2) / sqrt(det S) in these coordinates, by second differences of the KL."""
     theta = np.random.default_rng(2).standard_normal((1, 14))
     step = 1e-3
     true = Gaussian(*(a[0] for a in gaussians(theta, 4)))
@@ -93,7 +93,7 @@ def test_kl_is_the_inverse_of_bits():
 
 
 def test_a_scalar_quantizer_loses_a_quarter_of_a_bit():
-    """Steps of ln sigma, uniform over 6 nats: 1.53 dB, 1/2 log2(2 pi e / 12), over the bound."""
+    """Equal steps of a uniform ln sigma are 1/2 log2(2 pi e / 12), or 1.53 dB, above the bound."""
     levels, width = 256, 6.0
     log_sigma = (np.arange(100_000) + 0.5) * width / 100_000
     step = width / levels
@@ -104,7 +104,7 @@ def test_a_scalar_quantizer_loses_a_quarter_of_a_bit():
     estimated = limit_of(np.zeros((5000, 1)), sigma**2, part="covariance")
 
     assert np.log2(levels) - exact.bits(kl) == pytest.approx(0.2546, abs=1e-3)
-    assert_told(estimated, exact.entropy_bits)
+    assert_within_errors(estimated, exact.entropy_bits)
 
 
 # -- closed forms -------------------------------------------------------------------
@@ -118,7 +118,7 @@ def test_strongly_correlated_coordinates(part, n):
         h -= theta[:, 4:8].sum(axis=1).mean() / LN2  # E log2 sqrt(det S) of this very sample
     limit = limit_of(*gaussians(theta, 4), part=part)
 
-    assert_told(limit, h - 4 + 2)
+    assert_within_errors(limit, h - 4 + 2)
     assert (limit.dimension, limit.samples, limit.duplicates) == (n, 4000, 0)
     assert limit.local_dimension == pytest.approx(n, rel=0.03)
     assert 0 < limit.entropy_se_bits < 0.25
@@ -127,11 +127,11 @@ def test_strongly_correlated_coordinates(part, n):
 
 @pytest.mark.parametrize(("p", "samples"), [(1, 2000), (2, 4000), (4, 3000)])
 def test_wishart_covariances_and_means_in_proportion(p, samples):
-    """An outside witness: scipy's entropy of the Wishart distribution, in other coordinates."""
+    """Compared with scipy's entropy of the Wishart distribution, in other coordinates."""
     means, covs, h_all, h_covariance = wisharts(samples, p, seed=3)
 
-    assert_told(limit_of(means, covs), h_all)
-    assert_told(limit_of(means, covs, part="covariance"), h_covariance)
+    assert_within_errors(limit_of(means, covs), h_all)
+    assert_within_errors(limit_of(means, covs, part="covariance"), h_covariance)
 
 
 def test_heavy_tails():
@@ -142,7 +142,7 @@ def test_heavy_tails():
     x, w = np.polynomial.hermite_e.hermegauss(100)  # weights of exp(-x^2 / 2)
     h += (3 * w @ np.log(np.cosh(2 * x)) / w.sum() + 2 * np.log(0.02)) / LN2
 
-    assert_told(limit_of(*gaussians(theta, 2), part="covariance"), h + 1)
+    assert_within_errors(limit_of(*gaussians(theta, 2), part="covariance"), h + 1)
 
 
 def test_standard_errors_are_those_of_repetition():
@@ -157,17 +157,17 @@ def test_standard_errors_are_those_of_repetition():
     assert 0.6 < np.sqrt(np.mean(error**2) / np.mean(se**2)) < 1.4
 
 
-def test_more_neighbours_tell_the_same():
+def test_more_neighbours_give_the_same_entropy():
     means, covs, h_all, _ = wisharts(4000, 2, seed=12)
 
-    assert_told(limit_of(means, covs, k=10), h_all)
+    assert_within_errors(limit_of(means, covs, k=10), h_all)
 
 
 # -- invariance ---------------------------------------------------------------------
 
 
 def test_units_do_not_matter():
-    """x -> A x with a diagonal A shifts logarithms and scales means: the same to the last bits."""
+    """x -> A x with a diagonal A shifts logarithms and scales means."""
     means, covs, _, _ = wisharts(2000, 2, seed=5)
     units = np.array([1000.0, -3e-6])
     limit, changed = limit_of(means, covs), limit_of(means * units, covs * np.outer(units, units))
@@ -180,8 +180,8 @@ def test_linear_changes_of_the_state_do_not_matter(A):
     means, covs, h_all, h_covariance = wisharts(4000, 2, seed=6)
     means, covs = means @ A.T, A @ covs @ A.T
 
-    assert_told(limit_of(means, covs), h_all)
-    assert_told(limit_of(means, covs, part="covariance"), h_covariance)
+    assert_within_errors(limit_of(means, covs), h_all)
+    assert_within_errors(limit_of(means, covs, part="covariance"), h_covariance)
 
 
 def test_resolution_is_added_to_the_covariances():
@@ -201,12 +201,12 @@ def test_the_same_seed_gives_the_same_limit():
 # -- sources that have no bound, or nearly none -------------------------------------
 
 
-def test_a_bent_surface_is_told():
+def test_a_curved_surface_has_a_caveat():
     """Four of ten coordinates are functions of the others, and noise of 0.1."""
     rng = np.random.default_rng(9)
     u, noise = rng.standard_normal((2500, 6)), rng.standard_normal((2500, 4))
-    bent = np.sin(2 * u[:, :4]) + u[:, 1:5] * u[:, 2:6]
-    theta = np.column_stack([0.3 * u, bent + 0.1 * noise])
+    curved = np.sin(2 * u[:, :4]) + u[:, 1:5] * u[:, 2:6]
+    theta = np.column_stack([0.3 * u, curved + 0.1 * noise])
     true_bits = 10 * NORMAL_BITS + 6 * np.log2(0.3) + 4 * np.log2(0.1) + 2
     limit = limit_of(*gaussians(theta, 4), part="covariance")
 
@@ -216,8 +216,8 @@ def test_a_bent_surface_is_told():
     assert limit.local_dimension < 8.5
 
 
-def test_pose_error_alone_is_told_as_a_surface():
-    """Ten numbers make a random road of the set: its covariances fill fewer dimensions."""
+def test_pose_error_alone_has_a_caveat():
+    """A random road has ten parameters: its covariances fill fewer dimensions."""
     limit = limit_of(*paper(1600), part="covariance", resolution=[8e-8, 2e-11, 2e-14, 7e-20])
 
     assert limit.local_dimension < 8
@@ -225,7 +225,7 @@ def test_pose_error_alone_is_told_as_a_surface():
     assert "true bound is lower" in limit.caveat
 
 
-def test_copies_are_left_out_and_counted():
+def test_duplicates_are_counted_and_not_used():
     means, covs, _, _ = wisharts(1000, 2, seed=10)
     twice = limit_of(np.r_[means, means[:100]], np.r_[covs, covs[:100]])
     once = limit_of(means, covs)
@@ -237,12 +237,12 @@ def test_copies_are_left_out_and_counted():
 @pytest.mark.parametrize(
     ("change", "caveat"),
     [
-        pytest.param({0: 1.0}, "m_0 has one and the same value in 100.0% of", id="constant"),
-        pytest.param({4: 0.0}, "t_10 has one and the same value in 100.0% of", id="diagonal"),
-        pytest.param({1: "m_0"}, "m_0, m_1 determine each other", id="tied"),
+        pytest.param({0: 1.0}, "m_0 has the same value in 100.0% of", id="constant"),
+        pytest.param({4: 0.0}, "t_10 has the same value in 100.0% of", id="diagonal"),
+        pytest.param({1: "m_0"}, "m_0, m_1 determine each other", id="dependent"),
     ],
 )
-def test_singular_sources_have_no_number_but_a_reason(change, caveat):
+def test_singular_sources_have_a_reason_instead_of_a_number(change, caveat):
     theta, _ = correlated(1000, 5, seed=11)
     for column, value in change.items():
         theta[:, column] = theta[:, 0] * 7 if value == "m_0" else value
@@ -283,7 +283,7 @@ def test_singular_sources_have_no_number_but_a_reason(change, caveat):
         ),
     ],
 )
-def test_mistakes_are_named(means, covs, options, message):
+def test_invalid_arguments_are_refused(means, covs, options, message):
     with pytest.raises(ValueError, match=message):
         limit_of(means, covs, **options)
 

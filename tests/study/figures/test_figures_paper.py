@@ -1,4 +1,4 @@
-"""The figures of the paper: what they show is what was computed, and twice the same bytes."""
+"""The figures of the paper: their data, their text, and reproducible files."""
 
 import re
 import sys
@@ -31,7 +31,7 @@ def codec():
 
 @pytest.fixture(scope="module")
 def case_of():
-    """The cases, each computed once."""
+    """Return a function for cases, each computed once."""
     cases = {}
 
     def case(plan):
@@ -44,13 +44,13 @@ def case_of():
 
 @pytest.fixture
 def few(monkeypatch):
-    """Only the first and the last figure, and the close-up; coarse, for speed."""
+    """Draw only two figures and the close-up, at a low resolution."""
     monkeypatch.setattr(figures, "FIGURES", (PLANS[5], PLANS[7]))
     monkeypatch.setattr(figures, "DPI", 40)
 
 
 def parts(figure):
-    """Map panels, correlations and the grid of marginals, in the order of the page."""
+    """Return map panels, correlations and the grid of marginals, in the order of the page."""
     axes = figure.axes
     assert len(axes) == 4 + 1 + 16
     return axes[:4], axes[4], np.array(axes[5:]).reshape(4, 4)
@@ -69,7 +69,7 @@ def of_type(ax, name):
 
 
 def test_all_figures_are_planned():
-    """The paper's six figures of one structure, the scenario of each, and which sends variances."""
+    """The paper has six figures of one structure; one of them sends variances only."""
     assert [(plan.number, plan.scenario, plan.variances_only) for plan in figures.FIGURES] == [
         (5, "highway", False),
         (7, "highway-correlated", False),
@@ -84,9 +84,9 @@ def test_all_figures_are_planned():
 
 
 def test_files_in_both_formats(few, tmp_path):
-    """Before and after the wire and the close-up, in order, each told to the progress."""
-    told, out = [], tmp_path / "new" / "folder"
-    paths = figures.draw_figures(out, samples=300, progress=lambda *n: told.append(n))
+    """Files are in order, and progress is reported for each one."""
+    seen, out = [], tmp_path / "new" / "folder"
+    paths = figures.draw_figures(out, samples=300, progress=lambda *n: seen.append(n))
     assert [
         f"{name}.{suffix}"
         for name in (
@@ -99,7 +99,7 @@ def test_files_in_both_formats(few, tmp_path):
         for suffix in ("png", "svg")
     ] == [path.name for path in paths]
     assert sorted(out.iterdir()) == sorted(paths)
-    assert told == [(i, 10) for i in range(1, 11)]
+    assert seen == [(i, 10) for i in range(1, 11)]
     for path in paths:
         if path.suffix == ".png":
             pixels = imread(path)
@@ -110,8 +110,8 @@ def test_files_in_both_formats(few, tmp_path):
             assert ET.parse(path).getroot().tag.endswith("svg")  # noqa: S314, our own file
 
 
-def test_the_same_bytes_whatever_the_readers_settings(monkeypatch, tmp_path):
-    """Neither the time of day nor the reader's matplotlibrc is in a file; the seed is."""
+def test_files_do_not_depend_on_the_user_s_settings(monkeypatch, tmp_path):
+    """Files depend on the seed, but not on the time or on matplotlibrc."""
     monkeypatch.setattr(figures, "FIGURES", (PLANS[10],))
     monkeypatch.setattr(figures, "DPI", 30)
 
@@ -122,12 +122,12 @@ def test_the_same_bytes_whatever_the_readers_settings(monkeypatch, tmp_path):
     first = draw("first")
     with mpl.rc_context({"font.size": 20, "svg.hashsalt": "other", "axes.facecolor": "red"}):
         assert first == draw("second")
-        assert mpl.rcParams["font.size"] == 20  # and they are left as they were
+        assert mpl.rcParams["font.size"] == 20  # the settings are restored
     assert first[1::2] != draw("third", seed=1, formats=("svg",))
 
 
-def test_the_true_distribution_is_monte_carlo_and_the_sigma_points_are_theirs(case_of):
-    """A case is what the transforms give for the line EGO_RIGHT."""
+def test_a_case_has_the_results_of_the_transforms(case_of):
+    """A case has the results of MonteCarlo and SigmaPoints for the line EGO_RIGHT."""
     case, scene = case_of(PLANS[10]), scenario("street-turn")
     line = scene.lines[1]
     assert line.slot == figures.SLOT
@@ -143,7 +143,7 @@ def test_the_true_distribution_is_monte_carlo_and_the_sigma_points_are_theirs(ca
 
 
 @pytest.mark.parametrize("wire", [False, True])
-def test_what_the_map_panels_hold(case_of, codec, wire):
+def test_content_of_the_map_panels(case_of, codec, wire):
     """200 samples and 7 sigma points as arrows and lines, and 200 lines of each Gaussian."""
     plan = PLANS[11]
     figure = figures.draw_case(case_of(plan), plan, codec=codec if wire else None)
@@ -158,7 +158,7 @@ def test_what_the_map_panels_hold(case_of, codec, wire):
         (drawn,) = of_type(ax, "PathCollection")
         assert len(drawn.get_paths()) == lines
         assert [quiver.N for quiver in of_type(ax, "Quiver")] == arrows
-        assert ax.get_xlim() == samples.get_xlim()  # no wild line has squashed a panel
+        assert ax.get_xlim() == samples.get_xlim()  # no outlier changes the scale
         assert ax.get_ylim() == samples.get_ylim()
     assert samples.get_ylim()[1] - samples.get_ylim()[0] < 50
     colours = [to_hex(of_type(ax, "PathCollection")[0].get_edgecolor()) for ax in maps]
@@ -166,8 +166,8 @@ def test_what_the_map_panels_hold(case_of, codec, wire):
     assert wire == ("decoded" in monte_carlo.get_title(loc="left"))
 
 
-def test_arrows_stand_at_the_poses_and_point_along_them(case_of):
-    """Tail at the position, angle of the heading."""
+def test_arrows_are_at_the_poses_and_point_along_them(case_of):
+    """The tail is at the position, the angle is the heading."""
     case = case_of(PLANS[5])
     maps, _, _ = parts(figures.draw_case(case, PLANS[5]))
     quiver = of_type(maps[0], "Quiver")[-1]
@@ -175,7 +175,7 @@ def test_arrows_stand_at_the_poses_and_point_along_them(case_of):
     np.testing.assert_allclose(np.arctan2(quiver.V, quiver.U), case.poses[:200, 2], atol=1e-12)
 
 
-def test_a_drawn_line_is_the_cubic_itself(case_of):
+def test_a_drawn_line_is_exactly_the_cubic(case_of):
     """The Bezier curve of a line lies on l(x) everywhere."""
     case = case_of(PLANS[11])
     maps, _, _ = parts(figures.draw_case(case, PLANS[11]))
@@ -204,12 +204,12 @@ def test_car_and_mean_pose_are_in_each_map_panel(case_of):
         assert len(dotted) == 1
         x, y = dotted[0].get_data()
         np.testing.assert_allclose(lateral(case.refit(ego.mean), x), y)
-        assert dotted[0].get_linestyle() == "--"  # of matplotlib's names, for a pattern of its own
+        assert dotted[0].get_linestyle() == "--"  # matplotlib's name for any custom pattern
         assert to_hex(dotted[0].get_color()) == "#000000"
 
 
 def test_the_band_holds_99_percent_of_the_true_lines(case_of):
-    """Its edges are quantiles at each place."""
+    """Its edges are quantiles at each x."""
     case = case_of(PLANS[10])
     maps, _, _ = parts(figures.draw_case(case, PLANS[10]))
     low, high = (line for line in maps[1].lines if line.get_linewidth() == 0.9)
@@ -220,7 +220,7 @@ def test_the_band_holds_99_percent_of_the_true_lines(case_of):
 
 @pytest.mark.parametrize("number", [5, 11])
 def test_correlations_are_those_of_the_sigma_points(case_of, number):
-    """Text, sign in the colour, area of the square; Monte Carlo's numbers below."""
+    """Number, colour and area of each square, with Monte Carlo's numbers below."""
     case = case_of(PLANS[number])
     _, matrix, _ = parts(figures.draw_case(case, PLANS[number]))
     written = texts(matrix)
@@ -244,7 +244,7 @@ def test_correlations_are_those_of_the_sigma_points(case_of, number):
 
 
 def test_figure_9_sends_variances_and_no_covariances(case_of, codec):
-    """All correlations are zero, the panel says what they were, and decoded they stay zero."""
+    """All correlations are zero, also when decoded; the panel shows the original ones."""
     plan = PLANS[9]
     case = case_of(plan)
     for layers in (figures._layers(case, plan, None), figures._layers(case, plan, codec)):
@@ -256,8 +256,8 @@ def test_figure_9_sends_variances_and_no_covariances(case_of, codec):
 
 
 @pytest.mark.parametrize("number", PLANS)
-def test_after_the_wire_stands_what_the_decoder_gives(case_of, codec, number):
-    """Each layer covers what was sent, and keeps it for comparison."""
+def test_after_the_wire_the_layers_are_decoded(case_of, codec, number):
+    """Each layer covers the sent Gaussian, and keeps it for comparison."""
     plan = PLANS[number]
     case = case_of(plan)
     for layer, sent in zip(
@@ -313,8 +313,8 @@ def test_marginals(case_of):
 
 
 @pytest.mark.parametrize("wire", [False, True])
-def test_the_head_says_what_the_figure_is(case_of, codec, wire):
-    """Scenario, heading sigma, samples, line, and what to see; after the wire, what it costs."""
+def test_the_head_describes_the_figure(case_of, codec, wire):
+    """Scenario, heading sigma, samples, line and reading; after the wire, the cost."""
     plan = PLANS[11]
     figure = figures.draw_case(case_of(plan), plan, codec=codec if wire else None)
     head = " ".join(text.get_text() for text in figure.texts)
@@ -330,8 +330,8 @@ def test_the_head_says_what_the_figure_is(case_of, codec, wire):
         assert "wire" not in head
 
 
-def test_what_the_readings_claim(case_of):
-    """The sentences above the figures, on a sample of their own."""
+def test_the_readings_are_true(case_of):
+    """The statements above the figures hold on these samples."""
 
     def outside(case, gaussian, pair):
         return 1 - gaussian.marginal(pair).coverage(case.lines[:, pair])
@@ -339,7 +339,7 @@ def test_what_the_readings_claim(case_of):
     beta, c0, c1 = 1, 2, 3
     highway, wider = case_of(PLANS[5]), case_of(PLANS[8])
     assert highway.refit(highway.scenario.ego.mean)[c0] == pytest.approx(5e-4)
-    assert highway.lines[:, c0].min() > 4.97e-4  # the hard lower end
+    assert highway.lines[:, c0].min() > 4.97e-4  # the hard lower limit
     assert highway.monte_carlo.mean[c0] - 3 * highway.monte_carlo.sigma[c0] < 4.9e-4
     correlated = case_of(PLANS[7])
     change = abs(correlated.sigma_points.correlation - highway.sigma_points.correlation)
@@ -373,8 +373,8 @@ def test_close_up(case_of):
     assert all(ax.get_xlim() == (-2.6, 2.6) == ax.get_ylim() for ax in figure.axes)
 
 
-def test_without_matplotlib_the_cure_is_named(monkeypatch, tmp_path):
-    """Nothing is computed or made before."""
+def test_without_matplotlib_the_extra_is_named(monkeypatch, tmp_path):
+    """The error is raised before anything is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[plot\]"'):
         figures.draw_figures(tmp_path / "out")
@@ -388,7 +388,7 @@ def test_without_matplotlib_the_cure_is_named(monkeypatch, tmp_path):
         pytest.param({"samples": 99}, "100 or more, got 99", id="samples"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_at_once(tmp_path, arguments, message):
+def test_invalid_arguments_raise_before_drawing(tmp_path, arguments, message):
     with pytest.raises(ValueError, match=message):
         figures.draw_figures(tmp_path / "out", **arguments)
     assert not (tmp_path / "out").exists()

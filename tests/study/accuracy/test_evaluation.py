@@ -1,4 +1,4 @@
-"""The table of truth: each figure against a closed form or scipy, and the paper's claims."""
+"""The accuracy table: figures compared with closed forms and scipy, and the paper's claims."""
 
 import csv
 import io
@@ -11,13 +11,13 @@ from scipy import stats
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
 from maplines_can.scenarios import SCENARIOS
-from maplines_can.study.accuracy import evaluation as judging
+from maplines_can.study.accuracy import evaluation
 from maplines_can.study.accuracy.approximations import (
     Approximation,
     representations,
     through_the_wire,
 )
-from maplines_can.study.accuracy.evaluation import judged, truth_of
+from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
 from maplines_can.study.accuracy.table import accuracy_table, refit_of
 from maplines_can.study.accuracy.text import as_csv, as_markdown, as_text
 from maplines_can.study.random_scenarios import random_scenarios
@@ -34,34 +34,34 @@ KINDS += ["mixture of 3", "mixture of 5"]
 
 
 @pytest.fixture(scope="module")
-def gaussian_truth():
-    return truth_of(Gaussian(MEAN, COV).sample(N, seed=1))
+def true_gaussian():
+    return true_distribution(Gaussian(MEAN, COV).sample(N, seed=1))
 
 
 @pytest.fixture(scope="module")
 def rows():
-    """All scenes, coarse; by scene, representation and side of the wire."""
+    """Return rows of all scenes from few samples, by scene, representation and side."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(judging, "DRAWS", CLAIMS_N)
+        patch.setattr(evaluation, "DRAWS", CLAIMS_N)
         table = accuracy_table(n=CLAIMS_N)
     return {(row.scenario, row.representation, row.wire): row for row in table}
 
 
 @pytest.fixture
 def few(monkeypatch):
-    monkeypatch.setattr(judging, "DRAWS", 2000)
+    monkeypatch.setattr(evaluation, "DRAWS", 2000)
     return lambda seed=0: accuracy_table([scenario("street-turn")], n=2000, seed=seed)
 
 
 # -- definitions ----------------------------------------------------------------
 
 
-def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives == pytest.approx(0.01, abs=5 * row.false_negatives_se)
     assert row.false_negatives_pairs == pytest.approx(0.01, abs=5 * row.false_negatives_pairs_se)
-    # Whole cells: the region is a little ragged, and its mass 1 % to within a cell and that.
+    # The region consists of whole cells, so that its mass is only nearly 99 %.
     assert row.false_positives == pytest.approx(0.01, abs=0.002)
     assert 0 <= row.kl < 10 * 14 / (2 * N)  # the error of 14 moments
     assert row.coverage == 1 - row.false_negatives
@@ -70,8 +70,8 @@ def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(gaussian_trut
 
 
 @pytest.mark.parametrize("scale", [0.7, 1.5])
-def test_a_gaussian_of_another_size_against_scipy(gaussian_truth, scale):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, scale**2 * COV), NAMES)
+def test_a_scaled_gaussian_compared_with_scipy(true_gaussian, scale):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, scale**2 * COV), NAMES)
 
     def outside(parameters, size):
         return stats.chi2.sf(stats.chi2.ppf(0.99, parameters) * size**2, parameters)
@@ -86,9 +86,9 @@ def test_a_gaussian_of_another_size_against_scipy(gaussian_truth, scale):
     assert np.array(row.sigma_ratio) == pytest.approx(scale, abs=5 * max(row.sigma_ratio_se))
 
 
-def test_a_gaussian_that_is_off_against_scipy(gaussian_truth):
+def test_a_shifted_gaussian_compared_with_scipy(true_gaussian):
     shift = ROOT @ [1.0, 0, 0, 0] * SIGMA  # one standard deviation
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN + shift, COV), NAMES)
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN + shift, COV), NAMES)
 
     outside = stats.ncx2.sf(stats.chi2.ppf(0.99, 4), 4, 1)
     assert row.false_negatives == pytest.approx(outside, abs=5 * row.false_negatives_se)
@@ -97,13 +97,13 @@ def test_a_gaussian_that_is_off_against_scipy(gaussian_truth):
 
 
 def test_a_true_mixture_has_one_percent_of_each():
-    """Two parts far apart: the region falls in two, and the one Gaussian fills the gap."""
+    """Two distant components: the region has two pieces, and one Gaussian fills the gap."""
     weights, gap = np.array([0.3, 0.7]), 8 * SIGMA
-    parts = [Gaussian(MEAN, COV), Gaussian(MEAN + gap, COV)]
+    components = [Gaussian(MEAN, COV), Gaussian(MEAN + gap, COV)]
     first = round(weights[0] * N)
-    samples = np.concatenate([parts[0].sample(first, 1), parts[1].sample(N - first, 2)])
-    true = truth_of(np.random.default_rng(3).permutation(samples))
-    row = judged(
+    samples = np.concatenate([components[0].sample(first, 1), components[1].sample(N - first, 2)])
+    true = true_distribution(np.random.default_rng(3).permutation(samples))
+    row = evaluate_approximation(
         true, Approximation(weights, np.array([MEAN, MEAN + gap]), np.array([COV] * 2)), NAMES
     )
 
@@ -113,64 +113,64 @@ def test_a_true_mixture_has_one_percent_of_each():
     assert row.kl < 1e-3
     assert np.array(row.sigma_ratio) == pytest.approx(1, abs=0.01)
     whole = true.moments[0]
-    one = judged(true, Approximation.gaussian(whole.mean, whole.cov), NAMES)
+    one = evaluate_approximation(true, Approximation.gaussian(whole.mean, whole.cov), NAMES)
     assert one.false_positives > 0.2
 
 
-def test_equal_parts_are_one_gaussian(gaussian_truth):
+def test_equal_components_are_one_gaussian(true_gaussian):
     twice = Approximation(np.full(2, 0.5), np.array([MEAN] * 2), np.array([COV] * 2))
-    row = judged(gaussian_truth, twice, NAMES)
+    row = evaluate_approximation(true_gaussian, twice, NAMES)
 
-    one = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+    one = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
     assert row.false_negatives == pytest.approx(one.false_negatives, abs=5 * row.false_negatives_se)
     assert row.kl == pytest.approx(one.kl, abs=1e-9)
     assert np.array(row.sigma_ratio) == pytest.approx(np.array(one.sigma_ratio))
 
 
-def test_a_mean_alone_is_a_point(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, None), NAMES)
+def test_a_mean_alone_is_a_point(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, None), NAMES)
 
     assert (row.false_negatives, row.false_negatives_pairs, row.false_positives) == (1, 1, 0)
     assert (row.kl, row.coverage, row.sigma_ratio) == (np.inf, 0, (0, 0, 0, 0))
     assert row.mean_error[0] == pytest.approx(0, abs=5 * row.mean_error_se[0])
 
 
-def test_a_singular_covariance_has_no_volume(gaussian_truth):
+def test_a_singular_covariance_has_no_volume(true_gaussian):
     flat = ROOT.copy()
     flat[3, 3] = 0
-    row = judged(
-        gaussian_truth, Approximation.gaussian(MEAN, flat @ flat.T * np.outer(SIGMA, SIGMA)), NAMES
+    row = evaluate_approximation(
+        true_gaussian, Approximation.gaussian(MEAN, flat @ flat.T * np.outer(SIGMA, SIGMA)), NAMES
     )
 
     assert (row.false_negatives, row.kl) == (1, np.inf)
-    assert 0 < row.false_negatives_pairs < 1  # every pair still has an area
+    assert 0 < row.false_negatives_pairs < 1  # the region of every pair has an area
     assert row.false_positives < 0.02
 
 
-def test_the_region_is_the_fewest_cells_that_hold_the_mass():
-    count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # of 100: 99 needs all but a 1
+def test_the_region_is_the_smallest_set_of_cells_with_the_mass():
+    count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # the sum is 100
 
-    chosen = judging._densest(count)
+    chosen = evaluation._densest(count)
 
     assert count[chosen].sum() == 99
     assert count[~chosen].max() <= count[chosen].min()
     assert not chosen[0, 1]
 
 
-def test_sampling_errors_are_those_of_theory(gaussian_truth):
-    row = judged(gaussian_truth, Approximation.gaussian(MEAN, COV), NAMES)
+def test_sampling_errors_are_those_of_theory(true_gaussian):
+    row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives_se == pytest.approx(np.sqrt(0.01 * 0.99 / N), rel=0.1)
     sigma = np.sqrt(COV[0, 0])
-    # Ten batches tell an error to about a quarter of itself.
+    # Ten batches determine an error to about 25 %.
     assert row.mean_error_se[0] == pytest.approx(sigma / np.sqrt(N), rel=0.75)
     assert row.sigma_ratio_se[0] == pytest.approx(1 / np.sqrt(2 * N), rel=0.75)
 
 
-def test_draws_beyond_the_grid_are_outside(gaussian_truth):
+def test_draws_beyond_the_grid_are_outside(true_gaussian):
     far = Approximation.gaussian(MEAN + 1000 * SIGMA, COV)
 
-    row = judged(gaussian_truth, far, NAMES)
+    row = evaluate_approximation(true_gaussian, far, NAMES)
 
     assert (row.false_positives, row.false_negatives) == (1, 1)
 
@@ -222,28 +222,28 @@ def test_markdown_is_one_table_and_text_shows_every_row(few):
     assert all(text.count(f"\n{kind} ") >= 6 for kind in KINDS)
 
 
-def test_a_scene_without_the_line_is_refused():
+def test_a_scene_without_the_line_raises():
     with pytest.raises(ValueError, match="no line ROUTE; there are EGO_LEFT"):
         accuracy_table(list(random_scenarios(1)), n=1000, slot=Slot.ROUTE)
 
 
-def test_too_few_samples_are_refused():
+def test_too_few_samples_raise():
     with pytest.raises(ValueError, match="n must be 100 or more, got 50"):
         accuracy_table([scenario("production")], n=50)
 
 
-def test_what_does_not_fit_the_wire_is_refused():
+def test_a_line_that_does_not_fit_the_messages_raises():
     far = Approximation.gaussian([1e5, 0, 0, 0], COV)
 
     with pytest.raises(ValueError, match="does not fit the messages"):
         through_the_wire(far, Codec.from_dbc(), Slot.EGO_RIGHT, np.array([0.0, 80.0]))
 
 
-# -- what docs/claims.md says ---------------------------------------------------
+# -- claims of docs/claims.md ---------------------------------------------------
 
 
 def apart(one, other, figure):
-    """How much two rows differ, and five standard errors of that."""
+    """Return the difference of two rows, and five standard errors of it."""
     errors = [getattr(row, f"{figure}_se") for row in (one, other)]
     return getattr(one, figure) - getattr(other, figure), 5 * np.hypot(*errors)
 
@@ -254,7 +254,7 @@ def more(one, other, figure):
 
 
 def test_claim_a_the_gaussian_fits_the_highway_in_part(rows):
-    """Few false negatives and the right band, as claimed; but many false positives."""
+    """False negatives and band are as claimed, but there are many false positives."""
     row = rows["highway", "MonteCarlo", "before"]
 
     assert row.false_negatives < 0.04
@@ -263,7 +263,7 @@ def test_claim_a_the_gaussian_fits_the_highway_in_part(rows):
     assert row.false_negatives > 0.01 + 5 * row.false_negatives_se
     assert row.false_positives > 0.3
     careful = rows["production", "MonteCarlo", "before"]
-    assert careful.false_positives < 0.03  # with the heading of a production car it does fit
+    assert careful.false_positives < 0.03  # it fits with the heading of a production car
 
 
 @pytest.mark.parametrize("kind", ["MonteCarlo", "Quadrature"])
@@ -281,7 +281,7 @@ def test_claim_b_does_not_hold_for_sigma_points_in_four_parameters(rows):
 
 
 def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
-    """Grow on the highway, fall in the turn, whose false positives grow all the same."""
+    """They grow on the highway and fall in the turn; false positives grow in both."""
     correlation = {}
     for name in SCENARIOS:
         refit = refit_of(scenario(name), Slot.EGO_RIGHT)
@@ -292,7 +292,9 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
         correlation[name] = abs(R / np.outer(sigma, sigma))[np.triu_indices(4, 1)].mean()
 
     assert correlation["highway-10deg"] > correlation["highway"] > correlation["production"]
-    assert correlation["street-turn-10deg"] < correlation["street-turn"]  # as bends take over
+    assert (
+        correlation["street-turn-10deg"] < correlation["street-turn"]
+    )  # as nonlinearity dominates
     wide, narrow = (
         rows[name, "MonteCarlo", "before"] for name in ("street-turn-10deg", "street-turn")
     )
@@ -301,7 +303,7 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
 
 
 def test_claim_d_covariances_carry_information(rows):
-    """Variances alone: more false negatives on the highway, not in the street turn."""
+    """Variances alone cause more false negatives on the highway, not in the street turn."""
     for name in ("highway", "highway-correlated", "highway-10deg"):
         without, full = (rows[name, k, "before"] for k in ("mean and sigmas", "MonteCarlo"))
         assert more(without, full, "false_negatives")
@@ -325,7 +327,7 @@ def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_param
     assert points.false_negatives > 0.5
     assert draws.false_negatives < 0.05
     points, draws = (rows["street-turn-10deg", k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
-    assert points.false_positives < draws.false_positives  # the other way round there
+    assert points.false_positives < draws.false_positives  # the opposite holds there
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -335,7 +337,7 @@ def test_the_wire_costs_few_false_negatives(rows, name, kind):
 
     assert after.false_negatives - before.false_negatives < 0.002
     assert after.false_negatives_pairs - before.false_negatives_pairs < 0.002
-    # The production car's come close to it, and smaller samples make a finer grid: below.
+    # The production car is close to 0.02 with so few samples; the next test uses more.
     assert after.false_positives - before.false_positives < (
         0.025 if name == "production" else 0.02
     )
@@ -343,7 +345,7 @@ def test_the_wire_costs_few_false_negatives(rows, name, kind):
 
 
 def test_the_wire_costs_the_production_car_few_false_positives():
-    """Its c0 is known to a step of the mean's grid, and its c1 goes with beta by 0.9995."""
+    """Its sigma of c0 is a step of the mean's grid, and c1 and beta correlate by 0.9995."""
     table = accuracy_table([scenario("production")], n=300_000)
     found = {(row.representation, row.wire): row.false_positives for row in table}
     for kind in ("SigmaPoints", "Quadrature", "MonteCarlo"):

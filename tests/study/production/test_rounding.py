@@ -1,4 +1,4 @@
-"""What production messages lose by rounding: formulas, cantools and counting agree."""
+"""Rounding of production messages: formulas compared with cantools and with counting."""
 
 import argparse
 import csv
@@ -14,10 +14,9 @@ import pytest
 from maplines_can.cli.production import add_production
 from maplines_can.line import STATES, lateral
 from maplines_can.study import Gaussians, road
-from maplines_can.study.production.messages import (
+from maplines_can.study.production.messages import PRODUCTION, default_message
+from maplines_can.study.production.rounding import (
     DISTANCES,
-    PRODUCTION,
-    default_message,
     measured,
     production_table,
     rms,
@@ -44,12 +43,12 @@ def of(rows, message):
 
 
 def lines_within(message, n, seed=0):
-    """Lines of small heading that fill the message's ranges and fit them."""
+    """Return lines of small heading that fill the ranges of a message."""
     rng = np.random.default_rng(seed)
-    ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.fields]
+    ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.signals]
     low, high = np.array(ends).T
     values = rng.uniform(low, high, size=(n, 4))
-    values[:, 1] *= 1e-2 / high[1]  # the formulas are of a line along the car's axis
+    values[:, 1] *= 1e-2 / high[1]  # the formulas hold for a line along the car's axis
     sides = rng.choice([-1.0, 1.0], size=(n, 4))
     return message.read(values, sides)
 
@@ -73,38 +72,38 @@ def lines_within(message, n, seed=0):
     ],
 )
 def test_the_worst_case_by_hand(message, x, expected):
-    """Half a step of each signal, as published, adds up."""
+    """The worst case is the sum of half a step of each published signal."""
     assert worst(message, x) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_other_reading_by_hand():
-    """Read as curvatures, Tesla's steps weigh a half and a sixth as much."""
+    """Read as curvatures, Tesla's steps have a half and a sixth of the effect."""
     by_hand = 0.0175 + 0.0008 * 50 + 1e-5 * 50**2 / 2 + 1.2e-7 * 50**3 / 6
 
     assert worst(TESLA, 50.0, polynomial=False) == pytest.approx(by_hand, rel=1e-9)
 
 
 @pytest.mark.parametrize("message", ALL)
-def test_the_formulas_are_what_rounding_does(message):
-    """The rms within five sampling errors, and no error beyond the worst case."""
+def test_the_formulas_match_simulated_rounding(message):
+    """The rms agrees within five sampling errors; no error exceeds the worst case."""
     n = 50_000
     lines = lines_within(message, n)
     read, clipped = message.rounded(lines)
-    if None in message.fields:
+    if None in message.signals:
         read[:, 3] = lines[:, 3]
     error = lateral(read[:, None, :], X) - lateral(lines[:, None, :], X)
     fits = ~clipped.any(axis=1)
 
     assert fits.mean() > 0.99
-    # The kurtosis of a sum of uniform errors is at most 3; 1e-4 is what tan(beta)^2 adds.
+    # The kurtosis of a sum of uniform errors is at most 3; tan(beta)^2 adds 1e-4.
     tolerance = 5 * np.sqrt(2 / (4 * n)) + 2e-4
     assert np.sqrt((error[fits] ** 2).mean(axis=0)) == pytest.approx(rms(message, X), rel=tolerance)
     assert (np.abs(error[fits]).max(axis=0) <= worst(message, X) * (1 + 2e-4)).all()
 
 
 @pytest.mark.parametrize("message", ALL)
-def test_what_is_read_is_sent_again_unchanged(message):
-    """Rounding twice is rounding once, and a conversion and its inverse are none."""
+def test_rounding_is_idempotent(message):
+    """Rounding twice gives the same lines, and ``read`` inverts ``sent``."""
     lines = lines_within(message, 1000)
     once, _ = message.rounded(lines)
     twice, clipped = message.rounded(once)
@@ -114,9 +113,9 @@ def test_what_is_read_is_sent_again_unchanged(message):
     assert twice == pytest.approx(once, rel=1e-9, abs=1e-12)
 
 
-# -- outside witnesses ------------------------------------------------------------
+# -- independent decoders ------------------------------------------------------------
 
-#: Typed from the published widths and factors; the places in the frame are our own.
+#: Typed from the published widths and factors; the start bits are arbitrary.
 DBCS = {
     "tesla": """VERSION ""
 BU_: ECU
@@ -149,7 +148,7 @@ BO_ 1894 Line: 8 ECU
     ("name", "message"), [("tesla", TESLA), ("ford", FORD), ("mobileye", MOBILEYE)]
 )
 def test_cantools_rounds_to_the_same_lines(name, message):
-    """Through the bytes of a DBC with the published figures, and back."""
+    """Encoding and decoding with a DBC of the published figures gives the same lines."""
     dbc = cantools.database.load_string(DBCS[name], "dbc").messages[0]
     for line in lines_within(message, 300):
         y_off, beta, c0, c1 = line
@@ -163,9 +162,9 @@ def test_cantools_rounds_to_the_same_lines(name, message):
 
 
 def test_a_rounded_factor_is_a_bias():
-    """The page's example: zero heading, read with 0.000977 for 1/1024, is 0.7 m at 50 m."""
+    """The example of docs/bits.md: 0.000977 for 1/1024 turns zero heading into 0.7 m at 50 m."""
     (_, zero, _, _) = MOBILEYE.sent([0.0, 0.0, 0.0, 0.0])
-    raw = MOBILEYE.fields[1].raw(zero)
+    raw = MOBILEYE.signals[1].raw(zero)
 
     assert raw == 32767
     assert raw * 0.000977 - 31.999023 == pytest.approx(0.01434, abs=5e-6)
@@ -175,14 +174,14 @@ def test_a_rounded_factor_is_a_bias():
 
 
 def test_the_default_is_the_dbc():
-    """Widths, factors and the covariance's bits come from the layout, and from an edited one."""
+    """Widths, factors and the bits of the covariance come from the layout, also an edited one."""
     layout = Layout.from_dbc()
     coarse = dict(layout.signals) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
 
     message = default_message(layout)
-    changed = default_message(replace(layout, fields=coarse))
+    changed = default_message(replace(layout, signals=coarse))
 
-    assert message.fields == tuple(layout[name] for name in ("YOff", "Beta", "C0", "C1"))
+    assert message.signals == tuple(layout[name] for name in ("YOff", "Beta", "C0", "C1"))
     assert message.uncertainty == "covariance, 105 b"  # dbc/README.md, the table of the codes
     assert changed.bits == message.bits - layout["C1"].length + 16
     assert worst(changed, 80.0) > worst(message, 80.0) + 0.03
@@ -191,8 +190,8 @@ def test_the_default_is_the_dbc():
 # -- counting ---------------------------------------------------------------------
 
 
-def test_what_does_not_fit_is_counted_and_left_out():
-    """One line too far aside, one too curved, one in both ways, and one that fits."""
+def test_clipped_lines_are_counted_and_left_out():
+    """One line is too far aside, one too curved, one both, and one fits."""
     mean = np.array(
         [[10, 0, 0, 0], [1, 0, 0.02, 0], [-10, 0, -0.02, 0], [1.01, 0, 0, 0]], dtype=float
     )
@@ -201,25 +200,25 @@ def test_what_does_not_fit_is_counted_and_left_out():
     read, _ = TESLA.rounded(mean)
 
     assert row.clipped == (2, 0, 2, 0)
-    assert (row.lines, row.fit, row.judged) == (4, 1, (1, 1, 1))
+    assert (row.lines, row.fit, row.evaluated) == (4, 1, (1, 1, 1))
     assert read[0, 0] == pytest.approx(3.5)
     # 1.01 m is nearest to 129 steps of 0.035 m above -3.5 m; the rest rounds to zero.
     assert row.measured_rms == pytest.approx([1.015 - 1.01] * 3, abs=1e-9)
     assert row.rounding_kl[0] == pytest.approx((0.005 / 0.1) ** 2 / 2, rel=1e-6)
 
 
-def test_a_line_is_not_judged_where_it_has_turned_away():
+def test_a_line_counts_only_as_far_as_it_stays_within_45_deg():
     """A radius of 30 m reaches 20 m within 45 deg, and not 50 m."""
     mean = np.array([[1.0, 0.0, 1 / 30, 0.0]])
     lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
     row = measured(default_message(), lines, lines)
 
-    assert row.judged == (1, 0, 0)
+    assert row.evaluated == (1, 0, 0)
     assert np.isnan(row.measured_rms[1:]).all()
 
 
 def test_nothing_fits():
-    """Then nothing is judged, and the writers say so."""
+    """Without lines, the figures are dashes or None."""
     mean = np.array([[30.0, 0.0, 0.0, 0.0]])
     lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
     row = measured(TESLA, lines, lines)
@@ -230,7 +229,7 @@ def test_nothing_fits():
 
 
 def test_the_side_of_a_distance_is_kept():
-    """GM sends how far the line is, and which line it is tells the side."""
+    """GM sends the distance of the line; the side follows from which line it is."""
     read, clipped = GM_EGO.rounded([[1.76, 0, 0, 0], [-1.76, 0, 0, 0]])
 
     assert read[:, 0] == pytest.approx([1.75, -1.75])
@@ -241,9 +240,9 @@ def test_the_side_of_a_distance_is_kept():
 
 
 def test_the_table_on_the_set(rows):
-    """Measured rms is the formula's, to what sampling and slanted lines allow."""
+    """The measured rms agrees with the formula, but for sampling and slanted lines."""
     for row in rows:
-        fewest = min(row.judged)
+        fewest = min(row.evaluated)
         tolerance = 5 * np.sqrt(2 / (4 * fewest)) + 0.05
 
         assert row.measured_rms == pytest.approx(row.rms, rel=tolerance), row.message.name
@@ -252,22 +251,22 @@ def test_the_table_on_the_set(rows):
 
 
 def test_the_missing_rate_outweighs_the_rounding(rows):
-    """Of Honda's line the rate is not read: what that loses is given apart."""
+    """Honda's curvature rate is not decoded; its effect has figures of its own."""
     row = of(rows, HONDA)
 
     assert row.truncated_rms[2] > 10 * row.measured_rms[2]
-    assert all(r.truncated_rms is None for r in rows if None not in r.message.fields)
+    assert all(r.truncated_rms is None for r in rows if None not in r.message.signals)
 
 
-def test_each_row_says_where_it_is_from():
-    """No figure without its source, and none uncertain that does not say so."""
+def test_each_message_has_a_source():
+    """Each message has a source; undocumented ones are marked as uncertain."""
     for message in (*PRODUCTION, default_message()):
         assert all((message.source, message.certainty, message.uncertainty))
         assert message.documented or "uncertain" in message.certainty
 
 
 def test_the_same_seed_gives_the_same_table():
-    """And another one other lines."""
+    """Another seed gives another table."""
     first, again, other = (as_csv(production_table(100, seed)) for seed in (1, 1, 2))
 
     assert first == again != other
@@ -275,8 +274,8 @@ def test_the_same_seed_gives_the_same_table():
         production_table(99)
 
 
-def test_the_set_is_the_study_s_own():
-    """Sigmas beside the errors are those of sets.road, for a line at x = 0 its first one."""
+def test_the_lines_are_those_of_the_set_road():
+    """The sigmas are those of sets.road, and increase with x."""
     row, lines = production_table(100, 3)[-1], road(100, 3)
     near = np.sqrt(lines.cov[:, 0, 0])
 
@@ -285,7 +284,7 @@ def test_the_set_is_the_study_s_own():
 
 
 def test_writers_agree(rows):
-    """CSV, JSON and both kinds of text tell of the same rows."""
+    """CSV, JSON and both kinds of text have the same rows."""
     table = list(csv.DictReader(io.StringIO(as_csv(rows))))
     records = as_records(rows)
 
@@ -299,7 +298,7 @@ def test_writers_agree(rows):
 
 @pytest.mark.parametrize("form", ["--json", "--markdown", "--csv", None])
 def test_the_command(form, capsys):
-    """It prints one form at a time."""
+    """The command prints one format."""
     parser = argparse.ArgumentParser()
     add_production(parser.add_subparsers())
     arguments = parser.parse_args(["production", "--n", "100", *([form] if form else [])])
@@ -311,9 +310,9 @@ def test_the_command(form, capsys):
     assert ("| --- |" in out) == (form == "--markdown")
 
 
-def test_the_page_has_what_the_command_prints(rows):
-    """docs/bits.md, the section on production messages."""
-    page = (Path(__file__).parents[1] / "docs" / "bits.md").read_text(encoding="utf-8")
+def test_the_page_has_the_tables_of_the_command(rows):
+    """docs/bits.md has the tables in the section on production messages."""
+    page = (Path(__file__).parents[3] / "docs" / "bits.md").read_text(encoding="utf-8")
 
     for table in as_markdown(rows).split("\n\n"):
         assert table.strip() in page

@@ -1,4 +1,4 @@
-"""Wires to order: what they promise, what they cost, and that they are real wires."""
+"""Designs of message layouts: their figures, their DBCs, and sending them over a bus."""
 
 import argparse
 import json
@@ -15,6 +15,8 @@ from maplines_can.gaussian import Gaussian
 from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
+from maplines_can.study.design.plan import Targets
+from maplines_can.study.design.planner import allocated
 from maplines_can.study.design.search import design, figures_of
 from maplines_can.study.design.sensitivity import (
     RatioSpread,
@@ -24,7 +26,6 @@ from maplines_can.study.design.sensitivity import (
     inflation_width,
     rows_of,
 )
-from maplines_can.study.design.wire_plan import Targets, allocated
 from maplines_can.study.sets import Gaussians
 from maplines_can.wire import Codec, Layout
 
@@ -57,7 +58,7 @@ def folder(designs, tmp_path_factory):
 
 
 def a_design(sets, seed_lines=400, **targets):
-    """A design of few lines, for what does not need many."""
+    """Return a design from few lines."""
     few = {name: Gaussians(s.mean[:seed_lines], s.cov[:seed_lines]) for name, s in sets.items()}
     return design(few, Targets(**targets))
 
@@ -66,7 +67,7 @@ def a_design(sets, seed_lines=400, **targets):
 
 
 def test_three_frames_lose_little_on_the_road(designs):
-    """The covariance at a divergence of 0.02 in three frames, with all else in them."""
+    """Three frames hold the covariance at a divergence of 0.02, and all other signals."""
     figures = designs[3].measured["road"]
     assert figures.kl_mean <= 0.02
     assert figures.kl_p99 <= 0.05
@@ -77,7 +78,7 @@ def test_three_frames_lose_little_on_the_road(designs):
 
 @pytest.mark.parametrize("frames", FRAMES)
 def test_each_design_fills_its_frames(designs, folder, frames):
-    """cantools loads the DBC; it has that many pages, and all of the record's signals."""
+    """cantools loads the DBC, which has the right pages and all signals of the record."""
     database = cantools.database.load_file(folder / f"frames{frames}.dbc")
     message = database.get_message_by_name("EgoLeft")
     pages = {i for signal in message.signals for i in signal.multiplexer_ids or ()}
@@ -95,7 +96,7 @@ def test_each_design_fills_its_frames(designs, folder, frames):
 @pytest.mark.parametrize("frames", FRAMES)
 @pytest.mark.parametrize("make", [paper, road, adversarial])
 def test_no_design_is_overconfident(folder, frames, make):
-    """On what it was made for, on what it was not, and on what spares nothing."""
+    """On the set of the design, on another set, and on adversarial covariances."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = make(800, 9)
     batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
@@ -106,8 +107,8 @@ def test_no_design_is_overconfident(folder, frames, make):
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_the_prediction_comes_true(designs, frames):
-    """Mean and 99 % of lines that were not seen: to 20 % and a few lines beyond the ends."""
+def test_measured_figures_match_the_prediction(designs, frames):
+    """Mean and 99 % quantile of unseen lines within 25 %, saturation within a few lines."""
     predicted, measured = designs[frames].predicted, designs[frames].measured["road"]
     assert measured.kl_mean == pytest.approx(predicted.kl_mean, rel=0.25)
     assert measured.kl_p99 == pytest.approx(predicted.kl_p99, rel=0.2)
@@ -117,7 +118,7 @@ def test_the_prediction_comes_true(designs, frames):
 
 
 def test_more_frames_lose_less(designs):
-    """A frame more has 53 bits more: 3.7 for each of 14 numbers, and 4^-3.7 of the divergence."""
+    """One frame adds 53 bits: 3.7 for each of 14 numbers, and 4^-3.7 of the divergence."""
     kl = [designs[n].measured["road"].kl_mean for n in FRAMES]
     for more, less in pairwise(kl):
         assert 50 < more / less < 400
@@ -126,7 +127,7 @@ def test_more_frames_lose_less(designs):
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("frames", FRAMES)
 def test_a_design_is_sent_and_received(folder, others, frames, fd):
-    """Over python-can's bus: what arrives is what the codec makes of it."""
+    """Lines received over python-can's bus are those of the codec."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = [
         MapLine(Slot(i), Gaussian(others["road"].mean[i], others["road"].cov[i]), Kind.SOLID)
@@ -154,7 +155,7 @@ def test_a_design_is_sent_and_received(folder, others, frames, fd):
 
 
 def test_a_signal_of_zero_means_zero(folder):
-    """Ranges are not the same to both sides, but what does not go together says so exactly."""
+    """Ranges are asymmetric, but uncorrelated states stay exactly uncorrelated."""
     codec = Codec.from_dbc(folder / "frames3.dbc")
     ratios = [field for name, field in codec.layout.signals.items() if name.startswith("Ratio")]
     assert len(ratios) == 6
@@ -164,62 +165,62 @@ def test_a_signal_of_zero_means_zero(folder):
     assert np.array_equal(alone.cov[0], np.diag(alone.cov[0].diagonal()))
 
 
-# ---- what is asked of it -----------------------------------------------------------------
+# ---- targets -----------------------------------------------------------------
 
 
-def test_a_divergence_is_met_in_few_bits(roads, others, designs):
-    """2e-3 fits into four frames, and leaves the bits that these lose nothing by."""
+def test_max_kl_is_met_with_few_bits(roads, others, designs):
+    """2e-3 fits into four frames, and leaves bits unused."""
     made = design(roads, Targets(max_kl=2e-3), held_out={"road": others["road"]})
     assert made.measured["road"].kl_mean <= 1.1 * 2e-3
     assert made.frames == 4
-    # A factor 26 of the divergence is 2.3 bits in each of 10 fields, and as much for the mean.
+    # Each factor of 4 in the divergence is one bit in each of 14 fields.
     ratio = made.measured["road"].kl_mean / designs[4].measured["road"].kl_mean
     assert made.spare_bits == pytest.approx(7 * np.log2(ratio), abs=8)
 
 
 def test_ranges_are_kept(roads):
-    """Those of the mean to the letter; those of the standard deviations at least."""
+    """Ranges of the mean are exact, those of the standard deviations are included."""
     narrow = {"y_off": 7.0, "beta": 0.3, "c0": 0.07, "c1": 0.025}
     made = a_design(roads, frames=4, ranges=narrow, sigmas={"y_off": 20.0, "c1": 0.05})
-    signals = {spec.name: spec for page in made.contract.pages for spec in page}
+    signals = {spec.name: spec for page in made.writer.pages for spec in page}
     for name, end in zip(MEAN, narrow.values(), strict=True):
         low, high = signals[name].range
         assert low == pytest.approx(-end)
         assert high == pytest.approx(end - signals[name].factor)
     assert 2.0 ** signals["PivotYOff"].range[1] >= 20 * 0.999
     assert 2.0 ** signals["PivotC1"].range[1] >= 0.05 * 0.999
-    codec = Codec(Layout.from_text(made.contract.dbc()))
+    codec = Codec(Layout.from_text(made.writer.dbc()))
     batch = codec.decode_batch(codec.encode_batch([[6.99, -0.3, 0.07, 0.025]]))
     assert batch.mean[0] == pytest.approx([6.99, -0.3, 0.07, 0.025], abs=5e-3)
 
 
 def test_the_mean_is_kept(roads):
-    """As it is in the project's own DBC."""
+    """The mean has the widths and factors of the project's own DBC."""
     own = Codec.from_dbc().layout
     made = a_design(roads, frames=4, keep_mean=True)
-    layout = Layout.from_text(made.contract.dbc())
+    layout = Layout.from_text(made.writer.dbc())
     for name in MEAN:
         assert (layout[name].length, layout[name].factor) == (own[name].length, own[name].factor)
 
 
-def test_the_mean_is_as_exact_as_asked(roads):
+def test_max_lateral_is_met(roads):
     exact = a_design(roads, frames=4, max_lateral=0.002)
     assert exact.predicted.lateral_error <= 0.002
     assert exact.measured["road"].lateral_error <= 1.15 * 0.002
 
 
-def test_a_design_can_be_had_again(roads):
-    """The same lines and targets, the same wire."""
+def test_a_design_is_reproducible(roads):
+    """The same lines and targets give the same DBC."""
     first, second = (a_design(roads, frames=3) for _ in range(2))
-    assert first.contract.dbc() == second.contract.dbc()
+    assert first.writer.dbc() == second.writer.dbc()
     assert first.as_dict() == second.as_dict()
 
 
-def test_progress_ends_at_all_of_it(roads):
-    told = []
-    design(roads, Targets(frames=4), progress=lambda done, total: told.append(done / total))
-    assert told == sorted(told)
-    assert told[-1] == 1
+def test_progress_ends_at_the_total(roads):
+    seen = []
+    design(roads, Targets(frames=4), progress=lambda done, total: seen.append(done / total))
+    assert seen == sorted(seen)
+    assert seen[-1] == 1
 
 
 @pytest.mark.parametrize(
@@ -230,7 +231,9 @@ def test_progress_ends_at_all_of_it(roads):
         pytest.param({"frames": 2}, "2 leave 68 bits .* need", id="two-frames"),
         pytest.param({"max_kl": 0.0}, "max_kl must be positive", id="zero"),
         pytest.param(
-            {"frames": 3, "max_kl": 1e-3}, "not to be had in 3 frames, which reach 0.0", id="both"
+            {"frames": 3, "max_kl": 1e-3},
+            "cannot be reached in 3 frames, which reach 0.0",
+            id="both",
         ),
         pytest.param({"frames": 4, "ranges": {"y": 3}}, "ranges must be .* got y=3", id="state"),
         pytest.param({"frames": 4, "sigmas": {"beta": -1}}, "sigmas must be", id="sigma"),
@@ -241,12 +244,12 @@ def test_progress_ends_at_all_of_it(roads):
         ),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_reason(roads, targets, words):
+def test_impossible_targets_raise(roads, targets, words):
     with pytest.raises(ValueError, match=words):
         a_design(roads, **targets)
 
 
-def test_too_few_lines_are_refused(roads):
+def test_too_few_lines_raise(roads):
     with pytest.raises(ValueError, match="100 lines"):
         a_design(roads, seed_lines=150, frames=4)
 
@@ -255,7 +258,7 @@ def test_too_few_lines_are_refused(roads):
 
 
 def test_rows_are_those_of_the_cholesky_factor(roads):
-    """In any order, against numpy."""
+    """In any order, compared with numpy."""
     cov, order = roads["road"].cov[:50], (2, 0, 3, 1)
     pivots, ratios = rows_of(cov, np.zeros(4), order)
     scale = np.sqrt(np.einsum("nii->ni", cov))[:, order]
@@ -266,8 +269,8 @@ def test_rows_are_those_of_the_cholesky_factor(roads):
 
 
 def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec, others):
-    """Without steps of the inflation 2 to 2.7 times the theory's; with them, what is measured."""
-    rows = [MEAN[i] for i in codec.covariance.order]
+    """With continuous inflation 2 to 2.7 times the theory; with its steps, the measured loss."""
+    rows = [MEAN[i] for i in codec.covariance.factor.order]
     pairs = [(row, column) for i, row in enumerate(rows) for column in rows[:i]]
     pivots = np.array([codec.layout[f"Pivot{row}"].factor for row in rows])
     ratios = np.array([codec.layout[f"Ratio{row}{column}"].factor for row, column in pairs])
@@ -280,11 +283,11 @@ def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec, others):
     assert figures_of(codec, others["road"]).kl_mean == pytest.approx(own, rel=0.05)
 
 
-def test_what_lies_beyond_an_end_costs_what_the_lift_does():
-    """ln g + (g^-2 - 1) / 2 for those beyond, by hand."""
+def test_the_loss_beyond_an_end_is_that_of_the_lifted_pivot():
+    """ln g + (g^-2 - 1) / 2 for the values beyond, by hand."""
     values = np.array([-3.0, -1.0, 0.0, 0.5, 8.0])
     spread = RatioSpread(values, np.full(5, 0.2))
-    width = spread.width(4, 0.25, 0.5, price=0.0)  # -2 to 1.75; lines to come: -6 and 16
+    width = spread.width(4, 0.25, 0.5, price=0.0)  # -2 to 1.75; unseen lines: -6 and 16
 
     def lift(value, end):
         return np.log(value / end) + ((end / value) ** 2 - 1) / 2
@@ -304,7 +307,7 @@ def test_the_blur_of_a_fine_grid_is_its_first_order(roads):
     assert blurs(cov, steps**2 / 12) == pytest.approx(first, rel=1e-3)
 
 
-def test_bits_go_where_they_take_most():
+def test_bits_go_where_they_reduce_the_loss_most():
     """Two fields of the same kind and different ranges get the same step."""
     spreads = {"wide": 100.0, "narrow": 6.25}
     rng = np.random.default_rng(0)
@@ -328,14 +331,14 @@ def maplines(*words):
     return arguments.run(arguments)
 
 
-def test_the_command_writes_the_wire_and_its_page(tmp_path, capsys):
+def test_the_command_writes_the_dbc_and_its_page(tmp_path, capsys):
     out = tmp_path / "mine.dbc"
     words = ["--frames", "4", "--set", "road", "--n", "300", "--range", "y_off=16,beta=0.4"]
     assert maplines(*words, "--out", str(out), "--json") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["frames"] == 4
-    assert said["targets"]["ranges"] == {"y_off": 16, "beta": 0.4}
-    assert said["measured"]["road"]["overconfident"] == 0
+    output = json.loads(capsys.readouterr().out)
+    assert output["frames"] == 4
+    assert output["targets"]["ranges"] == {"y_off": 16, "beta": 0.4}
+    assert output["measured"]["road"]["overconfident"] == 0
     assert Codec.from_dbc(out).layout["YOff"].physical_range[0] == -16
     page = out.with_suffix(".md").read_text()
     assert "maplines design --frames 4 --set road --range y_off=16,beta=0.4" in page
@@ -344,14 +347,14 @@ def test_the_command_writes_the_wire_and_its_page(tmp_path, capsys):
     assert "KL, mean" in page
 
 
-def test_the_command_reads_a_file_of_ones_own(tmp_path, capsys):
+def test_the_command_reads_a_user_s_file(tmp_path, capsys):
     lines = road(600, seed=8)
     np.savez(tmp_path / "own.npz", mean=lines.mean, cov=lines.cov)
     words = ["--frames", "3", "--set", str(tmp_path / "own.npz")]
     assert maplines(*words, "--out", str(tmp_path / "own.dbc")) == 0
-    said = capsys.readouterr().out
-    assert "measured: own.npz" in said
-    assert "3 classic frames" in said
+    output = capsys.readouterr().out
+    assert "measured: own.npz" in output
+    assert "3 classic frames" in output
 
 
 @pytest.mark.parametrize(
@@ -362,26 +365,26 @@ def test_the_command_reads_a_file_of_ones_own(tmp_path, capsys):
         (["--frames", "four"], "invalid int value"),
     ],
 )
-def test_wrong_words_are_refused(capsys, words, reason):
+def test_invalid_arguments_exit(capsys, words, reason):
     with pytest.raises(SystemExit):
         maplines(*words)
     assert reason in capsys.readouterr().err
 
 
-def test_a_page_is_not_written_over_something_else(tmp_path):
+def test_out_must_be_a_dbc(tmp_path):
     with pytest.raises(ValueError, match=r"ends in \.dbc"):
         maplines("--frames", "4", "--out", str(tmp_path / "wire.md"))
 
 
-def test_help_teaches(capsys):
+def test_help_explains_options_and_sets(capsys):
     with pytest.raises(SystemExit) as done:
         maplines("--help")
     assert done.value.code == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     for word in ("--frames", "--max-kl", "paper", "road", "examples:", "SATURATED"):
-        assert word in said
+        assert word in output
 
 
 def test_only_the_default_code_is_designed():
-    """The others have no feedback: their losses are not a constant of the steps."""
+    """The loss of the other codes is not a constant of the steps."""
     assert next(iter(CODES)) == "Cholesky"

@@ -1,0 +1,42 @@
+"""Rows of text cells as a table, for a terminal and for Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = ["aligned", "markdown"]
+
+
+def aligned(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
+    """Return the rows with columns of one width.
+
+    Args:
+        rows: cells, the headings first.
+        left: number of columns aligned to the left, the others to the right; all by default.
+
+    >>> print(aligned([["code", "bits"], ["Float16", "160"]], left=1))
+    code     bits
+    Float16   160
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    left = len(widths) if left is None else left
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if i < left else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    )
+
+
+def markdown(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
+    """Return the rows as a Markdown table that ends with a line break; arguments as above.
+
+    >>> print(markdown([["code", "bits"], ["Float16", "160"]], left=1), end="")
+    | code | bits |
+    | --- | ---: |
+    | Float16 | 160 |
+    """
+    left = len(rows[0]) if left is None else left
+    rule = ["---" if i < left else "---:" for i in range(len(rows[0]))]
+    return "".join("| " + " | ".join(row) + " |\n" for row in (rows[0], rule, *rows[1:]))

@@ -1,0 +1,25 @@
+"""The tables of a sweep, and the report on them."""
+
+import pytest
+
+pytest.importorskip("pyarrow.parquet")
+pytest.importorskip("bokeh")
+
+from sweep_tables import sweep_rows, write
+
+from maplines_can.study.report.page import write_report
+
+
+@pytest.fixture(scope="session")
+def rows():
+    return sweep_rows()
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory, rows):
+    return write(tmp_path_factory.mktemp("report") / "sweep", rows)
+
+
+@pytest.fixture(scope="session")
+def report(folder):
+    return write_report(folder, folder.parent / "new" / "report.html")

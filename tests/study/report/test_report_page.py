@@ -1,0 +1,213 @@
+"""The HTML report: its content, and errors for unusable tables."""
+
+import argparse
+import math
+import re
+import sys
+from html.parser import HTMLParser
+
+import pyarrow.parquet as pq
+import pytest
+from sweep_tables import SETS, USED, N, write
+
+from maplines_can.cli.report import add_report
+from maplines_can.errors import MissingExtraError, StudyError
+from maplines_can.study.report.page import write_report
+from maplines_can.study.report.tables import COLUMNS, read_tables
+
+
+class Page(HTMLParser):
+    """Elements, text and links of an HTML page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.texts, self.links, self._in = [], [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        self._in = tag
+        self.links += [value for name, value in attrs if name in ("src", "href", "action", "data")]
+
+    def handle_data(self, data):
+        if self._in not in ("script", "style"):
+            self.texts.append(data)
+
+    def text(self):
+        return " ".join("".join(self.texts).split())
+
+
+@pytest.fixture(scope="module")
+def page(report):
+    return Page(report.read_text("utf-8"))
+
+
+# ---- the file ---------------------------------------------------------------------
+
+
+def test_nothing_is_loaded_from_other_files(page, report):
+    """There is no link and no import, and the content security policy forbids them."""
+    assert page.links == []
+    style = re.search(r"<style>(.*?)</style>", report.read_text("utf-8"), re.DOTALL)[1]
+    assert "url(" not in style
+    assert "@import" not in style
+    policy = next(a["content"] for tag, a in page.elements if tag == "meta" and "content" in a)
+    assert policy.startswith("default-src 'none'")
+    assert not re.search(r"https?:|\*", policy)
+    assert report.stat().st_size < 4e6
+
+
+def test_every_code_set_and_section_is_there(page):
+    """Each code has a toggle, each set and section a figure."""
+    toggles = [a["value"] for t, a in page.elements if a.get("data-controls") == "code"]
+    assert toggles == USED
+    assert [a for t, a in page.elements if t == "h2"] == [{}] * 6
+    figures = [a for t, a in page.elements if t == "figure"]
+    assert len(figures) == 6 * len(SETS)
+    assert all(SETS[int(a["data-set"])] in a["aria-label"] for a in figures)
+    assert len([a for t, a in page.elements if t == "table"]) == 1 + 7 * len(SETS)
+
+
+def test_a_name_is_text_and_never_markup(page, report):
+    """Names of sets, which may be paths, are escaped, also in the script of the plots."""
+    assert all(tag not in ("img", "b") for tag, _ in page.elements)
+    assert SETS[1] in page.text()
+    assert "</script><img" not in report.read_text("utf-8")
+
+
+def test_title_is_escaped(folder, tmp_path):
+    text = write_report(folder, tmp_path / "a.html", title="a<b>&").read_text("utf-8")
+
+    assert "<title>a&lt;b&gt;&amp;</title>" in text
+
+
+def test_the_findings_are_those_of_the_tables(page, folder):
+    """Shares and KL of the first code, bits above the limit, and infinite values."""
+    tables = read_tables(folder)
+    row = tables.shipped("paper", "Cholesky")
+    text = page.text()
+
+    assert f"Cholesky: 0 not definite and 0 overconfident of {2 * N:,} Gaussians." in text
+    limit = 34.0 + 5 * math.log2(1e-2 / row["kl_mean"])
+    assert tables.over_limit(row) == pytest.approx(105 - limit)
+    assert f"{105 - limit:.0f} to {107 - limit:.0f}" in text
+    assert "No guarantee was broken" in text
+    bad = tables.shipped("paper", "LinearNearest")
+    assert 0 < bad["not_positive_definite"] < 1
+    assert math.isinf(bad["kl_mean"])
+    assert f"{100 * bad['not_positive_definite']:.3g} %" in text
+    assert "∞" in text
+    assert "nan" not in text.lower().replace("finance", "")
+
+
+def test_a_broken_guarantee_is_the_first_finding(rows, tmp_path):
+    summary = [dict(row) for row in rows["summary"]]
+    summary[0]["overconfident"] = 0.01
+    folder = write(tmp_path / "sweep", rows, summary=summary)
+
+    text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
+
+    assert "A guarantee is broken. Cholesky on paper: overconfident 1 %." in text
+
+
+def test_the_limit_is_linear_in_log_kl(folder):
+    """Inside the table and below it; it is not defined for a large KL."""
+    tables = read_tables(folder)
+
+    for kl in (3e-2, 1e-2, 2e-3, 1e-4, 1e-7):
+        assert tables.limit_bits("paper", kl) == pytest.approx(34 + 5 * math.log2(1e-2 / kl))
+    for kl in (0.2, 0.0, math.inf, math.nan):
+        assert tables.limit_bits("paper", kl) is None
+    assert tables.limit_bits("another", 1e-3) is None
+
+
+def test_missing_sections_are_reported(rows, tmp_path):
+    """A sweep without fields, worst cases and limit still gives a report."""
+    folder = write(tmp_path / "sweep", rows)
+    for name in ("fields", "worst", "limit"):
+        schema = pq.read_schema(folder / f"{name}.parquet")
+        pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
+
+    text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
+
+    assert text.count("The sweep did not compute this.") == 2
+
+
+def test_the_tables_of_a_sweep_are_read(tmp_path):
+    """Sweep and report use the same names of columns."""
+    from maplines_can.study.sets import line_set
+    from maplines_can.study.sweep.plan import Study
+    from maplines_can.study.sweep.run import run_study
+
+    study = Study(
+        [line_set("paper")], codes=("Cholesky", "Linear"), finer_bits=(0,), n=200, chunk_size=200,
+        fields_n=200, limit_n=0,
+    )  # fmt: skip
+    run_study(study, tmp_path / "sweep", jobs=1)
+
+    text = Page(write_report(tmp_path / "sweep", tmp_path / "a.html").read_text("utf-8")).text()
+
+    assert "Cholesky: 0 not definite and 0 overconfident of 200 Gaussians." in text
+
+
+# ---- errors -----------------------------------------------------------------------
+
+
+def damaged(folder, how):
+    path = folder / "summary.parquet"
+    if how == "folder":
+        return folder / "nowhere"
+    if how == "missing":
+        path.unlink()
+    elif how == "corrupt":
+        path.write_bytes(path.read_bytes()[:-100])
+    elif how == "text":
+        path.write_text("set,code\n")
+    elif how == "columns":
+        pq.write_table(pq.read_table(path).drop_columns(["kl_mean", "n"]), path)
+    elif how == "empty":
+        pq.write_table(pq.read_schema(path).empty_table(), path)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        pytest.param("folder", "there is no such folder", id="folder-missing"),
+        pytest.param("missing", r"summary\.parquet: is missing", id="table-missing"),
+        pytest.param("corrupt", r"summary\.parquet: cannot be read as Parquet", id="cut-short"),
+        pytest.param("text", r"summary\.parquet: cannot be read as Parquet", id="not-parquet"),
+        pytest.param("columns", r"summary\.parquet: lacks the columns n, kl_mean", id="columns"),
+        pytest.param("empty", r"summary\.parquet: has no rows", id="no-rows"),
+    ],
+)
+def test_unusable_tables_raise(rows, tmp_path, how, words):
+    """The message names the file, and nothing is written."""
+    folder = damaged(write(tmp_path / "sweep", rows), how)
+
+    with pytest.raises(StudyError, match=words):
+        write_report(folder, tmp_path / "out" / "report.html")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("package", ["bokeh", "jinja2", "pyarrow"])
+def test_a_missing_extra_is_named(monkeypatch, folder, tmp_path, package):
+    for name in [n for n in sys.modules if n.split(".")[0] == package]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, package, None)
+
+    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[study\]"'):
+        write_report(folder, tmp_path / "report.html")
+
+
+def test_the_command(folder, tmp_path, capsys):
+    """The command passes its arguments on; no column is listed twice."""
+    parser = argparse.ArgumentParser()
+    add_report(parser.add_subparsers())
+    out = tmp_path / "report.html"
+    arguments = parser.parse_args(["report", str(folder), "--out", str(out), "--title", "mine"])
+
+    assert arguments.run(arguments) == 0
+    assert "<h1>mine</h1>" in out.read_text("utf-8")
+    assert "report.html: " in capsys.readouterr().err
+    assert all(len(set(columns)) == len(columns) for columns in COLUMNS.values())

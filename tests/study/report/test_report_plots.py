@@ -1,0 +1,61 @@
+"""Data and axes of the report's plots."""
+
+import re
+
+import numpy as np
+from sweep_tables import USED
+
+from maplines_can.line import lateral, lateral_jacobian
+from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
+from maplines_can.study.report.drawing import looks
+from maplines_can.study.report.plots import kl_plot
+from maplines_can.study.report.tables import read_tables
+
+
+def test_an_infinite_kl_is_above_the_axis_with_its_share(folder):
+    """Each width has a mark at the infinity tick; the 99 % quantile has a view of its own."""
+    tables = read_tables(folder)
+    plot = kl_plot(tables, "paper", looks(tables.codes))
+    source = next(
+        r.data_source for r in plot.renderers if r.tags == ["code:LinearNearest"]
+    )  # its line
+    ticks = plot.yaxis[0].major_label_overrides
+
+    assert [ticks[y] for y in source.data["y"]] == ["∞", "∞"]
+    assert all(np.isnan(source.data["path"]))
+    assert all(re.fullmatch(r"[\d.]+ %", text) for text in source.data["mark"])
+    median = source.tags[0]["options"]["kl_p99"]["data"]
+    assert len(median["y"]) == 2
+    drawn = {tag for r in plot.renderers for tag in r.tags}
+    assert drawn == {f"code:{code}" for code in USED}
+
+
+def test_worst_cases_are_the_lines_and_their_bands(folder):
+    """Bands are 3 sigma of l(x) to first order; crosses mark negative variances."""
+    tables = read_tables(folder)
+    keys = [worst_key(row) for row in tables.worst if row["set"] == "paper"]
+    plot, less = worst_plots(tables, "paper", keys)
+    options = plot.renderers[0].data_source.tags[0]["options"]
+    for row in (row for row in tables.worst if row["set"] == "paper"):
+        data = options[worst_key(row)]["data"]
+        for side, prefix in (("true", ""), ("decoded", "decoded_")):
+            mean = np.array([row[f"{prefix}mean_{i}"] for i in range(4)])
+            S = np.array([[row[f"{prefix}cov_{i}{j}"] for j in range(4)] for i in range(4)])
+            x = np.asarray(data["x"], dtype=float)
+            J = lateral_jacobian(mean, x)
+            variance = np.sum((J @ S) * J, axis=1)
+            np.testing.assert_allclose(data[side], lateral(mean, x), rtol=1e-5, atol=1e-5)
+            half = (data[f"{side}_high"] - data[f"{side}_low"]) / 2
+            seen = variance > 0
+            np.testing.assert_allclose(half[seen], 3 * np.sqrt(variance[seen]), rtol=1e-3)
+            if side == "decoded":
+                np.testing.assert_array_equal(np.isfinite(data["lost"]), variance < 0)
+    relative = less.renderers[0].data_source.data
+    np.testing.assert_array_equal(relative["true"], 0)
+
+
+def test_fields_are_sorted_by_the_cost_of_one_bit_less(folder):
+    """The most expensive field is at the top."""
+    plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
+
+    assert plot.y_range.factors == ["Inflation", "PivotC0", "RatioC0C1"]

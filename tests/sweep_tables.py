@@ -1,0 +1,95 @@
+"""Tables as a small sweep writes them, for tests of the report."""
+
+import math
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from maplines_can.line import Status
+from maplines_can.study import LATERAL_X, evaluate, paper
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.covariance_spec import covariance_signals
+from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.wire import Codec
+from maplines_can.wire.message.layout import Layout
+
+USED = ["Cholesky", "LinearNearest", "MeanOnly"]
+#: A set may be a user's file, and a file may be called anything.
+SETS = ["paper", '</script><img src=x onerror="boom()"> & \'"drive.csv']
+N = 400
+
+
+def share(name, which):
+    p = float(np.mean(which))
+    return {name: p, f"{name}_se": math.sqrt(p * (1 - p) / len(which))}
+
+
+def rows_of(set_, code, finer_bits, mean, cov):
+    """Return a code's row of the summary and its worst cases; infinities are kept."""
+    codec = Codec(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code), codes=CODES)
+    batch = codec.decode_batch(codec.encode_batch(mean, cov))
+    verdict = evaluate(mean, cov, batch.mean, batch.cov, codec.resolution)
+    kl, bits = verdict.kl_covered, sum(s.bits for s in covariance_signals(code, finer_bits))
+    row = {"set": set_, "code": code, "finer_bits": finer_bits, "n": len(mean), "seed": 0}
+    row |= {"covariance_bits": bits, "record_bits": 8 * codec.layout.record_bytes}
+    row |= {"classic_frames": codec.layout.pages, "seconds": 0.1, "gaussians_per_second": 4e3}
+    row["definite_guarantee"] = CODES[code].positive_definite
+    row["covering_guarantee"] = CODES[code].covering
+    row |= share("not_positive_definite", ~verdict.positive_definite)
+    row |= share("overconfident", verdict.overconfident)
+    row |= share("saturated", batch.status == Status.SATURATED)
+    row |= share("out_of_range", batch.status == Status.OUT_OF_RANGE)
+    finite = bool(np.isfinite(kl).all())
+    se = float(kl.std() / math.sqrt(len(kl))) if finite else None
+    row |= {"kl_mean": float(kl.mean()), "kl_mean_se": se, "kl_p50": float(np.median(kl))}
+    row |= {"kl_p99": float(np.quantile(kl, 0.99, method="nearest")), "kl_max": float(kl.max())}
+    row |= {"kl_untouched_mean": float(verdict.kl.mean()), "kl_untouched_mean_se": None}
+    row |= {"kl_before_inflation_mean": None, "kl_theory": None}
+    for i, x in enumerate(LATERAL_X):
+        error, ratio = np.abs(verdict.lateral_error[:, i]), verdict.sigma_ratio[:, i]
+        ratio = ratio[np.isfinite(ratio)]
+        row[f"mean_error_rms_{x:g}"] = float(np.sqrt((error**2).mean()))
+        row[f"mean_error_max_{x:g}"] = float(error.max())
+        row[f"sigma_ratio_min_{x:g}"] = float(ratio.min())
+        row[f"sigma_ratio_p50_{x:g}"] = float(np.median(ratio))
+        row[f"sigma_ratio_p99_{x:g}"] = float(np.quantile(ratio, 0.99))
+    worst = []
+    for rank, i in enumerate(np.argsort(-kl)[:2], 1):
+        case = {"set": set_, "code": code, "rank": rank, "kl": float(kl[i])}
+        case["status"] = Status(int(batch.status[i])).name
+        for side, m, S in (("", mean[i], cov[i]), ("decoded_", batch.mean[i], batch.cov[i])):
+            case |= {f"{side}mean_{a}": m[a] for a in range(4)}
+            case |= {f"{side}cov_{a}{b}": S[a, b] for a in range(4) for b in range(4)}
+        worst.append(case)
+    return row, worst
+
+
+def sweep_rows():
+    """Return the tables of a sweep of three codes over two sets."""
+    made = {"summary": [], "fields": [], "worst": [], "limit": []}
+    for seed, set_ in enumerate(SETS):
+        mean, cov = paper(N, seed)
+        for code in USED:
+            for finer_bits in (0, 1) if code != "MeanOnly" else (0,):
+                row, worst = rows_of(set_, code, finer_bits, mean, cov)
+                made["summary"].append(row)
+                made["worst"] += worst if finer_bits == 0 else []
+        for field, cost in (("PivotC0", 1.3), ("RatioC0C1", 2.5), ("Inflation", 1.1)):
+            for delta, kl in ((-1, 0.003 * cost), (1, 0.003 / cost)):
+                field_row = {"set": set_, "code": "Cholesky", "field": field, "delta_bits": delta}
+                field_row |= {"covariance_bits": 105 + delta, "kl_mean": kl, "kl_mean_se": 1e-5}
+                made["fields"].append(field_row | {"saturated": 0.0, "lateral_rms_80": 6e-4})
+        for part, n, bits in (("all", 14, 62.0), ("covariance", 10, 34.0)):
+            for decades, kl in enumerate((1e-2, 1e-3, 1e-4)):
+                point = {"set": set_, "part": part, "kl": kl, "entropy_bits": 20.0, "se_bits": 0.5}
+                rise = decades * n / 2 * math.log2(10)
+                made["limit"].append(point | {"bias_bits": 2.0, "bits": bits + rise})
+    return made
+
+
+def write(folder, rows, **changes):
+    folder.mkdir(exist_ok=True)
+    for name, of_table in (rows | changes).items():
+        pq.write_table(pa.Table.from_pylist(of_table), folder / f"{name}.parquet")
+    return folder
