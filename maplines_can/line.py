@@ -193,15 +193,10 @@ def _states(parameters: ArrayLike) -> NDArray[np.float64]:
 def line_of_cubic(
     q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the line of a cubic given in the normalised variable ``w = (u - centre) / half``.
+    """Return the (..., 4) lines of cubics in the normalised variable ``w = (u - centre) / half``.
 
-    Args:
-        q: (4, ...) coefficients of w^0 .. w^3 [m].
-        centre: (...) [m].
-        half: (...) [m], positive.
-
-    Returns:
-        (..., 4) lines: value and derivatives at u = 0, the first derivative as an angle.
+    Of the coefficients q, (4, ...) of w^0 .. w^3 [m], they are the value and derivatives at u = 0,
+    the first derivative as an angle.
     """
     q0, q1, q2, q3 = q
     r = 1 / np.asarray(half, dtype=float)

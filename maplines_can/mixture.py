@@ -103,11 +103,6 @@ class GaussianMixture:
         The density at the edge of the region is estimated from draws of the mixture.
         The standard error of the share is about sqrt(mass (1 - mass) / draws).
 
-        Args:
-            samples: (N, n) points.
-            mass: probability of the region, between 0 and 1.
-            draws: number of draws.
-
         Raises:
             numpy.linalg.LinAlgError: the covariance of a component is singular.
         """

@@ -56,11 +56,7 @@ def pose(
 ) -> Gaussian:
     """Return the pose of a car at the origin of the map that heads along x.
 
-    Args:
-        sigma_x: standard deviation of e_x [m].
-        sigma_y: standard deviation of e_y [m].
-        heading_sigma_deg: standard deviation of e_h [deg].
-        correlation: correlation of e_x and e_y.
+    The standard deviations are of e_x [m], e_y [m] and e_h [deg], the correlation of e_x and e_y.
     """
     sigma = np.array([sigma_x, sigma_y, np.radians(heading_sigma_deg)])
     R = np.eye(3)
@@ -108,49 +104,42 @@ def _street_turn() -> tuple[SceneLine, ...]:
 
 
 def _scenarios() -> Iterator[Scenario]:
-    road, window = _highway(), (-20.0, 80.0)
-    turn, turn_window = _street_turn(), (-10.0, 40.0)
+    highway, turn = (_highway(), (-20.0, 80.0)), (_street_turn(), (-10.0, 40.0))
     yield Scenario(
         "highway",
         "three lanes, radius 2000 m; position sigma 0.5 m, heading sigma 5 deg (paper, figure 5)",
         pose(0.5, 0.5, 5.0),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "highway-correlated",
         "highway with the errors along and across the road correlated by 0.8 (paper, figure 7)",
         pose(0.5, 0.5, 5.0, correlation=0.8),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "highway-10deg",
         "highway with heading sigma 10 deg (paper, figure 8)",
         pose(0.5, 0.5, 10.0),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "street-turn",
         "straight for 5 m, then a left turn of radius 20 m; heading sigma 5 deg (paper, figure 10)",
         pose(0.5, 0.5, 5.0),
-        turn,
-        turn_window,
+        *turn,
     )
     yield Scenario(
         "street-turn-10deg",
         "street-turn with heading sigma 10 deg (paper, figure 11)",
         pose(0.5, 0.5, 10.0),
-        turn,
-        turn_window,
+        *turn,
     )
     yield Scenario(
         "production",
         "highway seen by a production car: sigma 0.3 m along, 0.1 m across, heading sigma 0.5 deg",
         pose(0.3, 0.1, 0.5),
-        road,
-        window,
+        *highway,
     )
 
 

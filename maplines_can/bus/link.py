@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
-from types import TracebackType
 from typing import Any
 
 import can
@@ -166,12 +165,7 @@ class Link:
     def __enter__(self) -> Link:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     # ---- outage and reconnect ----------------------------------------------------

@@ -61,7 +61,6 @@ def frame_time(frame: Frame, bitrate: float, data_bitrate: float | None = None) 
     """Return the longest time that a frame takes on the bus [s].
 
     Args:
-        frame: a data frame.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
 
@@ -76,20 +75,11 @@ def frame_time(frame: Frame, bitrate: float, data_bitrate: float | None = None) 
 
 
 def bus_load(
-    frames: Iterable[Frame],
-    period: float,
-    bitrate: float,
-    data_bitrate: float | None = None,
+    frames: Iterable[Frame], period: float, bitrate: float, data_bitrate: float | None = None
 ) -> float:
-    """Return the share of the bus time that these frames take, each sent once a period.
+    """Return the share of the bus time that these frames take, each sent once a period [s].
 
-    At 1 the bus is never idle; above 1 the frames do not fit.
-
-    Args:
-        frames: all frames of one period.
-        period: [s].
-        bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
+    At 1 the bus is never idle; above 1 the frames do not fit. Bit rates as in ``frame_time``.
 
     Raises:
         ValueError: the period or a rate is not positive.
@@ -106,14 +96,9 @@ def transfers_within(
     bitrate: float,
     data_bitrate: float | None = None,
 ) -> int:
-    """Return how many transfers like this one fit into a share of the bus time, each period.
+    """Return how many transfers of these frames fit into a share of the bus time, each period [s].
 
-    Args:
-        share: of the bus time, more than 0 and at most 1.
-        transfer: its frames.
-        period: [s].
-        bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
+    The share is more than 0 and at most 1. Bit rates as in ``frame_time``.
 
     Raises:
         ValueError: the share is out of range, the period or a rate is not positive, or the

@@ -67,12 +67,9 @@ class TxQueue:
         self._counters: Counter[Slot] = Counter()  # of the next record to be sent
 
     def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
-        """Publish lines, each in place of the previous one of its slot.
+        """Publish lines at ``now`` [s], each in place of the previous one of its slot.
 
-        Args:
-            lines: the new values.
-            now: [s].
-            age: of all of them [s]; None for each line's own.
+        They have the given age [s], or each line its own.
         """
         for line in lines:
             if line.slot not in self._published:

@@ -28,9 +28,8 @@ frames were dropped and why, and the end-to-end (E2E) state of each slot."""
 
 def add_decode(commands: Any) -> None:
     """Add the command ``decode``."""
-    parser = add_command(
-        commands, "decode", _decode, DESCRIPTION, "maplines decode drive.blf --csv > drive.csv"
-    )
+    example = "maplines decode drive.blf --csv > drive.csv"
+    parser = add_command(commands, "decode", _decode, DESCRIPTION, example)
     add_codec(parser)
     add_cycle(parser)
     parser.add_argument(

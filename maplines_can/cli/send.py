@@ -31,13 +31,8 @@ curvature and curvature rate. Then print the counters."""
 
 def add_send(commands: Any) -> None:
     """Add the command ``send``."""
-    parser = add_command(
-        commands,
-        "send",
-        _send,
-        DESCRIPTION,
-        "maplines send --interface socketcan --channel vcan0 --rate 50",
-    )
+    example = "maplines send --interface socketcan --channel vcan0 --rate 50"
+    parser = add_command(commands, "send", _send, DESCRIPTION, example)
     add_sending(parser)
     add_bus(parser)
     add_codec(parser)

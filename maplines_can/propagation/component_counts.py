@@ -73,15 +73,12 @@ def component_counts(
         raise ValueError(
             f"budget must be {len(amounts)} or more, one component for each line, got {budget!r}"
         )
-    remaining = np.array(
-        [[remaining_nonlinearity(a, k) for k in SPLITS] for a in amounts]
-    )  # (L, 8)
+    remaining = np.array([[remaining_nonlinearity(a, k) for k in SPLITS] for a in amounts])
     counts = [1] * len(amounts)
     while budget is None or sum(counts) < budget:
-        unmet = [
-            i for i, k in enumerate(counts) if k < len(SPLITS) and remaining[i, k - 1] > tolerance
-        ]
+        now = [remaining[i, k - 1] for i, k in enumerate(counts)]
+        unmet = [i for i, k in enumerate(counts) if k < len(SPLITS) and now[i] > tolerance]
         if not unmet:
             break
-        counts[max(unmet, key=lambda i: remaining[i, counts[i] - 1])] += 1
+        counts[max(unmet, key=now.__getitem__)] += 1
     return counts

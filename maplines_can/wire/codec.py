@@ -116,8 +116,6 @@ class Codec:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
         return self.layout.resolution
 
-    # -- many lines at once ---------------------------------------------------
-
     def encode_batch(
         self,
         means: ArrayLike,
@@ -200,15 +198,8 @@ class Codec:
         data_ids = self.layout.data_ids(numbers("slot", slot), len(records))
         return self._reader.read(records, data_ids)
 
-    # -- one line at a time ---------------------------------------------------
-
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
-        """Decode one record: as ``decode_batch`` to the last bit, without the cost of arrays.
-
-        Args:
-            payload: record bytes.
-            slot: of the line.
-            t_ns: when the record was received [ns].
+        """Decode one record, received at ``t_ns`` [ns]: as ``decode_batch`` to the last bit.
 
         Returns:
             The line, or the reason why the record is rejected. For a component of a mixture it is
@@ -230,7 +221,6 @@ class Codec:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
 
         Args:
-            line: line to send.
             fd: one CAN FD frame instead of the pages of the classic message; with an
                 authenticator, an authenticated one.
 
@@ -249,7 +239,6 @@ class Codec:
         """Encode lines into the frames of each; many at once take hardly longer than one.
 
         Args:
-            lines: lines to send.
             fd: see ``encode``.
             counters: of the first record of each slot, for a sender that may discard the frames.
                 None: the codec's own counters, which advance.
@@ -269,8 +258,6 @@ class Codec:
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value."""
         return self._frame_writer.write(payload.tobytes(), slot, fd)
-
-    # -- reception ------------------------------------------------------------
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames; None without an authenticator."""

@@ -39,9 +39,6 @@ class Coded:
 class CovarianceCode(ABC):
     """Code between covariances and the raw values of a layout's signals.
 
-    Args:
-        layout: layout with the signals of the code.
-
     Raises:
         LayoutError: a signal is missing, or has an unsuitable factor or range.
     """

@@ -40,15 +40,7 @@ _LONG_LIST = re.compile(
 
 
 def check_numbers(text: str, source: str) -> None:
-    """Refuse a DBC with numbers that would exhaust memory or time.
-
-    Args:
-        text: of the DBC.
-        source: name of the DBC in error messages.
-
-    Raises:
-        LayoutError: a number has too many digits.
-    """
+    """Raise LayoutError if a number in the text of a DBC has too many digits."""
     if found := _LONG_EXPONENT.search(text) or _LONG_LIST.search(_TEXT.sub(" ", text)):
         raise LayoutError(
             f"{source}: is not a valid DBC: a start, length or range has too many digits: "

@@ -36,7 +36,7 @@ class Decoder:
     no line, no transfer, no check.
 
     Args:
-        layout: CAN IDs, pages and signals.
+        layout: see ``Layout``.
         reader: decodes records.
         verifier: checks authenticated frames; None for a bus without authentication.
         timeout_ns: longest time between the frames of a transfer [ns].

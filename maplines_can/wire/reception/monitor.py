@@ -41,9 +41,6 @@ class Monitor:
     ``Receiver.latest`` uses one. By itself it serves where there is no bus, as in a simulator.
     It is not thread-safe.
 
-    Args:
-        decoder: turns frames into lines.
-
     >>> from maplines_can import Codec, Slot, MapLine
     >>> codec = Codec.from_dbc()
     >>> monitor = Monitor(codec.decoder())
