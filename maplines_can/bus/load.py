@@ -61,6 +61,7 @@ def frame_time(frame: Frame, bitrate: float, data_bitrate: float | None = None) 
     """Return the longest time that a frame takes on the bus [s].
 
     Args:
+        frame: a data frame.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
 

@@ -221,6 +221,7 @@ class Codec:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
 
         Args:
+            line: line to send.
             fd: one CAN FD frame instead of the pages of the classic message; with an
                 authenticator, an authenticated one.
 
@@ -239,6 +240,7 @@ class Codec:
         """Encode lines into the frames of each; many at once take hardly longer than one.
 
         Args:
+            lines: lines to send.
             fd: see ``encode``.
             counters: of the first record of each slot, for a sender that may discard the frames.
                 None: the codec's own counters, which advance.

@@ -36,8 +36,6 @@ class Decoder:
     no line, no transfer, no check.
 
     Args:
-        layout: see ``Layout``.
-        reader: decodes records.
         verifier: checks authenticated frames; None for a bus without authentication.
         timeout_ns: longest time between the frames of a transfer [ns].
         cycles_ns: time between records of each slot [ns].
