@@ -116,44 +116,19 @@ __version__ = "0.1.0"
 
 #: Names by the module that defines them.
 _EXPORTS = {
-    "bus": ["Link", "Receiver", "Transmitter", "key_from_env", "key_from_file", "read_log"],
-    "errors": ["EncodeError", "IllPosedError", "LayoutError", "MaplinesError"],
-    "gaussian": ["Gaussian", "nearest_covariance"],
-    "line": ["Kind", "MapLine", "Slot", "Status", "lateral", "lateral_jacobian", "transform_line"],
-    "mixture": ["GaussianMixture"],
-    "polyline": ["Polyline"],
-    "propagation": [
-        "Linear",
-        "MapError",
-        "Mixture",
-        "MonteCarlo",
-        "Motion",
-        "Quadrature",
-        "Refit",
-        "SigmaPoints",
-        "Transform",
-        "map_lines",
-        "pose_time_ns",
-        "predict",
-        "predict_to",
-    ],
-    "scenarios": ["SCENARIOS", "Scenario", "scenario"],
-    "wire": [
-        "Authenticator",
-        "Batch",
-        "Codec",
-        "Decoder",
-        "E2EConfig",
-        "E2EState",
-        "Frame",
-        "Key",
-        "Monitor",
-        "ProfileStatus",
-        "Reason",
-        "SlotView",
-    ],
+    "bus": "Link Receiver Transmitter key_from_env key_from_file read_log",
+    "errors": "EncodeError IllPosedError LayoutError MaplinesError",
+    "gaussian": "Gaussian nearest_covariance",
+    "line": "Kind MapLine Slot Status lateral lateral_jacobian transform_line",
+    "mixture": "GaussianMixture",
+    "polyline": "Polyline",
+    "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
+    "Transform map_lines pose_time_ns predict predict_to",
+    "scenarios": "SCENARIOS Scenario scenario",
+    "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
+    "Reason SlotView",
 }
-_MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names}
+_MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

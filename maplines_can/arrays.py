@@ -7,8 +7,6 @@ import sys
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LARGEST", "floats", "number_text"]
-
 #: The largest float, 1.8e308.
 LARGEST = sys.float_info.max
 #: Messages show an integer of more bits by its magnitude instead of its digits.
@@ -18,9 +16,7 @@ SHORT_BITS = 128
 def floats(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return the values as an array of floats, without a copy if they already are one.
 
-    Args:
-        values: numbers of any shape.
-        name: name of the argument, for the message.
+    The message of an error has the name of the argument.
 
     Raises:
         ValueError: a number is complex, or is an integer beyond the largest float.

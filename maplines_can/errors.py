@@ -1,17 +1,5 @@
 """Errors raised for a mistake of the caller; nothing received from the bus raises."""
 
-__all__ = [
-    "BusError",
-    "EncodeError",
-    "IllPosedError",
-    "KeyMaterialError",
-    "LayoutError",
-    "LogError",
-    "MaplinesError",
-    "MissingExtraError",
-    "StudyError",
-]
-
 
 class MaplinesError(Exception):
     """Base class of all errors of this package."""

@@ -10,17 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
 
-__all__ = [
-    "MOST_COV",
-    "Gaussian",
-    "asymmetric",
-    "indefinite",
-    "independent",
-    "nearest_covariance",
-    "square_root",
-    "variances",
-]
-
 #: Asymmetry and negative eigenvalues up to this, relative to the standard
 #: deviations, count as rounding errors; larger ones are the caller's mistake.
 ROUNDING = 1e-9

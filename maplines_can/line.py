@@ -14,20 +14,6 @@ from .errors import IllPosedError
 from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
 
-__all__ = [
-    "STATES",
-    "VAGUE_SIGMA",
-    "Kind",
-    "MapLine",
-    "Slot",
-    "Status",
-    "lateral",
-    "lateral_jacobian",
-    "line_of_cubic",
-    "transform_line",
-    "transform_line_or_nan",
-]
-
 #: The line's parameters, in the order of every mean and covariance.
 STATES = ("y_off", "beta", "c0", "c1")
 
@@ -86,9 +72,8 @@ class Status(IntEnum):
 class MapLine:
     """One map line in the ego frame: a Gaussian over the parameters of a cubic.
 
-    The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line
-    Interface, eq. 1), x forward and y to the left (ISO 8855), for x in
-    [x_min, x_max].
+    The line is ``l(x) = y_off + tan(beta) x + c0/2 x^2 + c1/6 x^3`` (Map Line Interface, eq. 1), x
+    forward and y to the left (ISO 8855), for x in [x_min, x_max].
 
     Args:
         slot: identity of the line in the scene.
@@ -208,15 +193,10 @@ def _states(parameters: ArrayLike) -> NDArray[np.float64]:
 def line_of_cubic(
     q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
 ) -> NDArray[np.float64]:
-    """Return the line of a cubic given in the normalised variable ``w = (u - centre) / half``.
+    """Return the (..., 4) lines of cubics in the normalised variable ``w = (u - centre) / half``.
 
-    Args:
-        q: (4, ...) coefficients of w^0 .. w^3 [m].
-        centre: (...) [m].
-        half: (...) [m], positive.
-
-    Returns:
-        (..., 4) lines: value and derivatives at u = 0, the first derivative as an angle.
+    Of the coefficients q, (4, ...) of w^0 .. w^3 [m], they are the value and derivatives at u = 0,
+    the first derivative as an angle.
     """
     q0, q1, q2, q3 = q
     r = 1 / np.asarray(half, dtype=float)

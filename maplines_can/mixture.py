@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .gaussian import Gaussian
 
-__all__ = ["GaussianMixture"]
-
 
 @dataclass(frozen=True, eq=False)
 class GaussianMixture:
@@ -104,11 +102,6 @@ class GaussianMixture:
 
         The density at the edge of the region is estimated from draws of the mixture.
         The standard error of the share is about sqrt(mass (1 - mass) / draws).
-
-        Args:
-            samples: (N, n) points.
-            mass: probability of the region, between 0 and 1.
-            draws: number of draws.
 
         Raises:
             numpy.linalg.LinAlgError: the covariance of a component is singular.

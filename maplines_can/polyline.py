@@ -10,8 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
 
-__all__ = ["Polyline", "to_ego"]
-
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
 
@@ -102,11 +100,7 @@ def near_stretch(
 ) -> NDArray[np.bool_]:
     """Return (n,) which points ``Polyline.window`` takes from each of several lines.
 
-    Args:
-        ego: (n, 2) concatenated points of the lines in the ego frame [m].
-        lengths: number of points of each line.
-        x_min: start of the window [m].
-        x_max: end of the window [m].
+    The lines are (n, 2) concatenated points in the ego frame [m], and the number of each line's.
     """
     x, y = ego.T
     inside = (x_min <= x) & (x <= x_max)
@@ -124,9 +118,7 @@ def near_stretch(
 def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:
     """Transform (..., 2) points [m] from the map frame to the frame of a car at ``pose``.
 
-    Args:
-        points: (..., 2) in the map frame [m].
-        pose: (3,) e_x [m], e_y [m], e_h [rad], heading counter-clockwise from the map's x axis.
+    The pose is (3,) e_x [m], e_y [m], e_h [rad], heading counter-clockwise from the map's x axis.
 
     >>> to_ego([[0.0, 5.0]], [0.0, 0.0, np.pi / 2]).round(9) + 0.0
     array([[5., 0.]])

@@ -1,4 +1,4 @@
-"""Example scenes: those of the paper, a production car, and random roads."""
+"""Example scenes: those of the paper, and a production car."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from .gaussian import Gaussian
 from .line import Kind, Slot
 from .polyline import Polyline
-
-__all__ = ["SCENARIOS", "Scenario", "SceneLine", "random_scenarios", "scenario"]
 
 
 class SceneLine(NamedTuple):
@@ -58,11 +56,7 @@ def pose(
 ) -> Gaussian:
     """Return the pose of a car at the origin of the map that heads along x.
 
-    Args:
-        sigma_x: standard deviation of e_x [m].
-        sigma_y: standard deviation of e_y [m].
-        heading_sigma_deg: standard deviation of e_h [deg].
-        correlation: correlation of e_x and e_y.
+    The standard deviations are of e_x [m], e_y [m] and e_h [deg], the correlation of e_x and e_y.
     """
     sigma = np.array([sigma_x, sigma_y, np.radians(heading_sigma_deg)])
     R = np.eye(3)
@@ -76,30 +70,6 @@ def parallel(points: ArrayLike, offset: float) -> NDArray[np.float64]:
     tangent = np.gradient(points, axis=0)
     tangent /= np.hypot(*tangent.T)[:, None]
     return points + offset * tangent[:, ::-1] * [-1.0, 1.0]
-
-
-def curve(
-    y_off: float, heading: float, curvature: NDArray[np.float64], spacing: float, ahead_from: float
-) -> NDArray[np.float64]:
-    """Return (n, 2) points of a line from its curvature as a function of arc length s.
-
-    Args:
-        y_off: lateral position of the line at s = 0 [m].
-        heading: direction of the line at s = 0 [rad].
-        curvature: (n,) curvature at each point [1/m].
-        spacing: arc length between two points [m].
-        ahead_from: arc length at the first point, 0 or less; s = 0 lies at (0, y_off) [m].
-    """
-    middle = (curvature[1:] + curvature[:-1]) / 2
-    turn = np.append(0.0, np.cumsum(middle * spacing))
-    chord = turn[:-1] + middle * spacing / 2
-    steps = spacing * np.column_stack([np.cos(chord), np.sin(chord)])
-    points = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
-    s = ahead_from + spacing * np.arange(len(curvature))
-    origin = np.array([np.interp(0, s, points[:, 0]), np.interp(0, s, points[:, 1])])
-    back = heading - np.interp(0, s, turn)
-    c, d = np.cos(back), np.sin(back)
-    return (points - origin) @ np.array([[c, d], [-d, c]]) + [0.0, y_off]
 
 
 def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> tuple[SceneLine, ...]:
@@ -134,49 +104,42 @@ def _street_turn() -> tuple[SceneLine, ...]:
 
 
 def _scenarios() -> Iterator[Scenario]:
-    road, window = _highway(), (-20.0, 80.0)
-    turn, turn_window = _street_turn(), (-10.0, 40.0)
+    highway, turn = (_highway(), (-20.0, 80.0)), (_street_turn(), (-10.0, 40.0))
     yield Scenario(
         "highway",
         "three lanes, radius 2000 m; position sigma 0.5 m, heading sigma 5 deg (paper, figure 5)",
         pose(0.5, 0.5, 5.0),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "highway-correlated",
         "highway with the errors along and across the road correlated by 0.8 (paper, figure 7)",
         pose(0.5, 0.5, 5.0, correlation=0.8),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "highway-10deg",
         "highway with heading sigma 10 deg (paper, figure 8)",
         pose(0.5, 0.5, 10.0),
-        road,
-        window,
+        *highway,
     )
     yield Scenario(
         "street-turn",
         "straight for 5 m, then a left turn of radius 20 m; heading sigma 5 deg (paper, figure 10)",
         pose(0.5, 0.5, 5.0),
-        turn,
-        turn_window,
+        *turn,
     )
     yield Scenario(
         "street-turn-10deg",
         "street-turn with heading sigma 10 deg (paper, figure 11)",
         pose(0.5, 0.5, 10.0),
-        turn,
-        turn_window,
+        *turn,
     )
     yield Scenario(
         "production",
         "highway seen by a production car: sigma 0.3 m along, 0.1 m across, heading sigma 0.5 deg",
         pose(0.3, 0.1, 0.5),
-        road,
-        window,
+        *highway,
     )
 
 
@@ -202,42 +165,3 @@ street-turn, street-turn-10deg, production
         return SCENARIOS[name]
     except KeyError:
         raise ValueError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}") from None
-
-
-def random_scenarios(n: int, seed: int = 0) -> Iterator[Scenario]:
-    """Yield random roads from motorway to street turn, with one line each.
-
-    A road is a clothoid. Its smallest radius is from 15 m to nearly straight,
-    log-uniform, to either side; its curvature changes along the road by at most
-    its largest value. The road ends after 100 m or a turn of 70 deg at most. The
-    line starts up to 6 m beside the car and up to 6 deg off its heading. The pose
-    has sigmas of 0.03 to 1 m in each direction, correlated, and of 0.05 to 10 deg.
-
-    Args:
-        n: number of roads.
-        seed: seed of the random numbers; a seed gives the same roads each time.
-    """
-    rng = np.random.default_rng(seed)
-    for i in range(n):
-        radius = 10 ** rng.uniform(np.log10(15.0), 4.5)
-        sharpest = rng.choice([-1.0, 1.0]) / radius
-        ahead = min(rng.uniform(30.0, 100.0), np.radians(70.0) * radius)
-        behind = min(rng.uniform(0.0, 20.0), ahead / 3)
-        count = int(rng.integers(12, 61))
-        s = np.linspace(-behind, ahead, count)
-        growth = rng.uniform(-1.0, 1.0)
-        curvature = sharpest * np.interp(s, [0, ahead], [min(1, 1 - growth), min(1, 1 + growth)])
-        points = curve(
-            rng.uniform(-6.0, 6.0),
-            np.radians(rng.uniform(-6.0, 6.0)),
-            curvature,
-            s[1] - s[0],
-            -behind,
-        )
-        sigma_x, sigma_y = 10 ** rng.uniform(np.log10(0.03), 0.0, size=2)
-        heading_sigma_deg = 10 ** rng.uniform(np.log10(0.05), 1.0)
-        ego = pose(sigma_x, sigma_y, heading_sigma_deg, correlation=rng.uniform(-0.9, 0.9))
-        line = SceneLine(Slot.EGO_LEFT, Kind.SOLID, Polyline(points))
-        yield Scenario(
-            f"random-{seed}-{i}", "a random road", ego, (line,), (-behind - 1, ahead + 1)
-        )

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from maplines_can.line import Slot
 from maplines_can.propagation import Refit
-from maplines_can.scenarios import SCENARIOS, curve, parallel, random_scenarios, scenario
+from maplines_can.scenarios import SCENARIOS, parallel, scenario
+from maplines_can.study.random_scenarios import curve, random_scenarios
 
 ROADS = list(random_scenarios(300, seed=1))
 

@@ -7,8 +7,6 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Self
 
-__all__ = ["BackgroundThread"]
-
 
 class BackgroundThread(ABC):
     """Thread that runs from `start`, or ``with``, until `stop`, and keeps its error.

@@ -15,8 +15,6 @@ from ..errors import BusError
 from . import socketcan
 from .driver_errors import error_text
 
-__all__ = ["BusFactory", "UnsuitableInterfaceError"]
-
 _ERRORS = (can.CanError, OSError, ValueError, TypeError, ImportError, AttributeError)
 
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 import errno
 from enum import Enum
 
-__all__ = ["DriverError", "classify_error", "error_text"]
-
 
 class DriverError(Enum):
     """Classes of errors of send and recv, by what to do about them."""

@@ -10,8 +10,6 @@ from pathlib import Path
 from ..errors import KeyMaterialError
 from ..wire import Key
 
-__all__ = ["key_from_env", "key_from_file", "without_keys"]
-
 #: Text that may be a key or a part of one: 16 or more hex digits with at most one separator
 #: between two of them. The first two are adjacent, so that the last letter of a word before the key
 #: is not taken for its first digit.
@@ -21,9 +19,7 @@ KEY_LIKE = re.compile(r"[0-9A-Fa-f]{2}(?:[^0-9A-Za-z/\\]?[0-9A-Fa-f]){14,}")
 def key_from_file(path: str | Path, key_id: int = 1) -> Key:
     """Return the key in a file that holds its 32 or 64 hex digits and nothing else.
 
-    Args:
-        path: of the file. If it is a key by mistake, the error does not repeat it.
-        key_id: see ``Key``.
+    If the path is a key by mistake, the error does not repeat it. For the key ID see ``Key``.
 
     Raises:
         KeyMaterialError: the file cannot be read, is readable by everybody, or holds no key.
@@ -49,9 +45,7 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
 def key_from_env(name: str, key_id: int = 1) -> Key:
     """Return the key in an environment variable that holds its 32 or 64 hex digits.
 
-    Args:
-        name: of the variable. If it is a key by mistake, the error does not repeat it.
-        key_id: see ``Key``.
+    If the name is a key by mistake, the error does not repeat it.
 
     Raises:
         KeyMaterialError: the variable is not set, or holds no key.

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
-from types import TracebackType
 from typing import Any
 
 import can
@@ -17,8 +16,6 @@ from can.typechecking import CanFilter
 from ..errors import BusError
 from .bus_factory import BusFactory, UnsuitableInterfaceError
 from .driver_errors import DriverError, classify_error, error_text
-
-__all__ = ["Link", "Sent"]
 
 log = logging.getLogger("maplines_can.bus")
 
@@ -168,12 +165,7 @@ class Link:
     def __enter__(self) -> Link:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     # ---- outage and reconnect ----------------------------------------------------
@@ -252,7 +244,9 @@ class Link:
         with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
             bus.shutdown()
         if was_up:
-            self._report(False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back")
+            self._report(
+                False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back"
+            )
 
     def _check_deleted(self, bus: can.BusABC) -> None:
         """Lose a bus that received nothing because its interface was deleted: see `socketcan`."""

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 from ..wire import Frame
 
-__all__ = ["FrameBits", "bus_load", "frame_bits", "frame_time", "transfers_within"]
-
 _FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 
 
@@ -29,12 +27,11 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
 
         C = g + 8 s + 13 + floor((g + 8 s - 1) / 4)
 
-    CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way:
-    17 bits (29-bit identifiers: 36) up to BRS at the nominal rate; ESI, DLC and
-    data at the data rate; over both together at most one stuff bit for each 4 bits
-    after the first; then, at the data rate, stuff count and CRC of 4 + 17 bits
-    with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13 nominal bits
-    from the CRC delimiter to the end of the intermission.
+    CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way: 17 bits (29-bit
+    identifiers: 36) up to BRS at the nominal rate; ESI, DLC and data at the data rate; over both
+    together at most one stuff bit for each 4 bits after the first; then, at the data rate, stuff
+    count and CRC of 4 + 17 bits with 6 fixed stuff bits (4 + 21 with 7 above 16 bytes); and 13
+    nominal bits from the CRC delimiter to the end of the intermission.
 
     Args:
         length: of the payload [bytes].
@@ -79,20 +76,11 @@ def frame_time(frame: Frame, bitrate: float, data_bitrate: float | None = None) 
 
 
 def bus_load(
-    frames: Iterable[Frame],
-    period: float,
-    bitrate: float,
-    data_bitrate: float | None = None,
+    frames: Iterable[Frame], period: float, bitrate: float, data_bitrate: float | None = None
 ) -> float:
-    """Return the share of the bus time that these frames take, each sent once a period.
+    """Return the share of the bus time that these frames take, each sent once a period [s].
 
-    At 1 the bus is never idle; above 1 the frames do not fit.
-
-    Args:
-        frames: all frames of one period.
-        period: [s].
-        bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
+    At 1 the bus is never idle; above 1 the frames do not fit. Bit rates as in ``frame_time``.
 
     Raises:
         ValueError: the period or a rate is not positive.
@@ -109,14 +97,9 @@ def transfers_within(
     bitrate: float,
     data_bitrate: float | None = None,
 ) -> int:
-    """Return how many transfers like this one fit into a share of the bus time, each period.
+    """Return how many transfers of these frames fit into a share of the bus time, each period [s].
 
-    Args:
-        share: of the bus time, more than 0 and at most 1.
-        transfer: its frames.
-        period: [s].
-        bitrate: nominal bit rate [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD frames [bit/s]; None: the nominal one.
+    The share is more than 0 and at most 1. Bit rates as in ``frame_time``.
 
     Raises:
         ValueError: the share is out of range, the period or a rate is not positive, or the

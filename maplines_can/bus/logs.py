@@ -20,8 +20,6 @@ from can.io.player import MESSAGE_READERS
 
 from ..errors import LogError, MissingExtraError
 
-__all__ = ["LogFrame", "read_log"]
-
 # Exceptions that python-can's readers raise on damaged files.
 _DAMAGE = (
     *(ValueError, TypeError, KeyError, IndexError, AttributeError, AssertionError),

@@ -14,8 +14,6 @@ from .background import BackgroundThread
 from .link import Link
 from .stamp_clock import StampClock
 
-__all__ = ["Receiver", "ReceiverStats"]
-
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
 
@@ -185,12 +183,8 @@ class Receiver(BackgroundThread):
             self._frames += 1
             t_ns = round(message.timestamp * 1e9) or time.time_ns()
             self._stamps.add(t_ns, time.monotonic_ns())
-            line = self._monitor.feed(
-                message.arbitration_id,
-                bytes(message.data),
-                t_ns,
-                is_extended=message.is_extended_id,
-            )
+            can_id, data = message.arbitration_id, bytes(message.data)
+            line = self._monitor.feed(can_id, data, t_ns, is_extended=message.is_extended_id)
             if not isinstance(line, MapLine):
                 return
             self._lines += 1

@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Hashable
 from typing import Generic, NamedTuple, TypeVar
 
-__all__ = ["Due", "Lateness", "LatenessHistogram", "Schedule"]
-
 Key = TypeVar("Key", bound=Hashable)
 
 
@@ -54,12 +52,9 @@ class Schedule(Generic[Key]):
         self._entries: dict[Key, _Entry] = {}
 
     def add(self, key: Key, phase: float, now: float) -> None:
-        """Add a key; its first deadline is the next one at its phase.
+        """Add a key, or start it again; its first deadline is the next one after ``now`` [s].
 
-        Args:
-            key: a new key, or one to start again.
-            phase: offset of its deadlines, in [0, 1) of the period.
-            now: [s].
+        The phase is the offset of its deadlines, in [0, 1) of the period.
         """
         if self._t0 is None:
             self._t0 = now - phase * self._period

@@ -18,8 +18,6 @@ import struct
 import sys
 from typing import NamedTuple
 
-__all__ = ["Problem", "index", "problem"]
-
 _SIOCGIFFLAGS, _SIOCGIFMTU = 0x8913, 0x8921  # linux/sockios.h
 _IFF_UP = 1  # linux/if.h
 _CANFD_MTU = 72  # linux/can.h: sizeof(struct canfd_frame)
@@ -40,12 +38,7 @@ class Problem(NamedTuple):
 
 
 def problem(channel: str, fd: bool) -> Problem | None:
-    """Return why the interface cannot be used now; None if it can.
-
-    Args:
-        channel: name of the interface, such as ``can0``.
-        fd: whether it must support CAN FD frames.
-    """
+    """Return why the interface cannot be used now (if ``fd``, for CAN FD); None if it can."""
     if index(channel) is None:
         return Problem("there is no such interface; 'ip -br link' lists those that are")
     try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["StampClock"]
-
 #: If all frames are late for longer than this, their clock was set back [ns].
 SET_BACK_NS = 1_000_000_000
 #: A frame that waited less than this is not late [ns].

@@ -16,8 +16,6 @@ from .link import Link, Sent
 from .schedule import Lateness, LatenessHistogram
 from .tx_queue import Transfer, TxQueue
 
-__all__ = ["Transmitter", "TransmitterStats"]
-
 #: Pause between two attempts to put a frame into a full transmit queue [s].
 RETRY = 0.001
 

@@ -11,8 +11,6 @@ from ..line import MapLine, Slot
 from ..wire import Codec, Frame
 from .schedule import Schedule
 
-__all__ = ["AHEAD", "Transfer", "TxQueue"]
-
 #: Longest time before its deadline at which a line is encoded, and so authenticated [s]: a small
 #: fraction of the second within which a receiver must get an authenticated frame.
 AHEAD = 0.1
@@ -69,12 +67,9 @@ class TxQueue:
         self._counters: Counter[Slot] = Counter()  # of the next record to be sent
 
     def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
-        """Publish lines, each in place of the previous one of its slot.
+        """Publish lines at ``now`` [s], each in place of the previous one of its slot.
 
-        Args:
-            lines: the new values.
-            now: [s].
-            age: of all of them [s]; None for each line's own.
+        They have the given age [s], or each line its own.
         """
         for line in lines:
             if line.slot not in self._published:

@@ -1,8 +1,7 @@
 """The command ``maplines``.
 
-Each command has a module of its own, which is imported only if the command is
-given: a receiver loads nothing of the study, and ``maplines --help`` nothing
-at all.
+Each command has a module of its own, which is imported only if the command is given: a receiver
+loads nothing of the study, and ``maplines --help`` nothing at all.
 """
 
 from __future__ import annotations
@@ -52,10 +51,7 @@ OPTIONS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Args:
-        argv: arguments; None for those of the process.
+    """Run the command line, by default with the arguments of the process.
 
     Returns:
         Exit status: 0, 1 for an error, 130 for Ctrl-C. Wrong usage raises

@@ -18,8 +18,6 @@ from .output import check_text, counts_text, line_dict, slot_text, write_csv
 from .parsing import add_command
 from .stderr import note, with_progress
 
-__all__ = ["add_decode"]
-
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
 MOST_CHANNELS = 256
 
@@ -30,9 +28,8 @@ frames were dropped and why, and the end-to-end (E2E) state of each slot."""
 
 def add_decode(commands: Any) -> None:
     """Add the command ``decode``."""
-    parser = add_command(
-        commands, "decode", _decode, DESCRIPTION, "maplines decode drive.blf --csv > drive.csv"
-    )
+    example = "maplines decode drive.blf --csv > drive.csv"
+    parser = add_command(commands, "decode", _decode, DESCRIPTION, example)
     add_codec(parser)
     add_cycle(parser)
     parser.add_argument(

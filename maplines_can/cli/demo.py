@@ -21,8 +21,6 @@ from .parsing import add_command, seconds
 from .sending import LineComponents, add_sending, bitrates, components_text, lines_of
 from .stderr import progress_bar
 
-__all__ = ["add_demo"]
-
 PICTURES = (".png", ".svg", ".pdf")
 
 DESCRIPTION = """\
@@ -47,13 +45,8 @@ nonlinearity: share of the standard deviation of a line that comes from the nonl
 
 def add_demo(commands: Any) -> None:
     """Add the command ``demo``."""
-    parser = add_command(
-        commands,
-        "demo",
-        _demo,
-        DESCRIPTION,
-        "maplines demo --scenario street-turn --fd --plot turn.png",
-    )
+    example = "maplines demo --scenario street-turn --fd --plot turn.png"
+    parser = add_command(commands, "demo", _demo, DESCRIPTION, example)
     add_sending(parser)
     add_bus(parser, private=True)
     add_codec(parser)

@@ -14,38 +14,14 @@ from .parsing import natural, number
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
 
-__all__ = [
-    "add_bus",
-    "add_codec",
-    "add_cycle",
-    "add_dbc",
-    "add_draws",
-    "add_faults",
-    "add_json",
-    "bus_settings",
-    "codec_from",
-    "decoder_of",
-    "fault_counts",
-    "fault_opener",
-    "keyed_codec",
-]
-
 
 def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
     """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help=f"print {what} as JSON")
 
 
-# ---- the bus ----------------------------------------------------------------------------
-
-
 def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
-    """Add the options of the CAN interface.
-
-    Args:
-        parser: parser of the command.
-        private: whether the command uses a bus within its own process by default.
-    """
+    """Add the options of the CAN interface, by default a bus within the process if ``private``."""
     add = parser.add_argument
     configured = "the configuration of python-can"
     add(
@@ -81,9 +57,6 @@ def bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     settings = {name: getattr(arguments, name) for name in names}
     settings = {name: value for name, value in settings.items() if value is not None}
     return settings | ({"fd": True} if arguments.fd else {})
-
-
-# ---- faults -----------------------------------------------------------------------------
 
 
 def add_faults(parser: argparse.ArgumentParser) -> None:
@@ -124,9 +97,6 @@ def _faults(text: str) -> Faults:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-# ---- the codec --------------------------------------------------------------------------
-
-
 def add_dbc(parser: argparse.ArgumentParser) -> None:
     """Add ``--dbc``."""
     parser.add_argument(
@@ -165,11 +135,8 @@ def keyed_codec(
 ) -> Codec:
     """Return the codec of the DBC, with the keys if there are any.
 
-    Args:
-        arguments: parsed options of ``add_codec``.
-        clock: returns the time that the freshness of a frame is checked against [ns]; None for
-            a log, which is not checked against a clock.
-        window: largest difference of the time in a frame and the clock [s].
+    The freshness of a frame is checked against the clock [ns], within the window [s]; that of a
+    log is not, so its clock is None.
     """
     keys = [read(name, key_id) for read, name, key_id in arguments.keys or ()]
     if not keys:
@@ -220,9 +187,6 @@ def add_cycle(parser: argparse.ArgumentParser) -> None:
 def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
     """Return a new decoder for the cycle time of ``--cycle-ms``."""
     return codec.decoder(cycle_ms=arguments.cycle_ms)
-
-
-# ---- random draws -----------------------------------------------------------------------
 
 
 def add_draws(parser: argparse.ArgumentParser, samples: int) -> None:

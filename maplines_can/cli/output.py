@@ -11,17 +11,6 @@ import numpy as np
 from ..line import STATES, MapLine
 from ..wire import SlotStats
 
-__all__ = [
-    "check_dict",
-    "check_text",
-    "counts_text",
-    "faults_text",
-    "line_dict",
-    "line_text",
-    "slot_text",
-    "write_csv",
-]
-
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
@@ -71,13 +60,9 @@ def line_dict(line: MapLine) -> dict[str, Any]:
 
 
 def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
-    """Write lines as a table with a header.
+    """Write pairs of channel and line as a table with a header.
 
     A mixture is written with the mean and covariance of the whole.
-
-    Args:
-        out: text file.
-        lines: channel and line of each row.
     """
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(

@@ -6,8 +6,6 @@ import argparse
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-__all__ = ["Parser", "add_command", "natural", "number", "seconds"]
-
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose error messages do not repeat a secret key.
@@ -35,12 +33,7 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a command to the subparsers of ``maplines`` and return its parser.
 
-    Args:
-        commands: subparsers, as returned by ``ArgumentParser.add_subparsers``.
-        name: name of the command.
-        run: runs the command: takes the parsed arguments, returns the exit status.
-        description: what the command does; line breaks are kept.
-        example: one command line, shown at the end of the help.
+    Line breaks of the description are kept. The example, a command line, ends the help.
     """
     parser: argparse.ArgumentParser = commands.add_parser(
         name,
@@ -55,15 +48,9 @@ def add_command(
 def number(
     kind: type[int] | type[float], least: float, most: float, word: str | None = None
 ) -> Callable[[str], float | str]:
-    """Return an argparse type for numbers within bounds.
+    """Return an argparse type for numbers from ``least`` to ``most``, or one ``word`` instead.
 
-    A whole number may also be written as 1e7.
-
-    Args:
-        kind: int for whole numbers, float for others.
-        least: lower bound, allowed itself.
-        most: upper bound, allowed itself; less than 2^53 for int.
-        word: one word that is allowed instead of a number.
+    A whole number may also be written as 1e7; its bounds are less than 2^53.
 
     >>> number(int, 1, 10**9)("1e6"), number(float, 0, 1)("0.5"), number(int, 1, 8, "auto")("auto")
     (1000000, 0.5, 'auto')

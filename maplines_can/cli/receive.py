@@ -36,8 +36,6 @@ from .output import (
 from .parsing import add_command, natural, seconds
 from .stderr import note
 
-__all__ = ["add_receive"]
-
 #: How often slots are checked for a change of state while nothing arrives [s].
 CHECK_PERIOD = 0.05
 
@@ -48,13 +46,8 @@ state of a slot changes and, at the end, how many frames were dropped and why.""
 
 def add_receive(commands: Any) -> None:
     """Add the command ``receive``."""
-    parser = add_command(
-        commands,
-        "receive",
-        _receive,
-        DESCRIPTION,
-        "maplines receive --interface socketcan --channel vcan0 --json",
-    )
+    example = "maplines receive --interface socketcan --channel vcan0 --json"
+    parser = add_command(commands, "receive", _receive, DESCRIPTION, example)
     add_bus(parser)
     add_codec(parser)
     add_cycle(parser)

@@ -10,8 +10,6 @@ from ..scenarios import SCENARIOS
 from .options import add_json
 from .parsing import add_command
 
-__all__ = ["add_scenarios"]
-
 
 def add_scenarios(commands: Any) -> None:
     """Add the command ``scenarios``."""

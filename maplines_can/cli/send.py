@@ -24,8 +24,6 @@ from .parsing import add_command, natural
 from .sending import add_sending, carrier_text, components_text, lines_of
 from .stderr import note
 
-__all__ = ["add_send"]
-
 DESCRIPTION = """\
 Send the lines of a scene until Ctrl-C, each as a Gaussian over its lateral offset, heading,
 curvature and curvature rate. Then print the counters."""
@@ -33,13 +31,8 @@ curvature and curvature rate. Then print the counters."""
 
 def add_send(commands: Any) -> None:
     """Add the command ``send``."""
-    parser = add_command(
-        commands,
-        "send",
-        _send,
-        DESCRIPTION,
-        "maplines send --interface socketcan --channel vcan0 --rate 50",
-    )
+    example = "maplines send --interface socketcan --channel vcan0 --rate 50"
+    parser = add_command(commands, "send", _send, DESCRIPTION, example)
     add_sending(parser)
     add_bus(parser)
     add_codec(parser)

@@ -16,17 +16,6 @@ from ..scenarios import SCENARIOS, Scenario
 from ..wire import Codec
 from .parsing import number
 
-__all__ = [
-    "MAX_LOAD",
-    "LineComponents",
-    "add_sending",
-    "bitrates",
-    "carrier_text",
-    "choose_components",
-    "components_text",
-    "lines_of",
-]
-
 #: Largest bus load of lines whose numbers of components are chosen.
 MAX_LOAD = 0.3
 
@@ -94,11 +83,6 @@ def lines_of(
 ) -> tuple[list[MapLine], list[LineComponents]]:
     """Return the lines to send, and the number of components of each.
 
-    Args:
-        scenario: the scene.
-        codec: codec of the sender.
-        arguments: parsed options of ``add_sending`` and ``add_bus``.
-
     Raises:
         ValueError: the lines exceed ``--max-load``.
     """
@@ -127,11 +111,8 @@ def lines_of(
 
 def bitrates(arguments: argparse.Namespace) -> tuple[int, int | None]:
     """Return the bit rates for the bus load: nominal, and of the data phase of CAN FD [bit/s]."""
-    return _bitrates(arguments.bitrate or 500_000, fd=arguments.fd)
-
-
-def _bitrates(bitrate: int, *, fd: bool) -> tuple[int, int | None]:
-    return bitrate, 4 * bitrate if fd else None
+    bitrate = arguments.bitrate or 500_000
+    return bitrate, 4 * bitrate if arguments.fd else None
 
 
 def choose_components(
@@ -151,8 +132,7 @@ def choose_components(
         scenario: the scene.
         codec: codec of the sender.
         lines: number of lines, the first of the scene.
-        components: components of every line; "auto": as many as the nonlinearity of each
-            line needs.
+        components: of every line; "auto": as many as the nonlinearity of each line needs.
         rate: how often each line is sent [1/s].
         fd: whether the frames are CAN FD.
         bitrate: nominal bit rate of the bus [bit/s].
@@ -168,7 +148,7 @@ def choose_components(
         max_load = MAX_LOAD
     budget = None
     if max_load is not None:
-        bus = (1 / rate, *_bitrates(bitrate, fd=fd))
+        bus = (1 / rate, bitrate, 4 * bitrate if fd else None)
         blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
         transfers = [codec.frames(blank, line.slot, fd=fd) for line in scene]
         budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
@@ -196,10 +176,8 @@ def components_text(line: LineComponents) -> str:
     text = f"nonlinearity {line.nonlinearity:.2f}"
     if line.components == 1:
         return f"1 component, {text}"
-    return (
-        f"{line.components} components, {text}, {line.remaining_nonlinearity:.2f} within each of "
-        "them"
-    )
+    within = f"{line.remaining_nonlinearity:.2f} within each of them"
+    return f"{line.components} components, {text}, {within}"
 
 
 def carrier_text(codec: Codec, *, fd: bool) -> str:

@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any, TypeVar
 
-__all__ = ["Bar", "note", "progress_bar", "with_progress"]
-
 T = TypeVar("T")
 
 #: Progress bar: takes the unit of the work, and yields a function to call with the work done
@@ -23,12 +21,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def progress_bar(unit: str, **settings: Any) -> Iterator[Callable[[float, float], None]]:
-    """Show a progress bar; yields a function to call with the work done and the total.
-
-    Args:
-        unit: unit of the work, with a leading space.
-        settings: further settings of ``tqdm.tqdm``.
-    """
+    """Show a progress bar with further settings of tqdm; yields a function as ``Bar`` says."""
     from tqdm import tqdm
 
     with tqdm(total=1, unit=unit, disable=not sys.stderr.isatty(), **settings) as bar:

@@ -7,8 +7,6 @@ from numpy.typing import ArrayLike
 
 from .splitting import SPLITS, standard_split
 
-__all__ = ["TOLERANCE", "component_counts", "remaining_nonlinearity"]
-
 #: Largest nonlinearity within a component that needs no further component: the second-order term
 #: then has less than a tenth of the variance of the component. In the street turn with 10 deg of
 #: heading uncertainty five components meet it; about 4 % of their mass is on impossible lines.
@@ -18,13 +16,12 @@ TOLERANCE = 0.3
 def remaining_nonlinearity(amount: float, k: int) -> float:
     """Return the nonlinearity within the components of a ``Mixture`` of k components.
 
-    Like ``Nonlinearity.amount``, it is the standard deviation of the second-order term
-    divided by the total standard deviation, here within a component, with variances
-    averaged over the components. Let the output have the variance 1 and the function be
-    quadratic, with a second-order term of variance a^2 and a squared slope of 1 - a^2 at
-    the mean. A component of the variance s^2 = 1 - sum w_i m_i^2 has a second-order term
-    of the variance s^4 a^2. At its mean m_i the squared slope is larger by 2 a^2 m_i^2,
-    averaged over +m_i and -m_i. The result is
+    Like ``Nonlinearity.amount``, it is the standard deviation of the second-order term divided by
+    the total standard deviation, here within a component, with variances averaged over the
+    components. Let the output have the variance 1 and the function be quadratic, with a
+    second-order term of variance a^2 and a squared slope of 1 - a^2 at the mean. A component of the
+    variance s^2 = 1 - sum w_i m_i^2 has a second-order term of the variance s^4 a^2. At its mean
+    m_i the squared slope is larger by 2 a^2 m_i^2, averaged over +m_i and -m_i. The result is
 
         a_k^2 = a^2 s^2 / (1 + a^2 (1 - s^2)),
 
@@ -76,15 +73,12 @@ def component_counts(
         raise ValueError(
             f"budget must be {len(amounts)} or more, one component for each line, got {budget!r}"
         )
-    remaining = np.array(
-        [[remaining_nonlinearity(a, k) for k in SPLITS] for a in amounts]
-    )  # (L, 8)
+    remaining = np.array([[remaining_nonlinearity(a, k) for k in SPLITS] for a in amounts])
     counts = [1] * len(amounts)
     while budget is None or sum(counts) < budget:
-        unmet = [
-            i for i, k in enumerate(counts) if k < len(SPLITS) and remaining[i, k - 1] > tolerance
-        ]
+        now = [remaining[i, k - 1] for i, k in enumerate(counts)]
+        unmet = [i for i, k in enumerate(counts) if k < len(SPLITS) and now[i] > tolerance]
         if not unmet:
             break
-        counts[max(unmet, key=lambda i: remaining[i, counts[i] - 1])] += 1
+        counts[max(unmet, key=now.__getitem__)] += 1
     return counts

@@ -11,18 +11,15 @@ import numpy as np
 from ..gaussian import Gaussian
 from .transform import Moments, Transform, values_at
 
-__all__ = ["Linear"]
-
 
 @dataclass(frozen=True)
 class Linear(Transform):
     """Mean ``f(m)`` and covariance ``J P J^T``: the first-order expansion of f at the mean m.
 
-    It is exact for an affine function and the cheapest transform, but ignores
-    curvature: in a turn with several degrees of heading uncertainty it misses the
-    shift of the mean and most of the spread of c0 and c1. No derivative is needed:
-    the product of J and a column of the square root of P is a fourth-order central
-    difference along that column.
+    It is exact for an affine function and the cheapest transform, but ignores curvature: in a turn
+    with several degrees of heading uncertainty it misses the shift of the mean and most of the
+    spread of c0 and c1. No derivative is needed: the product of J and a column of the square root
+    of P is a fourth-order central difference along that column.
 
     Args:
         step: step of the difference, in standard deviations.

@@ -14,8 +14,6 @@ from .sigma_points import SigmaPoints
 from .splitting import Mixture
 from .transform import Transform
 
-__all__ = ["map_lines"]
-
 
 def map_lines(
     lines: Iterable[tuple[Slot, Kind, Polyline]],

@@ -14,8 +14,6 @@ from ..errors import IllPosedError
 from ..gaussian import Gaussian, square_root
 from .transform import Moments, Transform
 
-__all__ = ["MonteCarlo", "Samples"]
-
 
 class Samples(NamedTuple):
     """Draws of a Gaussian and the values of a function at them."""

@@ -12,8 +12,6 @@ from ..gaussian import Gaussian, independent, variances
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["Motion"]
-
 #: The default transform: 7 points over speed, yaw rate and time.
 SIGMA_POINTS = SigmaPoints()
 

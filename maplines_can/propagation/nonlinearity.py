@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from ..gaussian import Gaussian
 from .transform import values_at
 
-__all__ = ["Nonlinearity", "nonlinearity"]
-
 #: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
 REACH = np.sqrt(3.0)
 
@@ -27,15 +25,11 @@ class Nonlinearity(NamedTuple):
 
 
 def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlinearity:
-    """Find the direction in which the second-order term of a function is largest.
+    """Find the direction in which the second-order term of a ``Transform``'s function is largest.
 
     Second differences at sqrt(3) standard deviations give a symmetric matrix for
     each output, in units of the standard deviation of that output. The direction
     maximises the sum of the squares of their quadratic forms.
-
-    Args:
-        function: as for a ``Transform``.
-        gaussian: distribution of the input.
 
     Raises:
         IllPosedError: the function has no value at a point that is needed.

@@ -16,8 +16,6 @@ from .motion import Motion
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["pose_time_ns", "predict", "predict_to"]
-
 #: The default transform. Compared with a million draws and a heading sigma of 5 deg, its 15 points
 #: give standard deviations that are rather too large. On a highway the means are within 0.4 % of
 #: sigma and the sigmas 0 to 1.3 % too large; in a street turn the sigma of c1 is up to 12 % too
@@ -82,15 +80,13 @@ def predict_to(
 ) -> MapLine:
     """Predict a received line to another time, in the ego frame of that time.
 
-    The prediction starts at the time of the pose (``pose_time_ns``). ``t_ns`` may be
-    earlier, for example that of an older camera image. Each component of a mixture is
-    predicted and keeps its weight. Slot, kind and status stay. x_min and x_max become
-    the ends of the mean line in the new frame, moved inwards by three standard
-    deviations of the displacement.
+    The prediction starts at the time of the pose (``pose_time_ns``). ``t_ns`` may be earlier, for
+    example that of an older camera image. Each component of a mixture is predicted and keeps its
+    weight. Slot, kind and status stay. x_min and x_max become the ends of the mean line in the new
+    frame, moved inwards by three standard deviations of the displacement.
 
-    The result has the time ``t_ns`` and the age 0, since its frame is that of ``t_ns``.
-    It may be predicted further, or sent. The age of the measurement is only known from
-    the received line.
+    The result has the time ``t_ns`` and the age 0, since its frame is that of ``t_ns``. It may be
+    predicted further, or sent. The age of the measurement is only known from the received line.
 
     The status determines how the covariance is predicted. For UNKNOWN only the mean is
     transformed; the covariance stays ``VAGUE_SIGMA``. For OUT_OF_RANGE only the time

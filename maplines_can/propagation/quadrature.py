@@ -14,9 +14,6 @@ from ..errors import IllPosedError
 from ..gaussian import Gaussian
 from .transform import Moments, Transform, weighted_moments
 
-__all__ = ["Quadrature"]
-
-
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
 
@@ -25,13 +22,12 @@ NEGLIGIBLE = 1e-3
 class Quadrature(Transform):
     """order^n points, the tensor product of the Gauss-Hermite rule.
 
-    It is exact for the mean of polynomials of degree up to 2 order - 1 in each variable.
-    Order 13 (2197 points for a pose) agrees with a million Monte Carlo draws within
-    their sampling error in every scenario of this package; order 5 (125 points) does
-    in all but the street turn with a heading sigma of 10 deg. Directions of zero
-    variance get one point. Points at which the function has no value are excluded
-    with a warning if their total weight is at most 0.001; Monte Carlo would draw as
-    few of them.
+    It is exact for the mean of polynomials of degree up to 2 order - 1 in each variable. Order 13
+    (2197 points for a pose) agrees with a million Monte Carlo draws within their sampling error in
+    every scenario of this package; order 5 (125 points) does in all but the street turn with a
+    heading sigma of 10 deg. Directions of zero variance get one point. Points at which the function
+    has no value are excluded with a warning if their total weight is at most 0.001; Monte Carlo
+    would draw as few of them.
 
     Args:
         order: points in each direction, 1 to 64; odd orders have a point at the mean.

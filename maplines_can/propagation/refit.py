@@ -14,8 +14,6 @@ from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, STATES, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
 
-__all__ = ["MapError", "Refit"]
-
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6
@@ -180,10 +178,7 @@ class Refit:
     def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4, L, N) cubics through the centred and scaled points after rotations.
 
-        They are NaN if the points are ill-posed.
-
-        Args:
-            turn: (2, N) cosine and sine of the rotations.
+        They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine.
         """
         lines, poses = len(self._half), turn.shape[1]
         sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
@@ -300,15 +295,11 @@ _MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
 _NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
 
 
-def _solve_normal(
-    sums: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return the (4, ...) solutions of the normal equations, and (...) where they have one.
 
-    Gaussian elimination without pivoting: the matrix is positive definite.
-
-    Args:
-        sums: (11, ...): mean(u^k), k = 0 .. 6, then mean(v u^k), k = 0 .. 3.
+    The (11, ...) sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3. Gaussian elimination
+    without pivoting: the matrix is positive definite.
     """
     M = sums[_NORMAL]  # (4, 5, ...)
     q = M[:, 4]

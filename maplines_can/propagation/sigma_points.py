@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..gaussian import Gaussian
 from .transform import Moments, Transform, values_at, weighted_moments
 
-__all__ = ["SigmaPoints"]
-
 
 @dataclass(frozen=True)
 class SigmaPoints(Transform):

@@ -15,8 +15,6 @@ from .nonlinearity import nonlinearity
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-__all__ = ["SPLITS", "Mixture", "standard_split"]
-
 #: Splits of N(0, 1) into 1 to 8 components of equal variance: the first half of the symmetric
 #: weights, in steps of 1/32, and of the means. They minimise the criterion of DeMars, Bishop and
 #: Jah (J. Guidance, Control, and Dynamics 36, 2013): the squared difference of the densities plus
@@ -43,11 +41,10 @@ WEIGHT_STEPS = 32
 class Mixture:
     """k components, each propagated by a moment transform.
 
-    The Gaussian is split along the direction in which the function is most
-    nonlinear (for a refit, the heading). The components are narrower in that
-    direction and as wide as the Gaussian in the others. In a street turn with 10 deg
-    of heading uncertainty a single Gaussian has a third of its mass on impossible
-    lines; five components have about 4 %.
+    The Gaussian is split along the direction in which the function is most nonlinear (for a refit,
+    the heading). The components are narrower in that direction and as wide as the Gaussian in the
+    others. In a street turn with 10 deg of heading uncertainty a single Gaussian has a third of its
+    mass on impossible lines; five components have about 4 %.
 
     Args:
         k: number of components, 1 to 8.

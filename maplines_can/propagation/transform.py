@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from ..errors import IllPosedError
 from ..gaussian import Gaussian
 
-__all__ = ["Moments", "Transform"]
-
 
 class Moments(NamedTuple):
     """Means and covariances of one or several outputs, as ``Codec.encode_batch`` takes them."""
@@ -36,8 +34,7 @@ class Transform(ABC):
         """Return the Gaussian with the moments of the function's value.
 
         Raises:
-            IllPosedError: the function has no value at a point that the
-                transform needs.
+            IllPosedError: the function has no value at a point that the transform needs.
             ValueError: the function returns several outputs (use ``moments``).
         """
         mean, cov = self.moments(function, gaussian)
@@ -49,14 +46,10 @@ class Transform(ABC):
 
     @final
     def moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
-        """Return mean and covariance of each output of the function.
-
-        Returns:
-            mean (m,) and cov (m, m); or (L, m) and (L, m, m).
+        """Return mean (m,) and cov (m, m); or (L, m) and (L, m, m) of L outputs of the function.
 
         Raises:
-            IllPosedError: the function has no value at a point that the
-                transform needs.
+            IllPosedError: the function has no value at a point that the transform needs.
         """
         mean, cov = self._moments(function, gaussian)
         noise_cov = getattr(function, "noise_cov", None)
@@ -97,13 +90,9 @@ def weighted_moments(
 ) -> Moments:
     """Return mean and covariance of weighted points (Map Line Interface, eq. 11 and 12).
 
-    The sums are over differences from the first point, whose weight may be large and
-    negative. This avoids cancellation.
-
-    Args:
-        values: (N, ..., m) values, that of the mean or a point near it first.
-        mean_weights: (N,) weights of the mean, with sum 1.
-        cov_weights: (N,) weights of the covariance.
+    The sums are over differences from the first of the (N, ..., m) values, that of the mean or a
+    point near it, whose weight may be large and negative. This avoids cancellation. The (N,)
+    weights of the mean have the sum 1.
     """
     d = values[1:] - values[0]
     shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])

@@ -1,6 +1,6 @@
 """Gaussians of the lines of random roads, for many roads at once.
 
-The roads have the distributions of ``scenarios.random_scenarios``, but other draws. The Gaussians
+The roads have the distributions of ``random_scenarios``, but other draws. The Gaussians
 are those of ``SigmaPoints`` over ``Refit``, up to rounding. This is a hundred times faster for two
 reasons: the arrays run over roads, and a fitted cubic can be shifted without another fit, so that
 only the sigma points of the heading need a fit of their own.

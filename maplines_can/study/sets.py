@@ -20,8 +20,9 @@ from ..errors import IllPosedError, StudyError
 from ..gaussian import Gaussian
 from ..polyline import Polyline
 from ..propagation import MapError, Quadrature, Refit, SigmaPoints, Transform
-from ..scenarios import SCENARIOS, Scenario, random_scenarios
+from ..scenarios import SCENARIOS, Scenario
 from .files import GaussianFile, read_map
+from .random_scenarios import random_scenarios
 from .roads import lines_of_roads, random_roads
 
 __all__ = [

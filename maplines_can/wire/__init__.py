@@ -1,7 +1,9 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
-from .codec import CODES, Codec, Frame
-from .message.layout import Layout, default_dbc_path
+from .codec import CODES, Codec
+from .message.dbc_reader import default_dbc_path
+from .message.frames import Frame
+from .message.layout import Layout
 from .message.reader import Batch
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key

@@ -14,8 +14,9 @@ from ..line import MapLine, Slot
 from .covariance import CholeskyCode, CovarianceCode
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
 from .message.components import MixtureWriter
+from .message.dbc_reader import default_dbc_path
 from .message.frames import Frame, FrameWriter
-from .message.layout import Layout, default_dbc_path
+from .message.layout import Layout
 from .message.line_writer import LineWriter
 from .message.packing import Packing
 from .message.reader import Batch, DecodedRecord, RecordReader
@@ -26,8 +27,6 @@ from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
-
-__all__ = ["CODES", "Codec", "Frame"]
 
 #: Covariance codes of the product, by the name in the DBC's attribute CovarianceCode.
 CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}
@@ -117,8 +116,6 @@ class Codec:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
         return self.layout.resolution
 
-    # -- many lines at once ---------------------------------------------------
-
     def encode_batch(
         self,
         means: ArrayLike,
@@ -201,15 +198,8 @@ class Codec:
         data_ids = self.layout.data_ids(numbers("slot", slot), len(records))
         return self._reader.read(records, data_ids)
 
-    # -- one line at a time ---------------------------------------------------
-
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
-        """Decode one record: as ``decode_batch`` to the last bit, without the cost of arrays.
-
-        Args:
-            payload: record bytes.
-            slot: of the line.
-            t_ns: when the record was received [ns].
+        """Decode one record, received at ``t_ns`` [ns]: as ``decode_batch`` to the last bit.
 
         Returns:
             The line, or the reason why the record is rejected. For a component of a mixture it is
@@ -270,8 +260,6 @@ class Codec:
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value."""
         return self._frame_writer.write(payload.tobytes(), slot, fd)
-
-    # -- reception ------------------------------------------------------------
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames; None without an authenticator."""

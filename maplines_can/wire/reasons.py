@@ -2,8 +2,6 @@
 
 from enum import Enum
 
-__all__ = ["NOT_AUTHENTIC", "Reason"]
-
 
 class Reason(Enum):
     """Reason why a received frame does not complete a line. Counted, never raised."""

@@ -11,7 +11,8 @@ from maplines_can.gaussian import Gaussian
 from maplines_can.line import lateral, transform_line
 from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, MonteCarlo, Refit
-from maplines_can.scenarios import SCENARIOS, random_scenarios, scenario
+from maplines_can.scenarios import SCENARIOS, scenario
+from maplines_can.study.random_scenarios import random_scenarios
 
 HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
 CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)

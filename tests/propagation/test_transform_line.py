@@ -7,7 +7,8 @@ from maplines_can.errors import IllPosedError
 from maplines_can.line import lateral, transform_line, transform_line_or_nan
 from maplines_can.polyline import Polyline, to_ego
 from maplines_can.propagation import Refit
-from maplines_can.scenarios import SCENARIOS, curve, random_scenarios
+from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.random_scenarios import curve, random_scenarios
 
 WINDOW = (0.0, 80.0)
 X = np.linspace(*WINDOW, 9)

@@ -29,8 +29,6 @@ from ..message.layout import Layout
 from .code import Array, Coded, CovarianceCode, check_octaves
 from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
 
-__all__ = ["CholeskyCode"]
-
 #: Margin of the inflation, so that a check with another algorithm's rounding passes.
 MARGIN = 1e-6
 
@@ -96,17 +94,9 @@ class CholeskyCode(CovarianceCode):
     def _encode_block(
         self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
     ) -> Array:
-        """Encode one block into ``coded``.
+        """Encode (n, 4, 4) targets, each multiplied by its scale, into these rows of ``coded``.
 
-        Args:
-            error: (n, 4, 4) targets.
-            resolution: (4,) variances of the mean's rounding error.
-            scale: (n,) factors of the targets.
-            rows: (n,) their rows in ``coded``.
-            coded: result, which is changed.
-
-        Returns:
-            (n,) ratios of the needed to the available inflation; 1 or less if it suffices.
+        Returns the (n,) ratios of the needed to the available inflation; up to 1 it suffices.
         """
         order = self.factor.order
         M = [[error[:, i, j].copy() for j in order] for i in order]
@@ -130,16 +120,11 @@ class CholeskyCode(CovarianceCode):
     def _quantize(
         self, S: list[list[Array]], floor: list[Array]
     ) -> tuple[dict[str, Array], list[list[Array]], NDArray[np.bool_]]:
-        """Factorize the targets and quantize the factor, row by row.
+        """Factorize targets, given by the rows of their lower triangle, and quantize the factor.
 
-        Args:
-            S: rows of the lower triangle of the targets, (N,) entries.
-            floor: least value of each squared pivot, which is the diagonal matrix that was added
-                to the semidefinite target; rounding must not yield less.
-
-        Returns:
-            Raw pivots and ratios, the rows of the decoded L', and which targets had a pivot
-            lifted.
+        The least value of each squared pivot is ``floor``, the diagonal matrix that was added to
+        the semidefinite target; rounding must not yield less. Returns the raw pivots and ratios,
+        the rows of the decoded L', and which targets had a pivot lifted.
         """
         raw: dict[str, Array] = {}
         L: list[list[Array]] = []
@@ -182,17 +167,9 @@ class CholeskyCode(CovarianceCode):
     ) -> tuple[list[Array], Array]:
         """Quantize row i of L' left of its pivot, from the diagonal outwards.
 
-        Each ratio is the nearest to the rest of its target after the entries already chosen.
-
-        Args:
-            i: the row.
-            target: exact entries of the row, left of the pivot.
-            sigma: decoded pivot.
-            A: rows of ``L'^-1 L`` above this one.
-            raw: values by signal, to which the ratios are added.
-
-        Returns:
-            The decoded entries, and the factor by which the pivot is too small for them.
+        Each ratio is the nearest to the rest of its target after the entries already chosen. The
+        rows of ``L'^-1 L`` above this one are A. The ratios are added to ``raw``. Returns the
+        decoded entries, and the factor by which the decoded pivot sigma is too small for them.
         """
         row = [sigma] * i
         overflow = np.ones_like(sigma)

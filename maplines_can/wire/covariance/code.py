@@ -15,8 +15,6 @@ from ...line import Status
 from ..message.layout import Layout
 from ..message.signals import Signal
 
-__all__ = ["Array", "Coded", "CovarianceCode", "check_octaves", "nearest_raw"]
-
 Array = NDArray[np.float64]
 #: Greatest exponent of 2 that a signal may hold, so that squares and products of four are finite.
 FARTHEST_OCTAVE = 200
@@ -40,9 +38,6 @@ class Coded:
 
 class CovarianceCode(ABC):
     """Code between covariances and the raw values of a layout's signals.
-
-    Args:
-        layout: layout with the signals of the code.
 
     Raises:
         LayoutError: a signal is missing, or has an unsuitable factor or range.

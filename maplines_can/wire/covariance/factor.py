@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LayoutError
-from ..message.layout import STATE_SIGNALS, Layout
-from ..message.signals import Signal
+from ..message.layout import Layout
+from ..message.signals import STATE_SIGNALS, Signal
 from .code import Array, check_octaves
-
-__all__ = ["BLOCK", "CholeskyFactor", "exp2_table", "lookup", "lookup_one"]
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
 BLOCK = 2048
@@ -32,9 +30,6 @@ class CholeskyFactor:
     """Cholesky factor as the signals ``Pivot<row>`` and ``Ratio<row><column>`` of a layout.
 
     The names give the order of the rows: with ``RatioC0Beta``, C0 comes after Beta.
-
-    Args:
-        layout: layout with these signals.
 
     Raises:
         LayoutError: a signal is missing, the ratios do not define an order of the rows, a factor
@@ -81,12 +76,7 @@ class CholeskyFactor:
         return float(((inverse * norm) ** 2).sum())
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None = None) -> Array:
-        """Return (N, 4, 4) covariances ``scale L L^T``.
-
-        Args:
-            raw: (N,) values by signal.
-            scale: (N,) factor of each covariance; None: 1.
-        """
+        """Return (N, 4, 4) covariances ``scale L L^T``; without (N,) scales they are 1."""
         n = len(raw[self.pivots[0].name])
         cov = np.empty((n, 4, 4))
         for start in range(0, n, BLOCK):
@@ -138,12 +128,9 @@ def exp2_table(signal: Signal) -> Array | None:
 
 
 def lookup(table: Array | None, signal: Signal, raw: NDArray[np.int64]) -> Array:
-    """Return 2 to the power of the physical values of raw values.
+    """Return 2 to the power of the physical values of raw values, with a table of ``exp2_table``.
 
-    Args:
-        table: from ``exp2_table``.
-        signal: the signal.
-        raw: raw values; one outside the DBC's range is clipped to it if there is a table.
+    If there is a table, a raw value outside the DBC's range is clipped to it.
     """
     if table is None:
         return np.exp2(signal.physical(raw))

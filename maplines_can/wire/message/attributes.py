@@ -13,8 +13,6 @@ from ...arrays import floats
 from ...errors import EncodeError
 from ...line import Kind, Slot, Status
 
-__all__ = ["LINE_ATTRIBUTES", "RecordAttributes"]
-
 #: Attributes that the components of a mixture share; those of the line.
 LINE_ATTRIBUTES = ("slot", "counter", "kind", "x_min", "x_max", "age", "status")
 
@@ -61,14 +59,10 @@ class RecordAttributes:
     def from_keywords(
         cls, keywords: Mapping[str, ArrayLike | None], allowed: Iterable[str] | None = None
     ) -> RecordAttributes:
-        """Return the attributes that the keyword arguments of a call give.
-
-        Args:
-            keywords: values by name.
-            allowed: names of the attributes that the call takes; None: all.
+        """Return the attributes that keyword arguments give.
 
         Raises:
-            TypeError: a name is not allowed.
+            TypeError: a name is not one of the ``allowed``, by default all.
         """
         allowed = [field.name for field in fields(cls)] if allowed is None else list(allowed)
         if unknown := sorted(keywords.keys() - set(allowed)):
@@ -90,26 +84,20 @@ class RecordAttributes:
         return self
 
     def of_components(self, weights: NDArray[np.float64]) -> RecordAttributes:
-        """Return the (N k,) attributes of the components of N lines.
+        """Return the (N k,) attributes of the components of N lines, given their (N, k) weights.
 
-        Args:
-            weights: (N, k) weights of the components. The counter of a line is that of its first
-                component; None: 0, k, 2 k, ...
+        The counter of a line is that of its first component; None: 0, k, 2 k, ...
         """
         n, k = weights.shape
         first = np.arange(n) * k if self.counter is None else np.broadcast_to(self.counter, n)
-
-        def repeated(value: ArrayLike) -> NDArray[Any]:
-            return np.repeat(np.broadcast_to(value, n), k)
-
+        shared: dict[str, Any] = {
+            name: np.repeat(np.broadcast_to(value, n), k)
+            for name in LINE_ATTRIBUTES
+            if name != "counter" and (value := getattr(self, name)) is not None
+        }
         return RecordAttributes(
-            slot=repeated(self.slot),
+            **shared,
             counter=(first[:, None] + np.arange(k)).ravel(),
-            kind=repeated(self.kind),
-            x_min=repeated(self.x_min),
-            x_max=repeated(self.x_max),
-            age=repeated(self.age),
-            status=None if self.status is None else repeated(self.status),
             component_index=np.tile(np.arange(k), n),
             component_count=k,
             component_weight=weights.ravel(),
@@ -117,13 +105,8 @@ class RecordAttributes:
 
 
 def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
-    """Return the values of an attribute as an array; integers stay integers.
-
-    Raises:
-        ValueError: a value is complex, or an integer beyond the largest float.
-        EncodeError: a slot is not finite or out of range.
-    """
-    given = np.asarray(values)
+    """Return the values of an attribute as an array; raises as ``RecordAttributes``."""
+    given = np.asarray(values)  # integers stay integers
     if given.dtype.kind in "Oc":  # such as integers beyond 64 bits
         given = floats(values, name)
     if name == "slot" and given.dtype.kind == "f":

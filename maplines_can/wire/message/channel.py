@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 from ...line import Slot
 
-__all__ = ["LONGEST_MS", "Channel", "SecuredForm", "fd_length"]
-
 #: Upper bound of a cycle time and of a time-out, one hour [ms].
 LONGEST_MS = 3_600_000
 

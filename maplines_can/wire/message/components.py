@@ -9,17 +9,11 @@ from .attributes import RecordAttributes
 from .validation import checked_gaussians
 from .writer import RecordWriter
 
-__all__ = ["MixtureWriter", "deficit", "quantized_weights"]
-
 Array = NDArray[np.float64]
 
 
 class MixtureWriter:
-    """Writer of mixtures, which covers each component and the mixture as a whole.
-
-    Args:
-        writer: of the records.
-    """
+    """Writer of mixtures, which covers each component and the mixture as a whole."""
 
     def __init__(self, writer: RecordWriter) -> None:
         self._writer = writer
@@ -28,14 +22,7 @@ class MixtureWriter:
     def write(
         self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
     ) -> NDArray[np.uint8]:
-        """Return the (N, k, record bytes) records of mixtures.
-
-        Args:
-            weights: (N, k), each row of sum 1.
-            means: (N, k, 4).
-            covs: (N, k, 4, 4).
-            attributes: of the N lines.
-        """
+        """Return the (N, k, record bytes) records of mixtures; see ``Codec.encode_mixtures``."""
         n, k = weights.shape
         gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
         decoded_weights, cover = self.cover(weights, means, covs)
@@ -56,9 +43,7 @@ def quantized_weights(weights: Array, steps: int) -> NDArray[np.int64]:
     The largest remainders are rounded up (Hamilton's method). So no weight is off by a step or
     more, unless it had to be raised to one step.
 
-    Args:
-        weights: (N, k) positive, each row of sum 1.
-        steps: number of steps in a weight of 1, k or more.
+    The weights are (N, k) and positive, each row of sum 1; ``steps`` is k or more.
 
     Returns:
         (N, k) multiples, each row of sum ``steps``.
@@ -87,15 +72,8 @@ def deficit(
     covariance about the decoded mean, ``T = S + (m - m')(m - m')^T``. The positive part of
     ``T - B``, added to the covariance of each component, closes the gap.
 
-    Args:
-        weights: (N, k) true weights.
-        means: (N, k, 4).
-        covs: (N, k, 4, 4).
-        decoded_weights: (N, k).
-        decoded_means: (N, k, 4).
-
-    Returns:
-        (N, 4, 4) positive semidefinite; zero where the mixture is covered already.
+    Weights are (N, k), means (N, k, 4), and covs (N, k, 4, 4). The result is (N, 4, 4) positive
+    semidefinite, and zero where the mixture is covered already.
     """
 
     def total(w: Array, m: Array, S: Array, about: Array) -> Array:

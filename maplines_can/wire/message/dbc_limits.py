@@ -21,8 +21,6 @@ import re
 
 from ...errors import LayoutError
 
-__all__ = ["LARGEST_DBC", "check_numbers"]
-
 #: Largest size of a DBC file [byte]; the DBC of a whole car has a few million.
 LARGEST_DBC = 64_000_000
 
@@ -42,15 +40,7 @@ _LONG_LIST = re.compile(
 
 
 def check_numbers(text: str, source: str) -> None:
-    """Refuse a DBC with numbers that would exhaust memory or time.
-
-    Args:
-        text: of the DBC.
-        source: name of the DBC in error messages.
-
-    Raises:
-        LayoutError: a number has too many digits.
-    """
+    """Raise LayoutError if a number in the text of a DBC has too many digits."""
     if found := _LONG_EXPONENT.search(text) or _LONG_LIST.search(_TEXT.sub(" ", text)):
         raise LayoutError(
             f"{source}: is not a valid DBC: a start, length or range has too many digits: "

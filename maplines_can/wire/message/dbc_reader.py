@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from enum import Enum
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cantools
 import numpy as np
@@ -20,22 +20,12 @@ from .channel import LONGEST_MS, Channel, SecuredForm, fd_length
 from .dbc_limits import LARGEST_DBC, check_numbers
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 
-__all__ = ["DbcContent", "default_dbc_path", "parse_dbc", "read_text"]
-
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
 
 
-@dataclass(frozen=True)
-class DbcContent:
-    """Content of a DBC that matters to map lines.
-
-    Args:
-        signals: of the record, by name, in the order of their bits.
-        channels: by slot.
-        covariance_code: name of the code of the covariance.
-        secured: format of the authenticated messages; None if there are none.
-    """
+class DbcContent(NamedTuple):
+    """Content of a DBC that matters to map lines; see ``Layout``."""
 
     signals: Mapping[str, Signal]
     channels: Mapping[Slot, Channel]
@@ -64,11 +54,7 @@ def default_dbc_path(name: str = "maplines.dbc") -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a DBC file.
-
-    Raises:
-        LayoutError: the file cannot be read, is larger than 64 MB, or is not text.
-    """
+    """Return the text of a DBC file; raises LayoutError as ``Layout.from_dbc``."""
     try:
         with path.open("rb") as file:  # a pipe or device may never end
             data = file.read(LARGEST_DBC + 1)
@@ -84,10 +70,6 @@ def read_text(path: Path) -> str:
 
 def parse_dbc(text: str, source: str) -> DbcContent:
     """Read the record and its messages from the text of a DBC.
-
-    Args:
-        text: content of the file.
-        source: name of the DBC in error messages.
 
     Raises:
         LayoutError: the text is not a DBC, or does not describe a map line.
@@ -108,13 +90,13 @@ def _content(database: Database, source: str) -> DbcContent:
     messages: dict[Slot, dict[Carrier, Message]] = {}
     forms: dict[str, SecuredForm] = {}
     for message in database.messages:
-        attributes = message.dbc.attributes if message.dbc else {}
-        if "MapLineSlot" not in attributes:
+        number = _attribute(message, "MapLineSlot")
+        if number is None:
             continue
         where = f"{source}: message {message.name}: MapLineSlot"
-        slot = Slot(_integer(attributes["MapLineSlot"].value, where, len(Slot) - 1))
+        slot = Slot(_integer(number, where, len(Slot) - 1))
         carrier = Carrier.FD if message.is_fd else Carrier.CLASSIC
-        if "SecOCDataId" in attributes:
+        if _attribute(message, "SecOCDataId") is not None:
             carrier, forms[message.name] = Carrier.SECURED, _secured_form(message, source)
         if messages.setdefault(slot, {}).setdefault(carrier, message) is not message:
             raise LayoutError(f"{source}: slot {slot.name} has two messages of the same carrier")
@@ -144,15 +126,16 @@ def _content(database: Database, source: str) -> DbcContent:
 
 def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Channel:
     classic, fd, secured = (carriers.get(carrier) for carrier in Carrier)
-    data_ids: set[Any] = set()
-    for message in carriers.values():
-        attributes = message.dbc.attributes if message.dbc else {}
-        data_ids.add(attributes["E2EDataId"].value if "E2EDataId" in attributes else None)
+    data_ids = {_attribute(message, "E2EDataId") for message in carriers.values()}
     data_id = data_ids.pop()
     if data_ids or data_id is None:
         raise LayoutError(
             f"{source}: slot {slot.name}: its messages need the same attribute E2EDataId"
         )
+    secured_data_id = 0
+    if secured:
+        what = f"{source}: message {secured.name}: SecOCDataId"
+        secured_data_id = _integer(_attribute(secured, "SecOCDataId"), what, 0xFFFF)
     message = next(m for m in (classic, fd, secured) if m is not None)
     where = f"{source}: message {message.name}"
     return Channel(
@@ -167,13 +150,14 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
         cycle_ms=_integer(message.cycle_time or 0, f"{where}: GenMsgCycleTime", LONGEST_MS),
         secured_can_id=secured.frame_id if secured else None,
         secured_is_extended=bool(secured and secured.is_extended_frame),
-        secured_data_id=_secured_data_id(secured, source) if secured else 0,
+        secured_data_id=secured_data_id,
     )
 
 
-def _secured_data_id(message: Message, source: str) -> int:
-    value = message.dbc.attributes["SecOCDataId"].value if message.dbc else -1
-    return _integer(value, f"{source}: message {message.name}: SecOCDataId", 0xFFFF)
+def _attribute(message: Message, name: str) -> Any:
+    """Return the value of an attribute of a message; None if it has none."""
+    attributes = message.dbc.attributes if message.dbc else {}
+    return attributes[name].value if name in attributes else None
 
 
 def _secured_form(message: Message, source: str) -> SecuredForm:

@@ -11,8 +11,6 @@ from .channel import Channel
 from .layout import Layout
 from .signals import PAGE_BYTES
 
-__all__ = ["Frame", "FrameWriter"]
-
 
 class Frame(NamedTuple):
     """CAN frame to be sent on any bus."""
@@ -24,11 +22,7 @@ class Frame(NamedTuple):
 
 
 class FrameWriter:
-    """Writer of the frames of a record.
-
-    Args:
-        layout: of the record.
-        authenticator: of the sender; with it, all frames are authenticated.
+    """Writer of the frames of a record; with an authenticator, all frames are authenticated.
 
     Raises:
         LayoutError: there is an authenticator, but the DBC has no authenticated message.
@@ -44,11 +38,6 @@ class FrameWriter:
 
     def write(self, record: bytes, slot: Slot, fd: bool) -> list[Frame]:
         """Return the frames of a record.
-
-        Args:
-            record: as ``RecordWriter`` writes it.
-            slot: of the line.
-            fd: use CAN FD.
 
         Raises:
             EncodeError: the DBC has no such message, or classic CAN is requested with an

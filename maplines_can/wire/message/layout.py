@@ -84,23 +84,12 @@ class Layout:
 
     @classmethod
     def from_text(cls, text: str, source: str = "DBC") -> Layout:
-        """Read a layout from the text of a DBC.
-
-        Args:
-            text: content of the file.
-            source: name of the DBC in error messages.
+        """Read a layout from the text of a DBC, named ``source`` in error messages.
 
         Raises:
             LayoutError: the text is not a DBC, or does not describe a map line.
         """
-        content = parse_dbc(text, source)
-        return cls(
-            signals=content.signals,
-            channels=content.channels,
-            covariance_code=content.covariance_code,
-            source=source,
-            secured=content.secured,
-        )
+        return cls(source=source, **parse_dbc(text, source)._asdict())
 
     def __getitem__(self, name: str) -> Signal:
         try:
@@ -153,11 +142,7 @@ class Layout:
         }
 
     def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
-        """Return the (n,) E2E data IDs of slots.
-
-        Args:
-            slot: (n,) or one for all.
-            n: number of records.
+        """Return the (n,) E2E data IDs of slots, (n,) or one for all.
 
         Raises:
             EncodeError: the DBC has no message for a slot.

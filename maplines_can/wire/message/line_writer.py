@@ -16,8 +16,6 @@ from .components import MixtureWriter
 from .validation import CheckedGaussians
 from .writer import RecordWriter
 
-__all__ = ["LineWriter"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Record:
@@ -32,12 +30,7 @@ class _Record:
 
 
 class LineWriter:
-    """Writer of map lines.
-
-    Args:
-        writer: of the records.
-        mixture_writer: of the records of mixtures.
-    """
+    """Writer of map lines."""
 
     def __init__(self, writer: RecordWriter, mixture_writer: MixtureWriter) -> None:
         self._writer, self._mixture_writer = writer, mixture_writer
@@ -48,9 +41,7 @@ class LineWriter:
     ) -> tuple[list[list[NDArray[np.uint8]]], Counter[Slot]]:
         """Return the records of each line, and the counters that follow them.
 
-        Args:
-            lines: one or more.
-            counters: of the first record of each slot; 0 where there is none.
+        The counters are of the next record of each slot; 0 if there is none.
         """
         records_of_lines = [self._records(line) for line in lines]
         records = [record for records in records_of_lines for record in records]

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from .signals import Signal
 
-__all__ = ["Packing", "Piece", "pieces_of"]
-
 #: Records processed at a time, so that one signal of a block stays in the first-level cache.
 BLOCK = 4096
 
@@ -26,12 +24,7 @@ class Piece(NamedTuple):
 
 
 class Packing:
-    """Signals of a record as shifts and masks of 64-bit words.
-
-    Args:
-        signals: of the record.
-        record_bytes: length of a record.
-    """
+    """Signals of a record as shifts and masks of 64-bit words."""
 
     def __init__(self, signals: Sequence[Signal], record_bytes: int) -> None:
         self.signals = tuple(signals)
@@ -40,22 +33,13 @@ class Packing:
         self._pieces = [list(pieces_of(signal)) for signal in signals]
         self._orders = sorted({signal.big_endian for signal in signals})
         self._shifts = [
-            (
-                signal.name,
-                signal.big_endian,
-                _shift(signal, record_bytes),
-                2**signal.length,
-                signal.signed,
-            )
-            for signal in signals
+            (s.name, s.big_endian, _shift(s, record_bytes), 2**s.length, s.signed) for s in signals
         ]
 
     def pack(self, raw: Mapping[str, NDArray[np.int64]], n: int) -> NDArray[np.uint8]:
-        """Return (n, record_bytes) records. Of each value only the signal's low bits are written.
+        """Return (n, record_bytes) records of (n,) raw values by name; one without values is 0.
 
-        Args:
-            raw: (n,) values by name; a signal without values is 0.
-            n: number of records.
+        Of each value only the signal's low bits are written.
         """
         out = np.zeros((n, 8 * self._words), dtype=np.uint8)
         for start in range(0, n, BLOCK):
@@ -75,11 +59,7 @@ class Packing:
         return out[:, : self.record_bytes]
 
     def unpack(self, payloads: NDArray[np.uint8]) -> dict[str, NDArray[np.int64]]:
-        """Return the (N,) raw values of each signal, by name.
-
-        Args:
-            payloads: (N, record_bytes).
-        """
+        """Return the (N,) raw values of each signal, by name, of (N, record_bytes) records."""
         n = len(payloads)
         out = {signal.name: np.empty(n, dtype=np.int64) for signal in self.signals}
         for start in range(0, n, BLOCK):

@@ -17,8 +17,6 @@ from .layout import Layout
 from .packing import Packing
 from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
 
-__all__ = ["Batch", "DecodedRecord", "RecordReader"]
-
 #: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
 
@@ -72,13 +70,7 @@ class DecodedRecord:
 
 
 class RecordReader:
-    """Reader of records of a layout; ``read`` and ``read_one`` give the same bits.
-
-    Args:
-        layout: of the records.
-        packing: of the layout's signals.
-        covariance: code of the covariance.
-    """
+    """Reader of records of a layout; ``read`` and ``read_one`` give the same bits."""
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self._signals = layout.signals
@@ -91,12 +83,7 @@ class RecordReader:
         self._transfer_mask = 2 ** layout[f"{TRANSFER_ID}0"].length - 1
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
-        """Read many records.
-
-        Args:
-            payloads: (N, record bytes).
-            data_ids: (N,) E2E data IDs.
-        """
+        """Read (N, record bytes) records with (N,) E2E data IDs."""
         n = len(payloads)
         raw = self._packing.unpack(payloads)
         mean = np.empty((n, len(self._mean)))
@@ -145,17 +132,7 @@ class RecordReader:
     def read_one(
         self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
     ) -> DecodedRecord | Reason:
-        """Read one record, without the cost of arrays.
-
-        Args:
-            payload: record bytes.
-            slot: of the line.
-            data_id: E2E data ID of the slot.
-            t_ns: when the record was received [ns].
-
-        Returns:
-            The record, or the reason why it is rejected.
-        """
+        """Read one record, received at ``t_ns`` [ns]: as ``read``, without the cost of arrays."""
         if len(payload) != self._packing.record_bytes:
             return Reason.LENGTH
         raw, signals = self._packing.unpack_one(payload), self._signals

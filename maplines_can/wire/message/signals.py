@@ -7,16 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = [
-    "PAGE",
-    "PAGE_BYTES",
-    "SECURED_SIGNALS",
-    "SERVICE_SIGNALS",
-    "STATE_SIGNALS",
-    "TRANSFER_ID",
-    "Signal",
-]
-
 #: Bytes of a page, the payload of one classic CAN frame.
 PAGE_BYTES = 8
 #: Signals that every page repeats: the number of the page, and of the transfer it belongs to.

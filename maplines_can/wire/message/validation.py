@@ -11,8 +11,6 @@ from ...arrays import floats
 from ...gaussian import MOST_COV, asymmetric, indefinite, rounding_of
 from .signals import STATE_SIGNALS
 
-__all__ = ["CheckedGaussians", "checked_gaussians", "checked_mixtures", "checked_payloads"]
-
 
 class CheckedGaussians(NamedTuple):
     """Gaussians that may be sent."""
@@ -23,15 +21,7 @@ class CheckedGaussians(NamedTuple):
 
 
 def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussians:
-    """Return Gaussians as arrays.
-
-    Args:
-        means: (N, 4).
-        covs: (N, 4, 4); None for zeros.
-
-    Raises:
-        ValueError: a shape is wrong, or a value is not finite, asymmetric, or a negative variance.
-    """
+    """Return Gaussians as arrays, of covariance 0 without ``covs``; see ``Codec.encode_batch``."""
     rounding = rounding_of(covs)
     mean = floats(means, "means")
     if mean.ndim != 2 or mean.shape[1] != len(STATE_SIGNALS):
@@ -52,16 +42,7 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
 def checked_mixtures(
     weights: ArrayLike, means: ArrayLike, covs: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the weights, means and covariances of mixtures as arrays.
-
-    Args:
-        weights: (N, k), each row of sum 1.
-        means: (N, k, 4).
-        covs: (N, k, 4, 4).
-
-    Raises:
-        ValueError: a shape is wrong, or the weights are not positive or do not add up to 1.
-    """
+    """Return weights, means and covs of mixtures as arrays; see ``Codec.encode_mixtures``."""
     weights, means = floats(weights, "weights"), floats(means, "means")
     covs = floats(covs, "covs")
     if weights.ndim != 2:
@@ -79,15 +60,7 @@ def checked_mixtures(
 
 
 def checked_payloads(payloads: ArrayLike, record_bytes: int) -> NDArray[np.uint8]:
-    """Return records as an array.
-
-    Args:
-        payloads: (N, record bytes) uint8.
-        record_bytes: length of a record.
-
-    Raises:
-        ValueError: the array has another shape or type.
-    """
+    """Return records as an array; see ``Codec.decode_batch``."""
     payloads = np.asarray(payloads)
     if payloads.ndim != 2 or payloads.shape[1] != record_bytes:
         raise ValueError(f"payloads must have shape (N, {record_bytes}), got {payloads.shape}")

@@ -16,8 +16,6 @@ from .packing import Packing
 from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
 from .validation import CheckedGaussians
 
-__all__ = ["RecordWriter"]
-
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8
@@ -27,13 +25,7 @@ SLACK = 1e-9
 
 
 class RecordWriter:
-    """Writer of records of a layout.
-
-    Args:
-        layout: of the records.
-        packing: of the layout's signals.
-        covariance: code of the covariance.
-    """
+    """Writer of records of a layout, with the packing of its signals and its covariance code."""
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self.layout = layout
@@ -51,10 +43,7 @@ class RecordWriter:
     ) -> NDArray[np.uint8]:
         """Return the (N, record bytes) records of Gaussians.
 
-        Args:
-            gaussians: N checked Gaussians.
-            attributes: of the records.
-            cover: (N, 4, 4) that the decoded covariances must cover besides their own.
+        The decoded covariances also cover the (N, 4, 4) ``cover`` besides their own.
 
         Raises:
             EncodeError: an attribute has no raw value, such as a slot that the DBC does not have.
@@ -102,15 +91,7 @@ class RecordWriter:
         clipped: NDArray[np.bool_],
         cover: NDArray[np.float64] | None,
     ) -> None:
-        """Add the raw mean, covariance and status.
-
-        Args:
-            raw: values by signal, to which these are added.
-            gaussians: n checked Gaussians.
-            requested: (n,) requested status.
-            clipped: (n,) rows with a clipped extent.
-            cover: (n, 4, 4) that the decoded covariances must cover besides their own.
-        """
+        """Add the raw mean, covariance and status; ``clipped`` are the rows of a clipped extent."""
         mean, cov, indefinite = gaussians
         decoded = np.empty_like(mean)
         for i, signal in enumerate(self._mean):
@@ -192,11 +173,7 @@ class RecordWriter:
     ) -> NDArray[np.int64]:
         """Return the (n,) raw values of a signal that holds a number or an enumeration.
 
-        Args:
-            name: of the signal.
-            value: (n,) physical values or one for all.
-            n: number of records.
-            most: greatest valid value; None: the end of the signal's range.
+        The greatest valid value is ``most``, or the end of the signal's range.
         """
         signal = self.layout[name]
         values = np.broadcast_to(np.asarray(value), n)

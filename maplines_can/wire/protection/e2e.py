@@ -7,8 +7,6 @@ from binascii import crc_hqx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["crc16", "record_crc", "record_crc_one"]
-
 #: Bytes of the header: CRC (little-endian), then the counter.
 CRC_BYTES, HEADER_BYTES = 2, 3
 
@@ -26,9 +24,7 @@ _TABLE = _table()
 def crc16(columns: list[NDArray[np.uint8]], n: int) -> NDArray[np.uint16]:
     """Return the (n,) CRC-16/CCITT-FALSE (polynomial 0x1021, initial 0xFFFF) of n byte strings.
 
-    Args:
-        columns: one (n,) array for each byte of the strings.
-        n: number of strings.
+    There is one (n,) column for each byte of the strings.
 
     >>> text = np.frombuffer(b"123456789", dtype=np.uint8)
     >>> hex(crc16(list(text[:, None]), 1)[0])  # the published check value
@@ -45,13 +41,8 @@ def record_crc(
 ) -> NDArray[np.uint16]:
     """Return the (N,) checksums of records as in AUTOSAR E2E profile 5 (PRS_E2EProtocol).
 
-    The checksum covers the bytes before the header, the bytes after its CRC (so the counter too),
-    and the data ID, low byte first.
-
-    Args:
-        payloads: (N, record bytes).
-        data_id: (N,) or one for all, 16 bits.
-        offset: start of the header [byte].
+    The checksum covers the bytes before the header at ``offset``, the bytes after its CRC (so the
+    counter too), and the data ID of 16 bits, (N,) or one for all, low byte first.
     """
     n = len(payloads)
     ids = np.broadcast_to(np.asarray(data_id, dtype=np.uint16), n)

@@ -10,8 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
-__all__ = ["COUNTERS", "E2EConfig", "E2EState", "ProfileStatus", "StateMachine", "check"]
-
 #: Number of counters of profile 5.
 COUNTERS = 256
 #: Greatest step of the counter; a larger one may as well be a step back.

@@ -8,8 +8,6 @@ from typing import Any
 
 from ...errors import KeyMaterialError, MissingExtraError
 
-__all__ = ["Key"]
-
 #: Bytes of the secrets of AES-128 and AES-256.
 SECRET_BYTES = (16, 32)
 

@@ -27,8 +27,6 @@ from ..message.channel import SecuredForm
 from ..reasons import Reason
 from .key import Key
 
-__all__ = ["Authenticator", "Verifier", "complete"]
-
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
 MOST_FRESHNESS = 2**63 - 1
@@ -186,12 +184,7 @@ class Authenticator:
         return None if self._clock is None else self._clock() // 1000
 
     def secure(self, record: bytes, data_id: int, form: SecuredForm) -> bytes:
-        """Return the secured I-PDU of a record, with the next freshness value.
-
-        Args:
-            record: record bytes.
-            data_id: SecOC data ID of the message.
-            form: format of the secured I-PDU.
+        """Return the secured I-PDU of a record with a SecOC data ID and the next freshness value.
 
         Raises:
             EncodeError: there is no clock, or its time is out of range.
@@ -221,10 +214,6 @@ class Verifier:
     a recording that is replayed to a receiver that has just started; without a clock, only
     ``not_before`` does. The clock also reconstructs freshness values of less than 7 bytes after a
     long silence; without it, the next value with the same low bytes is assumed.
-
-    Args:
-        authenticator: keys, clock and window.
-        form: format of the secured I-PDUs.
     """
 
     def __init__(self, authenticator: Authenticator, form: SecuredForm) -> None:
@@ -233,12 +222,7 @@ class Verifier:
         self.last_accepted: dict[int, int] = {}
 
     def __call__(self, data: bytes, data_id: int) -> bytes | Reason:
-        """Return the authentic I-PDU of a secured I-PDU: the record, padding, and the key ID.
-
-        Args:
-            data: payload of the frame.
-            data_id: SecOC data ID of the message.
-        """
+        """Return the authentic I-PDU of a secured I-PDU: the record, padding, and the key ID."""
         form, authenticator = self._form, self._authenticator
         if len(data) != form.length:
             return Reason.LENGTH
@@ -268,11 +252,6 @@ class Verifier:
 
 def complete(truncated: int, bits: int, floor: int) -> int:
     """Reconstruct a freshness value: the least one above ``floor`` with these low bits.
-
-    Args:
-        truncated: freshness value as received.
-        bits: its length.
-        floor: greatest freshness value that is not accepted.
 
     >>> [hex(complete(truncated, 8, 0x1FE)) for truncated in (0xFF, 0xFE, 0x00)]
     ['0x1ff', '0x2fe', '0x200']

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["SenderConflict"]
-
 #: Conflicts that make two senders certain, and the greatest distance between two of them [cycles].
 #: A gateway that delays a transfer, or a sender that restarts, causes one or two.
 CONFLICTS, NEAR_CYCLES = 8, 32

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["ReceptionDeadline"]
-
 #: The first cycle without a record is missed this many cycles after the last record, since the
 #: time of a record may jitter by half a cycle.
 GRACE_CYCLES = 1.5
@@ -31,9 +29,7 @@ class ReceptionDeadline:
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
         self.grace_ns = int(GRACE_CYCLES * cycle_ns)
-        self._due_ns: int | None = (
-            None  # when the next cycle is missed
-        )
+        self._due_ns: int | None = None  # when the next cycle is missed
         self._is_counted = False  # whether cycles up to _due_ns were counted by elapse
 
     def record_arrived(self, t_ns: int) -> int:

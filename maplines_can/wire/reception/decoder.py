@@ -15,8 +15,6 @@ from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 
-__all__ = ["Decoder"]
-
 PENDING = Reason.PENDING  # looked up once: feed is called for every frame
 
 
@@ -38,8 +36,6 @@ class Decoder:
     no line, no transfer, no check.
 
     Args:
-        layout: CAN IDs, pages and signals.
-        reader: decodes records.
         verifier: checks authenticated frames; None for a bus without authentication.
         timeout_ns: longest time between the frames of a transfer [ns].
         cycles_ns: time between records of each slot [ns].

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["RecordHistory"]
-
 
 class _Entry(NamedTuple):
     """A received record."""
@@ -21,9 +19,6 @@ class RecordHistory:
 
     Each counter has one entry. Its position in the sequence is the counter continued beyond its
     wrap-around, so that an entry of an earlier round is not mistaken for one of this round.
-
-    Args:
-        modulus: number of counters.
     """
 
     def __init__(self, modulus: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,8 +13,6 @@ from ...line import MapLine, Slot, Status
 from ...mixture import GaussianMixture
 from ..message.reader import DecodedRecord
 from ..reasons import Reason
-
-__all__ = ["CompleteLine", "MixtureAssembler"]
 
 #: The status of a mixture is that of its worst component; from best to worst.
 SEVERITY = (
@@ -71,12 +69,7 @@ class MixtureAssembler:
         return sum(mixture.frames for mixture in self._incomplete.values())
 
     def add(self, record: DecodedRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
-        """Take a new record.
-
-        Args:
-            record: a line, or a component of one.
-            frames: frames that carried it.
-            t_ns: time of its first frame [ns].
+        """Take a new record, of this many frames, the first of which came at ``t_ns`` [ns].
 
         Returns:
             The line that it completes, or the reason why it completes none.
@@ -123,9 +116,8 @@ class MixtureAssembler:
         self.counts[reason] += self._incomplete.pop(slot).frames
 
 
-def _mixture_line(records: Iterable[DecodedRecord]) -> MapLine:
+def _mixture_line(records: Sequence[DecodedRecord]) -> MapLine:
     """Return the line of all components of a mixture."""
-    records = list(records)
     gaussians = tuple(record.line.gaussian for record in records)
     mixture = GaussianMixture(np.array([record.weight for record in records]), gaussians)
     oldest = min((record.line for record in records), key=lambda line: line.t_ns or 0)

@@ -10,8 +10,6 @@ from ..reasons import Reason
 from .decoder import Decoder
 from .sequence import SlotStats
 
-__all__ = ["STALE_CYCLES", "Monitor", "SlotView"]
-
 #: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
 #: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
 STALE_CYCLES = 3.0
@@ -42,9 +40,6 @@ class Monitor:
 
     ``Receiver.latest`` uses one. By itself it serves where there is no bus, as in a simulator.
     It is not thread-safe.
-
-    Args:
-        decoder: turns frames into lines.
 
     >>> from maplines_can import Codec, Slot, MapLine
     >>> codec = Codec.from_dbc()

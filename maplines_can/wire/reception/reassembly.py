@@ -9,13 +9,11 @@ from typing import Literal, NamedTuple
 
 from ...errors import LayoutError
 from ...line import Slot
-from ..message.layout import PAGE, PAGE_BYTES, TRANSFER_ID, Layout
+from ..message.layout import Layout
 from ..message.packing import pieces_of
 from ..message.reader import DecodedRecord
-from ..message.signals import Signal
+from ..message.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 from ..reasons import Reason
-
-__all__ = ["Reassembler", "Record"]
 
 
 class Record(NamedTuple):

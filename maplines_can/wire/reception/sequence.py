@@ -11,8 +11,6 @@ from .conflict import SenderConflict
 from .deadline import ReceptionDeadline
 from .history import RecordHistory
 
-__all__ = ["SequenceCheck", "SlotStats"]
-
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 
 #: This many consecutive records behind the last new one are those of a sender that restarted.

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from ...arrays import number_text
 from ...line import Slot
 from ..message.channel import LONGEST_MS
 from ..message.layout import Layout
 from ..protection.e2e_state import E2EConfig
 
-__all__ = ["DecoderSettings", "decoder_settings"]
-
 #: Time-out of a transfer if the DBC has no cycle time [ms].
 DEFAULT_TIMEOUT_MS = 50.0
-
-
-class DecoderSettings(NamedTuple):
-    """Settings of a decoder."""
-
-    timeout_ns: int  #: of a transfer
-    cycles_ns: dict[Slot, int]  #: cycle time of the lines of each slot
-    e2e: E2EConfig
 
 
 def decoder_settings(
@@ -29,13 +17,8 @@ def decoder_settings(
     timeout_ms: float | None = None,
     cycle_ms: float | None = None,
     e2e: E2EConfig | None = None,
-) -> DecoderSettings:
-    """Complete and check the settings of a decoder; see ``Codec.decoder``.
-
-    Raises:
-        ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the DBC's
-            counter.
-    """
+) -> tuple[int, dict[Slot, int], E2EConfig]:
+    """Return the time-out [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
     channels = layout.channels
     if timeout_ms is None:
         cycles = [channel.cycle_ms for channel in channels.values()]
@@ -58,4 +41,4 @@ def decoder_settings(
             f"max_delta_counter must be less than {counters // 2}, half of the counters of "
             f"{layout.source}, got {e2e.max_delta_counter}"
         )
-    return DecoderSettings(int(timeout_ms * 1e6), cycles_ns, e2e)
+    return int(timeout_ms * 1e6), cycles_ns, e2e

@@ -10,7 +10,7 @@ from scipy import stats
 
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
-from maplines_can.scenarios import SCENARIOS, random_scenarios
+from maplines_can.scenarios import SCENARIOS
 from maplines_can.study.accuracy import evaluation
 from maplines_can.study.accuracy.approximations import (
     Approximation,
@@ -20,6 +20,7 @@ from maplines_can.study.accuracy.approximations import (
 from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
 from maplines_can.study.accuracy.table import accuracy_table, refit_of
 from maplines_can.study.accuracy.text import as_csv, as_markdown, as_text
+from maplines_can.study.random_scenarios import random_scenarios
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
 ROOT = np.array([[1, 0, 0, 0], [0.6, 0.8, 0, 0], [-0.3, 0.4, 0.9, 0], [0.2, -0.7, 0.1, 0.6]])

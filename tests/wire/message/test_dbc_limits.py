@@ -4,7 +4,7 @@ import pytest
 
 from maplines_can.errors import LayoutError
 from maplines_can.wire import Layout
-from maplines_can.wire.message.layout import default_dbc_path
+from maplines_can.wire.message.dbc_reader import default_dbc_path
 
 MESSAGE = "BO_ 0 M: 8 E\n"
 SIGNAL = '@1+ (1,0) [0|15] "" E\n'
