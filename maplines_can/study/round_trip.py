@@ -26,19 +26,12 @@ __all__ = ["BusSettings", "LineResult", "RoundTrip", "round_trip"]
 
 @dataclass(frozen=True)
 class BusSettings:
-    """Bus of a round trip.
+    """Bus of a round trip; the bit rates are for the bus load."""
 
-    Args:
-        rate: how often each line is sent [1/s].
-        bitrate: nominal bit rate, for the bus load [bit/s].
-        data_bitrate: bit rate of the data phase of CAN FD, for the bus load [bit/s]; None
-            for frames of classic CAN.
-        interface: settings of ``Link``; None for a bus of its own within this process.
-    """
-
-    rate: float = 20.0
-    bitrate: int = 500_000
-    data_bitrate: int | None = None
+    rate: float = 20.0  #: how often each line is sent [1/s]
+    bitrate: int = 500_000  #: nominal [bit/s]
+    data_bitrate: int | None = None  #: of the data phase of CAN FD [bit/s]; None: classic CAN
+    #: Settings of ``Link``; None for a bus of its own within this process.
     interface: Mapping[str, Any] | None = None
 
     @property
@@ -225,11 +218,13 @@ def _run(
     tick: Callable[[], object],
 ) -> tuple[TransmitterStats, ReceiverStats, dict[str, int] | None]:
     """Send and receive each line ``count`` times; return the counters, also those of the faults."""
-    opener, out_opener, back_opener = _openers(faults)
+    opener = _faulty_opener(faults) if faults else None
+    sending = opener if faults and faults.direction == "send" else None
+    receiving = None if sending else opener
     settings = bus.link_settings()
     # With faults no frame is filtered out, so that the receiver counts every one.
     can_ids = None if faults else codec.can_ids
-    with Link(out_opener, **settings) as out, Link(back_opener, **settings) as back:
+    with Link(sending, **settings) as out, Link(receiving, **settings) as back:
         transmitter = Transmitter(out, codec, period=1 / bus.rate, fd=bus.fd, count=count)
         decoder = codec.decoder(cycle_ms=1e3 / bus.rate)
         receiver = Receiver(back, decoder, on_line=arrivals.take, can_ids=can_ids)
@@ -246,16 +241,10 @@ def _run(
     return transmitter.stats(), receiver.stats(), fault_counts
 
 
-def _openers(
-    faults: Faults | None,
-) -> tuple[FaultyOpener | None, FaultyOpener | None, FaultyOpener | None]:
-    """Return the opener that injects the faults, and the openers of sender and receiver."""
-    if faults is None:
-        return None, None, None
+def _faulty_opener(faults: Faults) -> FaultyOpener:
     from ..testing import FaultyOpener  # without faults nothing of it is loaded
 
-    opener = FaultyOpener(faults)
-    return (opener, opener, None) if faults.direction == "send" else (opener, None, opener)
+    return FaultyOpener(faults)
 
 
 def _result(line: MapLine, back: MapLine | None, codec: Codec) -> LineResult:

@@ -167,13 +167,7 @@ def _seen_lines(
     """Return the lines of a map as seen from uncertain poses.
 
     Of each pose, these are the lines that pass the car within ``REACH`` and that a cubic follows.
-
-    Args:
-        means: (N, 3) e_x, e_y [m], e_h [rad], in the frame of the map.
-        covs: (N, 3, 3).
-        lines: of the map.
-        window: from where to where points are taken, ahead of the car [m].
-        transform: from a pose to a line.
+    ``means`` are (N, 3) e_x, e_y [m], e_h [rad], in the frame of the map; ``covs`` (N, 3, 3).
     """
     boxes = np.array([[line.points.min(axis=0), line.points.max(axis=0)] for line in lines])
     line_means, line_covs = [np.empty((0, 4))], [np.empty((0, 4, 4))]

@@ -1,10 +1,12 @@
-"""Rows of text cells as a table, for a terminal and for Markdown."""
+"""Rows of text cells as a table, for a terminal, for Markdown and as CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import csv
+import io
+from collections.abc import Iterable, Sequence
 
-__all__ = ["aligned", "markdown"]
+__all__ = ["aligned", "csv_text", "markdown"]
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
@@ -40,3 +42,16 @@ def markdown(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
     left = len(rows[0]) if left is None else left
     rule = ["---" if i < left else "---:" for i in range(len(rows[0]))]
     return "".join("| " + " | ".join(row) + " |\n" for row in (rows[0], rule, *rows[1:]))
+
+
+def csv_text(rows: Iterable[Iterable[object]]) -> str:
+    """Return the rows as CSV, floats to six digits.
+
+    >>> print(csv_text([["code", "share"], ["Float16", 1 / 3]]), end="")
+    code,share
+    Float16,0.333333
+    """
+    out = io.StringIO()
+    cells = ([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows)
+    csv.writer(out, lineterminator="\n").writerows(cells)
+    return out.getvalue()

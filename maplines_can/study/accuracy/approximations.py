@@ -23,17 +23,11 @@ MONTE_CARLO_DRAWS = 100_000
 
 @dataclass(frozen=True, eq=False)
 class Approximation:
-    """Approximation of a line's distribution: a point, a Gaussian or a mixture.
+    """Approximation of a line's distribution: a point, a Gaussian or a mixture."""
 
-    Args:
-        weights: (k,), with the sum 1.
-        means: (k, 4).
-        covs: (k, 4, 4), which may be singular; None for a point.
-    """
-
-    weights: Array
-    means: Array
-    covs: Array | None = None
+    weights: Array  #: (k,), with the sum 1
+    means: Array  #: (k, 4)
+    covs: Array | None = None  #: (k, 4, 4), which may be singular; None for a point
 
     @classmethod
     def gaussian(cls, mean: ArrayLike, cov: ArrayLike | None) -> Approximation:

@@ -246,17 +246,10 @@ def _false_negatives(
 def _outside(
     mixture: GaussianMixture, columns: list[int], samples: Array, draws: Array
 ) -> tuple[NDArray[np.bool_], float]:
-    """Return which samples lie outside the region of highest density of some parameters.
+    """Return which (n, 4) samples lie outside a marginal's region, and the error of its mass.
 
-    Args:
-        mixture: whose marginal has the region.
-        columns: the parameters.
-        samples: (n, 4).
-        draws: from the mixture; its edge is found from them unless it is one Gaussian.
-
-    Returns:
-        (n,) which samples are outside: all of them if a component is singular.
-        Standard error of the region's mass.
+    The edge of the region is found from the draws of the mixture, unless that is one Gaussian. If
+    a component is singular, all samples are outside.
     """
     marginal = mixture.marginal(columns)
     whiteners = [W for cov in marginal.covs if (W := _whitener(cov)) is not None]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
 from ..metrics import LATERAL_X
-from ..text_table import aligned, markdown
+from ..text_table import aligned, csv_text, markdown
 from .evaluation import Row
 
 __all__ = ["as_csv", "as_markdown", "as_text"]
@@ -29,13 +28,9 @@ _HEADINGS = {
 
 def as_csv(rows: Sequence[Row]) -> str:
     """Return one line per row: each figure to six digits, followed by its standard error."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*_NAMES, *(f"{name}{end}" for name in _HEADINGS for end in ("", "_se"))])
-    for row in rows:
-        figures = (f"{value:.6g}" for pair in _figures(row) for value in pair)
-        writer.writerow([*_names(row), *figures])
-    return out.getvalue()
+    heading = [*_NAMES, *(f"{name}{end}" for name in _HEADINGS for end in ("", "_se"))]
+    body = ([*_names(row), *chain.from_iterable(_figures(row))] for row in rows)
+    return csv_text([heading, *body])
 
 
 def as_markdown(rows: Sequence[Row]) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
@@ -129,32 +129,25 @@ class Design:
         return [text for given, text in texts if given]
 
     def _figures(self) -> list[list[str]]:
-        p, measured = self.predicted, self.measured.values()
-        share, small = "{:.2g} %".format, "{:.3g}".format
-        return [
-            ["", "predicted", *(f"measured: {name}" for name in self.measured)],
-            ["lines", "-", *(f"{f.cases}" for f in measured)],
-            ["KL, mean", small(p.kl_mean), *(small(f.kl_mean) for f in measured)],
-            ["KL, 99 %", small(p.kl_p99), *(small(f.kl_p99) for f in measured)],
-            ["KL, worst", "-", *(small(f.kl_max) for f in measured)],
-            [
-                "KL with the blur by the mean's grid, median",
-                small(p.kl_mean + p.blur),
-                *(small(f.kl_untouched_median) for f in measured),
-            ],
-            [
-                "saturated lines",
-                share(100 * p.saturated),
-                *(share(100 * f.saturated) for f in measured),
-            ],
-            ["lines out of range", "-", *(share(100 * f.out_of_range) for f in measured)],
-            [
-                "worst lateral error at 80 m [mm]",
-                small(1000 * p.lateral_error),
-                *(small(1000 * f.lateral_error) for f in measured),
-            ],
-            ["not definite", "0", *(f"{f.not_definite}" for f in measured)],
-            ["overconfident", "0", *(f"{f.overconfident}" for f in measured)],
+        p = self.predicted
+        blurred = "KL with the blur by the mean's grid, median"
+        number, share, mm = "{:.3g}".format, _percent, _millimetres
+        #: Heading, predicted text, name of the measured figure, and its format.
+        rows: list[tuple[str, str, str, Callable[[float], str]]] = [
+            ("lines", "-", "cases", str),
+            ("KL, mean", number(p.kl_mean), "kl_mean", number),
+            ("KL, 99 %", number(p.kl_p99), "kl_p99", number),
+            ("KL, worst", "-", "kl_max", number),
+            (blurred, number(p.kl_mean + p.blur), "kl_untouched_median", number),
+            ("saturated lines", share(p.saturated), "saturated", share),
+            ("lines out of range", "-", "out_of_range", share),
+            ("worst lateral error at 80 m [mm]", mm(p.lateral_error), "lateral_error", mm),
+            ("not definite", "0", "not_definite", str),
+            ("overconfident", "0", "overconfident", str),
+        ]
+        return [["", "predicted", *(f"measured: {name}" for name in self.measured)]] + [
+            [heading, predicted, *(text(getattr(f, name)) for f in self.measured.values())]
+            for heading, predicted, name, text in rows
         ]
 
     def write(self, path: str | Path, command: str = "") -> tuple[Path, Path]:
@@ -164,3 +157,11 @@ class Design:
         dbc.write_text(self.writer.dbc())
         page.write_text(self.page(dbc.name, command))
         return dbc, page
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2g} %"
+
+
+def _millimetres(length: float) -> str:
+    return f"{1000 * length:.3g}"

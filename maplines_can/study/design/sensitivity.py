@@ -63,26 +63,17 @@ SELDOM_MORE = 1.1
 
 @dataclass(frozen=True)
 class Width:
-    """Width, step and range of a field.
-
-    Args:
-        bits: of the field.
-        factor: step.
-        offset: physical value of raw 0.
-        loss: expected divergence of the rounding with its share of the inflation, plus that of
-            the ends with the price of lines beyond them [nat].
-        beyond: share of the lines beyond an end.
-        beyond_loss: their expected divergence [nat].
-        unseen_loss: the part of it for unseen lines [nat].
-    """
+    """Width, step and range of a field."""
 
     bits: int
-    factor: float
-    offset: float
+    factor: float  #: step
+    offset: float  #: physical value of raw 0
+    #: Expected divergence of the rounding with its share of the inflation, plus that of the ends
+    #: with the price of lines beyond them [nat].
     loss: float = 0.0
-    beyond: float = 0.0
-    beyond_loss: float = 0.0
-    unseen_loss: float = 0.0
+    beyond: float = 0.0  #: share of the lines beyond an end
+    beyond_loss: float = 0.0  #: their expected divergence [nat]
+    unseen_loss: float = 0.0  #: the part of it for unseen lines [nat]
 
     @property
     def end(self) -> float:

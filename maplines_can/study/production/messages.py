@@ -31,29 +31,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Message:
-    """Parameters of one line as a message sends them.
+    """Parameters of one line as a message sends them."""
 
-    Args:
-        maker: of the car or camera.
-        name: of the message, with its CAN ID.
-        signals: of y_off, beta, c0 and c1, or of the values sent for them; None is not sent.
-        polynomial: sends tan(beta), c0/2 and c1/6, not beta, c0 and c1.
-        documented: the source says which of the two.
-        uncertainty: description of what the message says about it.
-        source: of these figures.
-        certainty: how reliable they are.
-        distance: sends |y_off|; the side follows from which line it is.
-    """
-
-    maker: str
-    name: str
-    signals: tuple[Signal | None, ...]
-    polynomial: bool
-    documented: bool
-    uncertainty: str
-    source: str
-    certainty: str
-    distance: bool = False
+    maker: str  #: of the car or camera
+    name: str  #: with its CAN ID
+    signals: tuple[Signal | None, ...]  #: of y_off, beta, c0, c1 or values for them; None: not sent
+    polynomial: bool  #: sends tan(beta), c0/2 and c1/6, not beta, c0 and c1
+    documented: bool  #: the source says which of the two
+    uncertainty: str  #: what the message says about it
+    source: str  #: of these figures
+    certainty: str  #: how reliable they are
+    distance: bool = False  #: sends |y_off|; the side follows from which line it is
 
     @property
     def bits(self) -> int:

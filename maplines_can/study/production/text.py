@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...line import STATES
 from ...wire.message.signals import Signal
-from ..text_table import aligned, markdown
+from ..text_table import aligned, csv_text, markdown
 from .messages import Message
 from .rounding import DISTANCES, KL_QUANTILES, Row
 
@@ -58,13 +56,8 @@ def _known(value: float) -> float | None:
 
 def as_csv(rows: Sequence[Row]) -> str:
     """Return one line per row with all figures, in SI units and to six digits."""
-    out = io.StringIO()
     records = as_records(rows)
-    writer = csv.DictWriter(out, list(records[0]) if records else [], lineterminator="\n")
-    writer.writeheader()
-    for record in records:
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in record.items()})
-    return out.getvalue()
+    return csv_text([records[0], *(record.values() for record in records)]) if records else "\n"
 
 
 def as_markdown(rows: Sequence[Row]) -> str:

@@ -250,13 +250,8 @@ def _singular(theta: Array, names: Sequence[str]) -> str:
 def _estimates(theta: Array, log_volume: Array, k: int) -> tuple[float, Array, float]:
     """Return the entropy [nat] of all samples, of each batch, and the dimension they fill.
 
-    Args:
-        theta: (N, n) coordinates, in random order.
-        log_volume: (N,) logarithm of the weight of a unit of volume.
-        k: the neighbour used.
-
-    Returns:
-        The entropy, (BATCHES,) entropies, and the dimension.
+    ``theta`` has (N, n) coordinates in random order, ``log_volume`` the (N,) logarithms of the
+    weight of a unit of volume.
     """
     h, local_dimension = _entropy(theta, k)
     size = len(theta) // BATCHES

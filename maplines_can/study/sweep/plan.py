@@ -50,29 +50,19 @@ class Plan(NamedTuple):
 class Study:
     """A study of covariance codes.
 
-    Args:
-        sets: of Gaussians, with different names.
-        codes: names of ``CODES``.
-        finer_bits: widths of the fields, as for ``dbc_writer_for``; a code with fixed widths takes
-            part only with 0.
-        n: Gaussians of each drawn set; files are taken whole.
-        seed: of the draws.
-        chunk_size: Gaussians at a time.
-        fields_n: Gaussians of each set for the table ``fields``.
-        limit_n: Gaussians of each set for the table ``limit``; 0 for none.
-
     Raises:
         StudyError: a value is out of its range.
     """
 
-    sets: Sequence[LineSet]
-    codes: Sequence[str] = tuple(CODES)
+    sets: Sequence[LineSet]  #: of different names
+    codes: Sequence[str] = tuple(CODES)  #: names of ``CODES``
+    #: Widths as for ``dbc_writer_for``; a code with fixed widths takes part only with 0.
     finer_bits: Sequence[int] = (-2, -1, 0, 1, 2)
-    n: int = 1_000_000
-    seed: int = 0
-    chunk_size: int = 10_000
-    fields_n: int = 100_000
-    limit_n: int = 20_000
+    n: int = 1_000_000  #: Gaussians of each drawn set; files are taken whole
+    seed: int = 0  #: of the draws
+    chunk_size: int = 10_000  #: Gaussians at a time
+    fields_n: int = 100_000  #: Gaussians of each set for the table ``fields``
+    limit_n: int = 20_000  #: Gaussians of each set for the table ``limit``; 0 for none
 
     def __post_init__(self) -> None:
         minima = {"n": 1, "seed": 0, "chunk_size": 1, "fields_n": 0, "limit_n": 0}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Iterator, Sequence
 from math import isnan
+from textwrap import indent
 from typing import Any
 
 from ...line import Status
@@ -17,6 +18,7 @@ from ..codes import CODES
 from ..files import arrow
 from ..metrics import LATERAL_X, Figure, Score
 from ..sets import LineSet
+from ..text_table import aligned
 from .directory import StudyDirectory
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key, theory
 from .tasks import WORST
@@ -260,12 +262,8 @@ def summary_text(summary: Sequence[Row], terms: Sequence[Row]) -> str:
         cells = [
             _cells(row) for row in of_set if not row["finer_bits"] or row["code"] == DEFAULT_CODE
         ]
-        table = [list(_HEAD), *cells]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines.append(f"{name}: {of_set[0]['n']} Gaussians")
-        for code, *rest in table:
-            padded = (cell.rjust(width) for cell, width in zip(rest, widths[1:], strict=True))
-            lines.append("  ".join(["", code.ljust(widths[0]), *padded]))
+        lines.append(indent(aligned([_HEAD, *cells], left=1), "  "))
         lines += ["", *_theory_lines(of_set, [row for row in terms if row["set"] == name])]
     lines += [
         "KL [nat] is of the covered target, over lines that are definite and in range. At "
