@@ -32,8 +32,6 @@ from ..errors import MissingExtraError, StudyError
 from ..gaussian import asymmetric, indefinite, nearest_covariance
 from ..polyline import Polyline
 
-__all__ = ["GaussianFile", "arrow", "read_map"]
-
 Array = NDArray[np.float64]
 
 #: Rows read at a time when a file is checked.

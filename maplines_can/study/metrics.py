@@ -18,19 +18,6 @@ from numpy.typing import NDArray
 
 from ..line import Status, lateral, lateral_jacobian
 
-__all__ = [
-    "KL_BINS",
-    "LATERAL_X",
-    "RATIO_BINS",
-    "Bins",
-    "Evaluation",
-    "Figure",
-    "Score",
-    "evaluate",
-    "kl_terms",
-    "share_se",
-]
-
 #: Distances ahead at which the lateral position is evaluated [m].
 LATERAL_X = (0.0, 20.0, 40.0, 80.0)
 

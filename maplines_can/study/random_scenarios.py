@@ -11,8 +11,6 @@ from ..line import Kind, Slot
 from ..polyline import Polyline
 from ..scenarios import Scenario, SceneLine, pose
 
-__all__ = ["curve", "random_scenarios"]
-
 
 def curve(
     y_off: float, heading: float, curvature: NDArray[np.float64], spacing: float, ahead_from: float

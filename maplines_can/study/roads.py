@@ -18,8 +18,6 @@ from ..propagation import SigmaPoints
 from ..propagation.refit import LEAST_PROGRESS
 from ..propagation.transform import weighted_moments
 
-__all__ = ["Roads", "lines_of_roads", "random_roads"]
-
 Array = NDArray[np.float64]
 
 #: Largest number of points of a road.

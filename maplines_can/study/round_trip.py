@@ -21,8 +21,6 @@ from .metrics import LATERAL_X, evaluate
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
 
-__all__ = ["BusSettings", "LineResult", "RoundTrip", "round_trip"]
-
 
 @dataclass(frozen=True)
 class BusSettings:

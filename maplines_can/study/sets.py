@@ -25,21 +25,6 @@ from .files import GaussianFile, read_map
 from .random_scenarios import random_scenarios
 from .roads import lines_of_roads, random_roads
 
-__all__ = [
-    "DRAWN_SETS",
-    "Chunk",
-    "DrawnSet",
-    "FileSet",
-    "Gaussians",
-    "LineSet",
-    "MapView",
-    "adversarial",
-    "drawn_chunk",
-    "line_set",
-    "paper",
-    "road",
-]
-
 Array = NDArray[np.float64]
 
 

@@ -6,8 +6,6 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-__all__ = ["aligned", "csv_text", "markdown"]
-
 
 def aligned(rows: Sequence[Sequence[str]], left: int | None = None) -> str:
     """Return the rows with columns of one width.

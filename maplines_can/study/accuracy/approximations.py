@@ -13,8 +13,6 @@ from ...propagation import Linear, MonteCarlo, Quadrature, Refit, SigmaPoints, T
 from ...propagation.splitting import Mixture
 from ...wire import Codec
 
-__all__ = ["Approximation", "representations", "through_the_wire"]
-
 Array = NDArray[np.float64]
 
 #: Draws of the transform MonteCarlo, as many as it takes by default.

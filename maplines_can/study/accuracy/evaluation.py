@@ -18,8 +18,6 @@ from ...mixture import GaussianMixture
 from ..metrics import LATERAL_X
 from .approximations import Approximation
 
-__all__ = ["Row", "TrueDistribution", "evaluate_approximation", "true_distribution"]
-
 Array = NDArray[np.float64]
 
 #: Mass of the regions.

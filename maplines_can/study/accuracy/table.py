@@ -36,8 +36,6 @@ from ...wire import Codec
 from .approximations import representations, through_the_wire
 from .evaluation import Row, evaluate_approximation, true_distribution
 
-__all__ = ["accuracy_table", "refit_of"]
-
 #: Rows computed at once; numpy releases Python's lock.
 WORKERS = 2
 

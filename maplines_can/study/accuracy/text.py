@@ -11,8 +11,6 @@ from ..metrics import LATERAL_X
 from ..text_table import aligned, csv_text, markdown
 from .evaluation import Row
 
-__all__ = ["as_csv", "as_markdown", "as_text"]
-
 _NAMES = ("scenario", "representation", "wire")
 #: Headings of the figures by their names in CSV.
 _HEADINGS = {

@@ -12,8 +12,6 @@ from ...wire.covariance.code import Array, CovarianceCode
 from ...wire.message.layout import Layout
 from ...wire.message.signals import Signal
 
-__all__ = ["BatchCode", "check_linear"]
-
 
 class BatchCode(CovarianceCode):
     """Base of codes that decode a single record as a batch of one."""

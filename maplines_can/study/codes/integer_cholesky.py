@@ -17,8 +17,6 @@ from ...wire.covariance.code import Array, Coded, check_octaves
 from ...wire.message.layout import STATE_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
-__all__ = ["IntegerCholesky", "entry_name"]
-
 #: States in the order of the factor, and the unit of each.
 ORDER = (2, 1, 0, 3)
 UNIT = np.array([2.0**-8, 2.0**-12, 2.0**-14, 2.0**-16])

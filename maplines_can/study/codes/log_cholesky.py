@@ -15,8 +15,6 @@ from ...wire.covariance.code import Array, Coded, CovarianceCode, nearest_raw
 from ...wire.covariance.factor import CholeskyFactor
 from ...wire.message.layout import Layout
 
-__all__ = ["LogCholesky"]
-
 
 class LogCholesky(CovarianceCode):
     """Pivots and ratios, each rounded to the nearest."""

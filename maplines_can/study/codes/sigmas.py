@@ -18,8 +18,6 @@ from ...wire.message.layout import STATE_SIGNALS, Layout
 from ...wire.message.signals import Signal
 from .batch import BatchCode
 
-__all__ = ["LogCorrelation", "MeanOnly", "Sigmas"]
-
 
 def _rounded_up(
     signal: Signal, octaves: Array, slack: float

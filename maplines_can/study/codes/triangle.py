@@ -21,16 +21,6 @@ from ...wire.covariance.code import Array, Coded, nearest_raw
 from ...wire.message.layout import STATE_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
-__all__ = [
-    "PAIRS",
-    "Float16Triangle",
-    "Float32Triangle",
-    "Linear",
-    "LinearNearest",
-    "half_name",
-    "triangle_name",
-]
-
 #: The upper triangle, row by row, as in the paper.
 PAIRS = tuple((i, j) for i in range(4) for j in range(i, 4))
 #: Margin of the covering matrix [steps], for rounding in a check by another algorithm.

@@ -10,8 +10,6 @@ from ..codes.integer_cholesky import ORDER, entry_name
 from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec
 
-__all__ = ["covariance_signals", "pivot_signal", "ratio_signal"]
-
 #: Units of the states.
 UNITS = ("m", "rad", "1/m", "1/m^2")
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.

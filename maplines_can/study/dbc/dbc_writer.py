@@ -17,8 +17,6 @@ from cantools.database.conversion import BaseConversion
 from ...line import Slot
 from ...wire.message.layout import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, fd_length
 
-__all__ = ["TRANSFER_ID_BITS", "DbcWriter", "SignalSpec", "paged"]
-
 TRANSFER_ID_BITS = 4
 #: Largest payload of CAN FD; a longer record has no FD message [byte].
 LARGEST_FD_PAYLOAD = 64

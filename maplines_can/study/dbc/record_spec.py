@@ -10,8 +10,6 @@ from ..codes import CODES
 from .covariance_spec import covariance_signals
 from .dbc_writer import DbcWriter, SignalSpec, paged
 
-__all__ = ["DEFAULT", "SECURED", "SERVICE", "dbc_writer_for"]
-
 # fmt: off
 _PROTECTION = (
     SignalSpec(

@@ -12,8 +12,6 @@ from ...line import STATES
 from ...wire.message.layout import STATE_SIGNALS
 from .sensitivity import Width, inflation_width
 
-__all__ = ["INFLATION", "MOST_FRAMES", "Plan", "Prediction", "Targets", "names_of"]
-
 Array = NDArray[np.float64]
 
 #: The longest record that also fits into a CAN FD frame.

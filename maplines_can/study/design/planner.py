@@ -25,8 +25,6 @@ from ..sets import Gaussians
 from .plan import INFLATION, Plan, Prediction, Targets, names_of
 from .sensitivity import MIN_BITS, RatioSpread, Width, blurs, conservative, pivot_widths, rows_of
 
-__all__ = ["Planner", "allocated"]
-
 Array = NDArray[np.float64]
 
 #: Least and most bits of each state of the mean.

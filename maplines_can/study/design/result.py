@@ -13,8 +13,6 @@ from ..dbc.dbc_writer import DbcWriter
 from ..text_table import aligned, markdown
 from .plan import Prediction, Targets
 
-__all__ = ["Design", "Figures"]
-
 
 @dataclass(frozen=True)
 class Figures:

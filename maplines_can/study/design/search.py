@@ -26,8 +26,6 @@ from .plan import MOST_FRAMES, Plan, Targets
 from .planner import ENDS_AIM, LEAST_GAIN, PRICES, Planner
 from .result import Design, Figures
 
-__all__ = ["SETS", "Design", "Figures", "Targets", "design", "figures_of", "sets_of"]
-
 #: Sets of lines to design for, by the name of the choice.
 SETS = {"paper": (paper,), "road": (road,), "both": (paper, road)}
 #: Fewer lines do not represent a set.

@@ -25,18 +25,6 @@ from numpy.typing import NDArray
 
 from ...wire.covariance.cholesky import MARGIN
 
-__all__ = [
-    "MAX_BITS",
-    "MIN_BITS",
-    "RatioSpread",
-    "Width",
-    "blurs",
-    "conservative",
-    "inflation_width",
-    "pivot_widths",
-    "rows_of",
-]
-
 Array = NDArray[np.float64]
 
 #: Cost of rounding with its inflation over that of rounding alone, in the limit of small steps.

@@ -16,8 +16,6 @@ from ...scenarios import Scenario
 from ..accuracy.table import refit_of
 from .panels import View
 
-__all__ = ["LINES", "SLOT", "Case", "case_of", "close_up", "view_of"]
-
 Array = NDArray[np.float64]
 
 #: The line of all figures: the right boundary of the car's lane, as in the paper's figure 2.

@@ -12,22 +12,6 @@ from numpy.typing import NDArray
 from ...gaussian import Gaussian
 from ...line import lateral
 
-__all__ = [
-    "Z99",
-    "Layer",
-    "LineStyle",
-    "View",
-    "draw_correlation",
-    "draw_legend",
-    "draw_lines",
-    "draw_map",
-    "draw_marginals",
-    "draw_mean",
-    "draw_poses",
-    "ellipse",
-    "place_inset",
-]
-
 Array = NDArray[np.float64]
 LineStyle = str | tuple[float, tuple[float, ...]]
 

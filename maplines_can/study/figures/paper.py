@@ -25,8 +25,6 @@ from . import panels
 from .cases import LINES, SLOT, Case, case_of, close_up, view_of
 from .panels import Layer, LineStyle, View
 
-__all__ = ["FIGURES", "FigurePlan", "draw_case", "draw_close_up", "draw_figures"]
-
 Array = NDArray[np.float64]
 
 #: Samples drawn as dots; more would hide each other.

@@ -14,8 +14,6 @@ from ...scenarios import Scenario
 from ..round_trip import RoundTrip
 from .panels import Z99, ellipse
 
-__all__ = ["draw_round_trip"]
-
 #: Okabe and Ito's colours, which colour-blind readers can distinguish.
 COLOURS = (
     *("#0072B2", "#D55E00", "#009E73", "#CC79A7"),

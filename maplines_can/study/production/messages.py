@@ -24,8 +24,6 @@ from ...wire.message.layout import STATE_SIGNALS
 from ...wire.message.signals import Signal
 from ..dbc.covariance_spec import covariance_signals
 
-__all__ = ["PRODUCTION", "Message", "default_message"]
-
 Array = NDArray[np.float64]
 
 

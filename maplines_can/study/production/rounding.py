@@ -29,8 +29,6 @@ from ..metrics import evaluate
 from ..sets import Gaussians, paper, road
 from .messages import PRODUCTION, Message, default_message
 
-__all__ = ["DISTANCES", "KL_QUANTILES", "Row", "measured", "production_table", "rms", "worst"]
-
 Array = NDArray[np.float64]
 
 #: Places of the lateral error [m].

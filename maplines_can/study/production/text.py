@@ -12,8 +12,6 @@ from ..text_table import aligned, csv_text, markdown
 from .messages import Message
 from .rounding import DISTANCES, KL_QUANTILES, Row
 
-__all__ = ["as_csv", "as_markdown", "as_records", "as_text"]
-
 Record = dict[str, str | int | float | None]
 
 

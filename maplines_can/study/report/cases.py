@@ -16,8 +16,6 @@ from ..metrics import LATERAL_X
 from .drawing import BLUE, VERMILLION, add_hover, clip, draw_rule, new_plot, set_options
 from .tables import SUMMARY, Row, Tables, number, percent, with_error
 
-__all__ = ["fields_plot", "worst_groups", "worst_key", "worst_plots"]
-
 Array = NDArray[np.float64]
 
 #: Half the width of a drawn band, in standard deviations.

@@ -15,22 +15,6 @@ from bokeh.models import ColumnDataSource, FixedTicker, HoverTool
 from bokeh.models.annotations import Span
 from bokeh.plotting import figure
 
-__all__ = [
-    "BLUE",
-    "VERMILLION",
-    "Look",
-    "add_hover",
-    "clip",
-    "columns",
-    "draw_code",
-    "draw_rule",
-    "looks",
-    "new_plot",
-    "set_options",
-    "set_ticks",
-    "ticks",
-]
-
 INK, GRID = "#222222", "#8888884d"
 BLUE, VERMILLION = "#0072B2", "#D55E00"
 

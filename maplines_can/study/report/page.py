@@ -10,8 +10,6 @@ from ...errors import MissingExtraError
 from ..metrics import LATERAL_X
 from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
 
-__all__ = ["TITLE", "write_report"]
-
 TITLE = "Covariance codes on the wire"
 #: Pairs of shares: column, words, and the column of the guarantee that it is 0.
 NOT_DEFINITE = (

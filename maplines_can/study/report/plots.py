@@ -27,8 +27,6 @@ from .drawing import (
 )
 from .tables import LARGEST_KL, SUMMARY, Row, Tables, number, percent, share, with_error
 
-__all__ = ["kl_plot", "lateral_error_plot", "share_plot", "sigma_ratio_plot"]
-
 Looks = Mapping[str, Look]
 
 #: Range of the decimal logarithm of the KL; marks outside it are drawn at the edge.

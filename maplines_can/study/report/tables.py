@@ -11,19 +11,6 @@ from ...errors import MissingExtraError, StudyError
 from ..codes import CODES
 from ..metrics import LATERAL_X
 
-__all__ = [
-    "COLUMNS",
-    "LARGEST_KL",
-    "SUMMARY",
-    "Row",
-    "Tables",
-    "number",
-    "percent",
-    "read_tables",
-    "share",
-    "with_error",
-]
-
 Row = dict[str, Any]
 
 #: Columns of the summary with a KL divergence, and their names in the report.

@@ -12,8 +12,6 @@ from typing import Any
 
 from ...errors import StudyError
 
-__all__ = ["StudyDirectory"]
-
 
 class StudyDirectory:
     """The files of one study.

@@ -22,8 +22,6 @@ from typing import Any, NamedTuple
 
 from ...errors import MissingExtraError, StudyError
 
-__all__ = ["Result", "Results", "Task", "in_processes", "in_this_process", "on_dask"]
-
 #: Number of times in a row that a process may die before the study is given up.
 DEATHS = 3
 #: Tasks in flight for each worker, so that none waits for the next one.

@@ -33,8 +33,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.special import digamma, gammaln, ndtri
 
-__all__ = ["Limit", "limit_of"]
-
 Array = NDArray[np.float64]
 
 #: Disjoint batches of samples. Their scatter gives the standard error, and their excess over the

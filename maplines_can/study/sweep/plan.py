@@ -18,17 +18,6 @@ from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for
 from ..sets import LineSet
 
-__all__ = [
-    "DEFAULT_CODE",
-    "LIMIT_PARTS",
-    "Plan",
-    "Study",
-    "chunk_key",
-    "codec_of",
-    "limit_key",
-    "theory",
-]
-
 #: The code of the project's own DBC.
 DEFAULT_CODE = next(iter(CODES))
 #: What of a Gaussian the rate-distortion limit is computed for.

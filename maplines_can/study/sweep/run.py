@@ -21,8 +21,6 @@ from .plan import Study
 from .tables import write_tables
 from .tasks import tasks_of
 
-__all__ = ["run_study"]
-
 
 def run_study(
     study: Study,

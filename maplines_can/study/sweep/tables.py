@@ -23,8 +23,6 @@ from .directory import StudyDirectory
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key, theory
 from .tasks import WORST
 
-__all__ = ["SCHEMAS", "TABLES", "read_table", "summary_text", "write_tables"]
-
 #: Outcomes whose shares are in the tables; "clipped" are means that were clipped to their range.
 SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range", "clipped")
 #: Relative deviation from theory that ``summary_text`` reports.

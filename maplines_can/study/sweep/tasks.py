@@ -19,8 +19,6 @@ from ..sets import Chunk, Gaussians
 from .engines import Result, Task
 from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key
 
-__all__ = ["KLS", "WORST", "tasks_of"]
-
 #: Number of worst cases to keep.
 WORST = 5
 #: Divergences for which the limit is computed [nat].
