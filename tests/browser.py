@@ -28,7 +28,7 @@ class Browser:
         start = f'exec "$0" "$@" 3<&{to_browser} 4>&{to_us}'
         flags = (*FLAGS, "--remote-debugging-pipe", f"--user-data-dir={profile}")
         self._process = subprocess.Popen(
-            ["bash", "-c", start, CHROMIUM, *flags],
+            ["bash", "-c", start, CHROMIUM, *flags],  # type: ignore[list-item]
             pass_fds=(to_browser, to_us),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -1,5 +1,7 @@
 """Fixtures of several test files."""
 
+from typing import Any
+
 import pytest
 from dbcs import default_codec
 from hypothesis import settings
@@ -10,5 +12,5 @@ settings.load_profile("no-deadline")
 
 
 @pytest.fixture
-def codec():
+def codec() -> Any:
     return default_codec()

@@ -1,6 +1,7 @@
 """Streams of records of one slot, for tests of the E2E state."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from dbcs import default_codec
@@ -17,7 +18,7 @@ MEANS, COVS = random_lines(256, seed=11)
 
 
 @cache
-def record(counter, which=None):
+def record(counter: Any, which: Any = None) -> Any:
     """Return the record of a counter; its line depends on the counter, or on ``which``."""
     i = counter % 256 if which is None else which
     one = MEANS[i : i + 1], COVS[i : i + 1]
@@ -25,18 +26,18 @@ def record(counter, which=None):
 
 
 @cache
-def frames(counter, fd=False, which=None):
+def frames(counter: Any, fd: bool = False, which: Any = None) -> Any:
     """Return the frames of that record."""
     return default_codec().frames(record(counter, which=which), SLOT, fd=fd)
 
 
-def feed(decoder, transfer, t_ns):
+def feed(decoder: Any, transfer: Any, t_ns: Any) -> Any:
     """Return the answer to the last frame of a transfer, whose frames are 0.25 ms apart."""
     answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(transfer)]
     return answers[-1]
 
 
-def run(decoder, counters, t_ns=0, fd=False, other=0):
+def run(decoder: Any, counters: Any, t_ns: int = 0, fd: bool = False, other: int = 0) -> Any:
     """Feed lines at 20 Hz, other ones with ``other``; return the answers and the next time."""
     answers = []
     for counter in counters:
@@ -46,13 +47,13 @@ def run(decoder, counters, t_ns=0, fd=False, other=0):
     return answers, t_ns
 
 
-def check_accounts(decoder):
+def check_accounts(decoder: Any) -> None:
     dropped = sum(decoder.counts.values())
     assert decoder.frames == decoder.line_frames + dropped + decoder.pending
 
 
 @cache
-def mixture_frames(counter, k, fd, seed=0):
+def mixture_frames(counter: Any, k: Any, fd: Any, seed: int = 0) -> Any:
     """Return the frames of the k components of a line, with counters from ``counter``."""
     rng = np.random.default_rng([seed, counter])
     means = MEANS[rng.integers(0, 256, k)]
@@ -64,7 +65,17 @@ def mixture_frames(counter, k, fd, seed=0):
     return [frame for p in payloads for frame in default_codec().frames(p, SLOT, fd=fd)]
 
 
-def two_senders(decoder, offset_ms, apart, *, fd=False, every=1, k=1, cycles=40, loss=0.0):
+def two_senders(
+    decoder: Any,
+    offset_ms: Any,
+    apart: Any,
+    *,
+    fd: bool = False,
+    every: int = 1,
+    k: int = 1,
+    cycles: int = 40,
+    loss: float = 0.0,
+) -> Any:
     """Feed the lines of two senders, the second one later and with other counters."""
     rng = np.random.default_rng(3)
     transfers = []

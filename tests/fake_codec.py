@@ -3,6 +3,7 @@
 import struct
 from collections import Counter
 from enum import Enum
+from typing import Any
 
 from maplines_can.line import MapLine, Slot
 from maplines_can.wire import Frame
@@ -20,15 +21,15 @@ class Reason(Enum):
 class FakeCodec:
     """Page: number, counter, slot, 0, age [ms], y_off [mm]."""
 
-    def __init__(self):
-        self.counters = Counter()
+    def __init__(self) -> None:
+        self.counters: Counter[Any] = Counter()
 
-    def encode_lines(self, lines, *, fd=False, counters=None):
+    def encode_lines(self, lines: Any, *, fd: bool = False, counters: Any = None) -> Any:
         if counters is not None:
             self.counters = Counter(counters)
         return [self.encode(line, fd=fd) for line in lines]
 
-    def encode(self, line, *, fd=False):
+    def encode(self, line: Any, *, fd: bool = False) -> Any:
         if line.x_max == 13.0:
             raise ValueError("x_max must not be 13 m")
         counter = self.counters[line.slot] = (self.counters[line.slot] + 1) % 256
@@ -40,29 +41,29 @@ class FakeCodec:
             return [Frame(can_id, b"".join(pages), is_fd=True)]
         return [Frame(can_id, page) for page in pages]
 
-    def decoder(self):
+    def decoder(self) -> Any:
         return FakeDecoder()
 
 
-def sent_values(opener):
+def sent_values(opener: Any) -> Any:
     """(age [ms], y_off [mm]) of the lines that were sent on the buses of a ``FakeOpener``."""
     pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
     return [struct.unpack_from("<Hh", page, 4) for page in pages if page[0] == 0]
 
 
 class FakeDecoder:
-    def __init__(self):
-        self.counts = Counter()
-        self.checks = {}
+    def __init__(self) -> None:
+        self.counts: Counter[Any] = Counter()
+        self.checks: dict[Any, Any] = {}
         self.lost = self.pending = 0
-        self.transfers = {}
+        self.transfers: dict[Any, Any] = {}
 
-    def feed(self, can_id, data, t_ns, *, is_extended=False):  # noqa: ARG002
+    def feed(self, can_id: Any, data: Any, t_ns: Any, *, is_extended: bool = False) -> Any:  # noqa: ARG002
         result = self._feed(can_id, data, t_ns)
         self.counts[Reason.DONE if isinstance(result, MapLine) else result] += 1
         return result
 
-    def _feed(self, can_id, data, t_ns):
+    def _feed(self, can_id: Any, data: Any, t_ns: Any) -> Any:
         if not 0x100 <= can_id < 0x108 or len(data) not in (8, 32):
             return Reason.UNKNOWN_ID
         for start in range(0, len(data), 8):

@@ -1,6 +1,8 @@
 """Keys, clocks and authenticated frames, for tests of authentication."""
 
 import traceback
+from pathlib import Path
+from typing import Any
 
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 
@@ -19,27 +21,27 @@ NOW = 1_750_000_000 * S
 class Clock:
     """Clock that a test sets [ns]."""
 
-    def __init__(self, now=NOW):
+    def __init__(self, now: Any = NOW) -> None:
         self.now = now
 
-    def __call__(self):
+    def __call__(self) -> Any:
         return self.now
 
 
-def codec_of(*keys, clock=None, **rest):
+def codec_of(*keys: Any, clock: Any = None, **rest: Any) -> Any:
     return Codec.from_dbc(None, Authenticator(*(keys or (Key(SECRET),)), clock=clock, **rest))
 
 
-def feed(decoder, frames, t_ns=NOW, step_ns=50 * MS):
+def feed(decoder: Any, frames: Any, t_ns: Any = NOW, step_ns: Any = 50 * MS) -> Any:
     """Return the answers to frames, a period apart."""
     return [decoder.feed(f.can_id, f.data, t_ns + i * step_ns) for i, f in enumerate(frames)]
 
 
-def names(answers):
+def names(answers: Any) -> Any:
     return ["line" if isinstance(answer, MapLine) else answer.name for answer in answers]
 
 
-def sent(codec, clock, line, n, step_ns=50 * MS):
+def sent(codec: Any, clock: Any, line: Any, n: Any, step_ns: Any = 50 * MS) -> Any:
     """Return n frames of a line, a period apart."""
     frames = []
     for _ in range(n):
@@ -51,14 +53,14 @@ def sent(codec, clock, line, n, step_ns=50 * MS):
 AES_256 = OTHER + bytes.fromhex("1f352c073b6108d72d9810a30914dff4")
 
 
-def reference_cmac(secret, data):
+def reference_cmac(secret: Any, data: Any) -> Any:
     """RFC 4493 figures 2.2 and 2.3, from AES of single blocks."""
 
-    def aes(block):
+    def aes(block: Any) -> Any:
         encryptor = Cipher(algorithms.AES(secret), modes.ECB()).encryptor()  # noqa: S305 - single blocks
         return encryptor.update(block) + encryptor.finalize()
 
-    def doubled(number):
+    def doubled(number: Any) -> Any:
         return (number << 1) % 2**128 ^ (0x87 if number >> 127 else 0)
 
     k1 = doubled(int.from_bytes(aes(bytes(16)), "big"))
@@ -71,14 +73,14 @@ def reference_cmac(secret, data):
     return x
 
 
-def key_file(tmp_path, text, mode=0o600):
+def key_file(tmp_path: Path, text: Any, mode: int = 0o600) -> Any:
     path = tmp_path / "car.key"
     path.write_bytes(text)
     path.chmod(mode)
     return path
 
 
-def check_no_secret(text):
+def check_no_secret(text: Any) -> None:
     """Check for eight digits of the secret in a row, and for its bytes as Python prints them."""
     lowered = text.lower()
     for i in range(len(SECRET.hex()) - 7):
@@ -87,13 +89,13 @@ def check_no_secret(text):
     assert str(list(SECRET))[1:-1] not in text
 
 
-def check_traceback(error):
+def check_traceback(error: Any) -> None:
     text = whole_traceback(error)
     assert "path = " in text or "monkeypatch = " in text  # locals are there
     assert "repr() failed" not in text
     check_no_secret(text)
 
 
-def whole_traceback(error):
+def whole_traceback(error: Any) -> Any:
     report = traceback.TracebackException.from_exception(error, capture_locals=True)
     return "".join(report.format())

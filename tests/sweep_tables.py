@@ -1,6 +1,7 @@
 """Tables as a small sweep writes them, for tests of the report."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,12 +21,12 @@ SETS = ["paper", '</script><img src=x onerror="boom()"> & \'"drive.csv']
 N = 400
 
 
-def share(name, which):
+def share(name: Any, which: Any) -> Any:
     p = float(np.mean(which))
     return {name: p, f"{name}_se": math.sqrt(p * (1 - p) / len(which))}
 
 
-def rows_of(set_, code, finer_bits, mean, cov):
+def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
     """Return a code's row of the summary and its worst cases; infinities are kept."""
     codec = Codec(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code), codes=CODES)
     batch = codec.decode_batch(codec.encode_batch(mean, cov))
@@ -65,9 +66,14 @@ def rows_of(set_, code, finer_bits, mean, cov):
     return row, worst
 
 
-def sweep_rows():
+def sweep_rows() -> Any:
     """Return the tables of a sweep of three codes over two sets."""
-    made = {"summary": [], "fields": [], "worst": [], "limit": []}
+    made = {
+        "summary": list[Any](),
+        "fields": list[Any](),
+        "worst": list[Any](),
+        "limit": list[Any](),
+    }
     for seed, set_ in enumerate(SETS):
         mean, cov = paper(N, seed)
         for code in USED:
@@ -88,7 +94,7 @@ def sweep_rows():
     return made
 
 
-def write(folder, rows, **changes):
+def write(folder: Any, rows: Any, **changes: Any) -> Any:
     folder.mkdir(exist_ok=True)
     for name, of_table in (rows | changes).items():
         pq.write_table(pa.Table.from_pylist(of_table), folder / f"{name}.parquet")

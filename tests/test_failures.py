@@ -5,7 +5,9 @@ those of ``tools/failures.py``.
 """
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from kernel_can import has_vcan
@@ -14,7 +16,7 @@ TOOLS = Path(__file__).parents[1] / "tools"
 
 
 @pytest.fixture(scope="module")
-def failures():
+def failures() -> Iterator[Any]:
     """The tool as a module, with short outages."""
     if not has_vcan():
         pytest.skip("no vcan0 here: run inside tools/vcan")
@@ -28,10 +30,10 @@ def failures():
 
 
 @pytest.fixture
-def row_of(failures):
+def row_of(failures: Any) -> Any:
     """Cause a failure, check what holds for all of them, and return its row."""
 
-    def run(name):
+    def run(name: Any) -> Any:
         row = failures.run(name)
         assert not row.problem
         assert row.wrong == 0
@@ -43,7 +45,7 @@ def row_of(failures):
 
 
 @pytest.mark.socketcan
-def test_an_interface_that_goes_down_and_comes_up(row_of):
+def test_an_interface_that_goes_down_and_comes_up(row_of: Any) -> None:
     """The lines that were not sent or not received are those that the counters report."""
     row = row_of("down")
 
@@ -52,7 +54,7 @@ def test_an_interface_that_goes_down_and_comes_up(row_of):
 
 
 @pytest.mark.socketcan
-def test_a_sender_that_is_killed_and_restarted(row_of):
+def test_a_sender_that_is_killed_and_restarted(row_of: Any) -> None:
     """Its first lines are delivered, although their counters restart."""
     row = row_of("killed")
 
@@ -61,7 +63,7 @@ def test_a_sender_that_is_killed_and_restarted(row_of):
 
 
 @pytest.mark.socketcan
-def test_a_receiver_that_was_suspended_counts_the_lines_it_missed(row_of):
+def test_a_receiver_that_was_suspended_counts_the_lines_it_missed(row_of: Any) -> None:
     """The kernel drops frames that do not fit into its queue; the counters report all of them."""
     row = row_of("stopped")
 
@@ -69,7 +71,7 @@ def test_a_receiver_that_was_suspended_counts_the_lines_it_missed(row_of):
 
 
 @pytest.mark.socketcan
-def test_two_senders_on_the_same_slots_are_detected(row_of):
+def test_two_senders_on_the_same_slots_are_detected(row_of: Any) -> None:
     """They are reported on every slot, and no line has frames of both."""
     row = row_of("two-senders")
 
@@ -78,7 +80,7 @@ def test_two_senders_on_the_same_slots_are_detected(row_of):
 
 @pytest.mark.socketcan
 @pytest.mark.skipif(not shutil.which("cansend"), reason="no cansend: apt-get install can-utils")
-def test_error_frames_are_counted_and_cost_no_line(row_of):
+def test_error_frames_are_counted_and_cost_no_line(row_of: Any) -> None:
     """They do not reach the decoder; lines are lost by the time-out of the reassembly only."""
     row = row_of("error-frames")
 
@@ -86,7 +88,7 @@ def test_error_frames_are_counted_and_cost_no_line(row_of):
 
 
 @pytest.mark.socketcan
-def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of):
+def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of: Any) -> None:
     """Both commands exit with status 1; others on the bus are not affected."""
     row = row_of("no-fd")
 
@@ -95,7 +97,7 @@ def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of):
 
 
 @pytest.mark.socketcan
-def test_a_clock_that_is_set_back_stops_nothing(row_of, failures):
+def test_a_clock_that_is_set_back_stops_nothing(row_of: Any, failures: Any) -> None:
     """Time stamps go back an hour; a line with frames before and after that may time out."""
     if not failures.is_guest():
         pytest.skip("this would set the clock of a real machine")

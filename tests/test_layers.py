@@ -128,18 +128,18 @@ def upward(package: Path = PACKAGE) -> list[str]:
     return found
 
 
-def test_imports_point_down():
+def test_imports_point_down() -> None:
     """No file imports one that stands after it, and the product imports no study."""
     assert upward() == []
 
 
-def test_the_order_is_complete():
+def test_the_order_is_complete() -> None:
     """Each file of the product is in the list, once."""
     files = {name_of(path, PACKAGE) for path in PACKAGE.rglob("*.py")} - {""}
     assert sorted(ORDER) == sorted(filter(is_product, files))
 
 
-def test_there_is_no_circle():
+def test_there_is_no_circle() -> None:
     """Neither in the product nor in the study, not even by an import inside a function."""
     graph: dict[str, set[str]] = {}
     for importer, target, is_own, _ in imports():
@@ -164,7 +164,7 @@ def test_there_is_no_circle():
         pytest.param("study/metrics.py", "from ..cli import main", id="study-imports-command"),
     ],
 )
-def test_an_upward_import_is_found(tmp_path: Path, file: str, line: str):
+def test_an_upward_import_is_found(tmp_path: Path, file: str, line: str) -> None:
     """The test above can fail: each of these is found, and nothing else."""
     package = tmp_path / "maplines_can"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__", "*.dbc"))
@@ -173,7 +173,7 @@ def test_an_upward_import_is_found(tmp_path: Path, file: str, line: str):
     assert [text.split(" imports ")[0] for text in upward(package)] == [name_of(path, package)]
 
 
-def test_big_dependencies_have_one_door():
+def test_big_dependencies_have_one_door() -> None:
     """can is imported in bus, cantools in wire, matplotlib where figures are drawn."""
     used: dict[str, set[str]] = {door: set() for door in DOORS}
     for importer, target, is_own, _ in imports():
@@ -182,7 +182,7 @@ def test_big_dependencies_have_one_door():
     assert used == DOORS
 
 
-def test_the_estimation_and_the_wire_meet_only_in_the_values():
+def test_the_estimation_and_the_wire_meet_only_in_the_values() -> None:
     """A receiver needs no map, and an estimator no bus."""
     arms = ({"wire", "bus"}, {"propagation", "scenarios", "maps", "ego"})
     for importer, target, is_own, _ in imports():
@@ -192,7 +192,7 @@ def test_the_estimation_and_the_wire_meet_only_in_the_values():
 
 
 @pytest.mark.parametrize("arm", ["wire", "propagation"])
-def test_the_pure_middle_does_no_input_or_output(arm: str):
+def test_the_pure_middle_does_no_input_or_output(arm: str) -> None:
     """No clock, socket, thread or randomness of its own; wire reads its DBC and nothing else."""
     impure = {"time", "socket", "random", "threading", "os"}
     for importer, target, is_own, _ in imports():

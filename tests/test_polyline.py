@@ -1,5 +1,7 @@
 """The points of a map line, and their selection by a window."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,10 +10,10 @@ from hypothesis.extra.numpy import arrays
 
 from maplines_can.polyline import Polyline, near_stretch, to_ego
 
-STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
+STRAIGHT = Polyline([[x, 0.0] for x in range(101)])  # type: ignore[arg-type]
 
 
-def hairpin(gap=10.0):
+def hairpin(gap: float = 10.0) -> Any:
     """A road of 100 m ahead, a turn, and a branch back at ``gap`` [m] to the left."""
     x, arc = np.arange(0.0, 101.0, 2.0), np.linspace(-np.pi / 2, np.pi / 2, 9)[1:-1]
     turn = np.column_stack([100 + gap / 2 * np.cos(arc), gap / 2 + gap / 2 * np.sin(arc)])
@@ -29,13 +31,13 @@ def hairpin(gap=10.0):
         pytest.param([[np.inf, 0], [1, 0]], "but point 0 is", id="inf"),
     ],
 )
-def test_invalid_points_raise(points, words):
+def test_invalid_points_raise(points: Any, words: str) -> None:
     """The message has the shape or the value."""
     with pytest.raises(ValueError, match=words):
         Polyline(points)
 
 
-def test_a_polyline_copies_its_points_and_makes_them_read_only():
+def test_a_polyline_copies_its_points_and_makes_them_read_only() -> None:
     """Validated points cannot be changed."""
     points = np.zeros((2, 2))
     line = Polyline(points)
@@ -47,7 +49,7 @@ def test_a_polyline_copies_its_points_and_makes_them_read_only():
 
 
 @given(arrays(float, (5, 2), elements=st.floats(-100, 100, width=16)), st.floats(0.5, 300))
-def test_resampled_points_are_evenly_spaced_on_the_line(points, spacing):
+def test_resampled_points_are_evenly_spaced_on_the_line(points: Any, spacing: float) -> None:
     """The ends stay, the points are at most the spacing apart, and all of them are on the line."""
     line = Polyline(points)
     fine = line.resampled(spacing)
@@ -65,7 +67,7 @@ def test_resampled_points_are_evenly_spaced_on_the_line(points, spacing):
 
 
 @pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan])
-def test_a_spacing_of_zero_raises(spacing):
+def test_a_spacing_of_zero_raises(spacing: Any) -> None:
     """A spacing must be positive."""
     with pytest.raises(ValueError, match="spacing must be more than 0 m"):
         STRAIGHT.resampled(spacing)
@@ -82,7 +84,9 @@ def test_a_spacing_of_zero_raises(spacing):
         pytest.param(-20, -10, 10, 20, id="behind-only"),
     ],
 )
-def test_a_window_contains_the_points_between_its_ends(x_min, x_max, first, last):
+def test_a_window_contains_the_points_between_its_ends(
+    x_min: float, x_max: float, first: int, last: int
+) -> None:
     """Both ends belong to the window, here of a car at x = 30 m."""
     seen = STRAIGHT.window([30.0, 2.0, 0.0], x_min, x_max)
 
@@ -90,7 +94,7 @@ def test_a_window_contains_the_points_between_its_ends(x_min, x_max, first, last
     assert len(seen) == last - first + 1
 
 
-def test_a_window_without_points_is_empty():
+def test_a_window_without_points_is_empty() -> None:
     """No error is raised: the caller decides how many points are enough."""
     assert STRAIGHT.window([0.0, 0.0, np.pi], 1, 80).shape == (0, 2)
 
@@ -98,7 +102,7 @@ def test_a_window_without_points_is_empty():
 @pytest.mark.parametrize(
     ("pose", "y"), [((20.0, 1.0, 0.0), 0.0), ((20.0, 9.0, np.pi), 10.0)], ids=["out", "back"]
 )
-def test_a_window_contains_the_near_branch_of_a_hairpin(pose, y):
+def test_a_window_contains_the_near_branch_of_a_hairpin(pose: Any, y: float) -> None:
     """The branch that returns beside the car is excluded."""
     seen = hairpin().window(pose, -10.0, 60.0)
 
@@ -106,22 +110,22 @@ def test_a_window_contains_the_near_branch_of_a_hairpin(pose, y):
     assert len(seen) >= 15
 
 
-def test_near_refers_to_the_car_and_not_to_the_start_of_the_window():
+def test_near_refers_to_the_car_and_not_to_the_start_of_the_window() -> None:
     """Of a road that crosses behind the car, the branch that passes the car is selected."""
-    road = Polyline([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]])
+    road = Polyline([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]])  # type: ignore[arg-type]
     seen = road.resampled(1.0).window([0.0, 0.0, 0.0], -15.0, 40.0)
 
     assert np.allclose(seen[:, 1], 2.0)
 
 
-def test_a_hairpin_within_the_window_is_not_divided():
+def test_a_hairpin_within_the_window_is_not_divided() -> None:
     """Consecutive points stay together; the refit decides whether a cubic fits them."""
     road = hairpin()
 
     assert len(road.window([20.0, 1.0, 0.0], -50.0, 200.0)) == len(road.points)
 
 
-def test_points_of_several_lines_are_selected_independently():
+def test_points_of_several_lines_are_selected_independently() -> None:
     """For concatenated lines the result is that of each line alone."""
     lines, pose = [STRAIGHT, hairpin(), Polyline(STRAIGHT.points[::-1])], [20.0, 1.0, 0.1]
     ego = [to_ego(line.points, pose) for line in lines]
@@ -132,7 +136,7 @@ def test_points_of_several_lines_are_selected_independently():
 
 
 @given(arrays(float, (6, 2), elements=st.floats(-100, 100)), st.floats(-np.pi, np.pi))
-def test_the_ego_frame_is_rotated_by_the_heading(points, heading):
+def test_the_ego_frame_is_rotated_by_the_heading(points: Any, heading: float) -> None:
     """In complex numbers: (z - pose) e^(-i heading)."""
     z = (points @ [1, 1j] - (3 - 4j)) * np.exp(-1j * heading)
 

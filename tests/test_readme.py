@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,11 +15,13 @@ LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
-def test_examples_run_and_print_what_the_page_shows(page, capsys, monkeypatch, tmp_path):
+def test_examples_run_and_print_what_the_page_shows(
+    page: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """The examples of a page continue each other; they need neither hardware nor other files."""
     monkeypatch.chdir(tmp_path)
     examples = EXAMPLE.findall((ROOT / page).read_text(encoding="utf-8"))
-    namespace = {}
+    namespace: dict[Any, Any] = {}
 
     assert examples
     for code, output in examples:
@@ -27,7 +30,7 @@ def test_examples_run_and_print_what_the_page_shows(page, capsys, monkeypatch, t
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_links_lead_to_files_and_headings(page):
+def test_links_lead_to_files_and_headings(page: Any) -> None:
     """Every relative link has its file, and every fragment a heading there."""
     for path, fragment in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
         target = (page.parent / path).resolve() if path else page
@@ -36,7 +39,7 @@ def test_links_lead_to_files_and_headings(page):
         assert not fragment or fragment in anchors(target), f"{page.name}: {path}#{fragment}"
 
 
-def anchors(page):
+def anchors(page: Any) -> Any:
     """Anchors of the headings of a page, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}

@@ -1,6 +1,7 @@
 """The scenes match their descriptions."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +27,9 @@ ROADS = list(random_scenarios(300, seed=1))
         ("production", 0.3, 0.1, 0.5, 0.0),
     ],
 )
-def test_the_ego_has_the_figures_of_the_table(name, sigma_x, sigma_y, degrees, correlation):
+def test_the_ego_has_the_figures_of_the_table(
+    name: str, sigma_x: float, sigma_y: float, degrees: float, correlation: float
+) -> None:
     """Sigmas and correlation are those of the table and of the description."""
     ego, about = scenario(name).ego, scenario(name).about
 
@@ -36,7 +39,7 @@ def test_the_ego_has_the_figures_of_the_table(name, sigma_x, sigma_y, degrees, c
     assert [float(r) for r in re.findall(r"correlated by ([\d.]+)", about)] in ([correlation], [])
 
 
-def test_the_table_is_complete():
+def test_the_table_is_complete() -> None:
     """There are six scenarios, each with one sentence."""
     assert list(SCENARIOS) == [scene.name for scene in SCENARIOS.values()]
     assert len(SCENARIOS) == 6
@@ -44,7 +47,7 @@ def test_the_table_is_complete():
 
 
 @pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
-def test_every_line_of_a_scenario_matches_its_description(scene):
+def test_every_line_of_a_scenario_matches_its_description(scene: Any) -> None:
     """All slots are there, the car is in its lane of 3.5 m, and the radius is the stated one."""
     refit = Refit(scene.polylines, scene.ego.mean, scene.window)
     at_car = {line.slot: np.interp(0, *line.polyline.points.T) for line in scene.lines}
@@ -61,7 +64,7 @@ def test_every_line_of_a_scenario_matches_its_description(scene):
         assert radius == pytest.approx(float(stated[1]), rel=0.1)
 
 
-def test_random_roads_repeat():
+def test_random_roads_repeat() -> None:
     """A seed gives the same roads, whatever their number; another seed gives other roads."""
     again, other = list(random_scenarios(2, seed=1)), next(random_scenarios(1, seed=2))
 
@@ -72,7 +75,7 @@ def test_random_roads_repeat():
     assert len({road.name for road in ROADS}) == len(ROADS)
 
 
-def test_random_roads_stay_within_their_ranges():
+def test_random_roads_stay_within_their_ranges() -> None:
     """Curvature within 1/15, turn within 70 deg, offset, heading and sigmas as documented."""
     for road in ROADS:
         points = road.polylines[0].points
@@ -91,7 +94,7 @@ def test_random_roads_stay_within_their_ranges():
         assert np.isfinite(Refit(road.polylines, road.ego.mean, road.window)(road.ego.mean)).all()
 
 
-def test_random_roads_use_their_ranges():
+def test_random_roads_use_their_ranges() -> None:
     """They are from motorway to street turn, to the left and to the right."""
     refits = [Refit(road.polylines, road.ego.mean, road.window) for road in ROADS]
     c0 = np.array([refit(road.ego.mean)[0, 2] for refit, road in zip(refits, ROADS, strict=True)])
@@ -101,14 +104,16 @@ def test_random_roads_use_their_ranges():
     assert np.ptp([np.log10(road.ego.sigma[2]) for road in ROADS]) > 2
 
 
-def circle_centre(points):
+def circle_centre(points: Any) -> Any:
     """Return the centre of the circle through the first, the middle and the last point."""
     a, b, c = points[[0, len(points) // 2, -1]]
     return np.linalg.solve(2 * np.array([b - a, c - a]), [b @ b - a @ a, c @ c - a @ a])
 
 
 @given(st.floats(-6, 6), st.floats(-0.1, 0.1), st.floats(1 / 500, 1 / 15), st.sampled_from([-1, 1]))
-def test_constant_curvature_is_a_circle(y_off, heading, curvature, side):
+def test_constant_curvature_is_a_circle(
+    y_off: float, heading: float, curvature: float, side: Any
+) -> None:
     """Points half a metre apart lie on the circle that touches the heading at (0, y_off)."""
     points = curve(y_off, heading, np.full(31, side * curvature), 0.5, -5.0) @ [1, 1j]
     radius = 0.25 / np.sin(0.25 * curvature)  # of the circle with chords of half a metre
@@ -120,7 +125,7 @@ def test_constant_curvature_is_a_circle(y_off, heading, curvature, side):
 
 
 @given(st.floats(-7, 7), st.floats(1 / 500, 1 / 15))
-def test_a_parallel_keeps_the_distance(offset, curvature):
+def test_a_parallel_keeps_the_distance(offset: float, curvature: float) -> None:
     """The parallel of a left turn is a left turn, nearer to its centre if it lies to the left."""
     points = curve(0.0, 0.0, np.full(41, curvature), 1.0, 0.0)
     beside, centre = parallel(points, offset), circle_centre(points)

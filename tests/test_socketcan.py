@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -34,11 +35,11 @@ pytestmark = [
 class Candump:
     """candump -L on an interface; it listens when the constructor returns."""
 
-    def __init__(self, channel, fd):
+    def __init__(self, channel: Any, fd: Any) -> None:
         self.process = subprocess.Popen(
             ["candump", "-L", channel], stdout=subprocess.PIPE, text=True, bufsize=1
         )
-        self.channel, self.lines = channel, []
+        self.channel, self.lines = channel, list[Any]()
         self.seen = {START: threading.Event(), END: threading.Event()}
         self.thread = threading.Thread(target=self.read)
         self.thread.start()
@@ -46,26 +47,26 @@ class Candump:
             while not self.seen[START].wait(0.01):
                 bus.send(can.Message(arbitration_id=START, is_extended_id=False))
 
-    def read(self):
-        for line in self.process.stdout:
+    def read(self) -> None:
+        for line in self.process.stdout:  # type: ignore[union-attr]
             can_id = int(line.split()[2].split("#")[0], 16)
             if can_id in self.seen:
                 self.seen[can_id].set()
             else:
                 self.lines.append(line)
 
-    def stop(self):
+    def stop(self) -> Any:
         with can.Bus(interface="socketcan", channel=self.channel) as bus:
             bus.send(can.Message(arbitration_id=END, is_extended_id=False))
         assert self.seen[END].wait(300)
         self.process.terminate()
         self.thread.join()
         self.process.wait()
-        self.process.stdout.close()
+        self.process.stdout.close()  # type: ignore[union-attr]
         return self.lines
 
 
-def receive(channel, fd, send):
+def receive(channel: Any, fd: Any, send: Any) -> Any:
     """The lines that a receiver gets of a function that sends and returns their number."""
     with Link(interface="socketcan", channel=channel, fd=fd) as link:
         # No time-out: only contents are compared here, and the guest may be slow.
@@ -76,12 +77,14 @@ def receive(channel, fd, send):
 
 
 @pytest.mark.parametrize(("channel", "fd"), [("vcan0", False), ("vcan1", True), ("vcan2", False)])
-def test_lines_are_those_of_candump_cantools_and_canplayer(tmp_path, channel, fd):
+def test_lines_are_those_of_candump_cantools_and_canplayer(
+    tmp_path: Path, channel: str, fd: bool
+) -> None:
     """candump records the frames, cantools decodes them, canplayer replays them."""
     lines = scene_lines(scenario("highway"))
     candump = Candump(channel, fd)
 
-    def send():
+    def send() -> Any:
         with (
             Link(interface="socketcan", channel=channel, fd=fd) as link,
             Transmitter(link, Codec.from_dbc(), period=0.02, fd=fd, count=CYCLES) as transmitter,
@@ -108,7 +111,7 @@ def test_lines_are_those_of_candump_cantools_and_canplayer(tmp_path, channel, fd
     log = tmp_path / "drive.log"
     log.write_text("".join(recorded))
 
-    def replay():
+    def replay() -> Any:
         subprocess.run(["canplayer", "-I", str(log), f"{channel}={channel}"], check=True)
         return total
 
@@ -122,11 +125,11 @@ def in_order(lines: list[MapLine]) -> list[MapLine]:
     return sorted(lines, key=lambda line: line.slot)
 
 
-def values(line):
+def values(line: Any) -> Any:
     return (line.slot.name, *line.gaussian.mean.tolist(), line.x_max, line.status.name)
 
 
-def by_cantools(log):
+def by_cantools(log: Any) -> Any:
     """(message, {signal: text}) of each frame, from the command ``cantools decode``."""
     command = [sys.executable, "-m", "cantools", "decode", "--single-line", str(DBC)]
     text = subprocess.run(
@@ -139,9 +142,9 @@ def by_cantools(log):
     return frames
 
 
-def values_of(frames, pages):
+def values_of(frames: Any, pages: Any) -> Any:
     """The same as ``values``, from the frames that cantools decoded, sorted by slot."""
-    lines, records = [], {}
+    lines, records = list[Any](), dict[Any, Any]()
     for name, signals in frames:
         record = records.setdefault(name, {})
         record.update(signals)

@@ -7,13 +7,14 @@ import socket
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 VCAN = Path(__file__).parents[1] / "tools" / "vcan"
 
 
-def vcan(*args, cwd=None, **settings):
+def vcan(*args: Any, cwd: Any = None, **settings: Any) -> Any:
     env = {k: v for k, v in os.environ.items() if not k.startswith("VCAN_") or k == "VCAN_CACHE"}
     return subprocess.run(
         [VCAN, *args],
@@ -27,7 +28,7 @@ def vcan(*args, cwd=None, **settings):
     )
 
 
-def missing_kernel():
+def missing_kernel() -> str:
     """Reason why no kernel with SocketCAN is available without a download; empty if one is."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
@@ -40,7 +41,7 @@ def missing_kernel():
     return ""
 
 
-def test_help_lists_every_setting():
+def test_help_lists_every_setting() -> None:
     shown = vcan("--help")
 
     assert (shown.returncode, shown.stderr) == (0, "")
@@ -58,7 +59,7 @@ def test_help_lists_every_setting():
         pytest.param(["true"], {"VCAN_MEM": "1G"}, "a number of MB, got '1G'", id="memory"),
     ],
 )
-def test_wrong_usage_is_status_2(args, settings, words):
+def test_wrong_usage_is_status_2(args: Any, settings: Any, words: str) -> None:
     refused = vcan(*args, **settings)
 
     assert (refused.returncode, refused.stdout) == (2, "")
@@ -66,7 +67,7 @@ def test_wrong_usage_is_status_2(args, settings, words):
 
 
 @pytest.mark.skipif(bool(missing_kernel()), reason=missing_kernel() or "-")
-def test_the_command_runs_as_it_would_here(tmp_path):
+def test_the_command_runs_as_it_would_here(tmp_path: Path) -> None:
     """Arguments, environment, directory, both outputs and the status are passed unchanged."""
     args = ["a  b", "it's", '"', "", "*", "$HOME", "two\nlines", "é", "--", "-n"]
     env = {"V_QUOTES": "'\"` \\", "V_LINES": "a\nb ", "V_EMPTY": "", "V.odd": "x"}

@@ -9,6 +9,7 @@ Run it in the project's environment: python3 tools/run.py python tools/bits_page
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -23,7 +24,7 @@ SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range")
 TARGETS = (1e-2, 1e-3, 1e-4)
 
 
-def main():
+def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, help="directory that 'maplines study run --out' wrote")
     folder = parser.parse_args().folder
@@ -47,13 +48,13 @@ def main():
     return 0
 
 
-def table(head, rows):
+def table(head: Any, rows: Any) -> Any:
     """Return a Markdown table whose first column is text."""
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
-def codes(rows):
+def codes(rows: Any) -> Any:
     """Return all codes at their own widths, and the default at others."""
     head = ["code", "bits", "frames", "not definite", "overconfident", "saturated", "out of range"]
     head += ["KL mean", "KL 99 %", "sigma at 80 m: 50 %", "99 %"]
@@ -75,7 +76,7 @@ def codes(rows):
     return table(head, body)
 
 
-def theory(summary, terms):
+def theory(summary: Any, terms: Any) -> Any:
     """Return the measured KL of the rounding of the default code over its theory."""
     of_code = [row for row in summary if row["code"] == "Cholesky"]
     body = [
@@ -99,7 +100,7 @@ def theory(summary, terms):
     return table(head, body)
 
 
-def over_the_limit(summary, limit):
+def over_the_limit(summary: Any, limit: Any) -> Any:
     """Return the bits of the default code at each KL, and how many fewer could do."""
     body = []
     for name in dict.fromkeys(row["set"] for row in limit):
@@ -130,7 +131,7 @@ def over_the_limit(summary, limit):
     return table(["set and KL", "bits of the default code", "limit [bit]", "over the limit"], body)
 
 
-def of_fields(fields):
+def of_fields(fields: Any) -> Any:
     """Return the change of KL with a bit less and a bit more in each field."""
     body = []
     for name in dict.fromkeys(row["field"] for row in fields):
@@ -147,7 +148,7 @@ def of_fields(fields):
     return table(head, body)
 
 
-def designs():
+def designs() -> Any:
     """Return the designs for 3, 4 and 5 classic frames."""
     sets = sets_of("road", 5000, 0)
     held_out = sets_of("both", 5000, HELD_OUT_SEED)
@@ -175,11 +176,11 @@ def designs():
     return table([*head, "saturated", "error at 80 m", "paper: KL mean", "saturated"], body)
 
 
-def share(value):
+def share(value: Any) -> Any:
     return f"{100 * value:.3g} %" if value else "0"
 
 
-def number(value, digits=3):
+def number(value: Any, digits: int = 3) -> Any:
     return "-" if value is None else f"{value:.{digits}g}"
 
 

@@ -11,6 +11,7 @@ The exit status is nonzero if a bound is missed.
 
 import sys
 import time
+from typing import Any
 
 from reporting import bar, parser_of
 
@@ -29,7 +30,7 @@ OF_THE_DEFAULT = Targets(
 HELD_OUT_SEED = 1_000_003
 
 
-def frames(n):
+def frames(n: Any) -> Any:
     """Return whether designs are definite and cover, and three frames keep KL below 0.02."""
     sets, held_out = (sets_of("road", n, seed) for seed in (0, HELD_OUT_SEED))
     held_out |= sets_of("paper", n, HELD_OUT_SEED)
@@ -42,7 +43,7 @@ def frames(n):
     return met
 
 
-def default(n):
+def default(n: Any) -> bool:
     """Return whether the search gives the default DBC again."""
     sets, held_out = (sets_of("both", n, seed) for seed in (1, 1 + HELD_OUT_SEED))
     made = designed(sets, OF_THE_DEFAULT, held_out)
@@ -53,7 +54,7 @@ def default(n):
     return found == own
 
 
-def designed(sets, targets, held_out):
+def designed(sets: Any, targets: Any, held_out: Any) -> Any:
     started = time.perf_counter()
     with bar(100, unit=" %", leave=False) as percents:
         made = design(
@@ -66,7 +67,7 @@ def designed(sets, targets, held_out):
     return made
 
 
-def of_covariance(writer):
+def of_covariance(writer: Any) -> Any:
     kept = (*STATE_SIGNALS, "Inflation")
     return {
         spec.name: (spec.bits, spec.factor, spec.range)
@@ -76,7 +77,7 @@ def of_covariance(writer):
     }
 
 
-def main():
+def main() -> Any:
     parser = parser_of(__doc__)
     jobs = {"frames": (frames, 5000), "default": (default, 15_000)}
     parser.add_argument("what", choices=jobs)

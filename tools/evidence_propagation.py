@@ -12,6 +12,7 @@ Each figure is the largest of all lines. The exit status is 1 if a figure exceed
 import json
 import sys
 import warnings
+from typing import Any
 
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
@@ -26,7 +27,7 @@ CHUNK, POSES = 50_000, 2000
 BOUNDS = {"refit": 1e-9, "sigma points": 1e-10, "mean": 5.0, "sigma": 5.0}
 
 
-def qr_refit(points, poses):
+def qr_refit(points: Any, poses: Any) -> Any:
     """Return the (N, 4) lines through (n, 2) points seen from (N, 3) poses, by Householder QR."""
     z = (points @ [1, 1j] - (poses[:, :2] @ [1, 1j])[:, None]) * np.exp(-1j * poses[:, 2:])
     u, v = z.real, z.imag
@@ -39,7 +40,7 @@ def qr_refit(points, poses):
     return np.stack([y_off, np.arctan(slope), c0, 6 * d / half**3], axis=-1)
 
 
-def compare_refit(scene, refit, poses):
+def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
     """Return the (4,) largest differences from QR, in standard deviations of the parameters."""
     lines = refit(poses)  # (N, L, 4)
     windows = [line.window(scene.ego.mean, *scene.window) for line in scene.polylines]
@@ -48,7 +49,7 @@ def compare_refit(scene, refit, poses):
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
 
 
-def compare_sigma_points(scene, refit):
+def compare_sigma_points(scene: Any, refit: Any) -> Any:
     """Return the largest difference from filterpy of a mean or covariance, in sigmas."""
     largest = 0.0
     for alpha, kappa in ((1.0, 0.0), (0.5, 0.0), (0.5, 1.5)):
@@ -63,7 +64,9 @@ def compare_sigma_points(scene, refit):
     return largest
 
 
-def compare_quadrature(scene, refit, order, samples, seed, progress):
+def compare_quadrature(
+    scene: Any, refit: Any, order: Any, samples: Any, seed: Any, progress: Any
+) -> Any:
     """Return the (4,) largest differences of mean and of sigma, and the number of excluded draws.
 
     The differences from Monte Carlo are in standard errors.
@@ -88,7 +91,7 @@ def compare_quadrature(scene, refit, order, samples, seed, progress):
     return mean_off, sigma_off, excluded
 
 
-def evidence(order, samples, seed):
+def evidence(order: Any, samples: Any, seed: Any) -> Any:
     """Return the figures of each scenario by name; lists of four are for y_off, beta, c0, c1."""
     result = {}
     with bar(samples * len(SCENARIOS), unit=" draws", leave=False) as progress:
@@ -107,7 +110,7 @@ def evidence(order, samples, seed):
     return result
 
 
-def show(result, order, samples):
+def show(result: Any, order: Any, samples: Any) -> None:
     """Print the figures as a table."""
     states = "".join(f"{state:>6}" for state in STATES)
     print(
@@ -126,7 +129,7 @@ def show(result, order, samples):
         )
 
 
-def main():
+def main() -> Any:
     parser = parser_of(__doc__)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--seed", type=int, default=1, help="seed of the draws")

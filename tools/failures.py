@@ -24,6 +24,7 @@ import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from failures_testbed import (
     HOUR,
@@ -67,7 +68,7 @@ ERRORS = {
 # ---- the failures -----------------------------------------------------------------------
 
 
-def down(row):
+def down(row: Any) -> None:
     """Interface down and up."""
     with restored("vcan0"), Testbed(row) as testbed:
         receiver, sender = testbed.receiver, testbed.senders[0]
@@ -84,7 +85,7 @@ def down(row):
     row.seen = f"reported by both ends, by the receiver {reports}x; INVALID after {invalid:.2f} s"
 
 
-def unplugged(row):
+def unplugged(row: Any) -> None:
     """Interface deleted, and a new one of its name."""
     with restored("vcan0"), Testbed(row) as testbed:
         receiver = testbed.receiver
@@ -93,7 +94,7 @@ def unplugged(row):
         row.detected = receiver.wait_for_note("is lost", started) - started
         invalid = receiver.wait_for_each_slot(": INVALID", started) - started
 
-        def recreate():
+        def recreate() -> None:
             ip("link add dev vcan0 type vcan")
             ip("link set vcan0 mtu 72 up")
 
@@ -101,7 +102,7 @@ def unplugged(row):
     row.seen = f"reported by both ends; INVALID after {invalid:.2f} s; the new interface is found"
 
 
-def killed(row):
+def killed(row: Any) -> None:
     """Sender killed with SIGKILL, and a new one."""
     with Testbed(row) as testbed:
         receiver = testbed.receiver
@@ -123,7 +124,7 @@ def killed(row):
     )
 
 
-def stopped(row):
+def stopped(row: Any) -> None:
     """Receiver stopped, its socket overflows."""
     queue = int(Path("/proc/sys/net/core/rmem_default").read_text())
     with Testbed(row) as testbed:
@@ -149,7 +150,7 @@ def stopped(row):
         row.problem = f"{missing} lines are missing, but {row.lost} by the counters"
 
 
-def two_senders(row):
+def two_senders(row: Any) -> None:
     """Two senders by mistake on the same slots."""
     with Testbed(row) as testbed:
         receiver = testbed.receiver
@@ -168,7 +169,7 @@ def two_senders(row):
     )
 
 
-def other_traffic(row):
+def other_traffic(row: Any) -> None:
     """Flood of another ID, as fast as the kernel can."""
     with Testbed(row) as testbed:
         testbed.flood("-I", "001", "-L", "8", "-g", "0", "-p", "10")
@@ -183,7 +184,7 @@ def other_traffic(row):
     )
 
 
-def random_traffic(row):
+def random_traffic(row: Any) -> None:
     """Flood of random frames on all IDs, as fast as the kernel can."""
     with Testbed(row) as testbed:
         started = testbed.flood("-g", "0", "-p", "10")
@@ -198,7 +199,7 @@ def random_traffic(row):
     )
 
 
-def forged(row):
+def forged(row: Any) -> None:
     """Flood of random frames on the ID of a line, 200 a second."""
     with Testbed(row) as testbed:
         started = testbed.flood("-I", "340", "-L", "8", "-g", "5")
@@ -223,7 +224,7 @@ def forged(row):
     )
 
 
-def error_frames(row):
+def error_frames(row: Any) -> None:
     """Error frames of a controller."""
     with Testbed(row) as testbed:
         settings = {"interface": "socketcan", "channel": testbed.channel}
@@ -241,7 +242,7 @@ def error_frames(row):
         row.problem = f"{stats.error_frames} of {len(ERRORS)} error frames were counted"
 
 
-def listen_only(row):
+def listen_only(row: Any) -> None:
     """Listen-only."""
     command = "ip link set vcan0 type can listen-only on"
     refused = subprocess.run(command.split(), capture_output=True, text=True, check=False)
@@ -259,7 +260,7 @@ def listen_only(row):
         row.problem = f"{others} frames are not the sender's"
 
 
-def no_fd(row):
+def no_fd(row: Any) -> None:
     """CAN FD on an interface without it."""
     results = []
     with Testbed(row, "vcan2") as testbed:
@@ -276,7 +277,7 @@ def no_fd(row):
     row.seen = f"{' and '.join(results)}: {text!r}; the classic sender continues"
 
 
-def fd_gone(row):
+def fd_gone(row: Any) -> None:
     """Interface comes back without CAN FD."""
     with restored("vcan1"), Testbed(row, "vcan1", fd=True) as testbed:
         receiver = testbed.receiver
@@ -288,7 +289,7 @@ def fd_gone(row):
         invalid = receiver.wait_for_each_slot(": INVALID", started)
         before = len(receiver.out)
 
-        def repair():
+        def repair() -> None:
             ip("link set vcan1 down")
             ip("link set vcan1 mtu 72 up")
 
@@ -301,17 +302,17 @@ def fd_gone(row):
     )
 
 
-def clock_back(row):
+def clock_back(row: Any) -> None:
     """Clock set back by an hour."""
     set_clock(row, -HOUR)
 
 
-def clock_forward(row):
+def clock_forward(row: Any) -> None:
     """Clock set forward by an hour."""
     set_clock(row, HOUR)
 
 
-def set_clock(row, by):
+def set_clock(row: Any, by: Any) -> None:
     if not is_guest():
         row.seen = "not tried: this would set the clock of a real machine"
         return
@@ -347,10 +348,10 @@ FAILURES = {
 }
 
 
-def run(name):
+def run(name: Any) -> Any:
     """Cause a failure and return its row; a problem is in the row, too."""
     failure = FAILURES[name]
-    row = Row(name, failure.__doc__.strip().rstrip("."))
+    row = Row(name, failure.__doc__.strip().rstrip("."))  # type: ignore[union-attr]
     try:
         failure(row)
     except (UnmetError, OSError, subprocess.CalledProcessError) as error:
@@ -358,7 +359,7 @@ def run(name):
     return row
 
 
-def table(rows):
+def table(rows: Any) -> Any:
     """Return the figures and, below them, the observations in Markdown."""
     heads = ["failure", "detected [s]", "lines again [s]", "VALID again [s]"]
     heads += ["sent", "given up", "delivered", "lost by counters", "wrong"]
@@ -376,7 +377,7 @@ def table(rows):
     return "\n".join(lines)
 
 
-def main():
+def main() -> Any:
     parser = parser_of(__doc__)
     parser.add_argument("--only", nargs="+", choices=FAILURES, default=list(FAILURES))
     parser.add_argument("--json", action="store_true", help="print JSON")

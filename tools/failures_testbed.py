@@ -14,9 +14,11 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import can
 
@@ -61,7 +63,7 @@ class Row:
     problem: str = ""  #: why the requirement is not met
 
     @property
-    def met(self):
+    def met(self) -> Any:
         """Whether no line is wrong and the receiver recovered."""
         return not self.wrong and not self.problem
 
@@ -69,7 +71,7 @@ class Row:
 class Process:
     """Child process with its output, line by line with the times."""
 
-    def __init__(self, *command):
+    def __init__(self, *command: Any) -> None:
         self.command = " ".join(command).replace(" ".join(MAPLINES), "maplines")
         self.child = subprocess.Popen(
             command,
@@ -80,7 +82,7 @@ class Process:
             bufsize=1,
         )
         self.changed = threading.Condition()
-        self.out, self.notes = [], []  # of (when [s, monotonic], text)
+        self.out, self.notes = list[Any](), list[Any]()  # of (when [s, monotonic], text)
         self.readers = [
             threading.Thread(target=self._read, args=(stream, kept), daemon=True)
             for stream, kept in ((self.child.stdout, self.out), (self.child.stderr, self.notes))
@@ -88,7 +90,7 @@ class Process:
         for reader in self.readers:
             reader.start()
 
-    def _read(self, stream, kept):
+    def _read(self, stream: Any, kept: Any) -> None:
         for text in stream:
             with self.changed:
                 kept.append((time.monotonic(), self.parse(text) if kept is self.out else text))
@@ -96,15 +98,15 @@ class Process:
         with self.changed:
             self.changed.notify_all()
 
-    def parse(self, text):
+    def parse(self, text: Any) -> Any:
         """Return the value of a line of its output."""
         return text
 
-    def wait_for(self, what, found):
+    def wait_for(self, what: Any, found: Any) -> Any:
         """Wait until a function of the output returns something true, and return that."""
         result = None
 
-        def found_or_ended():
+        def found_or_ended() -> Any:
             nonlocal result
             result = found()
             return result or not any(reader.is_alive() for reader in self.readers)
@@ -116,16 +118,16 @@ class Process:
             raise UnmetError(f"{self.command}: no {what} in {TIMEOUT:g} s; last output: {last}")
         return result
 
-    def wait_for_note(self, words, since=0.0):
+    def wait_for_note(self, words: Any, since: float = 0.0) -> Any:
         """Wait for these words on stderr since a time; return when they came [s, monotonic]."""
 
-        def found():
+        def found() -> Any:
             times = (when for when, text in self.notes if when >= since and words in text)
             return next(times, None)
 
         return self.wait_for(f"{words!r}", found)
 
-    def end(self, number=signal.SIGTERM):
+    def end(self, number: Any = signal.SIGTERM) -> Any:
         """End the process, read the rest of its output, and return its exit status."""
         if number is not None and self.child.poll() is None:
             self.child.send_signal(number)
@@ -136,11 +138,11 @@ class Process:
             self.child.wait()
         for reader in self.readers:
             reader.join()
-        self.child.stdout.close()
-        self.child.stderr.close()
+        self.child.stdout.close()  # type: ignore[union-attr]
+        self.child.stderr.close()  # type: ignore[union-attr]
         return self.child.returncode
 
-    def figures(self, pattern):
+    def figures(self, pattern: Any) -> Any:
         """Return the numbers in the last line of output that matches."""
         for _, text in reversed(self.out + self.notes):
             if isinstance(text, str) and (match := re.search(pattern, text)):
@@ -151,15 +153,15 @@ class Process:
 class ReceiverProcess(Process):
     """`maplines receive --json`; its output is one dictionary a line."""
 
-    def parse(self, text):
+    def parse(self, text: Any) -> Any:
         """Return a map line as a dictionary."""
         return json.loads(text)
 
-    def wait_for_each_slot(self, words, since):
+    def wait_for_each_slot(self, words: Any, since: Any) -> Any:
         """Wait for these words about all slots; return when the last came [s, monotonic]."""
 
-        def found():
-            slots = {}
+        def found() -> Any:
+            slots: dict[Any, Any] = {}
             for when, text in self.notes:
                 slot = text.removeprefix("maplines: ").split(":")[0]
                 if when >= since and words in text:
@@ -168,11 +170,11 @@ class ReceiverProcess(Process):
 
         return self.wait_for(f"{words!r} of each slot", found)
 
-    def wait_for_new_lines(self, since, since_ns, *, valid=False):
+    def wait_for_new_lines(self, since: Any, since_ns: Any, *, valid: bool = False) -> Any:
         """Wait for a line of each slot that is later on both clocks; return when [s, monotonic]."""
 
-        def found():
-            slots = {}
+        def found() -> Any:
+            slots: dict[Any, Any] = {}
             for when, line in self.out:
                 accepted = not valid or line["e2e"]["state"] == "VALID"
                 is_new = 0 <= line["t"] - since_ns / 1e9 < HOUR / 2  # the clock may have been set
@@ -182,12 +184,12 @@ class ReceiverProcess(Process):
 
         return self.wait_for("line of each slot" + " that is VALID" * valid, found)
 
-    def wait_for_lines(self, lines):
+    def wait_for_lines(self, lines: Any) -> None:
         """Wait for this number of further lines."""
         goal = len(self.out) + lines
         self.wait_for(f"{lines} more lines", lambda: len(self.out) >= goal)
 
-    def wrong(self, scenes):
+    def wrong(self, scenes: Any) -> Any:
         """Return the number of lines that were never sent or were delivered twice."""
         known = set().union(*map(expected, scenes))
         lines = [line for _, line in self.out if line["slot"] != LAST_SLOT.name]
@@ -198,7 +200,7 @@ class ReceiverProcess(Process):
 class FrameCounter:
     """Counter of the frames of map lines on an interface, independent of our code."""
 
-    def __init__(self, channel):
+    def __init__(self, channel: Any) -> None:
         self.frames = 0
         self.socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
         self.socket.setsockopt(socket.SOL_SOCKET, 33, 2**24)  # SO_RCVBUFFORCE: no frame is lost
@@ -207,7 +209,7 @@ class FrameCounter:
         self.socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, ids)
         self.socket.bind((channel,))
 
-    def wait_for_frames(self, frames):
+    def wait_for_frames(self, frames: Any) -> None:
         """Wait for this number of further frames."""
         self.count()
         goal = self.frames + frames
@@ -215,7 +217,7 @@ class FrameCounter:
         while self.frames < goal:
             self.read()
 
-    def count(self):
+    def count(self) -> Any:
         """Return the number of frames so far."""
         self.socket.settimeout(0)
         with contextlib.suppress(BlockingIOError):
@@ -223,7 +225,7 @@ class FrameCounter:
                 self.read()
         return self.frames
 
-    def read(self):
+    def read(self) -> None:
         """Read and count one frame.
 
         Raises:
@@ -242,15 +244,15 @@ class FrameCounter:
 class Testbed:
     """A sender and a receiver on an interface, whose figures go into a row."""
 
-    def __init__(self, row, channel="vcan0", *, fd=False):
+    def __init__(self, row: Any, channel: str = "vcan0", *, fd: bool = False) -> None:
         self.row, self.channel, self.fd = row, channel, ["--fd"] * fd
-        self.scenes, self.senders, self.others = [], [], []
+        self.scenes, self.senders, self.others = list[Any](), list[Any](), list[Any]()
         self.frame_counter = FrameCounter(channel)
         self.killed = False
         self.extra_lines = 0  # sent by `drain`
-        self.receiver = None
+        self.receiver: Any = None
 
-    def __enter__(self):
+    def __enter__(self) -> Any:
         on = ["--interface", "socketcan", "--channel", self.channel, *self.fd]
         self.on = on
         before = listening()
@@ -265,7 +267,7 @@ class Testbed:
         self.receiver.wait_for_new_lines(*timed(lambda: None), valid=True)
         return self
 
-    def __exit__(self, kind, error, trace):
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
         try:
             if kind is None:
                 self.count_lines()
@@ -274,25 +276,25 @@ class Testbed:
                 process.end(signal.SIGKILL)
             self.frame_counter.socket.close()
 
-    def send(self, scene):
+    def send(self, scene: Any) -> Any:
         """Start a sender; return it and when it reported its start [s, monotonic]."""
         sender = Process(*MAPLINES, "send", *self.on, "--scenario", scene, "--rate", "20")
         self.scenes.append(scene)
         self.senders.append(sender)
         return sender, sender.wait_for_note("lines of")
 
-    def flood(self, *arguments):
+    def flood(self, *arguments: Any) -> Any:
         """Start cangen; return when [s, monotonic]."""
         started = time.monotonic()
         self.others.append(Process("cangen", self.channel, *arguments))
         return started
 
-    def wait_for_recovery(self, over, since_ns):
+    def wait_for_recovery(self, over: Any, since_ns: Any) -> None:
         """Wait for the recovery after a cause that ended at [s, monotonic] and [ns, stamps]."""
         self.row.lines_again = self.receiver.wait_for_new_lines(over, since_ns) - over
         self.row.valid_again = self.receiver.wait_for_new_lines(over, since_ns, valid=True) - over
 
-    def count_lines(self):
+    def count_lines(self) -> None:
         """End the sender, and the receiver after it has read all frames; fill in the row."""
         row, receiver = self.row, self.receiver
         frames = 0
@@ -317,7 +319,7 @@ class Testbed:
         frames = receiver.figures(r"dropped frames: .*?(?:(\d+) timeout)?; (\d+) still waiting")
         row.timed_out = sum(frames) // PAGES - (self.extra_lines - 1)
 
-    def drain(self):
+    def drain(self) -> Any:
         """Wait until the receiver has read its queue; return how many lines that took.
 
         A line of a slot of its own is sent until it is printed: frames are read in the order of
@@ -326,7 +328,7 @@ class Testbed:
         codec, receiver = Codec.from_dbc(), self.receiver
         deadline, attempts = time.monotonic() + TIMEOUT, 0
 
-        def printed():
+        def printed() -> Any:
             return any(line["slot"] == LAST_SLOT.name for _, line in receiver.out)
 
         with can.Bus(interface="socketcan", channel=self.channel) as bus:
@@ -346,7 +348,7 @@ class Testbed:
 
 
 @cache
-def expected(name):
+def expected(name: Any) -> Any:
     """Return the contents that may be received of the lines of a scene."""
     codec, scene = Codec.from_dbc(), scenario(name)
     decoder, lines = codec.decoder(), set()
@@ -358,18 +360,18 @@ def expected(name):
     return lines
 
 
-def content(line):
+def content(line: Any) -> Any:
     """Return a line as text without what differs between transmissions: time, age, E2E."""
     return json.dumps({k: v for k, v in line.items() if k not in {"t", "age", "e2e"}})
 
 
-def timed(action):
+def timed(action: Any) -> Any:
     """Call it; return when it was done, on our clock [s] and on that of the stamps [ns]."""
     action()
     return time.monotonic(), time.time_ns()
 
 
-def last_checks(receiver):
+def last_checks(receiver: Any) -> Any:
     """Return the E2E checks of the last line of each slot."""
     return list({line["slot"]: line["e2e"] for _, line in receiver.out}.values())
 
@@ -377,12 +379,12 @@ def last_checks(receiver):
 # ---- the kernel -------------------------------------------------------------------------
 
 
-def ip(arguments):
+def ip(arguments: Any) -> None:
     subprocess.run(["ip", *arguments.split()], check=True)
 
 
 @contextlib.contextmanager
-def restored(channel):
+def restored(channel: Any) -> Iterator[None]:
     """Context after which the interface exists, is up, and has CAN FD."""
     try:
         yield
@@ -393,16 +395,16 @@ def restored(channel):
         ip(f"link set {channel} mtu 72 up")
 
 
-def traffic(channel):
+def traffic(channel: Any) -> Any:
     """Return how many frames the interface has sent."""
     return int(Path("/sys/class/net", channel, "statistics/tx_packets").read_text())
 
 
-def listening():
+def listening() -> Any:
     """Return the number of receivers in the kernel; each filter of a socket is one."""
     text = Path("/proc/net/can/stats").read_text()
-    return int(re.search(r"(\d+) current receive list entries", text)[1])
+    return int(re.search(r"(\d+) current receive list entries", text)[1])  # type: ignore[index]
 
 
-def is_guest():
+def is_guest() -> bool:
     return "User Mode Linux" in Path("/proc/cpuinfo").read_text()

@@ -7,6 +7,7 @@ python tools/make_dbc.py --check    report whether they are up to date
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from reporting import fill_tables, parser_of
 
@@ -20,7 +21,7 @@ FOLDER = ROOT / "dbc"
 STUDY = ROOT / "maplines_can" / "study" / "dbc"
 
 
-def wanted():
+def wanted() -> Any:
     """Return the text of each file."""
     tables = {"fields": DEFAULT.table(), "codes": codes_table()}
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
@@ -29,14 +30,14 @@ def wanted():
     return files | {FOLDER / "README.md": page}
 
 
-def path_of(code):
+def path_of(code: Any) -> Any:
     """Return ``maplines.dbc`` for the default, else ``maplines-<code>.dbc`` of the study."""
     if code == DEFAULT.covariance_code:
         return FOLDER / "maplines.dbc"
     return STUDY / f"maplines-{code.lower()}.dbc"
 
 
-def codes_table():
+def codes_table() -> Any:
     """Return the table of codes with their files, sizes and guarantees."""
     rows = [
         "| `CovarianceCode` | DBC | what is sent | bits of the covariance | classic frames | "
@@ -53,7 +54,7 @@ def codes_table():
     return "\n".join(rows)
 
 
-def main():
+def main() -> Any:
     parser = parser_of(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
     check = parser.parse_args().check

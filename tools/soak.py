@@ -26,7 +26,7 @@ from collections import Counter
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import can
 import numpy as np
@@ -64,7 +64,7 @@ class Page(NamedTuple):
     sent: bytes
 
     @property
-    def intact(self):
+    def intact(self) -> Any:
         """Whether it arrived as it was sent."""
         return self.data == self.sent and self.can_id == self.sent_id
 
@@ -72,7 +72,7 @@ class Page(NamedTuple):
 class Chunk:
     """Lines that are sent one after the other, and the outcome of each."""
 
-    def __init__(self, codec, start, n, seed):
+    def __init__(self, codec: Any, start: Any, n: Any, seed: Any) -> None:
         rng = np.random.default_rng([seed, start])
         means = rng.uniform(-1, 1, (n, 4)) * MAX_MEANS
         covs = road_covs(seed)[rng.integers(COVS, size=n)] * rng.uniform(0.5, 2, (n, 1, 1))
@@ -92,7 +92,7 @@ class Chunk:
         self.batch = codec.decode_batch(self.payloads, slot=self.slots)
         self.arrived, self.damaged, self.delivered = (bytearray(n) for _ in range(3))
 
-    def expected(self, line):
+    def expected(self, line: Any) -> Any:
         """Return the values that must be received of a line, to the last bit."""
         i, batch = line - self.start, self.batch
         return (
@@ -104,9 +104,9 @@ class Chunk:
             batch.cov[i].tobytes(),
         )
 
-    def outcomes(self, pages):
+    def outcomes(self, pages: Any) -> Any:
         """Return the number of lines by outcome."""
-        whole, outcomes = 2**pages - 1, Counter()
+        whole, outcomes = 2**pages - 1, Counter[Any]()
         for arrived, damaged, delivered in zip(
             self.arrived, self.damaged, self.delivered, strict=True
         ):
@@ -123,11 +123,11 @@ class Chunk:
 
 
 @cache
-def road_covs(seed):
+def road_covs(seed: Any) -> Any:
     return road(COVS, seed)[1]
 
 
-def values_of(line):
+def values_of(line: Any) -> Any:
     """Return the values of a received line in the form of ``Chunk.expected``."""
     return (
         *(line.slot, line.kind, line.status, line.x_min, line.x_max, line.age),
@@ -136,16 +136,16 @@ def values_of(line):
     )
 
 
-def stream(n, seed, fd, faults):
+def stream(n: Any, seed: Any, fd: Any, faults: Any) -> Any:
     """Send lines through a fault injector into a decoder; return the figures."""
     codec = Codec.from_dbc()
-    decoder, injector = codec.decoder(), FaultInjector(replace(faults, seed=seed))
+    decoder, injector = codec.decoder(), FaultInjector[Any](replace(faults, seed=seed))
     pages = 1 if fd else codec.layout.pages
-    chunks, outcomes, wrong, examples = [], Counter(), Counter(), []
-    first, last = {}, {}
+    chunks, outcomes, wrong, examples = list[Any](), Counter[Any](), Counter[Any](), list[Any]()
+    first, last = dict[Any, Any](), dict[Any, Any]()
     memory = []
 
-    def receive(frame, t_ns):
+    def receive(frame: Any, t_ns: Any) -> None:
         result = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
         chunk = chunks[-1] if frame.line >= chunks[-1].start else chunks[0]
         i = frame.line - chunk.start
@@ -229,13 +229,13 @@ def stream(n, seed, fd, faults):
     }
 
 
-def good_copy(faults):
+def good_copy(faults: Any) -> Any:
     """Return the probability that a frame arrives undamaged, once or twice."""
     good = 1 - faults.flip - faults.truncate - faults.wrong_dlc - faults.wrong_id - faults.garbage
     return (1 - faults.loss) * (1 - (1 - good) * (1 - faults.duplicate * good))
 
 
-def wraps(n, modulus):
+def wraps(n: Any, modulus: Any) -> Any:
     """Return how often the counters of all slots together have wrapped."""
     return sum((len(range(slot, n, len(Slot))) - 1) // modulus for slot in Slot)
 
@@ -243,22 +243,22 @@ def wraps(n, modulus):
 WRONGS = ("lines that were not sent", "lines delivered twice", "lines delivered out of order")
 
 
-def classic(n, seed, faults):
+def classic(n: Any, seed: Any, faults: Any) -> Any:
     """Send each line in four frames of classic CAN."""
     return stream(n, seed, False, faults)
 
 
-def fd(n, seed, faults):
+def fd(n: Any, seed: Any, faults: Any) -> Any:
     """Send each line in one frame of CAN FD."""
     return stream(n, seed, True, faults)
 
 
-def bus(n, seed, faults):
+def bus(n: Any, seed: Any, faults: Any) -> Any:
     """Send a tenth of the lines over python-can's virtual bus, in computed time."""
     n = max(1, n // 10)
     codec, now = Codec.from_dbc(), 0.0
     decoder, channel = codec.decoder(), f"soak-{uuid.uuid4()}"
-    known, delivered, wrong = {}, set(), Counter()
+    known, delivered, wrong = dict[Any, Any](), set[Any](), Counter[Any]()
     faults = replace(faults, late=0.01, delay=0.002, jitter=0.003, seed=seed)
     sent = received = 0
     with (
@@ -268,7 +268,7 @@ def bus(n, seed, faults):
         ) as receiver,
     ):
 
-        def receive():
+        def receive() -> None:
             nonlocal received
             while (message := receiver.recv(0)) is not None:
                 received += 1
@@ -316,14 +316,14 @@ def bus(n, seed, faults):
     }
 
 
-def threads(n, seed, faults):
+def threads(n: Any, seed: Any, faults: Any) -> Any:
     """Send 3000 lines at most in real time: Transmitter, a link with faults, Receiver."""
-    codec, channel, received = Codec.from_dbc(), f"soak-{uuid.uuid4()}", []
+    codec, channel, received = Codec.from_dbc(), f"soak-{uuid.uuid4()}", list[Any]()
     chunk = Chunk(codec, 0, len(Slot), seed)
     lines = [codec.decode_one(chunk.payloads[slot].tobytes(), slot) for slot in Slot]
     expected = {
-        line.slot: values_of(codec.decode_one(b"".join(f.data for f in frames), line.slot))[-2:]
-        for line, frames in zip(lines, Codec.from_dbc().encode_lines(lines), strict=True)
+        line.slot: values_of(codec.decode_one(b"".join(f.data for f in frames), line.slot))[-2:]  # type: ignore[union-attr]
+        for line, frames in zip(lines, Codec.from_dbc().encode_lines(lines), strict=True)  # type: ignore[arg-type]
     }
     count = max(1, min(3000, n) // len(Slot))
     opener = FaultyOpener(replace(faults, seed=seed))
@@ -336,12 +336,12 @@ def threads(n, seed, faults):
             Transmitter(out, codec, period=0.01, count=count) as transmitter,
             bar(count, "in real time") as cycles,
         ):
-            transmitter.publish(lines)
+            transmitter.publish(lines)  # type: ignore[arg-type]
             while not transmitter.wait(0.1):
                 cycles.update(transmitter.stats().lines // len(Slot) - cycles.n)
         sent, end = transmitter.stats(), time.monotonic() + 60
 
-        def complete():
+        def complete() -> Any:
             done = opener.as_dict()
             return done["frames"] >= sent.frames and receiver.stats().frames >= done["passed"]
 
@@ -370,7 +370,7 @@ def threads(n, seed, faults):
     }
 
 
-def checksum(n, seed, faults):  # noqa: ARG001
+def checksum(n: Any, seed: Any, faults: Any) -> Any:  # noqa: ARG001
     """Count the damaged records that CRC-16 does not detect, among four times as many as lines.
 
     It detects all flips of up to three bits, by the Hamming distance of the code, and all error
@@ -383,9 +383,9 @@ def checksum(n, seed, faults):  # noqa: ARG001
     size, offset = codec.layout.record_bytes, codec.layout.crc_offset
     pool = Chunk(codec, 0, CHUNK, seed).payloads
     ids = np.array([codec.layout.channels[slot].data_id for slot in Slot])
-    checked, passed = Counter(), Counter()
+    checked, passed = Counter[Any](), Counter[Any]()
 
-    def check(what, damaged, good, data_ids):
+    def check(what: Any, damaged: Any, good: Any, data_ids: Any) -> None:
         stored = damaged[:, offset] + 256 * damaged[:, offset + 1].astype(int)
         changed = (damaged != good).any(axis=1)
         checked[what] += int(changed.sum())
@@ -437,13 +437,13 @@ FLIPS, BURSTS = "1 to 3 flipped bits", "bursts of up to 16 bits beside the check
 OVER_THE_END, GARBAGE = "bursts over the checksum's end", "a page of random bytes"
 
 
-def message_of(frame, t):
+def message_of(frame: Any, t: Any) -> Any:
     return can.Message(
         t, frame.can_id, is_extended_id=frame.is_extended, is_fd=frame.is_fd, data=frame.data
     )
 
 
-def memory_mib():
+def memory_mib() -> Any:
     """Return the memory of the process [MiB]: the present one on Linux, else the maximum."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
@@ -452,7 +452,7 @@ def memory_mib():
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def main():
+def main() -> Any:
     parser = parser_of(__doc__)
     parts = {part.__name__: part for part in (classic, fd, bus, threads, checksum)}
     parser.add_argument("--lines", type=int, default=10**6, help="number of lines; 1e6 by default")

@@ -1,6 +1,8 @@
 """Fixtures of the tests of the bus."""
 
 import itertools
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from kernel_can import has_vcan, set_up
@@ -11,26 +13,26 @@ CHANNELS = (f"test-{number}" for number in itertools.count())
 
 
 @pytest.fixture
-def channel():
+def channel() -> Any:
     """A channel of the virtual interface that no other test uses."""
     return next(CHANNELS)
 
 
 @pytest.fixture
-def link(channel):
+def link(channel: Any) -> Iterator[Any]:
     with Link(interface="virtual", channel=channel) as link:
         yield link
 
 
 @pytest.fixture
-def other(channel):
+def other(channel: Any) -> Iterator[Any]:
     """Another link on the channel of `link`."""
     with Link(interface="virtual", channel=channel) as link:
         yield link
 
 
 @pytest.fixture
-def vcan():
+def vcan() -> Iterator[str]:
     """An interface of the kernel, restored after the test."""
     if not has_vcan():
         pytest.skip("there is no vcan0; run this inside tools/vcan")

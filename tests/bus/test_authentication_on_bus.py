@@ -2,6 +2,7 @@
 
 import time
 import uuid
+from typing import Any
 
 import can
 import pytest
@@ -14,21 +15,21 @@ from maplines_can.wire import Key, Reason
 
 
 @pytest.fixture
-def clock():
+def clock() -> Any:
     return Clock()
 
 
 @pytest.fixture
-def channel():
+def channel() -> str:
     return f"test-{uuid.uuid4()}"
 
 
-def test_an_attacker_and_a_key_change(channel):
+def test_an_attacker_and_a_key_change(channel: str) -> None:
     """All lines are received once; the frames of the attacker are counted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=time.time_ns), codec_of(old, new, clock=time.time_ns)
     bus = {"interface": "virtual", "channel": channel, "fd": True}
-    with Link(**bus) as out, Link(**bus) as back, can.Bus(**bus) as attacker:
+    with Link(**bus) as out, Link(**bus) as back, can.Bus(**bus) as attacker:  # type: ignore[arg-type]
         with Receiver(back, receiver.decoder(), can_ids=receiver.can_ids) as listening:
             transmitter = Transmitter(out, sender, period=0.01, fd=True, count=40)
             with transmitter:
@@ -51,7 +52,7 @@ def test_an_attacker_and_a_key_change(channel):
 
 
 @pytest.mark.parametrize("period", [0.01, 0.05, 0.4, 3.0, 3600.0])
-def test_a_slow_sender_signs_just_before_it_sends(clock, period):
+def test_a_slow_sender_signs_just_before_it_sends(clock: Any, period: float) -> None:
     """At any rate no line is older than 0.1 s, so the window can be short."""
     sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
     decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
@@ -59,14 +60,14 @@ def test_a_slow_sender_signs_just_before_it_sends(clock, period):
     tx_queue.put(scene_lines(scenario("highway"), 8), 0.0)
     now, answers = 0.0, []
     while not tx_queue.over:
-        now += tx_queue.wait(now) + 1e-6
+        now += tx_queue.wait(now) + 1e-6  # type: ignore[operator]
         clock.now = NOW + round(now * S)
-        answers += feed(decoder, tx_queue.take(now).frames, clock.now)
+        answers += feed(decoder, tx_queue.take(now).frames, clock.now)  # type: ignore[union-attr]
 
     assert names(answers) == ["line"] * 24
 
 
-def changed(message, data):
+def changed(message: Any, data: Any) -> Any:
     return can.Message(
         arbitration_id=message.arbitration_id, is_extended_id=False, is_fd=True, data=data
     )

@@ -2,6 +2,8 @@
 
 import signal
 import threading
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from fake_bus import LONG
@@ -12,21 +14,21 @@ from maplines_can.bus.background import BackgroundThread
 class Waiting(BackgroundThread):
     """A thread that waits for an event, and then raises an error if it has one."""
 
-    def __init__(self, error=None):
+    def __init__(self, error: Any = None) -> None:
         super().__init__("test")
         self.go, self.error = threading.Event(), error
 
-    def start(self):
+    def start(self) -> Any:
         return self._start_thread()
 
-    def _run(self):
+    def _run(self) -> None:
         self.go.wait()
         if self.error:
             raise self.error
 
 
 @pytest.fixture
-def interruptible():
+def interruptible() -> Iterator[None]:
     """Let Ctrl-C interrupt this process; Python ignores it if it was started in the background."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
@@ -34,11 +36,11 @@ def interruptible():
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_while_waiting_leaves_a_thread_that_is_known_to_run():
+def test_ctrl_c_while_waiting_leaves_a_thread_that_is_known_to_run() -> None:
     """A later call still waits for its end, and for all that it counts."""
     thread = Waiting().start()
     main = threading.main_thread().ident
-    ctrl_c = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))
+    ctrl_c = threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT))  # type: ignore[arg-type]
 
     with pytest.raises(KeyboardInterrupt):  # noqa: PT012 - not before the block on a busy machine
         ctrl_c.start()
@@ -50,7 +52,7 @@ def test_ctrl_c_while_waiting_leaves_a_thread_that_is_known_to_run():
     ctrl_c.join()
 
 
-def test_an_error_is_raised_until_stop_by_wait_and_once_by_stop():
+def test_an_error_is_raised_until_stop_by_wait_and_once_by_stop() -> None:
     """The caller sees it at least once, and stop does not repeat what was raised before."""
     silent = Waiting(KeyError("a")).start()
     silent.go.set()
@@ -66,7 +68,7 @@ def test_an_error_is_raised_until_stop_by_wait_and_once_by_stop():
     seen.stop()
 
 
-def test_a_thread_that_never_started_has_ended():
+def test_a_thread_that_never_started_has_ended() -> None:
     """Neither wait nor stop blocks."""
     thread = Waiting()
     assert thread.wait()

@@ -1,5 +1,8 @@
 """Settings name the interface; errors of opening are one clear line."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 from fake_bus import (
     FRAME,
@@ -36,8 +39,8 @@ from maplines_can.errors import BusError
     ],
 )
 def test_an_interface_that_cannot_be_opened_raises_one_clear_line(
-    settings, words, monkeypatch, tmp_path
-):
+    settings: Any, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """The first opening is not retried."""
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
@@ -49,15 +52,15 @@ def test_an_interface_that_cannot_be_opened_raises_one_clear_line(
     assert "\n" not in str(caught.value)
 
 
-def test_the_opener_gets_the_settings_each_time():
+def test_the_opener_gets_the_settings_each_time() -> None:
     """Settings that are None are left out; the bus after an outage has the same ones."""
     opener, clock = FakeOpener(GONE), Clock()
     with Link(
         opener, interface="virtual", channel="can0", fd=True, bitrate=None, clock=clock
     ) as link:
         first = opener.settings
-        assert (link.name, first["fd"], "bitrate" in first) == ("virtual can0", True, False)
-        assert (first["interface"], first["channel"]) == ("virtual", "can0")
+        assert (link.name, first["fd"], "bitrate" in first) == ("virtual can0", True, False)  # type: ignore[index, operator]
+        assert (first["interface"], first["channel"]) == ("virtual", "can0")  # type: ignore[index]
         link.send(FRAME)
         clock.now += 1.0
         assert link.send(FRAME) is Sent.OK
@@ -65,7 +68,7 @@ def test_the_opener_gets_the_settings_each_time():
     assert opener.settings == first
 
 
-def test_an_opener_without_settings_gets_none():
+def test_an_opener_without_settings_gets_none() -> None:
     opener = FakeOpener()
     with Link(opener) as link:
         assert link.name == "fake"
@@ -74,8 +77,8 @@ def test_an_opener_without_settings_gets_none():
 
 @pytest.mark.parametrize("source", ["environment", "file", "context"])
 def test_settings_are_read_from_the_configuration_of_python_can(
-    source, monkeypatch, tmp_path, channel
-):
+    source: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, channel: str
+) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     if source == "environment":
         monkeypatch.setenv("CAN_INTERFACE", "virtual")
@@ -98,7 +101,9 @@ def test_settings_are_read_from_the_configuration_of_python_can(
         ("link show vcan2", {"channel": "vcan2", "fd": True}, "the interface has no CAN FD"),
     ],
 )
-def test_a_socketcan_interface_that_cannot_be_opened_raises(vcan, before, settings, words):
+def test_a_socketcan_interface_that_cannot_be_opened_raises(
+    vcan: str, before: str, settings: Any, words: str
+) -> None:
     ip(before)
     with pytest.raises(BusError) as caught:
         Link(**{"interface": "socketcan", "channel": vcan, **settings})

@@ -1,6 +1,7 @@
 """Errors of drivers are classified by the number of the operating system."""
 
 import errno
+from typing import Any
 
 import can
 import pytest
@@ -13,7 +14,7 @@ from fake_bus import (
 from maplines_can.bus.driver_errors import DriverError, classify_error, error_text
 
 
-def caused_by(error, cause):
+def caused_by(error: Any, cause: Any) -> Any:
     error.__cause__ = cause
     return error
 
@@ -39,12 +40,12 @@ def caused_by(error, cause):
         pytest.param(can.CanOperationError("x", -13), DriverError.UNCLEAR, id="number-of-a-driver"),
     ],
 )
-def test_class_of_an_error(error, expected):
+def test_class_of_an_error(error: Any, expected: Any) -> None:
     """The number of the operating system decides, wherever in the chain of causes it is."""
     assert classify_error(error) is expected
 
 
-def test_text_of_an_error_is_that_of_the_operating_system():
+def test_text_of_an_error_is_that_of_the_operating_system() -> None:
     assert error_text(caused_by(can.CanOperationError("Failed [19]"), GONE)) == "No such device"
     assert error_text(can.CanOperationError("two\nlines")) == "two lines"
     assert error_text(can.CanTimeoutError()) == "CanTimeoutError"

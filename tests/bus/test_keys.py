@@ -1,5 +1,8 @@
 """Keys from files and from the environment."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 from secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
 
@@ -11,7 +14,9 @@ HEX = SECRET.hex()
 
 
 @pytest.mark.parametrize("text", [SECRET.hex(), f"\n {SECRET.hex().upper()}\r\n", AES_256.hex()])
-def test_a_key_from_a_file_and_from_the_environment(tmp_path, monkeypatch, text):
+def test_a_key_from_a_file_and_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: Any
+) -> None:
     """Hex digits in either case, and with the newline that an editor adds."""
     monkeypatch.setenv("CAR_KEY", text)
     key = key_from_file(key_file(tmp_path, text.encode()), key_id=7)
@@ -34,7 +39,7 @@ def test_a_key_from_a_file_and_from_the_environment(tmp_path, monkeypatch, text)
         (SECRET.hex().encode(), 0o644, r"everybody .* \(mode 0644\); chmod 600"),
     ],
 )
-def test_an_invalid_key_file_raises(tmp_path, text, mode, message):
+def test_an_invalid_key_file_raises(tmp_path: Path, text: Any, mode: int, message: str) -> None:
     """The message names the file and what is wrong, but not its content."""
     path = key_file(tmp_path, text, mode)
     with pytest.raises(KeyMaterialError, match=message) as caught:
@@ -43,7 +48,7 @@ def test_an_invalid_key_file_raises(tmp_path, text, mode, message):
     check_no_secret(str(caught.value))
 
 
-def test_a_missing_key_raises(tmp_path, monkeypatch):
+def test_a_missing_key_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """There is no such file, or no such variable."""
     monkeypatch.delenv("CAR_KEY", raising=False)
     with pytest.raises(KeyMaterialError, match=r"none\.key: cannot be read: No such file"):
@@ -52,7 +57,9 @@ def test_a_missing_key_raises(tmp_path, monkeypatch):
         key_from_env("CAR_KEY")
 
 
-def test_an_existing_file_or_variable_may_look_like_a_key(tmp_path, monkeypatch):
+def test_an_existing_file_or_variable_may_look_like_a_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its name may consist of hex digits."""
     path = key_file(tmp_path, HEX.encode()).rename(tmp_path / f"{OTHER.hex()}.key")
     monkeypatch.setenv("F47AC10B58CC4372A5670E02", HEX)

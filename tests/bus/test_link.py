@@ -5,6 +5,7 @@ import gc
 import itertools
 import logging
 import random
+from typing import Any
 
 import can
 import pytest
@@ -33,7 +34,9 @@ from maplines_can.errors import BusError
 from maplines_can.line import Slot
 
 
-def test_an_outage_and_the_reconnect_are_each_reported_once(caplog):
+def test_an_outage_and_the_reconnect_are_each_reported_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     """One warning and one event each, however often sending fails in between."""
     opener, clock, events = FakeOpener(None, GONE), Clock(), []
     with Link(opener, on_event=lambda up, text: events.append((up, text)), clock=clock) as link:
@@ -58,7 +61,7 @@ def test_an_outage_and_the_reconnect_are_each_reported_once(caplog):
     assert [text for _, text in events] == caplog.messages
 
 
-def test_an_interface_that_opens_but_does_not_work_is_not_back():
+def test_an_interface_that_opens_but_does_not_work_is_not_back() -> None:
     """Opening is no evidence (SocketCAN opens what is down); the first frame is."""
     opener, clock, events = FakeOpener(GONE, GONE, GONE), Clock(), []
     with Link(opener, on_event=lambda up, _: events.append(up), clock=clock) as link:
@@ -72,7 +75,7 @@ def test_an_interface_that_opens_but_does_not_work_is_not_back():
     assert len(opener.opened) == 4
 
 
-def test_attempts_to_reopen_back_off():
+def test_attempts_to_reopen_back_off() -> None:
     """After 0.1, 0.2, 0.4, 0.8 s and then every second."""
     opener, clock = FakeOpener(GONE), Clock()
     attempts = []
@@ -80,11 +83,11 @@ def test_attempts_to_reopen_back_off():
         link.send(FRAME)
         start = clock.now
 
-        def refuse():
+        def refuse() -> None:
             attempts.append(clock.now - start)
             raise GONE
 
-        link._factory._opener = refuse
+        link._factory._opener = refuse  # type: ignore[assignment]
         for step in range(1, 4000):
             clock.now = start + step * 1e-3
             link.send(FRAME)
@@ -93,7 +96,7 @@ def test_attempts_to_reopen_back_off():
 
 
 @pytest.mark.parametrize("error", [FULL, can.CanTimeoutError(), NO_NUMBER])
-def test_a_full_queue_is_no_outage(error):
+def test_a_full_queue_is_no_outage(error: Any) -> None:
     with Link(FakeOpener(error)) as link:
         assert link.send(FRAME) is Sent.FULL
         assert link.send(FRAME) is Sent.OK
@@ -101,7 +104,7 @@ def test_a_full_queue_is_no_outage(error):
 
 
 @pytest.mark.parametrize("way", ["send", "recv"])
-def test_a_driver_that_keeps_failing_is_reopened(way):
+def test_a_driver_that_keeps_failing_is_reopened(way: str) -> None:
     """Errors without a number are an outage if they last for a second."""
     opener, clock = FakeOpener(*[NO_NUMBER] * 3), Clock()
     with Link(opener, clock=clock) as link:
@@ -113,7 +116,7 @@ def test_a_driver_that_keeps_failing_is_reopened(way):
         assert link.send(FRAME) is Sent.OK
 
 
-def test_an_unclear_error_now_and_then_is_no_outage():
+def test_an_unclear_error_now_and_then_is_no_outage() -> None:
     opener, clock = FakeOpener(*[NO_NUMBER, None] * 5), Clock()
     with Link(opener, clock=clock) as link:
         for _ in range(10):
@@ -122,7 +125,7 @@ def test_an_unclear_error_now_and_then_is_no_outage():
         assert link.outages == 0
 
 
-def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored():
+def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored() -> None:
     """Closing a socket makes its reader fail, too: this is one outage, not two."""
     clock = Clock()
     with Link(FakeOpener(GONE), clock=clock) as link:
@@ -130,11 +133,11 @@ def test_the_error_of_a_bus_that_another_thread_has_closed_is_ignored():
         link.send(FRAME)
         clock.now += 1.0
         assert link.send(FRAME) is Sent.OK
-        assert link._failed(old, ValueError("file descriptor cannot be -1"), "recv") is Sent.DOWN
+        assert link._failed(old, ValueError("file descriptor cannot be -1"), "recv") is Sent.DOWN  # type: ignore[arg-type]
         assert (link.up, link.outages) == (True, 1)
 
 
-def test_a_frame_that_can_never_be_sent_raises():
+def test_a_frame_that_can_never_be_sent_raises() -> None:
     with (
         Link(FakeOpener(can.CanOperationError("Failed", errno.EINVAL))) as link,
         pytest.raises(BusError, match=r"fake refuses the frame: .* opened with fd=True"),
@@ -142,7 +145,7 @@ def test_a_frame_that_can_never_be_sent_raises():
         link.send(FRAME)
 
 
-def test_a_wrong_message_raises():
+def test_a_wrong_message_raises() -> None:
     with (
         Link(FakeOpener(ValueError("no such frame"))) as link,
         pytest.raises(ValueError, match="no"),
@@ -150,7 +153,7 @@ def test_a_wrong_message_raises():
         link.send(FRAME)
 
 
-def test_a_closed_link_raises(channel):
+def test_a_closed_link_raises(channel: str) -> None:
     link = Link(interface="virtual", channel=channel)
     link.close()
     link.close()
@@ -159,7 +162,7 @@ def test_a_closed_link_raises(channel):
             use()
 
 
-def test_filters_survive_an_outage():
+def test_filters_survive_an_outage() -> None:
     opener, clock = FakeOpener(GONE), Clock()
     with Link(opener, clock=clock) as link:
         link.accept_only({0x101, 0x100})
@@ -176,17 +179,19 @@ def test_filters_survive_an_outage():
 @pytest.mark.socketcan
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("how", ["down", "delete"])
-def test_a_socketcan_interface_is_lost_and_reopened(vcan, fd, how, caplog):
+def test_a_socketcan_interface_is_lost_and_reopened(
+    vcan: str, fd: bool, how: str, caplog: pytest.LogCaptureFixture
+) -> None:
     """Each link reports the outage and the reconnect once."""
     sender_events, receiver_events = Events(), Events()
     settings = {"interface": "socketcan", "channel": vcan, "fd": fd}
     codec, decoder = FakeCodec(), FakeCodec().decoder()
     caplog.set_level(logging.WARNING)
     with (
-        Link(**settings, on_event=sender_events) as link,
-        Link(**settings, on_event=receiver_events) as other,
+        Link(**settings, on_event=sender_events) as link,  # type: ignore[arg-type]
+        Link(**settings, on_event=receiver_events) as other,  # type: ignore[arg-type]
         Receiver(other, decoder) as receiver,
-        Transmitter(link, codec, period=0.005, fd=fd) as transmitter,
+        Transmitter(link, codec, period=0.005, fd=fd) as transmitter,  # type: ignore[arg-type]
     ):
         for slot in Slot:
             transmitter.publish(map_line(slot))
@@ -209,17 +214,17 @@ def test_a_socketcan_interface_is_lost_and_reopened(vcan, fd, how, caplog):
 
 
 @pytest.mark.socketcan
-def test_no_transfer_is_resumed_after_an_outage(vcan):
+def test_no_transfer_is_resumed_after_an_outage(vcan: str) -> None:
     """An independent socket sees whole transfers, and none that the outage interrupted."""
     events, raw = Events(), can.Bus(interface="socketcan", channel=vcan)
     with (
         Link(interface="socketcan", channel=vcan, on_event=events) as link,
-        Transmitter(link, FakeCodec(), period=0.002) as transmitter,
+        Transmitter(link, FakeCodec(), period=0.002) as transmitter,  # type: ignore[arg-type]
     ):
         for slot in Slot:
             transmitter.publish(map_line(slot))
         for _ in range(5):
-            seen = [raw.recv(LONG).data[:3] for _ in range(101)]
+            seen = [raw.recv(LONG).data[:3] for _ in range(101)]  # type: ignore[union-attr]
             assert seen[0][0] == 0  # raw was open before the first frame
             for old, new in itertools.pairwise(seen):
                 same = old[1:] == new[1:]
@@ -237,7 +242,7 @@ def test_no_transfer_is_resumed_after_an_outage(vcan):
 
 
 @pytest.mark.socketcan
-def test_a_socket_of_a_deleted_interface_is_detected(vcan):
+def test_a_socket_of_a_deleted_interface_is_detected(vcan: str) -> None:
     """It reports no error any more, and there is a new interface of its name."""
     events = Events()
     codec = FakeCodec()
@@ -254,7 +259,7 @@ def test_a_socket_of_a_deleted_interface_is_detected(vcan):
 
 
 @pytest.mark.socketcan
-def test_an_interface_that_returns_without_can_fd_is_reported_once(vcan):
+def test_an_interface_that_returns_without_can_fd_is_reported_once(vcan: str) -> None:
     """It is up again, so the user must know why no line arrives."""
     events = Events()
     ip("link set vcan1 up")
@@ -277,11 +282,11 @@ def test_an_interface_that_returns_without_can_fd_is_reported_once(vcan):
 
 
 @pytest.mark.socketcan
-def test_can_fd_on_classic_socketcan(vcan):
+def test_can_fd_on_classic_socketcan(vcan: str) -> None:
     """The transmitter raises at construction, the link at the first frame."""
     with Link(interface="socketcan", channel="vcan2") as link:
         with pytest.raises(BusError, match="opened without CAN FD"):
-            Transmitter(link, FakeCodec(), fd=True)
+            Transmitter(link, FakeCodec(), fd=True)  # type: ignore[arg-type]
         frame = can.Message(is_fd=True, data=bytes(32))
         with pytest.raises(BusError, match="socketcan vcan2 refuses the frame: Invalid argument"):
             link.send(frame)
@@ -289,7 +294,7 @@ def test_can_fd_on_classic_socketcan(vcan):
 
 @pytest.mark.socketcan
 @pytest.mark.filterwarnings("ignore:unclosed <socket:ResourceWarning")
-def test_a_link_survives_random_outages(vcan):
+def test_a_link_survives_random_outages(vcan: str) -> None:
     """Set down or deleted at random times: each outage is reported, and in the end it works."""
     rng = random.Random(7)  # noqa: S311 - not a secret
     events = []
@@ -298,7 +303,7 @@ def test_a_link_survives_random_outages(vcan):
         Link(interface="socketcan", channel=vcan) as other,
         Link(interface="socketcan", channel=vcan, on_event=lambda up, _: events.append(up)) as link,
         Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.002) as transmitter,
+        Transmitter(link, codec, period=0.002) as transmitter,  # type: ignore[arg-type]
     ):
         for slot in Slot:
             transmitter.publish(map_line(slot))

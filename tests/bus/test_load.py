@@ -1,5 +1,7 @@
 """Bits of a frame are the published bounds."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +15,7 @@ from maplines_can.wire import Frame
 
 
 @pytest.mark.parametrize("length", range(9))
-def test_bits_of_classic_frames_are_the_published_ones(length):
+def test_bits_of_classic_frames_are_the_published_ones(length: Any) -> None:
     """55 + 10 s and 80 + 10 s bits (Davis et al. 2007, equations 2 and 3)."""
     assert frame_bits(length).nominal == 55 + 10 * length
     assert frame_bits(length, is_extended=True).nominal == 80 + 10 * length
@@ -30,12 +32,12 @@ def test_bits_of_classic_frames_are_the_published_ones(length):
         pytest.param(64, False, (34, 517 + 129 + 32), id="64-bytes"),
     ],
 )
-def test_bits_of_can_fd_frames(length, is_extended, bits):
+def test_bits_of_can_fd_frames(length: int, is_extended: bool, bits: Any) -> None:
     """Counted by hand: fields + stuff bits + CRC field."""
     assert frame_bits(length, is_extended=is_extended, is_fd=True) == bits
 
 
-def stuffed(bits):
+def stuffed(bits: Any) -> Any:
     """Indices in ``bits`` after which a stuff bit is inserted."""
     places, run, last = [], 0, None
     for index, bit in enumerate(bits):
@@ -46,7 +48,7 @@ def stuffed(bits):
     return places
 
 
-def header(is_extended, is_fd, can_id, dlc):
+def header(is_extended: Any, is_fd: Any, can_id: Any, dlc: Any) -> Any:
     """Bits of a frame from SOF to DLC, and how many of them have the nominal bit rate."""
     number = [int(bit) for bit in f"{can_id:029b}"]
     bits = [0, *number[:11], 1, 1, *number[11:], 0] if is_extended else [0, *number[:11], 0]
@@ -65,7 +67,9 @@ def header(is_extended, is_fd, can_id, dlc):
     st.lists(st.sampled_from([b"\x00", b"\xff", b"\x0f", b"\x1e", b"\x78", b"\xf0"]), min_size=64),
     st.integers(0, 2**15 - 1),
 )
-def test_no_frame_is_longer_than_its_bound(is_extended, is_fd, can_id, length, data, crc):
+def test_no_frame_is_longer_than_its_bound(
+    is_extended: bool, is_fd: bool, can_id: int, length: Any, data: Any, crc: int
+) -> None:
     """Frames are built and stuffed bit by bit, with data that need many stuff bits and any CRC."""
     length = length if is_fd else min(length, 8)
     bits, slow = header(is_extended, is_fd, can_id, length if length <= 8 else 15)
@@ -85,13 +89,13 @@ def test_no_frame_is_longer_than_its_bound(is_extended, is_fd, can_id, length, d
         assert nominal + fast / speed <= bound.nominal + bound.data / speed
 
 
-def test_the_bound_is_reached_by_alternating_runs():
+def test_the_bound_is_reached_by_alternating_runs() -> None:
     """The bits 0 0000 1111 0000 ... have a stuff bit for each four after the first."""
     bits = [0] + [bit for k in range(20) for bit in [k % 2] * 4]
     assert len(stuffed(bits)) == (len(bits) - 1) // 4
 
 
-def test_bus_load_of_lines():
+def test_bus_load_of_lines() -> None:
     """Eight lines every 50 ms at 500 kbit/s: four classic frames or one of CAN FD each."""
     classic = [Frame(0x100, bytes(8))] * 32
     fd = [Frame(0x100, bytes(32), is_fd=True)] * 8
@@ -102,12 +106,12 @@ def test_bus_load_of_lines():
 
 
 @pytest.mark.parametrize("length", [-1, 9, 10, 65])
-def test_lengths_that_no_frame_has(length):
+def test_lengths_that_no_frame_has(length: int) -> None:
     with pytest.raises(ValueError, match="length must be 0 to 8"):
         frame_bits(length, is_fd=length != 9)
 
 
-def test_wrong_rates_and_periods_are_refused():
+def test_wrong_rates_and_periods_are_refused() -> None:
     with pytest.raises(ValueError, match="bit rates must be positive"):
         frame_time(Frame(1, b""), 0)
     with pytest.raises(ValueError, match="period must be positive"):

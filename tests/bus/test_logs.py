@@ -5,6 +5,8 @@ import gzip
 import random
 import re
 import zlib
+from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -31,7 +33,7 @@ LOGGED_FD = can.Message(
 FORMATS = ["asc", "blf", "csv", "db", "log", "mf4", "trc", "asc.gz", "blf.gz", "csv.gz", "log.gz"]
 
 
-def written(path, messages):
+def written(path: Any, messages: Any) -> Any:
     """The path of a log, written by python-can."""
     if path.name.endswith(".blf.gz"):  # python-can reads these, but does not write them
         path.write_bytes(gzip.compress(written(path.with_suffix(""), messages).read_bytes()))
@@ -52,7 +54,7 @@ def written(path, messages):
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-def test_every_format_is_read_back(tmp_path, suffix):
+def test_every_format_is_read_back(tmp_path: Path, suffix: Any) -> None:
     """Files written by python-can are read; error and remote frames are skipped."""
     if suffix == "mf4":
         pytest.importorskip("asammdf")
@@ -68,7 +70,7 @@ def test_every_format_is_read_back(tmp_path, suffix):
     assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
 
 
-def test_candump_logs_keep_their_channels_and_times(tmp_path):
+def test_candump_logs_keep_their_channels_and_times(tmp_path: Path) -> None:
     path = tmp_path / "drive.log"
     path.write_text(
         "(1700000000.123456) vcan0 100#0011223344556677\n"
@@ -84,8 +86,8 @@ def test_candump_logs_keep_their_channels_and_times(tmp_path):
     assert (third.is_extended, third.data) == (True, b"")
 
 
-def read_until_error(path):
-    frames = []
+def read_until_error(path: Any) -> Any:
+    frames: list[Any] = []
     with pytest.raises(LogError) as caught:
         frames.extend(read_log(path))
     assert "\n" not in str(caught.value)
@@ -114,7 +116,9 @@ def read_until_error(path):
         ),
     ],
 )
-def test_a_damaged_line_costs_only_itself(tmp_path, suffix, header, good, bad, packed):
+def test_a_damaged_line_costs_only_itself(
+    tmp_path: Path, suffix: str, header: str, good: str, bad: str, packed: bool
+) -> None:
     """All other lines are read, before, between and after the damage; then the error is raised."""
     lines = header.split("\n") if header else []
     lines += [bad if i % 10 == 5 else good.format(i) for i in range(1, 31)]
@@ -130,7 +134,7 @@ def test_a_damaged_line_costs_only_itself(tmp_path, suffix, header, good, bad, p
 
 
 @pytest.mark.parametrize("suffix", ["blf", "log.gz", "blf.gz", "db"])
-def test_a_truncated_file_is_read_up_to_its_end(tmp_path, suffix):
+def test_a_truncated_file_is_read_up_to_its_end(tmp_path: Path, suffix: str) -> None:
     rng = random.Random(1)  # noqa: S311 - not a secret
     messages = [
         can.Message(timestamp=100 + i, arbitration_id=i % 2048, data=rng.randbytes(8))
@@ -148,7 +152,7 @@ def test_a_truncated_file_is_read_up_to_its_end(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".log.gz", ".csv", ".log"])
-def test_a_file_of_something_else_is_one_clear_error(tmp_path, suffix):
+def test_a_file_of_something_else_is_one_clear_error(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"
     path.write_bytes(b"This is not a log.\n" * 20)
     frames, text = read_until_error(path)
@@ -160,7 +164,9 @@ def test_a_file_of_something_else_is_one_clear_error(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("length", [0, 1, 15])
-def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(tmp_path, length):
+def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
+    tmp_path: Path, length: int
+) -> None:
     """python-can would never end."""
     messages = [can.Message(timestamp=100 + i, arbitration_id=i, data=b"abc") for i in range(50)]
     path = written(tmp_path / "drive.blf", messages)
@@ -178,7 +184,7 @@ def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(tmp_path, le
     assert "damaged after 30 good records (BLFParseError: an object is shorter" in text
 
 
-def test_a_reader_that_makes_no_progress_is_stopped(tmp_path):
+def test_a_reader_that_makes_no_progress_is_stopped(tmp_path: Path) -> None:
     """On a version of the format that python-can does not know, it fails at each attempt."""
     path = tmp_path / "drive.trc"
     path.write_text(";$FILEVERSION=2.0\n   1   1059.9 DT 0300 Rx 7 00 00 00 00 04 00 00\n")
@@ -199,14 +205,16 @@ def test_a_reader_that_makes_no_progress_is_stopped(tmp_path):
         ("drive.db.gz", ".db cannot be read while compressed; use gunzip first"),
     ],
 )
-def test_what_cannot_be_read_raises_at_once(tmp_path, name, words):
+def test_what_cannot_be_read_raises_at_once(tmp_path: Path, name: str, words: str) -> None:
     with pytest.raises(LogError) as caught:
         read_log(tmp_path / name)
     assert words in str(caught.value)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mf4_without_its_package_names_the_extra(tmp_path, monkeypatch):
+def test_mf4_without_its_package_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("maplines_can.bus.logs.find_spec", lambda _: None)
     path = tmp_path / "drive.mf4"
     path.touch()
@@ -215,7 +223,9 @@ def test_mf4_without_its_package_names_the_extra(tmp_path, monkeypatch):
 
 
 @given(st.binary(max_size=300), st.sampled_from(["asc", "blf", "csv", "log", "trc", "log.gz"]))
-def test_random_content_raises_log_error_at_worst(tmp_path_factory, content, suffix):
+def test_random_content_raises_log_error_at_worst(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes, suffix: Any
+) -> None:
     """Whatever a file contains."""
     path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
     header = {"asc": b"base hex\n", "csv": b"t\n", "trc": b";$FILEVERSION=1.1\n", "blf": b"LOGG"}

@@ -4,6 +4,7 @@ import itertools
 import queue
 import threading
 import time
+from typing import Any
 
 import can
 import numpy as np
@@ -29,7 +30,7 @@ from maplines_can.line import MapLine, Slot
 from maplines_can.wire import Codec, Frame
 
 
-def test_everything_that_arrives_is_counted(link, other):
+def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
     """Lines, rejected frames, error frames, remote frames."""
     codec = FakeCodec()
     frames = codec.encode(map_line())
@@ -40,10 +41,10 @@ def test_everything_that_arrives_is_counted(link, other):
         received = receiver.get(LONG)
         stats = receiver.stats()
 
-    assert abs(received.t_ns - time.time_ns()) < LONG * 1e9
+    assert abs(received.t_ns - time.time_ns()) < LONG * 1e9  # type: ignore[operator, union-attr]
     assert (stats.lines, stats.frames, stats.overflowed) == (1, 8, 0)
     assert (stats.error_frames, stats.remote_frames) == (1, 1)
-    assert stats.counts == {
+    assert stats.counts == {  # type: ignore[comparison-overlap]
         Reason.UNKNOWN_ID: 1,
         Reason.PENDING: 5,
         Reason.BROKEN: 1,
@@ -51,7 +52,7 @@ def test_everything_that_arrives_is_counted(link, other):
     }
 
 
-def test_iteration_ends_with_stop(link, other):
+def test_iteration_ends_with_stop(link: Any, other: Any) -> None:
     """Lines in the queue are still returned, then the iteration ends."""
     codec = FakeCodec()
     with Receiver(other, codec.decoder()) as receiver:
@@ -65,12 +66,12 @@ def test_iteration_ends_with_stop(link, other):
     receiver.stop()
 
 
-def test_get_has_a_timeout(other):
+def test_get_has_a_timeout(other: Any) -> None:
     with Receiver(other, FakeCodec().decoder()) as receiver:
         assert receiver.get(0.0) is None
 
 
-def test_stop_wakes_waiting_threads(other):
+def test_stop_wakes_waiting_threads(other: Any) -> None:
     receiver = Receiver(other, FakeCodec().decoder())
     waiting = threading.Thread(target=receiver.get)
     waiting.start()
@@ -79,7 +80,7 @@ def test_stop_wakes_waiting_threads(other):
     assert not waiting.is_alive()
 
 
-def test_the_queue_keeps_the_newest_lines(link, other):
+def test_the_queue_keeps_the_newest_lines(link: Any, other: Any) -> None:
     """A full queue drops the oldest lines and counts them."""
     codec = FakeCodec()
     with Receiver(other, codec.decoder(), queue_size=3) as receiver:
@@ -90,8 +91,8 @@ def test_the_queue_keeps_the_newest_lines(link, other):
         assert receiver.stats().overflowed == 7
 
 
-def test_a_callback_gets_the_lines(link, other):
-    codec, lines = FakeCodec(), queue.SimpleQueue()
+def test_a_callback_gets_the_lines(link: Any, other: Any) -> None:
+    codec, lines = FakeCodec(), queue.SimpleQueue[Any]()
     with Receiver(other, codec.decoder(), on_line=lines.put) as receiver:
         send_frames(link, *codec.encode(map_line(y=3)))
         assert lines.get(timeout=LONG).gaussian.mean[0] == 3
@@ -100,10 +101,10 @@ def test_a_callback_gets_the_lines(link, other):
     assert receiver.stats().overflowed == 0
 
 
-def test_the_error_of_a_callback_is_raised_by_stop(link, other):
+def test_the_error_of_a_callback_is_raised_by_stop(link: Any, other: Any) -> None:
     codec = FakeCodec()
 
-    def on_line(line):
+    def on_line(line: Any) -> None:
         raise ZeroDivisionError
 
     receiver = Receiver(other, codec.decoder(), on_line=on_line).start()
@@ -114,7 +115,7 @@ def test_the_error_of_a_callback_is_raised_by_stop(link, other):
     receiver.stop()
 
 
-def test_an_error_of_the_thread_is_raised_by_the_iteration(channel):
+def test_an_error_of_the_thread_is_raised_by_the_iteration(channel: str) -> None:
     link = Link(interface="virtual", channel=channel)
     receiver = Receiver(link, FakeCodec().decoder()).start()
     link.close()
@@ -123,7 +124,7 @@ def test_an_error_of_the_thread_is_raised_by_the_iteration(channel):
     receiver.stop()
 
 
-def test_other_can_ids_do_not_reach_the_decoder(link, other):
+def test_other_can_ids_do_not_reach_the_decoder(link: Any, other: Any) -> None:
     codec = FakeCodec()
     with Receiver(other, codec.decoder(), can_ids={0x100}) as receiver:
         send_frames(link, Frame(0x7FF, b""), *codec.encode(map_line()))
@@ -131,13 +132,13 @@ def test_other_can_ids_do_not_reach_the_decoder(link, other):
         assert receiver.stats().frames == PAGES
 
 
-def test_a_queue_size_of_0_raises(other):
+def test_a_queue_size_of_0_raises(other: Any) -> None:
     with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
         Receiver(other, FakeCodec().decoder(), queue_size=0)
 
 
 @pytest.mark.socketcan
-def test_kernel_filters_and_local_frames(vcan):
+def test_kernel_filters_and_local_frames(vcan: str) -> None:
     """The kernel drops frames of other IDs; frames of local programs are received."""
     codec = FakeCodec()
     with (
@@ -146,11 +147,13 @@ def test_kernel_filters_and_local_frames(vcan):
         Receiver(other, codec.decoder(), can_ids={0x100}) as receiver,
     ):
         send_frames(link, *[Frame(0x7FF, b"")] * 20, *codec.encode(map_line()))
-        assert abs(receiver.get(LONG).t_ns - time.time_ns()) < LONG * 1e9
+        assert abs(receiver.get(LONG).t_ns - time.time_ns()) < LONG * 1e9  # type: ignore[operator, union-attr]
         assert receiver.stats().frames == PAGES
 
 
-def test_the_latest_line_of_a_backlog_is_not_new(channel, monkeypatch):
+def test_the_latest_line_of_a_backlog_is_not_new(
+    channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The sender has died; then the receiver starts, and reads a backlog from the queue."""
     monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     codec = Codec.from_dbc()
@@ -159,7 +162,7 @@ def test_the_latest_line_of_a_backlog_is_not_new(channel, monkeypatch):
         Link(interface="virtual", channel=channel) as late,
     ):
 
-        def send(k, age_ns):
+        def send(k: Any, age_ns: Any) -> None:
             for frame in codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [k / 16, 0, 0, 0])):
                 message = message_of(frame, timestamp=(now.ns - age_ns) / 1e9)
                 assert sender.send(message) is Sent.OK
@@ -169,9 +172,9 @@ def test_the_latest_line_of_a_backlog_is_not_new(channel, monkeypatch):
         with Receiver(late, codec.decoder(cycle_ms=200)) as receiver:
             collect(receiver, 20)
             view = receiver.latest(Slot.EGO_LEFT)
-            assert (view.line.gaussian.mean[0], view.age, view.stale) == (19 / 16, np.inf, True)
+            assert (view.line.gaussian.mean[0], view.age, view.stale) == (19 / 16, np.inf, True)  # type: ignore[union-attr]
             assert not view.usable
-            assert receiver.latest(Slot.EGO_LEFT, now_ns=view.line.t_ns).usable  # the time is known
+            assert receiver.latest(Slot.EGO_LEFT, now_ns=view.line.t_ns).usable  # type: ignore[union-attr]  # the time is known
             for k in itertools.count(20):
                 now.ns += 50_000_000
                 send(k, 0)

@@ -2,6 +2,8 @@
 
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import can
 import pytest
@@ -14,7 +16,7 @@ from maplines_can.wire import E2EState
 
 
 @pytest.fixture
-def links():
+def links() -> Iterator[Any]:
     channel = f"e2e-{time.monotonic_ns()}"
     with (
         Link(interface="virtual", channel=channel) as one,
@@ -23,21 +25,21 @@ def links():
         yield one, other
 
 
-def wait_until(condition, timeout=20.0):
+def wait_until(condition: Any, timeout: float = 20.0) -> None:
     end = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
 
 
-def test_a_controller_sees_a_slot_become_valid_and_stale(links):
+def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
     """Many threads at once request the newest line: VALID while lines are received, then stale."""
     codec, wrong = Codec.from_dbc(), []
     decoder = codec.decoder(cycle_ms=100)  # and lines at 50 Hz: a busy machine is no fault here
     with Receiver(links[1], decoder, can_ids=codec.can_ids) as receiver:
         stop = threading.Event()
 
-        def control():
+        def control() -> None:
             while not stop.is_set():
                 view = receiver.latest(SLOT)
                 if view.line is not None and view.age < view.line.age:
@@ -51,7 +53,7 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(links):
             wait_until(lambda: receiver.latest(SLOT).usable)
         wait_until(lambda: receiver.latest(SLOT).stale)
         wait_until(lambda: receiver.latest(SLOT).state is E2EState.INVALID)
-        assert receiver.latest(SLOT).line.gaussian.mean[0] == 1.75
+        assert receiver.latest(SLOT).line.gaussian.mean[0] == 1.75  # type: ignore[union-attr]
         stop.set()
         for thread in threads:
             thread.join()
@@ -59,7 +61,7 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(links):
         assert list(receiver.slots()) == [SLOT]
 
 
-def test_age_is_by_the_clock_of_the_frames(links):
+def test_age_is_by_the_clock_of_the_frames(links: Any) -> None:
     """Also if the time stamps of the adapter start at power-up."""
     with Receiver(links[1], default_codec().decoder()) as receiver:
         start = time.monotonic()
@@ -75,5 +77,5 @@ def test_age_is_by_the_clock_of_the_frames(links):
                 assert links[0].send(message) is Sent.OK
             assert receiver.get(20.0) is not None
         view = receiver.latest(SLOT)
-        assert 0 <= view.age - view.line.age < 20.0
-        assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale
+        assert 0 <= view.age - view.line.age < 20.0  # type: ignore[union-attr]
+        assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale  # type: ignore[operator, union-attr]

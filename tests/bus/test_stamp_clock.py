@@ -1,11 +1,13 @@
 """The time on the clock of the stamps is known in spite of a backlog."""
 
+from typing import Any
+
 import pytest
 
 from maplines_can.bus.stamp_clock import StampClock
 
 
-def test_a_backlog_does_not_set_the_time_back():
+def test_a_backlog_does_not_set_the_time_back() -> None:
     """A process that was suspended reads old stamps; the time still follows our clock."""
     clock, second = StampClock(), 1_000_000_000
     clock.add(100 * second, 0)
@@ -14,7 +16,7 @@ def test_a_backlog_does_not_set_the_time_back():
         assert clock.now(3 * second) >= 103 * second - 1_000_000
 
 
-def test_a_clock_that_was_set_back_is_believed_after_a_second():
+def test_a_clock_that_was_set_back_is_believed_after_a_second() -> None:
     """Until then lines look older than they are; a clock set forward is believed at once."""
     clock, second = StampClock(), 1_000_000_000
     for i in range(40):
@@ -30,7 +32,7 @@ def test_a_clock_that_was_set_back_is_believed_after_a_second():
 MS = 1_000_000
 
 
-def test_a_backlog_at_the_start_is_not_taken_for_new():
+def test_a_backlog_at_the_start_is_not_taken_for_new() -> None:
     """Its frames are read at once; the clock is steady when frames arrive at the pace of stamps."""
     clock = StampClock()
     for i in range(41):  # 2 s of frames in 4 ms; the last one has waited for 0.9 s
@@ -44,7 +46,7 @@ def test_a_backlog_at_the_start_is_not_taken_for_new():
 
 
 @pytest.mark.parametrize("wait_ns", [0, 700 * MS])
-def test_the_queue_need_not_be_empty(wait_ns):
+def test_the_queue_need_not_be_empty(wait_ns: Any) -> None:
     """Frames without a pause that all wait, some of them longer: steady after 0.2 s."""
     clock = StampClock()
     for i in range(2000):
@@ -53,7 +55,7 @@ def test_the_queue_need_not_be_empty(wait_ns):
         assert clock.steady == (at_ns >= 200 * MS)
 
 
-def test_a_backlog_that_is_read_slowly_is_noticed():
+def test_a_backlog_that_is_read_slowly_is_noticed() -> None:
     """The callback takes 35 ms a line, and lines arrive every 50 ms."""
     clock = StampClock()
     for i in range(40):
@@ -62,7 +64,7 @@ def test_a_backlog_that_is_read_slowly_is_noticed():
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
-def test_a_clock_that_drifts_stays_steady(ppm):
+def test_a_clock_that_drifts_stays_steady(ppm: int) -> None:
     """The quartz of an adapter drifts against ours for an hour."""
     clock = StampClock()
     for i in range(36_000):

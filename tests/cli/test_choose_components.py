@@ -1,6 +1,7 @@
 """Numbers of mixture components within a bus load."""
 
 from itertools import chain
+from typing import Any
 
 import pytest
 from dbcs import default_codec
@@ -20,7 +21,9 @@ from maplines_can.cli.sending import MAX_LOAD, choose_components
     st.booleans(),
     st.floats(0.01, 1),
 )
-def test_the_bus_load_stays_within_its_limit(name, lines, rate, fd, max_load):
+def test_the_bus_load_stays_within_its_limit(
+    name: Any, lines: int, rate: float, fd: bool, max_load: float
+) -> None:
     """If one component for each line exceeds the limit, an error says so."""
     codec, scene = default_codec(), scenario(name)
     one_each = codec.encode_lines(scene_lines(scene, lines), fd=fd)
@@ -35,7 +38,7 @@ def test_the_bus_load_stays_within_its_limit(name, lines, rate, fd, max_load):
     )
 
 
-def test_one_component_each_may_exceed_the_limit():
+def test_one_component_each_may_exceed_the_limit() -> None:
     """Four transfers of 4 x 135 bits at 20 Hz and 500 kbit/s take 8.64 %."""
     scene, codec = scenario("highway"), default_codec()
     with pytest.raises(
@@ -46,7 +49,7 @@ def test_one_component_each_may_exceed_the_limit():
     assert [line.components for line in chosen] == [1] * 4
 
 
-def test_a_fixed_number_has_no_limit_by_default():
+def test_a_fixed_number_has_no_limit_by_default() -> None:
     """A number of components is used as it is unless ``max_load`` is given."""
     scene, codec = scenario("highway"), default_codec()
     chosen = choose_components(scene, codec, components=8)
@@ -55,7 +58,7 @@ def test_a_fixed_number_has_no_limit_by_default():
         choose_components(scene, codec, components=8, max_load=MAX_LOAD)
 
 
-def test_can_fd_allows_more_components():
+def test_can_fd_allows_more_components() -> None:
     """On CAN FD each line of a turn gets what it needs; classic CAN has no room for that."""
     scene, codec = scenario("street-turn-10deg"), default_codec()
     classic, fd = (

@@ -3,19 +3,22 @@
 import argparse
 import contextlib
 import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from maplines_can.cli.study import add_run
 
 
-def command(*arguments):
+def command(*arguments: Any) -> Any:
     """Run the command; return its status and the calls of its progress bar."""
     parser = argparse.ArgumentParser(prog="maplines")
     seen = []
 
     @contextlib.contextmanager
-    def bar(unit):
+    def bar(unit: Any) -> Iterator[Any]:
         yield lambda done, total: seen.append((done, total))
 
     add_run(parser.add_subparsers(), bar)
@@ -26,7 +29,9 @@ def command(*arguments):
 SMALL = ("--code", "Cholesky", "--finer", "-1", "0", "--set", "road", "--n", "2e2", "--jobs", 1)
 
 
-def test_the_command_prints_the_summary(tmp_path, capsys, monkeypatch):
+def test_the_command_prints_the_summary(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """As text or as JSON; the second run has nothing left to do."""
     pytest.importorskip("pyarrow")
     monkeypatch.setattr("maplines_can.cli.study.DEFAULTS", {"fields_n": 0, "limit_n": 0})
@@ -44,7 +49,7 @@ def test_the_command_prints_the_summary(tmp_path, capsys, monkeypatch):
     assert [(row["code"], row["finer_bits"]) for row in rows] == [("Cholesky", -1), ("Cholesky", 0)]
 
 
-def test_the_help_explains_sets_files_and_tables(capsys):
+def test_the_help_explains_sets_files_and_tables(capsys: pytest.CaptureFixture[str]) -> None:
     """It also says how to resume and how to use a cluster."""
     with pytest.raises(SystemExit):
         command("--help")
@@ -57,7 +62,9 @@ def test_the_help_explains_sets_files_and_tables(capsys):
 @pytest.mark.parametrize(
     "arguments", [("--n", "0"), ("--n", "1.5"), ("--finer", "99"), ("--code", "Morse")]
 )
-def test_wrong_usage_is_refused(arguments, tmp_path, capsys):
+def test_wrong_usage_is_refused(
+    arguments: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """argparse ends with status 2 and names the option."""
     with pytest.raises(SystemExit, match="2"):
         command("--out", tmp_path / "out", *arguments)

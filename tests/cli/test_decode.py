@@ -4,6 +4,8 @@ import csv
 import json
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -14,7 +16,7 @@ from maplines_can.cli import main
 
 
 @pytest.fixture
-def log(tmp_path):
+def log(tmp_path: Path) -> Any:
     """A candump log of 20 lines on can0 and 5 on can1, a foreign frame and an incomplete line."""
     codec, path = Codec.from_dbc(), tmp_path / "drive.log"
     lines = scene_lines(scenario("highway"))
@@ -35,13 +37,13 @@ def log(tmp_path):
     return path
 
 
-def message(frame, t, channel):
+def message(frame: Any, t: Any, channel: Any) -> Any:
     return can.Message(
         t, frame.can_id, is_extended_id=False, is_fd=frame.is_fd, data=frame.data, channel=channel
     )
 
 
-def test_lines_are_printed_as_json(capsys, log):
+def test_lines_are_printed_as_json(capsys: pytest.CaptureFixture[str], log: Any) -> None:
     """Every line of every channel is printed, then the dropped frames."""
     assert main(["decode", str(log)]) == 0
     out, err = capsys.readouterr()
@@ -54,7 +56,7 @@ def test_lines_are_printed_as_json(capsys, log):
     assert "2 timeout" in err
 
 
-def test_lines_are_printed_as_csv(capsys, log):
+def test_lines_are_printed_as_csv(capsys: pytest.CaptureFixture[str], log: Any) -> None:
     """One header, one row for each line, with the upper triangle of the covariance."""
     assert main(["decode", str(log), "--csv"]) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
@@ -64,7 +66,9 @@ def test_lines_are_printed_as_csv(capsys, log):
     assert len([name for name in rows[0] if name.startswith("cov_")]) == 10
 
 
-def test_a_damaged_log_is_decoded_as_far_as_possible(capsys, log):
+def test_a_damaged_log_is_decoded_as_far_as_possible(
+    capsys: pytest.CaptureFixture[str], log: Any
+) -> None:
     """A truncated record is one error and status 1; the lines before and after it are printed."""
     text = log.read_text().splitlines(keepends=True)
     log.write_text("".join([*text[:40], "(1000.1) can0 34\n", *text[40:]]))
@@ -74,7 +78,9 @@ def test_a_damaged_log_is_decoded_as_far_as_possible(capsys, log):
     assert "damaged" in err
 
 
-def test_the_number_of_channels_is_limited(capsys, tmp_path):
+def test_the_number_of_channels_is_limited(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """A log with arbitrary channel names does not fill the memory; what is skipped is reported."""
     path = tmp_path / "names.log"
     path.write_text("".join(f"({k}.0) v{k % 300} 340#0011223344556677\n" for k in range(600)))
@@ -97,7 +103,9 @@ def test_the_number_of_channels_is_limited(capsys, tmp_path):
         ),
     ],
 )
-def test_a_trc_log_is_reported_in_our_words(tmp_path, text, notes, status):
+def test_a_trc_log_is_reported_in_our_words(
+    tmp_path: Path, text: str, notes: Any, status: int
+) -> None:
     """Messages that python-can prints about a .trc file do not reach the user."""
     path = tmp_path / "a.trc"
     path.write_text(text)
@@ -110,7 +118,7 @@ def test_a_trc_log_is_reported_in_our_words(tmp_path, text, notes, status):
     assert done.returncode == status
 
 
-def test_a_closed_pipe_ends_the_command(log):
+def test_a_closed_pipe_ends_the_command(log: Any) -> None:
     """maplines decode LOG | head -1 prints no traceback."""
     command = f"{sys.executable} -m maplines_can.cli decode {log} | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
@@ -118,7 +126,7 @@ def test_a_closed_pipe_ends_the_command(log):
     assert "Traceback" not in done.stderr
 
 
-def drive(path, *, cycle, channels=("can0",), cut=(), n=20):
+def drive(path: Any, *, cycle: Any, channels: Any = ("can0",), cut: Any = (), n: int = 20) -> Any:
     """Write a candump log of one slot, a line in each cycle [s], without the lines in ``cut``."""
     (line,) = scene_lines(scenario("highway"), 1)
     codecs = {channel: Codec.from_dbc() for channel in channels}
@@ -131,7 +139,7 @@ def drive(path, *, cycle, channels=("can0",), cut=(), n=20):
     return str(path)
 
 
-def test_the_state_of_each_slot_is_printed(slot_notes, tmp_path):
+def test_the_state_of_each_slot_is_printed(slot_notes: Any, tmp_path: Path) -> None:
     """Missing lines are counted as lost; slots without any line are not printed."""
     path = drive(tmp_path / "cut.log", cycle=0.05, cut={("can0", 8), ("can0", 13)})
     assert main(["decode", path]) == 0
@@ -142,7 +150,7 @@ def test_the_state_of_each_slot_is_printed(slot_notes, tmp_path):
     )
 
 
-def test_the_channel_of_a_slot_is_printed(slot_notes, tmp_path):
+def test_the_channel_of_a_slot_is_printed(slot_notes: Any, tmp_path: Path) -> None:
     """If there are several channels; the end of the log is the same time for all of them."""
     cut = {("can1", k) for k in range(10, 20)}
     path = drive(tmp_path / "two.log", cycle=0.05, channels=("can0", "can1"), cut=cut)
@@ -153,7 +161,9 @@ def test_the_channel_of_a_slot_is_printed(slot_notes, tmp_path):
     assert second.endswith("9 cycles without data")
 
 
-def test_the_cycle_time_decides_how_many_cycles_are_missing(slot_notes, tmp_path):
+def test_the_cycle_time_decides_how_many_cycles_are_missing(
+    slot_notes: Any, tmp_path: Path
+) -> None:
     """A log of 2 Hz is complete with --cycle-ms 500, and incomplete for the 20 Hz of the DBC."""
     path = drive(tmp_path / "slow.log", cycle=0.5)
     assert main(["decode", path, "--cycle-ms", "500"]) == 0

@@ -2,6 +2,8 @@
 
 import json
 import re
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from maplines_can.scenarios import SCENARIOS
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_json(capsys, fd):
+def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
     """All lines are received, and each has its figures."""
     arguments = ["demo", "--seconds", "0.3", "--rate", "50", "--json", *(["--fd"] if fd else [])]
     assert main([*arguments, "--scenario", "production", "--lines", "8"]) == 0
@@ -30,7 +32,7 @@ def test_json(capsys, fd):
         assert 1 <= line["sigma_80m"] / line["true_sigma_80m"] < 1.06
 
 
-def test_text_and_picture(capsys, tmp_path):
+def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """The table names each line, and the picture is drawn."""
     pytest.importorskip("matplotlib")
     picture = tmp_path / "demo.png"
@@ -43,20 +45,22 @@ def test_text_and_picture(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_each_scenario(capsys, name):
+def test_each_scenario(capsys: pytest.CaptureFixture[str], name: Any) -> None:
     """No line of any scene is lost."""
     assert main(["demo", "--seconds", "0.1", "--scenario", name, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["lines_lost"] == 0
 
 
-def test_bus_load(capsys):
+def test_bus_load(capsys: pytest.CaptureFixture[str]) -> None:
     """Four lines of four frames of at most 135 bits at 20 Hz and 500 kbit/s: 8.64 %."""
     main(["demo", "--seconds", "0.1", "--json"])
     load = json.loads(capsys.readouterr().out)["bus_load"]
     assert load == pytest.approx(4 * 4 * 135 * 20 / 500_000)
 
 
-def test_a_mixture_is_received_as_one_line(capsys, channel):
+def test_a_mixture_is_received_as_one_line(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
     """A mixture of three components is three transfers, and one line at the receiver."""
     assert main(["demo", "--seconds", "0.2", "--components", "3", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -74,10 +78,10 @@ def test_a_mixture_is_received_as_one_line(capsys, channel):
     assert sum(row["mixture"]["weights"]) == 1
 
 
-def test_components_auto(capsys):
+def test_components_auto(capsys: pytest.CaptureFixture[str]) -> None:
     """One for an accurate pose; in a turn as many as needed, or as the bus load allows."""
 
-    def demo(name, *more):
+    def demo(name: Any, *more: Any) -> Any:
         command = ["demo", "--components", "auto", "--seconds", "0.1", "--rate", "50", "--json"]
         assert main([*command, "--scenario", name, *more]) == 0
         result = json.loads(capsys.readouterr().out)
@@ -91,7 +95,9 @@ def test_components_auto(capsys):
         assert line["remaining_nonlinearity"] <= 0.3 < line["nonlinearity"]
 
 
-def test_the_number_of_components_is_printed(capsys, channel):
+def test_the_number_of_components_is_printed(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
     """By demo under each line, by send before it starts, and in the JSON of both."""
     turn = ["--components", "auto", "--scenario", "street-turn-10deg", "--lines", "2", "--fd"]
     assert main(["demo", "--seconds", "0.1", *turn]) == 0
@@ -106,7 +112,7 @@ def test_the_number_of_components_is_printed(capsys, channel):
     assert result["frames"] / result["lines"] > 4
 
 
-def test_the_default_scene_is_the_production_car(capsys):
+def test_the_default_scene_is_the_production_car(capsys: pytest.CaptureFixture[str]) -> None:
     """Its lateral sigma at 80 m is below a metre."""
     assert main(["demo", "--seconds", "0.1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
@@ -115,7 +121,7 @@ def test_the_default_scene_is_the_production_car(capsys):
     assert np.allclose(scenario("production").ego.sigma, [0.3, 0.1, np.radians(0.5)])
 
 
-def test_the_text_explains_itself(capsys):
+def test_the_text_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
     """Both divergences and the covered target are named and explained."""
     assert main(["demo", "--seconds", "0.1", "--lines", "1"]) == 0
     text = capsys.readouterr().out
@@ -125,7 +131,7 @@ def test_the_text_explains_itself(capsys):
     assert "covered target: the sent Gaussian" in text
 
 
-def test_nonlinearity_is_printed_for_mixtures_only(capsys):
+def test_nonlinearity_is_printed_for_mixtures_only(capsys: pytest.CaptureFixture[str]) -> None:
     """It is explained there, and says little about a single Gaussian."""
     assert main(["demo", "--seconds", "0.1"]) == 0
     assert "nonlinearity" not in capsys.readouterr().out

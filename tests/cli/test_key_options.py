@@ -7,6 +7,7 @@ import re
 import time
 import uuid
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -22,12 +23,12 @@ ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
-def clock():
+def clock() -> Any:
     return Clock()
 
 
 @pytest.fixture
-def lines():
+def lines() -> Any:
     return scene_lines(scenario("highway"), 2)
 
 
@@ -44,7 +45,9 @@ HEX = SECRET.hex()
         *(COLONS.replace(":", "-"), COLONS.replace(":", " ")),
     ],
 )
-def test_a_key_on_the_command_line_is_not_printed(capsys, option, text):
+def test_a_key_on_the_command_line_is_not_printed(
+    capsys: pytest.CaptureFixture[str], option: str, text: Any
+) -> None:
     """The error says that this looks like a key, without printing it."""
     assert main(["demo", option, text]) == 1
     out, err = capsys.readouterr()
@@ -69,7 +72,9 @@ def test_a_key_on_the_command_line_is_not_printed(capsys, option, text):
         [HEX],
     ],
 )
-def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(capsys, words):
+def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(
+    capsys: pytest.CaptureFixture[str], words: Any
+) -> None:
     """Options cannot be abbreviated, and errors leave out what may be a key."""
     with pytest.raises(SystemExit, match="2"):
         main(words)
@@ -78,20 +83,25 @@ def test_a_wrong_command_line_is_not_printed_if_it_may_contain_a_key(capsys, wor
     check_no_typed_secret(out + err)
 
 
-def check_no_typed_secret(text):
+def check_no_typed_secret(text: Any) -> None:
     """As check_no_secret, whatever separates the digits."""
     check_no_secret(text)
     check_no_secret(re.sub("[^0-9A-Za-z]", "", text))
 
 
-def test_a_wrong_command_line_without_a_key_is_printed(capsys):
+def test_a_wrong_command_line_without_a_key_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """What cannot be a key is printed."""
     with pytest.raises(SystemExit, match="2"):
         main(["demo", "--keyfile", "car.key", "--key", "2024-10-11"])
     assert "arguments: --keyfile car.key --key 2024-10-11\n" in capsys.readouterr().err
 
 
-def test_the_demo_with_a_key(capsys, caplog, tmp_path, monkeypatch):
+def test_the_demo_with_a_key(
+    capsys: pytest.CaptureFixture[str],
+    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """With a key from a file or the environment, as text or JSON, and no key in any output."""
     caplog.set_level(logging.DEBUG)
     path = key_file(tmp_path, SECRET.hex().encode())
@@ -106,7 +116,9 @@ def test_the_demo_with_a_key(capsys, caplog, tmp_path, monkeypatch):
     check_no_secret("".join([*text, *machine, caplog.text]))
 
 
-def test_send_and_receive_with_keys(capsys, tmp_path, monkeypatch):
+def test_send_and_receive_with_keys(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """With the right key there are lines; with the wrong one there are none, and the reason."""
     path = key_file(tmp_path, SECRET.hex().encode())
     monkeypatch.setenv("WRONG", OTHER.hex())
@@ -129,7 +141,9 @@ def test_send_and_receive_with_keys(capsys, tmp_path, monkeypatch):
     check_no_secret(out + err)
 
 
-def test_a_recorded_log_is_decoded_with_its_key(capsys, tmp_path, clock, lines):
+def test_a_recorded_log_is_decoded_with_its_key(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, clock: Any, lines: Any
+) -> None:
     """However old it is: only the order matters."""
     path, codec = tmp_path / "drive.log", codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 4)
@@ -154,7 +168,9 @@ def test_a_recorded_log_is_decoded_with_its_key(capsys, tmp_path, clock, lines):
     assert "dropped frames: 1 replay" in err
 
 
-def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
+def test_classic_can_with_a_key_is_an_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """With a DBC without authenticated messages, lines cannot be sent or received with a key."""
     path = key_file(tmp_path, SECRET.hex().encode())
     dbc = str(ROOT / "dbc" / "maplines.dbc")
@@ -163,7 +179,7 @@ def test_classic_can_with_a_key_is_an_error(capsys, tmp_path):
         assert "plain CAN FD are not authenticated" in capsys.readouterr().err
 
 
-def test_keys_are_in_the_order_of_the_options():
+def test_keys_are_in_the_order_of_the_options() -> None:
     """Files and variables alike; the key ID is before the colon, or 1."""
     parsed: argparse.Namespace = _parser(["send"]).parse_args(
         ["send", "--key-env", "2:NEW", "--key-file", "a:b", "--key-file", "255:c"]

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -18,7 +19,7 @@ SHOW = "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
 MAIN = "from maplines_can.cli import main\ntry: main({})\nexcept SystemExit: pass"
 
 
-def modules_after(code):
+def modules_after(code: Any) -> Any:
     """Return the modules that a fresh interpreter has loaded after some code."""
     done = subprocess.run(
         [sys.executable, "-c", code + SHOW], capture_output=True, text=True, check=False
@@ -27,7 +28,7 @@ def modules_after(code):
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def among(modules, *packages):
+def among(modules: Any, *packages: Any) -> Any:
     """Return the modules of some packages."""
     return [m for m in modules if any(f"{m}.".startswith(f"{package}.") for package in packages)]
 
@@ -36,7 +37,7 @@ STUDY = ("maplines_can.study", "maplines_can.testing", "matplotlib", "scipy.stat
 
 
 @pytest.fixture
-def log(tmp_path):
+def log(tmp_path: Path) -> Any:
     """A log of 4 lines."""
     path = tmp_path / "drive.log"
     with can.Logger(path) as writer:
@@ -46,14 +47,14 @@ def log(tmp_path):
     return path
 
 
-def test_the_package_imports_names_when_they_are_used():
+def test_the_package_imports_names_when_they_are_used() -> None:
     """Before that it has loaded no package but itself."""
     modules = modules_after("import maplines_can")
     assert among(modules, "maplines_can") == ["maplines_can"]
     assert not among(modules, "numpy", "can", "cantools", "scipy")
 
 
-def test_all_names_of_the_package_load_nothing_of_the_study():
+def test_all_names_of_the_package_load_nothing_of_the_study() -> None:
     """The product does not need it."""
     modules = modules_after("from maplines_can import *")
     assert among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
@@ -61,7 +62,7 @@ def test_all_names_of_the_package_load_nothing_of_the_study():
 
 
 @pytest.mark.parametrize("words", [["--help"], ["--version"], ["study", "--help"]])
-def test_help_loads_nothing(words):
+def test_help_loads_nothing(words: Any) -> None:
     """Names and one line of help are in a table."""
     modules = modules_after(MAIN.format(words))
     assert not among(modules, "numpy", "can", "cantools", *STUDY)
@@ -69,14 +70,14 @@ def test_help_loads_nothing(words):
 
 
 @pytest.mark.parametrize("name", ["receive", "decode", "send"])
-def test_help_of_a_command_loads_nothing_of_the_study(name):
+def test_help_of_a_command_loads_nothing_of_the_study(name: str) -> None:
     """Nor does it load other commands."""
     modules = modules_after(MAIN.format([name, "--help"]))
     assert f"maplines_can.cli.{name}" in modules
     assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.accuracy")
 
 
-def test_a_receiver_loads_no_estimation_and_no_study():
+def test_a_receiver_loads_no_estimation_and_no_study() -> None:
     """Receiving for a short time, on a silent bus."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
     modules = modules_after(MAIN.format(["receive", *bus]))
@@ -84,19 +85,19 @@ def test_a_receiver_loads_no_estimation_and_no_study():
     assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
 
 
-def test_decoding_loads_no_estimation_and_no_study(log):
+def test_decoding_loads_no_estimation_and_no_study(log: Any) -> None:
     """Decoding a log with lines."""
     modules = modules_after(MAIN.format(["decode", str(log)]))
     assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
 
 
-def test_sending_loads_nothing_of_the_study():
+def test_sending_loads_nothing_of_the_study() -> None:
     """Sending a line."""
     bus = ["--interface", "virtual", "--channel", "nobody", "--count", "1", "--rate", "100"]
     assert not among(modules_after(MAIN.format(["send", *bus])), *STUDY)
 
 
-def test_only_faults_load_the_fault_injection():
+def test_only_faults_load_the_fault_injection() -> None:
     """The receiver of the test above loads none."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
     modules = modules_after(MAIN.format(["receive", *bus, "--faults", "loss=0.5"]))
@@ -105,26 +106,26 @@ def test_only_faults_load_the_fault_injection():
 
 
 @pytest.mark.parametrize("name", maplines_can.__all__)
-def test_every_exported_name_is_there(name):
+def test_every_exported_name_is_there(name: Any) -> None:
     """Each is found, and is listed by dir()."""
     assert getattr(maplines_can, name) is not None
     assert name in dir(maplines_can)
 
 
-def test_the_lists_of_exported_names_are_the_same():
+def test_the_lists_of_exported_names_are_the_same() -> None:
     """Names in __all__, names by module, and what a type checker reads."""
     (block,) = (
         node
         for node in ast.parse(Path(maplines_can.__file__).read_text()).body
         if isinstance(node, ast.If)
     )
-    typed = {node.module: [alias.name for alias in node.names] for node in block.body}
+    typed = {node.module: [alias.name for alias in node.names] for node in block.body}  # type: ignore[attr-defined]
     exports = {module: names.split() for module, names in maplines_can._EXPORTS.items()}
     assert typed == exports
     assert sorted(chain(*typed.values())) == sorted(maplines_can.__all__)
 
 
-def test_an_unknown_name_is_an_attribute_error():
+def test_an_unknown_name_is_an_attribute_error() -> None:
     """As of any module."""
     with pytest.raises(AttributeError, match="module 'maplines_can' has no attribute 'nothing'"):
         _ = maplines_can.nothing

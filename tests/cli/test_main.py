@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,13 +15,13 @@ ROOT = Path(__file__).parents[2]
 ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]
 
 
-def help_of(capsys, *words):
+def help_of(capsys: pytest.CaptureFixture[str], *words: Any) -> Any:
     with pytest.raises(SystemExit, match="0"):
         main([*words, "--help"])
     return capsys.readouterr().out
 
 
-def test_help_lists_every_command(capsys):
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     """Each command has a line of help, and so have the commands of the study."""
     top, study = help_of(capsys), help_of(capsys, "study")
     for text, table in ((top, COMMANDS), (study, STUDY_COMMANDS)):
@@ -31,7 +32,7 @@ def test_help_lists_every_command(capsys):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_help_of_a_command_has_an_example(capsys, name):
+def test_help_of_a_command_has_an_example(capsys: pytest.CaptureFixture[str], name: Any) -> None:
     """Each command describes itself and gives an example."""
     text = help_of(capsys, *name.split())
     assert text.startswith(f"usage: maplines {name} ")
@@ -40,7 +41,9 @@ def test_help_of_a_command_has_an_example(capsys, name):
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_help_states_defaults_once_and_none_that_is_not_one(capsys, name):
+def test_help_states_defaults_once_and_none_that_is_not_one(
+    capsys: pytest.CaptureFixture[str], name: Any
+) -> None:
     """No option says that its default is None or False."""
     text = " ".join(help_of(capsys, *name.split()).split())
     assert "default: None" not in text
@@ -49,12 +52,12 @@ def test_help_states_defaults_once_and_none_that_is_not_one(capsys, name):
 
 
 @pytest.mark.parametrize("name", [*COMMANDS, "study"])
-def test_every_command_is_in_the_readme(name):
+def test_every_command_is_in_the_readme(name: Any) -> None:
     """README shows each command at least once."""
     assert f"maplines {name}" in (ROOT / "README.md").read_text()
 
 
-def test_version(capsys):
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     """It is the version of the package."""
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
@@ -62,7 +65,7 @@ def test_version(capsys):
 
 
 @pytest.mark.parametrize("module", ["maplines_can", "maplines_can.cli"])
-def test_the_command_runs_as_a_module(module):
+def test_the_command_runs_as_a_module(module: str) -> None:
     """python -m maplines_can is maplines."""
     command = [sys.executable, "-m", module, "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
@@ -85,7 +88,9 @@ def test_the_command_runs_as_a_module(module):
                      "4 lines with 4 components take 8.64 % of the bus", id="too-little-bus"),
     ],
 )  # fmt: skip
-def test_errors_are_one_clear_line(capsys, arguments, words):
+def test_errors_are_one_clear_line(
+    capsys: pytest.CaptureFixture[str], arguments: Any, words: str
+) -> None:
     """Nonzero status, one line on standard error that names the thing, no traceback."""
     assert main(arguments) == 1
     err = capsys.readouterr().err
@@ -101,7 +106,9 @@ def test_errors_are_one_clear_line(capsys, arguments, words):
         pytest.param(["receive", "--interface", "socketcan"], "--channel can0", id="no-channel"),
     ],
 )
-def test_errors_name_options_and_not_python_arguments(capsys, monkeypatch, arguments, words):
+def test_errors_name_options_and_not_python_arguments(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: Any, words: str
+) -> None:
     """The user of the command cannot pass interface=..."""
     for variable in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
         monkeypatch.delenv(variable, raising=False)
@@ -130,7 +137,7 @@ def test_errors_name_options_and_not_python_arguments(capsys, monkeypatch, argum
         [],
     ],
 )
-def test_wrong_usage_is_status_2(capsys, arguments):
+def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], arguments: Any) -> None:
     """argparse says what is allowed."""
     with pytest.raises(SystemExit) as end:
         main(arguments)
@@ -138,7 +145,9 @@ def test_wrong_usage_is_status_2(capsys, arguments):
     assert "usage: maplines" in capsys.readouterr().err
 
 
-def test_an_unknown_command_is_answered_with_the_known_ones(capsys):
+def test_an_unknown_command_is_answered_with_the_known_ones(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """All of them, although their modules are not loaded."""
     with pytest.raises(SystemExit, match="2"):
         main(["fly"])
@@ -146,7 +155,7 @@ def test_an_unknown_command_is_answered_with_the_known_ones(capsys):
     assert all(f"'{name}'" in err for name in [*COMMANDS, "study"])
 
 
-def test_interrupt_ends_cleanly(channel):
+def test_interrupt_ends_cleanly(channel: str) -> None:
     """SIGINT to a sender: the counters, status 0, no traceback."""
     script = (
         "import signal\n"
@@ -156,7 +165,7 @@ def test_interrupt_ends_cleanly(channel):
         "raise SystemExit(main(['send', *bus, '--rate', '100']))"
     )
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([sys.executable, "-c", script], **pipes) as sender:
+    with subprocess.Popen([sys.executable, "-c", script], **pipes) as sender:  # type: ignore[call-overload]
         assert "until Ctrl-C" in sender.stderr.readline()
         sender.send_signal(signal.SIGINT)
         out, err = sender.communicate(timeout=30)
@@ -165,10 +174,10 @@ def test_interrupt_ends_cleanly(channel):
     assert "Traceback" not in err
 
 
-def test_interrupt_while_a_module_is_imported(monkeypatch):
+def test_interrupt_while_a_module_is_imported(monkeypatch: pytest.MonkeyPatch) -> None:
     """The status of Ctrl-C, no traceback."""
 
-    def import_module(*_):
+    def import_module(*_: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("maplines_can.cli.import_module", import_module)

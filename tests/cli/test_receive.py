@@ -1,14 +1,18 @@
 """The command ``maplines receive``."""
 
 import json
+from typing import Any
 
+import pytest
 from scenes import scene_lines
 
 from maplines_can import Codec, Link, Transmitter, scenario
 from maplines_can.cli import main
 
 
-def test_lines_are_printed_until_the_count(capsys, channel):
+def test_lines_are_printed_until_the_count(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
     """JSON lines on standard output, the counters on standard error."""
     with (
         Link(interface="virtual", channel=channel) as link,
@@ -27,14 +31,16 @@ def test_lines_are_printed_until_the_count(capsys, channel):
     assert "0 lines lost" in err
 
 
-def test_a_silent_bus_ends_it_after_the_timeout(capsys, channel):
+def test_a_silent_bus_ends_it_after_the_timeout(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
     """The status is 1 if fewer lines arrived than --count."""
     bus = ["--interface", "virtual", "--channel", channel]
     assert main(["receive", *bus, "--count", "1", "--timeout", "0.05"]) == 1
     assert "nothing received for 0.05 s" in capsys.readouterr().err
 
 
-def test_the_cycle_time_decides_whether_a_slot_is_valid(slot_notes, channel):
+def test_the_cycle_time_decides_whether_a_slot_is_valid(slot_notes: Any, channel: str) -> None:
     """The slot of a slow sender is VALID with --cycle-ms and not VALID without it."""
     bus = ["--interface", "virtual", "--channel", channel]
     with (

@@ -4,6 +4,8 @@ import json
 import re
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import can
 import pytest
@@ -14,7 +16,7 @@ from maplines_can.cli import main
 
 
 @pytest.fixture
-def links():
+def links() -> Iterator[Any]:
     channel = f"e2e-{time.monotonic_ns()}"
     with (
         Link(interface="virtual", channel=channel) as one,
@@ -23,10 +25,12 @@ def links():
         yield one, other
 
 
-def test_receive_prints_the_states_and_two_senders(links, capsys):
+def test_receive_prints_the_states_and_two_senders(
+    links: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
     """A note of each change, a summary of each slot, and in JSON the checks with each line."""
 
-    def send():
+    def send() -> None:
         for cycle in range(30):
             for ahead in (0, 77):
                 for frame in frames(cycle + ahead, which=cycle + ahead):

@@ -2,10 +2,12 @@
 
 import json
 
+import pytest
+
 from maplines_can.cli import main
 
 
-def test_it_ends_after_the_count(capsys, channel):
+def test_it_ends_after_the_count(capsys: pytest.CaptureFixture[str], channel: str) -> None:
     """Each line is sent --count times, then the counters are printed."""
     bus = ["--interface", "virtual", "--channel", channel, "--rate", "200"]
     assert main(["send", *bus, "--count", "5", "--json"]) == 0

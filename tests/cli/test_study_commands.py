@@ -10,7 +10,9 @@ from maplines_can.cli import main
 from maplines_can.scenarios import SCENARIOS
 
 
-def test_figures_are_written_to_the_folder(capsys, tmp_path):
+def test_figures_are_written_to_the_folder(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     """Every figure is there in both formats; other tests check what they show."""
     pytest.importorskip("matplotlib")
     assert main(["figures", "--out", str(tmp_path), "--samples", "1000", "--json"]) == 0
@@ -19,7 +21,7 @@ def test_figures_are_written_to_the_folder(capsys, tmp_path):
     assert all(Path(path).stat().st_size for path in paths)
 
 
-def test_accuracy_as_csv(capsys):
+def test_accuracy_as_csv(capsys: pytest.CaptureFixture[str]) -> None:
     """There is a row for each representation, before and after the bus."""
     arguments = ["accuracy", "--scenario", "production", "--samples", "20000", "--format", "csv"]
     assert main(arguments) == 0
@@ -28,7 +30,7 @@ def test_accuracy_as_csv(capsys):
     assert len(rows) >= 2 * 6
 
 
-def test_scenarios_are_listed(capsys):
+def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     """By name, as text and as JSON."""
     assert main(["scenarios"]) == 0
     text = capsys.readouterr().out

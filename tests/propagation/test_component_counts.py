@@ -1,6 +1,7 @@
 """Number of components of each line, without and within a budget."""
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,17 +23,17 @@ amounts = st.lists(st.floats(0, 1), min_size=1, max_size=8)
 tolerances = st.floats(0.01, 1)
 
 
-def largest_remaining(values, counts):
+def largest_remaining(values: Any, counts: Any) -> Any:
     return max(remaining_nonlinearity(a, k) for a, k in zip(values, counts, strict=True))
 
 
-def pooled(function, gaussian, k):
+def pooled(function: Any, gaussian: Any, k: Any) -> Any:
     """``remaining_nonlinearity`` of the worst output, measured on each component."""
     split = Mixture(k).split(gaussian, function)
     found = []
     for i in range(np.asarray(function(gaussian.mean[None])).shape[1]):
 
-        def output(x, i=i):
+        def output(x: Any, i: Any = i) -> Any:
             return function(x)[:, [i]]
 
         amount = np.array([nonlinearity(output, c).amount for c in split.components])
@@ -43,31 +44,31 @@ def pooled(function, gaussian, k):
 
 @pytest.mark.parametrize("k", SPLITS)
 @pytest.mark.parametrize("slope", [0.0, 0.3, 1.0, 10.0])
-def test_remaining_nonlinearity_of_a_parabola(slope, k):
+def test_remaining_nonlinearity_of_a_parabola(slope: float, k: Any) -> None:
     """For a quadratic function of one variable the formula is exact, for any slope."""
 
-    def parabola(x):
+    def parabola(x: Any) -> Any:
         return slope * x + x**2
 
-    gaussian = Gaussian([0.0], [[1.0]])
+    gaussian = Gaussian([0.0], [[1.0]])  # type: ignore[arg-type]
     remaining = remaining_nonlinearity(nonlinearity(parabola, gaussian).amount, k)
     assert remaining == pytest.approx(pooled(parabola, gaussian, k), rel=1e-6)
 
 
 @pytest.mark.parametrize("k", SPLITS)
-def test_small_amounts_scale_with_the_sigma_of_a_component(k):
+def test_small_amounts_scale_with_the_sigma_of_a_component(k: Any) -> None:
     """The sigma is that of a component of the split of N(0, 1)."""
-    component = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0]).components[0]
+    component = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0]).components[0]  # type: ignore[arg-type]
     assert remaining_nonlinearity(1e-3, k) / 1e-3 == pytest.approx(component.sigma[0], rel=1e-5)
 
 
-def test_remaining_nonlinearity_is_less_if_another_variable_contributes():
+def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> None:
     """A linear variable is not narrowed by the split."""
 
-    def saddle(x):
+    def saddle(x: Any) -> Any:
         return x[:, :1] ** 2 + x[:, 1:]
 
-    gaussian = Gaussian([0.0, 0.0], np.eye(2))
+    gaussian = Gaussian([0.0, 0.0], np.eye(2))  # type: ignore[arg-type]
     for k in range(2, 9):
         predicted = remaining_nonlinearity(nonlinearity(saddle, gaussian).amount, k)
         assert pooled(saddle, gaussian, k) < predicted
@@ -82,7 +83,9 @@ def test_remaining_nonlinearity_is_less_if_another_variable_contributes():
         pytest.param("street-turn-10deg", 1.2, 2.0, id="higher-orders"),
     ],
 )
-def test_remaining_nonlinearity_of_a_refit_against_measurement(name, least, most):
+def test_remaining_nonlinearity_of_a_refit_against_measurement(
+    name: str, least: float, most: float
+) -> None:
     """It agrees if the heading dominates; in a turn higher orders add to the outer components."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
@@ -109,13 +112,13 @@ def test_remaining_nonlinearity_of_a_refit_against_measurement(name, least, most
         ),
     ],
 )
-def test_component_counts(values, settings, counts):
+def test_component_counts(values: Any, settings: Any, counts: Any) -> None:
     """Values one step from each bound."""
     assert component_counts(values, **settings) == counts
 
 
 @given(amounts, tolerances, tolerances)
-def test_a_larger_tolerance_never_needs_more_components(values, one, other):
+def test_a_larger_tolerance_never_needs_more_components(values: Any, one: Any, other: Any) -> None:
     """Without a budget each line gets the fewest components that meet the tolerance."""
     wide, narrow = (
         component_counts(values, tolerance=t) for t in sorted([one, other], reverse=True)
@@ -128,7 +131,9 @@ def test_a_larger_tolerance_never_needs_more_components(values, one, other):
 
 
 @given(amounts, tolerances, st.integers(0, 64), st.integers(0, 64))
-def test_a_larger_budget_never_removes_a_component(values, tolerance, one, other):
+def test_a_larger_budget_never_removes_a_component(
+    values: Any, tolerance: Any, one: int, other: int
+) -> None:
     """No budget is exceeded, and each line has at least one component."""
     few, many = (
         component_counts(values, tolerance=tolerance, budget=len(values) + extra)
@@ -140,7 +145,7 @@ def test_a_larger_budget_never_removes_a_component(values, tolerance, one, other
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=3), st.integers(0, 21))
-def test_the_distribution_of_a_budget_is_optimal(values, extra):
+def test_the_distribution_of_a_budget_is_optimal(values: Any, extra: int) -> None:
     """No other distribution has a smaller largest remaining nonlinearity."""
     budget = len(values) + extra
     counts = component_counts(values, tolerance=1e-9, budget=budget)
@@ -162,7 +167,7 @@ def test_the_distribution_of_a_budget_is_optimal(values, extra):
         ),
     ],
 )
-def test_invalid_arguments_raise(arguments, words):
+def test_invalid_arguments_raise(arguments: Any, words: str) -> None:
     """The message has the name, the range and the value."""
     values, *settings = arguments
     with pytest.raises(ValueError, match=words):

@@ -1,5 +1,7 @@
 """Monte Carlo: moments, samples and their random errors."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from closed_forms import CLOSED
@@ -13,7 +15,7 @@ TURN = scenario("street-turn")
 REFIT = Refit(TURN.polylines, TURN.ego.mean, TURN.window)
 
 
-def test_moments_are_those_of_the_samples():
+def test_moments_are_those_of_the_samples() -> None:
     """They are those of numpy; the same seed repeats them and another seed does not."""
     monte_carlo = MonteCarlo(1000, seed=1)
     mean, cov = monte_carlo.moments(REFIT, TURN.ego)
@@ -28,9 +30,11 @@ def test_moments_are_those_of_the_samples():
 
 @pytest.mark.parametrize(("function", "closed"), CLOSED)
 @pytest.mark.parametrize(("m", "s"), [(0.0, 0.5), (1.0, 0.5), (0.3, 1e-6)])
-def test_monte_carlo_agrees_with_closed_forms(function, closed, m, s):
+def test_monte_carlo_agrees_with_closed_forms(
+    function: Any, closed: Any, m: float, s: float
+) -> None:
     """Within 5 standard errors, that of the variance computed from the fourth moment."""
-    monte_carlo, gaussian = MonteCarlo(200_000, seed=5), Gaussian([m], [[s**2]])
+    monte_carlo, gaussian = MonteCarlo(200_000, seed=5), Gaussian([m], [[s**2]])  # type: ignore[arg-type]
     result, (mean, variance) = monte_carlo(function, gaussian), closed(m, s)
     d = monte_carlo.samples(function, gaussian).values - result.mean
     error = np.sqrt(((d**4).mean() - variance**2) / monte_carlo.n)
@@ -39,7 +43,7 @@ def test_monte_carlo_agrees_with_closed_forms(function, closed, m, s):
     assert abs(result.cov[0, 0] - variance) <= 5 * error
 
 
-def test_samples_include_errors_of_noise_cov():
+def test_samples_include_errors_of_noise_cov() -> None:
     """Independent of the draws, with the covariance of each line within 5 standard errors."""
     error = MapError(0.5, 0.5, 0.01)
     noisy, exact = Refit(TURN.polylines, TURN.ego.mean, TURN.window, error), MonteCarlo(N, seed=3)
@@ -47,14 +51,14 @@ def test_samples_include_errors_of_noise_cov():
     added = samples.values - plain.values  # the same poses
 
     assert np.array_equal(samples.inputs, plain.inputs)
-    for i, cov in enumerate(noisy.noise_cov):
+    for i, cov in enumerate(noisy.noise_cov):  # type: ignore[arg-type]
         bound = 5 * np.sqrt((np.outer(cov.diagonal(), cov.diagonal()) + cov**2) / N)
         assert (np.abs(np.cov(added[:, i].T) - cov) <= bound).all()
     independent = np.column_stack([plain.inputs, added[:, 0, 0], added[:, 1, 0]])
     assert np.abs(np.tril(np.corrcoef(independent.T), -1)).max() < 5 / np.sqrt(N)
 
 
-def test_the_seed_determines_the_errors():
+def test_the_seed_determines_the_errors() -> None:
     """The same seed repeats them, and another seed gives others."""
     noisy = Refit(TURN.polylines, TURN.ego.mean, TURN.window, MapError(0.5))
     known = Gaussian(TURN.ego.mean, np.zeros((3, 3)))
@@ -64,13 +68,13 @@ def test_the_seed_determines_the_errors():
     assert not np.isclose(first, other).any()
 
 
-def test_errors_are_independent_of_the_draws():
+def test_errors_are_independent_of_the_draws() -> None:
     """In one dimension the variances add up, not the standard deviations."""
 
-    def identity(x):
+    def identity(x: Any) -> Any:
         return x
 
-    identity.noise_cov = np.eye(1)
-    values = MonteCarlo(N, seed=3).samples(identity, Gaussian([0.0], [[1.0]])).values
+    identity.noise_cov = np.eye(1)  # type: ignore[attr-defined]
+    values = MonteCarlo(N, seed=3).samples(identity, Gaussian([0.0], [[1.0]])).values  # type: ignore[arg-type]
 
     assert abs(values.var() - 2.0) <= 5 * 2.0 * np.sqrt(2 / N)

@@ -1,5 +1,7 @@
 """Displacement of the car within a time, and its uncertainty."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +13,9 @@ N = 200_000
 
 
 @given(st.floats(-40, 40), st.floats(-1, 1), st.floats(-2, 2))
-def test_the_displacement_is_the_integral_of_the_velocity(speed, yaw_rate, dt):
+def test_the_displacement_is_the_integral_of_the_velocity(
+    speed: float, yaw_rate: float, dt: float
+) -> None:
     """Gauss-Legendre integration of v cos(w t) and v sin(w t) gives the same displacement."""
     z, weights = np.polynomial.legendre.leggauss(24)
     heading = yaw_rate * dt * (z + 1) / 2
@@ -21,7 +25,7 @@ def test_the_displacement_is_the_integral_of_the_velocity(speed, yaw_rate, dt):
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 5e-324, 1e-300, 1e-12, -1e-9])
-def test_a_yaw_rate_of_almost_zero(yaw_rate):
+def test_a_yaw_rate_of_almost_zero(yaw_rate: float) -> None:
     """No value is divided by the yaw rate."""
     x, y, heading = Motion(30.0, yaw_rate).over(0.5).mean
 
@@ -30,7 +34,7 @@ def test_a_yaw_rate_of_almost_zero(yaw_rate):
     assert heading == yaw_rate / 2
 
 
-def test_no_time_is_no_displacement():
+def test_no_time_is_no_displacement() -> None:
     """Mean and covariance are exactly zero, for any covariance of the motion."""
     displacement = Motion.with_sigma(30.0, 0.5, (3.0, 0.5)).over(0.0)
 
@@ -38,7 +42,7 @@ def test_no_time_is_no_displacement():
     assert not displacement.cov.any()
 
 
-def test_uncertainties_of_speed_yaw_rate_and_time_add_up():
+def test_uncertainties_of_speed_yaw_rate_and_time_add_up() -> None:
     """Straight ahead: x by speed and time, heading by yaw rate, y by half the heading times x."""
     displacement = Motion.with_sigma(20.0, 0.0, (0.5, 0.02)).over(0.1, time_sigma=0.005)
     x, y, heading = displacement.sigma
@@ -56,7 +60,7 @@ def test_uncertainties_of_speed_yaw_rate_and_time_add_up():
         ((20.0, 0.3, (1.0, 0.1)), -1.0, 0.005),
     ],
 )
-def test_over_agrees_with_monte_carlo(motion, dt, time_sigma):
+def test_over_agrees_with_monte_carlo(motion: Any, dt: float, time_sigma: float) -> None:
     """Within 5 standard errors, and 0.5 % of sigma for the error of 7 points."""
     motion = Motion.with_sigma(*motion)
     got = motion.over(dt, time_sigma)
@@ -66,10 +70,10 @@ def test_over_agrees_with_monte_carlo(motion, dt, time_sigma):
     assert (np.abs(got.sigma / want.sigma - 1) <= 5 / np.sqrt(2 * N) + 0.005).all()
 
 
-def test_speed_and_yaw_rate_may_correlate_exactly():
+def test_speed_and_yaw_rate_may_correlate_exactly() -> None:
     """An unknown wheel radius affects both: the covariance is singular."""
     scale = np.array([20.0, 0.1])
-    displacement = Motion(*scale, 1e-4 * np.outer(scale, scale)).over(0.1)
+    displacement = Motion(*scale, 1e-4 * np.outer(scale, scale)).over(0.1)  # type: ignore[call-arg]
 
     assert displacement.sigma[0] == pytest.approx(0.02, rel=1e-3)
     assert displacement.correlation[0, 2] == pytest.approx(1.0, abs=1e-6)
@@ -81,7 +85,7 @@ def test_speed_and_yaw_rate_may_correlate_exactly():
         (lambda: Motion(np.nan, 0.0), "speed must be finite, got nan"),
         (lambda: Motion(1.0, np.inf), "yaw_rate must be finite, got inf"),
         (lambda: Motion(1.0, 0.0, np.eye(3)), r"cov must be finite with shape \(2, 2\)"),
-        (lambda: Motion(1.0, 0.0, [[1, 2], [2, 1]]), "cov must be positive semidefinite"),
+        (lambda: Motion(1.0, 0.0, [[1, 2], [2, 1]]), "cov must be positive semidefinite"),  # type: ignore[arg-type]
         (lambda: Motion.with_sigma(1.0, 0.0, (np.nan, 1.0)), "sigma must be 0 or more and finite"),
         (lambda: Motion.with_sigma(1.0, 0.0, (-0.1, 1.0)), "sigma must be 0 or more and finite"),
         (lambda: Motion.with_sigma(1.0, 0.0, (1e200, 1.0)), "sigma must be 0 or more and finite"),
@@ -94,7 +98,7 @@ def test_speed_and_yaw_rate_may_correlate_exactly():
         (lambda: Motion(1.0, 0.0).over(0.1, np.nan), "time_sigma must be 0 s or more"),
     ],
 )
-def test_invalid_motion_raises(make, words):
+def test_invalid_motion_raises(make: Any, words: str) -> None:
     """The message has the name and the value."""
     with pytest.raises(ValueError, match=words):
         make()

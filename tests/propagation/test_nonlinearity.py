@@ -7,7 +7,7 @@ from maplines_can.propagation import Refit, nonlinearity
 from maplines_can.scenarios import scenario
 
 
-def test_a_refit_is_nonlinear_in_the_heading():
+def test_a_refit_is_nonlinear_in_the_heading() -> None:
     """On the highway the direction is that of the heading, within a degree."""
     scene = scenario("highway-10deg")
     refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)

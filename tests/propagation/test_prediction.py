@@ -1,6 +1,7 @@
 """Prediction of lines: Gaussians, and received lines with their time and valid range."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,42 +48,42 @@ NO_DISPLACEMENT = Gaussian(np.zeros(3), np.zeros((3, 3)))
 DISPLACEMENTS = {
     "cruise": Motion.with_sigma(20.0, 0.02, (0.5, 0.01)).over(0.1),
     "turn": Motion.with_sigma(8.0, 0.4, (0.3, 0.03)).over(0.25),
-    "far": Gaussian([4.5, 1.0, np.radians(10)], np.diag([0.3, 0.1, np.radians(1)]) ** 2),
+    "far": Gaussian([4.5, 1.0, np.radians(10)], np.diag([0.3, 0.1, np.radians(1)]) ** 2),  # type: ignore[arg-type]
 }
 
 
-def known(*displacement):
-    return Gaussian(displacement, np.zeros((3, 3)))
+def known(*displacement: Any) -> Any:
+    return Gaussian(displacement, np.zeros((3, 3)))  # type: ignore[arg-type]
 
 
-def inverse(motion):
+def inverse(motion: Any) -> Any:
     """The old pose in the new frame."""
     return [*to_ego([0.0, 0.0], motion), -motion[2]]
 
 
-def y_sigma(gaussian, x=X):
+def y_sigma(gaussian: Any, x: Any = X) -> Any:
     return MapLine(Slot.EGO_LEFT, gaussian).y_sigma(x)
 
 
-def line_of_scene(name, i=0):
+def line_of_scene(name: Any, i: int = 0) -> Any:
     """Window, refit and Gaussian of a line of a scene."""
     scene = SCENARIOS[name]
     refit = Refit(scene.polylines[i], scene.ego.mean, scene.window)
     return tuple(refit.x_range), refit, SigmaPoints()(refit, scene.ego)
 
 
-def received(age=0.04, **rest):
+def received(age: float = 0.04, **rest: Any) -> Any:
     return MapLine(Slot.EGO_LEFT, LINE, age=age, **{"t_ns": 1_000_000_000} | rest)
 
 
-def covariances():
+def covariances() -> Any:
     """(4, 4) of a line and (3, 3) of a displacement, each of any rank, realistic or smaller."""
 
-    def blocks(n):
+    def blocks(n: Any) -> Any:
         ranks = st.integers(0, n)
         return ranks.flatmap(lambda rank: arrays(float, (n, rank), elements=ENTRIES))
 
-    def scaled(A, sigma, decades):
+    def scaled(A: Any, sigma: Any, decades: Any) -> Any:
         return (A @ A.T) * np.outer(sigma, sigma) * 100.0**-decades
 
     sigma = np.array([0.3, 0.1, 0.02])
@@ -93,7 +94,7 @@ def covariances():
 
 @pytest.mark.parametrize("displacement", ["cruise", "far"])
 @pytest.mark.parametrize("name", ["production", "highway"])
-def test_pose_and_displacement_agree_with_monte_carlo(name, displacement):
+def test_pose_and_displacement_agree_with_monte_carlo(name: str, displacement: str) -> None:
     """Refits from drawn poses after drawn displacements have the same mean line and sigma.
 
     Within 5 standard errors of 20 000 draws, 1 mm, and 1 % of sigma.
@@ -104,7 +105,7 @@ def test_pose_and_displacement_agree_with_monte_carlo(name, displacement):
     pose, step = SCENARIOS[name].ego.sample(n, seed=1), motion.sample(n, seed=2)
     z = np.exp(1j * pose[:, 2]) * (step[:, 0] + 1j * step[:, 1])
     drawn = refit(pose + np.column_stack([z.real, z.imag, step[:, 2]]))
-    x = np.linspace(*window, 9) - motion.mean[0]
+    x = np.linspace(*window, 9) - motion.mean[0]  # type: ignore[call-overload]
     y = lateral(drawn[:, None], x)
     sigma = y.std(axis=0)
 
@@ -115,7 +116,7 @@ def test_pose_and_displacement_agree_with_monte_carlo(name, displacement):
     assert (np.abs(y_sigma(now, x) / first_order - 1) <= 5 / np.sqrt(2 * n) + 0.01).all()
 
 
-def test_no_displacement_does_not_change_a_line():
+def test_no_displacement_does_not_change_a_line() -> None:
     """Mean and covariance are the same up to rounding."""
     same = predict(LINE, NO_DISPLACEMENT, WINDOW)
 
@@ -124,7 +125,7 @@ def test_no_displacement_does_not_change_a_line():
 
 
 @given(covariances())
-def test_no_displacement_does_not_change_a_singular_line(cov):
+def test_no_displacement_does_not_change_a_singular_line(cov: Any) -> None:
     """A covariance of any rank, exactly or nearly singular, is the same up to rounding."""
     cov, _ = cov
     line = Gaussian(MEAN, cov)
@@ -134,14 +135,14 @@ def test_no_displacement_does_not_change_a_singular_line(cov):
     assert (np.abs(same.cov - line.cov) <= 1e-6 * np.outer(sigma, sigma)).all()
 
 
-def test_a_translation_keeps_the_determinant():
+def test_a_translation_keeps_the_determinant() -> None:
     """A translation maps (y_off, tan beta, c0, c1) with determinant 1, so det S stays.
 
     Here it is 10^-12 of that of the sigmas, and the displacement is singular.
     """
     L = np.diag([0.1, 1e-4, 1e-6, 1e-8])
     L[1:, 0], L[2:, 1], L[3, 2] = [1e-2, 1e-4, 1e-6], [1e-6, 1e-8], 1e-8
-    nearly_singular = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)
+    nearly_singular = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)  # type: ignore[arg-type]
     now = predict(nearly_singular, known(2.0, 0.1, 0.0), WINDOW)
 
     expected = 2 * np.log(L.diagonal()).sum()
@@ -149,10 +150,10 @@ def test_a_translation_keeps_the_determinant():
 
 
 @pytest.mark.parametrize("heading_deg", [-30, 0.0, 10])
-def test_rotation_of_a_straight_line(heading_deg):
+def test_rotation_of_a_straight_line(heading_deg: float) -> None:
     """beta' = beta - heading, and the variances add up, exactly."""
-    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)
-    turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)  # type: ignore[arg-type]
+    turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)  # type: ignore[arg-type]
     now = predict(line, turn, WINDOW)
     beta = 0.1 - np.radians(heading_deg)
 
@@ -164,10 +165,10 @@ def test_rotation_of_a_straight_line(heading_deg):
     assert np.abs(now.mean[2:]).max() < 1e-12
 
 
-def test_translation_of_a_straight_line():
+def test_translation_of_a_straight_line() -> None:
     """y_off' = y_off + tan(beta) x - y: mean and variance are exact."""
-    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)
-    displacement = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)  # type: ignore[arg-type]
+    displacement = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)  # type: ignore[arg-type]
     now = predict(line, displacement, WINDOW)
     slope = np.tan(0.1)
 
@@ -177,7 +178,7 @@ def test_translation_of_a_straight_line():
 
 @pytest.mark.parametrize("displacement", DISPLACEMENTS)
 @pytest.mark.parametrize("name", ["highway", "production", "street-turn"])
-def test_predict_agrees_with_monte_carlo(name, displacement):
+def test_predict_agrees_with_monte_carlo(name: str, displacement: Any) -> None:
     """Within 5 standard errors and the error of 15 points.
 
     That is 1 % of sigma in the mean, and sigmas from 1 % too small to 3 % too large, 15 % for c1
@@ -194,7 +195,9 @@ def test_predict_agrees_with_monte_carlo(name, displacement):
 
 
 @given(mild_lines(), motions(), covariances())
-def test_a_predicted_covariance_is_positive_semidefinite(line, displacement, cov):
+def test_a_predicted_covariance_is_positive_semidefinite(
+    line: Any, displacement: Any, cov: Any
+) -> None:
     """It is symmetric too, for lines and displacements of any rank."""
     now = predict(Gaussian(line, cov[0]), Gaussian(displacement, cov[1]), WINDOW)
 
@@ -204,7 +207,9 @@ def test_a_predicted_covariance_is_positive_semidefinite(line, displacement, cov
 
 
 @given(mild_lines(), motions(metres=2.0, degrees=2.0), covariances())
-def test_a_displacement_and_its_inverse_return_the_gaussian(line, displacement, cov):
+def test_a_displacement_and_its_inverse_return_the_gaussian(
+    line: Any, displacement: Any, cov: Any
+) -> None:
     """For a known displacement: the mean within 0.1 mm, sigma within 0.1 %."""
     line = Gaussian(line, cov[0])
     there = predict(line, known(*displacement), WINDOW)
@@ -215,7 +220,9 @@ def test_a_displacement_and_its_inverse_return_the_gaussian(line, displacement, 
 
 
 @given(mild_lines(), motions(), covariances(), st.floats(1, 4))
-def test_a_less_certain_displacement_gives_a_less_certain_line(line, displacement, cov, factor):
+def test_a_less_certain_displacement_gives_a_less_certain_line(
+    line: Any, displacement: Any, cov: Any, factor: float
+) -> None:
     """The lateral sigma never decreases by more than 0.1 %, a second-order effect."""
     line = Gaussian(line, cov[0])
     certain, uncertain = (
@@ -225,7 +232,7 @@ def test_a_less_certain_displacement_gives_a_less_certain_line(line, displacemen
     assert (y_sigma(uncertain) >= 0.999 * y_sigma(certain) - 1e-9).all()
 
 
-def test_an_ill_posed_line_raises():
+def test_an_ill_posed_line_raises() -> None:
     """At the mean, or at the sigma points of a wide heading; those of Linear are near the mean."""
     with pytest.raises(IllPosedError, match="no value at"):
         predict(LINE, known(0.0, 0.0, np.radians(85)), WINDOW)
@@ -244,13 +251,15 @@ def test_an_ill_posed_line_raises():
         (LINE, NO_DISPLACEMENT, (80.0, 80.0), "points must be 4 or more in a window"),
     ],
 )
-def test_invalid_arguments_of_predict_raise(line, displacement, window, words):
+def test_invalid_arguments_of_predict_raise(
+    line: Any, displacement: Any, window: Any, words: str
+) -> None:
     """Line and displacement swapped, or an empty window."""
     with pytest.raises(ValueError, match=words):
         predict(line, displacement, window)
 
 
-def test_predict_to_starts_at_the_time_of_the_pose():
+def test_predict_to_starts_at_the_time_of_the_pose() -> None:
     """From 0.04 s before the reception to 0.06 s after it are 0.1 s."""
     motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
     line = received(kind=Kind.DASHED, status=Status.REPAIRED, x_min=-8.0, x_max=72.0)
@@ -263,8 +272,8 @@ def test_predict_to_starts_at_the_time_of_the_pose():
     assert (now.slot, now.kind, now.status) == (line.slot, Kind.DASHED, Status.REPAIRED)
 
 
-@pytest.mark.parametrize("mixture", [None, GaussianMixture([1.0], [LINE])])
-def test_predict_to_uses_the_given_transform(mixture):
+@pytest.mark.parametrize("mixture", [None, GaussianMixture([1.0], [LINE])])  # type: ignore[arg-type]
+def test_predict_to_uses_the_given_transform(mixture: Any) -> None:
     """For a Gaussian and for the components of a mixture."""
     displacement = DISPLACEMENTS["far"]
     now = predict_to(replace(received(), mixture=mixture), 0, displacement, transform=Linear())
@@ -272,9 +281,9 @@ def test_predict_to_uses_the_given_transform(mixture):
     assert np.array_equal(now.gaussian.mean, predict(LINE, displacement, WINDOW, Linear()).mean)
 
 
-def test_predict_to_with_a_displacement():
+def test_predict_to_with_a_displacement() -> None:
     """From odometry, which may include a lateral displacement."""
-    displacement = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)
+    displacement = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)  # type: ignore[arg-type]
     now = predict_to(received(), 1_060_000_000, displacement)
 
     assert np.array_equal(now.gaussian.mean, predict(LINE, displacement, WINDOW).mean)
@@ -284,7 +293,7 @@ def test_predict_to_with_a_displacement():
         predict_to(received(), 1_060_000_000, LINE)
 
 
-def test_predict_to_the_time_of_the_pose():
+def test_predict_to_the_time_of_the_pose() -> None:
     """Valid range and Gaussian do not change, for any covariance of the motion."""
     now = predict_to(received(), 960_000_000, Motion.with_sigma(30.0, 0.3, (5.0, 0.5)))
 
@@ -292,7 +301,7 @@ def test_predict_to_the_time_of_the_pose():
     assert np.allclose(now.gaussian.cov, LINE.cov, rtol=1e-9)
 
 
-def test_predict_to_a_time_before_the_pose():
+def test_predict_to_a_time_before_the_pose() -> None:
     """The car was farther back; the uncertainty of the line increases too."""
     before = predict_to(received(), 900_000_000, Motion.with_sigma(20.0, 0.0, (0.0, 0.2)))
 
@@ -302,7 +311,9 @@ def test_predict_to_a_time_before_the_pose():
 
 
 @given(st.integers(-200, 200), st.integers(-200, 200), st.floats(-30, 30), st.floats(-0.3, 0.3))
-def test_two_predictions_are_one(first_ms, second_ms, speed, yaw_rate):
+def test_two_predictions_are_one(
+    first_ms: int, second_ms: int, speed: float, yaw_rate: float
+) -> None:
     """A predicted line has the time of the prediction and age 0, and can be predicted further."""
     motion, line = Motion(speed, yaw_rate), received()
     times = pose_time_ns(line) + 10**6 * np.cumsum([first_ms, second_ms])
@@ -316,10 +327,10 @@ def test_two_predictions_are_one(first_ms, second_ms, speed, yaw_rate):
     assert (two.age, two.t_ns) == (0.0, times[1])
 
 
-def test_the_valid_range_moves_and_gets_shorter():
+def test_the_valid_range_moves_and_gets_shorter() -> None:
     """Its ends are those seen from the new pose, moved inwards by 3 sigma, and never swapped."""
     sigma, R = np.array([0.1, 0.2, 0.01]), np.array([[1, 0.8, 0], [0.8, 1, 0.5], [0, 0.5, 1]])
-    displacement = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))
+    displacement = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))  # type: ignore[arg-type]
     line = received(x_min=-8.0)
     now = predict_to(line, 960_000_000, displacement)
     ends = np.array([[x, line.y(x)] for x in (-8.0, 80.0)])
@@ -333,9 +344,9 @@ def test_the_valid_range_moves_and_gets_shorter():
     assert uncertain.x_min == uncertain.x_max == pytest.approx(36.0)
 
 
-def test_the_valid_range_after_a_u_turn():
+def test_the_valid_range_after_a_u_turn() -> None:
     """x_min is still less than x_max."""
-    displacement = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)
+    displacement = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)  # type: ignore[arg-type]
     now = predict_to(received(), 960_000_000, displacement)
     inwards = 3 * 0.01 * lateral(MEAN, [80.0, 0.0])  # a rotation moves the far end more
 
@@ -343,16 +354,16 @@ def test_the_valid_range_after_a_u_turn():
     assert now.gaussian.mean[0] == pytest.approx(-1.75, abs=1e-3)
 
 
-def test_a_valid_range_of_length_zero():
+def test_a_valid_range_of_length_zero() -> None:
     """The message may round both ends of a short range to the same value."""
     now = predict_to(received(x_min=24.0, x_max=24.0), 960_000_000, known(2.0, 0.0, 0.01))
-    u, v = to_ego([24.0, lateral(MEAN, 24.0)], [2.0, 0.0, 0.01])
+    u, v = to_ego([24.0, lateral(MEAN, 24.0)], [2.0, 0.0, 0.01])  # type: ignore[arg-type]
 
     assert now.x_min == now.x_max == pytest.approx(u, abs=1e-9)
     assert now.y(u) == pytest.approx(v, abs=1e-5)
 
 
-def test_each_component_of_a_mixture_is_predicted():
+def test_each_component_of_a_mixture_is_predicted() -> None:
     """Each keeps its weight; the Gaussian of the line is that of the mixture."""
     scene, motion = SCENARIOS["street-turn"], Motion.with_sigma(8.0, 0.4, (0.3, 0.03))
     window, refit, _ = line_of_scene("street-turn")
@@ -361,14 +372,14 @@ def test_each_component_of_a_mixture_is_predicted():
     line = MapLine.of_mixture(Slot.ROUTE, mixture, **extent)
     now = predict_to(line, 50_000_000, motion)
 
-    assert np.array_equal(now.mixture.weights, mixture.weights)
-    for got, component in zip(now.mixture.components, mixture.components, strict=True):
+    assert np.array_equal(now.mixture.weights, mixture.weights)  # type: ignore[union-attr]
+    for got, component in zip(now.mixture.components, mixture.components, strict=True):  # type: ignore[union-attr]
         assert np.array_equal(got.mean, predict(component, motion.over(0.1), window).mean)
-    assert np.array_equal(now.gaussian.cov, now.mixture.overall.cov)
+    assert np.array_equal(now.gaussian.cov, now.mixture.overall.cov)  # type: ignore[union-attr]
     assert isinstance(now.mixture, GaussianMixture)
 
 
-def test_a_line_of_unknown_covariance():
+def test_a_line_of_unknown_covariance() -> None:
     """The mean is transformed and the covariance stays VAGUE_SIGMA."""
     line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
     motion = Motion.with_sigma(20.0, 0.1, (0.5, 0.02))
@@ -379,9 +390,9 @@ def test_a_line_of_unknown_covariance():
     assert np.array_equal(now.gaussian.mean, transform_line(MEAN, motion.over(0.1).mean, WINDOW))
 
 
-def test_a_line_out_of_range_changes_only_its_time():
+def test_a_line_out_of_range_changes_only_its_time() -> None:
     """It has no usable Gaussian; received data does not raise."""
-    saturated = Gaussian([0.0, 0.4999, 0.125, 0.03], np.diag(np.square(VAGUE_SIGMA)))
+    saturated = Gaussian([0.0, 0.4999, 0.125, 0.03], np.diag(np.square(VAGUE_SIGMA)))  # type: ignore[arg-type]
     line = replace(received(), gaussian=saturated, status=Status.OUT_OF_RANGE)
     now = predict_to(line, 1_060_000_000, Motion(20.0, 0.1))
 
@@ -389,7 +400,7 @@ def test_a_line_out_of_range_changes_only_its_time():
     assert (now.t_ns, now.age) == (1_060_000_000, 0.0)
 
 
-def test_a_line_without_reception_time_raises():
+def test_a_line_without_reception_time_raises() -> None:
     """The message says how to set it."""
     line = MapLine(Slot.EGO_LEFT, LINE, age=0.04)
 
@@ -399,7 +410,7 @@ def test_a_line_without_reception_time_raises():
 
 
 @pytest.mark.parametrize("t_ns", [0, 10_960_000_001, 1_700_000_000_000_000_000, np.nan])
-def test_a_time_of_another_clock_raises(t_ns):
+def test_a_time_of_another_clock_raises(t_ns: Any) -> None:
     """Seconds instead of nanoseconds, or another epoch: more than 10 s from the pose."""
     line = received(t_ns=1_000_000_000) if t_ns else received(t_ns=1_700_000_000_000_000_000)
 
@@ -407,7 +418,7 @@ def test_a_time_of_another_clock_raises(t_ns):
         predict_to(line, t_ns, Motion(1.0, 0.0))
 
 
-def test_ten_seconds_are_accepted():
+def test_ten_seconds_are_accepted() -> None:
     """Exactly at the limit, for a slow car."""
     now = predict_to(received(), 10_960_000_000, Motion(0.5, 0.0))
 
@@ -415,7 +426,7 @@ def test_ten_seconds_are_accepted():
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_time_of_hundreds_of_digits_raises():
+def test_a_time_of_hundreds_of_digits_raises() -> None:
     """The message has its magnitude instead of its digits."""
     line = MapLine.mean_only(Slot.EGO_LEFT, MEAN, age=0.04, t_ns=1_000_000_000)
 

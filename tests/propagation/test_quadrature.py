@@ -2,6 +2,7 @@
 
 import warnings
 from math import factorial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from maplines_can.propagation import MonteCarlo, Quadrature, Refit
 from maplines_can.scenarios import SCENARIOS
 
 
-def without_warnings(call, *arguments):
+def without_warnings(call: Any, *arguments: Any) -> Any:
     """Call without warnings: with 10 deg of heading a few of a million draws are ill-posed."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
@@ -24,17 +25,19 @@ def without_warnings(call, *arguments):
 
 @pytest.mark.parametrize(("function", "closed"), CLOSED)
 @given(m=st.floats(-2, 2), s=st.floats(0, 1))
-def test_quadrature_agrees_with_closed_forms(function, closed, m, s):
+def test_quadrature_agrees_with_closed_forms(
+    function: Any, closed: Any, m: float, s: float
+) -> None:
     """15 points give mean and variance of x^2, exp x and sin x of a Gaussian to 9 digits."""
-    result = Quadrature(15)(function, Gaussian([m], [[s**2]]))
+    result = Quadrature(15)(function, Gaussian([m], [[s**2]]))  # type: ignore[arg-type]
 
     assert np.allclose([result.mean[0], result.cov[0, 0]], closed(m, s), rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 5, 8, 13])
-def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order):
+def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order: int) -> None:
     """All moments below 2n are exact; that of degree 2n is too small by n!."""
-    gaussian = Gaussian([0.0, 0.0], np.diag([1.0, 0.25]))
+    gaussian = Gaussian([0.0, 0.0], np.diag([1.0, 0.25]))  # type: ignore[arg-type]
     for degree in range(2 * order):
         even = np.prod(np.arange(degree // 2 * 2 - 1.0, 0, -2))  # double factorial
         mean = Quadrature(order).moments(lambda x, k=degree: x[:, :1] ** k, gaussian).mean[0]
@@ -45,9 +48,9 @@ def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order):
     assert np.isclose(missing, factorial(order), rtol=1e-6)
 
 
-def test_quadrature_is_exact_for_mixed_powers():
+def test_quadrature_is_exact_for_mixed_powers() -> None:
     """Also for correlated variables: E[x^2 y^2] = P00 P11 + 2 P01^2."""
-    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])
+    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])  # type: ignore[arg-type]
     mean = Quadrature(3).moments(lambda x: x[:, :1] ** 2 * x[:, 1:] ** 2, gaussian).mean
 
     assert np.isclose(mean[0], 2.0 * 1.0 + 2 * 0.6**2, rtol=1e-12)
@@ -58,11 +61,11 @@ def test_quadrature_is_exact_for_mixed_powers():
     [(np.eye(3), 125), (np.diag([1, 1, 0]), 25), (np.ones((3, 3)), 5), (np.zeros((3, 3)), 1)],
     ids=["full", "known-heading", "rank-one", "zero"],
 )
-def test_directions_without_variance_get_one_point(cov, points):
+def test_directions_without_variance_get_one_point(cov: Any, points: int) -> None:
     """There are order^rank points, and the first is the mean."""
     mean, seen = np.array([1.0, -2.0, 0.3]), []
 
-    def watch(x):
+    def watch(x: Any) -> Any:
         seen.extend(x)
         return x
 
@@ -71,13 +74,13 @@ def test_directions_without_variance_get_one_point(cov, points):
     assert np.allclose(seen[0], mean, atol=1e-15)
 
 
-def test_points_of_small_weight_without_a_value_are_excluded():
+def test_points_of_small_weight_without_a_value_are_excluded() -> None:
     """They are excluded with a warning; points of larger weight raise."""
 
-    def cut(limit):
+    def cut(limit: Any) -> Any:
         return lambda x: np.where(np.abs(x) > limit, np.nan, x**2)
 
-    gaussian = Gaussian([0.0], [[1.0]])
+    gaussian = Gaussian([0.0], [[1.0]])  # type: ignore[arg-type]
     z, w = np.polynomial.hermite_e.hermegauss(13)
     kept = np.abs(z) <= 5.5
     with pytest.warns(
@@ -91,7 +94,7 @@ def test_points_of_small_weight_without_a_value_are_excluded():
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_quadrature_agrees_with_a_million_draws(name):
+def test_quadrature_agrees_with_a_million_draws(name: Any) -> None:
     """Mean and variance of two lines within 5 standard errors, from the fourth moment."""
     scene = SCENARIOS[name]
     refit = Refit(scene.polylines[1:3], scene.ego.mean, scene.window)

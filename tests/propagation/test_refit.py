@@ -1,5 +1,7 @@
 """Refit against QR fits of the points at each pose."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,7 +20,7 @@ HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
 CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)
 
 
-def qr_lines(u, v):
+def qr_lines(u: Any, v: Any) -> Any:
     """(N, 4) lines through (N, n) points: Householder QR on Chebyshev polynomials.
 
     An independent method: the refit uses normal equations and monomials.
@@ -38,19 +40,19 @@ def qr_lines(u, v):
     return np.stack([y_off, np.arctan(slope), *curvatures], axis=-1)
 
 
-def qr_refit(points, poses):
+def qr_refit(points: Any, poses: Any) -> Any:
     """(N, 4) lines of (n, 2) map points as seen from (N, 3) poses."""
     e_x, e_y, e_h = poses.T[..., None]
     z = (points @ [1, 1j] - (e_x + 1j * e_y)) * np.exp(-1j * e_h)
     return qr_lines(z.real, z.imag)
 
 
-def refit_of(scene, **rest):
+def refit_of(scene: Any, **rest: Any) -> Any:
     return Refit(scene.polylines, scene.ego.mean, scene.window, **rest)
 
 
 @pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
-def test_all_lines_of_all_scenarios_agree_with_qr(scene):
+def test_all_lines_of_all_scenarios_agree_with_qr(scene: Any) -> None:
     """At 2000 sampled poses, within 1e-9 of each parameter's standard deviation."""
     poses = scene.ego.sample(2000, seed=1)
     lines = refit_of(scene)(poses)
@@ -61,13 +63,13 @@ def test_all_lines_of_all_scenarios_agree_with_qr(scene):
         assert (np.abs(lines[:, i] - reference).max(axis=0) <= 1e-9 * reference.std(axis=0)).all()
 
 
-def test_random_roads_agree_with_qr():
+def test_random_roads_agree_with_qr() -> None:
     """From motorway to street turn the lateral position at any x agrees within a nanometre."""
     for road in random_scenarios(200, seed=2):
         poses = road.ego.sample(50, seed=1)
         refit = refit_of(road)
         lines, points = refit(poses)[:, 0], road.polylines[0].points
-        x = np.linspace(*refit.x_range[0], 9)
+        x = np.linspace(*refit.x_range[0], 9)  # type: ignore[call-overload]
         well_posed = ~np.isnan(lines[:, 0])
         reference = lateral(qr_refit(points, poses)[well_posed, None], x)
 
@@ -75,7 +77,7 @@ def test_random_roads_agree_with_qr():
         assert np.abs(lateral(lines[well_posed, None], x) - reference).max() <= 1e-9
 
 
-def test_large_map_coordinates_lose_no_precision():
+def test_large_map_coordinates_lose_no_precision() -> None:
     """At a thousand kilometres the error is that of the coordinates themselves."""
     shift, heading = np.array([4e5, 5e6]), 2.0
     c, s = np.cos(heading), np.sin(heading)
@@ -92,7 +94,7 @@ def test_large_map_coordinates_lose_no_precision():
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_several_lines_in_one_call(scene):
+def test_several_lines_in_one_call(scene: Any) -> None:
     """Each line is that of a call of its own, except for rounding."""
     poses = scene.ego.sample(3000, seed=1)  # more than one block
     together = refit_of(scene)(poses)
@@ -104,7 +106,7 @@ def test_several_lines_in_one_call(scene):
         assert np.array_equal(np.isnan(alone), np.isnan(together[:, i]))
 
 
-def test_several_poses_in_one_call():
+def test_several_poses_in_one_call() -> None:
     """Each row is that of a single pose, also at the end of a block."""
     poses = HIGHWAY.ego.sample(2050, seed=1)
     refit = refit_of(HIGHWAY)
@@ -116,7 +118,7 @@ def test_several_poses_in_one_call():
 
 
 @given(mild_lines(), motions(degrees=180), st.integers(4, 40))
-def test_a_cubic_is_recovered(line, pose, count):
+def test_a_cubic_is_recovered(line: Any, pose: Any, count: int) -> None:
     """Points on a cubic, seen from the mean pose anywhere in the map, give the cubic."""
     x = np.linspace(-20, 80, count)
     z = (x + 1j * lateral(line, x)) * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
@@ -127,7 +129,7 @@ def test_a_cubic_is_recovered(line, pose, count):
 
 
 @given(mild_lines(), motions())
-def test_a_refit_of_four_points_of_a_line_is_transform_line(line, motion):
+def test_a_refit_of_four_points_of_a_line_is_transform_line(line: Any, motion: Any) -> None:
     """Points of the line seen from another pose give the transformed line."""
     x = 40 + 40 * CHEBYSHEV
     refit = Refit(Polyline(np.column_stack([x, lateral(line, x)])), np.zeros(3), (0.0, 80.0))
@@ -141,7 +143,7 @@ def test_a_refit_of_four_points_of_a_line_is_transform_line(line, motion):
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_the_order_of_the_points_does_not_matter(scene):
+def test_the_order_of_the_points_does_not_matter(scene: Any) -> None:
     """A line against the driving direction is the same line."""
     poses = scene.ego.sample(500, seed=1)
     for polyline in scene.polylines:
@@ -154,7 +156,7 @@ def test_the_order_of_the_points_does_not_matter(scene):
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_a_rotation_by_180_deg(scene):
+def test_a_rotation_by_180_deg(scene: Any) -> None:
     """u and v change their signs: so do y_off and c0, while beta and c1 stay."""
     refit, poses = refit_of(scene), scene.ego.sample(500, seed=1)
     ahead, back = refit(poses), refit(poses + np.array([0, 0, np.pi]))
@@ -163,10 +165,10 @@ def test_a_rotation_by_180_deg(scene):
 
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
-def test_the_refit_is_continuous(scene):
+def test_the_refit_is_continuous(scene: Any) -> None:
     """Half the step between poses halves each step of the lines: there is no jump."""
 
-    def largest_step(count):
+    def largest_step(count: Any) -> Any:
         poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)
         return np.abs(np.diff(refit_of(scene)(poses), axis=0)).max(axis=0)
 
@@ -214,13 +216,13 @@ def test_the_refit_is_continuous(scene):
         ),
     ],
 )
-def test_an_ill_posed_line_raises(points, pose, words):
+def test_an_ill_posed_line_raises(points: Any, pose: Any, words: str) -> None:
     """The message has window, pose and what to do."""
     with pytest.raises(IllPosedError, match=words):
         Refit(Polyline(points), pose, (-10, 40))
     with pytest.raises(IllPosedError, match=words):
         Refit(
-            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],
+            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],  # type: ignore[arg-type]
             pose,
             (-10, 40),
         )
@@ -235,21 +237,21 @@ def test_an_ill_posed_line_raises(points, pose, words):
         ([0, 0, 0], (np.nan, 80), "window must have x_min < x_max"),
     ],
 )
-def test_invalid_arguments_raise(pose, window, words):
+def test_invalid_arguments_raise(pose: Any, window: Any, words: str) -> None:
     """The constructor checks pose and window."""
     with pytest.raises(ValueError, match=words):
         Refit(HIGHWAY.polylines, pose, window)
 
 
-def test_no_line_raises():
+def test_no_line_raises() -> None:
     """At least one line is needed."""
     with pytest.raises(ValueError, match="a Polyline or a sequence of at least one"):
         Refit([], np.zeros(3), (0, 80))
 
 
-def test_ill_posed_poses_give_nan():
+def test_ill_posed_poses_give_nan() -> None:
     """Their rows are NaN; MonteCarlo counts them and warns."""
-    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
+    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])  # type: ignore[arg-type]
     refit = Refit(road, np.zeros(3), (-20, 80))
     wide = Gaussian(np.zeros(3), np.diag([0.25, 0.25, np.radians(40) ** 2]))
     n = 20_000
@@ -270,16 +272,16 @@ def test_ill_posed_poses_give_nan():
     assert np.isfinite(refit([0.0, 0.0, np.radians(80.1)])).all()
 
 
-def test_only_ill_posed_draws_raise():
+def test_only_ill_posed_draws_raise() -> None:
     """Without values there are no moments."""
     refit = refit_of(HIGHWAY)
-    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
+    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))  # type: ignore[arg-type]
 
     with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
         MonteCarlo(1000).samples(refit, ill_posed)
 
 
-def errors_of_points(error, points, n, rng):
+def errors_of_points(error: Any, points: Any, n: Any, rng: Any) -> Any:
     """(n, 2, k) errors of k map points in the ego frame, drawn as MapError defines them."""
     local = error.point_sigma * rng.standard_normal((n, 2, len(points)))
     common = error.offset_sigma * rng.standard_normal((n, 2, 1))
@@ -298,11 +300,11 @@ def errors_of_points(error, points, n, rng):
     ],
 )
 @pytest.mark.parametrize("name", ["highway", "street-turn"])
-def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name, error):
+def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name: str, error: Any) -> None:
     """QR fits of 20,000 erroneous maps have that covariance, within 5 standard errors."""
     scene, n, rng = scenario(name), 20_000, np.random.default_rng(4)
     refit = Refit(scene.polylines[:2], [0.3, -0.2, 0.01], scene.window, error)
-    for points, cov in zip(refit.points, refit.noise_cov, strict=True):
+    for points, cov in zip(refit.points, refit.noise_cov, strict=True):  # type: ignore[arg-type]
         u, v = (points.T + errors_of_points(error, points, n, rng)).swapaxes(0, 1)
         # An offset does not change c1; the minimum avoids a division by its zero sigma.
         sigma = np.maximum(np.sqrt(cov.diagonal()), [1e-9, 1e-9, 1e-12, 1e-12])
@@ -312,7 +314,7 @@ def test_noise_cov_is_the_covariance_of_fits_to_erroneous_maps(name, error):
         assert (np.abs(drawn - correlation) <= 5 * np.sqrt((1 + correlation**2) / n)).all()
 
 
-def test_no_map_error_gives_no_noise():
+def test_no_map_error_gives_no_noise() -> None:
     """noise_cov is None for an exact map, and zero for map errors of zero."""
     assert refit_of(HIGHWAY).noise_cov is None
     assert not refit_of(HIGHWAY, map_error=MapError()).noise_cov.any()
@@ -320,7 +322,7 @@ def test_no_map_error_gives_no_noise():
 
 @pytest.mark.parametrize("name", ["point_sigma", "offset_sigma", "heading_sigma"])
 @pytest.mark.parametrize("value", [-1e-9, np.nan, np.inf])
-def test_invalid_map_error_raises(name, value):
+def test_invalid_map_error_raises(name: str, value: Any) -> None:
     """Standard deviations are finite and 0 or more."""
     with pytest.raises(ValueError, match=f"{name} must be 0 or more and finite, got"):
         MapError(**{name: value})

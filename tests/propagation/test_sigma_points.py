@@ -1,6 +1,7 @@
 """The unscented transform against closed forms, filterpy and exact fractions."""
 
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +15,9 @@ from maplines_can.scenarios import SCENARIOS
 
 @pytest.mark.parametrize("alpha", [1.0, 0.3, 1e-2, 1e-3])
 @pytest.mark.parametrize("m", [0.0, 1.0, -3.0])
-def test_sigma_points_are_exact_for_a_square(alpha, m):
+def test_sigma_points_are_exact_for_a_square(alpha: float, m: float) -> None:
     """With beta = 2 and kappa = 0 the fourth moment is exact for any alpha."""
-    result = SigmaPoints(alpha)(np.square, Gaussian([m], [[0.25]]))
+    result = SigmaPoints(alpha)(np.square, Gaussian([m], [[0.25]]))  # type: ignore[arg-type]
 
     rounding = 1e-14 / alpha**2  # of the values of the function
     assert np.allclose([result.mean[0], result.cov[0, 0]], square(m, 0.5), rtol=0, atol=rounding)
@@ -24,7 +25,7 @@ def test_sigma_points_are_exact_for_a_square(alpha, m):
 
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize(("alpha", "kappa"), [(1.0, 0.0), (0.5, 0.0), (0.5, 1.5), (0.1, 0.0)])
-def test_sigma_points_agree_with_filterpy(name, alpha, kappa):
+def test_sigma_points_agree_with_filterpy(name: Any, alpha: float, kappa: float) -> None:
     """Points, weights and moments are those of filterpy for all lines of all scenarios.
 
     To 1e-10 of the standard deviations; filterpy's sums lose a factor 1 / alpha^2 of that.
@@ -45,7 +46,7 @@ def test_sigma_points_agree_with_filterpy(name, alpha, kappa):
         assert (np.abs(S - expected) <= bound * np.outer(sigma, sigma)).all()
 
 
-def exact_moments(values, alpha, n, beta=2):
+def exact_moments(values: Any, alpha: Any, n: Any, beta: int = 2) -> Any:
     """Equations 4 to 12 of the paper in exact fractions."""
     spread = Fraction(alpha) ** 2 * n
     values = [[Fraction(float(v)) for v in row] for row in values]
@@ -68,7 +69,7 @@ def exact_moments(values, alpha, n, beta=2):
 
 @pytest.mark.parametrize("alpha", [1.0, 0.1, 1e-3])
 @pytest.mark.parametrize("name", ["production", "street-turn"])
-def test_a_small_alpha_loses_no_digits(name, alpha):
+def test_a_small_alpha_loses_no_digits(name: str, alpha: float) -> None:
     """Exact fractions give the same sums, though weights of a million cancel."""
     scene, transform = SCENARIOS[name], SigmaPoints(alpha)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
@@ -81,7 +82,7 @@ def test_a_small_alpha_loses_no_digits(name, alpha):
 
 
 @pytest.mark.parametrize("alpha", [1.0, 1e-2, 1e-4])
-def test_a_constant_is_exact(alpha):
+def test_a_constant_is_exact(alpha: float) -> None:
     """Bit for bit and with no variance, for any size of the weights."""
     gaussian = SCENARIOS["street-turn"].ego
     result = SigmaPoints(alpha)(lambda x: np.full((len(x), 2), [0.1, 1e9 / 3]), gaussian)

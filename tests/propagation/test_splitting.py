@@ -1,6 +1,7 @@
 """Splits of a Gaussian, and propagation of their components."""
 
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,10 +13,10 @@ from maplines_can.propagation.splitting import SPLITS, Mixture
 from maplines_can.scenarios import scenario
 
 
-def criterion(weights, means, sigma, factor):
+def criterion(weights: Any, means: Any, sigma: Any, factor: Any) -> Any:
     """DeMars: squared difference to N(0, 1), less its constant, plus factor times sigma^2."""
 
-    def normal(x, v):
+    def normal(x: Any, v: Any) -> Any:
         return np.exp(-(x**2) / (2 * v)) / np.sqrt(2 * np.pi * v)
 
     cross = weights @ normal(means, 1 + sigma**2)
@@ -23,24 +24,24 @@ def criterion(weights, means, sigma, factor):
     return own - 2 * cross + factor * sigma**2
 
 
-def whole_split(half_weights, half_means, k):
+def whole_split(half_weights: Any, half_means: Any, k: Any) -> Any:
     mirror = slice(0, k // 2)
     weights = np.append(half_weights, half_weights[mirror][::-1]) / 32
     return weights, np.append(half_means, -np.asarray(half_means)[mirror][::-1])
 
 
-def completed(half_weights, half_means, k):
+def completed(half_weights: Any, half_means: Any, k: Any) -> Any:
     """The criterion with components whose variance gives the mixture the variance 1."""
     weights, means = whole_split(half_weights, half_means, k)
     rest = 1 - weights @ means**2
     return criterion(weights, means, np.sqrt(rest), 0.025) if rest > 0 else 9.0
 
 
-def test_the_criterion_has_the_published_minimum():
+def test_the_criterion_has_the_published_minimum() -> None:
     """The published 3 components (DeMars, Bishop and Jah 2013, table 1) minimise it."""
     x = np.array([0.2252246249, 1.0575154615, 0.6715662887])
 
-    def published(x):
+    def published(x: Any) -> Any:
         weights = np.array([x[0], 1 - 2 * x[0], x[0]])
         return criterion(weights, np.array([-x[1], 0, x[1]]), x[2], 0.001)
 
@@ -50,12 +51,12 @@ def test_the_criterion_has_the_published_minimum():
 
 
 @pytest.mark.parametrize("k", [k for k in SPLITS if k > 1])
-def test_splits_minimise_the_criterion(k):
+def test_splits_minimise_the_criterion(k: Any) -> None:
     """The means do to the digits given; weights a step or two away are worse with any means."""
     half_weights, half_means = (np.array(half, dtype=float) for half in SPLITS[k])
 
-    def best(half_weights):
-        def value(free):
+    def best(half_weights: Any) -> Any:
+        def value(free: Any) -> Any:
             return completed(half_weights, np.append(free, half_means[k // 2 :]), k)
 
         return minimize(
@@ -77,16 +78,16 @@ def test_splits_minimise_the_criterion(k):
 
 
 @pytest.mark.parametrize("k", SPLITS)
-def test_a_split_keeps_mean_and_covariance(k):
+def test_a_split_keeps_mean_and_covariance(k: Any) -> None:
     """For any direction, and for a singular Gaussian."""
-    gaussian = Gaussian([1.0, 2.0, 3.0], np.diag([0.25, 0.0, 0.01]))
+    gaussian = Gaussian([1.0, 2.0, 3.0], np.diag([0.25, 0.0, 0.01]))  # type: ignore[arg-type]
     split = Mixture(k).split(gaussian, direction=[1.0, 2.0, -1.0])
     assert len(split.weights) == k
     assert split.overall.mean == pytest.approx(gaussian.mean, abs=1e-9)
     assert split.overall.cov == pytest.approx(gaussian.cov, abs=1e-9)
 
 
-def test_one_component_is_the_result_of_the_transform():
+def test_one_component_is_the_result_of_the_transform() -> None:
     """Mixture(1) gives the result of SigmaPoints; moments() and a call of Mixture(3) agree."""
     scene = scenario("street-turn")
     refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)

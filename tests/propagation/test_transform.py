@@ -1,5 +1,7 @@
 """Properties that all moment transforms share."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -38,7 +40,7 @@ TURN = scenario("street-turn")
 REFIT = Refit(TURN.polylines, TURN.ego.mean, TURN.window)
 
 
-def affine(x):
+def affine(x: Any) -> Any:
     return x @ A.T + OFFSET
 
 
@@ -54,7 +56,7 @@ def affine(x):
         pytest.param(np.outer(SIGMA, SIGMA), 1e-10, id="exactly-singular"),
     ],
 )
-def test_an_affine_function_is_exact(transform, cov, tolerance):
+def test_an_affine_function_is_exact(transform: Any, cov: Any, tolerance: float) -> None:
     """Mean A m + b and covariance A P A^T, to rounding or within 5 standard errors."""
     result = transform(affine, Gaussian(MEAN, cov))
     expected = A @ cov @ A.T
@@ -68,7 +70,7 @@ def test_an_affine_function_is_exact(transform, cov, tolerance):
 
 
 @given(covariances(n=3), st.sampled_from([Linear(), SigmaPoints(), Quadrature(3)]))
-def test_the_identity_does_not_change_a_covariance(cov, transform):
+def test_the_identity_does_not_change_a_covariance(cov: Any, transform: Any) -> None:
     """For a covariance of any rank and any units."""
     result = transform(lambda x: x, Gaussian(np.zeros(3), cov))
     sigma = np.sqrt(cov.diagonal())
@@ -78,18 +80,18 @@ def test_the_identity_does_not_change_a_covariance(cov, transform):
 
 
 @pytest.mark.parametrize("transform", ALL, ids=str)
-def test_noise_cov_is_added(transform):
+def test_noise_cov_is_added(transform: Any) -> None:
     """The error of a map adds its covariance to that of each line, and changes nothing else."""
     noisy = Refit(TURN.polylines, TURN.ego.mean, TURN.window, MapError(0.1, 0.1, 0.001))
     mean, cov = transform.moments(REFIT, TURN.ego)
     noisy_mean, noisy_cov = transform.moments(noisy, TURN.ego)
 
     assert np.array_equal(noisy_mean, mean)
-    assert np.allclose(noisy_cov - cov, noisy.noise_cov, rtol=1e-9, atol=1e-15)
+    assert np.allclose(noisy_cov - cov, noisy.noise_cov, rtol=1e-9, atol=1e-15)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("transform", ALL, ids=str)
-def test_moments_of_several_outputs(transform):
+def test_moments_of_several_outputs(transform: Any) -> None:
     """Each output is as it would be alone; a single Gaussian of several outputs raises."""
     mean, cov = transform.moments(REFIT, TURN.ego)
     alone = transform(Refit(TURN.polylines[2], TURN.ego.mean, TURN.window), TURN.ego)
@@ -102,17 +104,17 @@ def test_moments_of_several_outputs(transform):
 
 
 @pytest.mark.parametrize("transform", EXACT, ids=str)
-def test_a_point_without_a_value_raises(transform):
+def test_a_point_without_a_value_raises(transform: Any) -> None:
     """The message has the point and what to do."""
 
-    def half(x):
+    def half(x: Any) -> Any:
         return np.where(x[:, :1] >= 0, x, np.nan)
 
     with pytest.raises(IllPosedError, match=r"no value at \[-.*; narrow the Gaussian or use Monte"):
-        transform(half, Gaussian([0.0, 0.0], np.eye(2)))
+        transform(half, Gaussian([0.0, 0.0], np.eye(2)))  # type: ignore[arg-type]
 
 
-def test_a_function_must_return_one_row_per_point():
+def test_a_function_must_return_one_row_per_point() -> None:
     """The message has both shapes."""
     with pytest.raises(
         ValueError, match=r"one row per point, got shape \(2,\) for points of shape \(7, 3\)"
@@ -121,7 +123,7 @@ def test_a_function_must_return_one_row_per_point():
 
 
 @pytest.mark.parametrize("transform", ALL, ids=str)
-def test_transforms_are_values(transform):
+def test_transforms_are_values(transform: Any) -> None:
     """Transforms with the same parameters are equal, and their repr evaluates to them."""
     assert isinstance(transform, Transform)
     assert eval(repr(transform)) == transform  # noqa: S307
@@ -138,11 +140,11 @@ def test_transforms_are_values(transform):
         (lambda: SigmaPoints(kappa=-3.0).weights(3), "kappa must be more than -3 for 3 variables"),
         (lambda: Quadrature(0), "order must be a whole number from 1 to 64, got 0"),
         (lambda: Quadrature(65), "order must be a whole number from 1 to 64, got 65"),
-        (lambda: Quadrature(3.0), "order must be a whole number"),
+        (lambda: Quadrature(3.0), "order must be a whole number"),  # type: ignore[arg-type]
         (lambda: MonteCarlo(1), "n must be 2 or more, got 1"),
     ],
 )
-def test_invalid_parameters_raise(make, words):
+def test_invalid_parameters_raise(make: Any, words: str) -> None:
     """The constructor checks its arguments."""
     with pytest.raises(ValueError, match=words):
         make()

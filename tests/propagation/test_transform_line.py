@@ -1,5 +1,7 @@
 """Transformation of lines against a refit of the map points from the new pose."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ X = np.linspace(*WINDOW, 9)
 MEAN = np.array([1.75, 0.02, 1e-3, 1e-6])
 
 
-def far_motions():
+def far_motions() -> Any:
     """(260, 3) motions in any direction up to 5 m and 10 deg, many of them at the limits."""
     rng = np.random.default_rng(6)
     way, angle, turn = rng.uniform([0, 0, -1], [1, 2 * np.pi, 1], (200, 3)).T
@@ -26,7 +28,7 @@ def far_motions():
     return np.vstack([around, box]) * [5, 5, np.radians(10)]
 
 
-def apart(road, points=32, window=None):
+def apart(road: Any, points: int = 32, window: Any = None) -> Any:
     """Largest |y_transformed(x) - y_refit(x)| over the window, and largest residual of the line.
 
     Args:
@@ -46,7 +48,7 @@ def apart(road, points=32, window=None):
     return np.abs(d).max(), np.abs(road[:, 1] - lateral(line, road[:, 0])).max()
 
 
-def of_scene(name, scatter=0.0):
+def of_scene(name: Any, scatter: float = 0.0) -> Any:
     """The eight lines of a scene, with random errors of the map points [m]."""
     scene, roads = SCENARIOS[name], []
     window = scene.window[0] - 1, scene.window[1] + 1
@@ -56,12 +58,12 @@ def of_scene(name, scatter=0.0):
     return roads
 
 
-def arc(radius, view=100):
+def arc(radius: Any, view: int = 100) -> Any:
     """A road of one radius, from 20 m behind the car [m]."""
     return [curve(-1.75, 0.0, np.full(51, 1 / radius), view / 50, -20.0)]
 
 
-def random_roads():
+def random_roads() -> Any:
     """Those of 100 random roads with a radius of 500 m or more."""
     roads = []
     for scene in random_scenarios(100, seed=1):
@@ -96,7 +98,9 @@ def random_roads():
         pytest.param(lambda: arc(500), (-16.0, 72.0), 5e-4, 5e-4, id="500-m-shortened"),
     ],
 )
-def test_a_transformed_line_agrees_with_a_refit(roads, window, bound, by_four, points):
+def test_a_transformed_line_agrees_with_a_refit(
+    roads: Any, window: Any, bound: float, by_four: float, points: int
+) -> None:
     """Up to 5 m and 10 deg, within 1 mm over the window if a cubic describes the road.
 
     Map points with and without noise. Four points have larger bounds on tight curves.
@@ -108,7 +112,7 @@ def test_a_transformed_line_agrees_with_a_refit(roads, window, bound, by_four, p
 
 @pytest.mark.parametrize(("i", "points"), [*((i, 32) for i in range(8)), (0, 4), (0, 51)])
 @pytest.mark.parametrize("name", ["street-turn", "street-turn-10deg"])
-def test_a_street_turn_does_not_agree_with_a_refit(name, i, points):
+def test_a_street_turn_does_not_agree_with_a_refit(name: str, i: Any, points: Any) -> None:
     """The difference is decimetres for any points: a rotated cubic is not a cubic.
 
     The transformation knows the line but not the road. The difference also occurs if the map
@@ -131,7 +135,7 @@ def test_a_street_turn_does_not_agree_with_a_refit(name, i, points):
         assert np.allclose(lateral(shifted, X), lateral(refit(shift), X), rtol=1e-9, atol=1e-8)
 
 
-def test_ill_posed_lines_are_rows_of_nan():
+def test_ill_posed_lines_are_rows_of_nan() -> None:
     """The other rows are those of single calls; transform_line raises."""
     lines = np.array([MEAN, [np.nan, 0, 0, 0], MEAN, MEAN, [0, 1.6, 0, 0], [0, 0, 0, 10.0]])
     displacements = np.array(

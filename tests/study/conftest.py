@@ -1,5 +1,8 @@
 """Fixtures of the tests of the study."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from study_helpers import small, tables, write_csv, write_map
@@ -8,7 +11,7 @@ from maplines_can.study.sweep.run import run_study
 
 
 @pytest.fixture
-def drive(tmp_path):
+def drive(tmp_path: Path) -> Any:
     """Poses along a straight road of two lines; a third line is far aside, a fourth behind."""
     x = np.arange(0, 300, 2.0)
     straight = {name: np.column_stack([x, 0 * x + y]) for name, y in (("l", 1.8), ("r", -1.8))}
@@ -24,7 +27,7 @@ def drive(tmp_path):
 
 
 @pytest.fixture(scope="session")
-def undisturbed(tmp_path_factory):
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """The tables of the small study, computed in this process without interruption."""
     pytest.importorskip("pyarrow")
     return tables(run_study(small(), tmp_path_factory.mktemp("study"), jobs=1))

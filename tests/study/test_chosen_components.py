@@ -1,5 +1,7 @@
 """False positives of the numbers of components that are chosen by nonlinearity."""
 
+from typing import Any
+
 import pytest
 
 from maplines_can import MonteCarlo, Refit, scenario
@@ -19,13 +21,15 @@ from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_
         pytest.param("highway-10deg", 5, 0.43, 0.11, id="highway-10deg"),
     ],
 )
-def test_false_positives_of_the_chosen_components(name, parts, before, after):
+def test_false_positives_of_the_chosen_components(
+    name: str, parts: int, before: float, after: float
+) -> None:
     """One component stays where it is good enough; in the other scenes most false positives go."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
     truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
 
-    def false_positives(k):
+    def false_positives(k: Any) -> Any:
         mixture = Approximation(*Mixture(k).moments(refit, scene.ego))
         return evaluate_approximation(truth, mixture, (name, str(k), "before")).false_positives
 

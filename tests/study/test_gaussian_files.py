@@ -1,5 +1,8 @@
 """Files of a user: Gaussians in every form, in chunks, and checked; maps."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from study_helpers import table_of, write_csv
@@ -10,12 +13,12 @@ from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sets import line_set
 
 
-def triangle(cov):
+def triangle(cov: Any) -> Any:
     """Return (N, 10) or (N, 6) upper triangles."""
     return cov[:, *np.triu_indices(cov.shape[1])]
 
 
-def write_parquet(path, mean, cov):
+def write_parquet(path: Any, mean: Any, cov: Any) -> None:
     pa = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     parquet.write_table(pa.table(table_of(mean, cov)), path)
@@ -33,7 +36,7 @@ WRITERS = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_a_file_of_gaussians_comes_in_chunks(name, tmp_path):
+def test_a_file_of_gaussians_comes_in_chunks(name: Any, tmp_path: Path) -> None:
     """Every form gives the same Gaussians, in chunks of the requested size."""
     means, covs = road(25, seed=8)
     WRITERS[name](tmp_path / name, means, covs)
@@ -46,7 +49,7 @@ def test_a_file_of_gaussians_comes_in_chunks(name, tmp_path):
     assert np.array_equal(np.concatenate([chunk.cov for chunk in chunks]), covs)
 
 
-def broken(what):
+def broken(what: Any) -> Any:
     """Return Gaussians with one error, in row 3."""
     means, covs = (array.copy() for array in road(5, seed=8))
     if what == "nan":
@@ -69,7 +72,7 @@ def broken(what):
         ("indefinite", "row 3 .* not positive semidefinite"),
     ],
 )
-def test_a_row_that_is_not_a_gaussian_is_refused(what, message, tmp_path):
+def test_a_row_that_is_not_a_gaussian_is_refused(what: str, message: str, tmp_path: Path) -> None:
     """The message names the row and the error, before the study begins."""
     means, covs = broken(what)
     np.savez(tmp_path / "bad.npz", mean=means, cov=covs)
@@ -89,7 +92,9 @@ def test_a_row_that_is_not_a_gaussian_is_refused(what, message, tmp_path):
         ("a.parquet", b"no table", "cannot be read"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_refused(name, content, message, tmp_path):
+def test_a_file_that_cannot_be_used_is_refused(
+    name: str, content: bytes, message: str, tmp_path: Path
+) -> None:
     """The message says what is wrong with the file."""
     if name.endswith("parquet"):
         pytest.importorskip("pyarrow")
@@ -107,7 +112,7 @@ def test_a_file_that_cannot_be_used_is_refused(name, content, message, tmp_path)
         ([], "has no rows"),
     ],
 )
-def test_a_csv_with_bad_rows_is_refused(rows, message, tmp_path):
+def test_a_csv_with_bad_rows_is_refused(rows: Any, message: str, tmp_path: Path) -> None:
     """A word, a missing number, no rows at all."""
     columns = list(table_of(*road(1, seed=0)))
     (tmp_path / "a.csv").write_text("\n".join([",".join(columns), *rows]))
@@ -125,7 +130,7 @@ def test_a_csv_with_bad_rows_is_refused(rows, message, tmp_path):
         ({"mean": np.array([["a"] * 4]), "cov": np.zeros((1, 4, 4))}, "numbers"),
     ],
 )
-def test_arrays_of_other_shapes_are_refused(arrays, message, tmp_path):
+def test_arrays_of_other_shapes_are_refused(arrays: Any, message: str, tmp_path: Path) -> None:
     """The message lists the accepted shapes."""
     np.savez(tmp_path / "a.npz", **arrays)
 
@@ -145,7 +150,7 @@ def test_arrays_of_other_shapes_are_refused(arrays, message, tmp_path):
         ("line,x,y\na,1,2\na,inf,3", "line 'a'"),
     ],
 )
-def test_a_map_that_cannot_be_used_is_refused(text, message, tmp_path):
+def test_a_map_that_cannot_be_used_is_refused(text: str, message: str, tmp_path: Path) -> None:
     """The message has the line of the file or the name of the line on the map."""
     (tmp_path / "map.csv").write_text(text)
 

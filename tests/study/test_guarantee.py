@@ -1,5 +1,9 @@
 """The guarantee of the wire, measured by the study: decoded covariances are never overconfident."""
 
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from dbcs import DBC, default_codec, edited
@@ -13,7 +17,7 @@ from maplines_can.wire import Codec
 LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
 
 
-def check_guarantee(codec, means, covs):
+def check_guarantee(codec: Any, means: Any, covs: Any) -> Any:
     """Check that no covariance is overconfident or indefinite."""
     payloads = codec.encode_batch(means, covs)
     batch = codec.decode_batch(payloads)
@@ -25,7 +29,7 @@ def check_guarantee(codec, means, covs):
     return batch, evaluation
 
 
-def test_a_hundred_thousand_adversarial_covariances(codec):
+def test_a_hundred_thousand_adversarial_covariances(codec: Any) -> None:
     """Sigmas over the whole range, condition to 1e10, singular ones, means at the limits."""
     batch, _ = check_guarantee(codec, *adversarial(100_000, seed=1))
     assert (batch.status == Status.OUT_OF_RANGE).mean() < 0.01
@@ -39,7 +43,9 @@ def test_a_hundred_thousand_adversarial_covariances(codec):
     st.lists(st.floats(-12, 3), min_size=4, max_size=4),
     st.integers(0, 4),
 )
-def test_any_covariance_is_covered_or_out_of_range(mean, entries, log_sigma, rank):
+def test_any_covariance_is_covered_or_out_of_range(
+    mean: Any, entries: Any, log_sigma: Any, rank: int
+) -> None:
     """Any matrix times its transpose, of any rank and scale, with any mean."""
     root = np.array(entries).reshape(4, 4) * 10.0 ** np.array(log_sigma)[:, None]
     root[:, rank:] = 0
@@ -48,7 +54,7 @@ def test_any_covariance_is_covered_or_out_of_range(mean, entries, log_sigma, ran
 
 
 @pytest.mark.parametrize("make", [paper, road])
-def test_the_sets_stay_within_the_bounds_of_the_design(codec, make):
+def test_the_sets_stay_within_the_bounds_of_the_design(codec: Any, make: Any) -> None:
     """KL, saturation, lateral error and sigma ratio, for pose error alone and with map error."""
     means, covs = make(4000, seed=11)
     batch, evaluation = check_guarantee(codec, means, covs)
@@ -60,7 +66,7 @@ def test_the_sets_stay_within_the_bounds_of_the_design(codec, make):
     assert evaluation.sigma_ratio.min() >= 1
 
 
-def test_kl_of_the_rounding_agrees_with_the_theory(codec):
+def test_kl_of_the_rounding_agrees_with_the_theory(codec: Any) -> None:
     """Without the inflation: the sum of D^2/24 for ratios and (D ln 2)^2/12 for pivots."""
     rng = np.random.default_rng(4)
     n = 40_000
@@ -81,7 +87,7 @@ def test_kl_of_the_rounding_agrees_with_the_theory(codec):
     assert measured == pytest.approx(theory, rel=0.03)
 
 
-def test_zero_covariance_is_valid(codec):
+def test_zero_covariance_is_valid(codec: Any) -> None:
     """An exactly known line decodes to the resolution of the mean, not to zero."""
     batch, _ = check_guarantee(codec, np.array([[1.75, 0.01, 1e-3, 1e-5]]), np.zeros((1, 4, 4)))
     assert batch.status[0] == Status.FULL
@@ -90,7 +96,9 @@ def test_zero_covariance_is_valid(codec):
 
 @pytest.mark.parametrize("state", range(4))
 @pytest.mark.parametrize("sign", [-1, 1])
-def test_a_mean_beyond_its_range_is_covered_or_out_of_range(codec, state, sign):
+def test_a_mean_beyond_its_range_is_covered_or_out_of_range(
+    codec: Any, state: Any, sign: int
+) -> None:
     """Just beyond the limit the covariance is wider; far beyond it the line is OUT_OF_RANGE."""
     near, far = np.zeros((2, 1, 4))
     near[0, state] = sign * 1.02 * LIMITS[state]
@@ -104,13 +112,13 @@ def test_a_mean_beyond_its_range_is_covered_or_out_of_range(codec, state, sign):
     assert batch.cov[0].diagonal() == pytest.approx(np.square(VAGUE_SIGMA))
 
 
-def test_a_sigma_beyond_the_range_is_out_of_range(codec):
+def test_a_sigma_beyond_the_range_is_out_of_range(codec: Any) -> None:
     """Such as a standard deviation of a kilometre."""
     batch, _ = check_guarantee(codec, np.zeros((1, 4)), np.diag([1e6, 1e-4, 1e-8, 1e-12])[None])
     assert batch.status[0] == Status.OUT_OF_RANGE
 
 
-def test_an_indefinite_covariance_is_covered(codec):
+def test_an_indefinite_covariance_is_covered(codec: Any) -> None:
     """The decoded covariance covers the given matrix, and the line is REPAIRED."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
     cov[0, 1] = cov[1, 0] = 1.5e-3  # a correlation of 1.5
@@ -118,7 +126,7 @@ def test_an_indefinite_covariance_is_covered(codec):
     assert batch.status[0] == Status.REPAIRED
 
 
-def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
+def test_rounding_of_a_singular_matrix_is_not_a_repair(codec: Any) -> None:
     """A rank-one matrix with a correlation of 1 + 1e-15 is not REPAIRED."""
     root = np.array([[0.3], [0.01], [1e-4], [1e-6]])
     cov = root @ root.T
@@ -141,7 +149,7 @@ def test_rounding_of_a_singular_matrix_is_not_a_repair(codec):
                       r"\g<1>2\2(0.03,0) [0|0.09]"), "cov", id="width-of-the-inflation"),
     ],
 )  # fmt: skip
-def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
+def test_a_changed_dbc_changes_the_code(tmp_path: Path, edit: Any, coarser: str) -> None:
     """With another factor or length in a copy of the DBC, the guarantee still holds."""
     codec, other = Codec.from_dbc(), Codec.from_dbc(edited(tmp_path, edit))
     means, covs = road(500, seed=6)
@@ -155,7 +163,7 @@ def test_a_changed_dbc_changes_the_code(tmp_path, edit, coarser):
         assert b.kl_covered.mean() > a.kl_covered.mean()
 
 
-def test_wider_pivots_replace_a_small_inflation(tmp_path):
+def test_wider_pivots_replace_a_small_inflation(tmp_path: Path) -> None:
     """If the DBC has hardly any inflation, the pivots are lifted instead."""
     starved = (r"(Inflation[^:]*: \d+\|3@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.007]")
     codec = Codec.from_dbc(edited(tmp_path, starved))
@@ -163,10 +171,10 @@ def test_wider_pivots_replace_a_small_inflation(tmp_path):
     assert (batch.status == Status.FULL).mean() > 0.9
 
 
-def test_the_names_of_the_ratios_order_the_rows(tmp_path):
+def test_the_names_of_the_ratios_order_the_rows(tmp_path: Path) -> None:
     """After renaming Ratio<row><column> and the pivots, the covariance is still covered."""
 
-    def edits():
+    def edits() -> Iterator[Any]:
         for name in ("Pivot", "RatioYOff", "RatioBeta"):
             yield f"{name}C1", f"{name}C0"
             yield f"{name}C0", f"{name}C1"
@@ -181,7 +189,7 @@ def test_the_names_of_the_ratios_order_the_rows(tmp_path):
     path = tmp_path / "order.dbc"
     path.write_text(text)
     codec = Codec.from_dbc(path)
-    assert [("YOff", "Beta", "C0", "C1")[i] for i in codec.covariance.factor.order] == [
+    assert [("YOff", "Beta", "C0", "C1")[i] for i in codec.covariance.factor.order] == [  # type: ignore[attr-defined]
         "C0", "C1", "YOff", "Beta",
     ]  # fmt: skip
     check_guarantee(codec, *road(500, seed=8))

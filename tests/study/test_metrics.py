@@ -3,6 +3,7 @@
 import json
 import math
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ POSITIVE = st.floats(2.0**-8, 2.0**23)
 
 
 @given(st.lists(st.lists(NUMBERS, max_size=5), min_size=1, max_size=6), st.randoms())
-def test_figures_of_chunks_add_up_exactly_in_any_order(chunks, random):
+def test_figures_of_chunks_add_up_exactly_in_any_order(chunks: Any, random: Any) -> None:
     """Sums, squares, extremes and bins do not depend on the order; sums are exact."""
     figures = [Figure.of(np.array(chunk, dtype=float), RATIO_BINS) for chunk in chunks]
     shuffled = random.sample(figures, len(figures))
@@ -34,7 +35,7 @@ def test_figures_of_chunks_add_up_exactly_in_any_order(chunks, random):
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=20))
-def test_the_mean_of_single_numbers_is_rounded_once(values):
+def test_the_mean_of_single_numbers_is_rounded_once(values: Any) -> None:
     """As by math.fsum."""
     figures = [Figure.of(np.array([value])) for value in values]
 
@@ -44,7 +45,7 @@ def test_the_mean_of_single_numbers_is_rounded_once(values):
 
 
 @given(st.lists(POSITIVE | st.sampled_from([0.0, math.inf, math.nan]), max_size=30))
-def test_a_figure_survives_json(values):
+def test_a_figure_survives_json(values: Any) -> None:
     """Written and read back, it is the same to the last bit."""
     figure = Figure.of(np.array(values, dtype=float), RATIO_BINS)
     copy = Figure.from_json(json.loads(json.dumps(figure.as_json())))
@@ -54,7 +55,7 @@ def test_a_figure_survives_json(values):
 
 
 @given(st.lists(POSITIVE, min_size=1, max_size=200), st.floats(0, 1))
-def test_quantiles_lie_within_a_bin_of_the_true_ones(values, share):
+def test_quantiles_lie_within_a_bin_of_the_true_ones(values: Any, share: float) -> None:
     """A bin is 2^-9 of an octave wide; conventions differ on the two values around a quantile."""
     figure = Figure.of(np.array(values), RATIO_BINS)
     low, high = (
@@ -69,7 +70,7 @@ def test_quantiles_lie_within_a_bin_of_the_true_ones(values, share):
 
 
 @pytest.mark.parametrize("bins", [KL_BINS, RATIO_BINS])
-def test_each_bin_counts_the_values_between_its_edges(bins):
+def test_each_bin_counts_the_values_between_its_edges(bins: Any) -> None:
     """Including the lower edge itself and the last number below the upper edge."""
     places = np.arange(bins.count)
     edges = np.array([bins.edge(place) for place in range(bins.count + 1)])
@@ -79,7 +80,7 @@ def test_each_bin_counts_the_values_between_its_edges(bins):
     assert bins.histogram(np.array([0.0]))[0] == bins.histogram(np.array([np.inf]))[-1] == 1
 
 
-def test_means_and_errors_are_those_of_numpy():
+def test_means_and_errors_are_those_of_numpy() -> None:
     """Mean, standard error and root mean square of ordinary numbers."""
     values = np.random.default_rng(1).lognormal(size=1000)
     figure = Figure.of(values[:400]) + Figure.of(values[400:])
@@ -92,7 +93,7 @@ def test_means_and_errors_are_those_of_numpy():
 
 
 @pytest.mark.parametrize("share", [0.5, 0.99])
-def test_the_standard_error_of_a_quantile_is_its_scatter(share):
+def test_the_standard_error_of_a_quantile_is_its_scatter(share: float) -> None:
     """Estimates from 400 samples of 2000 numbers agree in the mean with the true scatter."""
     samples = np.random.default_rng(2).lognormal(size=(400, 2000))
     estimates = [Figure.of(sample, RATIO_BINS).quantile_se(share) for sample in samples]
@@ -101,12 +102,12 @@ def test_the_standard_error_of_a_quantile_is_its_scatter(share):
 
 
 @pytest.mark.parametrize(("count", "n"), [(0, 10), (3, 10), (10, 10), (0, 10**4)])
-def test_the_standard_error_of_a_share_is_that_of_laplace(count, n):
+def test_the_standard_error_of_a_share_is_that_of_laplace(count: int, n: int) -> None:
     """It is the standard deviation of the beta distribution, and not zero for none of n."""
     assert share_se(count, n) == pytest.approx(beta(count + 1, n - count + 1).std(), rel=1e-9)
 
 
-def test_terms_of_the_divergence_add_up_to_it(codec):
+def test_terms_of_the_divergence_add_up_to_it(codec: Any) -> None:
     """Compared with ``Gaussian.kl``."""
     means, covs = road(50, seed=4)
     decoded = codec.decode_batch(codec.encode_batch(means, covs)).cov
@@ -119,11 +120,11 @@ def test_terms_of_the_divergence_add_up_to_it(codec):
     assert terms == pytest.approx(expected, rel=1e-6)
 
 
-def test_scores_of_chunks_add_up_to_the_score_of_all(codec):
+def test_scores_of_chunks_add_up_to_the_score_of_all(codec: Any) -> None:
     """Counts and bins are equal; sums are equal up to rounding within a chunk."""
     means, covs = road(300, seed=5)
 
-    def score(rows):
+    def score(rows: Any) -> Any:
         batch = codec.decode_batch(codec.encode_batch(means[rows], covs[rows]))
         evaluation = evaluate(means[rows], covs[rows], batch.mean, batch.cov, codec.resolution)
         return Score.of(evaluation, batch.status, batch.accepted, np.zeros(len(batch.mean), bool))

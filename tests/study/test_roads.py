@@ -10,13 +10,13 @@ from maplines_can.study.roads import lines_of_roads, random_roads
 
 
 @pytest.mark.parametrize("with_map_error", [False, True])
-def test_roads_in_bulk_are_those_of_refit_and_sigma_points(with_map_error):
+def test_roads_in_bulk_are_those_of_refit_and_sigma_points(with_map_error: bool) -> None:
     """Means and covariances agree within 1e-6 sigma, nearly singular ones too."""
     roads = random_roads(300, np.random.default_rng(6), with_map_error=with_map_error)
     means, covs = lines_of_roads(roads)
 
     for i, n in enumerate(roads.number):
-        error = MapError(*roads.map_error[i]) if with_map_error else None
+        error = MapError(*roads.map_error[i]) if with_map_error else None  # type: ignore[index]
         s_x, s_y, s_h = roads.sigma[i]
         ego = pose(s_x, s_y, np.degrees(s_h), roads.correlation[i])
         refit = Refit(Polyline(roads.points[i, :n]), ego.mean, (-1e3, 1e3), error)
@@ -26,7 +26,7 @@ def test_roads_in_bulk_are_those_of_refit_and_sigma_points(with_map_error):
         assert np.abs((covs[i] - cov) / np.outer(sigma, sigma)).max() < 1e-6
 
 
-def test_a_road_across_the_car_gives_no_line():
+def test_a_road_across_the_car_gives_no_line() -> None:
     """``Refit`` refuses it; here its row is NaN."""
     roads = random_roads(3, np.random.default_rng(0), with_map_error=False)
     roads.points[1] = roads.points[1][:, ::-1] * [0.01, 1.0]

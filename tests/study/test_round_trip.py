@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from maplines_can.testing import Faults
 LINES = scene_lines(scenario("production"), 2)
 
 
-def test_every_line_is_received_as_the_codec_decodes_it():
+def test_every_line_is_received_as_the_codec_decodes_it() -> None:
     """The figures are those of the received Gaussians, and no line is lost."""
     codec = Codec.from_dbc()
     trip = round_trip(LINES, codec, seconds=0.2)
@@ -23,15 +24,15 @@ def test_every_line_is_received_as_the_codec_decodes_it():
         *_, expected = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]
         received = trip.received_lines[line.slot.name]
         assert result.slot == line.slot.name
-        assert result.mean == received.gaussian.mean.tolist() == expected.gaussian.mean.tolist()
+        assert result.mean == received.gaussian.mean.tolist() == expected.gaussian.mean.tolist()  # type: ignore[union-attr]
         assert result.true_mean == line.gaussian.mean.tolist()
-        assert np.array_equal(received.gaussian.cov, expected.gaussian.cov)
+        assert np.array_equal(received.gaussian.cov, expected.gaussian.cov)  # type: ignore[union-attr]
     assert trip.sent.lines == trip.received.lines == 2 * 4
     assert (trip.lines_lost, trip.frames_lost) == (0, 0)
     assert trip.faults is None
 
 
-def test_figures_are_json():
+def test_figures_are_json() -> None:
     """With the counters of both ends by name."""
     trip = round_trip(LINES, Codec.from_dbc(), seconds=0.1)
     figures = json.loads(json.dumps(trip.as_dict()))
@@ -41,16 +42,16 @@ def test_figures_are_json():
 
 
 @pytest.mark.parametrize("direction", ["send", "receive"])
-def test_faults_are_counted_at_either_end(direction):
+def test_faults_are_counted_at_either_end(direction: str) -> None:
     """If every frame is lost, no line is received, and its result has no mean."""
     faults = replace(Faults.parse("loss=1"), direction=direction)
     trip = round_trip(LINES, Codec.from_dbc(), seconds=0.1, faults=faults)
-    assert trip.faults["lost"] == trip.sent.frames == trip.frames_lost
+    assert trip.faults["lost"] == trip.sent.frames == trip.frames_lost  # type: ignore[index]
     assert [line.mean for line in trip.lines] == [None, None]
     assert trip.lines_lost == trip.sent.lines > 0
 
 
-def test_can_fd_and_its_bus_load():
+def test_can_fd_and_its_bus_load() -> None:
     """A data bit rate means CAN FD; a faster data phase takes less of the bus."""
     loads = []
     for data_bitrate in (500_000, 2_000_000):
@@ -62,15 +63,15 @@ def test_can_fd_and_its_bus_load():
     assert loads[0] > loads[1] > 0
 
 
-def test_ticks_state_the_elapsed_time():
+def test_ticks_state_the_elapsed_time() -> None:
     """They increase."""
-    ticks = []
+    ticks: list[Any] = []
     round_trip(LINES, Codec.from_dbc(), seconds=0.5, tick=ticks.append)
     assert ticks == sorted(ticks)
     assert 0 < ticks[0] < 10
 
 
-def test_slots_are_those_of_the_lines():
+def test_slots_are_those_of_the_lines() -> None:
     """In their order."""
     trip = round_trip(LINES[::-1], Codec.from_dbc(), seconds=0.1)
     assert [line.slot for line in trip.lines] == [Slot.EGO_RIGHT.name, Slot.EGO_LEFT.name]

@@ -2,6 +2,7 @@
 
 import math
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,25 +18,25 @@ from maplines_can.testing.faults import LENGTHS
 from maplines_can.wire import Frame
 
 
-def check_sums(injector):
+def check_sums(injector: Any) -> None:
     done = injector.counts
     came = injector.frames + done[FaultKind.DUPLICATED] + done[FaultKind.FLOODED]
     assert came == injector.passed + done[FaultKind.LOST] + injector.held
 
 
-def flipped(before, after):
+def flipped(before: Any, after: Any) -> Any:
     return len(after.data) == 8 and 1 <= bits_apart(before.data, after.data) <= 3
 
 
-def truncated(before, after):
+def truncated(before: Any, after: Any) -> Any:
     return len(after.data) < 8 and before.data.startswith(after.data)
 
 
-def wrong_id(before, after):
+def wrong_id(before: Any, after: Any) -> Any:
     return (before.can_id ^ after.can_id).bit_count() == 1 and before.data == after.data
 
 
-def garbage(before, after):
+def garbage(before: Any, after: Any) -> Any:
     return len(after.data) == 8 and before.data != after.data
 
 
@@ -49,9 +50,9 @@ def garbage(before, after):
         pytest.param("garbage", FaultKind.GARBAGE, garbage, id="garbage"),
     ],
 )
-def test_damage_at_rate_1_changes_every_frame(field, kind, holds):
+def test_damage_at_rate_1_changes_every_frame(field: str, kind: Any, holds: Any) -> None:
     """Each frame is damaged in the same way, keeps its place, and is counted."""
-    injector = FaultInjector(Faults(**{field: 1.0}))
+    injector = FaultInjector[Any](Faults(**{field: 1.0}))  # type: ignore[arg-type]
     frames = numbered(500)
     out = run(injector, frames)
     assert len(out) == 500
@@ -59,40 +60,40 @@ def test_damage_at_rate_1_changes_every_frame(field, kind, holds):
     assert injector.counts == {kind: 500}
 
 
-def test_loss_at_rate_1_leaves_nothing():
-    injector = FaultInjector(Faults(loss=1.0, duplicate=1.0, reorder=1.0))
+def test_loss_at_rate_1_leaves_nothing() -> None:
+    injector = FaultInjector[Any](Faults(loss=1.0, duplicate=1.0, reorder=1.0))
     assert run(injector, numbered(100)) == []
     assert injector.counts == {FaultKind.LOST: 100}
 
 
-def test_duplicates_at_rate_1():
-    injector = FaultInjector(Faults(duplicate=1.0))
+def test_duplicates_at_rate_1() -> None:
+    injector = FaultInjector[Any](Faults(duplicate=1.0))
     frames = numbered(100)
     assert run(injector, frames) == [frame for frame in frames for _ in range(2)]
     assert injector.counts == {FaultKind.DUPLICATED: 100}
 
 
-def test_reordering_at_rate_1():
+def test_reordering_at_rate_1() -> None:
     """All are held back by three frames at most, and none is lost."""
-    injector = FaultInjector(Faults(reorder=1.0, depth=3))
+    injector = FaultInjector[Any](Faults(reorder=1.0, depth=3))
     out = [number_of(frame) for frame in run(injector, numbered(1000))]
     assert sorted(out) == list(range(1000))
     assert out != sorted(out)
     assert injector.counts == {FaultKind.REORDERED: 1000}
 
 
-def test_there_are_no_faults_by_default():
-    injector = FaultInjector(Faults())
+def test_there_are_no_faults_by_default() -> None:
+    injector = FaultInjector[Any](Faults())
     frames = numbered(1000)
     assert run(injector, frames) == frames
     assert injector.counts == {}
 
 
-def test_a_wrong_length_is_a_length_of_can_fd():
+def test_a_wrong_length_is_a_length_of_can_fd() -> None:
     """A frame that is cut short or padded can still be sent."""
     for field in ("truncate", "wrong_dlc"):
         frames = [Frame(0x348, bytes([255] * 32), True) for _ in range(500)]
-        out = run(FaultInjector(Faults(**{field: 1.0})), frames)
+        out = run(FaultInjector(Faults(**{field: 1.0})), frames)  # type: ignore[arg-type]
         lengths = {len(frame.data) for frame in out}
         longest = 24 if field == "truncate" else 64
         assert lengths == {n for n in LENGTHS if n <= longest and n != 32}
@@ -100,24 +101,24 @@ def test_a_wrong_length_is_a_length_of_can_fd():
                    for n in [len(frame.data)])  # fmt: skip
 
 
-def test_a_fault_without_effect_is_not_counted():
-    injector = FaultInjector(Faults(flip=0.4, truncate=0.3, garbage=0.3))
+def test_a_fault_without_effect_is_not_counted() -> None:
+    injector = FaultInjector[Any](Faults(flip=0.4, truncate=0.3, garbage=0.3))
     frames = [Frame(1, b"")] * 50
     assert run(injector, frames) == frames
     assert injector.counts == {}
 
 
-def test_29_bit_ids_stay_29_bit_ids():
+def test_29_bit_ids_stay_29_bit_ids() -> None:
     frames = [Frame(0x18FF3400, b"data", False, True)] * 300
     out = run(FaultInjector(Faults(wrong_id=1.0)), frames)
     assert all(frame.is_extended and frame.can_id <= 0x1FFFFFFF for frame in out)
     assert len({frame.can_id for frame in out}) == 29
 
 
-def test_rates_are_kept():
+def test_rates_are_kept() -> None:
     """Each within five standard deviations of the binomial distribution."""
     faults = Faults.parse(f"{MIX},garbage=0.03,late=0.2,delay=1")
-    injector, n = FaultInjector(faults), 50_000
+    injector, n = FaultInjector[Any](faults), 50_000
     run(injector, numbered(n))
     kept = n - injector.counts[FaultKind.LOST]
     copies = kept + injector.counts[FaultKind.DUPLICATED]
@@ -137,10 +138,10 @@ def test_rates_are_kept():
         assert injector.counts[kind] == pytest.approx(of * rate, abs=5 * sigma), kind
 
 
-def test_the_seed_decides():
+def test_the_seed_decides() -> None:
     """The same seed gives the same frames; another seed or another stream gives others."""
 
-    def outcome(seed, stream=""):
+    def outcome(seed: Any, stream: str = "") -> Any:
         return run(FaultInjector(Faults.parse(f"{MIX},seed={seed}"), stream=stream), numbered(500))
 
     assert outcome(1) == outcome(1)
@@ -149,9 +150,9 @@ def test_the_seed_decides():
 
 
 @given(st.integers(1, 9), st.integers(0, 2**32))
-def test_no_frame_is_held_back_by_more_than_depth(depth, seed):
+def test_no_frame_is_held_back_by_more_than_depth(depth: int, seed: int) -> None:
     """None is passed on after a frame that was sent more than ``depth`` later."""
-    injector = FaultInjector(Faults(reorder=0.4, depth=depth, seed=seed))
+    injector = FaultInjector[Any](Faults(reorder=0.4, depth=depth, seed=seed))
     newest = 0
     for frame in run(injector, numbered(60)):
         assert newest - number_of(frame) <= depth
@@ -172,9 +173,9 @@ FAULTS = st.builds(
 
 
 @given(FAULTS)
-def test_every_frame_is_accounted_for(faults):
+def test_every_frame_is_accounted_for(faults: Any) -> None:
     """Taken, duplicated and flooded frames are lost, held back or passed on, at any time."""
-    injector = FaultInjector(faults)
+    injector = FaultInjector[Any](faults)
     passed = 0
     for i, frame in enumerate(numbered(100)):
         passed += len(injector.apply(frame, i * 1e-3))
@@ -187,8 +188,8 @@ def test_every_frame_is_accounted_for(faults):
     assert injector.as_dict()["passed"] == injector.passed
 
 
-def test_a_delayed_frame_is_passed_on_when_it_is_due():
-    injector = FaultInjector(Faults(delay=0.02))
+def test_a_delayed_frame_is_passed_on_when_it_is_due() -> None:
+    injector = FaultInjector[Any](Faults(delay=0.02))
     (a, b) = numbered(2)
     assert injector.apply(a, 1.0) == []
     assert injector.next_due == pytest.approx(1.02)
@@ -198,17 +199,17 @@ def test_a_delayed_frame_is_passed_on_when_it_is_due():
     assert injector.next_due == math.inf
 
 
-def test_jitter_reorders_frames():
-    injector = FaultInjector(Faults(delay=0.1, jitter=0.05, seed=3))
+def test_jitter_reorders_frames() -> None:
+    injector = FaultInjector[Any](Faults(delay=0.1, jitter=0.05, seed=3))
     out = run(injector, numbered(200), step=0.001)
     late = [number_of(frame) for frame in out]
     assert sorted(late) == list(range(200))
     assert late != sorted(late)
 
 
-def test_a_flood_has_its_rate_and_its_ids():
+def test_a_flood_has_its_rate_and_its_ids() -> None:
     """250 frames a second for two seconds."""
-    injector = FaultInjector(Faults(flood=250.0, flood_ids=(0, 0x340, 0x18FF0000)))
+    injector = FaultInjector[Any](Faults(flood=250.0, flood_ids=(0, 0x340, 0x18FF0000)))
     injector.due(10.0)
     out = [frame for i in range(1, 201) for frame in injector.due(10.0 + i / 100)]
     assert len(out) == pytest.approx(500, abs=1)
@@ -220,8 +221,8 @@ def test_a_flood_has_its_rate_and_its_ids():
     assert injector.counts == {FaultKind.FLOODED: len(out)}
 
 
-def test_a_flood_does_not_make_up_for_an_hour():
-    injector = FaultInjector(Faults(flood=1000.0))
+def test_a_flood_does_not_make_up_for_an_hour() -> None:
+    injector = FaultInjector[Any](Faults(flood=1000.0))
     injector.due(0.0)
     (*batches, last) = iter(lambda: injector.due(3600.0), [])
     assert {len(batch) for batch in batches} == {32}
@@ -230,16 +231,16 @@ def test_a_flood_does_not_make_up_for_an_hour():
     assert injector.next_due > 3600.0
 
 
-def test_a_flood_of_a_tiny_rate_never_starts():
-    injector = FaultInjector(Faults(flood=5e-324))
+def test_a_flood_of_a_tiny_rate_never_starts() -> None:
+    injector = FaultInjector[Any](Faults(flood=5e-324))
     assert injector.due(0.0) == injector.due(3600.0) == []
 
 
-def test_ids_of_a_flood_are_drawn_from_ranges_and_single_ids_alike():
+def test_ids_of_a_flood_are_drawn_from_ranges_and_single_ids_alike() -> None:
     """A range may have any length: it is not expanded."""
 
-    def ids(flood_ids):
-        injector = FaultInjector(Faults(flood=1000.0, flood_ids=flood_ids))
+    def ids(flood_ids: Any) -> Any:
+        injector = FaultInjector[Any](Faults(flood=1000.0, flood_ids=flood_ids))
         injector.due(0.0)
         return [f.can_id for i in range(1, 501) for f in injector.due(i / 100)]
 
@@ -265,9 +266,9 @@ def test_ids_of_a_flood_are_drawn_from_ranges_and_single_ids_alike():
         pytest.param("loss 9", [1, 2, 3, 4, 5, 6], id="never"),
     ],
 )
-def test_a_script_names_faults_of_single_frames(script, numbers):
+def test_a_script_names_faults_of_single_frames(script: str, numbers: Any) -> None:
     """Frames are counted from 1 and are 10 ms apart."""
-    faults = Faults(script=[ScriptedFault.parse(line) for line in script.splitlines()])
+    faults = Faults(script=[ScriptedFault.parse(line) for line in script.splitlines()])  # type: ignore[arg-type]
     out = run(FaultInjector(faults), numbered(7)[1:], step=0.01)
     assert [number_of(frame) for frame in out] == numbers
 
@@ -285,28 +286,29 @@ def test_a_script_names_faults_of_single_frames(script, numbers):
         pytest.param("garbage 1", lambda f: f.data != bytes(8), id="garbage"),
     ],
 )
-def test_a_script_damages_a_frame_by_its_value(line, holds):
+def test_a_script_damages_a_frame_by_its_value(line: str, holds: Any) -> None:
     (frame,) = run(
-        FaultInjector(Faults(script=[ScriptedFault.parse(line)])), [Frame(0x340, bytes(8))]
+        FaultInjector(Faults(script=[ScriptedFault.parse(line)])),  # type: ignore[arg-type]
+        [Frame(0x340, bytes(8))],
     )
     assert holds(frame)
 
 
-def test_rates_apply_to_the_frames_that_the_script_does_not_name():
-    faults = Faults(loss=1.0, script=[ScriptedFault.parse("dup 2")])
+def test_rates_apply_to_the_frames_that_the_script_does_not_name() -> None:
+    faults = Faults(loss=1.0, script=[ScriptedFault.parse("dup 2")])  # type: ignore[arg-type]
     assert [number_of(f) for f in run(FaultInjector(faults), numbered(9))] == [1, 1]
 
 
 @cache
-def sent_lines(n=120, fd=False):
+def sent_lines(n: int = 120, fd: bool = False) -> Any:
     """Frames of n lines of three slots in turn, and the numbers of the lines by their content."""
     codec = default_codec()
     means, covs = road(n, seed=3)
     slots = np.arange(n) % 3
     payloads = codec.encode_batch(means, covs, slot=slots, counter=np.arange(n) // 3)
-    frames = [codec.frames(p, Slot(s), fd=fd) for p, s in zip(payloads, slots, strict=True)]
+    frames = [codec.frames(p, Slot(s), fd=fd) for p, s in zip(payloads, slots, strict=True)]  # type: ignore[arg-type]
     known = {
-        content(codec.decode_one(p.tobytes(), Slot(s))): i
+        content(codec.decode_one(p.tobytes(), Slot(s))): i  # type: ignore[arg-type]
         for i, (p, s) in enumerate(zip(payloads, slots, strict=True))
     }
     assert len(known) == n
@@ -315,13 +317,13 @@ def sent_lines(n=120, fd=False):
 
 @settings(max_examples=150, deadline=None)
 @given(FAULTS, st.booleans())
-def test_whatever_the_faults_lines_are_sent_ones_and_delivered_once(faults, fd):
+def test_whatever_the_faults_lines_are_sent_ones_and_delivered_once(faults: Any, fd: bool) -> None:
     """Bit for bit; and every frame is accounted for, by the injector and by the decoder."""
     frames, known = sent_lines(fd=fd)
     codec = default_codec()
-    injector, decoder, delivered = FaultInjector(faults), codec.decoder(), []
+    injector, decoder, delivered = FaultInjector[Any](faults), codec.decoder(), list[Any]()
 
-    def receive(out, now):
+    def receive(out: Any, now: Any) -> None:
         for frame in out:
             answer = decoder.feed(
                 frame.can_id, frame.data, round(now * 1e9), is_extended=frame.is_extended

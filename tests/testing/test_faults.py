@@ -2,13 +2,15 @@
 
 import os
 import threading
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from maplines_can.testing import FaultKind, Faults, ScriptedFault
 
 
-def test_a_script_from_a_file(tmp_path):
+def test_a_script_from_a_file(tmp_path: Path) -> None:
     """Comments and empty lines are ignored; the others are read by ``ScriptedFault.parse``."""
     path = tmp_path / "faults.txt"
     path.write_text("# what frame value\n\nloss 3  # gone\nflip 20-29 3\n")
@@ -18,7 +20,7 @@ def test_a_script_from_a_file(tmp_path):
     )
 
 
-def test_the_keys_of_a_text_are_the_fields():
+def test_the_keys_of_a_text_are_the_fields() -> None:
     faults = Faults.parse(
         "loss=0.1, dup=0.2, flip=0.3, flip_bits=2, depth=5, flood=10, flood_ids=0x340-0x342+7,"
         "direction=send, seed=0x10"
@@ -69,7 +71,7 @@ def test_the_keys_of_a_text_are_the_fields():
         pytest.param("script=/nowhere", "script /nowhere cannot be read: No such", id="script"),
     ],
 )
-def test_a_wrong_text_raises(text, words):
+def test_a_wrong_text_raises(text: str, words: str) -> None:
     """The message has what is wrong and what is allowed, in one line."""
     with pytest.raises(ValueError, match="faults: ") as caught:
         Faults.parse(text)
@@ -102,7 +104,7 @@ def test_a_wrong_text_raises(text, words):
         ("delay 1 -1", "must be in [0, 3600] s, got -1"),
     ],
 )
-def test_a_wrong_line_of_a_script_raises(tmp_path, line, words):
+def test_a_wrong_line_of_a_script_raises(tmp_path: Path, line: str, words: str) -> None:
     path = tmp_path / "faults.txt"
     path.write_text(f"dup 1\n{line}\n")
     with pytest.raises(ValueError, match=r"faults: .*faults.txt, line 2: ") as caught:
@@ -122,19 +124,19 @@ def test_a_wrong_line_of_a_script_raises(tmp_path, line, words):
         ("script", ["loss 3"], "script must be of ScriptedFault.parse, got 'loss 3'"),
     ],
 )
-def test_a_value_of_a_wrong_type_raises(field, value, words):
+def test_a_value_of_a_wrong_type_raises(field: str, value: Any, words: str) -> None:
     with pytest.raises(TypeError, match="faults: ") as caught:
         Faults(**{field: value})
     assert words in str(caught.value)
 
 
 @pytest.mark.parametrize("ids", [range(0), range(-1, 3), range(3, 0x20000001), 0x20000000, -1])
-def test_ids_out_of_range_raise(ids):
+def test_ids_out_of_range_raise(ids: Any) -> None:
     with pytest.raises(ValueError, match=r"flood_ids must be CAN IDs in \[0, 0x1fffffff\], got"):
         Faults(flood_ids=(0, ids))
 
 
-def test_a_script_may_be_a_pipe(tmp_path):
+def test_a_script_may_be_a_pipe(tmp_path: Path) -> None:
     """As with <(command) in a shell."""
     path = tmp_path / "pipe"
     os.mkfifo(path)

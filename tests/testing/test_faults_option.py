@@ -9,7 +9,7 @@ from fault_streams import MIX
 from maplines_can.cli import main
 
 
-def test_demo_reports_the_faults(capsys):
+def test_demo_reports_the_faults(capsys: pytest.CaptureFixture[str]) -> None:
     """As text and as JSON; the sums are right."""
     command = ["demo", "--seconds", "0.5", "--rate", "50", "--faults", f"{MIX},seed=3"]
     assert main([*command, "--json"]) == 0
@@ -33,7 +33,7 @@ def test_demo_reports_the_faults(capsys):
     assert done["frames"] + done["duplicated"] == done["passed"] + done["lost"] + done["held"]
 
 
-def test_send_and_receive_report_the_faults(capsys):
+def test_send_and_receive_report_the_faults(capsys: pytest.CaptureFixture[str]) -> None:
     bus = ["--interface", "virtual", "--channel", "faults-option"]
     send = ["send", *bus, "--rate", "200", "--count", "5", "--faults", "dup=1"]
     assert main([*send, "--json"]) == 0
@@ -46,7 +46,7 @@ def test_send_and_receive_report_the_faults(capsys):
     assert "flooded" in capsys.readouterr().err
 
 
-def test_a_wrong_text_is_wrong_usage(capsys):
+def test_a_wrong_text_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["demo", "--faults", "lost=0.1"])
     assert end.value.code == 2

@@ -5,6 +5,8 @@ import itertools
 import queue
 import threading
 import time
+from collections.abc import Iterator
+from typing import Any
 
 import can
 import numpy as np
@@ -26,40 +28,40 @@ from maplines_can.testing import (
 
 
 @pytest.fixture
-def channel(request):
+def channel(request: pytest.FixtureRequest) -> str:
     return f"faulty-{request.node.name}"
 
 
 @pytest.fixture
-def other(channel):
+def other(channel: str) -> Iterator[Any]:
     with can.Bus(interface="virtual", channel=channel) as bus:
         yield bus
 
 
 @pytest.fixture
-def clock():
+def clock() -> Any:
     return Clock()
 
 
-def faulty(channel, faults, **rest):
+def faulty(channel: Any, faults: Any, **rest: Any) -> Any:
     return FaultyBus(can.Bus(interface="virtual", channel=channel), faults, **rest)
 
 
-def message(number=1, can_id=0x340, **rest):
+def message(number: int = 1, can_id: int = 0x340, **rest: Any) -> Any:
     rest = {"data": bytes([number]), "is_extended_id": False, **rest}
     return can.Message(arbitration_id=can_id, **rest)
 
 
-def all_of(bus):
+def all_of(bus: Any) -> Any:
     return list(iter(lambda: bus.recv(0), None))
 
 
-def numbers(bus):
+def numbers(bus: Any) -> Any:
     return [m.data[0] for m in all_of(bus)]
 
 
 @pytest.mark.parametrize("direction", ["send", "receive", "both"])
-def test_faults_apply_to_their_direction_only(channel, other, direction):
+def test_faults_apply_to_their_direction_only(channel: str, other: Any, direction: str) -> None:
     """Half of the frames are lost in that direction, and none in the other."""
     with faulty(channel, f"loss=0.5,direction={direction}") as bus:
         for number in range(100):
@@ -72,7 +74,7 @@ def test_faults_apply_to_their_direction_only(channel, other, direction):
         assert bus.as_dict()["passed"] + bus.as_dict()["lost"] == bus.as_dict()["frames"]
 
 
-def test_a_delayed_frame_has_a_delayed_time_stamp(channel, other, clock):
+def test_a_delayed_frame_has_a_delayed_time_stamp(channel: str, other: Any, clock: Any) -> None:
     with faulty(channel, "delay=0.5", clock=clock) as bus:
         other.send(message(7))
         assert bus.recv(0) is None
@@ -88,7 +90,7 @@ def test_a_delayed_frame_has_a_delayed_time_stamp(channel, other, clock):
         assert bus.recv(0).timestamp - stamp > 1.5
 
 
-def test_pump_sends_delayed_frames(channel, other, clock):
+def test_pump_sends_delayed_frames(channel: str, other: Any, clock: Any) -> None:
     """A bus with a given clock has no thread."""
     threads = threading.active_count()
     with faulty(channel, "delay=0.5,direction=send", clock=clock) as bus:
@@ -101,7 +103,7 @@ def test_pump_sends_delayed_frames(channel, other, clock):
         assert threading.active_count() == threads
 
 
-def test_a_thread_sends_delayed_frames(channel, other):
+def test_a_thread_sends_delayed_frames(channel: str, other: Any) -> None:
     """Without a given clock; the thread ends with the bus."""
     with faulty(channel, "delay=0.02,direction=send") as bus:
         bus.send(message(1))
@@ -112,7 +114,7 @@ def test_a_thread_sends_delayed_frames(channel, other):
 
 
 @pytest.mark.parametrize("direction", ["send", "receive"])
-def test_a_flood_needs_no_frame(channel, other, direction):
+def test_a_flood_needs_no_frame(channel: str, other: Any, direction: str) -> None:
     """It starts on a silent bus, in both directions."""
     with faulty(channel, f"flood=1000,flood_ids=5,direction={direction}") as bus:
         for _ in range(3):
@@ -120,13 +122,13 @@ def test_a_flood_needs_no_frame(channel, other, direction):
 
 
 @pytest.mark.parametrize("direction", ["send", "receive", "both"])
-def test_a_flood_that_is_too_fast_blocks_nothing(direction):
+def test_a_flood_that_is_too_fast_blocks_nothing(direction: str) -> None:
     """Sending, receiving and shutdown still work; frames that are left out are counted."""
     inner = Slow()
     bus = FaultyBus(inner, f"flood=1e6,flood_ids=5,direction={direction}")
     done = threading.Event()
 
-    def use():
+    def use() -> None:
         start = time.monotonic()
         while time.monotonic() < start + 1.5:  # only the last second of a flood is made
             bus.send(message(1))
@@ -141,14 +143,14 @@ def test_a_flood_that_is_too_fast_blocks_nothing(direction):
     assert counts["left_out"] > 0
     assert len(bus._incoming) <= 32
     if direction == "send":
-        assert bus.sending.frames == inner.sent - counts["flooded"] > 0
+        assert bus.sending.frames == inner.sent - counts["flooded"] > 0  # type: ignore[union-attr]
 
 
-def test_pump_stops_during_a_flood_that_is_too_fast(clock):
+def test_pump_stops_during_a_flood_that_is_too_fast(clock: Any) -> None:
     """After a tenth of a second of its clock; the next call sends the rest."""
     inner = Slow()
 
-    def running_clock():
+    def running_clock() -> Any:
         clock.now += 1e-3
         return clock.now
 
@@ -160,7 +162,7 @@ def test_pump_stops_during_a_flood_that_is_too_fast(clock):
         assert 0 < inner.sent < 10_000
 
 
-def test_shutdown_sends_frames_that_are_held_back(channel, other):
+def test_shutdown_sends_frames_that_are_held_back(channel: str, other: Any) -> None:
     bus = faulty(channel, "reorder=1,depth=1000,direction=send")
     for number in range(5):
         bus.send(message(number))
@@ -170,7 +172,7 @@ def test_shutdown_sends_frames_that_are_held_back(channel, other):
     assert bus.as_dict()["held"] == bus.unsent == 0
 
 
-def test_error_and_remote_frames_get_no_faults(channel, other):
+def test_error_and_remote_frames_get_no_faults(channel: str, other: Any) -> None:
     with faulty(channel, "loss=1") as bus:
         for sender, receiver in ((bus, other), (other, bus)):
             sender.send(message(is_error_frame=True))
@@ -179,7 +181,7 @@ def test_error_and_remote_frames_get_no_faults(channel, other):
         assert bus.as_dict()["frames"] == 0
 
 
-def test_filters_apply_before_and_after_the_faults(channel, other):
+def test_filters_apply_before_and_after_the_faults(channel: str, other: Any) -> None:
     """Neither a frame of another ID is received, nor one whose ID a fault has changed."""
     with faulty(channel, "wrong_id=1,direction=receive") as bus:
         bus.set_filters([{"can_id": 0x340, "can_mask": 0x7FE}])
@@ -193,7 +195,7 @@ def test_filters_apply_before_and_after_the_faults(channel, other):
         assert 0 < len(received) < 50
 
 
-def test_filters_of_the_wrapped_bus_are_kept(channel):
+def test_filters_of_the_wrapped_bus_are_kept(channel: str) -> None:
     inner = can.Bus(interface="virtual", channel=channel)
     inner.set_filters([{"can_id": 1, "can_mask": 0x7FF}])
     with FaultyBus(inner, Faults()) as bus:
@@ -203,65 +205,65 @@ def test_filters_of_the_wrapped_bus_are_kept(channel):
 class Stubborn(can.BusABC):
     """A bus whose transmit queue is full where a script says so, and which can be lost."""
 
-    def __init__(self, *full):
+    def __init__(self, *full: Any) -> None:
         super().__init__(channel="stubborn")
-        self.full, self.sent = list(full), queue.SimpleQueue()
+        self.full, self.sent = list(full), queue.SimpleQueue[Any]()
         self.gone, self._state = False, can.BusState.PASSIVE
-        self.received = []
+        self.received: list[Any] = []
         self.channel_info = "stubborn"
 
-    def send(self, msg, timeout=None):  # noqa: ARG002
+    def send(self, msg: Any, timeout: Any = None) -> None:  # noqa: ARG002
         if self.full and self.full.pop(0):
             raise can.CanOperationError("full")
         if self.gone:
             raise OSError(errno.ENODEV, "No such device")
         self.sent.put(msg.data[0])
 
-    def _recv_internal(self, timeout):
+    def _recv_internal(self, timeout: Any) -> Any:
         if not self.received:
             time.sleep(min(timeout, 0.01))
         return (self.received.pop(0) if self.received else None), True
 
-    def fileno(self):
+    def fileno(self) -> int:
         return 7
 
-    def flush_tx_buffer(self):
+    def flush_tx_buffer(self) -> None:
         self.full = [True]
 
     @property
-    def state(self):
+    def state(self) -> Any:
         return self._state
 
     @state.setter
-    def state(self, new_state):
+    def state(self, new_state: Any) -> None:
         self._state = new_state
 
 
 class Slow(can.BusABC):
     """A bus that always has a frame to receive, and is slow to send one."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__(channel="slow")
         self.channel_info, self.sent = "slow", 0
 
-    def send(self, msg, timeout=None):  # noqa: ARG002
+    def send(self, msg: Any, timeout: Any = None) -> None:  # noqa: ARG002
         time.sleep(1e-5)
         self.sent += 1
 
-    def _recv_internal(self, timeout):  # noqa: ARG002
+    def _recv_internal(self, timeout: Any) -> Any:  # noqa: ARG002
         time.sleep(1e-5)
         return message(1, timestamp=time.time()), False
 
 
 @pytest.mark.parametrize("faults", ["loss=1", "delay=60", "wrong_id=1"])
 @pytest.mark.parametrize("timeout", [0, 0.1])
-def test_recv_returns_after_its_timeout_on_a_busy_bus(faults, timeout):
+def test_recv_returns_after_its_timeout_on_a_busy_bus(faults: str, timeout: float) -> None:
     """Although frames keep arriving, all of which are lost or held back."""
     done = threading.Event()
     with FaultyBus(Slow(), f"{faults},direction=receive") as bus:
         bus.set_filters([{"can_id": 0x340, "can_mask": 0x7FF}])
 
-        def use():
+        def use() -> None:
             assert bus.recv(timeout) is None
             done.set()
 
@@ -269,7 +271,7 @@ def test_recv_returns_after_its_timeout_on_a_busy_bus(faults, timeout):
         assert done.wait(LONG)
 
 
-def test_a_receiver_on_a_busy_bus_that_loses_all_frames_can_be_stopped():
+def test_a_receiver_on_a_busy_bus_that_loses_all_frames_can_be_stopped() -> None:
     with Link(FaultyOpener("loss=1", Slow)) as link:
         with Receiver(link, default_codec().decoder()) as receiver:
             pass
@@ -286,7 +288,9 @@ def test_a_receiver_on_a_busy_bus_that_loses_all_frames_can_be_stopped():
         pytest.param(-3.0, 5.0, id="of-the-future"),
     ],
 )
-def test_a_delay_starts_at_the_time_stamp(age, left, monkeypatch):
+def test_a_delay_starts_at_the_time_stamp(
+    age: float, left: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """If the frame waited for `recv`, and the stamp can be one of this clock."""
     monkeypatch.setattr("maplines_can.testing.faulty_bus.time", now := FakeTime())
     inner = Stubborn()
@@ -295,9 +299,9 @@ def test_a_delay_starts_at_the_time_stamp(age, left, monkeypatch):
         late = bus.recv(0)
         if left:
             assert late is None
-            assert bus.receiving.next_due - now.monotonic() == pytest.approx(left, abs=1e-5)
+            assert bus.receiving.next_due - now.monotonic() == pytest.approx(left, abs=1e-5)  # type: ignore[union-attr]
         else:
-            assert late.timestamp == pytest.approx(now.time(), abs=1e-5)
+            assert late.timestamp == pytest.approx(now.time(), abs=1e-5)  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize(
@@ -308,13 +312,13 @@ def test_a_delay_starts_at_the_time_stamp(age, left, monkeypatch):
         (Slow, None, "faults must be Faults or a text such as 'loss=0.1', got None"),
     ],
 )
-def test_a_bus_or_faults_of_a_wrong_type_raise(bus, faults, words):
+def test_a_bus_or_faults_of_a_wrong_type_raise(bus: Any, faults: str | None, words: str) -> None:
     with pytest.raises(TypeError) as caught:
-        FaultyBus(bus and bus(), faults)
+        FaultyBus(bus and bus(), faults)  # type: ignore[arg-type]
     assert str(caught.value) == words
 
 
-def test_a_retried_frame_gets_its_faults_once():
+def test_a_retried_frame_gets_its_faults_once() -> None:
     """After a full queue the same message continues where it stopped; no new faults are drawn."""
     inner = Stubborn(False, True, True)
     with FaultyBus(inner, "dup=1") as bus:
@@ -330,7 +334,7 @@ def test_a_retried_frame_gets_its_faults_once():
         assert bus.as_dict()["frames"] == 2
 
 
-def test_a_frame_that_is_given_up_is_counted():
+def test_a_frame_that_is_given_up_is_counted() -> None:
     with FaultyBus(Stubborn(True), "dup=1") as bus:
         with pytest.raises(can.CanOperationError):
             bus.send(message(1))
@@ -338,7 +342,7 @@ def test_a_frame_that_is_given_up_is_counted():
         assert bus.unsent == 2
 
 
-def test_a_faulty_bus_has_the_properties_of_the_wrapped_bus():
+def test_a_faulty_bus_has_the_properties_of_the_wrapped_bus() -> None:
     with FaultyBus(Stubborn(), "loss=1,direction=send") as bus:
         assert str(bus) == "stubborn with faults"
         assert bus.protocol is can.CanProtocol.CAN_20
@@ -347,16 +351,16 @@ def test_a_faulty_bus_has_the_properties_of_the_wrapped_bus():
         bus.state = can.BusState.ACTIVE
         assert bus.bus.state is can.BusState.ACTIVE
         bus.flush_tx_buffer()
-        assert bus.bus.full == [True]
+        assert bus.bus.full == [True]  # type: ignore[attr-defined]
     with FaultyBus(Stubborn(), "loss=1") as bus, pytest.raises(NotImplementedError):
         bus.fileno()
 
 
-def test_random_numbers_and_counters_continue_after_an_outage(clock):
+def test_random_numbers_and_counters_continue_after_an_outage(clock: Any) -> None:
     """They are those of one stream, in spite of the second bus."""
     opened = []
 
-    def opener():
+    def opener() -> Any:
         opened.append(Stubborn())
         return opened[-1]
 
@@ -374,31 +378,31 @@ def test_random_numbers_and_counters_continue_after_an_outage(clock):
         assert link.outages == 1
         assert len(opened) == 2
         total = faulty_opener.as_dict()
-    reference = FaultInjector(faults, stream="send")
+    reference = FaultInjector[Any](faults, stream="send")
     for frame in numbered(total["frames"]):
         reference.apply(frame)
     assert total["lost"] == reference.counts[FaultKind.LOST]
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_sums_over_a_virtual_bus(channel, fd):
+def test_sums_over_a_virtual_bus(channel: str, fd: bool) -> None:
     """Transmitter, faults, Receiver: sent and duplicated frames are lost or received, once."""
     codec = default_codec()
     means, covs = road(8, seed=5)
     payloads = codec.encode_batch(means, covs, slot=np.arange(8))
     lines = [codec.decode_one(p.tobytes(), Slot(i)) for i, p in enumerate(payloads)]
-    reference = codec.from_dbc().encode_lines(lines, fd=fd)
+    reference = codec.from_dbc().encode_lines(lines, fd=fd)  # type: ignore[arg-type]
     expected = {
-        content(codec.decode_one(b"".join(f.data for f in frames)[:32], line.slot))
+        content(codec.decode_one(b"".join(f.data for f in frames)[:32], line.slot))  # type: ignore[union-attr]
         for line, frames in zip(lines, reference, strict=True)
     }
-    received = []
+    received: list[Any] = []
     with Link(interface="virtual", channel=channel) as back:
         opener = FaultyOpener(f"{MIX},direction=send,seed=2")
         out = Link(opener, interface="virtual", channel=channel)
         with Receiver(back, codec.decoder(), on_line=received.append) as receiver:
             with Transmitter(out, codec, period=0.02, fd=fd, count=30) as transmitter:
-                transmitter.publish(lines)
+                transmitter.publish(lines)  # type: ignore[arg-type]
                 assert transmitter.wait(LONG)
             out.close()  # this sends the frames that are held back
             done, stats = opener.as_dict(), transmitter.stats()

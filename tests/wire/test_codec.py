@@ -1,5 +1,7 @@
 """The codec: status, frames, and the readers and writers that must agree."""
 
+from typing import Any
+
 import cantools
 import numpy as np
 import pytest
@@ -14,14 +16,14 @@ from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec, Reason
 
 
-def test_huge_numbers_do_not_overflow(codec):
+def test_huge_numbers_do_not_overflow(codec: Any) -> None:
     """Numbers such as 1e200 are out of range, without a warning."""
     batch = codec.decode_batch(codec.encode_batch(np.full((1, 4), 1e200), 1e300 * np.eye(4)[None]))
     assert batch.status[0] == Status.OUT_OF_RANGE
     assert np.isfinite(batch.cov).all()
 
 
-def test_the_three_data_structures_of_the_paper(codec):
+def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
     """Mean only, mean and standard deviations, or mean and covariance."""
     mean = np.array([[1.75, 0.01, 1e-3, 1e-5]])
     root = np.array([[0.3, 0, 0, 0], [0.01, 0.02, 0, 0], [1e-4, 0, 1e-4, 0], [0, 0, 0, 1e-6]])
@@ -40,21 +42,21 @@ def test_the_three_data_structures_of_the_paper(codec):
         assert batch.mean == pytest.approx(mean, abs=1e-3)
 
 
-def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec):
+def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
     payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=30.0)
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
 
 
-def test_age_is_rounded_up(codec):
+def test_age_is_rounded_up(codec: Any) -> None:
     """To the next step; the greatest value means this age or more."""
     ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.247, 0.249, 9.0])
     batch = codec.decode_batch(codec.encode_batch(np.zeros((7, 4)), age=ages))
     assert batch.age.tolist() == [0.0, 0.008, 0.008, 0.016, 0.248, 0.248, 0.248]
 
 
-def test_single_precision_is_accepted(codec):
+def test_single_precision_is_accepted(codec: Any) -> None:
     """A product J P J^T in float32 is symmetric and definite to the rounding of float32."""
     rng = np.random.default_rng(8)
     root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
@@ -64,27 +66,27 @@ def test_single_precision_is_accepted(codec):
     assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
 
 
-def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec):
+def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
     """Without a covariance, nothing covers a clipped mean."""
     batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
     assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
 
 
-def test_cantools_decodes_and_encodes_the_same_frames(codec):
+def test_cantools_decodes_and_encodes_the_same_frames(codec: Any) -> None:
     """In each page of each carrier, the bytes and the physical values are the same."""
     database = cantools.database.load_file(DBC)
     means, covs = random_lines(40, seed=3)
     payloads = codec.encode_batch(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
     batch = codec.decode_batch(payloads, Slot.NEXT_LEFT)
     for i, payload in enumerate(payloads):
-        signals = {}
+        signals: dict[Any, Any] = {}
         for frame in codec.frames(payload, Slot.NEXT_LEFT):
-            message = database.get_message_by_frame_id(frame.can_id)
+            message = database.get_message_by_frame_id(frame.can_id)  # type: ignore[union-attr]
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
             signals |= page
         (fd,) = codec.frames(payload, Slot.NEXT_LEFT, fd=True)
-        record = database.get_message_by_frame_id(fd.can_id).decode(fd.data, decode_choices=False)
+        record = database.get_message_by_frame_id(fd.can_id).decode(fd.data, decode_choices=False)  # type: ignore[union-attr]
         assert {k: record[k] for k in signals if k != "Page"} == {
             k: v for k, v in signals.items() if k != "Page"
         }
@@ -94,7 +96,7 @@ def test_cantools_decodes_and_encodes_the_same_frames(codec):
         assert covariance_by_hand(signals) == pytest.approx(batch.cov[i], rel=1e-12)
 
 
-def covariance_by_hand(signals):
+def covariance_by_hand(signals: Any) -> Any:
     """Decode the covariance as dbc/README.md describes it, from the values of cantools."""
     names = ["C1", "C0", "YOff", "Beta"]
     L = np.zeros((4, 4))
@@ -108,14 +110,14 @@ def covariance_by_hand(signals):
 
 
 @pytest.mark.parametrize("length", [0, 1, 31, 33, 64])
-def test_a_record_of_another_length_is_rejected(length):
+def test_a_record_of_another_length_is_rejected(length: int) -> None:
     """Whatever its content."""
     assert default_codec().decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
-def test_both_readers_agree_on_any_bytes(data, valid, slot):
+def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) -> None:
     """decode_one and decode_batch agree to the last bit, or on the reason."""
     codec = default_codec()
     if valid:  # correct page numbers, transfer IDs and checksum
@@ -136,7 +138,7 @@ def test_both_readers_agree_on_any_bytes(data, valid, slot):
         assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
         assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
         record = codec.read_record(data, slot)
-        assert (record.index, record.count, record.weight) == (
+        assert (record.index, record.count, record.weight) == (  # type: ignore[union-attr]
             batch.component_index[0],
             batch.component_count[0],
             batch.component_weight[0],
@@ -146,7 +148,7 @@ def test_both_readers_agree_on_any_bytes(data, valid, slot):
     np.linalg.cholesky(batch.cov)  # whatever the bytes, a definite matrix
 
 
-def test_all_writers_agree(codec):
+def test_all_writers_agree(codec: Any) -> None:
     """encode, encode_lines and encode_batch give the same bytes."""
     means, covs = random_lines(50, seed=5)
     lines = [
@@ -169,7 +171,7 @@ def test_all_writers_agree(codec):
     assert one_by_one == together == [payload.tobytes() for payload in payloads]
 
 
-def test_the_valid_range_is_rounded_inwards(codec):
+def test_the_valid_range_is_rounded_inwards(codec: Any) -> None:
     """x_min is rounded up and x_max down; if the range is still too long, the line is SATURATED."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
     ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [24.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
@@ -209,7 +211,7 @@ def test_the_valid_range_is_rounded_inwards(codec):
         pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),
     ],
 )
-def test_an_invalid_argument_raises(codec, change, words):
+def test_an_invalid_argument_raises(codec: Any, change: Any, words: str) -> None:
     """The message names the value, the row or signal, and the allowed values."""
     good = {"means": np.zeros((1, 4)), "covs": np.zeros((1, 4, 4))}
     with pytest.raises((ValueError, EncodeError), match=words):
@@ -220,13 +222,13 @@ def test_an_invalid_argument_raises(codec, change, words):
     "payloads",
     [np.zeros((1, 31), np.uint8), np.zeros(32, np.uint8), np.zeros((1, 32), np.int64)],
 )
-def test_payloads_of_another_shape_raise(codec, payloads):
+def test_payloads_of_another_shape_raise(codec: Any, payloads: Any) -> None:
     """The bytes may be anything, but there must be 32 uint8 in each row."""
     with pytest.raises(ValueError, match="payloads must"):
         codec.decode_batch(payloads)
 
 
-def test_no_records(codec):
+def test_no_records(codec: Any) -> None:
     """No lines give no records, and no records give no lines."""
     payloads = codec.encode_batch(np.zeros((0, 4)), np.zeros((0, 4, 4)))
     assert payloads.shape == (0, 32)
@@ -258,7 +260,7 @@ RECORD = np.zeros((1, 32), dtype=np.uint8)
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_extreme_numbers_raise_a_short_message(make, words):
+def test_extreme_numbers_raise_a_short_message(make: Any, words: str) -> None:
     """The message names the argument and its range, and there is no warning."""
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())

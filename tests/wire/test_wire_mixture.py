@@ -1,5 +1,8 @@
 """Encoding of mixtures: complete or rejected, and never overconfident."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
 from dbcs import default_codec
@@ -14,15 +17,15 @@ from maplines_can.wire import Codec, Reason
 from maplines_can.wire.message.components import quantized_weights
 
 
-def test_weights_of_a_split_are_multiples_of_the_step():
+def test_weights_of_a_split_are_multiples_of_the_step() -> None:
     """The message rounds no weight of a split."""
     for k in SPLITS:
-        weights = Mixture(k).split(Gaussian([0.0], [[1.0]])).weights
+        weights = Mixture(k).split(Gaussian([0.0], [[1.0]])).weights  # type: ignore[arg-type]
         assert np.array_equal(quantized_weights(weights[None], 32)[0], weights * 32)
 
 
 @given(st.lists(st.floats(1e-3, 1), min_size=1, max_size=8))
-def test_quantized_weights_add_up(weights):
+def test_quantized_weights_add_up(weights: Any) -> None:
     """Positive numbers of steps with sum 32, less than a step off unless one is raised to 1."""
     w = np.array([weights]) / sum(weights)
     steps = quantized_weights(w, 32)
@@ -32,7 +35,7 @@ def test_quantized_weights_add_up(weights):
         assert np.abs(steps - w * 32).max() < 1
 
 
-def random_mixtures(n, k, seed):
+def random_mixtures(n: Any, k: Any, seed: Any) -> Any:
     means, covs = adversarial(n * k, seed, at_limit_share=0.02)
     spread = 0.05 * (means - means.reshape(n, k, 4)[:, :1].repeat(k, axis=1).reshape(-1, 4))
     means = means.reshape(n, k, 4)[:, :1] * 0.5 + spread.reshape(n, k, 4)
@@ -40,14 +43,14 @@ def random_mixtures(n, k, seed):
     return weights / weights.sum(axis=1, keepdims=True), means, covs.reshape(n, k, 4, 4)
 
 
-def moments(weights, means, covs):
+def moments(weights: Any, means: Any, covs: Any) -> Any:
     mean = np.einsum("nk,nki->ni", weights, means)
     d = means - mean[:, None]
     return mean, np.einsum("nk,nkij->nij", weights, covs + d[..., :, None] * d[..., None, :])
 
 
 @pytest.mark.parametrize("k", [2, 3, 5, 8])
-def test_no_component_and_no_mixture_is_overconfident(k):
+def test_no_component_and_no_mixture_is_overconfident(k: int) -> None:
     """Random mixtures with singular components and weights between the steps."""
     weights, means, covs = random_mixtures(4000, k, seed=k)
     payloads = default_codec().encode_mixtures(weights, means, covs)
@@ -67,11 +70,11 @@ def test_no_component_and_no_mixture_is_overconfident(k):
     assert (w.sum(axis=1) == 1).all()
     mean, cov = moments(weights, means, covs)
     decoded = moments(w, batch.mean.reshape(-1, k, 4), batch.cov.reshape(-1, k, 4, 4))
-    verdict = evaluate(mean, cov, *decoded, default_codec().resolution)
+    verdict = evaluate(mean, cov, *decoded, default_codec().resolution)  # type: ignore[call-arg]
     assert not verdict.overconfident[stated.reshape(-1, k).all(axis=1)].any()
 
 
-def sent_lines(n, k, seed=3):
+def sent_lines(n: Any, k: Any, seed: int = 3) -> Iterator[Any]:
     weights, means, covs = random_mixtures(n, k, seed)
     for w, m, S in zip(weights, means, 1e-3 * covs, strict=True):
         components = tuple(Gaussian(mean, cov) for mean, cov in zip(m, S, strict=True))
@@ -79,7 +82,7 @@ def sent_lines(n, k, seed=3):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_a_mixture_round_trip(fd):
+def test_a_mixture_round_trip(fd: bool) -> None:
     """The line is delivered with its last component, with the decoded mixture and its moments."""
     codec = Codec.from_dbc()
     decoder = codec.decoder()
@@ -89,9 +92,9 @@ def test_a_mixture_round_trip(fd):
     answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
     assert set(answers[:-1]) == {Reason.PENDING}
     back = answers[-1]
-    assert back.mixture.weights.sum() == 1
-    assert np.allclose(back.mixture.means, line.mixture.means, atol=0.002)
-    assert np.array_equal(back.gaussian.cov, back.mixture.overall.cov)
+    assert back.mixture.weights.sum() == 1  # type: ignore[union-attr]
+    assert np.allclose(back.mixture.means, line.mixture.means, atol=0.002)  # type: ignore[union-attr]
+    assert np.array_equal(back.gaussian.cov, back.mixture.overall.cov)  # type: ignore[union-attr]
     assert decoder.lines == 1
     assert decoder.line_frames == len(frames)
     assert decoder.pending == 0
@@ -99,7 +102,7 @@ def test_a_mixture_round_trip(fd):
 
 @settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([2, 3, 8]), st.booleans())
-def test_components_of_different_lines_are_not_combined(seed, k, fd):
+def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: bool) -> None:
     """Under loss, duplication and reordering each delivered mixture was sent, and only once."""
     rng = np.random.default_rng(seed)
     codec = Codec.from_dbc()
@@ -114,7 +117,7 @@ def test_components_of_different_lines_are_not_combined(seed, k, fd):
             for frame in frames
             if isinstance(answer := alone.feed(frame.can_id, frame.data, 0), MapLine)
         ]
-        expected[line_alone.mixture.means.tobytes()] = i
+        expected[line_alone.mixture.means.tobytes()] = i  # type: ignore[union-attr]
         stream += [frame for frame in frames for _ in range(rng.choice([0, 1, 1, 1, 1, 1, 1, 2]))]
     order = np.argsort(np.arange(len(stream)) + rng.uniform(0, 2, len(stream)))
     decoder = codec.decoder()
@@ -122,12 +125,12 @@ def test_components_of_different_lines_are_not_combined(seed, k, fd):
     for i, place in enumerate(order):
         answer = decoder.feed(stream[place].can_id, stream[place].data, i * 100_000)
         if isinstance(answer, MapLine):
-            got.append(expected[answer.mixture.means.tobytes()])
+            got.append(expected[answer.mixture.means.tobytes()])  # type: ignore[union-attr]
     assert got == sorted(set(got))
     assert decoder.frames == (decoder.line_frames + sum(decoder.counts.values()) + decoder.pending)
 
 
-def test_an_incomplete_mixture_times_out():
+def test_an_incomplete_mixture_times_out() -> None:
     """Its frames are counted, and the next line is delivered."""
     codec = Codec.from_dbc()
     decoder = codec.decoder(timeout_ms=50)
@@ -141,7 +144,7 @@ def test_an_incomplete_mixture_times_out():
     assert isinstance(answers[-1], MapLine)
 
 
-def test_eight_components_on_a_slow_bus_are_one_line():
+def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     """4.3 ms a record, as at 125 kbit/s: only the time between components is below the time-out."""
     weights, means, covs = random_mixtures(1, 8, seed=3)
     components = tuple(Gaussian(mean, cov) for mean, cov in zip(means[0], covs[0], strict=True))
@@ -152,4 +155,4 @@ def test_eight_components_on_a_slow_bus_are_one_line():
     answers = [decoder.feed(f.can_id, f.data, i * 1_080_000) for i, f in enumerate(frames)]
     assert len(frames) == 32
     assert isinstance(answers[-1], MapLine)
-    assert len(answers[-1].mixture.weights) == 8
+    assert len(answers[-1].mixture.weights) == 8  # type: ignore[union-attr]

@@ -3,6 +3,7 @@
 import csv
 import io
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,12 +35,12 @@ KINDS += ["mixture of 3", "mixture of 5"]
 
 
 @pytest.fixture(scope="module")
-def true_gaussian():
+def true_gaussian() -> Any:
     return true_distribution(Gaussian(MEAN, COV).sample(N, seed=1))
 
 
 @pytest.fixture(scope="module")
-def rows():
+def rows() -> Any:
     """Return rows of all scenes from few samples, by scene, representation and side."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "DRAWS", CLAIMS_N)
@@ -48,7 +49,7 @@ def rows():
 
 
 @pytest.fixture
-def few(monkeypatch):
+def few(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(evaluation, "DRAWS", 2000)
     return lambda seed=0: accuracy_table([scenario("street-turn")], n=2000, seed=seed)
 
@@ -56,7 +57,7 @@ def few(monkeypatch):
 # -- definitions ----------------------------------------------------------------
 
 
-def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(true_gaussian):
+def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(true_gaussian: Any) -> None:
     row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives == pytest.approx(0.01, abs=5 * row.false_negatives_se)
@@ -70,10 +71,10 @@ def test_a_true_gaussian_has_one_percent_of_each_and_no_divergence(true_gaussian
 
 
 @pytest.mark.parametrize("scale", [0.7, 1.5])
-def test_a_scaled_gaussian_compared_with_scipy(true_gaussian, scale):
+def test_a_scaled_gaussian_compared_with_scipy(true_gaussian: Any, scale: float) -> None:
     row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, scale**2 * COV), NAMES)
 
-    def outside(parameters, size):
+    def outside(parameters: Any, size: Any) -> Any:
         return stats.chi2.sf(stats.chi2.ppf(0.99, parameters) * size**2, parameters)
 
     assert row.false_negatives == pytest.approx(outside(4, scale), abs=5 * row.false_negatives_se)
@@ -86,7 +87,7 @@ def test_a_scaled_gaussian_compared_with_scipy(true_gaussian, scale):
     assert np.array(row.sigma_ratio) == pytest.approx(scale, abs=5 * max(row.sigma_ratio_se))
 
 
-def test_a_shifted_gaussian_compared_with_scipy(true_gaussian):
+def test_a_shifted_gaussian_compared_with_scipy(true_gaussian: Any) -> None:
     shift = ROOT @ [1.0, 0, 0, 0] * SIGMA  # one standard deviation
     row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN + shift, COV), NAMES)
 
@@ -96,7 +97,7 @@ def test_a_shifted_gaussian_compared_with_scipy(true_gaussian):
     assert row.mean_error[0] == pytest.approx(shift[0], abs=5 * row.mean_error_se[0])
 
 
-def test_a_true_mixture_has_one_percent_of_each():
+def test_a_true_mixture_has_one_percent_of_each() -> None:
     """Two distant components: the region has two pieces, and one Gaussian fills the gap."""
     weights, gap = np.array([0.3, 0.7]), 8 * SIGMA
     components = [Gaussian(MEAN, COV), Gaussian(MEAN + gap, COV)]
@@ -117,7 +118,7 @@ def test_a_true_mixture_has_one_percent_of_each():
     assert one.false_positives > 0.2
 
 
-def test_equal_components_are_one_gaussian(true_gaussian):
+def test_equal_components_are_one_gaussian(true_gaussian: Any) -> None:
     twice = Approximation(np.full(2, 0.5), np.array([MEAN] * 2), np.array([COV] * 2))
     row = evaluate_approximation(true_gaussian, twice, NAMES)
 
@@ -127,7 +128,7 @@ def test_equal_components_are_one_gaussian(true_gaussian):
     assert np.array(row.sigma_ratio) == pytest.approx(np.array(one.sigma_ratio))
 
 
-def test_a_mean_alone_is_a_point(true_gaussian):
+def test_a_mean_alone_is_a_point(true_gaussian: Any) -> None:
     row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, None), NAMES)
 
     assert (row.false_negatives, row.false_negatives_pairs, row.false_positives) == (1, 1, 0)
@@ -135,7 +136,7 @@ def test_a_mean_alone_is_a_point(true_gaussian):
     assert row.mean_error[0] == pytest.approx(0, abs=5 * row.mean_error_se[0])
 
 
-def test_a_singular_covariance_has_no_volume(true_gaussian):
+def test_a_singular_covariance_has_no_volume(true_gaussian: Any) -> None:
     flat = ROOT.copy()
     flat[3, 3] = 0
     row = evaluate_approximation(
@@ -147,7 +148,7 @@ def test_a_singular_covariance_has_no_volume(true_gaussian):
     assert row.false_positives < 0.02
 
 
-def test_the_region_is_the_smallest_set_of_cells_with_the_mass():
+def test_the_region_is_the_smallest_set_of_cells_with_the_mass() -> None:
     count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # the sum is 100
 
     chosen = evaluation._densest(count)
@@ -157,7 +158,7 @@ def test_the_region_is_the_smallest_set_of_cells_with_the_mass():
     assert not chosen[0, 1]
 
 
-def test_sampling_errors_are_those_of_theory(true_gaussian):
+def test_sampling_errors_are_those_of_theory(true_gaussian: Any) -> None:
     row = evaluate_approximation(true_gaussian, Approximation.gaussian(MEAN, COV), NAMES)
 
     assert row.false_negatives_se == pytest.approx(np.sqrt(0.01 * 0.99 / N), rel=0.1)
@@ -167,7 +168,7 @@ def test_sampling_errors_are_those_of_theory(true_gaussian):
     assert row.sigma_ratio_se[0] == pytest.approx(1 / np.sqrt(2 * N), rel=0.75)
 
 
-def test_draws_beyond_the_grid_are_outside(true_gaussian):
+def test_draws_beyond_the_grid_are_outside(true_gaussian: Any) -> None:
     far = Approximation.gaussian(MEAN + 1000 * SIGMA, COV)
 
     row = evaluate_approximation(true_gaussian, far, NAMES)
@@ -178,7 +179,7 @@ def test_draws_beyond_the_grid_are_outside(true_gaussian):
 # -- the table and its writers --------------------------------------------------
 
 
-def test_every_representation_before_and_after(few):
+def test_every_representation_before_and_after(few: Any) -> None:
     seen = []
     rows = accuracy_table(
         [scenario("street-turn")], n=2000, progress=lambda done, of: seen.append((done, of))
@@ -189,7 +190,7 @@ def test_every_representation_before_and_after(few):
     assert seen[-1] == (len(rows), len(rows))
 
 
-def test_the_same_seed_gives_the_same_table(few):
+def test_the_same_seed_gives_the_same_table(few: Any) -> None:
     one, two, other = few(), few(), few(seed=1)
 
     for write in (as_csv, as_text, as_markdown):
@@ -197,7 +198,7 @@ def test_the_same_seed_gives_the_same_table(few):
         assert write(one) != write(other)
 
 
-def test_csv_has_a_figure_and_an_error_in_each_column(few):
+def test_csv_has_a_figure_and_an_error_in_each_column(few: Any) -> None:
     rows = few()
 
     read = list(csv.DictReader(io.StringIO(as_csv(rows))))
@@ -212,7 +213,7 @@ def test_csv_has_a_figure_and_an_error_in_each_column(few):
     assert read[0]["kl"] == "inf"
 
 
-def test_markdown_is_one_table_and_text_shows_every_row(few):
+def test_markdown_is_one_table_and_text_shows_every_row(few: Any) -> None:
     rows = few()
 
     lines = as_markdown(rows).splitlines()
@@ -222,17 +223,17 @@ def test_markdown_is_one_table_and_text_shows_every_row(few):
     assert all(text.count(f"\n{kind} ") >= 6 for kind in KINDS)
 
 
-def test_a_scene_without_the_line_raises():
+def test_a_scene_without_the_line_raises() -> None:
     with pytest.raises(ValueError, match="no line ROUTE; there are EGO_LEFT"):
         accuracy_table(list(random_scenarios(1)), n=1000, slot=Slot.ROUTE)
 
 
-def test_too_few_samples_raise():
+def test_too_few_samples_raise() -> None:
     with pytest.raises(ValueError, match="n must be 100 or more, got 50"):
         accuracy_table([scenario("production")], n=50)
 
 
-def test_a_line_that_does_not_fit_the_messages_raises():
+def test_a_line_that_does_not_fit_the_messages_raises() -> None:
     far = Approximation.gaussian([1e5, 0, 0, 0], COV)
 
     with pytest.raises(ValueError, match="does not fit the messages"):
@@ -242,18 +243,18 @@ def test_a_line_that_does_not_fit_the_messages_raises():
 # -- claims of docs/claims.md ---------------------------------------------------
 
 
-def apart(one, other, figure):
+def apart(one: Any, other: Any, figure: Any) -> Any:
     """Return the difference of two rows, and five standard errors of it."""
     errors = [getattr(row, f"{figure}_se") for row in (one, other)]
     return getattr(one, figure) - getattr(other, figure), 5 * np.hypot(*errors)
 
 
-def more(one, other, figure):
+def more(one: Any, other: Any, figure: Any) -> bool:
     difference, error = apart(one, other, figure)
     return difference > error
 
 
-def test_claim_a_the_gaussian_fits_the_highway_in_part(rows):
+def test_claim_a_the_gaussian_fits_the_highway_in_part(rows: Any) -> None:
     """False negatives and band are as claimed, but there are many false positives."""
     row = rows["highway", "MonteCarlo", "before"]
 
@@ -267,27 +268,27 @@ def test_claim_a_the_gaussian_fits_the_highway_in_part(rows):
 
 
 @pytest.mark.parametrize("kind", ["MonteCarlo", "Quadrature"])
-def test_claim_b_the_distribution_of_the_position_does_not_hurt(rows, kind):
+def test_claim_b_the_distribution_of_the_position_does_not_hurt(rows: Any, kind: str) -> None:
     one, other = (rows[name, kind, "before"] for name in ("highway", "highway-correlated"))
 
     for figure in ("false_negatives", "false_negatives_pairs", "false_positives"):
         assert abs(apart(one, other, figure)[0]) < 0.005
 
 
-def test_claim_b_does_not_hold_for_sigma_points_in_four_parameters(rows):
+def test_claim_b_does_not_hold_for_sigma_points_in_four_parameters(rows: Any) -> None:
     one, other = (rows[name, "SigmaPoints", "before"] for name in ("highway-correlated", "highway"))
 
     assert one.false_negatives > 2 * other.false_negatives
 
 
-def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
+def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows: Any) -> None:
     """They grow on the highway and fall in the turn; false positives grow in both."""
     correlation = {}
     for name in SCENARIOS:
         refit = refit_of(scenario(name), Slot.EGO_RIGHT)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            R = representations(refit, scenario(name).ego, n=CLAIMS_N)["MonteCarlo"].covs[0]
+            R = representations(refit, scenario(name).ego, n=CLAIMS_N)["MonteCarlo"].covs[0]  # type: ignore[index]
         sigma = np.sqrt(R.diagonal())
         correlation[name] = abs(R / np.outer(sigma, sigma))[np.triu_indices(4, 1)].mean()
 
@@ -302,7 +303,7 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows):
     assert more(wide, narrow, "false_negatives")
 
 
-def test_claim_d_covariances_carry_information(rows):
+def test_claim_d_covariances_carry_information(rows: Any) -> None:
     """Variances alone cause more false negatives on the highway, not in the street turn."""
     for name in ("highway", "highway-correlated", "highway-10deg"):
         without, full = (rows[name, k, "before"] for k in ("mean and sigmas", "MonteCarlo"))
@@ -317,7 +318,9 @@ def test_claim_d_covariances_carry_information(rows):
     assert not more(without, full, "false_negatives")
 
 
-def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_parameters(rows):
+def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_parameters(
+    rows: Any,
+) -> None:
     for name in ("highway", "highway-correlated", "highway-10deg", "production"):
         points, draws = (rows[name, k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
         assert points.sigma_ratio == pytest.approx(draws.sigma_ratio, abs=0.03)
@@ -332,7 +335,7 @@ def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_param
 
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("kind", ["SigmaPoints", "Quadrature", "MonteCarlo"])
-def test_the_wire_costs_few_false_negatives(rows, name, kind):
+def test_the_wire_costs_few_false_negatives(rows: Any, name: Any, kind: str) -> None:
     before, after = (rows[name, kind, where] for where in ("before", "after"))
 
     assert after.false_negatives - before.false_negatives < 0.002
@@ -344,7 +347,7 @@ def test_the_wire_costs_few_false_negatives(rows, name, kind):
     assert np.array(after.sigma_ratio) == pytest.approx(np.array(before.sigma_ratio), abs=0.05)
 
 
-def test_the_wire_costs_the_production_car_few_false_positives():
+def test_the_wire_costs_the_production_car_few_false_positives() -> None:
     """Its sigma of c0 is a step of the mean's grid, and c1 and beta correlate by 0.9995."""
     table = accuracy_table([scenario("production")], n=300_000)
     found = {(row.representation, row.wire): row.false_positives for row in table}
@@ -352,7 +355,7 @@ def test_the_wire_costs_the_production_car_few_false_positives():
         assert found[kind, "after"] - found[kind, "before"] < 0.02
 
 
-def test_mixtures_empty_the_street_turn(rows):
+def test_mixtures_empty_the_street_turn(rows: Any) -> None:
     one, three, five = (
         rows["street-turn-10deg", kind, "after"]
         for kind in ("MonteCarlo", "mixture of 3", "mixture of 5")

@@ -2,6 +2,7 @@
 
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -23,40 +24,40 @@ ROOT = Path(__file__).parents[3]
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
 
-def dbc_of(name):
+def dbc_of(name: Any) -> Any:
     if name == "Cholesky":
         return ROOT / "dbc" / "maplines.dbc"
     return ROOT / "maplines_can" / "study" / "dbc" / f"maplines-{name.lower()}.dbc"
 
 
 @cache
-def codec_of(name):
+def codec_of(name: Any) -> Any:
     return Codec.from_dbc(dbc_of(name), codes=CODES)
 
 
 @cache
-def lines_of(which):
+def lines_of(which: Any) -> Any:
     return {"paper": paper, "road": road}[which](400, seed=5)
 
 
-def sent_and_decoded(name, means, covs):
+def sent_and_decoded(name: Any, means: Any, covs: Any) -> Any:
     codec = codec_of(name)
     payloads = codec.encode_batch(means, covs)
     return codec, payloads, codec.decode_batch(payloads)
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_every_code_has_a_dbc_that_names_it(name):
+def test_every_code_has_a_dbc_that_names_it(name: Any) -> None:
     database = cantools.database.load_file(dbc_of(name))
-    assert database.dbc.attributes["CovarianceCode"].value == name
+    assert database.dbc.attributes["CovarianceCode"].value == name  # type: ignore[union-attr]
     assert codec_of(name).covariance.name == name
-    names = {signal.name for message in database.messages for signal in message.signals}
+    names = {signal.name for message in database.messages for signal in message.signals}  # type: ignore[union-attr]
     assert {spec.name for spec in (*SERVICE, *covariance_signals(name))} <= names
 
 
 @pytest.mark.parametrize("which", ["paper", "road"])
 @pytest.mark.parametrize("name", CODES)
-def test_a_code_keeps_its_guarantees(name, which):
+def test_a_code_keeps_its_guarantees(name: Any, which: str) -> None:
     """A covering code is never overconfident, and its decoded covariances are definite."""
     means, covs = lines_of(which)
     codec, _, batch = sent_and_decoded(name, means, covs)
@@ -75,7 +76,7 @@ def test_a_code_keeps_its_guarantees(name, which):
 
 
 @pytest.mark.parametrize("name", [name for name in CODES if CODES[name].covering])
-def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(name):
+def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(name: Any) -> None:
     means, covs = adversarial(1500, seed=11)
     codec, _, batch = sent_and_decoded(name, means, covs)
     usable = batch.status != Status.OUT_OF_RANGE
@@ -87,7 +88,7 @@ def test_a_covering_code_covers_adversarial_covariances_or_says_that_it_cannot(n
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_any_bits_decode_to_a_definite_line_or_a_reason(name):
+def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
     """One by one, as in a receiver: an indefinite covariance is repaired or refused."""
     codec = codec_of(name)
     rng = np.random.default_rng(3)
@@ -112,15 +113,15 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_cantools_reads_the_same_signals(name):
+def test_cantools_reads_the_same_signals(name: Any) -> None:
     """Physical values of every page agree, and cantools encodes the same bytes."""
     means, covs = (values[:20] for values in lines_of("road"))
     codec, payloads, batch = sent_and_decoded(name, means, covs)
     database = cantools.database.load_file(dbc_of(name))
     for i, payload in enumerate(payloads):
-        signals = {}
+        signals: dict[Any, Any] = {}
         for frame in codec.frames(payload, Slot.EGO_LEFT):
-            message = database.get_message_by_frame_id(frame.can_id)
+            message = database.get_message_by_frame_id(frame.can_id)  # type: ignore[union-attr]
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
             signals |= page
@@ -129,7 +130,7 @@ def test_cantools_reads_the_same_signals(name):
             assert covariance_by_hand(name, signals) == pytest.approx(batch.cov[i], rel=1e-9)
 
 
-def covariance_by_hand(name, signals):
+def covariance_by_hand(name: Any, signals: Any) -> Any:
     """Return the covariance from cantools' values, as described in dbc/README.md."""
     states = ("YOff", "Beta", "C0", "C1")
     S = np.zeros((4, 4))
@@ -166,14 +167,14 @@ def covariance_by_hand(name, signals):
     return S
 
 
-def test_the_integer_factor_has_the_99_bits_of_sbas():
+def test_the_integer_factor_has_the_99_bits_of_sbas() -> None:
     """DO-229, A.4.4.16: 3 for the exponent, 4 x 9 and 6 x 10."""
     widths = [spec.bits for spec in covariance_signals("IntegerCholesky")]
     assert sum(widths) == 99
     assert sorted(widths) == [3, *[9] * 4, *[10] * 6]
 
 
-def test_half_precision_loses_small_variances():
+def test_half_precision_loses_small_variances() -> None:
     """The variance of c1 is below 6e-8, too small for float16 but not for float32."""
     means, covs = lines_of("road")
     half, single = (sent_and_decoded(name, means, covs)[2].cov for name in ("Float16", "Float32"))
@@ -184,7 +185,7 @@ def test_half_precision_loses_small_variances():
     )
 
 
-def test_feedback_limits_the_error_of_nearly_singular_matrices():
+def test_feedback_limits_the_error_of_nearly_singular_matrices() -> None:
     """With the same fields, rounding without feedback is far worse."""
     means, covs = lines_of("paper")
     found = {}
@@ -196,7 +197,7 @@ def test_feedback_limits_the_error_of_nearly_singular_matrices():
     assert found["LogCholesky"] > 20 * found["Cholesky"]
 
 
-def test_one_bit_more_in_each_field_divides_the_divergence_by_four():
+def test_one_bit_more_in_each_field_divides_the_divergence_by_four() -> None:
     """The KL of rounding is proportional to the square of the step."""
     means, covs = lines_of("road")
     kl = []
@@ -209,7 +210,7 @@ def test_one_bit_more_in_each_field_divides_the_divergence_by_four():
 
 
 @pytest.mark.parametrize("name", WITH_WIDTHS)
-def test_codes_work_with_other_widths(name):
+def test_codes_work_with_other_widths(name: Any) -> None:
     means, covs = lines_of("road")
     for finer in (-1, 2):
         writer = dbc_writer_for(name, finer)
@@ -225,12 +226,12 @@ def test_codes_work_with_other_widths(name):
 
 
 @pytest.mark.parametrize("name", ["Float16", "Float32", "MeanOnly"])
-def test_a_code_with_fixed_widths_refuses_others(name):
+def test_a_code_with_fixed_widths_refuses_others(name: str) -> None:
     with pytest.raises(ValueError, match="finer_bits must be 0"):
         dbc_writer_for(name, 1)
 
 
-def test_messages_name_the_alternatives():
+def test_messages_name_the_alternatives() -> None:
     with pytest.raises(ValueError, match="code must be one of Cholesky"):
         dbc_writer_for("Magic")
     with pytest.raises(ValueError, match="finer_bits cannot be -9"):
@@ -241,7 +242,7 @@ def test_messages_name_the_alternatives():
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_lines_travel_over_a_bus_with_every_dbc(name):
+def test_lines_travel_over_a_bus_with_every_dbc(name: Any) -> None:
     """Lines are sent and received, and every received covariance is definite."""
     lines = scene_lines(SCENARIOS["street-turn"])
     trip = round_trip(lines, Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import cantools
 import pytest
@@ -16,18 +17,18 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture(scope="module")
-def database():
+def database() -> Any:
     return cantools.database.load_file(ROOT / "dbc" / "maplines.dbc")
 
 
-def test_the_files_are_up_to_date():
+def test_the_files_are_up_to_date() -> None:
     """The DBCs and the tables in dbc/README.md are those of the description."""
     check = [sys.executable, ROOT / "tools" / "make_dbc.py", "--check"]
-    done = subprocess.run(check, capture_output=True, text=True, check=False)
+    done = subprocess.run(check, capture_output=True, text=True, check=False)  # type: ignore[arg-type]
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_every_bit_is_used_once(database):
+def test_every_bit_is_used_once(database: Any) -> None:
     """Four pages of 64 bits, and the FD message of 256."""
     for slot in Slot:
         name = "".join(part.capitalize() for part in slot.name.split("_"))
@@ -42,7 +43,7 @@ def test_every_bit_is_used_once(database):
             )
 
 
-def test_each_signal_explains_itself(database):
+def test_each_signal_explains_itself(database: Any) -> None:
     """It has a comment, unit and range; its message has a cycle time and a send type."""
     units = {"YOff": "m", "Beta": "rad", "C0": "1/m", "C1": "1/m^2", "Age": "ms", "XMax": "m"}
     for message in database.messages:
@@ -58,7 +59,7 @@ def test_each_signal_explains_itself(database):
                 assert signal.unit == units[signal.name]
 
 
-def test_value_tables_are_the_enumerations(database):
+def test_value_tables_are_the_enumerations(database: Any) -> None:
     """A trace tool shows FULL and DASHED instead of numbers."""
     message = database.get_message_by_name("EgoLeft")
     for name, enumeration in (("Status", Status), ("Kind", Kind)):
@@ -68,7 +69,7 @@ def test_value_tables_are_the_enumerations(database):
         }
 
 
-def test_the_page_names_the_ids_of_the_dbc():
+def test_the_page_names_the_ids_of_the_dbc() -> None:
     """The table of slots in dbc/README.md agrees with the DBC."""
     page = (ROOT / "dbc" / "README.md").read_text()
     for channel in Layout.from_dbc().channels.values():
@@ -76,14 +77,14 @@ def test_the_page_names_the_ids_of_the_dbc():
         assert row in page
 
 
-def test_a_page_that_is_too_full_is_refused():
+def test_a_page_that_is_too_full_is_refused() -> None:
     """The constructor of the writer raises."""
     wide = SignalSpec(name="Wide", bits=59, about="", why="")
     with pytest.raises(ValueError, match="page 1 has 65 bits, more than 64"):
         DbcWriter(((wide,), (wide,), (wide,), (wide,)))
 
 
-def test_another_arrangement_of_pages_works(tmp_path):
+def test_another_arrangement_of_pages_works(tmp_path: Path) -> None:
     """Pages in another order and other CAN IDs are written, loaded, encoded and decoded."""
     first, second, third, fourth = DEFAULT.pages
     other = DbcWriter(
@@ -98,10 +99,10 @@ def test_another_arrangement_of_pages_works(tmp_path):
     assert codec.decode_batch(payload).mean[0, 0] == 1.75
 
 
-def test_a_single_field_is_wider_over_the_same_range():
+def test_a_single_field_is_wider_over_the_same_range() -> None:
     """All other fields stay the same. The field may be one of the mean."""
 
-    def fields(writer):
+    def fields(writer: Any) -> Any:
         return {spec.name: spec for page in writer.pages for spec in page}
 
     plain = fields(dbc_writer_for("Cholesky"))

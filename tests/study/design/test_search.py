@@ -4,6 +4,8 @@ import argparse
 import json
 import uuid
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -35,29 +37,29 @@ MEAN = ("YOff", "Beta", "C0", "C1")
 
 
 @pytest.fixture(scope="module")
-def roads():
+def roads() -> Any:
     return {"road": road(N, seed=3)}
 
 
 @pytest.fixture(scope="module")
-def others():
+def others() -> Any:
     return {"road": road(N, seed=4), "paper": paper(N, seed=4)}
 
 
 @pytest.fixture(scope="module")
-def designs(roads, others):
+def designs(roads: Any, others: Any) -> Any:
     return {n: design(roads, Targets(frames=n), held_out=others) for n in FRAMES}
 
 
 @pytest.fixture(scope="module")
-def folder(designs, tmp_path_factory):
+def folder(designs: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
     path = tmp_path_factory.mktemp("designs")
     for n, made in designs.items():
         made.write(path / f"frames{n}.dbc", "maplines design and so on")
     return path
 
 
-def a_design(sets, seed_lines=400, **targets):
+def a_design(sets: Any, seed_lines: int = 400, **targets: Any) -> Any:
     """Return a design from few lines."""
     few = {name: Gaussians(s.mean[:seed_lines], s.cov[:seed_lines]) for name, s in sets.items()}
     return design(few, Targets(**targets))
@@ -66,7 +68,7 @@ def a_design(sets, seed_lines=400, **targets):
 # ---- the designs --------------------------------------------------------------------
 
 
-def test_three_frames_lose_little_on_the_road(designs):
+def test_three_frames_lose_little_on_the_road(designs: Any) -> None:
     """Three frames hold the covariance at a divergence of 0.02, and all other signals."""
     figures = designs[3].measured["road"]
     assert figures.kl_mean <= 0.02
@@ -77,15 +79,15 @@ def test_three_frames_lose_little_on_the_road(designs):
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_each_design_fills_its_frames(designs, folder, frames):
+def test_each_design_fills_its_frames(designs: Any, folder: Any, frames: Any) -> None:
     """cantools loads the DBC, which has the right pages and all signals of the record."""
     database = cantools.database.load_file(folder / f"frames{frames}.dbc")
-    message = database.get_message_by_name("EgoLeft")
+    message = database.get_message_by_name("EgoLeft")  # type: ignore[union-attr]
     pages = {i for signal in message.signals for i in signal.multiplexer_ids or ()}
     assert pages == set(range(frames))
     assert designs[frames].frames == frames
     assert designs[frames].spare_bits <= 2
-    assert database.get_message_by_name("EgoLeftFd").length >= 8 * frames
+    assert database.get_message_by_name("EgoLeftFd").length >= 8 * frames  # type: ignore[union-attr]
     kept = {"Crc": 16, "Counter": 8, "Status": 3, "Kind": 3, "ComponentWeight": 5, "Age": 5}
     for name, bits in kept.items():
         assert message.get_signal_by_name(name).length == bits
@@ -95,7 +97,7 @@ def test_each_design_fills_its_frames(designs, folder, frames):
 
 @pytest.mark.parametrize("frames", FRAMES)
 @pytest.mark.parametrize("make", [paper, road, adversarial])
-def test_no_design_is_overconfident(folder, frames, make):
+def test_no_design_is_overconfident(folder: Any, frames: Any, make: Any) -> None:
     """On the set of the design, on another set, and on adversarial covariances."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = make(800, 9)
@@ -107,7 +109,7 @@ def test_no_design_is_overconfident(folder, frames, make):
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-def test_measured_figures_match_the_prediction(designs, frames):
+def test_measured_figures_match_the_prediction(designs: Any, frames: Any) -> None:
     """Mean and 99 % quantile of unseen lines within 25 %, saturation within a few lines."""
     predicted, measured = designs[frames].predicted, designs[frames].measured["road"]
     assert measured.kl_mean == pytest.approx(predicted.kl_mean, rel=0.25)
@@ -117,7 +119,7 @@ def test_measured_figures_match_the_prediction(designs, frames):
     assert measured.lateral_error <= 1.15 * predicted.lateral_error  # a slope has a longer lever
 
 
-def test_more_frames_lose_less(designs):
+def test_more_frames_lose_less(designs: Any) -> None:
     """One frame adds 53 bits: 3.7 for each of 14 numbers, and 4^-3.7 of the divergence."""
     kl = [designs[n].measured["road"].kl_mean for n in FRAMES]
     for more, less in pairwise(kl):
@@ -126,7 +128,7 @@ def test_more_frames_lose_less(designs):
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("frames", FRAMES)
-def test_a_design_is_sent_and_received(folder, others, frames, fd):
+def test_a_design_is_sent_and_received(folder: Any, others: Any, frames: Any, fd: bool) -> None:
     """Lines received over python-can's bus are those of the codec."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = [
@@ -134,16 +136,16 @@ def test_a_design_is_sent_and_received(folder, others, frames, fd):
         for i in range(8)
     ]
     settings = {"interface": "virtual", "channel": f"design-{uuid.uuid4()}"}
-    settings |= {"fd": True} if fd else {}
+    settings |= {"fd": True} if fd else {}  # type: ignore[dict-item]
     with (
-        Link(**settings) as out,
-        Link(**settings) as back,
+        Link(**settings) as out,  # type: ignore[arg-type]
+        Link(**settings) as back,  # type: ignore[arg-type]
         Receiver(back, codec.decoder(), can_ids=codec.can_ids) as receiver,
     ):
         with Transmitter(out, codec, period=0.05, fd=fd, count=1) as transmitter:
             transmitter.publish(lines)
             assert transmitter.wait(5)
-        received = {}
+        received: dict[Any, Any] = {}
         while len(received) < len(lines):
             line = receiver.get(5)
             assert line is not None
@@ -154,7 +156,7 @@ def test_a_design_is_sent_and_received(folder, others, frames, fd):
         assert np.array_equal(received[line.slot].gaussian.cov, wanted.cov[i])
 
 
-def test_a_signal_of_zero_means_zero(folder):
+def test_a_signal_of_zero_means_zero(folder: Any) -> None:
     """Ranges are asymmetric, but uncorrelated states stay exactly uncorrelated."""
     codec = Codec.from_dbc(folder / "frames3.dbc")
     ratios = [field for name, field in codec.layout.signals.items() if name.startswith("Ratio")]
@@ -168,7 +170,7 @@ def test_a_signal_of_zero_means_zero(folder):
 # ---- targets -----------------------------------------------------------------
 
 
-def test_max_kl_is_met_with_few_bits(roads, others, designs):
+def test_max_kl_is_met_with_few_bits(roads: Any, others: Any, designs: Any) -> None:
     """2e-3 fits into four frames, and leaves bits unused."""
     made = design(roads, Targets(max_kl=2e-3), held_out={"road": others["road"]})
     assert made.measured["road"].kl_mean <= 1.1 * 2e-3
@@ -178,7 +180,7 @@ def test_max_kl_is_met_with_few_bits(roads, others, designs):
     assert made.spare_bits == pytest.approx(7 * np.log2(ratio), abs=8)
 
 
-def test_ranges_are_kept(roads):
+def test_ranges_are_kept(roads: Any) -> None:
     """Ranges of the mean are exact, those of the standard deviations are included."""
     narrow = {"y_off": 7.0, "beta": 0.3, "c0": 0.07, "c1": 0.025}
     made = a_design(roads, frames=4, ranges=narrow, sigmas={"y_off": 20.0, "c1": 0.05})
@@ -194,7 +196,7 @@ def test_ranges_are_kept(roads):
     assert batch.mean[0] == pytest.approx([6.99, -0.3, 0.07, 0.025], abs=5e-3)
 
 
-def test_the_mean_is_kept(roads):
+def test_the_mean_is_kept(roads: Any) -> None:
     """The mean has the widths and factors of the project's own DBC."""
     own = Codec.from_dbc().layout
     made = a_design(roads, frames=4, keep_mean=True)
@@ -203,20 +205,20 @@ def test_the_mean_is_kept(roads):
         assert (layout[name].length, layout[name].factor) == (own[name].length, own[name].factor)
 
 
-def test_max_lateral_is_met(roads):
+def test_max_lateral_is_met(roads: Any) -> None:
     exact = a_design(roads, frames=4, max_lateral=0.002)
     assert exact.predicted.lateral_error <= 0.002
     assert exact.measured["road"].lateral_error <= 1.15 * 0.002
 
 
-def test_a_design_is_reproducible(roads):
+def test_a_design_is_reproducible(roads: Any) -> None:
     """The same lines and targets give the same DBC."""
     first, second = (a_design(roads, frames=3) for _ in range(2))
     assert first.writer.dbc() == second.writer.dbc()
     assert first.as_dict() == second.as_dict()
 
 
-def test_progress_ends_at_the_total(roads):
+def test_progress_ends_at_the_total(roads: Any) -> None:
     seen = []
     design(roads, Targets(frames=4), progress=lambda done, total: seen.append(done / total))
     assert seen == sorted(seen)
@@ -244,12 +246,12 @@ def test_progress_ends_at_the_total(roads):
         ),
     ],
 )
-def test_impossible_targets_raise(roads, targets, words):
+def test_impossible_targets_raise(roads: Any, targets: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words):
         a_design(roads, **targets)
 
 
-def test_too_few_lines_raise(roads):
+def test_too_few_lines_raise(roads: Any) -> None:
     with pytest.raises(ValueError, match="100 lines"):
         a_design(roads, seed_lines=150, frames=4)
 
@@ -257,7 +259,7 @@ def test_too_few_lines_raise(roads):
 # ---- the sensitivities -------------------------------------------------------------------
 
 
-def test_rows_are_those_of_the_cholesky_factor(roads):
+def test_rows_are_those_of_the_cholesky_factor(roads: Any) -> None:
     """In any order, compared with numpy."""
     cov, order = roads["road"].cov[:50], (2, 0, 3, 1)
     pivots, ratios = rows_of(cov, np.zeros(4), order)
@@ -268,7 +270,7 @@ def test_rows_are_those_of_the_cholesky_factor(roads):
     assert ratios == pytest.approx(L / np.einsum("nii->ni", L)[:, :, None], rel=1e-4, abs=1e-6)
 
 
-def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec, others):
+def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec: Any, others: Any) -> None:
     """With continuous inflation 2 to 2.7 times the theory; with its steps, the measured loss."""
     rows = [MEAN[i] for i in codec.covariance.factor.order]
     pairs = [(row, column) for i, row in enumerate(rows) for column in rows[:i]]
@@ -283,13 +285,13 @@ def test_the_loss_of_rounding_is_a_constant_of_the_steps(codec, others):
     assert figures_of(codec, others["road"]).kl_mean == pytest.approx(own, rel=0.05)
 
 
-def test_the_loss_beyond_an_end_is_that_of_the_lifted_pivot():
+def test_the_loss_beyond_an_end_is_that_of_the_lifted_pivot() -> None:
     """ln g + (g^-2 - 1) / 2 for the values beyond, by hand."""
     values = np.array([-3.0, -1.0, 0.0, 0.5, 8.0])
     spread = RatioSpread(values, np.full(5, 0.2))
     width = spread.width(4, 0.25, 0.5, price=0.0)  # -2 to 1.75; unseen lines: -6 and 16
 
-    def lift(value, end):
+    def lift(value: Any, end: Any) -> Any:
         return np.log(value / end) + ((end / value) ** 2 - 1) / 2
 
     seen = 0.2 * (lift(3.0, 2.125) + lift(8.0, 1.875))
@@ -299,7 +301,7 @@ def test_the_loss_beyond_an_end_is_that_of_the_lifted_pivot():
     assert width.unseen_loss == pytest.approx(unseen)
 
 
-def test_the_blur_of_a_fine_grid_is_its_first_order(roads):
+def test_the_blur_of_a_fine_grid_is_its_first_order(roads: Any) -> None:
     """Sum of D_i^2 (S^-1)_ii / 24."""
     cov = roads["road"].cov[:20]
     steps = 1e-2 * np.sqrt(1 / np.einsum("nii->ni", np.linalg.inv(cov)).max(axis=0))
@@ -307,7 +309,7 @@ def test_the_blur_of_a_fine_grid_is_its_first_order(roads):
     assert blurs(cov, steps**2 / 12) == pytest.approx(first, rel=1e-3)
 
 
-def test_bits_go_where_they_reduce_the_loss_most():
+def test_bits_go_where_they_reduce_the_loss_most() -> None:
     """Two fields of the same kind and different ranges get the same step."""
     spreads = {"wide": 100.0, "narrow": 6.25}
     rng = np.random.default_rng(0)
@@ -316,22 +318,24 @@ def test_bits_go_where_they_reduce_the_loss_most():
         for name, end in spreads.items()
     }
     chosen = allocated(tables, 20)
-    assert chosen["wide"].bits == chosen["narrow"].bits + 4
-    assert chosen["wide"].factor / chosen["narrow"].factor == pytest.approx(1, rel=0.5)
+    assert chosen["wide"].bits == chosen["narrow"].bits + 4  # type: ignore[index]
+    assert chosen["wide"].factor / chosen["narrow"].factor == pytest.approx(1, rel=0.5)  # type: ignore[index]
     assert allocated(tables, 5) is None
 
 
 # ---- the command -----------------------------------------------------------------------
 
 
-def maplines(*words):
+def maplines(*words: Any) -> Any:
     parser = argparse.ArgumentParser(prog="maplines")
     add_design(parser.add_subparsers(required=True))
     arguments = parser.parse_args(["design", *words])
     return arguments.run(arguments)
 
 
-def test_the_command_writes_the_dbc_and_its_page(tmp_path, capsys):
+def test_the_command_writes_the_dbc_and_its_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "mine.dbc"
     words = ["--frames", "4", "--set", "road", "--n", "300", "--range", "y_off=16,beta=0.4"]
     assert maplines(*words, "--out", str(out), "--json") == 0
@@ -347,7 +351,9 @@ def test_the_command_writes_the_dbc_and_its_page(tmp_path, capsys):
     assert "KL, mean" in page
 
 
-def test_the_command_reads_a_user_s_file(tmp_path, capsys):
+def test_the_command_reads_a_user_s_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     lines = road(600, seed=8)
     np.savez(tmp_path / "own.npz", mean=lines.mean, cov=lines.cov)
     words = ["--frames", "3", "--set", str(tmp_path / "own.npz")]
@@ -365,18 +371,20 @@ def test_the_command_reads_a_user_s_file(tmp_path, capsys):
         (["--frames", "four"], "invalid int value"),
     ],
 )
-def test_invalid_arguments_exit(capsys, words, reason):
+def test_invalid_arguments_exit(
+    capsys: pytest.CaptureFixture[str], words: Any, reason: str
+) -> None:
     with pytest.raises(SystemExit):
         maplines(*words)
     assert reason in capsys.readouterr().err
 
 
-def test_out_must_be_a_dbc(tmp_path):
+def test_out_must_be_a_dbc(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"ends in \.dbc"):
         maplines("--frames", "4", "--out", str(tmp_path / "wire.md"))
 
 
-def test_help_explains_options_and_sets(capsys):
+def test_help_explains_options_and_sets(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as done:
         maplines("--help")
     assert done.value.code == 0
@@ -385,6 +393,6 @@ def test_help_explains_options_and_sets(capsys):
         assert word in output
 
 
-def test_only_the_default_code_is_designed():
+def test_only_the_default_code_is_designed() -> None:
     """The loss of the other codes is not a constant of the steps."""
     assert next(iter(CODES)) == "Cholesky"

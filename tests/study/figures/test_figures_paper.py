@@ -4,6 +4,8 @@ import re
 import sys
 import xml.etree.ElementTree as ET
 from itertools import combinations
+from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -16,7 +18,7 @@ from maplines_can.errors import MissingExtraError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import lateral
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
-from maplines_can.study.figures import panels
+from maplines_can.study.figures import cases, panels
 from maplines_can.study.figures import paper as figures
 
 SAMPLES = 1500
@@ -25,50 +27,50 @@ BLUE, VERMILLION = "#0072b2", "#d55e00"
 
 
 @pytest.fixture(scope="module")
-def codec():
+def codec() -> Any:
     return Codec.from_dbc()
 
 
 @pytest.fixture(scope="module")
-def case_of():
+def case_of() -> Any:
     """Return a function for cases, each computed once."""
-    cases = {}
+    known: dict[str, Any] = {}
 
-    def case(plan):
-        if plan.scenario not in cases:
-            cases[plan.scenario] = figures.case_of(scenario(plan.scenario), SAMPLES, seed=0)
-        return cases[plan.scenario]
+    def case(plan: Any) -> Any:
+        if plan.scenario not in known:
+            known[plan.scenario] = cases.case_of(scenario(plan.scenario), SAMPLES, seed=0)
+        return known[plan.scenario]
 
     return case
 
 
 @pytest.fixture
-def few(monkeypatch):
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw only two figures and the close-up, at a low resolution."""
     monkeypatch.setattr(figures, "FIGURES", (PLANS[5], PLANS[7]))
     monkeypatch.setattr(figures, "DPI", 40)
 
 
-def parts(figure):
+def parts(figure: Any) -> Any:
     """Return map panels, correlations and the grid of marginals, in the order of the page."""
     axes = figure.axes
     assert len(axes) == 4 + 1 + 16
     return axes[:4], axes[4], np.array(axes[5:]).reshape(4, 4)
 
 
-def texts(ax):
+def texts(ax: Any) -> Any:
     return [text.get_text() for text in ax.texts]
 
 
-def signed(r):
+def signed(r: Any) -> Any:
     return f"{r:+.3f}" if abs(r) >= 0.0005 else "0"
 
 
-def of_type(ax, name):
+def of_type(ax: Any, name: Any) -> Any:
     return [artist for artist in ax.get_children() if type(artist).__name__ == name]
 
 
-def test_all_figures_are_planned():
+def test_all_figures_are_planned() -> None:
     """The paper has six figures of one structure; one of them sends variances only."""
     assert [(plan.number, plan.scenario, plan.variances_only) for plan in figures.FIGURES] == [
         (5, "highway", False),
@@ -83,7 +85,7 @@ def test_all_figures_are_planned():
     assert all(plan.reading and plan.reading.count("\n") <= 1 for plan in figures.FIGURES)
 
 
-def test_files_in_both_formats(few, tmp_path):
+def test_files_in_both_formats(few: None, tmp_path: Path) -> None:
     """Files are in order, and progress is reported for each one."""
     seen, out = [], tmp_path / "new" / "folder"
     paths = figures.draw_figures(out, samples=300, progress=lambda *n: seen.append(n))
@@ -110,12 +112,14 @@ def test_files_in_both_formats(few, tmp_path):
             assert ET.parse(path).getroot().tag.endswith("svg")  # noqa: S314, our own file
 
 
-def test_files_do_not_depend_on_the_user_s_settings(monkeypatch, tmp_path):
+def test_files_do_not_depend_on_the_user_s_settings(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """Files depend on the seed, but not on the time or on matplotlibrc."""
     monkeypatch.setattr(figures, "FIGURES", (PLANS[10],))
     monkeypatch.setattr(figures, "DPI", 30)
 
-    def draw(folder, **settings):
+    def draw(folder: Any, **settings: Any) -> Any:
         paths = figures.draw_figures(tmp_path / folder, samples=300, **settings)
         return [path.read_bytes() for path in paths]
 
@@ -126,11 +130,11 @@ def test_files_do_not_depend_on_the_user_s_settings(monkeypatch, tmp_path):
     assert first[1::2] != draw("third", seed=1, formats=("svg",))
 
 
-def test_a_case_has_the_results_of_the_transforms(case_of):
+def test_a_case_has_the_results_of_the_transforms(case_of: Any) -> None:
     """A case has the results of MonteCarlo and SigmaPoints for the line EGO_RIGHT."""
     case, scene = case_of(PLANS[10]), scenario("street-turn")
     line = scene.lines[1]
-    assert line.slot == figures.SLOT
+    assert line.slot == cases.SLOT
     refit = Refit(line.polyline, scene.ego.mean, scene.window)
     draws = MonteCarlo(SAMPLES, 0).samples(refit, scene.ego)
     np.testing.assert_array_equal(draws.values, case.lines)
@@ -143,7 +147,7 @@ def test_a_case_has_the_results_of_the_transforms(case_of):
 
 
 @pytest.mark.parametrize("wire", [False, True])
-def test_content_of_the_map_panels(case_of, codec, wire):
+def test_content_of_the_map_panels(case_of: Any, codec: Any, wire: bool) -> None:
     """200 samples and 7 sigma points as arrows and lines, and 200 lines of each Gaussian."""
     plan = PLANS[11]
     figure = figures.draw_case(case_of(plan), plan, codec=codec if wire else None)
@@ -166,7 +170,7 @@ def test_content_of_the_map_panels(case_of, codec, wire):
     assert wire == ("decoded" in monte_carlo.get_title(loc="left"))
 
 
-def test_arrows_are_at_the_poses_and_point_along_them(case_of):
+def test_arrows_are_at_the_poses_and_point_along_them(case_of: Any) -> None:
     """The tail is at the position, the angle is the heading."""
     case = case_of(PLANS[5])
     maps, _, _ = parts(figures.draw_case(case, PLANS[5]))
@@ -175,7 +179,7 @@ def test_arrows_are_at_the_poses_and_point_along_them(case_of):
     np.testing.assert_allclose(np.arctan2(quiver.V, quiver.U), case.poses[:200, 2], atol=1e-12)
 
 
-def test_a_drawn_line_is_exactly_the_cubic(case_of):
+def test_a_drawn_line_is_exactly_the_cubic(case_of: Any) -> None:
     """The Bezier curve of a line lies on l(x) everywhere."""
     case = case_of(PLANS[11])
     maps, _, _ = parts(figures.draw_case(case, PLANS[11]))
@@ -187,7 +191,7 @@ def test_a_drawn_line_is_exactly_the_cubic(case_of):
         np.testing.assert_allclose(lateral(line, x), y, atol=1e-9 * np.abs(y).max())
 
 
-def test_car_and_mean_pose_are_in_each_map_panel(case_of):
+def test_car_and_mean_pose_are_in_each_map_panel(case_of: Any) -> None:
     """The ellipse has the radius of 99 %, the fan the angle of 99 %, the mean's line is dotted."""
     case = case_of(PLANS[7])
     maps, _, _ = parts(figures.draw_case(case, PLANS[7]))
@@ -208,7 +212,7 @@ def test_car_and_mean_pose_are_in_each_map_panel(case_of):
         assert to_hex(dotted[0].get_color()) == "#000000"
 
 
-def test_the_band_holds_99_percent_of_the_true_lines(case_of):
+def test_the_band_holds_99_percent_of_the_true_lines(case_of: Any) -> None:
     """Its edges are quantiles at each x."""
     case = case_of(PLANS[10])
     maps, _, _ = parts(figures.draw_case(case, PLANS[10]))
@@ -219,7 +223,7 @@ def test_the_band_holds_99_percent_of_the_true_lines(case_of):
 
 
 @pytest.mark.parametrize("number", [5, 11])
-def test_correlations_are_those_of_the_sigma_points(case_of, number):
+def test_correlations_are_those_of_the_sigma_points(case_of: Any, number: int) -> None:
     """Number, colour and area of each square, with Monte Carlo's numbers below."""
     case = case_of(PLANS[number])
     _, matrix, _ = parts(figures.draw_case(case, PLANS[number]))
@@ -243,7 +247,7 @@ def test_correlations_are_those_of_the_sigma_points(case_of, number):
     assert f"{np.degrees(case.sigma_points.sigma[1]):.3g} deg" in written
 
 
-def test_figure_9_sends_variances_and_no_covariances(case_of, codec):
+def test_figure_9_sends_variances_and_no_covariances(case_of: Any, codec: Any) -> None:
     """All correlations are zero, also when decoded; the panel shows the original ones."""
     plan = PLANS[9]
     case = case_of(plan)
@@ -256,14 +260,14 @@ def test_figure_9_sends_variances_and_no_covariances(case_of, codec):
 
 
 @pytest.mark.parametrize("number", PLANS)
-def test_after_the_wire_the_layers_are_decoded(case_of, codec, number):
+def test_after_the_wire_the_layers_are_decoded(case_of: Any, codec: Any, number: Any) -> None:
     """Each layer covers the sent Gaussian, and keeps it for comparison."""
     plan = PLANS[number]
     case = case_of(plan)
     for layer, sent in zip(
         figures._layers(case, plan, codec), figures._layers(case, plan, None), strict=True
     ):
-        np.testing.assert_array_equal(sent.gaussian.cov, layer.before.cov)
+        np.testing.assert_array_equal(sent.gaussian.cov, layer.before.cov)  # type: ignore[union-attr]
         decoded, S = layer.gaussian, sent.gaussian.cov
         assert not np.array_equal(decoded.cov, S)
         d = decoded.mean - sent.gaussian.mean
@@ -272,7 +276,7 @@ def test_after_the_wire_the_layers_are_decoded(case_of, codec, number):
         np.testing.assert_allclose(decoded.sigma, sent.gaussian.sigma, rtol=0.15)
 
 
-def test_marginals(case_of):
+def test_marginals(case_of: Any) -> None:
     """Dots, both ellipses of 99 %, histograms of all samples, and the shares outside."""
     plan = PLANS[10]
     case = case_of(plan)
@@ -313,7 +317,7 @@ def test_marginals(case_of):
 
 
 @pytest.mark.parametrize("wire", [False, True])
-def test_the_head_describes_the_figure(case_of, codec, wire):
+def test_the_head_describes_the_figure(case_of: Any, codec: Any, wire: bool) -> None:
     """Scenario, heading sigma, samples, line and reading; after the wire, the cost."""
     plan = PLANS[11]
     figure = figures.draw_case(case_of(plan), plan, codec=codec if wire else None)
@@ -330,10 +334,10 @@ def test_the_head_describes_the_figure(case_of, codec, wire):
         assert "wire" not in head
 
 
-def test_the_readings_are_true(case_of):
+def test_the_readings_are_true(case_of: Any) -> None:
     """The statements above the figures hold on these samples."""
 
-    def outside(case, gaussian, pair):
+    def outside(case: Any, gaussian: Any, pair: Any) -> Any:
         return 1 - gaussian.marginal(pair).coverage(case.lines[:, pair])
 
     beta, c0, c1 = 1, 2, 3
@@ -360,7 +364,7 @@ def test_the_readings_are_true(case_of):
     assert outside(wide_turn, wide_turn.sigma_points, [beta, c1]) == pytest.approx(0.3, abs=0.05)
 
 
-def test_close_up(case_of):
+def test_close_up(case_of: Any) -> None:
     """Sigma points left, samples right, the plain car above the correlated one."""
     figure = figures.draw_close_up([case_of(PLANS[5]), case_of(PLANS[7])])
     assert [ax.get_title(loc="left") for ax in figure.axes] == [
@@ -373,7 +377,9 @@ def test_close_up(case_of):
     assert all(ax.get_xlim() == (-2.6, 2.6) == ax.get_ylim() for ax in figure.axes)
 
 
-def test_without_matplotlib_the_extra_is_named(monkeypatch, tmp_path):
+def test_without_matplotlib_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     """The error is raised before anything is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[plot\]"'):
@@ -388,7 +394,9 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch, tmp_path):
         pytest.param({"samples": 99}, "100 or more, got 99", id="samples"),
     ],
 )
-def test_invalid_arguments_raise_before_drawing(tmp_path, arguments, message):
+def test_invalid_arguments_raise_before_drawing(
+    tmp_path: Path, arguments: Any, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         figures.draw_figures(tmp_path / "out", **arguments)
     assert not (tmp_path / "out").exists()

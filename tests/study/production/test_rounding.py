@@ -6,6 +6,7 @@ import io
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -34,15 +35,15 @@ X = np.array(DISTANCES)
 
 
 @pytest.fixture(scope="module")
-def rows():
+def rows() -> Any:
     return production_table()
 
 
-def of(rows, message):
+def of(rows: Any, message: Any) -> Any:
     return next(row for row in rows if row.message.name == message.name)
 
 
-def lines_within(message, n, seed=0):
+def lines_within(message: Any, n: Any, seed: int = 0) -> Any:
     """Return lines of small heading that fill the ranges of a message."""
     rng = np.random.default_rng(seed)
     ends = [field.physical_range if field else (-1e-4, 1e-4) for field in message.signals]
@@ -71,12 +72,12 @@ def lines_within(message, n, seed=0):
         pytest.param(GM_EGO, 0.0, 0.025, id="gm-beside-the-car"),
     ],
 )
-def test_the_worst_case_by_hand(message, x, expected):
+def test_the_worst_case_by_hand(message: Any, x: float, expected: float) -> None:
     """The worst case is the sum of half a step of each published signal."""
     assert worst(message, x) == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_other_reading_by_hand():
+def test_the_other_reading_by_hand() -> None:
     """Read as curvatures, Tesla's steps have a half and a sixth of the effect."""
     by_hand = 0.0175 + 0.0008 * 50 + 1e-5 * 50**2 / 2 + 1.2e-7 * 50**3 / 6
 
@@ -84,7 +85,7 @@ def test_the_other_reading_by_hand():
 
 
 @pytest.mark.parametrize("message", ALL)
-def test_the_formulas_match_simulated_rounding(message):
+def test_the_formulas_match_simulated_rounding(message: Any) -> None:
     """The rms agrees within five sampling errors; no error exceeds the worst case."""
     n = 50_000
     lines = lines_within(message, n)
@@ -102,7 +103,7 @@ def test_the_formulas_match_simulated_rounding(message):
 
 
 @pytest.mark.parametrize("message", ALL)
-def test_rounding_is_idempotent(message):
+def test_rounding_is_idempotent(message: Any) -> None:
     """Rounding twice gives the same lines, and ``read`` inverts ``sent``."""
     lines = lines_within(message, 1000)
     once, _ = message.rounded(lines)
@@ -147,24 +148,24 @@ BO_ 1894 Line: 8 ECU
 @pytest.mark.parametrize(
     ("name", "message"), [("tesla", TESLA), ("ford", FORD), ("mobileye", MOBILEYE)]
 )
-def test_cantools_rounds_to_the_same_lines(name, message):
+def test_cantools_rounds_to_the_same_lines(name: str, message: Any) -> None:
     """Encoding and decoding with a DBC of the published figures gives the same lines."""
-    dbc = cantools.database.load_string(DBCS[name], "dbc").messages[0]
+    dbc = cantools.database.load_string(DBCS[name], "dbc").messages[0]  # type: ignore[union-attr]
     for line in lines_within(message, 300):
         y_off, beta, c0, c1 = line
         sent = (y_off, beta, c0, c1) if name == "ford" else (y_off, np.tan(beta), c0 / 2, c1 / 6)
-        a, b, c, d = dbc.decode(
+        a, b, c, d = dbc.decode(  # type: ignore[union-attr]
             dbc.encode(dict(zip("ABCD", sent, strict=True)), strict=False)
         ).values()
-        expected = (a, b, c, d) if name == "ford" else (a, np.arctan(b), 2 * c, 6 * d)
+        expected = (a, b, c, d) if name == "ford" else (a, np.arctan(b), 2 * c, 6 * d)  # type: ignore[arg-type, operator]
 
         assert message.rounded(line)[0] == pytest.approx(expected, rel=1e-9, abs=1e-15)
 
 
-def test_a_rounded_factor_is_a_bias():
+def test_a_rounded_factor_is_a_bias() -> None:
     """The example of docs/bits.md: 0.000977 for 1/1024 turns zero heading into 0.7 m at 50 m."""
     (_, zero, _, _) = MOBILEYE.sent([0.0, 0.0, 0.0, 0.0])
-    raw = MOBILEYE.signals[1].raw(zero)
+    raw = MOBILEYE.signals[1].raw(zero)  # type: ignore[union-attr]
 
     assert raw == 32767
     assert raw * 0.000977 - 31.999023 == pytest.approx(0.01434, abs=5e-6)
@@ -173,7 +174,7 @@ def test_a_rounded_factor_is_a_bias():
 # -- this project's own message -----------------------------------------------------
 
 
-def test_the_default_is_the_dbc():
+def test_the_default_is_the_dbc() -> None:
     """Widths, factors and the bits of the covariance come from the layout, also an edited one."""
     layout = Layout.from_dbc()
     coarse = dict(layout.signals) | {"C1": replace(layout["C1"], length=16, factor=2**-20)}
@@ -190,7 +191,7 @@ def test_the_default_is_the_dbc():
 # -- counting ---------------------------------------------------------------------
 
 
-def test_clipped_lines_are_counted_and_left_out():
+def test_clipped_lines_are_counted_and_left_out() -> None:
     """One line is too far aside, one too curved, one both, and one fits."""
     mean = np.array(
         [[10, 0, 0, 0], [1, 0, 0.02, 0], [-10, 0, -0.02, 0], [1.01, 0, 0, 0]], dtype=float
@@ -207,7 +208,7 @@ def test_clipped_lines_are_counted_and_left_out():
     assert row.rounding_kl[0] == pytest.approx((0.005 / 0.1) ** 2 / 2, rel=1e-6)
 
 
-def test_a_line_counts_only_as_far_as_it_stays_within_45_deg():
+def test_a_line_counts_only_as_far_as_it_stays_within_45_deg() -> None:
     """A radius of 30 m reaches 20 m within 45 deg, and not 50 m."""
     mean = np.array([[1.0, 0.0, 1 / 30, 0.0]])
     lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
@@ -217,7 +218,7 @@ def test_a_line_counts_only_as_far_as_it_stays_within_45_deg():
     assert np.isnan(row.measured_rms[1:]).all()
 
 
-def test_nothing_fits():
+def test_nothing_fits() -> None:
     """Without lines, the figures are dashes or None."""
     mean = np.array([[30.0, 0.0, 0.0, 0.0]])
     lines = Gaussians(mean, np.diag([0.1, 0.01, 1e-4, 1e-6])[None] ** 2)
@@ -228,7 +229,7 @@ def test_nothing_fits():
     assert as_records([row])[0]["measured_rms_at_80m_m"] is None
 
 
-def test_the_side_of_a_distance_is_kept():
+def test_the_side_of_a_distance_is_kept() -> None:
     """GM sends the distance of the line; the side follows from which line it is."""
     read, clipped = GM_EGO.rounded([[1.76, 0, 0, 0], [-1.76, 0, 0, 0]])
 
@@ -239,7 +240,7 @@ def test_the_side_of_a_distance_is_kept():
 # -- the table --------------------------------------------------------------------
 
 
-def test_the_table_on_the_set(rows):
+def test_the_table_on_the_set(rows: Any) -> None:
     """The measured rms agrees with the formula, but for sampling and slanted lines."""
     for row in rows:
         fewest = min(row.evaluated)
@@ -250,7 +251,7 @@ def test_the_table_on_the_set(rows):
     assert rows[-1].fit == rows[-1].lines
 
 
-def test_the_missing_rate_outweighs_the_rounding(rows):
+def test_the_missing_rate_outweighs_the_rounding(rows: Any) -> None:
     """Honda's curvature rate is not decoded; its effect has figures of its own."""
     row = of(rows, HONDA)
 
@@ -258,14 +259,14 @@ def test_the_missing_rate_outweighs_the_rounding(rows):
     assert all(r.truncated_rms is None for r in rows if None not in r.message.signals)
 
 
-def test_each_message_has_a_source():
+def test_each_message_has_a_source() -> None:
     """Each message has a source; undocumented ones are marked as uncertain."""
     for message in (*PRODUCTION, default_message()):
         assert all((message.source, message.certainty, message.uncertainty))
         assert message.documented or "uncertain" in message.certainty
 
 
-def test_the_same_seed_gives_the_same_table():
+def test_the_same_seed_gives_the_same_table() -> None:
     """Another seed gives another table."""
     first, again, other = (as_csv(production_table(100, seed)) for seed in (1, 1, 2))
 
@@ -274,7 +275,7 @@ def test_the_same_seed_gives_the_same_table():
         production_table(99)
 
 
-def test_the_lines_are_those_of_the_set_road():
+def test_the_lines_are_those_of_the_set_road() -> None:
     """The sigmas are those of sets.road, and increase with x."""
     row, lines = production_table(100, 3)[-1], road(100, 3)
     near = np.sqrt(lines.cov[:, 0, 0])
@@ -283,7 +284,7 @@ def test_the_lines_are_those_of_the_set_road():
     assert np.median(near) < row.sigma_median[0] < row.sigma_median[1] < row.sigma_median[2]
 
 
-def test_writers_agree(rows):
+def test_writers_agree(rows: Any) -> None:
     """CSV, JSON and both kinds of text have the same rows."""
     table = list(csv.DictReader(io.StringIO(as_csv(rows))))
     records = as_records(rows)
@@ -297,7 +298,7 @@ def test_writers_agree(rows):
 
 
 @pytest.mark.parametrize("form", ["--json", "--markdown", "--csv", None])
-def test_the_command(form, capsys):
+def test_the_command(form: str | None, capsys: pytest.CaptureFixture[str]) -> None:
     """The command prints one format."""
     parser = argparse.ArgumentParser()
     add_production(parser.add_subparsers())
@@ -310,7 +311,7 @@ def test_the_command(form, capsys):
     assert ("| --- |" in out) == (form == "--markdown")
 
 
-def test_the_page_has_the_tables_of_the_command(rows):
+def test_the_page_has_the_tables_of_the_command(rows: Any) -> None:
     """docs/bits.md has the tables in the section on production messages."""
     page = (Path(__file__).parents[3] / "docs" / "bits.md").read_text(encoding="utf-8")
 

@@ -1,5 +1,7 @@
 """The tables of a sweep, and the report on them."""
 
+from typing import Any
+
 import pytest
 
 pytest.importorskip("pyarrow.parquet")
@@ -11,15 +13,15 @@ from maplines_can.study.report.page import write_report
 
 
 @pytest.fixture(scope="session")
-def rows():
+def rows() -> Any:
     return sweep_rows()
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory, rows):
+def folder(tmp_path_factory: pytest.TempPathFactory, rows: Any) -> Any:
     return write(tmp_path_factory.mktemp("report") / "sweep", rows)
 
 
 @pytest.fixture(scope="session")
-def report(folder):
+def report(folder: Any) -> Any:
     return write_report(folder, folder.parent / "new" / "report.html")

@@ -1,5 +1,8 @@
 """The HTML report in a browser: skipped without Chromium (Debian: chromium)."""
 
+from collections.abc import Iterator
+from typing import Any
+
 import pytest
 from browser import CHROMIUM, Browser
 from sweep_tables import SETS
@@ -8,7 +11,7 @@ READY = 'document.documentElement?.dataset.ready === "yes" && Bokeh.documents.ev
 
 
 @pytest.fixture(scope="module")
-def browser(report, tmp_path_factory):
+def browser(report: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no chromium here: apt-get install chromium")
     with Browser(tmp_path_factory.mktemp("profile")) as started:
@@ -17,7 +20,7 @@ def browser(report, tmp_path_factory):
         yield started
 
 
-def painted(browser):
+def painted(browser: Any) -> Any:
     """Return for each plot whether its canvas is not empty."""
     return browser.run(
         """[...document.querySelectorAll("figure .bk-Figure")].map(plot =>
@@ -32,12 +35,12 @@ def painted(browser):
     )
 
 
-def model(name, test):
+def model(name: Any, test: Any) -> str:
     """Return JavaScript for the first model of a type that passes a test."""
     return f'[...models()].find(m => m.type === "{name}" && ({test}))'
 
 
-def test_all_plots_are_drawn_and_no_request_leaves(browser, report):
+def test_all_plots_are_drawn_and_no_request_leaves(browser: Any, report: Any) -> None:
     """For each set: two plots along the road and of the worst cases, one in other sections."""
     assert painted(browser) == [True] * 8 * len(SETS)
     assert browser.requests[0] == report.resolve().as_uri()
@@ -45,15 +48,15 @@ def test_all_plots_are_drawn_and_no_request_leaves(browser, report):
     assert browser.errors == []
 
 
-def test_a_code_and_a_set_can_be_hidden(browser):
+def test_a_code_and_a_set_can_be_hidden(browser: Any) -> None:
     """A code hides its curves in all plots, a set its figures."""
 
-    def click(kind, value):
+    def click(kind: Any, value: Any) -> None:
         browser.run(
             f"""document.querySelector('[data-controls="{kind}"][value="{value}"]').click()"""
         )
 
-    def shown():
+    def shown() -> Any:
         return browser.run(
             "models().filter(m => m.tags.includes('code:Cholesky')).map(m => m.visible)"
         )
@@ -72,10 +75,10 @@ def test_a_code_and_a_set_can_be_hidden(browser):
     assert browser.errors == []
 
 
-def test_the_choices_change_the_plots(browser):
+def test_the_choices_change_the_plots(browser: Any) -> None:
     """The lists choose another KL and another worst case."""
 
-    def choose(control, value):
+    def choose(control: Any, value: Any) -> None:
         browser.run(
             f"""(s => {{ s.value = "{value}"; s.dispatchEvent(new Event("change")); }})
             (document.querySelector('select[data-controls="{control}"]'))"""
@@ -92,7 +95,7 @@ def test_the_choices_change_the_plots(browser):
     assert browser.errors == []
 
 
-def test_ink_is_light_on_a_dark_page(browser):
+def test_ink_is_light_on_a_dark_page(browser: Any) -> None:
     axes = "models().filter(m => /^(Linear|Log)Axis$/.test(m.type))"
     ink = f"[...new Set({axes}.map(m => m.axis_line_color))]"
     browser.scheme("dark")
@@ -103,7 +106,7 @@ def test_ink_is_light_on_a_dark_page(browser):
     browser.wait_for(f"{ink}[0] === '#222222'")
 
 
-def test_pictures_of_the_plots_are_printed(browser):
+def test_pictures_of_the_plots_are_printed(browser: Any) -> None:
     """Pictures replace the canvases only while the page is printed."""
     pictures = "[...document.querySelectorAll('img.print')].map(p => p.src.length > 3000)"
     browser.run("dispatchEvent(new Event('beforeprint'))")
@@ -113,7 +116,7 @@ def test_pictures_of_the_plots_are_printed(browser):
     assert browser.errors == []
 
 
-def test_it_fits_a_phone(browser):
+def test_it_fits_a_phone(browser: Any) -> None:
     """Nothing is wider than the page, and the plots shrink with it."""
     browser.resize(360, 700)
     browser.wait_for("document.documentElement.scrollWidth <= 360")

@@ -5,6 +5,8 @@ import math
 import re
 import sys
 from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -19,36 +21,36 @@ from maplines_can.study.report.tables import COLUMNS, read_tables
 class Page(HTMLParser):
     """Elements, text and links of an HTML page."""
 
-    def __init__(self, text):
+    def __init__(self, text: Any) -> None:
         super().__init__()
-        self.elements, self.texts, self.links, self._in = [], [], [], ""
+        self.elements, self.texts, self.links, self._in = list[Any](), list[Any](), list[Any](), ""
         self.feed(text)
 
-    def handle_starttag(self, tag, attrs):
+    def handle_starttag(self, tag: Any, attrs: Any) -> None:
         self.elements.append((tag, dict(attrs)))
         self._in = tag
         self.links += [value for name, value in attrs if name in ("src", "href", "action", "data")]
 
-    def handle_data(self, data):
+    def handle_data(self, data: Any) -> None:
         if self._in not in ("script", "style"):
             self.texts.append(data)
 
-    def text(self):
+    def text(self) -> Any:
         return " ".join("".join(self.texts).split())
 
 
 @pytest.fixture(scope="module")
-def page(report):
+def page(report: Any) -> Any:
     return Page(report.read_text("utf-8"))
 
 
 # ---- the file ---------------------------------------------------------------------
 
 
-def test_nothing_is_loaded_from_other_files(page, report):
+def test_nothing_is_loaded_from_other_files(page: Any, report: Any) -> None:
     """There is no link and no import, and the content security policy forbids them."""
     assert page.links == []
-    style = re.search(r"<style>(.*?)</style>", report.read_text("utf-8"), re.DOTALL)[1]
+    style = re.search(r"<style>(.*?)</style>", report.read_text("utf-8"), re.DOTALL)[1]  # type: ignore[index]
     assert "url(" not in style
     assert "@import" not in style
     policy = next(a["content"] for tag, a in page.elements if tag == "meta" and "content" in a)
@@ -57,7 +59,7 @@ def test_nothing_is_loaded_from_other_files(page, report):
     assert report.stat().st_size < 4e6
 
 
-def test_every_code_set_and_section_is_there(page):
+def test_every_code_set_and_section_is_there(page: Any) -> None:
     """Each code has a toggle, each set and section a figure."""
     toggles = [a["value"] for t, a in page.elements if a.get("data-controls") == "code"]
     assert toggles == USED
@@ -68,39 +70,39 @@ def test_every_code_set_and_section_is_there(page):
     assert len([a for t, a in page.elements if t == "table"]) == 1 + 7 * len(SETS)
 
 
-def test_a_name_is_text_and_never_markup(page, report):
+def test_a_name_is_text_and_never_markup(page: Any, report: Any) -> None:
     """Names of sets, which may be paths, are escaped, also in the script of the plots."""
     assert all(tag not in ("img", "b") for tag, _ in page.elements)
     assert SETS[1] in page.text()
     assert "</script><img" not in report.read_text("utf-8")
 
 
-def test_title_is_escaped(folder, tmp_path):
+def test_title_is_escaped(folder: Any, tmp_path: Path) -> None:
     text = write_report(folder, tmp_path / "a.html", title="a<b>&").read_text("utf-8")
 
     assert "<title>a&lt;b&gt;&amp;</title>" in text
 
 
-def test_the_findings_are_those_of_the_tables(page, folder):
+def test_the_findings_are_those_of_the_tables(page: Any, folder: Any) -> None:
     """Shares and KL of the first code, bits above the limit, and infinite values."""
     tables = read_tables(folder)
     row = tables.shipped("paper", "Cholesky")
     text = page.text()
 
     assert f"Cholesky: 0 not definite and 0 overconfident of {2 * N:,} Gaussians." in text
-    limit = 34.0 + 5 * math.log2(1e-2 / row["kl_mean"])
-    assert tables.over_limit(row) == pytest.approx(105 - limit)
+    limit = 34.0 + 5 * math.log2(1e-2 / row["kl_mean"])  # type: ignore[index]
+    assert tables.over_limit(row) == pytest.approx(105 - limit)  # type: ignore[arg-type]
     assert f"{105 - limit:.0f} to {107 - limit:.0f}" in text
     assert "No guarantee was broken" in text
     bad = tables.shipped("paper", "LinearNearest")
-    assert 0 < bad["not_positive_definite"] < 1
-    assert math.isinf(bad["kl_mean"])
-    assert f"{100 * bad['not_positive_definite']:.3g} %" in text
+    assert 0 < bad["not_positive_definite"] < 1  # type: ignore[index]
+    assert math.isinf(bad["kl_mean"])  # type: ignore[index]
+    assert f"{100 * bad['not_positive_definite']:.3g} %" in text  # type: ignore[index]
     assert "∞" in text
     assert "nan" not in text.lower().replace("finance", "")
 
 
-def test_a_broken_guarantee_is_the_first_finding(rows, tmp_path):
+def test_a_broken_guarantee_is_the_first_finding(rows: Any, tmp_path: Path) -> None:
     summary = [dict(row) for row in rows["summary"]]
     summary[0]["overconfident"] = 0.01
     folder = write(tmp_path / "sweep", rows, summary=summary)
@@ -110,7 +112,7 @@ def test_a_broken_guarantee_is_the_first_finding(rows, tmp_path):
     assert "A guarantee is broken. Cholesky on paper: overconfident 1 %." in text
 
 
-def test_the_limit_is_linear_in_log_kl(folder):
+def test_the_limit_is_linear_in_log_kl(folder: Any) -> None:
     """Inside the table and below it; it is not defined for a large KL."""
     tables = read_tables(folder)
 
@@ -121,7 +123,7 @@ def test_the_limit_is_linear_in_log_kl(folder):
     assert tables.limit_bits("another", 1e-3) is None
 
 
-def test_missing_sections_are_reported(rows, tmp_path):
+def test_missing_sections_are_reported(rows: Any, tmp_path: Path) -> None:
     """A sweep without fields, worst cases and limit still gives a report."""
     folder = write(tmp_path / "sweep", rows)
     for name in ("fields", "worst", "limit"):
@@ -133,7 +135,7 @@ def test_missing_sections_are_reported(rows, tmp_path):
     assert text.count("The sweep did not compute this.") == 2
 
 
-def test_the_tables_of_a_sweep_are_read(tmp_path):
+def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
     """Sweep and report use the same names of columns."""
     from maplines_can.study.sets import line_set
     from maplines_can.study.sweep.plan import Study
@@ -153,7 +155,7 @@ def test_the_tables_of_a_sweep_are_read(tmp_path):
 # ---- errors -----------------------------------------------------------------------
 
 
-def damaged(folder, how):
+def damaged(folder: Any, how: Any) -> Any:
     path = folder / "summary.parquet"
     if how == "folder":
         return folder / "nowhere"
@@ -181,7 +183,7 @@ def damaged(folder, how):
         pytest.param("empty", r"summary\.parquet: has no rows", id="no-rows"),
     ],
 )
-def test_unusable_tables_raise(rows, tmp_path, how, words):
+def test_unusable_tables_raise(rows: Any, tmp_path: Path, how: str, words: str) -> None:
     """The message names the file, and nothing is written."""
     folder = damaged(write(tmp_path / "sweep", rows), how)
 
@@ -191,7 +193,9 @@ def test_unusable_tables_raise(rows, tmp_path, how, words):
 
 
 @pytest.mark.parametrize("package", ["bokeh", "jinja2", "pyarrow"])
-def test_a_missing_extra_is_named(monkeypatch, folder, tmp_path, package):
+def test_a_missing_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch, folder: Any, tmp_path: Path, package: str
+) -> None:
     for name in [n for n in sys.modules if n.split(".")[0] == package]:
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
@@ -200,7 +204,7 @@ def test_a_missing_extra_is_named(monkeypatch, folder, tmp_path, package):
         write_report(folder, tmp_path / "report.html")
 
 
-def test_the_command(folder, tmp_path, capsys):
+def test_the_command(folder: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The command passes its arguments on; no column is listed twice."""
     parser = argparse.ArgumentParser()
     add_report(parser.add_subparsers())

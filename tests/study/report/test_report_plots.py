@@ -1,6 +1,7 @@
 """Data and axes of the report's plots."""
 
 import re
+from typing import Any
 
 import numpy as np
 from sweep_tables import USED
@@ -12,12 +13,14 @@ from maplines_can.study.report.plots import kl_plot
 from maplines_can.study.report.tables import read_tables
 
 
-def test_an_infinite_kl_is_above_the_axis_with_its_share(folder):
+def test_an_infinite_kl_is_above_the_axis_with_its_share(folder: Any) -> None:
     """Each width has a mark at the infinity tick; the 99 % quantile has a view of its own."""
     tables = read_tables(folder)
     plot = kl_plot(tables, "paper", looks(tables.codes))
     source = next(
-        r.data_source for r in plot.renderers if r.tags == ["code:LinearNearest"]
+        r.data_source  # type: ignore[attr-defined]
+        for r in plot.renderers
+        if r.tags == ["code:LinearNearest"]
     )  # its line
     ticks = plot.yaxis[0].major_label_overrides
 
@@ -30,12 +33,12 @@ def test_an_infinite_kl_is_above_the_axis_with_its_share(folder):
     assert drawn == {f"code:{code}" for code in USED}
 
 
-def test_worst_cases_are_the_lines_and_their_bands(folder):
+def test_worst_cases_are_the_lines_and_their_bands(folder: Any) -> None:
     """Bands are 3 sigma of l(x) to first order; crosses mark negative variances."""
     tables = read_tables(folder)
     keys = [worst_key(row) for row in tables.worst if row["set"] == "paper"]
     plot, less = worst_plots(tables, "paper", keys)
-    options = plot.renderers[0].data_source.tags[0]["options"]
+    options = plot.renderers[0].data_source.tags[0]["options"]  # type: ignore[attr-defined]
     for row in (row for row in tables.worst if row["set"] == "paper"):
         data = options[worst_key(row)]["data"]
         for side, prefix in (("true", ""), ("decoded", "decoded_")):
@@ -50,12 +53,12 @@ def test_worst_cases_are_the_lines_and_their_bands(folder):
             np.testing.assert_allclose(half[seen], 3 * np.sqrt(variance[seen]), rtol=1e-3)
             if side == "decoded":
                 np.testing.assert_array_equal(np.isfinite(data["lost"]), variance < 0)
-    relative = less.renderers[0].data_source.data
+    relative = less.renderers[0].data_source.data  # type: ignore[attr-defined]
     np.testing.assert_array_equal(relative["true"], 0)
 
 
-def test_fields_are_sorted_by_the_cost_of_one_bit_less(folder):
+def test_fields_are_sorted_by_the_cost_of_one_bit_less(folder: Any) -> None:
     """The most expensive field is at the top."""
     plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
 
-    assert plot.y_range.factors == ["Inflation", "PivotC0", "RatioC0C1"]
+    assert plot.y_range.factors == ["Inflation", "PivotC0", "RatioC0C1"]  # type: ignore[attr-defined]

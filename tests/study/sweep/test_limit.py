@@ -1,5 +1,7 @@
 """The rate-distortion bound: closed forms, invariance, a quantizer, sources without a bound."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -16,7 +18,7 @@ SIGMA0 = np.array([[1, 0.9, 0.5, 0.2], [0.9, 1, 0.7, 0.3], [0.5, 0.7, 1, 0.8], [
 TURN = np.array([[0.3, -2.0], [1.1, 0.4]])
 
 
-def gaussians(theta, p):
+def gaussians(theta: Any, p: Any) -> Any:
     """Means and covariances of coordinates (m, ln L_ii, t_ij); without m the means are 0."""
     n = p * (p + 1) // 2
     pivots = np.exp(theta[:, -n:][:, :p])
@@ -28,14 +30,14 @@ def gaussians(theta, p):
     return means, L @ np.swapaxes(L, 1, 2)
 
 
-def correlated(samples, n, seed):
+def correlated(samples: Any, n: Any, seed: Any) -> Any:
     """(N, n) normal coordinates with correlations of 0.9^|i-j|, and their entropy [bit]."""
     root = np.linalg.cholesky(0.9 ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
     x = np.random.default_rng(seed).standard_normal((samples, n)) @ root.T
     return x, n * NORMAL_BITS + np.log2(root.diagonal()).sum()
 
 
-def wisharts(samples, p, seed, freedom=30, mean_factor=3.0):
+def wisharts(samples: Any, p: Any, seed: Any, freedom: int = 30, mean_factor: float = 3.0) -> Any:
     """Means N(0, f^2 S) and Wishart covariances S; exact h_F of all and of the covariances."""
     wishart = stats.wishart(freedom, SIGMA0[:p, :p])
     S = wishart.rvs(samples, random_state=seed).reshape(samples, p, p)
@@ -48,7 +50,7 @@ def wisharts(samples, p, seed, freedom=30, mean_factor=3.0):
     return means, S, covariance + p * (NORMAL_BITS + np.log2(mean_factor)), covariance
 
 
-def assert_within_errors(limit, true_bits, standard_errors=5):
+def assert_within_errors(limit: Any, true_bits: Any, standard_errors: int = 5) -> None:
     """The true value lies between the estimate and its low end, up to standard errors."""
     error = limit.entropy_bits - true_bits
     slack = standard_errors * limit.entropy_se_bits
@@ -59,19 +61,19 @@ def assert_within_errors(limit, true_bits, standard_errors=5):
 # -- the bound --------------------------------------------------------------------
 
 
-def test_the_fisher_volume_is_that_of_the_divergence():
+def test_the_fisher_volume_is_that_of_the_divergence() -> None:
     """sqrt(det F) = 2^(p/2) / sqrt(det S) in these coordinates, by second differences of the KL."""
     theta = np.random.default_rng(2).standard_normal((1, 14))
     step = 1e-3
     true = Gaussian(*(a[0] for a in gaussians(theta, 4)))
 
-    def kl(d):
+    def kl(d: Any) -> Any:
         return true.kl(Gaussian(*(a[0] for a in gaussians(theta + step * d, 4))))
 
     e = np.eye(14)
     F = [[(kl(a + b) - kl(a - b) - kl(b - a) + kl(-a - b)) / 4 for b in e] for a in e]
     _, log_det = np.linalg.slogdet(np.array(F) / step**2)  # 2 KL = d^T F d
-    _, log_volume, names = limit_module._coordinates(*gaussians(theta, 4), "all", None)
+    _, log_volume, names = limit_module._coordinates(*gaussians(theta, 4), "all", None)  # type: ignore[call-arg]
 
     assert log_volume[0] == pytest.approx(log_det / 2, abs=1e-3)
     assert names[0] == "m_0"
@@ -80,19 +82,19 @@ def test_the_fisher_volume_is_that_of_the_divergence():
 
 
 @pytest.mark.parametrize("n", [10, 14])
-def test_a_decade_of_divergence_costs_the_same_bits_everywhere(n):
+def test_a_decade_of_divergence_costs_the_same_bits_everywhere(n: int) -> None:
     bits = Limit(entropy_bits=-3.0, dimension=n).bits([1e-2, 1e-3, 1e-4])
 
     assert np.diff(bits) == pytest.approx(n / 2 * np.log2(10))
 
 
-def test_kl_is_the_inverse_of_bits():
+def test_kl_is_the_inverse_of_bits() -> None:
     limit = Limit(entropy_bits=12.5, dimension=14)
 
     assert limit.kl(limit.bits([0.01, 1e-7])) == pytest.approx([0.01, 1e-7])
 
 
-def test_a_scalar_quantizer_loses_a_quarter_of_a_bit():
+def test_a_scalar_quantizer_loses_a_quarter_of_a_bit() -> None:
     """Equal steps of a uniform ln sigma are 1/2 log2(2 pi e / 12), or 1.53 dB, above the bound."""
     levels, width = 256, 6.0
     log_sigma = (np.arange(100_000) + 0.5) * width / 100_000
@@ -111,12 +113,12 @@ def test_a_scalar_quantizer_loses_a_quarter_of_a_bit():
 
 
 @pytest.mark.parametrize(("part", "n"), [("all", 14), ("covariance", 10)])
-def test_strongly_correlated_coordinates(part, n):
+def test_strongly_correlated_coordinates(part: str, n: int) -> None:
     theta, h = correlated(4000, n, seed=1)
     theta[:, -10:-6] *= 0.5  # the logarithms of the pivots
     if part == "all":
         h -= theta[:, 4:8].sum(axis=1).mean() / LN2  # E log2 sqrt(det S) of this very sample
-    limit = limit_of(*gaussians(theta, 4), part=part)
+    limit = limit_of(*gaussians(theta, 4), part=part)  # type: ignore[arg-type]
 
     assert_within_errors(limit, h - 4 + 2)
     assert (limit.dimension, limit.samples, limit.duplicates) == (n, 4000, 0)
@@ -126,7 +128,7 @@ def test_strongly_correlated_coordinates(part, n):
 
 
 @pytest.mark.parametrize(("p", "samples"), [(1, 2000), (2, 4000), (4, 3000)])
-def test_wishart_covariances_and_means_in_proportion(p, samples):
+def test_wishart_covariances_and_means_in_proportion(p: int, samples: int) -> None:
     """Compared with scipy's entropy of the Wishart distribution, in other coordinates."""
     means, covs, h_all, h_covariance = wisharts(samples, p, seed=3)
 
@@ -134,7 +136,7 @@ def test_wishart_covariances_and_means_in_proportion(p, samples):
     assert_within_errors(limit_of(means, covs, part="covariance"), h_covariance)
 
 
-def test_heavy_tails():
+def test_heavy_tails() -> None:
     """Coordinates sinh(2 z)/2, over four decades: E ln cosh(2 z) nats more than z."""
     z, h = correlated(4000, 3, seed=4)
     theta = np.sinh(2 * z) / 2
@@ -145,7 +147,7 @@ def test_heavy_tails():
     assert_within_errors(limit_of(*gaussians(theta, 2), part="covariance"), h + 1)
 
 
-def test_standard_errors_are_those_of_repetition():
+def test_standard_errors_are_those_of_repetition() -> None:
     results = []
     for seed in range(30):
         theta, h = correlated(1000, 1, seed)
@@ -157,7 +159,7 @@ def test_standard_errors_are_those_of_repetition():
     assert 0.6 < np.sqrt(np.mean(error**2) / np.mean(se**2)) < 1.4
 
 
-def test_more_neighbours_give_the_same_entropy():
+def test_more_neighbours_give_the_same_entropy() -> None:
     means, covs, h_all, _ = wisharts(4000, 2, seed=12)
 
     assert_within_errors(limit_of(means, covs, k=10), h_all)
@@ -166,7 +168,7 @@ def test_more_neighbours_give_the_same_entropy():
 # -- invariance ---------------------------------------------------------------------
 
 
-def test_units_do_not_matter():
+def test_units_do_not_matter() -> None:
     """x -> A x with a diagonal A shifts logarithms and scales means."""
     means, covs, _, _ = wisharts(2000, 2, seed=5)
     units = np.array([1000.0, -3e-6])
@@ -176,7 +178,7 @@ def test_units_do_not_matter():
 
 
 @pytest.mark.parametrize("A", [TURN, TURN[::-1], np.eye(2)[::-1]], ids=["turn", "other", "order"])
-def test_linear_changes_of_the_state_do_not_matter(A):
+def test_linear_changes_of_the_state_do_not_matter(A: Any) -> None:
     means, covs, h_all, h_covariance = wisharts(4000, 2, seed=6)
     means, covs = means @ A.T, A @ covs @ A.T
 
@@ -184,14 +186,14 @@ def test_linear_changes_of_the_state_do_not_matter(A):
     assert_within_errors(limit_of(means, covs, part="covariance"), h_covariance)
 
 
-def test_resolution_is_added_to_the_covariances():
+def test_resolution_is_added_to_the_covariances() -> None:
     means, covs, _, _ = wisharts(800, 2, seed=7)
     added = limit_of(means, covs + np.diag([2.0, 3.0]))
 
     assert limit_of(means, covs, resolution=[2.0, 3.0]) == added
 
 
-def test_the_same_seed_gives_the_same_limit():
+def test_the_same_seed_gives_the_same_limit() -> None:
     means, covs, _, _ = wisharts(800, 2, seed=8)
 
     assert limit_of(means, covs, seed=1) == limit_of(means, covs, seed=1)
@@ -201,7 +203,7 @@ def test_the_same_seed_gives_the_same_limit():
 # -- sources that have no bound, or nearly none -------------------------------------
 
 
-def test_a_curved_surface_has_a_caveat():
+def test_a_curved_surface_has_a_caveat() -> None:
     """Four of ten coordinates are functions of the others, and noise of 0.1."""
     rng = np.random.default_rng(9)
     u, noise = rng.standard_normal((2500, 6)), rng.standard_normal((2500, 4))
@@ -216,7 +218,7 @@ def test_a_curved_surface_has_a_caveat():
     assert limit.local_dimension < 8.5
 
 
-def test_pose_error_alone_has_a_caveat():
+def test_pose_error_alone_has_a_caveat() -> None:
     """A random road has ten parameters: its covariances fill fewer dimensions."""
     limit = limit_of(*paper(1600), part="covariance", resolution=[8e-8, 2e-11, 2e-14, 7e-20])
 
@@ -225,7 +227,7 @@ def test_pose_error_alone_has_a_caveat():
     assert "true bound is lower" in limit.caveat
 
 
-def test_duplicates_are_counted_and_not_used():
+def test_duplicates_are_counted_and_not_used() -> None:
     means, covs, _, _ = wisharts(1000, 2, seed=10)
     twice = limit_of(np.r_[means, means[:100]], np.r_[covs, covs[:100]])
     once = limit_of(means, covs)
@@ -242,7 +244,7 @@ def test_duplicates_are_counted_and_not_used():
         pytest.param({1: "m_0"}, "m_0, m_1 determine each other", id="dependent"),
     ],
 )
-def test_singular_sources_have_a_reason_instead_of_a_number(change, caveat):
+def test_singular_sources_have_a_reason_instead_of_a_number(change: Any, caveat: str) -> None:
     theta, _ = correlated(1000, 5, seed=11)
     for column, value in change.items():
         theta[:, column] = theta[:, 0] * 7 if value == "m_0" else value
@@ -283,12 +285,12 @@ def test_singular_sources_have_a_reason_instead_of_a_number(change, caveat):
         ),
     ],
 )
-def test_invalid_arguments_are_refused(means, covs, options, message):
+def test_invalid_arguments_are_refused(means: Any, covs: Any, options: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         limit_of(means, covs, **options)
 
 
 @pytest.mark.parametrize("kl", [0.0, -1e-3, np.nan])
-def test_a_divergence_must_be_positive(kl):
+def test_a_divergence_must_be_positive(kl: Any) -> None:
     with pytest.raises(ValueError, match="kl must be positive"):
         Limit(entropy_bits=10.0, dimension=14).bits([1e-3, kl])

@@ -6,7 +6,10 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from importlib.metadata import PackageNotFoundError
+from pathlib import Path
+from typing import Any
 
 import pytest
 from study_helpers import small, tables
@@ -16,21 +19,21 @@ from maplines_can.study.sweep.engines import Task, _check_versions, in_processes
 from maplines_can.study.sweep.run import run_study
 
 
-def kill_this_process():
+def kill_this_process() -> None:
     """Die as by the kernel when memory is short."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_task_that_kills_each_process_is_given_up(monkeypatch):
+def test_a_task_that_kills_each_process_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is tried a few times only, and the message has advice."""
     monkeypatch.setattr("maplines_can.study.sweep.engines.DEATHS", 1)
 
     with pytest.raises(StudyError, match=r"died 2 times in a row; make chunks smaller"):
-        list(in_processes(iter([Task("deadly", kill_this_process)]), 1))
+        list(in_processes(iter([Task("deadly", kill_this_process)]), 1))  # type: ignore[arg-type]
 
 
 @contextlib.contextmanager
-def dask_process(*arguments):
+def dask_process(*arguments: Any) -> Iterator[Any]:
     """Run a program of Dask's command line; its stderr is piped."""
     command = [sys.executable, "-m", *arguments, "--host", "127.0.0.1", "--no-dashboard"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
@@ -40,14 +43,14 @@ def dask_process(*arguments):
             process.kill()
 
 
-def test_a_killed_dask_worker_changes_nothing(undisturbed, tmp_path):
+def test_a_killed_dask_worker_changes_nothing(undisturbed: Any, tmp_path: Path) -> None:
     """One of two workers is killed while it has work; the tables are the same to the last bit."""
     distributed = pytest.importorskip("distributed")
     scheduler_module, worker_module = (
         "distributed.cli.dask_scheduler",
         "distributed.cli.dask_worker",
     )
-    killed = []
+    killed: list[Any] = []
     with contextlib.ExitStack() as stack:
         scheduler = stack.enter_context(dask_process(scheduler_module, "--port", "0"))
         log = iter(scheduler.stderr.readline, "")
@@ -59,7 +62,7 @@ def test_a_killed_dask_worker_changes_nothing(undisturbed, tmp_path):
         pids = watcher.run(os.getpid)
         victim = next(name for name, pid in pids.items() if pid == workers[0].pid)
 
-        def kill(done, total):
+        def kill(done: Any, total: Any) -> None:
             if done and not killed and watcher.processing()[victim]:
                 os.kill(pids[victim], signal.SIGKILL)
                 assert workers[0].wait() == -signal.SIGKILL
@@ -73,11 +76,11 @@ def test_a_killed_dask_worker_changes_nothing(undisturbed, tmp_path):
 
 
 @pytest.mark.parametrize("there", [{"tcp://a": "0.0.1"}, PackageNotFoundError])
-def test_workers_of_another_version_are_refused(there):
+def test_workers_of_another_version_are_refused(there: Any) -> None:
     """Their results would be those of another program."""
 
     class Client:
-        def run(self, _function, package):
+        def run(self, _function: Any, package: Any) -> Any:
             if isinstance(there, dict):
                 return there
             raise there(package)
@@ -86,7 +89,7 @@ def test_workers_of_another_version_are_refused(there):
         _check_versions(Client(), "tcp://b")
 
 
-def test_a_missing_scheduler_is_refused(tmp_path, monkeypatch):
+def test_a_missing_scheduler_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The message has its address."""
     pytest.importorskip("distributed")
     pytest.importorskip("pyarrow")
@@ -96,14 +99,14 @@ def test_a_missing_scheduler_is_refused(tmp_path, monkeypatch):
         run_study(small(), tmp_path / "out", scheduler="tcp://127.0.0.1:9")
 
 
-def test_a_killed_process_changes_nothing(undisturbed, tmp_path):
+def test_a_killed_process_changes_nothing(undisturbed: Any, tmp_path: Path) -> None:
     """All processes die once in the middle; others do their work."""
-    killed = []
+    killed: list[Any] = []
 
-    def kill(done, total):
+    def kill(done: Any, total: Any) -> None:
         if done and not killed:
             for child in multiprocessing.active_children():
-                os.kill(child.pid, signal.SIGKILL)
+                os.kill(child.pid, signal.SIGKILL)  # type: ignore[arg-type]
                 killed.append(child.pid)
 
     result = tables(run_study(small(), tmp_path / "out", jobs=2, progress=kill))
@@ -113,10 +116,12 @@ def test_a_killed_process_changes_nothing(undisturbed, tmp_path):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_interrupted_study_continues_to_the_same_result(jobs, undisturbed, tmp_path):
+def test_an_interrupted_study_continues_to_the_same_result(
+    jobs: int, undisturbed: Any, tmp_path: Path
+) -> None:
     """After Ctrl-C in the middle, finished tasks are not run again."""
 
-    def interrupt(done, total):
+    def interrupt(done: Any, total: Any) -> None:
         if done >= 100:
             raise KeyboardInterrupt
 

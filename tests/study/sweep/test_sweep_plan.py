@@ -1,6 +1,7 @@
 """The plan of a study: its checks, and the theory of the default code."""
 
 import math
+from typing import Any
 
 import pytest
 from study_helpers import small
@@ -10,7 +11,7 @@ from maplines_can.study.sets import DrawnSet
 from maplines_can.study.sweep.plan import Plan, codec_of, theory
 
 
-def test_theory_has_a_term_for_each_field():
+def test_theory_has_a_term_for_each_field() -> None:
     """D^2 / 24 for a ratio of step D, (D ln 2)^2 / 12 for a pivot of D octaves."""
     terms = theory(codec_of(Plan("Cholesky")))
 
@@ -32,7 +33,7 @@ def test_theory_has_a_term_for_each_field():
         ({"sets": []}, "one or more"),
     ],
 )
-def test_an_invalid_study_is_refused(changes, message):
+def test_an_invalid_study_is_refused(changes: Any, message: str) -> None:
     """The constructor raises."""
     with pytest.raises(StudyError, match=message):
         small(**changes)

@@ -1,5 +1,8 @@
 """The run of a study: it resumes, refuses other studies, and takes files and poses."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from study_helpers import small, tables, write_csv
@@ -11,7 +14,7 @@ from maplines_can.study.sweep.run import run_study
 from maplines_can.study.sweep.tables import summary_text
 
 
-def test_a_finished_study_is_not_run_again(undisturbed, tmp_path):
+def test_a_finished_study_is_not_run_again(undisturbed: Any, tmp_path: Path) -> None:
     """Only its tables are written again, the same to the last byte."""
     out = tmp_path / "out"
     run_study(small(), out, jobs=1)
@@ -32,7 +35,9 @@ def test_a_finished_study_is_not_run_again(undisturbed, tmp_path):
         ({"sets": [DrawnSet("paper")]}, "there sets is"),
     ],
 )
-def test_another_study_in_the_same_directory_is_refused(changes, message, tmp_path):
+def test_another_study_in_the_same_directory_is_refused(
+    changes: Any, message: str, tmp_path: Path
+) -> None:
     """The message says what differs."""
     pytest.importorskip("pyarrow")
     run_study(small(n=50), tmp_path / "out", jobs=1)
@@ -43,7 +48,7 @@ def test_another_study_in_the_same_directory_is_refused(changes, message, tmp_pa
         run_study(small(**changes), tmp_path / "out", jobs=1)
 
 
-def test_a_directory_of_other_files_is_refused(tmp_path):
+def test_a_directory_of_other_files_is_refused(tmp_path: Path) -> None:
     """A study does not write among files that are not its own."""
     pytest.importorskip("pyarrow")
     (tmp_path / "thesis.tex").touch()
@@ -52,7 +57,7 @@ def test_a_directory_of_other_files_is_refused(tmp_path):
         run_study(small(), tmp_path, jobs=1)
 
 
-def test_a_damaged_result_is_refused(tmp_path):
+def test_a_damaged_result_is_refused(tmp_path: Path) -> None:
     """The message names the file and the cure."""
     pytest.importorskip("pyarrow")
     run_study(small(n=50), tmp_path / "out", jobs=1)
@@ -63,7 +68,7 @@ def test_a_damaged_result_is_refused(tmp_path):
         run_study(small(n=50), tmp_path / "out", jobs=1)
 
 
-def test_poses_that_see_nothing_make_an_empty_study(drive):
+def test_poses_that_see_nothing_make_an_empty_study(drive: Any) -> None:
     """It has tables and text, without figures."""
     pytest.importorskip("pyarrow")
     write_csv(drive / "lost.csv", np.array([[-900.0, 0, 0]]), np.eye(3)[None] / 100)
@@ -76,7 +81,7 @@ def test_poses_that_see_nothing_make_an_empty_study(drive):
     assert "lost.csv: 0 Gaussians" in summary_text(result["summary"], result["terms"])
 
 
-def test_a_file_and_poses_in_one_study(drive):
+def test_a_file_and_poses_in_one_study(drive: Any) -> None:
     """They are taken whole, whatever n is."""
     pytest.importorskip("pyarrow")
     means, covs = road(25, seed=8)

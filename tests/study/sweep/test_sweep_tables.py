@@ -1,5 +1,8 @@
 """The tables of a study: what they hold, and how they read."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from study_helpers import small, tables
@@ -11,7 +14,7 @@ from maplines_can.study.sweep.run import run_study
 from maplines_can.study.sweep.tables import SCHEMAS, summary_text
 
 
-def test_the_summary_is_that_of_all_chunks_at_once(undisturbed):
+def test_the_summary_is_that_of_all_chunks_at_once(undisturbed: Any) -> None:
     """Compared with all chunks sent through the codec and evaluated together."""
     chunks = [drawn_chunk("road", 3, i, 50) for i in range(8)]
     means, covs = (np.concatenate(arrays) for arrays in zip(*chunks, strict=True))
@@ -32,7 +35,7 @@ def test_the_summary_is_that_of_all_chunks_at_once(undisturbed):
     assert row["kl_theory"] == pytest.approx(sum(theory(codec).values()))
 
 
-def test_the_worst_cases_are_the_worst(undisturbed):
+def test_the_worst_cases_are_the_worst(undisturbed: Any) -> None:
     """There are five of each code, in order, with their means and covariances."""
     worst = [row for row in undisturbed["worst"] if row["code"] == "Cholesky"]
     kl = [row["kl"] for row in worst]
@@ -48,7 +51,7 @@ def test_the_worst_cases_are_the_worst(undisturbed):
     assert worst[0]["status"] == "FULL"
 
 
-def test_tables_have_the_columns_of_their_schemas(undisturbed):
+def test_tables_have_the_columns_of_their_schemas(undisturbed: Any) -> None:
     """Tables may be empty."""
     for name, rows in undisturbed.items():
         for row in rows:
@@ -57,7 +60,7 @@ def test_tables_have_the_columns_of_their_schemas(undisturbed):
     assert "Cholesky" in summary_text(undisturbed["summary"], undisturbed["terms"])
 
 
-def test_clipped_means_have_figures_of_their_own(tmp_path):
+def test_clipped_means_have_figures_of_their_own(tmp_path: Path) -> None:
     """Their error is not rounding; the covariance covers it."""
     pytest.importorskip("pyarrow")
     means, covs = road(50, seed=8)
@@ -72,7 +75,7 @@ def test_clipped_means_have_figures_of_their_own(tmp_path):
     assert row["overconfident"] == 0
 
 
-def test_fields_terms_and_limits(tmp_path):
+def test_fields_terms_and_limits(tmp_path: Path) -> None:
     """A bit more lowers the divergence; theory holds; too few samples give no limit."""
     pytest.importorskip("pyarrow")
     study = small(

@@ -24,13 +24,13 @@ SIGNAL = '@1+ (1,0) [0|15] "" E\n'
         pytest.param('BA_ "A" "1.5E30865535";\n', id="exponent-in-quotes"),
     ],
 )
-def test_a_dbc_that_would_exhaust_memory_or_time_is_rejected(text):
+def test_a_dbc_that_would_exhaust_memory_or_time_is_rejected(text: str) -> None:
     """cantools makes lists and integers as long as these numbers say; found by the fuzzer."""
     with pytest.raises(LayoutError, match="too many digits"):
         Layout.from_text(text)
 
 
-def test_large_numbers_elsewhere_are_accepted():
+def test_large_numbers_elsewhere_are_accepted() -> None:
     """In comments, remarks, identifiers and ranges of values."""
     comments = 'CM_ "BO_ 0 M: 65536 E and SG_ a : 1000000|4";\n// SG_ b : 1000000|4\n'
     extra = f'BO_ 2566844926 Other: 8 E\n SG_ a : 0|32@1+ (1,0) [0|4294967295] "" E\n{comments}'

@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from typing import Any
 
 import cantools
 import pytest
@@ -13,7 +14,7 @@ from maplines_can.line import Kind, MapLine, Slot
 from maplines_can.wire import Codec, Layout
 
 
-def test_motorola_signals_are_supported(tmp_path):
+def test_motorola_signals_are_supported(tmp_path: Path) -> None:
     """Counter and Kind in Motorola order at the same bits give the same bytes, also in cantools."""
     path = edited(
         tmp_path,
@@ -23,13 +24,13 @@ def test_motorola_signals_are_supported(tmp_path):
         (r"SG_ Kind : 59\|3@1\+", "SG_ Kind : 61|3@0+"),
     )
     codec, other = Codec.from_dbc(), Codec.from_dbc(path)
-    message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")
+    message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")  # type: ignore[union-attr]
     means, covs = random_lines(20, seed=9)
     payloads = other.encode_batch(means, covs, kind=Kind.KERB)
     assert other.decode_batch(payloads).accepted.all()
     for i, payload in enumerate(payloads):
         decoded = message.decode(payload.tobytes())
-        assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)
+        assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)  # type: ignore[call-overload]
     # Signals of whole bytes, or within one, have the same bits in both byte orders.
     assert (payloads == codec.encode_batch(means, covs, kind=Kind.KERB)).all()
 
@@ -57,7 +58,9 @@ def test_motorola_signals_are_supported(tmp_path):
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
     ],
 )  # fmt: skip
-def test_an_unsuitable_dbc_is_rejected_with_the_reason(tmp_path, edit, words):
+def test_an_unsuitable_dbc_is_rejected_with_the_reason(
+    tmp_path: Path, edit: Any, words: str
+) -> None:
     """The message names the file and what is wrong."""
     path = edited(tmp_path, edit)
     with pytest.raises(LayoutError, match=words) as error:
@@ -65,7 +68,7 @@ def test_an_unsuitable_dbc_is_rejected_with_the_reason(tmp_path, edit, words):
     assert "edited.dbc" in str(error.value)
 
 
-def test_each_carrier_may_have_its_own_id_length(tmp_path):
+def test_each_carrier_may_have_its_own_id_length(tmp_path: Path) -> None:
     """Classic CAN with 11 bits and CAN FD with 29 bits: frames and decoder agree."""
     fd_id = 0x80000000 | 0x18FF0048
     path = edited(tmp_path, (r"\b840\b", str(fd_id)))
@@ -78,7 +81,7 @@ def test_each_carrier_may_have_its_own_id_length(tmp_path):
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])
-def test_a_file_that_is_not_a_dbc_is_rejected(tmp_path, content):
+def test_a_file_that_is_not_a_dbc_is_rejected(tmp_path: Path, content: bytes | None) -> None:
     """Missing, empty, binary or truncated: the error names the file."""
     path = tmp_path / "bad.dbc"
     if content is not None:
@@ -105,7 +108,9 @@ ROOT = Path(__file__).parents[3]
         (r'"VFrameFormat" BO_ 848 14', '"VFrameFormat" BO_ 848 0', "must be a CAN FD message"),
     ],
 )
-def test_a_dbc_with_another_secured_format_is_rejected(pattern, replacement, message):
+def test_a_dbc_with_another_secured_format_is_rejected(
+    pattern: str, replacement: str, message: str
+) -> None:
     """Otherwise the wrong bytes would be verified."""
     text, found = re.subn(
         pattern, replacement, (ROOT / "dbc" / "maplines-secoc.dbc").read_text(), count=1

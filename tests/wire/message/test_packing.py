@@ -1,5 +1,7 @@
 """Packing and unpacking of raw values, compared with cantools."""
 
+from typing import Any
+
 import cantools
 import numpy as np
 import pytest
@@ -16,7 +18,7 @@ LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 
 
 @st.composite
-def layouts(draw):
+def layouts(draw: Any) -> Any:
     """Random signals of both byte orders, 1 to 64 bits (unsigned 63), that do not overlap."""
     length = draw(st.sampled_from(LENGTHS))
     free = np.ones(8 * length, dtype=bool)  # numbered as Intel numbers bits
@@ -42,7 +44,7 @@ def layouts(draw):
     return length, signals
 
 
-def message_of(length, signals):
+def message_of(length: Any, signals: Any) -> Any:
     signals = [
         DbcSignal(
             s.name,
@@ -59,7 +61,7 @@ def message_of(length, signals):
 
 @settings(max_examples=300, deadline=None)
 @given(layouts(), st.integers(0, 2**32))
-def test_any_layout_agrees_with_cantools(layout, seed):
+def test_any_layout_agrees_with_cantools(layout: Any, seed: int) -> None:
     """Random bytes give the same raw values, and raw values the same bytes."""
     length, signals = layout
     packing = Packing(signals, length)
@@ -75,7 +77,7 @@ def test_any_layout_agrees_with_cantools(layout, seed):
         assert packing.pack_one(expected) == packed[i].tobytes()
 
 
-def test_blocks_do_not_matter():
+def test_blocks_do_not_matter() -> None:
     """With more records than a block, each is packed and unpacked as if it were alone."""
     signal = Signal("A", 5, 13, False, True, 0.5, 1.0, "", -4096, 4095)
     packing = Packing([signal], 8)
@@ -87,7 +89,7 @@ def test_blocks_do_not_matter():
 
 
 @pytest.mark.parametrize("n", [0, 1])
-def test_no_records_and_one_record(n):
+def test_no_records_and_one_record(n: int) -> None:
     """No records give no values."""
     packing = Packing([Signal("A", 0, 8, False, False, 1.0, 0.0, "", 0, 255)], 8)
     payloads = packing.pack({"A": np.full(n, 7)}, n)
@@ -95,7 +97,7 @@ def test_no_records_and_one_record(n):
     assert packing.unpack(payloads)["A"].tolist() == [7] * n
 
 
-def test_too_large_values_do_not_change_other_signals():
+def test_too_large_values_do_not_change_other_signals() -> None:
     """Only the low bits of a value are written."""
     a = Signal("A", 0, 4, False, False, 1.0, 0.0, "", 0, 15)
     b = Signal("B", 4, 4, False, False, 1.0, 0.0, "", 0, 15)
@@ -105,6 +107,6 @@ def test_too_large_values_do_not_change_other_signals():
     assert packing.pack_one({"A": 0x1F, "B": 2}) == payload[0].tobytes()
 
 
-def test_the_version_of_cantools_is_supported():
+def test_the_version_of_cantools_is_supported() -> None:
     """The rounding and bit order are those of this version and later ones."""
     assert int(cantools.__version__.split(".")[0]) >= 45

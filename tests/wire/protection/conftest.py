@@ -1,5 +1,7 @@
 """Fixtures of the tests of authentication."""
 
+from typing import Any
+
 import pytest
 from scenes import scene_lines
 from secoc_streams import Clock
@@ -8,10 +10,10 @@ from maplines_can import scenario
 
 
 @pytest.fixture
-def clock():
+def clock() -> Any:
     return Clock()
 
 
 @pytest.fixture
-def lines():
+def lines() -> Any:
     return scene_lines(scenario("highway"), 2)

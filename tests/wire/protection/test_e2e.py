@@ -1,5 +1,7 @@
 """AUTOSAR E2E profile 5, compared with the package autosar-e2e."""
 
+from typing import Any
+
 import e2e
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from maplines_can.wire.protection.e2e import record_crc, record_crc_one
 
 
 @given(st.binary(min_size=4, max_size=64), st.integers(0, 0xFFFF), st.data())
-def test_crc_agrees_with_autosar_e2e(data, data_id, draw):
+def test_crc_agrees_with_autosar_e2e(data: bytes, data_id: int, draw: Any) -> None:
     """For any record, data ID and offset of the header."""
     offset = draw.draw(st.integers(0, len(data) - 3))
     protected = bytearray(data)
@@ -22,14 +24,14 @@ def test_crc_agrees_with_autosar_e2e(data, data_id, draw):
     assert record_crc_one(data, data_id, offset) == expected
 
 
-def test_published_example_of_a_zero_record():
+def test_published_example_of_a_zero_record() -> None:
     """PRS_E2EProtocol, profile 5: 8 zero bytes, data ID 0x1234, counter 0: bytes 1C CA."""
     zeros = np.zeros((1, 8), dtype=np.uint8)
     assert record_crc(zeros, 0x1234)[0] == 0xCA1C
 
 
 @pytest.mark.parametrize("bit", range(32 * 8))
-def test_every_flipped_bit_is_detected(bit):
+def test_every_flipped_bit_is_detected(bit: Any) -> None:
     """Flipping any bit of a 32-byte record makes its checksum wrong."""
     record = np.random.default_rng(1).integers(0, 256, (1, 32), dtype=np.uint8)
     crc = int(record_crc(record, 0x4D40)[0])
@@ -40,7 +42,7 @@ def test_every_flipped_bit_is_detected(bit):
     assert record_crc(flipped, 0x4D40)[0] != stored
 
 
-def test_records_of_two_slots_have_different_checksums():
+def test_records_of_two_slots_have_different_checksums() -> None:
     """The checksum covers the data ID, so a record of another slot is detected."""
     record = np.zeros((2, 32), dtype=np.uint8)
     a, b = record_crc(record, np.array([0x4D40, 0x4D41]))

@@ -1,6 +1,7 @@
 """AUTOSAR's E2E check and state machine, row by row."""
 
 from dataclasses import asdict, replace
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -47,13 +48,13 @@ SMALL = E2EConfig(
         pytest.param(0, 255, WRONGSEQUENCE, id="one-back-before-the-wrap"),
     ],
 )
-def test_the_counter_check(last, counter, status):
+def test_the_counter_check(last: int | None, counter: int, status: Any) -> None:
     """E2E_P05Check with max_delta_counter 3: the step from the last counter counts."""
     assert check(counter, last, 3) is status
 
 
 @given(st.integers(0, 255), st.integers(0, 255), st.integers(1, 127))
-def test_any_step_of_the_counter(last, counter, max_delta):
+def test_any_step_of_the_counter(last: int, counter: int, max_delta: int) -> None:
     """As in the standard: the step is the difference modulo 256."""
     forward = counter - last if counter >= last else counter + 256 - last
     expected = (
@@ -121,7 +122,7 @@ def test_any_step_of_the_counter(last, counter, max_delta):
         pytest.param("oeeooonn", "IIXXXVVV", id="valid-again"),
     ],
 )
-def test_the_table_of_states(statuses, states):
+def test_the_table_of_states(statuses: str, states: str) -> None:
     """Each transition of E2E_SMCheck, at its bounds, one off, and at the edge of its window."""
     machine = StateMachine(SMALL)
     assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
@@ -138,7 +139,7 @@ def test_the_table_of_states(statuses, states):
         pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="old-oks-do-not-suffice"),
     ],
 )
-def test_the_window_at_the_transition_to_invalid(clear, statuses, states):
+def test_the_window_at_the_transition_to_invalid(clear: bool, statuses: str, states: str) -> None:
     """With clear_to_invalid it is empty, otherwise it holds the last checks."""
     machine = StateMachine(replace(SMALL, clear_to_invalid=clear))
     assert [STATES[letter] for letter in states] == [machine.step(LETTERS[s]) for s in statuses]
@@ -147,36 +148,36 @@ def test_the_window_at_the_transition_to_invalid(clear, statuses, states):
 class Reference:
     """E2E_SMCheck as the standard describes it: an array, an index, and routines on them."""
 
-    def __init__(self, config):
+    def __init__(self, config: Any) -> None:
         self.c = asdict(config)
         self.window = [None] * config.window_size_valid  # None: E2E_P_NOTAVAILABLE
         self.top, self.state = 0, "nodata"
 
-    def size(self, state):
+    def size(self, state: Any) -> Any:
         return self.c[f"window_size_{state}"]
 
-    def newest(self, n):
+    def newest(self, n: Any) -> Any:
         return [self.window[(self.top - 1 - i) % len(self.window)] for i in range(n)]
 
-    def clear(self):
+    def clear(self) -> None:
         self.window, self.top = [None] * len(self.window), 0
 
-    def clear_remaining(self, state):
+    def clear_remaining(self, state: Any) -> None:
         if self.size(self.state) < self.size(state):
             for i in range(self.size(self.state), len(self.window)):
                 self.window[(self.top - 1 - i) % len(self.window)] = None
 
-    def to_invalid(self):
+    def to_invalid(self) -> None:
         self.clear() if self.c["clear_to_invalid"] else self.clear_remaining("invalid")
         self.state = "invalid"
 
-    def step(self, status):
+    def step(self, status: Any) -> Any:
         if self.state == "nodata":
             if status not in (ERROR, NONEWDATA):
                 self.clear()
                 self.state = "init"
             return self.state
-        self.window[self.top] = OK if status == OKSOMELOST else status
+        self.window[self.top] = OK if status == OKSOMELOST else status  # type: ignore[assignment]
         self.top = (self.top + 1) % len(self.window)
         last = self.newest(self.size(self.state))
         self.oks, self.errors = last.count(OK), last.count(ERROR)
@@ -196,7 +197,7 @@ class Reference:
 
 
 @st.composite
-def configs(draw):
+def configs(draw: Any) -> Any:
     """Any configuration that the standard allows, with small windows."""
     errors = sorted(draw(st.lists(st.integers(0, 3), min_size=3, max_size=3)))
     oks = sorted(draw(st.lists(st.integers(1, 4), min_size=3, max_size=3)))
@@ -212,7 +213,7 @@ def configs(draw):
 
 @settings(max_examples=300)
 @given(configs(), st.text("oooooolerwn", max_size=80))
-def test_the_state_machine_agrees_with_the_reference(config, statuses):
+def test_the_state_machine_agrees_with_the_reference(config: Any, statuses: str) -> None:
     """For any configuration and any checks, the states and counts are the same."""
     machine, reference = StateMachine(config), Reference(config)
     for letter in statuses:
@@ -237,7 +238,7 @@ def test_the_state_machine_agrees_with_the_reference(config, statuses):
         ({"max_error_state_invalid": 2}, "max_error_state_invalid <= max_error_state_init"),
     ],
 )
-def test_a_configuration_that_the_standard_forbids_raises(values, words):
+def test_a_configuration_that_the_standard_forbids_raises(values: Any, words: str) -> None:
     """The message names the constraint and the values."""
     with pytest.raises(ValueError, match=words):
         E2EConfig(**values)

@@ -4,6 +4,7 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from secoc_streams import (
@@ -46,21 +47,21 @@ MESSAGE = bytes.fromhex(
         (AES_256, 64, "e1992190549f6ed5696a2c056c315410"),
     ],
 )
-def test_the_published_vectors(secret, length, mac):
+def test_the_published_vectors(secret: Any, length: int, mac: str) -> None:
     """RFC 4493 and NIST SP 800-38B, twice each, because a key is used repeatedly."""
     key = Key.from_hex(secret.hex())
     assert [key.mac(MESSAGE[:length]).hex() for _ in range(2)] == [mac, mac]
     assert reference_cmac(secret, MESSAGE[:length]).hex() == mac
 
 
-def test_without_cryptography_the_extra_is_named(monkeypatch):
+def test_without_cryptography_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message has the command that installs it."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
     with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[secoc\]"'):
         Key(SECRET)
 
 
-def test_the_package_starts_without_cryptography():
+def test_the_package_starts_without_cryptography() -> None:
     """It is imported only for authentication."""
     code = "import sys, maplines_can.cli; print('cryptography' in sys.modules)"
     done = subprocess.run(
@@ -69,7 +70,7 @@ def test_the_package_starts_without_cryptography():
     assert done.stdout.strip() == "False"
 
 
-def test_no_text_of_an_object_contains_the_key(clock, lines):
+def test_no_text_of_an_object_contains_the_key(clock: Any, lines: Any) -> None:
     """Not repr, str, vars, pickle, or a traceback with all locals."""
     key = Key(SECRET)
     codec = codec_of(key, clock=clock)
@@ -90,20 +91,22 @@ def test_no_text_of_an_object_contains_the_key(clock, lines):
         pytest.param(lambda _: key_from_env("CAR_KEY_AND_MORE"), id="too-long"),
         pytest.param(lambda path: key_from_file(path.with_suffix(".bad")), id="no-digits"),
         pytest.param(lambda path: key_from_file(path, 300), id="number-in-file"),
-        pytest.param(lambda _: key_from_env("CAR_KEY", "1"), id="number-in-env"),
-        pytest.param(lambda _: Key.from_hex(SECRET.hex(), None), id="number-of-hex"),
-        pytest.param(lambda _: Key(1, SECRET), id="swapped-arguments"),
+        pytest.param(lambda _: key_from_env("CAR_KEY", "1"), id="number-in-env"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Key.from_hex(SECRET.hex(), None), id="number-of-hex"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Key(1, SECRET), id="swapped-arguments"),  # type: ignore[arg-type]
         pytest.param(lambda _: Key(SECRET[:15]), id="too-short"),
-        pytest.param(lambda _: Key(list(SECRET)), id="list"),
-        pytest.param(lambda _: Key(SECRET.hex()), id="hex-for-bytes"),
-        pytest.param(lambda _: Key.from_hex(SECRET), id="bytes-for-hex"),
-        pytest.param(lambda _: Authenticator(SECRET), id="no-key"),
-        pytest.param(lambda _: Authenticator(Key(SECRET)).add(SECRET), id="no-key-added"),
+        pytest.param(lambda _: Key(list(SECRET)), id="list"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Key(SECRET.hex()), id="hex-for-bytes"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Key.from_hex(SECRET), id="bytes-for-hex"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Authenticator(SECRET), id="no-key"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Authenticator(Key(SECRET)).add(SECRET), id="no-key-added"),  # type: ignore[arg-type]
         pytest.param(lambda _: key_from_file(SECRET.hex()), id="key-for-file"),
         pytest.param(lambda _: key_from_env(SECRET.hex()), id="key-for-env"),
     ],
 )
-def test_no_traceback_of_an_invalid_key_contains_it(tmp_path, monkeypatch, act):
+def test_no_traceback_of_an_invalid_key_contains_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: Any
+) -> None:
     """Not even with the locals of every frame of this package, and their repr works."""
     monkeypatch.setenv("CAR_KEY", SECRET.hex())
     monkeypatch.setenv("CAR_KEY_AND_MORE", SECRET.hex() + "0")
@@ -115,12 +118,14 @@ def test_no_traceback_of_an_invalid_key_contains_it(tmp_path, monkeypatch, act):
     check_traceback(caught.value)
 
 
-def test_no_traceback_without_cryptography_contains_a_key(tmp_path, monkeypatch):
+def test_no_traceback_without_cryptography_contains_a_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The key has been read by then."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
     monkeypatch.setenv("CAR_KEY", SECRET.hex())
     path = key_file(tmp_path, SECRET.hex().encode())
     for act in (lambda: key_from_env("CAR_KEY"), lambda: key_from_file(path), lambda: Key(SECRET)):
         with pytest.raises(MissingExtraError) as caught:
-            act()
+            act()  # type: ignore[no-untyped-call]
         check_traceback(caught.value)

@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cantools
 import numpy as np
@@ -42,7 +43,7 @@ from maplines_can.wire.protection.secoc import complete
 ROOT = Path(__file__).parents[3]
 
 
-def test_every_byte_of_a_frame_is_as_documented(clock, lines):
+def test_every_byte_of_a_frame_is_as_documented(clock: Any, lines: Any) -> None:
     """Record, key ID, time in microseconds and MAC, computed independently from the same line."""
     codec = codec_of(Key(SECRET, key_id=9), clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
@@ -55,18 +56,21 @@ def test_every_byte_of_a_frame_is_as_documented(clock, lines):
     assert frame.data[40:] == reference_cmac(SECRET, data)[:8]
 
 
-def test_cantools_decodes_authenticated_frames(clock, lines):
+def test_cantools_decodes_authenticated_frames(clock: Any, lines: Any) -> None:
     """The DBC has the key ID, freshness value and MAC, and the record of the CAN FD message."""
     database = cantools.database.load_file(ROOT / "dbc" / "maplines-secoc.dbc")
     (frame,) = codec_of(Key(SECRET, key_id=9), clock=clock).encode(lines[0], fd=True)
-    signals = database.get_message_by_name("EgoLeftSecOc").decode(frame.data)
-    assert [signals.pop(name) for name in ("KeyId", "Freshness", "Mac")] == [
-        9,
-        NOW // US,
-        int.from_bytes(frame.data[40:], "big"),
-    ]
-    assert signals == database.get_message_by_name("EgoLeftFd").decode(frame.data[:32])
-    for message in database.messages:
+    signals = database.get_message_by_name("EgoLeftSecOc").decode(frame.data)  # type: ignore[union-attr]
+    assert (
+        [signals.pop(name) for name in ("KeyId", "Freshness", "Mac")]  # type: ignore[union-attr]
+        == [
+            9,
+            NOW // US,
+            int.from_bytes(frame.data[40:], "big"),
+        ]
+    )
+    assert signals == database.get_message_by_name("EgoLeftFd").decode(frame.data[:32])  # type: ignore[union-attr]
+    for message in database.messages:  # type: ignore[union-attr]
         assert sum(s.length for s in message.signals if not s.multiplexer_ids) <= 8 * message.length
 
 
@@ -90,19 +94,19 @@ def test_cantools_decodes_authenticated_frames(clock, lines):
         pytest.param(0, 56, 2**56 - 1, 2**56, id="beyond-56-bits"),
     ],
 )
-def test_freshness_is_reconstructed(sent, bits, floor, value):
+def test_freshness_is_reconstructed(sent: int, bits: int, floor: int, value: int) -> None:
     """The next value with these low bits."""
     assert complete(sent, bits, floor) == value
 
 
 @given(st.integers(0, 2**60), st.sampled_from([8, 16, 32, 56]), st.data())
-def test_any_of_the_next_values_is_reconstructed(floor, bits, data):
+def test_any_of_the_next_values_is_reconstructed(floor: int, bits: Any, data: Any) -> None:
     """Each of the next 2^bits values is found from its low bits."""
     value = floor + data.draw(st.integers(1, 2**bits))
     assert complete(value % 2**bits, bits, floor) == value
 
 
-def test_replay_reordering_and_loss(clock, lines):
+def test_replay_reordering_and_loss(clock: Any, lines: Any) -> None:
     """A frame is accepted once, not after a later one, and after any number of lost frames."""
     codec = codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 40)
@@ -114,7 +118,7 @@ def test_replay_reordering_and_loss(clock, lines):
     assert decoder.counts == {Reason.REPLAY: 5}
 
 
-def test_each_slot_has_its_own_freshness(clock, lines):
+def test_each_slot_has_its_own_freshness(clock: Any, lines: Any) -> None:
     """Frames of two slots may be reordered, and none is accepted for the other slot."""
     codec = codec_of(clock=clock)
     left, right = (codec.encode(line, fd=True)[0] for line in lines)
@@ -123,7 +127,7 @@ def test_each_slot_has_its_own_freshness(clock, lines):
     assert names(feed(decoder, [right, left, swapped])) == ["line", "line", "MAC"]
 
 
-def test_all_components_of_a_mixture_must_be_authentic(clock):
+def test_all_components_of_a_mixture_must_be_authentic(clock: Any) -> None:
     """With a forged or missing component there is no line."""
     (line,) = scene_lines(scenario("street-turn"), 1, components=3)
     codec = codec_of(clock=clock)
@@ -134,7 +138,7 @@ def test_all_components_of_a_mixture_must_be_authentic(clock):
     assert names(answers) == ["PENDING", "MAC", "PENDING", "REPLAY", "PENDING", "PENDING", "line"]
 
 
-def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock, lines):
+def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock: Any, lines: Any) -> None:
     """A sender never uses a freshness value twice."""
     codec = codec_of(clock=clock)
     frames = sent(codec, clock, lines[0], 3, step_ns=0) + sent(codec, clock, lines[0], 3, -S)
@@ -143,7 +147,7 @@ def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock, lines)
     assert codec.authenticator.last_sent == NOW // US + 5
 
 
-def test_a_sender_that_restarts(clock, lines):
+def test_a_sender_that_restarts(clock: Any, lines: Any) -> None:
     """Accepted at once if its clock continued; if it was set back, after it has caught up."""
     decoder = codec_of().decoder()
     first = sent(codec_of(clock=clock), clock, lines[0], 10)
@@ -160,7 +164,7 @@ def test_a_sender_that_restarts(clock, lines):
 
 
 @pytest.mark.parametrize("apart", [3, 77, 128, 200])
-def test_two_senders_with_the_same_key(clock, lines, apart):
+def test_two_senders_with_the_same_key(clock: Any, lines: Any, apart: int) -> None:
     """Both are authentic and always newer: all lines are delivered, but not VALID, and reported."""
     first, second, decoder = codec_of(clock=clock), codec_of(clock=clock), codec_of().decoder()
     sent(second, clock, lines[0], apart)
@@ -175,7 +179,7 @@ def test_two_senders_with_the_same_key(clock, lines, apart):
     assert check.state is not E2EState.VALID
 
 
-def decoder_last(decoder, frames):
+def decoder_last(decoder: Any, frames: Any) -> Any:
     """Feed frames that are all accepted, and return the last freshness value."""
     answers = names(feed(decoder, frames))
     assert set(answers) <= {"line", "DUPLICATE"}
@@ -183,7 +187,7 @@ def decoder_last(decoder, frames):
     return decoder.verifier.last_accepted[DATA_ID]
 
 
-def test_a_recording_to_a_receiver_that_has_just_started(clock, lines):
+def test_a_recording_to_a_receiver_that_has_just_started(clock: Any, lines: Any) -> None:
     """Rejected by its clock or a stored freshness value; without either, accepted once."""
     recorded = sent(codec_of(clock=clock), clock, lines[0], 20)
     last = clock.now // US
@@ -198,7 +202,9 @@ def test_a_recording_to_a_receiver_that_has_just_started(clock, lines):
     ("ahead_ns", "answer"),
     [(-S - MS, "AGE"), (-S, "line"), (0, "line"), (S, "line"), (S + MS, "AGE")],
 )
-def test_the_window_about_the_current_time(clock, lines, ahead_ns, answer):
+def test_the_window_about_the_current_time(
+    clock: Any, lines: Any, ahead_ns: Any, answer: str
+) -> None:
     """A frame that was delayed too long, or is from the future, is rejected."""
     receiver = codec_of(clock=clock).decoder()
     frames = codec_of(clock=Clock(NOW + ahead_ns)).encode(lines[0], fd=True)
@@ -208,7 +214,7 @@ def test_the_window_about_the_current_time(clock, lines, ahead_ns, answer):
 
 
 @pytest.mark.parametrize("freshness_bytes", [1, 2, 4, 7])
-def test_short_freshness_with_a_counter(freshness_bytes):
+def test_short_freshness_with_a_counter(freshness_bytes: int) -> None:
     """If the value counts frames, one byte survives 255 lost frames, but not 256."""
     form = replace(FORM, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
     count = Clock(0)
@@ -225,7 +231,9 @@ def test_short_freshness_with_a_counter(freshness_bytes):
     assert late is Reason.MAC if freshness_bytes == 1 else isinstance(late, bytes)
 
 
-def test_a_clock_reconstructs_short_freshness_after_any_silence(tmp_path, clock, lines):
+def test_a_clock_reconstructs_short_freshness_after_any_silence(
+    tmp_path: Path, clock: Any, lines: Any
+) -> None:
     """With 32 bits of microseconds, a receiver without a clock fails after 72 minutes."""
     path = tmp_path / "narrow.dbc"
     path.write_text(replace(SECURED, freshness_bytes=4, mac_bytes=8).dbc())
@@ -248,7 +256,7 @@ def test_a_clock_reconstructs_short_freshness_after_any_silence(tmp_path, clock,
 # ---- rejected frames ----------------------------------------------------------------------
 
 
-def test_every_flipped_bit_is_rejected(clock, lines):
+def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
     """Each of the 384 bits of a frame; the frame itself is still accepted."""
     codec = codec_of(Key(SECRET, 1), Key(OTHER, 2), clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
@@ -261,7 +269,7 @@ def test_every_flipped_bit_is_rejected(clock, lines):
 
 
 @pytest.mark.parametrize("length", [0, 8, 32, 33, 47, 49, 64])
-def test_another_length_is_rejected(clock, lines, length):
+def test_another_length_is_rejected(clock: Any, lines: Any, length: int) -> None:
     """Truncated or longer; a frame of 32 bytes is the record without its MAC."""
     codec = codec_of(clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
@@ -271,7 +279,7 @@ def test_another_length_is_rejected(clock, lines, length):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_a_frame_without_a_mac_is_rejected(clock, lines, fd):
+def test_a_frame_without_a_mac_is_rejected(clock: Any, lines: Any, fd: bool) -> None:
     """Even a correct frame of the slot's other messages, and the E2E state does not change."""
     codec = codec_of(clock=clock)
     decoder = codec.decoder()
@@ -289,7 +297,7 @@ def test_a_frame_without_a_mac_is_rejected(clock, lines, fd):
     assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
 
 
-def test_a_receiver_without_a_key_rejects_authenticated_frames(clock, lines):
+def test_a_receiver_without_a_key_rejects_authenticated_frames(clock: Any, lines: Any) -> None:
     """The reason is the missing key; plain messages are accepted as before."""
     path = ROOT / "dbc" / "maplines-secoc.dbc"
     plain = Codec.from_dbc(path)
@@ -301,7 +309,7 @@ def test_a_receiver_without_a_key_rejects_authenticated_frames(clock, lines):
     ]
 
 
-def test_classic_can_with_a_key_raises(clock, lines):
+def test_classic_can_with_a_key_raises(clock: Any, lines: Any) -> None:
     """Otherwise a line would be sent without the MAC that the caller expects."""
     codec = codec_of(clock=clock)
     with pytest.raises(EncodeError, match="classic CAN is not authenticated; send CAN FD"):
@@ -314,7 +322,7 @@ def test_classic_can_with_a_key_raises(clock, lines):
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=64), st.sampled_from([0x340, 0x348, 0x350, 0x7FF]), st.booleans())
-def test_no_bytes_from_the_bus_can_raise(data, can_id, is_extended):
+def test_no_bytes_from_the_bus_can_raise(data: bytes, can_id: Any, is_extended: bool) -> None:
     """Any frame is rejected with a reason."""
     decoder = CODEC.decoder()
     assert isinstance(decoder.feed(can_id, data, NOW, is_extended=is_extended), Reason)
@@ -326,18 +334,18 @@ CODEC = codec_of(Key(SECRET, 0), Key(OTHER, 255), clock=Clock())
 # ---- keys -------------------------------------------------------------------------------------
 
 
-def test_a_key_change_loses_no_line(clock, lines):
+def test_a_key_change_loses_no_line(clock: Any, lines: Any) -> None:
     """New key to the receiver, new key to the sender, old key retired: every line is accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
     decoder = receiver.decoder()
 
-    def send():
+    def send() -> Any:
         (frame,) = sender.encode(lines[0], fd=True)
         clock.now += 50 * MS
         return frame
 
-    def take(frame):
+    def take(frame: Any) -> Any:
         return names(feed(decoder, [frame], clock.now))
 
     assert take(send()) == ["line"]
@@ -357,7 +365,7 @@ def test_a_key_change_loses_no_line(clock, lines):
     assert receiver.authenticator.keys == (new,)
 
 
-def test_a_key_that_the_receiver_does_not_have(clock, lines):
+def test_a_key_that_the_receiver_does_not_have(clock: Any, lines: Any) -> None:
     """Another secret, another key ID, or the same secret with two key IDs."""
     sender = codec_of(Key(SECRET, 1), clock=clock)
     frames = sent(sender, clock, lines[0], 1)
@@ -369,7 +377,7 @@ def test_a_key_that_the_receiver_does_not_have(clock, lines):
     assert names(feed(twice, [renumbered, *frames])) == ["MAC", "line"]
 
 
-def test_the_steps_of_a_key_change(clock, lines):
+def test_the_steps_of_a_key_change(clock: Any, lines: Any) -> None:
     """As in docs/security.md: no line is lost, and the old key is no longer accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
@@ -391,7 +399,7 @@ def test_the_steps_of_a_key_change(clock, lines):
     assert receiver.authenticator.active == new
 
 
-def test_the_code_of_a_key_change_in_the_docs_runs():
+def test_the_code_of_a_key_change_in_the_docs_runs() -> None:
     """The code in docs/security.md."""
     (steps,) = re.findall("```python\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
     old, new = Key(SECRET, 1), Key(OTHER, 2)
@@ -402,7 +410,7 @@ def test_the_code_of_a_key_change_in_the_docs_runs():
     assert sender.keys == receiver.keys == (new,)
 
 
-def test_the_key_in_use_cannot_be_retired(clock, lines):
+def test_the_key_in_use_cannot_be_retired(clock: Any, lines: Any) -> None:
     """Before the first frame, any key but the last one can be retired."""
     first, second, third = (Key(SECRET, number) for number in (7, 2, 3))
     authenticator = codec_of(first, second, third, clock=clock).authenticator
@@ -421,40 +429,40 @@ def test_the_key_in_use_cannot_be_retired(clock, lines):
         (lambda _: Authenticator(Key(SECRET, 1), Key(OTHER, 1)), r"key_id 1 is taken by Key\("),
         (lambda _: Authenticator(Key(SECRET), window_ns=0), "must be at least 1000 ns .* got 0;"),
         (lambda _: Authenticator(Key(SECRET), window_ns=1), "a second is 1_000_000_000"),
-        (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),
-        (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),
-        (lambda _: Authenticator(Key(SECRET), window_ns="1"), "window_ns must .* got '1'"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),  # type: ignore[arg-type]
+        (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),  # type: ignore[arg-type]
+        (lambda _: Authenticator(Key(SECRET), window_ns="1"), "window_ns must .* got '1'"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), not_before=-1), r"from 0 to 2\^63 - 1 us, got -1"),
         (lambda _: Authenticator(Key(SECRET), not_before=2**63), "not_before must be a whole"),
-        (lambda _: Authenticator(Key(SECRET), not_before=1.5), "a whole number .* us, got 1.5"),
-        (lambda _: Authenticator(Key(SECRET), clock=time.time), r"time_ns, got \d+\.\d+ from <"),
-        (lambda _: Authenticator(Key(SECRET), clock=lambda: 1e18), r"int, .* got 1e\+18 from <"),
-        (lambda _: Authenticator(Key(SECRET), clock=5), "clock must be a function .* from 5$"),
+        (lambda _: Authenticator(Key(SECRET), not_before=1.5), "a whole number .* us, got 1.5"),  # type: ignore[arg-type]
+        (lambda _: Authenticator(Key(SECRET), clock=time.time), r"time_ns, got \d+\.\d+ from <"),  # type: ignore[arg-type]
+        (lambda _: Authenticator(Key(SECRET), clock=lambda: 1e18), r"int, .* got 1e\+18 from <"),  # type: ignore[arg-type, return-value]
+        (lambda _: Authenticator(Key(SECRET), clock=5), "clock must be a function .* from 5$"),  # type: ignore[arg-type]
         (lambda a: a.use(3), r"key_id must be one of \[1\], got 3; add it"),
         (lambda a: a.retire(1), r"one of \[\], got 1; the key that is in use, 1, cannot be"),
         (lambda a: a.retire(2), r"one of \[\], got 2"),
         (lambda _: Key(SECRET, 256), "key_id must be a whole number from 0 to 255, got 256"),
-        (lambda _: Key(SECRET, "1"), "from 0 to 255, got a str"),
+        (lambda _: Key(SECRET, "1"), "from 0 to 255, got a str"),  # type: ignore[arg-type]
         (lambda _: Key(SECRET[:15]), "must have 16 or 32 bytes .* got 15"),
-        (lambda _: Key(SECRET.hex()), r"must be bytes, got a str; Key\.from_hex reads hex digits"),
-        (lambda _: Key.from_hex(SECRET), "a key must be text of hex digits, got a bytes"),
+        (lambda _: Key(SECRET.hex()), r"must be bytes, got a str; Key\.from_hex reads hex digits"),  # type: ignore[arg-type]
+        (lambda _: Key.from_hex(SECRET), "a key must be text of hex digits, got a bytes"),  # type: ignore[arg-type]
         (lambda _: Key(bytes(16)), "a single byte repeated"),
     ],
 )
-def test_an_invalid_argument_of_authentication_raises(act, message):
+def test_an_invalid_argument_of_authentication_raises(act: Any, message: str) -> None:
     """The message has the cure."""
     with pytest.raises(ValueError, match=message):
         act(Authenticator(Key(SECRET)))
 
 
-def test_a_time_of_more_than_63_bits_raises():
+def test_a_time_of_more_than_63_bits_raises() -> None:
     """The freshness value must fit 64 bits."""
     with pytest.raises(EncodeError, match="freshness must be"):
         Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, FORM)
 
 
 @pytest.mark.parametrize("code", ["MeanOnly", "Float16"])
-def test_records_of_other_lengths_are_authenticated(tmp_path, clock, code):
+def test_records_of_other_lengths_are_authenticated(tmp_path: Path, clock: Any, code: str) -> None:
     """24 bytes, with padding that the MAC covers, and 48 bytes, which fill the largest frame."""
     path = tmp_path / "other.dbc"
     path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
@@ -469,10 +477,10 @@ def test_records_of_other_lengths_are_authenticated(tmp_path, clock, code):
     assert names(feed(decoder, [frame])) == ["line"]
 
 
-def test_the_evidence_with_few_frames():
+def test_the_evidence_with_few_frames() -> None:
     """tools/evidence_secoc.py with a thousandth of its frames."""
     tool = [sys.executable, ROOT / "tools" / "evidence_secoc.py", "--n", "1000", "--json"]
-    done = subprocess.run(tool, capture_output=True, text=True, check=False)
+    done = subprocess.run(tool, capture_output=True, text=True, check=False)  # type: ignore[arg-type]
     assert done.returncode == 0, done.stdout + done.stderr
     result = json.loads(done.stdout)
     assert result["met"]

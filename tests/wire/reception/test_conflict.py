@@ -15,7 +15,7 @@ def payload(y_off: float, counter: int) -> bytes:
     return codec.encode_batch([[y_off, 0, 0, 0]], slot=SLOT, counter=counter)[0]
 
 
-def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable():
+def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> None:
     """Its records pass the E2E check as lost records do: only the diagnostic prevents their use.
 
     This is why ``SlotView.usable`` depends on it.
@@ -28,10 +28,10 @@ def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable():
         if cycle % 10 == 9:
             records.append((THEIRS, cycle + 2))
         for y_off, counter in records:
-            for frame in codec.frames(payload(y_off, counter % 256), SLOT, fd=True):
+            for frame in codec.frames(payload(y_off, counter % 256), SLOT, fd=True):  # type: ignore[arg-type]
                 monitor.feed(frame.can_id, frame.data, cycle * CYCLE_NS)
         view = monitor.latest(SLOT, cycle * CYCLE_NS)
-        seen.append((view.state, view.usable, round(float(view.line.gaussian.mean[0]), 2)))
+        seen.append((view.state, view.usable, round(float(view.line.gaussian.mean[0]), 2)))  # type: ignore[union-attr]
 
     wrong = [usable for state, usable, y in seen if state is E2EState.VALID and y == THEIRS]
     assert len(wrong) > 15  # delivered while VALID, from the first to the last

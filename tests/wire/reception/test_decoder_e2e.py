@@ -1,5 +1,7 @@
 """The E2E state of a slot, as the decoder updates it."""
 
+from typing import Any
+
 import e2e
 import numpy as np
 import pytest
@@ -28,7 +30,7 @@ VALID, NODATA, INIT, INVALID = E2EState
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.integers(0, 32 * 8 - 1), max_size=4), st.integers(0, 254))
-def test_errors_agree_with_autosar_e2e(bits, counter):
+def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
     """That package writes the counter and the checksum, and checks the damaged record."""
     data_id = default_codec().layout.channels[SLOT].data_id
     before, after = (record(k).tobytes() for k in (counter, counter + 1))
@@ -45,7 +47,7 @@ def test_errors_agree_with_autosar_e2e(bits, counter):
     assert decoder.checks[SLOT].status is (OK if good else ERROR)
 
 
-def test_a_slot_becomes_valid():
+def test_a_slot_becomes_valid() -> None:
     """With the seventh line: the first one leaves NODATA, then six count."""
     decoder = default_codec().decoder()
     states = []
@@ -59,7 +61,7 @@ def test_a_slot_becomes_valid():
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("k", [0, 1, 4, 5, 15, 16, 40])
-def test_lost_lines(k, fd):
+def test_lost_lines(k: int, fd: bool) -> None:
     """Up to 15 are OKSOMELOST; each missing cycle is NONEWDATA, and five of them end VALID."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(250, 262), fd=fd)
@@ -75,7 +77,7 @@ def test_lost_lines(k, fd):
 
 @pytest.mark.parametrize("silence", [0, 3, 9, 10, 1000])
 @pytest.mark.parametrize("at", [10, 120, 130, 250])
-def test_a_sender_that_restarts(at, silence):
+def test_a_sender_that_restarts(at: int, silence: int) -> None:
     """Up to two lines that may be old are held back, for ten cycles at most."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(at - 10, at))
@@ -98,7 +100,7 @@ def test_a_sender_that_restarts(at, silence):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_a_sender_that_restarts_with_the_same_lines(fd):
+def test_a_sender_that_restarts_with_the_same_lines(fd: bool) -> None:
     """Bit for bit they are duplicates of old ones, until no line was new for ten cycles."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(60), fd=fd)
@@ -108,7 +110,7 @@ def test_a_sender_that_restarts_with_the_same_lines(fd):
     assert not decoder.checks[SLOT].two_senders
 
 
-def test_repeated_restarts_are_not_two_senders():
+def test_repeated_restarts_are_not_two_senders() -> None:
     """Each time two lines are held back, as with a second sender, but not for long."""
     decoder, t_ns = default_codec().decoder(), 0
     for k in range(30):
@@ -120,7 +122,7 @@ def test_repeated_restarts_are_not_two_senders():
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("back", [1, 2, 7, 16, 100, 127])
 @pytest.mark.parametrize("later_ms", [1, 24, 26, 40])
-def test_a_late_line_is_not_delivered(later_ms, back, fd):
+def test_a_late_line_is_not_delivered(later_ms: int, back: int, fd: bool) -> None:
     """Whether it was delivered before or not; later lines are."""
     decoder = default_codec().decoder()
     counters = [c for c in range(140) if c not in (10, 120, 131, 132)]
@@ -135,7 +137,7 @@ def test_a_late_line_is_not_delivered(later_ms, back, fd):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_a_queue_of_old_lines_is_not_delivered(fd):
+def test_a_queue_of_old_lines_is_not_delivered(fd: bool) -> None:
     """A gateway empties its queue between two lines: in order, but none follows the newest."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(100), fd=fd)
@@ -148,7 +150,7 @@ def test_a_queue_of_old_lines_is_not_delivered(fd):
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("later_ms", [1, 24, 30, 500, 10**7])
-def test_a_repeated_transfer_is_never_delivered_twice(later_ms, fd):
+def test_a_repeated_transfer_is_never_delivered_twice(later_ms: int, fd: bool) -> None:
     """Within the time-out the reassembly drops it; after that the counter check does."""
     decoder = default_codec().decoder()
     run(decoder, range(10), fd=fd)
@@ -162,7 +164,7 @@ def test_a_repeated_transfer_is_never_delivered_twice(later_ms, fd):
     check_accounts(decoder)
 
 
-def test_a_sender_that_restarts_at_the_last_counter_loses_one_line():
+def test_a_sender_that_restarts_at_the_last_counter_loses_one_line() -> None:
     """It cannot be distinguished from a delayed transfer, so its first line is rejected."""
     decoder = default_codec().decoder()
     run(decoder, [0])
@@ -173,7 +175,7 @@ def test_a_sender_that_restarts_at_the_last_counter_loses_one_line():
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("lines", [20, 31, 32, 33, 64])
-def test_a_sender_that_is_stuck(lines, fd):
+def test_a_sender_that_is_stuck(lines: int, fd: bool) -> None:
     """The same record forever is one line, INVALID after a while, and not two senders."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(lines), fd=fd)
@@ -187,7 +189,7 @@ def test_a_sender_that_is_stuck(lines, fd):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_damaged_records_end_valid(fd):
+def test_damaged_records_end_valid(fd: bool) -> None:
     """Two of ten do not, the third does; other lines are still delivered."""
     decoder = default_codec().decoder()
     _, t_ns = run(decoder, range(20), fd=fd)
@@ -203,7 +205,7 @@ def test_damaged_records_end_valid(fd):
     assert (slot.statuses[ERROR], slot.statuses[NONEWDATA], slot.lost) == (3, 0, 3)
 
 
-def test_a_frame_of_the_wrong_length_is_an_error():
+def test_a_frame_of_the_wrong_length_is_an_error() -> None:
     """With a CAN ID of the slot; a frame of another ID counts for no slot."""
     decoder = default_codec().decoder()
     run(decoder, range(10))
@@ -215,7 +217,7 @@ def test_a_frame_of_the_wrong_length_is_an_error():
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("k", [2, 3, 8])
-def test_each_component_of_a_mixture_is_a_check(k, fd):
+def test_each_component_of_a_mixture_is_a_check(k: int, fd: bool) -> None:
     """A lost line of k components is OKSOMELOST; a repeated line is REPEATED k times."""
     decoder = default_codec().decoder()
     slot, t_ns, first = decoder.checks[SLOT], 0, 240
@@ -242,7 +244,7 @@ def test_each_component_of_a_mixture_is_a_check(k, fd):
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("offset_ms", [5, 20, 30, 45])
 @pytest.mark.parametrize("apart", [0, 1, 2, 5, 8, 16, 100, 128, 200, 255])
-def test_two_senders_on_a_slot(apart, offset_ms, fd):
+def test_two_senders_on_a_slot(apart: int, offset_ms: int, fd: bool) -> None:
     """With any difference of counters and times: reported, and not VALID."""
     decoder = default_codec().decoder()
     slot = two_senders(decoder, offset_ms, apart, fd=fd)
@@ -263,7 +265,7 @@ def test_two_senders_on_a_slot(apart, offset_ms, fd):
 )
 @pytest.mark.parametrize("offset_ms", [15, 30])
 @pytest.mark.parametrize("apart", [2, 77])
-def test_two_senders_are_found_under_other_conditions(apart, offset_ms, how):
+def test_two_senders_are_found_under_other_conditions(apart: int, offset_ms: int, how: Any) -> None:
     """Other rates, losses, and lines of many records."""
     how = {"cycles": 80} | how
     assert two_senders(default_codec().decoder(), offset_ms, apart, **how).two_senders
@@ -273,10 +275,10 @@ def test_two_senders_are_found_under_other_conditions(apart, offset_ms, how):
 @given(
     st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
 )
-def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
+def test_one_sender_is_not_taken_for_two(seed: int, fd: bool, k: Any, bad: Any) -> None:
     """It loses frames, restarts, is silent, and many of its frames are late or duplicated."""
     rng = np.random.default_rng(seed)
-    decoder, t_ns, counter, restarts, arrivals = default_codec().decoder(), 0, 0, 0, []
+    decoder, t_ns, counter, restarts, arrivals = default_codec().decoder(), 0, 0, 0, list[Any]()
     for _ in range(300):
         chance = rng.random()
         if chance < 0.005:
@@ -306,7 +308,7 @@ def test_one_sender_is_not_taken_for_two(seed, fd, k, bad):
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("gap_ms", [0, 150, 300, 10_000])
 @pytest.mark.parametrize("late_ms", [60, 160, 300, 450])
-def test_a_slower_path_repeats_nothing(late_ms, gap_ms, fd):
+def test_a_slower_path_repeats_nothing(late_ms: int, gap_ms: int, fd: bool) -> None:
     """All frames come over two gateways; when the faster one fails, no line is repeated."""
     arrivals = []
     for k in range(120):
@@ -325,7 +327,7 @@ def test_a_slower_path_repeats_nothing(late_ms, gap_ms, fd):
     assert len(delivered) >= 120 - (gap_ms + late_ms) // 50
 
 
-def test_a_second_sender_that_has_gone_is_forgotten():
+def test_a_second_sender_that_has_gone_is_forgotten() -> None:
     """After 256 cycles."""
     decoder = default_codec().decoder()
     slot = two_senders(decoder, 20, 40)

@@ -1,5 +1,7 @@
 """What is known of the records of the last round of counters."""
 
+from typing import Any
+
 import pytest
 
 from maplines_can.wire.reception.history import RecordHistory
@@ -8,7 +10,7 @@ MODULUS = 16
 
 
 @pytest.fixture
-def history():
+def history() -> Any:
     """Counters 0, 1, 2 and 4 were new; 3 is a gap."""
     history = RecordHistory(MODULUS)
     for counter, ahead in ((0, 1), (1, 1), (2, 1), (4, 2)):
@@ -27,14 +29,14 @@ def history():
     ],
 )
 def test_a_record_is_known_by_counter_position_and_content(
-    history, counter, content, behind, duplicate, other
-):
+    history: Any, counter: int, content: int, behind: Any, duplicate: bool, other: bool
+) -> None:
     """All three must agree for a duplicate."""
     assert history.is_duplicate(counter, content, behind) is duplicate
     assert history.has_other(counter, content, behind) is other
 
 
-def test_a_duplicate_is_marked_once(history):
+def test_a_duplicate_is_marked_once(history: Any) -> None:
     """And only if the record was new when it came."""
     assert [history.mark_duplicated(2, 2) for _ in range(2)] == [True, False]
     history.add_late(3, 103, 1)
@@ -42,19 +44,21 @@ def test_a_duplicate_is_marked_once(history):
     assert not history.mark_duplicated(3, 1)
 
 
-def test_a_late_record_takes_no_position_of_another(history):
+def test_a_late_record_takes_no_position_of_another(history: Any) -> None:
     """What was accepted stays known."""
     history.add_late(2, 999, 2)
     assert history.is_duplicate(2, 102, 2)
 
 
 @pytest.mark.parametrize(("counter", "behind", "fills"), [(3, 1, True), (5, 15, False)])
-def test_a_gap_is_filled_by_the_record_after_a_new_one(history, counter, behind, fills):
+def test_a_gap_is_filled_by_the_record_after_a_new_one(
+    history: Any, counter: int, behind: int, fills: bool
+) -> None:
     """A record that was overtaken follows one that was new."""
     assert history.fills_gap(counter, behind) is fills
 
 
-def test_positions_continue_beyond_the_wrap_around():
+def test_positions_continue_beyond_the_wrap_around() -> None:
     """A record of the round before is not one of this round."""
     history = RecordHistory(MODULUS)
     for counter in range(20):

@@ -12,7 +12,7 @@ VALID, NODATA, INIT, INVALID = E2EState
 
 
 @pytest.mark.parametrize("every", [1, 5, 10])
-def test_a_slot_with_two_senders_is_not_usable(every):
+def test_a_slot_with_two_senders_is_not_usable(every: int) -> None:
     """Once the second sender is known, however slow it is."""
     monitor = Monitor(decoder := default_codec().decoder())
     usable = 0
@@ -27,7 +27,7 @@ def test_a_slot_with_two_senders_is_not_usable(every):
     assert usable == 0
 
 
-def test_a_line_becomes_stale():
+def test_a_line_becomes_stale() -> None:
     """After three cycles; its age counts from its pose, and the state changes at 275 ms."""
     codec = Codec.from_dbc()
     monitor = Monitor(codec.decoder())
@@ -47,13 +47,13 @@ def test_a_line_becomes_stale():
         (10**6, True, INVALID),
     ]:
         view = monitor.latest(SLOT, last + waited_ms * MS)
-        assert view.line.gaussian.mean[0] == pytest.approx(1.0 + 9 / 8, abs=1e-3)
+        assert view.line.gaussian.mean[0] == pytest.approx(1.0 + 9 / 8, abs=1e-3)  # type: ignore[union-attr]
         assert view.age == pytest.approx(0.04 + waited_ms / 1000)
         assert (view.stale, view.state) == (stale, state)
         assert view.usable == (not stale and state is VALID)
 
 
-def test_the_caller_defines_stale():
+def test_the_caller_defines_stale() -> None:
     """By a number of cycles, and by the cycle time of the decoder."""
     monitor = Monitor(default_codec().decoder())
     slow = Monitor(default_codec().decoder(cycle_ms=200))
@@ -67,7 +67,7 @@ def test_the_caller_defines_stale():
     assert monitor.latest(SLOT, -(10**12)).stale  # the clock was set back
 
 
-def test_a_slot_that_the_dbc_does_not_have_raises():
+def test_a_slot_that_the_dbc_does_not_have_raises() -> None:
     """The message names the slots of the DBC."""
     with pytest.raises(ValueError, match=r"slot must be one of the DBC's, EGO_LEFT, .* got 99"):
-        Monitor(default_codec().decoder()).latest(99, 0)
+        Monitor(default_codec().decoder()).latest(99, 0)  # type: ignore[arg-type]

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ MS = 1_000_000
 
 
 @cache
-def transfers(n=40, slot=Slot.EGO_LEFT, fd=False):
+def transfers(n: int = 40, slot: Any = Slot.EGO_LEFT, fd: bool = False) -> Any:
     """Frames of n lines of one slot, all different."""
     codec = default_codec()
     means, covs = road(n, seed=2)
@@ -25,12 +26,12 @@ def transfers(n=40, slot=Slot.EGO_LEFT, fd=False):
     return [codec.frames(payload, slot, fd=fd) for payload in payloads]
 
 
-def feed(decoder, frames, t_ns=0):
+def feed(decoder: Any, frames: Any, t_ns: int = 0) -> Any:
     """Answers to frames, a microsecond apart."""
     return [decoder.feed(f.can_id, f.data, t_ns + i * 1000) for i, f in enumerate(frames)]
 
 
-def with_a_flipped_bit(frames, bit):
+def with_a_flipped_bit(frames: Any, bit: Any) -> Any:
     """The frames of a record with one of its bits flipped."""
     size = len(frames[0].data)
     place, within = divmod(bit, 8 * size)
@@ -39,14 +40,14 @@ def with_a_flipped_bit(frames, bit):
     return [*frames[:place], frames[place]._replace(data=bytes(data)), *frames[place + 1 :]]
 
 
-def check_accounts(decoder, frames):
+def check_accounts(decoder: Any, frames: Any) -> None:
     """Every frame is part of a line, dropped with a reason, or pending."""
     assert decoder.frames == frames
     assert decoder.frames == decoder.line_frames + sum(decoder.counts.values()) + decoder.pending
     assert Reason.PENDING not in decoder.counts
 
 
-def test_a_burst_becomes_a_line(codec):
+def test_a_burst_becomes_a_line(codec: Any) -> None:
     """Three pages wait, the fourth delivers; the line bears the time of the first."""
     decoder = codec.decoder()
     *waiting, line = feed(decoder, transfers()[0], t_ns=7)
@@ -57,7 +58,7 @@ def test_a_burst_becomes_a_line(codec):
 
 
 @pytest.mark.parametrize("order", [(3, 2, 1, 0), (1, 0, 3, 2), (2, 3, 0, 1)])
-def test_pages_in_any_order(codec, order):
+def test_pages_in_any_order(codec: Any, order: Any) -> None:
     """Reordering within a transfer does not matter."""
     decoder = codec.decoder()
     answers = feed(decoder, [transfers()[0][page] for page in order])
@@ -67,7 +68,7 @@ def test_pages_in_any_order(codec, order):
 
 
 @pytest.mark.parametrize("lost", range(4))
-def test_a_lost_page_loses_its_line_only(codec, lost):
+def test_a_lost_page_loses_its_line_only(codec: Any, lost: Any) -> None:
     """The next transfer is delivered; the pages of the broken one wait, and then are counted."""
     decoder = codec.decoder()
     broken = [f for i, f in enumerate(transfers()[1]) if i != lost]
@@ -80,7 +81,7 @@ def test_a_lost_page_loses_its_line_only(codec, lost):
     check_accounts(decoder, 11)
 
 
-def test_duplicates_are_dropped(codec):
+def test_duplicates_are_dropped(codec: Any) -> None:
     """A page twice, and a whole transfer twice, deliver one line."""
     decoder = codec.decoder()
     twice = [frame for frame in transfers()[0] for _ in range(2)]
@@ -90,7 +91,7 @@ def test_duplicates_are_dropped(codec):
     check_accounts(decoder, 12)
 
 
-def test_an_fd_frame_twice_is_delivered_once(codec):
+def test_an_fd_frame_twice_is_delivered_once(codec: Any) -> None:
     """The counter tells a repeated record where there are no pages."""
     decoder = codec.decoder()
     (frame,) = transfers(fd=True)[0]
@@ -100,7 +101,7 @@ def test_an_fd_frame_twice_is_delivered_once(codec):
     check_accounts(decoder, 2)
 
 
-def test_a_late_burst_is_not_delivered_after_a_newer_one(codec):
+def test_a_late_burst_is_not_delivered_after_a_newer_one(codec: Any) -> None:
     """A consumer never sees time go backwards."""
     decoder = codec.decoder()
     answers = feed(decoder, [*transfers()[5], *transfers()[4], *transfers()[6]])
@@ -108,7 +109,7 @@ def test_a_late_burst_is_not_delivered_after_a_newer_one(codec):
     assert decoder.counts == {Reason.STALE: 4}
 
 
-def test_a_slow_burst_times_out(codec):
+def test_a_slow_burst_times_out(codec: Any) -> None:
     """Pages further apart than the time-out are not one transfer."""
     decoder = codec.decoder(timeout_ms=10)
     a, b, c, d = transfers()[0]
@@ -122,7 +123,7 @@ def test_a_slow_burst_times_out(codec):
     check_accounts(decoder, 4)
 
 
-def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec):
+def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec: Any) -> None:
     """A step back is taken for an old line, until the lines after it have come for a while."""
     decoder = codec.decoder(timeout_ms=50)
     assert isinstance(feed(decoder, transfers()[5])[-1], MapLine)
@@ -131,7 +132,7 @@ def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec):
     assert isinstance(feed(decoder, transfers()[2], t_ns=120 * MS)[-1], MapLine)
 
 
-def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec):
+def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec: Any) -> None:
     """What was held is given up, and the next transfer is delivered."""
     decoder = codec.decoder()
     feed(decoder, transfers()[0][:2], t_ns=10**12)
@@ -139,7 +140,7 @@ def test_a_clock_that_is_set_back_does_not_stop_the_lines(codec):
     assert decoder.counts == {Reason.TIMEOUT: 2}
 
 
-def test_slots_interleave(codec):
+def test_slots_interleave(codec: Any) -> None:
     """Eight lines page by page in turn: eight lines."""
     decoder = codec.decoder()
     frames = [transfers(slot=slot)[0] for slot in Slot]
@@ -161,7 +162,9 @@ def test_slots_interleave(codec):
         pytest.param(0x348, bytes(32), False, Reason.MIXED, id="zero-fd"),
     ],
 )
-def test_frames_that_are_no_pages(codec, can_id, data, is_extended, reason):
+def test_frames_that_are_no_pages(
+    codec: Any, can_id: int, data: Any, is_extended: bool, reason: Any
+) -> None:
     """Each has its reason."""
     decoder = codec.decoder()
     assert decoder.feed(can_id, data, 0, is_extended=is_extended) is reason
@@ -169,13 +172,13 @@ def test_frames_that_are_no_pages(codec, can_id, data, is_extended, reason):
     check_accounts(decoder, 1)
 
 
-def test_an_fd_frame_may_be_padded(codec):
+def test_an_fd_frame_may_be_padded(codec: Any) -> None:
     """A gateway may send 48 or 64 bytes; the record is the first 32."""
     (frame,) = transfers(fd=True)[0]
     assert isinstance(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0), MapLine)
 
 
-def test_a_gateway_repacks_without_decoding(codec):
+def test_a_gateway_repacks_without_decoding(codec: Any) -> None:
     """Four pages laid end to end are the FD payload, and the other way round."""
     for pages, (fd,) in zip(transfers(), transfers(fd=True), strict=True):
         assert b"".join(frame.data for frame in pages) == fd.data
@@ -183,7 +186,7 @@ def test_a_gateway_repacks_without_decoding(codec):
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("bit", range(0, 256, 5))
-def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
+def test_a_flipped_bit_never_becomes_a_line(codec: Any, fd: bool, bit: Any) -> None:
     """Wherever it is, the transfer is dropped and the next one delivered."""
     decoder = codec.decoder()
     broken = with_a_flipped_bit(transfers(fd=fd)[0], bit)
@@ -195,7 +198,9 @@ def test_a_flipped_bit_never_becomes_a_line(codec, fd, bit):
 
 @pytest.mark.parametrize("fd", [False, True])
 @pytest.mark.parametrize("bit", range(0, 256, 3))
-def test_a_damaged_record_does_not_cost_the_good_one_after_it(codec, fd, bit):
+def test_a_damaged_record_does_not_cost_the_good_one_after_it(
+    codec: Any, fd: bool, bit: Any
+) -> None:
     """The same record, first with a flipped bit and at once whole: it is delivered."""
     decoder = codec.decoder()
     broken = with_a_flipped_bit(transfers(fd=fd)[3], bit)
@@ -205,7 +210,7 @@ def test_a_damaged_record_does_not_cost_the_good_one_after_it(codec, fd, bit):
 
 
 @pytest.mark.parametrize("fd", [False, True])
-def test_random_frames_on_its_id_do_not_silence_a_line(codec, fd):
+def test_random_frames_on_its_id_do_not_silence_a_line(codec: Any, fd: bool) -> None:
     """A frame of random bytes after each line, at 50 Hz: nearly all lines come through."""
     rng = np.random.default_rng(6)
     decoder = codec.decoder()
@@ -218,7 +223,7 @@ def test_random_frames_on_its_id_do_not_silence_a_line(codec, fd):
     assert delivered >= 380
 
 
-def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec):
+def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec: Any) -> None:
     """Sixteen lines apart the transfer number is the same; the checksum tells them apart."""
     decoder = codec.decoder()
     mixed = [*transfers()[0][:2], *transfers()[16][2:]]
@@ -228,7 +233,7 @@ def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec):
 
 @settings(max_examples=200, deadline=None)
 @given(st.integers(0, 2**32), st.booleans())
-def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed, fd):
+def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int, fd: bool) -> None:
     """Loss, duplication, local reordering, corruption and foreign frames at random."""
     rng = np.random.default_rng(seed)
     sent = transfers(fd=fd)
@@ -252,7 +257,7 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed, fd):
             delivered.append(answer)
     check_accounts(decoder, len(stream))
     truth = {
-        line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes(): i
+        line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes(): i  # type: ignore[union-attr]
         for payload, i in payloads.items()
         for line in [default_codec().decode_one(payload, Slot.EGO_LEFT)]
     }
@@ -264,7 +269,7 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed, fd):
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(st.integers(0x33F, 0x351), st.binary(max_size=64), st.integers(-9, 9))))
-def test_no_bytes_from_the_bus_can_raise(frames):
+def test_no_bytes_from_the_bus_can_raise(frames: Any) -> None:
     """Whatever arrives is read or dropped with a reason, at any time."""
     decoder = default_codec().decoder()
     for can_id, data, jump in frames:
@@ -272,7 +277,7 @@ def test_no_bytes_from_the_bus_can_raise(frames):
     check_accounts(decoder, len(frames))
 
 
-def test_memory_does_not_grow(codec):
+def test_memory_does_not_grow(codec: Any) -> None:
     """A slot holds as many transfers as there are numbers, whatever comes."""
     decoder = codec.decoder()
     for i in range(5000):
@@ -283,7 +288,7 @@ def test_memory_does_not_grow(codec):
 
 
 @pytest.mark.parametrize("timeout_ms", [0, -1, float("nan")])
-def test_a_timeout_must_be_positive(codec, timeout_ms):
+def test_a_timeout_must_be_positive(codec: Any, timeout_ms: Any) -> None:
     """The message names value and unit."""
     with pytest.raises(ValueError, match="timeout_ms must be more than 0 ms"):
         codec.decoder(timeout_ms=timeout_ms)

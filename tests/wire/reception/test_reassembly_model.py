@@ -46,7 +46,7 @@ class Sent(NamedTuple):
     records: range  #: numbers of its records among those of its slot
 
 
-def bits_of(line):
+def bits_of(line: Any) -> Any:
     """All of a line that was decoded but for its time."""
     parts = line.mixture.components if line.mixture else ()
     gaussians = [g for part in (line.gaussian, *parts) for g in (part.mean, part.cov)]
@@ -58,26 +58,28 @@ def bits_of(line):
 class Bus(RuleBasedStateMachine):
     """The rules; ``feed`` is where the model judges."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         super().__init__()
         self.codec = default_codec()
         self.decoder = self.codec.decoder(timeout_ms=TIMEOUT / MS)
         self.now = self.last = 10**12  # and the greatest time of a frame
-        self.air = []
-        self.sent = []
+        self.air: list[Any] = []
+        self.sent: list[Any] = []
         self.first = 0  # line since a sender started anew
         self.records = dict.fromkeys(Slot, 0)  # of each slot so far
         self.counter = dict.fromkeys(Slot, 0)  # of the next record
         self.epoch = dict.fromkeys(Slot, 0)
-        self.heard = {}  # frames as they came, and when
+        self.heard: dict[Any, Any] = {}  # frames as they came, and when
         self.newest = dict.fromkeys(Slot, 0)  # record of which a frame came
-        self.delivered = {slot: [] for slot in Slot}  # (line, time of its first frame)
-        self.since = {slot: {} for slot in Slot}  # lines heard since the last delivered, and when
+        self.delivered = {slot: list[Any]() for slot in Slot}  # (line, time of its first frame)
+        self.since = {
+            slot: dict[Any, Any]() for slot in Slot
+        }  # lines heard since the last delivered, and when
         self.fed = 0
 
     # -- the sender ----------------------------------------------------------------
 
-    def send_line(self, slot, parts, fd):
+    def send_line(self, slot: Any, parts: Any, fd: Any) -> Any:
         number = len(self.sent)
         mean = np.array([number / 1024 - 16, 0.01, 1e-3, 1e-5])
         cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2
@@ -97,15 +99,15 @@ class Bus(RuleBasedStateMachine):
         return [OnAir(frame, number) for frame in frames]
 
     @rule(slot=SLOTS, fd=st.booleans())
-    def send(self, slot, fd):
+    def send(self, slot: Any, fd: Any) -> None:
         self.air += self.send_line(slot, 1, fd)
 
     @rule(slot=SLOTS, parts=st.sampled_from([2, 4, 8]), fd=st.booleans())
-    def send_mixture(self, slot, parts, fd):
+    def send_mixture(self, slot: Any, parts: Any, fd: Any) -> None:
         self.air += self.send_line(slot, parts, fd)
 
     @rule(slot=SLOTS, counter=st.sampled_from([0, 0, 1, 5, 16, 128, 255]))
-    def start_the_sender_anew(self, slot, counter):
+    def start_the_sender_anew(self, slot: Any, counter: Any) -> None:
         self.counter[slot] = counter
         self.now += 26 * MS  # no process starts sooner
         self.epoch[slot] += 1
@@ -116,22 +118,22 @@ class Bus(RuleBasedStateMachine):
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES)
-    def lose(self, place):
+    def lose(self, place: Any) -> None:
         del self.air[place % len(self.air)]
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES, to=PLACES)
-    def duplicate(self, place, to):
+    def duplicate(self, place: Any, to: Any) -> None:
         self.air.insert(to % (len(self.air) + 1), self.air[place % len(self.air)])
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES, to=PLACES)
-    def reorder(self, place, to):
+    def reorder(self, place: Any, to: Any) -> None:
         self.air.insert(to % len(self.air), self.air.pop(place % len(self.air)))
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES, bit=PLACES)
-    def corrupt(self, place, bit):
+    def corrupt(self, place: Any, bit: Any) -> None:
         place %= len(self.air)
         frame = self.air[place].frame
         data = bytearray(frame.data)
@@ -141,45 +143,45 @@ class Bus(RuleBasedStateMachine):
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES, left=st.integers(0, 7))
-    def cut_short(self, place, left):
+    def cut_short(self, place: Any, left: Any) -> None:
         place %= len(self.air)
         frame = self.air[place].frame
         self.air[place] = OnAir(frame._replace(data=frame.data[:left]), None)
 
     @precondition(lambda self: self.air)
     @rule(place=PLACES, can_id=st.integers(0x33F, 0x351))
-    def change_the_id(self, place, can_id):
+    def change_the_id(self, place: Any, can_id: Any) -> None:
         place %= len(self.air)
         frame = self.air[place].frame
         if can_id != frame.can_id:
             self.air[place] = OnAir(frame._replace(can_id=can_id), None)
 
     @rule(ms=st.sampled_from([0.1, 1, 5, 24, 26, 100, 10**6]))
-    def wait(self, ms):
+    def wait(self, ms: Any) -> None:
         self.now += int(ms * MS)
 
     @rule(ms=st.sampled_from([1, 30, 3_600_000]))
-    def set_the_clock_back(self, ms):
+    def set_the_clock_back(self, ms: Any) -> None:
         self.now -= ms * MS
         for delivered in self.delivered.values():  # what was in the window is so no more
             delivered.clear()
 
     @rule()
-    def expire(self):
+    def expire(self) -> None:
         self.decoder.expire(self.now)
 
     # -- the receiver, and the judge -------------------------------------------------
 
     @precondition(lambda self: self.air)
     @rule(n=st.integers(1, 40))
-    def receive(self, n):
+    def receive(self, n: Any) -> None:
         for on_air in self.air[:n]:
             self.feed(on_air)
         del self.air[:n]
 
     @precondition(lambda self: self.sent[self.first :])
     @rule(back=st.integers(1, 10), late=st.sampled_from([0, 0, 26]))
-    def a_line_comes_again(self, back, late):
+    def a_line_comes_again(self, back: Any, late: Any) -> None:
         """All of its frames, held up by a gateway."""
         number = max(self.first, len(self.sent) - back)
         sent = self.sent[number]
@@ -188,7 +190,7 @@ class Bus(RuleBasedStateMachine):
             self.feed(OnAir(frame, number))
 
     @rule(slot=SLOTS, parts=st.sampled_from([1, 1, 1, 3]), fd=st.booleans())
-    def a_line_on_a_calm_bus_is_delivered(self, slot, parts, fd):
+    def a_line_on_a_calm_bus_is_delivered(self, slot: Any, parts: Any, fd: Any) -> None:
         self.receive(len(self.air))
         self.now = max(self.now, self.last) + 26 * MS  # also if the clock was set back by a little
         answers = [self.feed(on_air) for on_air in self.send_line(slot, parts, fd)]
@@ -198,7 +200,7 @@ class Bus(RuleBasedStateMachine):
         if isinstance(answers[-1], MapLine):
             self.epoch[slot] = 0
 
-    def feed(self, on_air):
+    def feed(self, on_air: Any) -> Any:
         self.now += FRAME
         self.last = max(self.last, self.now)
         frame = on_air.frame
@@ -216,7 +218,7 @@ class Bus(RuleBasedStateMachine):
         self.check_accounts()
         return answer
 
-    def evaluate(self, line):
+    def evaluate(self, line: Any) -> None:
         same = [i for i, sent in enumerate(self.sent) if sent.bits == bits_of(line)]
         assert len(same) == 1, "a line that was not sent"
         (number,) = same
@@ -252,7 +254,7 @@ class Bus(RuleBasedStateMachine):
         heard.clear()
 
     @invariant()
-    def check_accounts(self):
+    def check_accounts(self) -> None:
         """Every frame is part of a line, dropped with a reason, or pending."""
         decoder = self.decoder
         total = decoder.line_frames + sum(decoder.counts.values()) + decoder.pending

@@ -1,5 +1,7 @@
 """The sequence check of one slot, without a decoder."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from e2e_streams import CYCLE, MS
@@ -13,7 +15,7 @@ NONEWDATA = ProfileStatus.NONEWDATA
 
 
 @pytest.mark.parametrize(("good", "certain"), [(10, True), (30, True), (40, False)])
-def test_rare_conflicts_do_not_add_up(good, certain):
+def test_rare_conflicts_do_not_add_up(good: int, certain: bool) -> None:
     """An occasional other record with a counter that was received before is an accident."""
     slot, t_ns = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0
     for k in range(12 * good):
@@ -25,7 +27,7 @@ def test_rare_conflicts_do_not_add_up(good, certain):
 
 
 @pytest.mark.parametrize(("share", "certain"), [(0.5, False), (0.7, False), (1.0, True)])
-def test_lines_that_are_received_twice(share, certain):
+def test_lines_that_are_received_twice(share: float, certain: bool) -> None:
     """Two senders of the same lines look like this; one line in a hundred is lost."""
     rng = np.random.default_rng(5)
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
@@ -36,7 +38,7 @@ def test_lines_that_are_received_twice(share, certain):
     assert slot.two_senders is certain
 
 
-def test_a_line_lost_256_lines_after_another_is_counted():
+def test_a_line_lost_256_lines_after_another_is_counted() -> None:
     """The counter of the last loss is not remembered for that long."""
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in [*range(11), *range(12, 256 + 10), *range(256 + 11, 256 + 20)]:
@@ -45,7 +47,7 @@ def test_a_line_lost_256_lines_after_another_is_counted():
 
 
 @given(st.lists(st.integers(0, 400), min_size=1, max_size=20))
-def test_cycles_without_data_do_not_depend_on_the_calls(steps_ms):
+def test_cycles_without_data_do_not_depend_on_the_calls(steps_ms: Any) -> None:
     """The first is due 1.5 cycles after the last record, and the next ones every cycle."""
     asked, once = (SequenceCheck(E2EConfig(), 256, 4, CYCLE) for _ in range(2))
     now = 0
@@ -61,7 +63,7 @@ def test_cycles_without_data_do_not_depend_on_the_calls(steps_ms):
     assert once.statuses[NONEWDATA] == max(0, (now + CYCLE // 2) // CYCLE - 1)
 
 
-def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid():
+def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid() -> None:
     """Silence is counted from the new time on."""
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
     for k in range(10):
@@ -71,7 +73,7 @@ def test_a_clock_that_is_set_back_does_not_keep_a_slot_valid():
 
 
 @pytest.mark.parametrize("asks_every_ms", [None, 10, 50, 200])
-def test_a_backlog_is_not_missed_twice(asks_every_ms):
+def test_a_backlog_is_not_missed_twice(asks_every_ms: int | None) -> None:
     """Old frames after a pause of the receiver were counted as missing once already."""
     slot, now, asked = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0, 0
     for k in range(10):
