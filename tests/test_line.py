@@ -290,7 +290,7 @@ HUGE = 10**400
             lambda: transform_line(3.0, np.zeros(3), (0, 80)),
             r"parameters must have shape \(..., 4\)",
         ),
-        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "motion must be numbers"),
+        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "displacement must be num"),
         (
             lambda: transform_line(np.zeros(4), np.zeros(3), (0, HUGE)),
             "window must be numbers .* 1e400",

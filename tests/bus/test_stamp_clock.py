@@ -35,11 +35,11 @@ def test_a_backlog_at_the_start_is_not_taken_for_new():
     clock = StampClock()
     for i in range(41):  # 2 s of frames in 4 ms; the last one has waited for 0.9 s
         clock.add(i * 50 * MS, i * MS // 10)
-        assert not clock.steady
+        assert not clock.is_settled
     for i in range(41, 60):  # then frames at the pace of their stamps, 3 s after the first
         at_ns = 3000 * MS + i * 50 * MS
         clock.add(at_ns + 2900 * MS, at_ns)
-        assert clock.steady == (i >= 45)
+        assert clock.is_settled == (i >= 45)
         assert clock.now(at_ns) == at_ns + 2900 * MS
 
 
@@ -50,7 +50,7 @@ def test_the_queue_need_not_be_empty(wait_ns):
     for i in range(2000):
         at_ns = i * MS // 4
         clock.add(at_ns - wait_ns - i % 7 * 9 * MS, at_ns)
-        assert clock.steady == (at_ns >= 200 * MS)
+        assert clock.is_settled == (at_ns >= 200 * MS)
 
 
 def test_a_backlog_that_is_read_slowly_is_noticed():
@@ -58,7 +58,7 @@ def test_a_backlog_that_is_read_slowly_is_noticed():
     clock = StampClock()
     for i in range(40):
         clock.add(i * 50 * MS, i * 35 * MS)
-        assert not clock.steady
+        assert not clock.is_settled
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
@@ -68,4 +68,4 @@ def test_a_clock_that_drifts_stays_steady(ppm):
     for i in range(36_000):
         at_ns = i * 100 * MS
         clock.add(at_ns + at_ns * ppm // 10**6, at_ns)
-        assert clock.steady == (i >= 2)
+        assert clock.is_settled == (i >= 2)

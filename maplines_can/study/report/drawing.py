@@ -24,8 +24,8 @@ __all__ = [
     "columns",
     "draw_code",
     "draw_rule",
-    "looks",
     "new_plot",
+    "plot_styles",
     "set_options",
     "set_ticks",
     "ticks",
@@ -60,7 +60,7 @@ KNOWN = {
 OTHERS = (("#8C6D1F", "star"), ("#7A5195", "diamond"), ("#4D7C8A", "hex"), ("#A05A2C", "square"))
 
 
-def looks(codes: Sequence[str]) -> dict[str, Look]:
+def plot_styles(codes: Sequence[str]) -> dict[str, Look]:
     """Return a look for each code, in the order given."""
     others = [code for code in codes if code not in KNOWN]
     spare = {code: Look(*OTHERS[i % len(OTHERS)], "dashdot") for i, code in enumerate(others)}

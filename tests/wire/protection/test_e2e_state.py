@@ -132,9 +132,7 @@ def test_the_table_of_states(statuses, states):
     [
         pytest.param(True, "oooeeeooo", "IIVVVXXXV", id="from-valid-cleared"),
         pytest.param(False, "oooeeeooo", "IIVVVXXXX", id="from-valid-kept"),
-        pytest.param(
-            False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-gone"
-        ),
+        pytest.param(False, "oooeeeoooo", "IIVVVXXXXV", id="from-valid-kept-until-gone"),
         pytest.param(True, "oeeooo", "IIXXXV", id="from-init-cleared"),
         pytest.param(False, "oeeooo", "IIXXXX", id="from-init-kept"),
         pytest.param(False, "oooonnnnooo", "IIVVVVVXXXV", id="old-oks-do-not-suffice"),
