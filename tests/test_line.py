@@ -204,7 +204,7 @@ def test_transform_line_needs_four_points():
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])
 def test_a_line_nearly_perpendicular_to_the_x_axis_raises(degrees):
     """No cubic y(x) describes it."""
-    with pytest.raises(IllPosedError, match="nearly perpendicular to the x axis, after the motion"):
+    with pytest.raises(IllPosedError, match="perpendicular to the x axis, after the displacement"):
         transform_line([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
 

@@ -105,8 +105,7 @@ class TxQueue:
         if due is None:
             return None
         transfer = self._ahead.pop(due.key, None)
-        # A pre-encoded transfer may be for a skipped deadline.
-        if transfer is None or transfer.deadline != due.deadline:
+        if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
             self._encode(due.key, due.deadline)
             transfer = self._ahead.pop(due.key)
         self._counters[due.key] += transfer.records

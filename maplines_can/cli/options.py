@@ -166,8 +166,7 @@ def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str
 
     def parse(text: str) -> tuple[Any, str, int]:
         key_id, colon, name = text.partition(":")
-        # A longer number may be the key itself, typed by mistake.
-        numbered = colon and key_id.isdecimal() and len(key_id) <= 3
+        numbered = colon and key_id.isdecimal() and len(key_id) <= 3  # a longer number may be a key
         return (read, name, int(key_id)) if numbered else (read, text, 1)
 
     return parse

@@ -59,10 +59,10 @@ def _send(arguments: argparse.Namespace) -> int:
                 transmitter.publish(lines)
                 if not arguments.json:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
-                    carrier = frame_format_text(codec, fd=arguments.fd)
+                    frame_format = frame_format_text(codec, fd=arguments.fd)
                     note(
-                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, {carrier}, "
-                        f"{arguments.rate:g} Hz, {until}"
+                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, "
+                        f"{frame_format}, {arguments.rate:g} Hz, {until}"
                     )
                     if arguments.components != 1:
                         for line in components:

@@ -92,7 +92,7 @@ _DIRECTIONS = ("both", "send", "receive")
 
 @dataclass(frozen=True, slots=True)
 class ScriptedFault:
-    """A fault of certain frames: one line of a script.
+    """A fault of given frames: one line of a script.
 
     Raises:
         ValueError: the frames or the value are out of range.

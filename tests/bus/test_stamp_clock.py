@@ -31,7 +31,7 @@ MS = 1_000_000
 
 
 def test_a_backlog_at_the_start_is_not_taken_for_new():
-    """Its frames are read at once; the clock is steady when frames arrive at the pace of stamps."""
+    """Its frames are read at once; the clock settles when frames arrive at the pace of stamps."""
     clock = StampClock()
     for i in range(41):  # 2 s of frames in 4 ms; the last one has waited for 0.9 s
         clock.add(i * 50 * MS, i * MS // 10)
@@ -45,7 +45,7 @@ def test_a_backlog_at_the_start_is_not_taken_for_new():
 
 @pytest.mark.parametrize("wait_ns", [0, 700 * MS])
 def test_the_queue_need_not_be_empty(wait_ns):
-    """Frames without a pause that all wait, some of them longer: steady after 0.2 s."""
+    """Frames without a pause that all wait, some of them longer: settled after 0.2 s."""
     clock = StampClock()
     for i in range(2000):
         at_ns = i * MS // 4
@@ -62,7 +62,7 @@ def test_a_backlog_that_is_read_slowly_is_noticed():
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
-def test_a_clock_that_drifts_stays_steady(ppm):
+def test_a_clock_that_drifts_stays_settled(ppm):
     """The quartz of an adapter drifts against ours for an hour."""
     clock = StampClock()
     for i in range(36_000):

@@ -99,7 +99,7 @@ def _content(database: Database, source: str) -> DbcContent:
         if _attribute(message, "SecOCDataId") is not None:
             layouts[message.name], kind = _secured_layout(message, source), FrameFormat.SECURED
         if messages.setdefault(slot, {}).setdefault(kind, message) is not message:
-            raise LayoutError(f"{source}: slot {slot.name} has two {kind.name} messages")
+            raise LayoutError(f"{source}: slot {slot.name} has two messages in one frame format")
         records[message.name] = _record(message, source)
     if not records:
         raise LayoutError(
