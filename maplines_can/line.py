@@ -15,7 +15,7 @@ from .gaussian import Gaussian, variances
 from .mixture import GaussianMixture
 
 #: The line's parameters, in the order of every mean and covariance.
-STATES = ("y_off", "beta", "c0", "c1")
+PARAMETERS = ("y_off", "beta", "c0", "c1")
 
 #: Standard deviations of an unknown covariance [m, rad, 1/m, 1/m^2].
 #: They are so large that a fusion gives the line practically no weight.
@@ -25,7 +25,7 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 #: meets it within 80 deg of the x axis.
 LEAST_ADVANCE = 0.17
 
-#: Largest age [s]; in nanoseconds it is still a float.
+#: Largest age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
 #: Most points to which ``transform_line`` fits a line; more need memory and change little.
 MAX_POINTS = 10_000
@@ -63,7 +63,7 @@ class Status(IntEnum):
     UNKNOWN = 0  #: only the mean was sent; the standard deviations are VAGUE_SIGMA
     FULL = 1  #: the covariance covers the sender's, including correlations
     DIAGONAL = 2  #: the variances cover the sender's; correlations were not sent
-    REPAIRED = 3  #: as FULL, but the sender's matrix was indefinite and was replaced by a cover
+    REPAIRED = 3  #: as FULL; an indefinite matrix was replaced by one that covers it (upper bound)
     SATURATED = 4  #: as FULL, but wider than necessary: a value reached the end of its range
     OUT_OF_RANGE = 5  #: the line does not fit the message: use neither mean nor covariance
 
@@ -105,8 +105,8 @@ class MapLine:
         object.__setattr__(self, "slot", Slot(self.slot))
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(self, "status", Status(self.status))
-        if self.gaussian.dimension != len(STATES):
-            raise ValueError(f"gaussian must be over {STATES}, got {self.gaussian.dimension}-D")
+        if self.gaussian.dimension != len(PARAMETERS):
+            raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.dimension}-D")
         numbers = floats([self.x_min, self.x_max, self.age], "x_min, x_max and age")
         if not (np.isfinite(numbers[:2]).all() and self.x_min <= self.x_max):
             raise ValueError(
@@ -160,7 +160,7 @@ class MapLine:
 def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """Return the lateral position l(x) of lines [m] (Map Line Interface, eq. 1).
 
-    The result is infinite or NaN, without a warning, where x is or where it exceeds the floats.
+    The result is infinite or NaN, without a warning, where x is, or on overflow.
 
     Args:
         parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].
@@ -169,7 +169,7 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
     array([1. , 1.5, 3. ])
     """
-    y_off, beta, c0, c1 = _states(parameters)
+    y_off, beta, c0, c1 = _rows(parameters)
     x = floats(x, "x")
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
 
@@ -177,15 +177,15 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
 @np.errstate(over="ignore", invalid="ignore")
 def lateral_jacobian(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """Return the (..., 4) derivative of l(x) with respect to (y_off, beta, c0, c1)."""
-    _, beta, _, _ = _states(parameters)
+    _, beta, _, _ = _rows(parameters)
     x, beta = np.broadcast_arrays(floats(x, "x"), beta)
     return np.stack([np.ones_like(x), (1 + np.tan(beta) ** 2) * x, x**2 / 2, x**3 / 6], axis=-1)
 
 
-def _states(parameters: ArrayLike) -> NDArray[np.float64]:
+def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
     """Return (..., 4) lines as an array of shape (4, ...)."""
     lines = floats(parameters, "parameters")
-    if lines.shape[-1:] != (len(STATES),):
+    if lines.shape[-1:] != (len(PARAMETERS),):
         raise ValueError(f"parameters must have shape (..., 4), got {lines.shape}")
     return np.moveaxis(lines, -1, 0)
 
@@ -211,20 +211,19 @@ def line_of_cubic(
 
 
 def transform_line(
-    parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
+    parameters: ArrayLike, displacement: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
     """Transform lines to the ego frame of another pose (Map Line Interface, section III-A-1).
 
-    Points of the line are transformed to the new frame, and a cubic is fitted to them.
-    With 4 points these are Chebyshev points, and the cubic interpolates them. More points are
-    evenly spaced, like those of a map, and fitted by least squares. The result then agrees with a
-    refit of the map points from the new pose within 1 mm over the same window, for motions up to
-    5 m and 10 deg and 100 m of a road of radius 200 m or more. It does not in a street turn, which
-    no cubic describes.
+    Points of the line are transformed to the new frame, and a cubic is fitted to them. With 4
+    points these are Chebyshev points, and the cubic interpolates them. More points are evenly
+    spaced, like those of a map, and fitted by least squares. The result then agrees with a refit of
+    the map points from the new pose within 1 mm over the same window, for displacements up to 5 m
+    and 10 deg, on 100 m of road with radius >= 200 m. It does not hold in a street turn.
 
     Args:
         parameters: (..., 4) lines in the old ego frame.
-        motion: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
+        displacement: (..., 3) the new pose in the old ego frame (x [m], y [m], heading [rad]).
         window: (x_min, x_max) valid range of the line in the old ego frame [m].
         points: number of points, 4 to 10 000.
 
@@ -239,22 +238,22 @@ def transform_line(
     >>> transform_line([2.0, 0.0, 0.0, 0.0], [10.0, 0.5, 0.0], window=(0, 80)).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     """
-    lines = transform_line_or_nan(parameters, motion, window, points)
+    lines = transform_line_or_nan(parameters, displacement, window, points)
     ill_posed = np.isnan(lines).any(axis=-1)
     if ill_posed.any():
-        motions = np.broadcast_to(np.asarray(motion, dtype=float), (*ill_posed.shape, 3))
-        first = motions[ill_posed][0]
+        given = np.broadcast_to(np.asarray(displacement, dtype=float), (*ill_posed.shape, 3))
+        first = given[ill_posed][0]
         raise IllPosedError(
             "a line is not a function of x, or is nearly perpendicular to the x axis, after the "
-            f"motion {first} (m, m, rad), so no cubic y(x) describes it; shorten the window or "
-            "check the heading"
+            f"displacement {first} (m, m, rad), so no cubic y(x) describes it; shorten the window "
+            "or check the heading"
         )
     return lines
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def transform_line_or_nan(
-    parameters: ArrayLike, motion: ArrayLike, window: tuple[float, float], points: int = 32
+    parameters: ArrayLike, displacement: ArrayLike, window: tuple[float, float], points: int = 32
 ) -> NDArray[np.float64]:
     """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError."""
     x_min, x_max = (floats(end, "window").item() for end in window)
@@ -269,10 +268,10 @@ def transform_line_or_nan(
     if points > 4:
         nodes = np.linspace(1, -1, points)
     x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
-    lines, motion = np.moveaxis(_states(parameters), 0, -1), floats(motion, "motion")
-    if motion.shape[-1:] != (3,):
-        raise ValueError(f"motion must have shape (..., 3), got {motion.shape}")
-    dx, dy, heading = (motion[..., i, None] for i in range(3))
+    lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
+    if poses.shape[-1:] != (3,):
+        raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")
+    dx, dy, heading = (poses[..., i, None] for i in range(3))
     s, t = x - dx, lateral(lines[..., None, :], x) - dy  # (..., points)
     c, d = np.cos(heading), np.sin(heading)
     u, v = c * s + d * t, c * t - d * s

@@ -92,7 +92,7 @@ def _status_names(payloads: Any) -> list[str]:
 
 def _slots(text: str = "") -> int:
     """Return the number of slots of a DBC."""
-    return len(ml.Codec(wire.Layout.from_text(text, "the DBC")).layout.channels)
+    return len(ml.Codec(wire.Layout.from_text(text, "the DBC")).layout.messages)
 
 
 def _edited(old: str, new: str, *, classic: bool = False) -> int:

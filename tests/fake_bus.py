@@ -1,4 +1,4 @@
-"""Fakes of a python-can bus, of its opener and of clocks, and helpers of the tests of the bus."""
+"""Fakes of a python-can bus, of its factory and of clocks, and helpers of the tests of the bus."""
 
 import errno
 import itertools
@@ -45,7 +45,7 @@ class FakeBus(can.BusABC):
 
 
 class FakeOpener:
-    """Opener of fake buses, which share one script of errors and one record of sent frames."""
+    """Factory of fake buses, which share one script of errors and one record of sent frames."""
 
     def __init__(self, *script: Any) -> None:
         self.script, self.sent = list(script), queue.SimpleQueue[Any]()

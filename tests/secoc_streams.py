@@ -8,11 +8,11 @@ from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 
 from maplines_can import Codec, MapLine
 from maplines_can.wire import Authenticator, Key
-from maplines_can.wire.message.channel import SecuredForm
+from maplines_can.wire.message.slot_messages import SecuredLayout
 
 SECRET = bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c")  # of RFC 4493
 OTHER = bytes.fromhex("603deb1015ca71be2b73aef0857d7781")
-FORM = SecuredForm(length=48, freshness_bytes=7, mac_bytes=8)
+LAYOUT = SecuredLayout(length=48, freshness_bytes=7, mac_bytes=8)
 DATA_ID = 0x4D50
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 NOW = 1_750_000_000 * S

@@ -211,7 +211,7 @@ def test_transform_line_needs_four_points() -> None:
 @pytest.mark.parametrize("degrees", [81, 90, -90, 99])
 def test_a_line_nearly_perpendicular_to_the_x_axis_raises(degrees: int) -> None:
     """No cubic y(x) describes it."""
-    with pytest.raises(IllPosedError, match="nearly perpendicular to the x axis, after the motion"):
+    with pytest.raises(IllPosedError, match="perpendicular to the x axis, after the displacement"):
         transform_line([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
 
 
@@ -297,7 +297,7 @@ HUGE = 10**400
             lambda: transform_line(3.0, np.zeros(3), (0, 80)),
             r"parameters must have shape \(..., 4\)",
         ),
-        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "motion must be numbers"),
+        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "displacement must be num"),
         (
             lambda: transform_line(np.zeros(4), np.zeros(3), (0, HUGE)),
             "window must be numbers .* 1e400",

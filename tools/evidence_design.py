@@ -18,7 +18,7 @@ from reporting import bar, parser_of
 from maplines_can.study.dbc.record_spec import DEFAULT
 from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.wire.message.layout import STATE_SIGNALS
+from maplines_can.wire.message.layout import PARAMETER_SIGNALS
 
 #: The targets in dbc/README.md.
 OF_THE_DEFAULT = Targets(
@@ -68,7 +68,7 @@ def designed(sets: Any, targets: Any, held_out: Any) -> Any:
 
 
 def of_covariance(writer: Any) -> Any:
-    kept = (*STATE_SIGNALS, "Inflation")
+    kept = (*PARAMETER_SIGNALS, "Inflation")
     return {
         spec.name: (spec.bits, spec.factor, spec.range)
         for page in writer.pages

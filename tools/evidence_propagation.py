@@ -18,7 +18,7 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 from reporting import bar, parser_of
 
-from maplines_can.line import STATES
+from maplines_can.line import PARAMETERS
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit, SigmaPoints
 from maplines_can.scenarios import SCENARIOS
 
@@ -112,7 +112,7 @@ def evidence(order: Any, samples: Any, seed: Any) -> Any:
 
 def show(result: Any, order: Any, samples: Any) -> None:
     """Print the figures as a table."""
-    states = "".join(f"{state:>6}" for state in STATES)
+    states = "".join(f"{state:>6}" for state in PARAMETERS)
     print(
         f"refit: difference from QR at {POSES:,} poses [sigma]\n"
         "points: difference of the sigma points from filterpy [sigma]\n"

@@ -34,7 +34,7 @@ from maplines_can.line import MapLine
 from maplines_can.scenarios import scenario
 from maplines_can.study.dbc.record_spec import SECURED
 from maplines_can.wire import Authenticator, Codec, Decoder, Frame, Key, Layout, Reason
-from maplines_can.wire.message.channel import SecuredForm
+from maplines_can.wire.message.slot_messages import SecuredLayout
 
 US, MS = 1_000, 1_000_000
 START = 1_750_000_000 * 10**9
@@ -87,7 +87,7 @@ class Bus:
 
     def __init__(self, mac_bytes: int = 8) -> None:
         layout, self.frames = recorded(mac_bytes)
-        self.form = secured_form(layout)
+        self.secured = secured_layout(layout)
         self.receiver = Codec(layout, Authenticator(*keys()))
         self.decoder = self.receiver.decoder()
         self.now = START
@@ -119,8 +119,8 @@ class Bus:
         return max(moved, counts["LINE"]), dict(counts)
 
 
-def secured_form(layout: Layout) -> SecuredForm:
-    """Return the form of the authenticated messages of a layout, which must have some."""
+def secured_layout(layout: Layout) -> SecuredLayout:
+    """Return the layout of the authenticated messages of a layout, which must have some."""
     if layout.secured is None:
         raise RuntimeError("the layout has no authenticated message")
     return layout.secured
@@ -140,12 +140,12 @@ Attack = Iterator[tuple[int, bytes]]
 
 def forged(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
     """Yield random records with the next freshness value and a guessed MAC."""
-    frames, form = bus.frames[:8], bus.form
+    frames, secured = bus.frames[:8], bus.secured
     for _ in range(n):
         frame = frames[int(rng.integers(8))]
-        fresh = ((bus.now + US) // US).to_bytes(8, "big")[-form.freshness_bytes :]
-        record = rng.bytes(form.authentic_bytes - 1) + bytes([1 + int(rng.integers(2))])
-        yield frame.can_id, record + fresh + rng.bytes(form.mac_bytes)
+        fresh = ((bus.now + US) // US).to_bytes(8, "big")[-secured.freshness_bytes :]
+        record = rng.bytes(secured.authentic_bytes - 1) + bytes([1 + int(rng.integers(2))])
+        yield frame.can_id, record + fresh + rng.bytes(secured.mac_bytes)
 
 
 def replayed(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
@@ -176,14 +176,14 @@ def truncated(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
 
 def refreshed(bus: Bus, rng: np.random.Generator, n: int) -> Attack:
     """Yield received frames with a new freshness value; some with another key ID or slot."""
-    form = bus.form
+    secured = bus.secured
     for i in rng.integers(RECEIVED, size=n):
         frame = bus.frames[i]
         data, kind = bytearray(frame.data), int(rng.integers(3))
-        fresh = ((bus.now + US) // US).to_bytes(8, "big")[-form.freshness_bytes :]
-        data[form.authentic_bytes : form.authentic_bytes + form.freshness_bytes] = fresh
+        fresh = ((bus.now + US) // US).to_bytes(8, "big")[-secured.freshness_bytes :]
+        data[secured.authentic_bytes : secured.authentic_bytes + secured.freshness_bytes] = fresh
         if kind == 1:
-            data[form.authentic_bytes - 1] ^= 3
+            data[secured.authentic_bytes - 1] ^= 3
         yield (frame.can_id ^ 1 if kind == 2 else frame.can_id), bytes(data)
 
 
@@ -288,9 +288,9 @@ def speed(n: int) -> dict[str, int]:
             t_ns += 6_250_000
             decoder.feed(frame.can_id, frame.data, t_ns)
         best(rates, f"lines decoded, {name}", decoder.lines, begin)
-    begin, record, form = time.perf_counter(), bytes(32), secured_form(layout)
+    begin, record, secured_pdu = time.perf_counter(), bytes(32), secured_layout(layout)
     for _ in range(n):
-        authenticator.secure(record, 0x4D50, form)
+        authenticator.secure(record, 0x4D50, secured_pdu)
     best(rates, "records secured", n, begin)
     return {f"{name}, per second": round(rate) for name, rate in rates.items()}
 

@@ -86,7 +86,7 @@ def down(row: Any) -> None:
 
 
 def unplugged(row: Any) -> None:
-    """Interface deleted, and a new one of its name."""
+    """Interface deleted and re-created under the same name."""
     with restored("vcan0"), Testbed(row) as testbed:
         receiver = testbed.receiver
         started = time.monotonic()
@@ -117,10 +117,10 @@ def killed(row: Any) -> None:
         valid = receiver.wait_for_new_lines(since, since_ns, valid=True)
         # The sender reports that it sends after its first lines.
         row.lines_again, row.valid_again = max(0.0, again - sending), max(0.0, valid - sending)
-        jumps = sum(check["wrong_sequence"] for check in last_checks(receiver))
+        breaks = sum(check["wrong_sequence"] for check in last_checks(receiver))
     row.seen = (
         f"INVALID by silence; {sending - started:.1f} s later a sender whose counters restart: its "
-        f"first lines are delivered, {jumps} slots of {SLOTS} count the jump"
+        f"first lines are delivered, {breaks} slots of {SLOTS} count the sequence break"
     )
 
 

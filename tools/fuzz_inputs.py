@@ -141,7 +141,7 @@ def short_dbc(code: str, secured: bool = False) -> str:
 
 
 def dbc_seeds() -> Iterator[bytes]:
-    """Yield DBCs of several codes and forms."""
+    """Yield DBCs of several covariance codes and layouts."""
     for code in ("MeanOnly", "Sigmas", "Cholesky", "Float32"):
         yield short_dbc(code).encode("cp1252")
     only_classic = short_dbc("MeanOnly")

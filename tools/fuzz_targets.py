@@ -94,7 +94,7 @@ def valid_record(
         raw |= {f"{PAGE}{page}": page, f"{TRANSFER_ID}{page}": counter}
     raw["Status"] %= len(Status)
     record = packing.pack_one(raw)
-    crc = record_crc_one(record, layout.channels[slot].data_id, layout.crc_offset)
+    crc = record_crc_one(record, layout.messages[slot].data_id, layout.crc_offset)
     head, tail = record[: layout.crc_offset], record[layout.crc_offset + CRC_BYTES :]
     return head + crc.to_bytes(CRC_BYTES, "little") + tail
 
@@ -113,13 +113,13 @@ class Sender:
 
     def frames(self, record: bytes, slot: Slot, fd: bool) -> list[tuple[int, bytes]]:
         """Return CAN ID and payload of each frame."""
-        channel, form = self.codec.layout.channels[slot], self.codec.layout.secured
-        if fd and self._keys and form and channel.secured_can_id is not None:
-            secured = self._keys.secure(record, channel.secured_data_id, form)
-            return [(channel.secured_can_id, secured)]
-        if fd and channel.fd_can_id is not None:
-            return [(channel.fd_can_id, record)]
-        can_id = channel.can_id or 0
+        messages, secured = self.codec.layout.messages[slot], self.codec.layout.secured
+        if fd and self._keys and secured and messages.secured_can_id is not None:
+            data = self._keys.secure(record, messages.secured_data_id, secured)
+            return [(messages.secured_can_id, data)]
+        if fd and messages.fd_can_id is not None:
+            return [(messages.fd_can_id, record)]
+        can_id = messages.can_id or 0
         starts = range(0, len(record), PAGE_BYTES)
         return [(can_id, record[i : i + PAGE_BYTES]) for i in starts]
 
@@ -215,7 +215,7 @@ def check_answer(codec: Codec, state: Decoder, answer: object, frames: int) -> N
     check_counts(state, frames)
     most = 2 ** codec.layout[f"{TRANSFER_ID}0"].length * codec.layout.pages + 8 * codec.layout.pages
     require(
-        state.pending <= most * len(codec.layout.channels),
+        state.pending <= most * len(codec.layout.messages),
         "more frames are pending than the transfer IDs allow",
     )
     if isinstance(answer, MapLine):
@@ -296,7 +296,7 @@ def dbc(data: bytes) -> Counter[str]:
     layout, outcomes = codec.layout, Counter(layout=1)
     state = codec.decoder()
     junk = random.Random(len(data)).randbytes(layout.record_bytes)  # noqa: S311
-    for slot, channel in layout.channels.items():
+    for slot, messages in layout.messages.items():
         for record in (junk, bytes(layout.record_bytes)):
             require(not isinstance(codec.decode_one(record, slot), Exception), "")
             codec.decode_batch(np.frombuffer(record, np.uint8)[None], slot)
@@ -309,7 +309,7 @@ def dbc(data: bytes) -> Counter[str]:
                 continue
             answers = [state.feed(f.can_id, f.data, 0, is_extended=f.is_extended) for f in frames]
             outcomes[outcome_of(answers[-1])] += 1
-        for can_id in (channel.can_id, channel.fd_can_id, channel.secured_can_id):
+        for can_id in (messages.can_id, messages.fd_can_id, messages.secured_can_id):
             if can_id is not None:
                 state.feed(can_id, junk[:PAGE_BYTES], 0)
                 state.feed(can_id, junk, 0)

@@ -382,7 +382,7 @@ def checksum(n: Any, seed: Any, faults: Any) -> Any:  # noqa: ARG001
     n, codec, rng = 4 * n, Codec.from_dbc(), np.random.default_rng([seed, 16])
     size, offset = codec.layout.record_bytes, codec.layout.crc_offset
     pool = Chunk(codec, 0, CHUNK, seed).payloads
-    ids = np.array([codec.layout.channels[slot].data_id for slot in Slot])
+    ids = np.array([codec.layout.messages[slot].data_id for slot in Slot])
     checked, passed = Counter[Any](), Counter[Any]()
 
     def check(what: Any, damaged: Any, good: Any, data_ids: Any) -> None:

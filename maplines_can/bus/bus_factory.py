@@ -26,7 +26,7 @@ class BusFactory:
     """Factory of python-can buses on one interface, and the properties of that interface.
 
     Args:
-        opener: returns a new open bus; called with the settings if there are any.
+        opener: function that returns a new open bus; called with the settings if there are any.
             None for ``can.Bus``.
         settings: of ``can.Bus``. Settings that are None or missing are read from
             python-can's environment variables and configuration files. They are read only

@@ -40,8 +40,8 @@ class Link:
     Any number of threads may send and one may receive, at the same time.
 
     Args:
-        opener: returns a new open bus; called with the settings if there are any, and again
-            after each outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
+        opener: bus factory; called with the settings if there are any, and again after each
+            outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
         on_event: called with (up, text) by the thread that noticed the event.
         backoff: shortest and longest pause between two attempts to reopen [s].
         clock: a monotonic clock [s].
@@ -218,8 +218,8 @@ class Link:
                     f"{self.name} refuses the frame: {error_text(error)}; a CAN FD frame needs an "
                     "interface with CAN FD that is opened with fd=True"
                 ) from error
-            # With SocketCAN, each loss has an error number. python-can's error without one is
-            # "Transmit buffer full", for as long as no node acknowledges.
+            # With SocketCAN, python-can raises an error without errno only for "Transmit buffer
+            # full" (e.g. no node acknowledges).
             no_ack = kind is DriverError.UNCLEAR and self._factory.is_socketcan
             if kind is DriverError.FULL or no_ack:
                 return Sent.FULL
@@ -227,10 +227,10 @@ class Link:
                 since = self._unclear_since.setdefault(way, self._clock())
                 if self._clock() - since < self.UNCLEAR_TIMEOUT:
                     return Sent.FULL
-        self._lose(bus, error_text(error))
+        self._mark_lost(bus, error_text(error))
         return Sent.DOWN
 
-    def _lose(self, bus: can.BusABC, reason: str) -> None:
+    def _mark_lost(self, bus: can.BusABC, reason: str) -> None:
         with self._lock:
             if bus is not self._bus:
                 return
@@ -249,12 +249,12 @@ class Link:
             )
 
     def _check_deleted(self, bus: can.BusABC) -> None:
-        """Lose a bus that received nothing because its interface was deleted: see `socketcan`."""
+        """Check once a second whether the interface was deleted; if so, mark the bus as lost."""
         now = self._clock()
         if now >= self._check_at:
             self._check_at = now + 1.0
             if self._factory.is_deleted():
-                self._lose(bus, "it was deleted")
+                self._mark_lost(bus, "it was deleted")
 
     def _back_off(self) -> None:
         self._retry_at = self._clock() + self._pause

@@ -39,12 +39,12 @@ class Receiver(BackgroundThread):
     when the receiver stops can still be fetched. The newest ``queue_size`` lines wait. Older
     ones are dropped and counted as overflowed, because a stale line is of no use.
 
-    A controller needs neither: `latest` returns the newest line of a slot at any time,
-    with its age, its E2E state, and whether it is stale.
+    A control loop needs neither callback nor queue: `latest` returns the newest line of a slot at
+    any time, with its age, its E2E state, and whether it is stale.
 
-    Frames sent by this host are received like any others. SocketCAN marks the frames
-    of *every* local program in the same way, and a link receives its own frames only if
-    it is opened with ``receive_own_messages=True``.
+    Frames sent by this host are received like any others. SocketCAN cannot distinguish this link's
+    frames from those of other local programs. A link receives its own frames only if it is opened
+    with ``receive_own_messages=True``.
 
     Nothing that arrives from the bus raises. An exception of the callback ends the thread and
     is raised again by `get`, by the iteration, by `wait` and by `stop`.
@@ -124,8 +124,8 @@ class Receiver(BackgroundThread):
                 neither an adapter with a clock of its own nor a change of the host's clock makes
                 a line look younger than it is.  After the start the frames may be a backlog,
                 for example on a link that was open before.  The time on that clock is then
-                unknown: the age is infinite and the line is stale, until frames have arrived at
-                the pace of their stamps for 0.2 s.
+                unknown: the age is infinite and the line is stale until the backlog has been
+                drained for 0.2 s.
             stale_cycles: after how many cycle times without a newer line a line is stale;
                 see ``Codec.decoder`` for the cycle time.
 
@@ -134,7 +134,7 @@ class Receiver(BackgroundThread):
         """
         with self._changed:
             view = self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
-            known = now_ns is not None or self._stamps.steady
+            known = now_ns is not None or self._stamps.is_settled
         return view if known else view._replace(age=float("inf"), stale=True)
 
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:

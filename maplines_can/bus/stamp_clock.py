@@ -6,9 +6,9 @@ from __future__ import annotations
 SET_BACK_NS = 1_000_000_000
 #: A frame that waited less than this is not late [ns].
 LATE_NS = 20_000_000
-#: The backlog is over if, during this time on our clock ... [ns]
-STEADY_NS = 200_000_000
-#: ... the waiting time of the frames has not decreased by this or more [ns].
+#: Time on our clock over which the decrease of the waiting time is measured [ns].
+SETTLE_NS = 200_000_000
+#: A decrease of the waiting time by this or more within SETTLE_NS indicates a backlog [ns].
 GAIN_NS = 50_000_000
 
 
@@ -23,19 +23,19 @@ class StampClock:
 
     The offset between the clocks is therefore taken from the frame that waited least, and not
     from the last one.  If all frames are late for a second, the clock of the stamps
-    was set back, and the offset is set anew; until then lines look older than they are.
+    was set back, and the offset is set again; until then lines look older than they are.
 
     At the start, all frames may be from a backlog, and nothing shows how long the first one has
     waited.  But a backlog is read faster than it arrived: the frames wait less and less.
-    ``steady`` is whether that is over: in 0.2 s of our clock, with a frame at both
-    ends, the waiting time did not decrease by 50 ms or more.  This works on a busy bus, where
+    The clock has settled (``is_settled``) once the waiting time has fallen by less than 50 ms over
+    0.2 s.  This works on a busy bus, where
     the queue may never be empty, and needs no common origin of the two clocks.  A clock that
     is set forward looks like a backlog for 0.2 s.  A queue of constant length is not noticed.
 
     >>> clock = StampClock()
     >>> clock.add(5_000_000_000, 0)
     >>> clock.add(5_100_000_000, 3_000_000_000)  # it has waited for 2.9 s
-    >>> clock.now(3_000_000_000), clock.steady
+    >>> clock.now(3_000_000_000), clock.is_settled
     (8000000000, True)
     """
 
@@ -43,12 +43,12 @@ class StampClock:
         self._offset_ns: int | None = None  # stamp minus our clock, of the frame that waited least
         self._late_offset_ns = 0  # the same, of the frames that are late
         self._late_since_ns: int | None = None
-        #: Whether frames arrive at the pace of their stamps, so that ``now`` can be trusted.
-        self.steady = False
+        #: True once the waiting time has fallen by less than 50 ms over 0.2 s.
+        self.is_settled = False
         self._base_offset_ns = self._base_at_ns = 0  # offset at the start of the 0.2 s
 
     def add(self, stamp_ns: int, at_ns: int) -> None:
-        """Take the stamp of a frame that was read at ``at_ns`` on our clock."""
+        """Update the clock offset from a frame's time stamp, read at ``at_ns`` on our clock."""
         offset_ns = stamp_ns - at_ns
         if self._offset_ns is None:
             self._offset_ns = self._base_offset_ns = offset_ns
@@ -64,8 +64,8 @@ class StampClock:
                 self._offset_ns, self._late_since_ns = self._late_offset_ns, None
                 self._base_offset_ns = self._offset_ns
         gained = self._offset_ns - self._base_offset_ns >= GAIN_NS
-        if gained or at_ns - self._base_at_ns >= STEADY_NS:
-            self.steady = not gained
+        if gained or at_ns - self._base_at_ns >= SETTLE_NS:
+            self.is_settled = not gained
             self._base_offset_ns, self._base_at_ns = self._offset_ns, at_ns
 
     def now(self, at_ns: int) -> int:

@@ -35,18 +35,18 @@ class TransmitterStats(NamedTuple):
 class Transmitter(BackgroundThread):
     """Thread that sends every published line once each period.
 
-    Each slot has a fixed phase in the period, so that the lines do not go out all at once:
-    the transmit queue of a CAN interface is short (10 frames with Linux's defaults, while 8
-    lines are 32 frames), and another node then waits for 4 frames at most.  The frames of one
-    line are sent back to back, and so are the components of one mixture.
+    Each slot has a fixed phase in the period, which spreads the lines over the period: the transmit
+    queue of a CAN interface is short (10 frames with Linux's defaults, while 8 lines are 32
+    frames), so that another node waits for at most 4 frames.  The frames of one line are sent back
+    to back, and so are the components of one mixture.
 
     Deadlines are absolute (see ``Schedule``): they do not drift.  A deadline that is missed
     by a period or more is skipped and counted as an overrun.  A line that is not published
     again is sent again, with a growing age.
 
-    The latest value wins, as of the time when the line is encoded: at its deadline, or
-    together with another line up to 0.1 s earlier (see ``TxQueue``).  The age is valid at the
-    deadline; the freshness value of an authenticated line is of the encoding.
+    The value sent is the latest at encoding time: the deadline, or up to 0.1 s earlier together
+    with another line (see ``TxQueue``).  Freshness is also stamped then; age refers to the
+    deadline.
 
     Lines are sent whole or not at all.  After a frame that could not be sent, the rest of its
     transfer is dropped, the line is counted as ``down`` or ``full``, and the next period starts

@@ -1,4 +1,4 @@
-"""The transmit queue: which lines are due, and their frames; time is an argument."""
+"""Queue of the next transfers of each slot, with their deadlines; time is an argument."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from ..line import MapLine, Slot
 from ..wire import Codec, Frame
 from .schedule import Schedule
 
-#: Longest time before its deadline at which a line is encoded, and so authenticated [s]: a small
-#: fraction of the second within which a receiver must get an authenticated frame.
+#: Max lead time of encoding [s]; well below the 1 s freshness window.
 AHEAD = 0.1
 
 
@@ -36,14 +35,16 @@ class _Published:
 
 
 class TxQueue:
-    """Latest value of each slot, the deadlines, and the transfers that are encoded ahead.
+    """Queue of the next transfers of each slot, with their deadlines.
 
-    One line takes as long to encode as eight.  A line that is due is therefore encoded
-    together with others that are due soon, unless a newer value is likely to replace them before
-    their deadlines: a new value is encoded ahead if its deadline is less than a period after its
-    publishing, and a repeated value if its deadline is less than half a period away.  A producer
-    that publishes once a period thus never has an old value sent, and its lines are encoded
-    once a period.  The age of a line encoded ahead is that at its own deadline.
+    Encoding eight lines takes no longer than encoding one.  A line that is due is therefore encoded
+    together with others that are due soon and unlikely to be replaced before their deadlines:
+
+    - a new value, if its deadline is less than a period after its publishing;
+    - a repeated value, if its deadline is less than half a period away.
+
+    A producer that publishes once a period thus never has an old value sent, and its lines are
+    encoded once a period.  The age of a line encoded ahead is that at its own deadline.
 
     If a line that is encoded ahead is not sent, because its deadline was skipped or its slot was
     dropped, the counters have no gap: they advance when a transfer is taken.
@@ -104,7 +105,7 @@ class TxQueue:
         if due is None:
             return None
         transfer = self._ahead.pop(due.key, None)
-        if transfer is None or transfer.deadline != due.deadline:  # its own was skipped
+        if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
             self._encode(due.key, due.deadline)
             transfer = self._ahead.pop(due.key)
         self._counters[due.key] += transfer.records

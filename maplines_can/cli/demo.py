@@ -39,8 +39,8 @@ covered target: the sent Gaussian, widened by the rounding error of its mean. Th
 
 COMPONENTS_LEGEND = f"""\
 nonlinearity: share of the standard deviation of a line that comes from the nonlinear part of
-    its dependence on the pose, 0 to 1; large values fit badly to one Gaussian. --components auto
-    adds components until it is at most {TOLERANCE:g} within each, as far as --max-load allows."""
+    its dependence on the pose, 0 to 1; a large value means that one Gaussian fits badly.
+    --components auto adds components until it is at most {TOLERANCE:g}, as --max-load allows."""
 
 
 def add_demo(commands: Any) -> None:
@@ -102,7 +102,8 @@ def _text(trip: RoundTrip, scene: Scenario, components: Sequence[LineComponents]
     texts = [components_text(line) for line in components or ()]
     out = [
         f"{scene.name}: {scene.about}",
-        f"{len(trip.lines)} lines over {trip.carrier}, {trip.bus.rate:g} Hz, {trip.seconds:.1f} s",
+        f"{len(trip.lines)} lines over {trip.frame_format}, {trip.bus.rate:g} Hz, "
+        f"{trip.seconds:.1f} s",
         "",
         *_table(trip.lines, texts),
         "",

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..line import STATES
+from ..line import PARAMETERS
 from ..study.design.plan import Targets
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
@@ -197,8 +197,8 @@ def _of_states(text: str) -> dict[str, float]:
         except ValueError:
             numbers = {}
             break
-    if not numbers or not set(numbers) <= set(STATES):
+    if not numbers or not set(numbers) <= set(PARAMETERS):
         raise argparse.ArgumentTypeError(
-            f"must be numbers of {', '.join(STATES)}, such as y_off=16,beta=0.35, got {text!r}"
+            f"must be numbers of {', '.join(PARAMETERS)}, such as y_off=16,beta=0.35, got {text!r}"
         )
     return numbers

@@ -66,15 +66,15 @@ def add_faults(parser: argparse.ArgumentParser) -> None:
         type=_faults,
         metavar="SPEC",
         help="inject faults into the frames, for tests; KEY=VALUE joined by commas. Shares of the "
-        "frames: loss=0.1 dup=0.05 reorder=0.05 corrupt=0.02 garbage=0.01 late=0.1, the latter by "
-        "delay=0.02 and jitter=0.01 [s]. Foreign frames per second: flood=1000 with "
+        "frames: loss=0.1 dup=0.05 reorder=0.05 corrupt=0.02 garbage=0.01 late=0.1 (by "
+        "delay=0.02 plus up to jitter=0.01 s). Foreign frames per second: flood=1000 with "
         "flood_ids=0x340-0x347. Seed: seed=7. Faults of single frames: script=FILE, with rows such "
         "as 'loss 3' or 'flip 20-29 3'",
     )
 
 
 def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
-    """Return the opener for ``Link`` that injects ``--faults``; None without faults."""
+    """Return the bus factory for ``Link`` that injects ``--faults``; None without faults."""
     if arguments.faults is None:
         return None
     from ..testing import FaultyOpener
@@ -162,11 +162,11 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
 
 
 def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:
-    """Return an argparse type that gives ``read``, the file or variable, and the key number."""
+    """Return an argparse type that returns (read, name, key_id)."""
 
     def parse(text: str) -> tuple[Any, str, int]:
         key_id, colon, name = text.partition(":")
-        numbered = colon and key_id.isdecimal() and len(key_id) <= 3  # longer ones may be a key
+        numbered = colon and key_id.isdecimal() and len(key_id) <= 3  # a longer number may be a key
         return (read, name, int(key_id)) if numbered else (read, text, 1)
 
     return parse
@@ -178,8 +178,8 @@ def add_cycle(parser: argparse.ArgumentParser) -> None:
         "--cycle-ms",
         type=number(float, 1, 60_000),
         metavar="MS",
-        help="period at which each line is sent [ms], such as 500 for 'send --rate 2'; cycles "
-        "without data are counted by it (default: the cycle time in the DBC, 50 in the one of "
+        help="period at which each line is sent [ms], such as 500 for 'send --rate 2'; "
+        "used to count cycles without data (default: the cycle time in the DBC, 50 in the one of "
         "this package)",
     )
 

@@ -8,7 +8,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from ..line import STATES, MapLine
+from ..line import PARAMETERS, MapLine
 from ..wire import SlotStats
 
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
@@ -47,7 +47,7 @@ def line_dict(line: MapLine) -> dict[str, Any]:
         "x_max": line.x_max,
         "age": line.age,
         "components": 1 if line.mixture is None else len(line.mixture.weights),
-        "mean": dict(zip(STATES, line.gaussian.mean.tolist(), strict=True)),
+        "mean": dict(zip(PARAMETERS, line.gaussian.mean.tolist(), strict=True)),
         "cov": line.gaussian.cov.tolist(),
         "mixture": None
         if line.mixture is None
@@ -65,10 +65,9 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
     A mixture is written with the mean and covariance of the whole.
     """
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(
-        ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components", *STATES]
-        + [f"cov_{STATES[i]}_{STATES[j]}" for i, j in UPPER_TRIANGLE]
-    )
+    columns = ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components"]
+    covariances = [f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE]
+    writer.writerow([*columns, *PARAMETERS, *covariances])
     for channel, line in lines:
         row = line_dict(line)
         writer.writerow(

@@ -21,7 +21,7 @@ from .options import (
 )
 from .output import faults_text, slot_text
 from .parsing import add_command, natural
-from .sending import add_sending, carrier_text, components_text, lines_of
+from .sending import add_sending, components_text, frame_format_text, lines_of
 from .stderr import note
 
 DESCRIPTION = """\
@@ -59,10 +59,10 @@ def _send(arguments: argparse.Namespace) -> int:
                 transmitter.publish(lines)
                 if not arguments.json:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
-                    carrier = carrier_text(codec, fd=arguments.fd)
+                    frame_format = frame_format_text(codec, fd=arguments.fd)
                     note(
-                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, {carrier}, "
-                        f"{arguments.rate:g} Hz, {until}"
+                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, "
+                        f"{frame_format}, {arguments.rate:g} Hz, {until}"
                     )
                     if arguments.components != 1:
                         for line in components:

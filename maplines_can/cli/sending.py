@@ -1,4 +1,4 @@
-"""Sending a scene: options of ``send`` and ``demo``, and components within a bus load."""
+"""Options of ``send`` and ``demo``, and the number of components that a bus-load limit allows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..scenarios import SCENARIOS, Scenario
 from ..wire import Codec
 from .parsing import number
 
-#: Largest bus load of lines whose numbers of components are chosen.
+#: Default bus-load limit for --components auto.
 MAX_LOAD = 0.3
 
 
@@ -180,7 +180,7 @@ def components_text(line: LineComponents) -> str:
     return f"{line.components} components, {text}, {within}"
 
 
-def carrier_text(codec: Codec, *, fd: bool) -> str:
+def frame_format_text(codec: Codec, *, fd: bool) -> str:
     """Return the frame format, and whether the frames are authenticated, as text."""
     authenticated = ", authenticated" if codec.authenticator else ""
     return f"{'CAN FD' if fd else 'classic CAN'}{authenticated}"

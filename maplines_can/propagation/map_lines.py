@@ -59,12 +59,12 @@ def map_lines(
     for (slot, kind, polyline), k in zip(lines, counts, strict=True):
         refit = Refit(polyline, ego.mean, window, map_error)
         x_min, x_max = refit.x_range.tolist()
-        extent: dict[str, Any] = {"x_min": x_min, "x_max": x_max, "kind": kind}
+        valid_range: dict[str, Any] = {"x_min": x_min, "x_max": x_max, "kind": kind}
         weights, means, covs = Mixture(k, transform).moments(refit, ego)
         gaussians = tuple(Gaussian(mean, cov) for mean, cov in zip(means, covs, strict=True))
         if k == 1:
-            result.append(MapLine(slot, gaussians[0], **extent))
+            result.append(MapLine(slot, gaussians[0], **valid_range))
         else:
             mixture = GaussianMixture(weights, gaussians)
-            result.append(MapLine.of_mixture(slot, mixture, **extent))
+            result.append(MapLine.of_mixture(slot, mixture, **valid_range))
     return result

@@ -12,7 +12,7 @@ from ..gaussian import Gaussian
 from .transform import values_at
 
 #: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
-REACH = np.sqrt(3.0)
+SIGMA_SPREAD = np.sqrt(3.0)
 
 
 class Nonlinearity(NamedTuple):
@@ -40,18 +40,18 @@ def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlineari
     places = [np.zeros(n), *axes, *-axes]
     for i, j in pairs:
         places += [(axes[i] + s * axes[j]) * t / np.sqrt(2) for s in (1, -1) for t in (1, -1)]
-    points = gaussian.mean + REACH * np.array(places) @ gaussian.root.T
+    points = gaussian.mean + SIGMA_SPREAD * np.array(places) @ gaussian.root.T
     values = values_at(function, points).reshape(len(points), -1)  # (P, outputs)
     middle, ahead, behind = values[0], values[1 : n + 1], values[n + 1 : 2 * n + 1]
     H = np.zeros((values.shape[1], n, n))
     for i in range(n):
-        H[:, i, i] = (ahead[i] + behind[i] - 2 * middle) / REACH**2
+        H[:, i, i] = (ahead[i] + behind[i] - 2 * middle) / SIGMA_SPREAD**2
     for (i, j), (pp, pm, mp, mm) in zip(
         pairs, values[2 * n + 1 :].reshape(len(pairs), 4, values.shape[1]), strict=True
     ):
         # Along (e_i + e_j) / sqrt(2) and (e_i - e_j) / sqrt(2): half their difference is H_ij.
-        H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * REACH**2)
-    slopes = (ahead - behind) / (2 * REACH)
+        H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * SIGMA_SPREAD**2)
+    slopes = (ahead - behind) / (2 * SIGMA_SPREAD)
     variance = (slopes**2).sum(axis=0) + (H**2).sum(axis=(1, 2)) / 2
     H = H[variance > 0] / np.sqrt(variance[variance > 0])[:, None, None]
 

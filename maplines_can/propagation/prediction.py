@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..arrays import number_text
 from ..gaussian import Gaussian, independent
-from ..line import STATES, MapLine, Status, lateral, transform_line, transform_line_or_nan
+from ..line import PARAMETERS, MapLine, Status, lateral, transform_line, transform_line_or_nan
 from ..mixture import GaussianMixture
 from .motion import Motion
 from .sigma_points import SigmaPoints
@@ -51,20 +51,21 @@ def predict(
     Raises:
         ValueError: a dimension is wrong, or the window is empty.
         IllPosedError: at a point that the transform needs, the line in the new frame
-            is not a function of x or is nearly perpendicular to the x axis. The points
-            of ``Linear()`` are all close to the mean.
+            is not a function of x or is nearly perpendicular to the x axis. ``Linear()``
+            evaluates only near the mean, so it may not notice this.
 
     >>> line = Gaussian([1.75, 0.0, 0.001, 0.0], np.diag([0.1, 0.01, 1e-4, 1e-6]) ** 2)
     >>> now = predict(line, Motion.with_sigma(20.0, 0.0, (0.5, 0.05)).over(0.1), (0.0, 80.0))
     >>> now.mean[:2].round(3), now.sigma[:2].round(3)
     (array([1.752, 0.002]), array([0.102, 0.011]))
     """
-    if gaussian.dimension != len(STATES):
-        raise ValueError(f"gaussian must be over {STATES}, got {gaussian.dimension}-D")
+    if gaussian.dimension != len(PARAMETERS):
+        raise ValueError(f"gaussian must be over {PARAMETERS}, got {gaussian.dimension}-D")
     _check_displacement(displacement)
 
     def move(points: NDArray[np.float64]) -> NDArray[np.float64]:
-        return transform_line_or_nan(points[:, : len(STATES)], points[:, len(STATES) :], window)
+        lines, displacements = np.split(points, [len(PARAMETERS)], axis=1)
+        return transform_line_or_nan(lines, displacements, window)
 
     with np.errstate(over="ignore", invalid="ignore"):  # Gaussian raises for such a result
         return transform(move, independent(gaussian, displacement))
@@ -133,7 +134,7 @@ def predict_to(
     if line.status == Status.OUT_OF_RANGE:
         return replace(line, t_ns=t_ns, age=0.0)
     window = line.x_min, line.x_max
-    x_min, x_max = _extent(line.gaussian.mean, displacement, window)
+    x_min, x_max = _valid_range(line.gaussian.mean, displacement, window)
     missing = max(0.0, MIN_WINDOW - (window[1] - window[0]))
     window = window[0] - missing / 2, window[1] + missing / 2
     gaussian, mixture = line.gaussian, line.mixture
@@ -181,7 +182,7 @@ def _check_displacement(displacement: Gaussian) -> None:
         )
 
 
-def _extent(
+def _valid_range(
     mean: NDArray[np.float64], displacement: Gaussian, window: Sequence[float]
 ) -> tuple[float, float]:
     """Return (x_min, x_max) of the mean line in the new frame, less the uncertainty [m]."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import floats
 from ..errors import IllPosedError
-from ..line import LEAST_ADVANCE, STATES, lateral, line_of_cubic
+from ..line import LEAST_ADVANCE, PARAMETERS, lateral, line_of_cubic
 from ..polyline import Polyline, near_stretch, to_ego
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
@@ -21,8 +21,8 @@ DEGREE = 6
 BLOCK = 2048
 #: Number of chords by which the shape of a line is checked.
 CHORDS = 16
-#: Smallest net advance of the chords along the car's x axis, as a share of the sum of the absolute
-#: advances (at most a third of it points backwards). LEAST_ADVANCE is a second condition.
+#: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
+#: in addition to LEAST_ADVANCE.
 LEAST_PROGRESS = 1 / 3
 #: Smallest pivot of the normal equations; with fewer than 4 distinct points it is rounding error.
 LEAST_PIVOT = 1e-13
@@ -108,7 +108,7 @@ class Refit:
         near = near_stretch(points, lengths, x_min, x_max)
         points = points[near]
         count = np.add.reduceat(near, _starts(np.array(lengths)), dtype=int)
-        if (count < len(STATES)).any():
+        if (count < len(PARAMETERS)).any():
             raise IllPosedError(
                 f"a cubic needs 4 points, but the line has {count.min()} in the window "
                 f"[{x_min:g}, {x_max:g}] m of the pose; widen the window or resample the line"
@@ -135,9 +135,9 @@ class Refit:
 
     @property
     def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): extent of the points along the x axis of the mean pose [m]."""
-        extent = self._centre[:, :1] + self._half[:, None] * [-1.0, 1.0]
-        return extent.reshape(*self._trailing, 2)
+        """(2,), or (L, 2): range of the points along the x axis of the mean pose [m]."""
+        x_range = self._centre[:, :1] + self._half[:, None] * [-1.0, 1.0]
+        return x_range.reshape(*self._trailing, 2)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -158,10 +158,10 @@ class Refit:
             if np.isnan(line).any():
                 self._raise_ill_posed(poses, None)
             return line
-        out = np.empty((len(poses), len(self._half), len(STATES)))
+        out = np.empty((len(poses), len(self._half), len(PARAMETERS)))
         for start in range(0, len(poses), BLOCK):
             out[start : start + BLOCK] = self._block(poses[start : start + BLOCK])
-        return out.reshape(len(poses), *self._trailing, len(STATES))
+        return out.reshape(len(poses), *self._trailing, len(PARAMETERS))
 
     def _block(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines for a block of (N, 3) poses."""
@@ -193,16 +193,16 @@ class Refit:
         """Return the covariance of the lines due to the map error, to first order."""
         step = 1e-4
         poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
-        ahead, behind = self(poses.reshape(6, 3)).reshape(2, 3, -1, len(STATES))
+        ahead, behind = self(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
         J_line_pose = (ahead - behind) / (2 * step)  # (3, L, 4)
         pose_sigma = np.array([error.offset_sigma, error.offset_sigma, error.heading_sigma])
         J = J_line_pose * pose_sigma[:, None, None]
         cov = np.einsum("klm,kln->lmn", J, J)
-        mean = self(self.pose[None]).reshape(-1, len(STATES))
+        mean = self(self.pose[None]).reshape(-1, len(PARAMETERS))
         for i, points in enumerate(self.points):
             unit_cov = _fit_cov(points, mean[i], self._centre[i, 0], self._half[i])
             cov[i] += error.point_sigma**2 * unit_cov
-        return cov.reshape(*self._trailing, len(STATES), len(STATES))
+        return cov.reshape(*self._trailing, len(PARAMETERS), len(PARAMETERS))
 
     def _raise_ill_posed(
         self, pose: NDArray[np.float64], window: tuple[float, float] | None
@@ -259,10 +259,9 @@ def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
 def _moments_to_monomials() -> NDArray[np.float64]:
     """Return the (49, 11 (2 DEGREE + 1)) matrix from moments to the sums of rotated points.
 
-    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and
-    v = c b - s a. Multiplied by c^2 + s^2 = 1 until they are of degree 5 or 6 in (c, s), all are
-    linear combinations of 13 monomials with integer coefficients. Small rotations cause no
-    cancellation.
+    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b
+    - s a. Homogenised to degree 5 or 6 in (c, s) with c^2 + s^2 = 1, all are linear combinations of
+    13 monomials with integer coefficients. Small rotations cause no cancellation.
     """
 
     def times(p: NDArray[np.float64], s: int, a: int, b: int) -> NDArray[np.float64]:
@@ -296,7 +295,7 @@ _NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7
 
 
 def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the (4, ...) solutions of the normal equations, and (...) where they have one.
+    """Return the (4, ...) solutions of the normal equations, and a mask of the solvable ones.
 
     The (11, ...) sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3. Gaussian elimination
     without pivoting: the matrix is positive definite.
@@ -324,7 +323,7 @@ def _fit_cov(
     _, beta, c0, c1 = line
     slope = np.tan(beta) + u * (c0 + u * c1 / 2)
     residual = v - lateral(line, u)
-    # An error of u changes l(u) by the slope, and the row of A that multiplies the residual.
+    # An error in u acts twice: via the slope of l, and via the change of A's row.
     V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
     # J: derivative of line_of_cubic at the fit; only beta is nonlinear in q, by its arctangent.
     J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T

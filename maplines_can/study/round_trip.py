@@ -80,7 +80,7 @@ class RoundTrip:
     received_lines: Mapping[str, MapLine] = field(repr=False)  #: the latest line of each slot
 
     @property
-    def carrier(self) -> str:
+    def frame_format(self) -> str:
         """Frame format, and whether the frames are authenticated, as text."""
         return f"{'CAN FD' if self.bus.fd else 'classic CAN'}" + (
             ", authenticated" if self.authenticated else ""
@@ -101,7 +101,7 @@ class RoundTrip:
         """Return all figures, for JSON."""
         dropped = {reason.name: n for reason, n in self.received.counts.items()}
         return {
-            "carrier": self.carrier,
+            "frame_format": self.frame_format,
             "seconds": self.seconds,
             "rate": self.bus.rate,
             "lines": [asdict(line) for line in self.lines],
@@ -235,7 +235,8 @@ def _run(
             except KeyboardInterrupt:  # the lines so far are still useful
                 pass
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
-        fault_counts = opener.as_dict() if opener else None  # before closing sends held frames
+        # Read now: closing the link releases held frames.
+        fault_counts = opener.as_dict() if opener else None
     return transmitter.stats(), receiver.stats(), fault_counts
 
 

@@ -89,7 +89,7 @@ class FaultInjector(Generic[F]):
         self._damages = list(zip(rates, DAMAGES, strict=True))  # cumulative rates
         self._delays = faults.delay > 0 or faults.jitter > 0
         self._last_scripted = max((fault.last for fault in faults.script), default=0)
-        # Heaps of (until which frame or time [s], sequence number, frame).
+        # Heaps of (frame number or time [s] of release, sequence number, frame).
         self._reordered: list[tuple[int, int, F]] = []
         self._delayed: list[tuple[float, int, F]] = []
         self._sequence = 0

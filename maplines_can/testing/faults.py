@@ -92,7 +92,7 @@ _DIRECTIONS = ("both", "send", "receive")
 
 @dataclass(frozen=True, slots=True)
 class ScriptedFault:
-    """A fault of certain frames: one line of a script.
+    """A fault of given frames: one line of a script.
 
     Raises:
         ValueError: the frames or the value are out of range.
@@ -153,7 +153,7 @@ class Faults:
 
     A frame is lost, or passed on and perhaps duplicated.  Each copy may then be
     damaged in one way, and may be held back, behind later frames or for a time.
-    Each rate is the share of the frames that reach this step.
+    Each rate is the share of the frames that reach its step.
 
     A script names faults of single frames.  A frame that it names gets exactly these faults,
     whatever the rates.  If it is duplicated and held back, the second copy is held back.
@@ -203,7 +203,7 @@ class Faults:
             object.__setattr__(self, name, tuple(values))
         for fault in self.script:
             if not isinstance(fault, ScriptedFault):
-                raise TypeError(f"faults: script must be of ScriptedFault.parse, got {fault!r}")
+                raise TypeError(f"faults: script must contain ScriptedFault objects, got {fault!r}")
         for name, limits in _LIMITS.items():
             limits.check(f"faults: {name}", getattr(self, name))
         damage = sum(getattr(self, kind.value) for kind in DAMAGES)
@@ -240,7 +240,7 @@ class Faults:
             dup       5
             reorder   7       2       # behind two later frames
             delay     8       0.02    # by 20 ms
-            flip      20-29   3       # three bits of each; without a value as the rates say
+            flip      20-29   3       # three bits of each; default: random, up to flip_bits
             truncate  31      4       # to 4 bytes
             wrong_dlc 32      6
             wrong_id  33      0x123
@@ -296,7 +296,7 @@ def _parse_ids(text: str) -> int | range:
             return first
         (last,) = rest
     except ValueError:
-        raise ValueError(f"faults: flood_ids must be such as 0x340-0x347+0, got {text!r}") from None
+        raise ValueError(f"faults: flood_ids must look like 0x340-0x347+0, got {text!r}") from None
     return range(first, last + 1)
 
 

@@ -287,14 +287,14 @@ class FaultyBus(can.BusABC):
 
 
 class FaultyOpener:
-    """Opener of faulty buses for ``Link``.
+    """Bus factory for ``Link`` that injects faults.
 
     Each call opens a bus and wraps it in a ``FaultyBus``. After an outage, the new bus
     continues the random numbers and the counters of the previous one.
 
     Args:
         faults: see ``FaultyBus``.
-        opener: opens the bus to wrap; called with the settings of the link.
+        opener: factory of the bus to wrap; called with the settings of the link.
         clock: see ``FaultyBus``.
 
     Raises:

@@ -28,7 +28,7 @@ from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
 
-#: Covariance codes of the product, by the name in the DBC's attribute CovarianceCode.
+#: Covariance codes of the package, by the name in the DBC's attribute CovarianceCode.
 CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}
 
 
@@ -109,7 +109,7 @@ class Codec:
     @property
     def can_ids(self) -> frozenset[int]:
         """CAN IDs of all lines, for filters."""
-        return frozenset(can_id for can_id, _ in self.layout.page_of_id)
+        return frozenset(can_id for can_id, _ in self.layout.message_of_id)
 
     @property
     def resolution(self) -> NDArray[np.float64]:
@@ -141,7 +141,7 @@ class Codec:
         Raises:
             ValueError: a shape is wrong, or a value is not finite, asymmetric, or a negative
                 variance; the message names the row.
-            EncodeError: a value has no raw value, such as a slot that the DBC does not have.
+            EncodeError: a value cannot be encoded in its signal, such as a slot that the DBC lacks.
             TypeError: there is no such attribute.
 
         >>> codec = Codec.from_dbc()
@@ -160,16 +160,16 @@ class Codec:
         """Encode many Gaussian mixtures into records, one for each component.
 
         The decoded weights are multiples of the signal's step and add up to 1. The decoded mixture
-        covers each component, and the covariance of the whole about the decoded mean: where
-        rounded weights would narrow the whole, the components are widened.
+        covers each component and the mixture's overall covariance; components are widened where the
+        rounding of the weights would shrink it.
 
         Args:
             weights: (N, k), each row of sum 1.
             means: (N, k, 4).
             covs: (N, k, 4, 4).
-            **attributes: (N,) or one for all, of the lines; see ``RecordAttributes``, without those
-                of the component. The counter of a line is that of its first component, by default
-                0, k, 2 k, ...
+            **attributes: attributes of each line, (N,) or one for all: any of
+                ``RecordAttributes`` except component_*. The counter of a line is that of its first
+                component, by default 0, k, 2 k, ...
 
         Returns:
             (N, k, record bytes) uint8; ``decode_batch`` reads the components one by one.
@@ -182,14 +182,14 @@ class Codec:
         return self._mixture_writer.write(*checked_mixtures(weights, means, covs), values)
 
     def decode_batch(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
-        """Decode many records. No content of the bytes raises.
+        """Decode many records. Never raises on payload content.
 
         Args:
             payloads: (N, record bytes) uint8.
             slot: (N,) or one for all; their E2E data IDs are part of the checksums.
 
         Returns:
-            The lines. Rows that are not accepted hold the values in their bytes.
+            The lines. Rejected rows hold whatever their bytes decode to.
 
         Raises:
             ValueError: the array has another shape or type.
@@ -199,7 +199,7 @@ class Codec:
         return self._reader.read(records, data_ids)
 
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
-        """Decode one record, received at ``t_ns`` [ns]: as ``decode_batch`` to the last bit.
+        """Decode one record, received at ``t_ns`` [ns]; bit-identical to ``decode_batch``.
 
         Returns:
             The line, or the reason why the record is rejected. For a component of a mixture it is
@@ -211,11 +211,11 @@ class Codec:
     def read_record(
         self, payload: bytes, slot: Slot, t_ns: int | None = None
     ) -> DecodedRecord | Reason:
-        """Decode one record: as ``decode_one``, with its index, count and weight in a mixture."""
-        channel = self.layout.channels.get(slot)
-        if channel is None:
+        """Decode one record as ``decode_one``, with its index, count and weight in a mixture."""
+        messages = self.layout.messages.get(slot)
+        if messages is None:
             raise EncodeError(f"{self.layout.source} has no message for slot {slot!r}")
-        return self._reader.read_one(payload, slot, channel.data_id, t_ns)
+        return self._reader.read_one(payload, slot, messages.data_id, t_ns)
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -237,12 +237,12 @@ class Codec:
         fd: bool = False,
         counters: Mapping[Slot, int] | None = None,
     ) -> list[list[Frame]]:
-        """Encode lines into the frames of each; many at once take hardly longer than one.
+        """Encode lines into the frames of each; many lines take hardly longer than one.
 
         Args:
             lines: lines to send.
             fd: see ``encode``.
-            counters: of the first record of each slot, for a sender that may discard the frames.
+            counters: start counter of each slot; pass it if encoded frames may never be sent.
                 None: the codec's own counters, which advance.
         """
         if not lines:

@@ -76,7 +76,7 @@ from maplines_can import IllPosedError
         ("transform_line([0, 0, 0, 0], [0, 0, 0], (0, inf))", ValueError, "window.*inf"),
         ("transform_line([0, 0, 0, 0], [0, 0, 0], (0, 80), points=3)", ValueError, "points.*3"),
         ("transform_line([0, 0, 0], [0, 0, 0], (0, 80))", ValueError, "parameters.*3"),
-        ("transform_line([0, 0, 0, 0], [0, 0], (0, 80))", ValueError, "motion.*2"),
+        ("transform_line([0, 0, 0, 0], [0, 0], (0, 80))", ValueError, "displacement.*2"),
         # Polyline, an empty map
         ("Polyline([])", ValueError, "points"),
         ("Polyline([[0, 0]])", ValueError, "points.*1, 2"),

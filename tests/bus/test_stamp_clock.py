@@ -33,26 +33,26 @@ MS = 1_000_000
 
 
 def test_a_backlog_at_the_start_is_not_taken_for_new() -> None:
-    """Its frames are read at once; the clock is steady when frames arrive at the pace of stamps."""
+    """Its frames are read at once; the clock settles when frames arrive at the pace of stamps."""
     clock = StampClock()
     for i in range(41):  # 2 s of frames in 4 ms; the last one has waited for 0.9 s
         clock.add(i * 50 * MS, i * MS // 10)
-        assert not clock.steady
+        assert not clock.is_settled
     for i in range(41, 60):  # then frames at the pace of their stamps, 3 s after the first
         at_ns = 3000 * MS + i * 50 * MS
         clock.add(at_ns + 2900 * MS, at_ns)
-        assert clock.steady == (i >= 45)
+        assert clock.is_settled == (i >= 45)
         assert clock.now(at_ns) == at_ns + 2900 * MS
 
 
 @pytest.mark.parametrize("wait_ns", [0, 700 * MS])
 def test_the_queue_need_not_be_empty(wait_ns: Any) -> None:
-    """Frames without a pause that all wait, some of them longer: steady after 0.2 s."""
+    """Frames without a pause that all wait, some of them longer: settled after 0.2 s."""
     clock = StampClock()
     for i in range(2000):
         at_ns = i * MS // 4
         clock.add(at_ns - wait_ns - i % 7 * 9 * MS, at_ns)
-        assert clock.steady == (at_ns >= 200 * MS)
+        assert clock.is_settled == (at_ns >= 200 * MS)
 
 
 def test_a_backlog_that_is_read_slowly_is_noticed() -> None:
@@ -60,14 +60,14 @@ def test_a_backlog_that_is_read_slowly_is_noticed() -> None:
     clock = StampClock()
     for i in range(40):
         clock.add(i * 50 * MS, i * 35 * MS)
-        assert not clock.steady
+        assert not clock.is_settled
 
 
 @pytest.mark.parametrize("ppm", [-200, 200])
-def test_a_clock_that_drifts_stays_steady(ppm: int) -> None:
+def test_a_clock_that_drifts_stays_settled(ppm: int) -> None:
     """The quartz of an adapter drifts against ours for an hour."""
     clock = StampClock()
     for i in range(36_000):
         at_ns = i * 100 * MS
         clock.add(at_ns + at_ns * ppm // 10**6, at_ns)
-        assert clock.steady == (i >= 2)
+        assert clock.is_settled == (i >= 2)

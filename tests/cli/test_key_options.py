@@ -112,7 +112,7 @@ def test_the_demo_with_a_key(
     assert main(["demo", "--key-env", "3:CAR_KEY", "--seconds", "0.2", "--json"]) == 0
     machine = capsys.readouterr()
     result = json.loads(machine.out)
-    assert (result["lines_lost"], result["carrier"]) == (0, "CAN FD, authenticated")
+    assert (result["lines_lost"], result["frame_format"]) == (0, "CAN FD, authenticated")
     check_no_secret("".join([*text, *machine, caplog.text]))
 
 

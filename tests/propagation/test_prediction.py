@@ -368,8 +368,8 @@ def test_each_component_of_a_mixture_is_predicted() -> None:
     scene, motion = SCENARIOS["street-turn"], Motion.with_sigma(8.0, 0.4, (0.3, 0.03))
     window, refit, _ = line_of_scene("street-turn")
     mixture = Mixture(3)(refit, scene.ego)
-    extent = {"x_min": window[0], "x_max": window[1], "age": 0.05, "t_ns": 0}
-    line = MapLine.of_mixture(Slot.ROUTE, mixture, **extent)
+    valid_range = {"x_min": window[0], "x_max": window[1], "age": 0.05, "t_ns": 0}
+    line = MapLine.of_mixture(Slot.ROUTE, mixture, **valid_range)
     now = predict_to(line, 50_000_000, motion)
 
     assert np.array_equal(now.mixture.weights, mixture.weights)  # type: ignore[union-attr]

@@ -166,7 +166,7 @@ def test_a_rotation_by_180_deg(scene: Any) -> None:
 
 @pytest.mark.parametrize("scene", [HIGHWAY, TURN], ids=["highway", "turn"])
 def test_the_refit_is_continuous(scene: Any) -> None:
-    """Half the step between poses halves each step of the lines: there is no jump."""
+    """Half the step between poses halves each step of the lines: there is no discontinuity."""
 
     def largest_step(count: Any) -> Any:
         poses = np.linspace([-2, -1, -0.5], [2, 1, 0.35], count)

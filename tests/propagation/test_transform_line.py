@@ -34,7 +34,7 @@ def apart(road: Any, points: int = 32, window: Any = None) -> Any:
     Args:
         road: (n, 2) map points in the old ego frame [m].
         points: number of points by which the line is transformed.
-        window: valid range of the line; None for the extent of the road.
+        window: valid range of the line; None for the range of the road.
     """
     refit = Refit(Polyline(road), np.zeros(3), (road[:, 0].min() - 1, road[:, 0].max() + 1))
     line, far = refit(np.zeros(3)), far_motions()
@@ -145,5 +145,5 @@ def test_ill_posed_lines_are_rows_of_nan() -> None:
 
     assert np.array_equal(np.isnan(got).all(axis=1), [False, True, True, True, True, True])
     assert np.array_equal(got[0], transform_line(lines[0], displacements[0], WINDOW))
-    with pytest.raises(IllPosedError, match=r"after the motion \[0\.\s+0\.\s+1\.5\]"):
+    with pytest.raises(IllPosedError, match=r"after the displacement \[0\.\s+0\.\s+1\.5\]"):
         transform_line(lines[[0, 2]], displacements[[0, 2]], WINDOW)

@@ -37,7 +37,7 @@ def test_figures_are_json() -> None:
     trip = round_trip(LINES, Codec.from_dbc(), seconds=0.1)
     figures = json.loads(json.dumps(trip.as_dict()))
     assert figures["sent"]["lines"] == figures["received"]["lines"]
-    assert figures["carrier"] == "classic CAN"
+    assert figures["frame_format"] == "classic CAN"
     assert set(figures["received"]["counts"].values()) <= {0}
 
 
@@ -57,7 +57,7 @@ def test_can_fd_and_its_bus_load() -> None:
     for data_bitrate in (500_000, 2_000_000):
         bus = BusSettings(rate=50.0, data_bitrate=data_bitrate)
         trip = round_trip(LINES, Codec.from_dbc(), bus=bus, seconds=0.1)
-        assert trip.carrier == "CAN FD"
+        assert trip.frame_format == "CAN FD"
         assert trip.sent.frames == trip.sent.lines
         loads.append(trip.bus_load)
     assert loads[0] > loads[1] > 0

@@ -57,7 +57,7 @@ def test_the_keys_of_a_text_are_the_fields() -> None:
         pytest.param("depth=0", "depth must be a whole number in [1, 10000] frames", id="depth"),
         pytest.param("depth=1.5", "depth must be a whole number", id="half-a-frame"),
         pytest.param("delay=-1", "delay must be in [0, 3600] s, got -1", id="delay"),
-        pytest.param("flood=1,flood_ids=x", "flood_ids must be such as 0x340-0x347+0", id="ids"),
+        pytest.param("flood=1,flood_ids=x", "flood_ids must look like 0x340-0x347+0", id="ids"),
         pytest.param("flood_ids=0x20000000", "CAN IDs in [0, 0x1fffffff]", id="id-range"),
         pytest.param("flood_ids=5-3", "CAN IDs in", id="ids-backwards"),
         pytest.param("direction=up", "direction must be both, send, receive, got 'up'", id="way"),
@@ -121,7 +121,7 @@ def test_a_wrong_line_of_a_script_raises(tmp_path: Path, line: str, words: str) 
         ("flood_ids", ("a",), "flood_ids must be CAN IDs in [0, 0x1fffffff] or ranges"),
         ("flood_ids", (0.5,), "or ranges of them, got 0.5"),
         ("script", 3, "script must be a tuple, got 3"),
-        ("script", ["loss 3"], "script must be of ScriptedFault.parse, got 'loss 3'"),
+        ("script", ["loss 3"], "script must contain ScriptedFault objects, got 'loss 3'"),
     ],
 )
 def test_a_value_of_a_wrong_type_raises(field: str, value: Any, words: str) -> None:

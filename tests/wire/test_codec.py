@@ -73,7 +73,7 @@ def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
 
 
 def test_cantools_decodes_and_encodes_the_same_frames(codec: Any) -> None:
-    """In each page of each carrier, the bytes and the physical values are the same."""
+    """In each page of each frame format, the bytes and the physical values are the same."""
     database = cantools.database.load_file(DBC)
     means, covs = random_lines(40, seed=3)
     payloads = codec.encode_batch(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
@@ -125,7 +125,7 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
         raw |= {f"Page{p}": p for p in range(4)} | {
             f"TransferId{p}": raw["Counter"] for p in range(4)
         }
-        data = codec._writer.protect_one(raw, codec.layout.channels[slot].data_id)
+        data = codec._writer.protect_one(raw, codec.layout.messages[slot].data_id)
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
     one = codec.decode_one(data, slot)
     if isinstance(one, Reason):
@@ -205,7 +205,7 @@ def test_the_valid_range_is_rounded_inwards(codec: Any) -> None:
         pytest.param({"component_index": 1}, "below component_count", id="index"),
         pytest.param({"component_weight": 0.0}, "component_weight must be in", id="weight"),
         pytest.param({"age": -0.1}, "age must be 0 s or more", id="negative-age"),
-        pytest.param({"x_min": 50.0, "x_max": 10.0}, "x_min must be x_max or less", id="extent"),
+        pytest.param({"x_min": 50.0, "x_max": 10.0}, "x_min must be x_max or less", id="range"),
         pytest.param({"slot": 0.9}, "no message for slot 0.9", id="half-a-slot"),
         pytest.param({"counter": 1.5}, "Counter: .* whole number", id="half-a-counter"),
         pytest.param({"covs": None, "status": 1}, "covs must be given", id="no-covs"),

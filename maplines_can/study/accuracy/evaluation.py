@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from ...gaussian import Gaussian
-from ...line import STATES, lateral, lateral_jacobian
+from ...line import PARAMETERS, lateral, lateral_jacobian
 from ...mixture import GaussianMixture
 from ..metrics import LATERAL_X
 from .approximations import Approximation
@@ -30,7 +30,7 @@ BATCHES = 10
 DRAWS = 400_000
 #: Smallest eigenvalue of the correlation matrix below which a covariance is singular.
 SINGULAR = 1e-12
-PAIRS = tuple(combinations(range(len(STATES)), 2))
+PAIRS = tuple(combinations(range(len(PARAMETERS)), 2))
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def _draws(mixture: GaussianMixture, seed: int) -> Array:
 
     The normal numbers are the same before and after the wire.
     """
-    draws = np.random.default_rng([seed, 3]).standard_normal((DRAWS, len(STATES)))
+    draws = np.random.default_rng([seed, 3]).standard_normal((DRAWS, len(PARAMETERS)))
     edges = np.round(np.cumsum(mixture.weights) * DRAWS).astype(int)
     for start, end, component in zip((0, *edges), edges, mixture.components, strict=False):
         draws[start:end] = component.mean + draws[start:end] @ component.root.T

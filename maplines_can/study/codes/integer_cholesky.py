@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...wire.covariance.code import Array, Coded, check_octaves
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
 #: States in the order of the factor, and the unit of each.
@@ -27,7 +27,7 @@ TRIES = 24
 
 def entry_name(i: int, j: int) -> str:
     """Return the name of the signal of an entry of the factor."""
-    return f"Root{STATE_SIGNALS[ORDER[i]]}{STATE_SIGNALS[ORDER[j]]}"
+    return f"Root{PARAMETER_SIGNALS[ORDER[i]]}{PARAMETER_SIGNALS[ORDER[j]]}"
 
 
 class IntegerCholesky(BatchCode):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...line import VAGUE_SIGMA, Status
 from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from ...wire.message.signals import Signal
 from .batch import BatchCode
 
@@ -36,9 +36,9 @@ class LogCorrelation(BatchCode):
     covering = False
 
     def __init__(self, layout: Layout) -> None:
-        self.sigmas = [layout[f"Sigma{state}"] for state in STATE_SIGNALS]
+        self.sigmas = [layout[f"Sigma{state}"] for state in PARAMETER_SIGNALS]
         self.correlations = {
-            (i, j): layout[f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}"]
+            (i, j): layout[f"Corr{PARAMETER_SIGNALS[i]}{PARAMETER_SIGNALS[j]}"]
             for i in range(4)
             for j in range(i + 1, 4)
         }
@@ -86,7 +86,7 @@ class Sigmas(BatchCode):
     status = Status.DIAGONAL
 
     def __init__(self, layout: Layout) -> None:
-        self.signals = tuple(layout[f"Sigma{state}"] for state in STATE_SIGNALS)
+        self.signals = tuple(layout[f"Sigma{state}"] for state in PARAMETER_SIGNALS)
         check_octaves(layout, self.signals)
 
     def encode(self, error: Array, resolution: Array) -> Coded:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...errors import LayoutError
 from ...wire.covariance.code import Array, Coded, nearest_raw
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
 #: The upper triangle, row by row, as in the paper.
@@ -29,7 +29,7 @@ SLACK = 1e-6
 
 def triangle_name(i: int, j: int) -> str:
     """Return the name of the signal of an entry."""
-    return f"Cov{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}"
+    return f"Cov{PARAMETER_SIGNALS[i]}{PARAMETER_SIGNALS[j]}"
 
 
 def half_name(i: int, j: int) -> str:

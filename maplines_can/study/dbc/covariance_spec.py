@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.layout import PARAMETER_SIGNALS
 from ..codes.integer_cholesky import ORDER, entry_name
 from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec
@@ -108,7 +108,7 @@ def pivot_signal(
         factor: step [octave].
         offset: low end of the range [octave].
     """
-    unit = UNITS[STATE_SIGNALS.index(state)]
+    unit = UNITS[PARAMETER_SIGNALS.index(state)]
     *first, last = given or ("",)
     of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
     return SignalSpec(
@@ -153,8 +153,8 @@ def _integer_entries() -> Iterator[SignalSpec]:
         for j in range(i, 4):
             yield SignalSpec(
                 name=entry_name(i, j), bits=9 if i == j else 10, signed=i != j,
-                about=f"Element of the upper Cholesky factor, of {STATE_SIGNALS[ORDER[i]]} and "
-                      f"{STATE_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, "
+                about=f"Element of the upper Cholesky factor, of {PARAMETER_SIGNALS[ORDER[i]]} and "
+                      f"{PARAMETER_SIGNALS[ORDER[j]]}; units: 2^-8 m, 2^-12 rad, 2^-14 1/m, "
                       "2^-16 1/m^2.",
                 why="as in SBAS Message Type 28")
 
@@ -166,7 +166,7 @@ def _linear_triangle() -> Iterator[SignalSpec]:
             name=triangle_name(i, j), bits=16,
             factor=LARGEST_SIGMA[i] * LARGEST_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
             unit=f"{UNITS[i]} {UNITS[j]}", signed=i != j,
-            about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
+            about=f"Covariance of {PARAMETER_SIGNALS[i]} and {PARAMETER_SIGNALS[j]}.",
             why=f"up to sigmas of {first} and {second}")
 
 
@@ -179,12 +179,13 @@ def _float_triangle(bits: int) -> Iterator[SignalSpec]:
         yield SignalSpec(
             name=triangle_name(i, j) if is_float else half_name(i, j), bits=bits,
             unit=unit if is_float else "", is_float=is_float,
-            about=f"Covariance of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]} [{unit}]{pattern}.",
+            about=f"Covariance of {PARAMETER_SIGNALS[i]} and {PARAMETER_SIGNALS[j]} "
+                  f"[{unit}]{pattern}.",
             why=f"a float{bits}")
 
 
 def _sigmas() -> Iterator[SignalSpec]:
-    for state, unit, least in zip(STATE_SIGNALS, UNITS, LEAST_OCTAVES, strict=True):
+    for state, unit, least in zip(PARAMETER_SIGNALS, UNITS, LEAST_OCTAVES, strict=True):
         yield SignalSpec(
             name=f"Sigma{state}", bits=8, factor=0.0625 if least > -20 else 0.109375, offset=least,
             unit="octave",
@@ -196,6 +197,7 @@ def _correlations() -> Iterator[SignalSpec]:
     for i, j in PAIRS:
         if i != j:
             yield SignalSpec(
-                name=f"Corr{STATE_SIGNALS[i]}{STATE_SIGNALS[j]}", bits=8, factor=0.01, signed=True,
-                about=f"Correlation of {STATE_SIGNALS[i]} and {STATE_SIGNALS[j]}.",
+                name=f"Corr{PARAMETER_SIGNALS[i]}{PARAMETER_SIGNALS[j]}", bits=8, factor=0.01,
+                signed=True,
+                about=f"Correlation of {PARAMETER_SIGNALS[i]} and {PARAMETER_SIGNALS[j]}.",
                 why="steps of 1 %, as in ETSI's CorrelationCellValue")

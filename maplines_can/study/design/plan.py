@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import STATES
-from ...wire.message.layout import STATE_SIGNALS
+from ...line import PARAMETERS
+from ...wire.message.layout import PARAMETER_SIGNALS
 from .sensitivity import Width, inflation_width
 
 Array = NDArray[np.float64]
@@ -62,9 +62,9 @@ class Targets:
             raise ValueError(f"max_saturated is a share, at most 1, got {self.max_saturated!r}")
         for what in ("ranges", "sigmas"):
             for state, value in getattr(self, what).items():
-                if state not in STATES or not 0 < value < np.inf:
+                if state not in PARAMETERS or not 0 < value < np.inf:
                     raise ValueError(
-                        f"{what} must be positive numbers of {', '.join(STATES)}, "
+                        f"{what} must be positive numbers of {', '.join(PARAMETERS)}, "
                         f"got {state}={value!r}"
                     )
         if self.keep_mean and self.ranges:
@@ -113,5 +113,5 @@ class Plan:
 def names_of(order: Sequence[int]) -> Iterator[tuple[str, list[str]]]:
     """Yield the signals of each row: its pivot and its ratios."""
     for i, row in enumerate(order):
-        name = STATE_SIGNALS[row]
-        yield f"Pivot{name}", [f"Ratio{name}{STATE_SIGNALS[column]}" for column in order[:i]]
+        name = PARAMETER_SIGNALS[row]
+        yield f"Pivot{name}", [f"Ratio{name}{PARAMETER_SIGNALS[column]}" for column in order[:i]]

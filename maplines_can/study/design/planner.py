@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import STATES, lateral_jacobian
-from ...wire.message.layout import PAGE_BYTES, STATE_SIGNALS
+from ...line import PARAMETERS, lateral_jacobian
+from ...wire.message.layout import PAGE_BYTES, PARAMETER_SIGNALS
 from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ..dbc.record_spec import SERVICE
@@ -68,8 +68,8 @@ class Planner:
         self._weights = np.repeat(1 / np.array(self._counts), self._counts) / len(sets)
         self._sparse = [lines.cov[:: -(-len(lines.cov) // BLUR_ROWS)] for lines in sets.values()]
         own = {spec.name: spec for spec in SERVICE}
-        self._own_mean = [own[name] for name in STATE_SIGNALS]
-        self._service = [spec for spec in SERVICE if spec.name not in STATE_SIGNALS]
+        self._own_mean = [own[name] for name in PARAMETER_SIGNALS]
+        self._service = [spec for spec in SERVICE if spec.name not in PARAMETER_SIGNALS]
         ends = [2.0 ** (spec.bits - 1) * spec.factor for spec in self._own_mean]
         self._ends = self._checked(
             "ranges",
@@ -88,12 +88,12 @@ class Planner:
         self, what: str, given: Mapping[str, float], default: Sequence[float], values: Array
     ) -> Array:
         """Return the (4,) ends of ranges; raise if they do not include the values of the sets."""
-        ends = np.array([given.get(*pair) for pair in zip(STATES, default, strict=True)])
+        ends = np.array([given.get(*pair) for pair in zip(PARAMETERS, default, strict=True)])
         share = self._weights @ (values > ends)
         if share.max() > self.targets.max_saturated:
             i = int(share.argmax())
             raise ValueError(
-                f"{what}: {STATES[i]} of {100 * share[i]:.2g} % of the lines is beyond "
+                f"{what}: {PARAMETERS[i]} of {100 * share[i]:.2g} % of the lines is beyond "
                 f"{ends[i]:g}, but at most {100 * self.targets.max_saturated:g} % may be; the "
                 f"greatest is {values[:, i].max():.3g}"
             )
@@ -128,7 +128,7 @@ class Planner:
         ]
 
     def _covariance_signals(self, plan: Plan) -> Iterator[SignalSpec]:
-        names = [STATE_SIGNALS[i] for i in plan.order]
+        names = [PARAMETER_SIGNALS[i] for i in plan.order]
         for i, (pivot, ratios) in enumerate(names_of(plan.order)):
             width, given = plan.fields[pivot], tuple(names[:i])
             yield pivot_signal(names[i], given, width.bits, width.factor, width.offset)
@@ -258,7 +258,7 @@ class Planner:
         bits = tuple(self._least_mean())
         if self.targets.keep_mean:
             return bits
-        order = tuple(map(STATE_SIGNALS.index, ORDER))
+        order = tuple(map(PARAMETER_SIGNALS.index, ORDER))
         while True:
             tables = self._widths(order, bits, price)
             finer = [tuple(b + (i == k) for i, b in enumerate(bits)) for k in range(4)]

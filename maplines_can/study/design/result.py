@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..text_table import aligned, markdown
 from .plan import Prediction, Targets
@@ -86,7 +86,7 @@ class Design:
             "",
         ]
         for spec in chain(*self.writer.pages):
-            if spec.name in STATE_SIGNALS or spec.name.startswith(("Pivot", "Ratio", "Inflation")):
+            if spec.name.startswith(("Pivot", "Ratio", "Inflation", *PARAMETER_SIGNALS)):
                 low, high = spec.range
                 lines.append(
                     f"{spec.name:<14}{spec.bits:>3} bits{spec.factor:>13.6g}  "

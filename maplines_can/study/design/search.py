@@ -18,7 +18,7 @@ import numpy as np
 from ...errors import LayoutError
 from ...line import Slot, Status
 from ...wire import Codec, Layout
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road
@@ -100,7 +100,7 @@ def design(
     result = Design(
         writer=writer,
         targets=targets,
-        order=tuple(STATE_SIGNALS[i] for i in plan.order),
+        order=tuple(PARAMETER_SIGNALS[i] for i in plan.order),
         mean_bits=sum(plan.mean),
         covariance_bits=sum(width.bits for width in plan.fields.values()),
         spare_bits=planner.room(len(writer.pages)) - plan.bits,

@@ -49,7 +49,7 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
     axes[0].legend(shown.values(), shown.keys(), loc="upper left", frameon=False, fontsize=9)
     axes[0].set_ylabel("y, to the left [m]")
     axes[0].set_title(
-        f"{scenario.name}: {len(trip.true_lines)} lines over {trip.carrier}, "
+        f"{scenario.name}: {len(trip.true_lines)} lines over {trip.frame_format}, "
         f"bus load {100 * trip.bus_load:.1f} % at {trip.bus.bitrate / 1000:g} kbit/s, "
         f"{trip.lines_lost} lines lost",
         loc="left",

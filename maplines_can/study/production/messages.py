@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...line import STATES
+from ...line import PARAMETERS
 from ...wire import Layout
-from ...wire.message.layout import STATE_SIGNALS
+from ...wire.message.layout import PARAMETER_SIGNALS
 from ...wire.message.signals import Signal
 from ..dbc.covariance_spec import covariance_signals
 
@@ -101,7 +101,7 @@ def default_message(layout: Layout | None = None) -> Message:
     return Message(
         "this project",
         "MapLine",
-        tuple(layout[name] for name in STATE_SIGNALS),
+        tuple(layout[name] for name in PARAMETER_SIGNALS),
         polynomial=False,
         documented=True,
         uncertainty=f"covariance, {covariance} b" if covariance else "none",
@@ -138,8 +138,8 @@ def _signal(
 
 
 def _message(table: dict[str, Any]) -> Message:
-    signals = [table.pop(state, None) for state in STATES]
-    given = zip(STATES, signals, strict=True)
+    signals = [table.pop(state, None) for state in PARAMETERS]
+    given = zip(PARAMETERS, signals, strict=True)
     return Message(signals=tuple(spec and _signal(name, **spec) for name, spec in given), **table)
 
 

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...line import STATES, lateral, lateral_jacobian
+from ...line import PARAMETERS, lateral, lateral_jacobian
 from ..metrics import evaluate
 from ..sets import Gaussians, paper, road
 from .messages import PRODUCTION, Message, default_message
@@ -59,7 +59,7 @@ def rms(message: Message, x: ArrayLike) -> Array:
 def _steps(message: Message, x: ArrayLike, polynomial: bool | None = None) -> Array:
     """Return the (..., 4) change of y(x) with a step of each value [m]."""
     factors = [abs(signal.factor) if signal else 0.0 for signal in message.signals]
-    along = np.abs(lateral_jacobian(np.zeros(len(STATES)), x)) * factors
+    along = np.abs(lateral_jacobian(np.zeros(len(PARAMETERS)), x)) * factors
     if message.polynomial if polynomial is None else polynomial:
         along *= [1.0, 1.0, 2.0, 6.0]
     return np.asarray(along, dtype=float)
@@ -171,7 +171,7 @@ def _rounding_kl(message: Message, lines: Gaussians) -> tuple[float, ...]:
     if not fits.any():
         return (np.nan,) * len(KL_QUANTILES)
     m, S, decoded = mean[fits], cov[fits], _rounded_alone(message, mean, read)[fits]
-    kl = evaluate(m, S, decoded, S, np.zeros(len(STATES))).kl
+    kl = evaluate(m, S, decoded, S, np.zeros(len(PARAMETERS))).kl
     # inverted_cdf allows infinite values.
     return tuple(np.quantile(kl, KL_QUANTILES, method="inverted_cdf").tolist())
 

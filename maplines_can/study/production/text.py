@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...line import STATES
+from ...line import PARAMETERS
 from ...wire.message.signals import Signal
 from ..text_table import aligned, csv_text, markdown
 from .messages import Message
@@ -23,7 +23,7 @@ def as_records(rows: Sequence[Row]) -> list[Record]:
 def _record(row: Row) -> Record:
     message = row.message
     record: Record = {"maker": message.maker, "message": message.name, "bits": message.bits}
-    for state, signal in zip(STATES, message.signals, strict=True):
+    for state, signal in zip(PARAMETERS, message.signals, strict=True):
         values: Sequence[str | int | float | None] = (None,) * 7
         if signal:
             values = (signal.length, signal.factor, signal.offset, int(signal.signed), signal.unit)
@@ -33,7 +33,7 @@ def _record(row: Row) -> Record:
     record |= {"reading": _reading(message), "documented": int(message.documented)}
     record |= {name: getattr(message, name) for name in ("uncertainty", "source", "certainty")}
     record |= {"lines": row.lines, "fit": row.fit}
-    record |= {f"{s}_clipped": count for s, count in zip(STATES, row.clipped, strict=True)}
+    record |= {f"{s}_clipped": count for s, count in zip(PARAMETERS, row.clipped, strict=True)}
     for name in (
         *("evaluated", "worst", "worst_other", "rms", "measured_rms", "measured_worst"),
         *("truncated_rms", "truncated_median", "sigma_best", "sigma_median"),
@@ -72,14 +72,14 @@ def as_text(rows: Sequence[Row]) -> str:
 def _tables(rows: Sequence[Row]) -> tuple[list[list[str]], ...]:
     """Return the cells of the tables, headings first."""
     at = " / ".join(f"{x:g}" for x in DISTANCES) + " m"
-    sent = [["message", *STATES, "bits"]]
+    sent = [["message", *PARAMETERS, "bits"]]
     known = [["message", "reading", "says of its uncertainty", "source", "certainty"]]
     steps = [["message", f"worst at {at} [cm]", "worst, other reading", "rms"]]
     seen = [
         [
             "message",
             "lines that fit",
-            f"out of range: {', '.join(STATES)}",
+            f"out of range: {', '.join(PARAMETERS)}",
             f"measured rms at {at} [cm]",
             "measured worst",
             "rounding KL, median: pose and map error / pose error only [nat]",

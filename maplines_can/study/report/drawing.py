@@ -44,7 +44,7 @@ KNOWN = {
 OTHERS = (("#8C6D1F", "star"), ("#7A5195", "diamond"), ("#4D7C8A", "hex"), ("#A05A2C", "square"))
 
 
-def looks(codes: Sequence[str]) -> dict[str, Look]:
+def plot_styles(codes: Sequence[str]) -> dict[str, Look]:
     """Return a look for each code, in the order given."""
     others = [code for code in codes if code not in KNOWN]
     spare = {code: Look(*OTHERS[i % len(OTHERS)], "dashdot") for i, code in enumerate(others)}

@@ -11,7 +11,7 @@ from ..metrics import LATERAL_X
 from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
 
 TITLE = "Covariance codes on the wire"
-#: Pairs of shares: column, words, and the column of the guarantee that it is 0.
+#: (share column, label, column that is True if the share is guaranteed to be 0).
 NOT_DEFINITE = (
     ("not_positive_definite", "not positive definite", "definite_guarantee"),
     ("overconfident", "overconfident", "covering_guarantee"),
@@ -45,14 +45,14 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         from jinja2 import Environment, PackageLoader
 
         from .cases import BAND, fields_plot, worst_groups, worst_plots
-        from .drawing import looks
+        from .drawing import plot_styles
         from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
     except ImportError as error:
         raise MissingExtraError(
             'the report needs bokeh, jinja2 and pyarrow: pip install "maplines_can[study]"'
         ) from error
     tables = read_tables(folder)
-    sets, look, groups = tables.sets, looks(tables.codes), worst_groups(tables)
+    sets, look, groups = tables.sets, plot_styles(tables.codes), worst_groups(tables)
     field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
     keys = [key for group in groups.values() for key in group]
     #: Plots by section and set; none if the sweep did not compute them.
@@ -84,7 +84,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         "tables": tables,
         "content": content,
         "plots": plots,
-        "looks": look,
+        "plot_styles": look,
         "kl_names": SUMMARY,
         "lateral_x": [f"{x:g}" for x in LATERAL_X],
         "not_definite": NOT_DEFINITE,
@@ -98,12 +98,12 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         counts={"n": sum(row["n"] for row in first)}
         | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
         broken=[
-            (row, words, row[column])
+            (row, label, row[column])
             for row in tables.summary
-            for column, words, guarantee in NOT_DEFINITE
+            for column, label, guarantee in NOT_DEFINITE
             if row[guarantee] and row[column] > 0
         ],
-        sound=_sound(tables),
+        always_valid=_always_valid(tables),
         nearest=[row for s in sets if (row := _nearest(tables, s))],
         caveats={
             row["caveat"]: row["set"]
@@ -120,15 +120,15 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
     return out_path
 
 
-def _sound(tables: Tables) -> list[str]:
-    """Return the codes that are always definite and never overconfident with their DBCs."""
+def _always_valid(tables: Tables) -> list[str]:
+    """Return the codes that are always valid and never overconfident, at their DBCs' bit widths."""
     shipped = [row for set_ in tables.sets for row in tables.shipped_of(set_)]
     failed = {r["code"] for r in shipped if r["not_positive_definite"] + r["overconfident"] > 0}
     return [code for code in tables.codes if code not in failed]
 
 
 def _nearest(tables: Tables, set_: str) -> Row | None:
-    """Return the row with the fewest bits above the limit among those never overconfident."""
+    """Return the row nearest to the rate-distortion bound among those never overconfident."""
     rows = [
         (over, i, row)
         for i, row in enumerate(tables.summary)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import StudyError
 from ...wire import Codec
-from ...wire.message.layout import STATE_SIGNALS, Layout
+from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from ..codes import CODES
 from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for
@@ -89,7 +89,7 @@ class Study:
         """The default code with a bit more and less in each field of mean and covariance."""
         if DEFAULT_CODE not in self.codes:
             return []
-        names = (*STATE_SIGNALS, *(spec.name for spec in covariance_signals(DEFAULT_CODE)))
+        names = (*PARAMETER_SIGNALS, *(spec.name for spec in covariance_signals(DEFAULT_CODE)))
         return [Plan(DEFAULT_CODE, 0, name, delta) for name in names for delta in (-1, 1)]
 
     def describe(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Default code of the covariance: a Cholesky factor that is quantized with feedback.
+"""Default covariance code: a Cholesky factor that is quantized with feedback.
 
 Let ``S = L L^T`` be the covariance in the order of the rows, with L lower triangular, and
 ``S' = L' L'^T`` the decoded covariance. With ``A = L'^-1 L``,

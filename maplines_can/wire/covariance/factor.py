@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import LayoutError
 from ..message.layout import Layout
-from ..message.signals import STATE_SIGNALS, Signal
+from ..message.signals import PARAMETER_SIGNALS, Signal
 from .code import Array, check_octaves
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
@@ -38,17 +38,17 @@ class CholeskyFactor:
 
     def __init__(self, layout: Layout) -> None:
         below = {
-            row: [column for column in STATE_SIGNALS if f"Ratio{row}{column}" in layout.signals]
-            for row in STATE_SIGNALS
+            row: [column for column in PARAMETER_SIGNALS if f"Ratio{row}{column}" in layout.signals]
+            for row in PARAMETER_SIGNALS
         }
-        names = sorted(STATE_SIGNALS, key=lambda state: len(below[state]))
+        names = sorted(PARAMETER_SIGNALS, key=lambda state: len(below[state]))
         if [len(below[name]) for name in names] != [0, 1, 2, 3]:
             raise LayoutError(
                 f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
-                f"pair of {', '.join(STATE_SIGNALS)}, but there are {below}"
+                f"pair of {', '.join(PARAMETER_SIGNALS)}, but there are {below}"
             )
         #: Order of the rows, as indices into the mean.
-        self.order = [STATE_SIGNALS.index(name) for name in names]
+        self.order = [PARAMETER_SIGNALS.index(name) for name in names]
         self.pivots = [layout[f"Pivot{name}"] for name in names]
         self.ratios = [
             [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)

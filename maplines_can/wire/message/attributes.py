@@ -1,4 +1,4 @@
-"""Attributes of records: all that a record says of a line besides its mean and covariance."""
+"""Attributes of records: all values of a record except mean and covariance."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class RecordAttributes:
     def from_keywords(
         cls, keywords: Mapping[str, ArrayLike | None], allowed: Iterable[str] | None = None
     ) -> RecordAttributes:
-        """Return the attributes that keyword arguments give.
+        """Return the attributes given as keyword arguments.
 
         Raises:
             TypeError: a name is not one of the ``allowed``, by default all.
@@ -86,7 +86,7 @@ class RecordAttributes:
     def of_components(self, weights: NDArray[np.float64]) -> RecordAttributes:
         """Return the (N k,) attributes of the components of N lines, given their (N, k) weights.
 
-        The counter of a line is that of its first component; None: 0, k, 2 k, ...
+        Component i gets counter + i. Without counters, the lines get 0, k, 2 k, ...
         """
         n, k = weights.shape
         first = np.arange(n) * k if self.counter is None else np.broadcast_to(self.counter, n)

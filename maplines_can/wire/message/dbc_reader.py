@@ -1,4 +1,4 @@
-"""Reader of the DBC; the only module of the product that imports cantools."""
+"""Reader of the DBC; the only module of the package that imports cantools."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from cantools.database.can import Signal as DbcSignal
 
 from ...errors import LayoutError
 from ...line import Slot
-from .channel import LONGEST_MS, Channel, SecuredForm, fd_length
 from .dbc_limits import LARGEST_DBC, check_numbers
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
+from .slot_messages import LONGEST_MS, SecuredLayout, SlotMessages, fd_length
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
@@ -28,13 +28,13 @@ class DbcContent(NamedTuple):
     """Content of a DBC that matters to map lines; see ``Layout``."""
 
     signals: Mapping[str, Signal]
-    channels: Mapping[Slot, Channel]
+    messages: Mapping[Slot, SlotMessages]
     covariance_code: str
-    secured: SecuredForm | None
+    secured: SecuredLayout | None
 
 
-class Carrier(Enum):
-    """Kind of a message of a slot."""
+class FrameFormat(Enum):
+    """Frame format of a message."""
 
     CLASSIC, FD, SECURED = range(3)
 
@@ -87,19 +87,19 @@ def parse_dbc(text: str, source: str) -> DbcContent:
 
 def _content(database: Database, source: str) -> DbcContent:
     records: dict[str, dict[str, Signal]] = {}
-    messages: dict[Slot, dict[Carrier, Message]] = {}
-    forms: dict[str, SecuredForm] = {}
+    messages: dict[Slot, dict[FrameFormat, Message]] = {}
+    layouts: dict[str, SecuredLayout] = {}
     for message in database.messages:
         number = _attribute(message, "MapLineSlot")
         if number is None:
             continue
         where = f"{source}: message {message.name}: MapLineSlot"
         slot = Slot(_integer(number, where, len(Slot) - 1))
-        carrier = Carrier.FD if message.is_fd else Carrier.CLASSIC
+        kind = FrameFormat.FD if message.is_fd else FrameFormat.CLASSIC
         if _attribute(message, "SecOCDataId") is not None:
-            carrier, forms[message.name] = Carrier.SECURED, _secured_form(message, source)
-        if messages.setdefault(slot, {}).setdefault(carrier, message) is not message:
-            raise LayoutError(f"{source}: slot {slot.name} has two messages of the same carrier")
+            layouts[message.name], kind = _secured_layout(message, source), FrameFormat.SECURED
+        if messages.setdefault(slot, {}).setdefault(kind, message) is not message:
+            raise LayoutError(f"{source}: slot {slot.name} has two messages in one frame format")
         records[message.name] = _record(message, source)
     if not records:
         raise LayoutError(
@@ -113,20 +113,20 @@ def _content(database: Database, source: str) -> DbcContent:
                 f"{source}: messages {first} and {name} must hold the same signals at the same "
                 f"places, but {', '.join(differing)} differ"
             )
-    if len(set(forms.values())) > 1:
-        raise LayoutError(f"{source}: messages {', '.join(forms)} must have the same lengths")
+    if len(set(layouts.values())) > 1:
+        raise LayoutError(f"{source}: messages {', '.join(layouts)} must have the same lengths")
     code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
     return DbcContent(
         signals=signals,
-        channels={slot: _channel(slot, messages[slot], source) for slot in sorted(messages)},
+        messages={slot: _slot_messages(slot, messages[slot], source) for slot in sorted(messages)},
         covariance_code=DEFAULT_CODE if code is None else str(code.value),
-        secured=next(iter(forms.values()), None),
+        secured=next(iter(layouts.values()), None),
     )
 
 
-def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Channel:
-    classic, fd, secured = (carriers.get(carrier) for carrier in Carrier)
-    data_ids = {_attribute(message, "E2EDataId") for message in carriers.values()}
+def _slot_messages(slot: Slot, messages: dict[FrameFormat, Message], source: str) -> SlotMessages:
+    classic, fd, secured = (messages.get(kind) for kind in FrameFormat)
+    data_ids = {_attribute(message, "E2EDataId") for message in messages.values()}
     data_id = data_ids.pop()
     if data_ids or data_id is None:
         raise LayoutError(
@@ -138,7 +138,7 @@ def _channel(slot: Slot, carriers: dict[Carrier, Message], source: str) -> Chann
         secured_data_id = _integer(_attribute(secured, "SecOCDataId"), what, 0xFFFF)
     message = next(m for m in (classic, fd, secured) if m is not None)
     where = f"{source}: message {message.name}"
-    return Channel(
+    return SlotMessages(
         slot=slot,
         name=message.name,
         can_id=classic.frame_id if classic else None,
@@ -160,8 +160,8 @@ def _attribute(message: Message, name: str) -> Any:
     return attributes[name].value if name in attributes else None
 
 
-def _secured_form(message: Message, source: str) -> SecuredForm:
-    """Return the format of an authenticated message, which must be that of AUTOSAR SecOC."""
+def _secured_layout(message: Message, source: str) -> SecuredLayout:
+    """Return the layout of an authenticated message, which must be that of AUTOSAR SecOC."""
     where = f"{source}: message {message.name}"
     signals = {signal.name: signal for signal in message.signals}
     end, sizes = message.length, {}
@@ -183,8 +183,8 @@ def _secured_form(message: Message, source: str) -> SecuredForm:
             )
         sizes[name] = size
     if not message.is_fd or message.length != fd_length(message.length):
-        raise LayoutError(f"{where}: must be a CAN FD message with a length of CAN FD")
-    return SecuredForm(message.length, sizes["Freshness"], sizes["Mac"])
+        raise LayoutError(f"{where}: must be a CAN FD message with a valid CAN FD payload length")
+    return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
 
 
 def _integer(value: Any, what: str, most: int) -> int:
@@ -199,7 +199,7 @@ def _integer(value: Any, what: str, most: int) -> int:
 
 
 def _record(message: Message, source: str) -> dict[str, Signal]:
-    """Return the signals of a message at their bits in the record, the same for all carriers."""
+    """Return the signals with bit positions in the record, independent of the frame format."""
     where = f"{source}: message {message.name}"
     multiplexers = [signal for signal in message.signals if signal.is_multiplexer]
     if multiplexers:
@@ -261,7 +261,7 @@ def _low_bits(signal: Signal, name: str, length: int) -> Signal:
 
 
 def _signal(signal: DbcSignal, where: str) -> Signal:
-    """Return a signal of the DBC as one of ours."""
+    """Convert a cantools signal to a `Signal`."""
     numbers = (signal.scale, signal.offset, signal.minimum, signal.maximum)
     if not all(number is None or abs(number) < 1e300 for number in numbers):  # or NaN
         raise LayoutError(f"{where}: signal {signal.name} needs a finite factor, offset and range")

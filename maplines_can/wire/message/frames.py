@@ -7,9 +7,9 @@ from typing import NamedTuple
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
 from ..protection.secoc import Authenticator
-from .channel import Channel
 from .layout import Layout
 from .signals import PAGE_BYTES
+from .slot_messages import SlotMessages
 
 
 class Frame(NamedTuple):
@@ -43,18 +43,18 @@ class FrameWriter:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
                 authenticator.
         """
-        channel = self._layout.channels.get(slot)
+        messages = self._layout.messages.get(slot)
         if self._authenticator is not None:
-            return [self._secured(self._authenticator, record, slot, channel, fd)]
-        can_id = None if channel is None else channel.fd_can_id if fd else channel.can_id
-        if channel is None or can_id is None:
-            carrier = "CAN FD" if fd else "classic"
-            raise EncodeError(f"{self._layout.source} has no {carrier} message for slot {slot!r}")
+            return [self._secured(self._authenticator, record, slot, messages, fd)]
+        can_id = None if messages is None else messages.fd_can_id if fd else messages.can_id
+        if messages is None or can_id is None:
+            kind = "CAN FD" if fd else "classic"
+            raise EncodeError(f"{self._layout.source} has no {kind} message for slot {slot!r}")
         if fd:
-            padded = record.ljust(channel.fd_length, b"\0")
-            return [Frame(can_id, padded, True, channel.fd_is_extended)]
+            padded = record.ljust(messages.fd_length, b"\0")
+            return [Frame(can_id, padded, True, messages.fd_is_extended)]
         return [
-            Frame(can_id, record[start : start + PAGE_BYTES], False, channel.is_extended)
+            Frame(can_id, record[start : start + PAGE_BYTES], False, messages.is_extended)
             for start in range(0, len(record), PAGE_BYTES)
         ]
 
@@ -63,17 +63,17 @@ class FrameWriter:
         authenticator: Authenticator,
         record: bytes,
         slot: Slot,
-        channel: Channel | None,
+        messages: SlotMessages | None,
         fd: bool,
     ) -> Frame:
-        form = self._layout.secured
+        secured = self._layout.secured
         if not fd:
             raise EncodeError(
                 "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
             )
-        if channel is None or form is None or channel.secured_can_id is None:
+        if messages is None or secured is None or messages.secured_can_id is None:
             raise EncodeError(
                 f"{self._layout.source} has no authenticated message for slot {slot!r}"
             )
-        data = authenticator.secure(record, channel.secured_data_id, form)
-        return Frame(channel.secured_can_id, data, True, channel.secured_is_extended)
+        data = authenticator.secure(record, messages.secured_data_id, secured)
+        return Frame(messages.secured_can_id, data, True, messages.secured_is_extended)

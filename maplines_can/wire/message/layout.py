@@ -12,23 +12,23 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
-from .channel import Channel, SecuredForm, fd_length
 from .dbc_reader import default_dbc_path, parse_dbc, read_text
 from .signals import (
+    HEADER_SIGNALS,
     PAGE,
     PAGE_BYTES,
+    PARAMETER_SIGNALS,
     SECURED_SIGNALS,
-    SERVICE_SIGNALS,
-    STATE_SIGNALS,
     TRANSFER_ID,
     Signal,
 )
+from .slot_messages import SecuredLayout, SlotMessages, fd_length
 
 __all__ = [
     "PAGE",
     "PAGE_BYTES",
+    "PARAMETER_SIGNALS",
     "SECURED_SIGNALS",
-    "STATE_SIGNALS",
     "TRANSFER_ID",
     "Layout",
     "default_dbc_path",
@@ -42,28 +42,28 @@ class Layout:
 
     A record is the concatenation of the pages of a multiplexed classic message, and the payload
     of one CAN FD message. A signal that every page repeats has the page number added to its name:
-    ``Page0``, ``TransferId0``, ``Page1``, ... If the DBC has no transfer ID in the first page, its
-    transfer ID is the low bits of ``Counter``.
+    ``Page0``, ``TransferId0``, ``Page1``, ... If the DBC has no transfer ID in the first page,
+    that page's transfer ID is the low bits of ``Counter``.
 
     Args:
         signals: by name, in the order of their bits.
-        channels: by slot.
-        covariance_code: name of the code of the covariance.
+        messages: by slot.
+        covariance_code: name of the covariance code.
         source: name of the DBC in error messages.
-        secured: format of the authenticated messages; None if there are none.
+        secured: layout of the authenticated messages; None if there are none.
 
     Raises:
         LayoutError: a signal is missing, or the E2E header has the wrong format.
     """
 
     signals: Mapping[str, Signal]
-    channels: Mapping[Slot, Channel]
+    messages: Mapping[Slot, SlotMessages]
     covariance_code: str
     source: str
-    secured: SecuredForm | None = None
+    secured: SecuredLayout | None = None
 
     def __post_init__(self) -> None:
-        for name in SERVICE_SIGNALS:
+        for name in HEADER_SIGNALS:
             self[name]
         crc = self["Crc"]
         if crc.length != 16 or crc.start % 8 or crc.big_endian:
@@ -117,28 +117,28 @@ class Layout:
     @cached_property
     def resolution(self) -> NDArray[np.float64]:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
-        return np.array([self[name].factor ** 2 / 12 for name in STATE_SIGNALS])
+        return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
 
     @cached_property
-    def page_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
-        """(CAN ID, extended) to (slot, whether the message holds the whole record)."""
+    def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
+        """Map from (CAN ID, extended) to (slot, is_whole_record)."""
         ids = {}
-        for channel in self.channels.values():
-            if channel.can_id is not None:
-                ids[channel.can_id, channel.is_extended] = (channel.slot, False)
-            if channel.fd_can_id is not None:
-                ids[channel.fd_can_id, channel.fd_is_extended] = (channel.slot, True)
-            if channel.secured_can_id is not None:
-                ids[channel.secured_can_id, channel.secured_is_extended] = (channel.slot, True)
+        for messages in self.messages.values():
+            if messages.can_id is not None:
+                ids[messages.can_id, messages.is_extended] = (messages.slot, False)
+            if messages.fd_can_id is not None:
+                ids[messages.fd_can_id, messages.fd_is_extended] = (messages.slot, True)
+            if messages.secured_can_id is not None:
+                ids[messages.secured_can_id, messages.secured_is_extended] = (messages.slot, True)
         return ids
 
     @cached_property
     def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
-        """(CAN ID, extended) of each authenticated message to its SecOC data ID."""
+        """Map from (CAN ID, extended) to the SecOC data ID."""
         return {
-            (channel.secured_can_id, channel.secured_is_extended): channel.secured_data_id
-            for channel in self.channels.values()
-            if channel.secured_can_id is not None
+            (messages.secured_can_id, messages.secured_is_extended): messages.secured_data_id
+            for messages in self.messages.values()
+            if messages.secured_can_id is not None
         }
 
     def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
@@ -150,8 +150,8 @@ class Layout:
         given = np.broadcast_to(np.asarray(slot), n)
         slots = given.astype(np.int64)
         table = np.full(max(Slot) + 1, -1)
-        for known, channel in self.channels.items():
-            table[known] = channel.data_id
+        for known, messages in self.messages.items():
+            table[known] = messages.data_id
         bad = (slots < 0) | (slots > max(Slot)) | (slots != given)
         bad |= table[slots.clip(0, max(Slot))] < 0
         if bad.any():

@@ -15,7 +15,7 @@ from ..protection.e2e import record_crc, record_crc_one
 from ..reasons import Reason
 from .layout import Layout
 from .packing import Packing
-from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
+from .signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID
 
 #: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
 VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
@@ -37,7 +37,7 @@ class Batch:
     verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
-    x_min: NDArray[np.float64]  #: (N,) [m]; x_max if the valid range is shorter than the steps
+    x_min: NDArray[np.float64]  #: (N,) [m]; equals x_max if the range is shorter than one step
     x_max: NDArray[np.float64]  #: (N,) [m]
     age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
     component_index: NDArray[np.int64]  #: (N,)
@@ -47,12 +47,12 @@ class Batch:
 
     @property
     def accepted(self) -> NDArray[np.bool_]:
-        """(N,) records of one transfer, with a valid checksum and valid content."""
+        """(N,) True where the record passed all checks."""
         return self.verdict == 0
 
     @property
     def rejects(self) -> Counter[Reason]:
-        """Number of records that are not accepted, by reason."""
+        """Number of rejected records, by reason."""
         numbers = np.bincount(self.verdict, minlength=len(VERDICTS))
         pairs = zip(VERDICTS, numbers.tolist(), strict=True)
         return Counter({reason: n for reason, n in pairs if reason and n})
@@ -70,12 +70,12 @@ class DecodedRecord:
 
 
 class RecordReader:
-    """Reader of records of a layout; ``read`` and ``read_one`` give the same bits."""
+    """Reader of records of a layout; ``read`` and ``read_one`` give bit-identical results."""
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self._signals = layout.signals
         self._pages = layout.pages
-        self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._mean = [layout[name] for name in PARAMETER_SIGNALS]
         self._resolution = layout.resolution
         self._covariance = covariance
         self._packing = packing
@@ -132,7 +132,7 @@ class RecordReader:
     def read_one(
         self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
     ) -> DecodedRecord | Reason:
-        """Read one record, received at ``t_ns`` [ns]: as ``read``, without the cost of arrays."""
+        """Read one record, received at ``t_ns`` [ns]; as ``read``, without the array overhead."""
         if len(payload) != self._packing.record_bytes:
             return Reason.LENGTH
         raw, signals = self._packing.unpack_one(payload), self._signals
@@ -175,7 +175,7 @@ class RecordReader:
 
 
 def _is_definite(cov: NDArray[np.float64]) -> bool:
-    """Whether a (4, 4) matrix is positive definite beyond rounding."""
+    """Return whether a (4, 4) matrix is numerically positive definite."""
     sigma = np.sqrt(cov.diagonal())
     if not sigma.all():
         return False

@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 PAGE_BYTES = 8
 #: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
 PAGE, TRANSFER_ID = "Page", "TransferId"
-#: Signals of the mean, in the order of the states.
-STATE_SIGNALS = ("YOff", "Beta", "C0", "C1")
-#: Signals that every record has besides the page numbers, the mean and the covariance.
-SERVICE_SIGNALS = (
+#: Signals of the mean, in the order of the line's parameters.
+PARAMETER_SIGNALS = ("YOff", "Beta", "C0", "C1")
+#: Signals that every record has in addition to page numbers, mean and covariance.
+HEADER_SIGNALS = (
     *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
     *("ComponentIndex", "ComponentCount", "ComponentWeight"),
 )
@@ -69,7 +69,7 @@ class Signal:
         return np.asarray(raw, dtype=float) * self.factor + self.offset
 
     def physical_one(self, raw: int) -> float:
-        """Return one physical value: as ``physical``, without the cost of arrays."""
+        """Return one physical value; as ``physical``, without the array overhead."""
         return raw * self.factor + self.offset
 
     def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import floats
 from ...gaussian import MOST_COV, asymmetric, indefinite, rounding_of
-from .signals import STATE_SIGNALS
+from .signals import PARAMETER_SIGNALS
 
 
 class CheckedGaussians(NamedTuple):
@@ -24,7 +24,7 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
     """Return Gaussians as arrays, of covariance 0 without ``covs``; see ``Codec.encode_batch``."""
     rounding = rounding_of(covs)
     mean = floats(means, "means")
-    if mean.ndim != 2 or mean.shape[1] != len(STATE_SIGNALS):
+    if mean.ndim != 2 or mean.shape[1] != len(PARAMETER_SIGNALS):
         raise ValueError(f"means must have shape (N, 4), got {mean.shape}")
     n = len(mean)
     cov = np.zeros((n, 4, 4)) if covs is None else floats(covs, "covs")

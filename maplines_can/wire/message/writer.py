@@ -13,14 +13,13 @@ from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
 from .attributes import RecordAttributes
 from .layout import Layout
 from .packing import Packing
-from .signals import PAGE, STATE_SIGNALS, TRANSFER_ID
+from .signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID
 from .validation import CheckedGaussians
 
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8
-#: Steps by which a value may exceed a step and still be rounded to it, although values are rounded
-#: up or down here: the rounding error of the division.
+#: Tolerance [steps] of the directed rounding, for the floating-point error of the division.
 SLACK = 1e-9
 
 
@@ -29,7 +28,7 @@ class RecordWriter:
 
     def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
         self.layout = layout
-        self._mean = [layout[name] for name in STATE_SIGNALS]
+        self._mean = [layout[name] for name in PARAMETER_SIGNALS]
         self._factor = np.array([signal.factor for signal in self._mean])
         self._covariance = covariance
         self._packing = packing
@@ -43,10 +42,10 @@ class RecordWriter:
     ) -> NDArray[np.uint8]:
         """Return the (N, record bytes) records of Gaussians.
 
-        The decoded covariances also cover the (N, 4, 4) ``cover`` besides their own.
+        ``cover`` is (N, 4, 4): extra covariance added to the covered target.
 
         Raises:
-            EncodeError: an attribute has no raw value, such as a slot that the DBC does not have.
+            EncodeError: an attribute cannot be encoded, such as a slot that the DBC does not have.
         """
         n = len(gaussians.mean)
         data_ids = self.layout.data_ids(attributes.slot, n)
@@ -66,7 +65,7 @@ class RecordWriter:
             raise EncodeError(
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
-        clipped = self._put_extent(raw, attributes, n)
+        clipped = self._put_valid_range(raw, attributes, n)
         self._put_age_and_weight(raw, attributes, n)
         self._put_gaussian(raw, gaussians, self._supported(requested), clipped, cover)
         return self._protect(raw, data_ids, n)
@@ -91,7 +90,7 @@ class RecordWriter:
         clipped: NDArray[np.bool_],
         cover: NDArray[np.float64] | None,
     ) -> None:
-        """Add the raw mean, covariance and status; ``clipped`` are the rows of a clipped extent."""
+        """Add the raw mean, covariance and status; ``clipped``: rows of a clipped valid range."""
         mean, cov, indefinite = gaussians
         decoded = np.empty_like(mean)
         for i, signal in enumerate(self._mean):
@@ -121,14 +120,14 @@ class RecordWriter:
                 raw[name][without] = value
         at_limit = (clipped | coded.saturated) & (requested == Status.FULL)
         status = np.where(at_limit, Status.SATURATED, requested)
-        # A repaired matrix is singular, so most of them saturate too; REPAIRED says more.
+        # Most repaired matrices also saturate; REPAIRED takes precedence: it is more informative.
         status[(indefinite | (requested == Status.REPAIRED)) & ~without] = Status.REPAIRED
-        # Without a covariance, nothing covers a mean that is clipped by more than its rounding.
+        # Without a covariance, a clipped mean cannot be compensated: OUT_OF_RANGE.
         far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
         status[np.where(without, far, ~coded.covered)] = Status.OUT_OF_RANGE
         raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
 
-    def _put_extent(
+    def _put_valid_range(
         self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
     ) -> NDArray[np.bool_]:
         """Add the raw ends of the valid range, rounded inwards.

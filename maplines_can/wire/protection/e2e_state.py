@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from enum import IntEnum
 
-#: Number of counters of profile 5.
+#: Counter modulus of profile 5.
 COUNTERS = 256
 #: Greatest step of the counter; a larger one may as well be a step back.
 LONGEST_DELTA = COUNTERS // 2 - 1
@@ -25,7 +25,7 @@ class ProfileStatus(IntEnum):
     ERROR = 0x07  #: the checksum or the format of the record is wrong
     REPEATED = 0x08  #: the counter is that of the previous record
     OKSOMELOST = 0x20  #: OK, but up to max_delta_counter - 1 records before it are missing
-    WRONGSEQUENCE = 0x40  #: the checksum is correct, but the counter has jumped
+    WRONGSEQUENCE = 0x40  #: the checksum is correct, but the counter is out of sequence
 
 
 class E2EState(IntEnum):
@@ -144,7 +144,7 @@ def check(
             result is then OK. (AUTOSAR compares with the initial value 255, so a receiver that
             joins late starts with WRONGSEQUENCE.)
         max_delta_counter: see ``E2EConfig``.
-        modulus: number of counters.
+        modulus: counter modulus.
 
     >>> [check(c, 254, 2).name for c in (255, 0, 1, 254, 253)]
     ['OK', 'OKSOMELOST', 'WRONGSEQUENCE', 'REPEATED', 'WRONGSEQUENCE']

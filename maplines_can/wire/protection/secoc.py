@@ -23,7 +23,7 @@ import math
 from collections.abc import Callable
 
 from ...errors import EncodeError
-from ..message.channel import SecuredForm
+from ..message.slot_messages import SecuredLayout
 from ..reasons import Reason
 from .key import Key
 
@@ -57,10 +57,10 @@ class Authenticator:
         ValueError: there is no key, two keys have the same ID, the clock does not return an int,
             or a bound is out of range.
 
-    >>> form = SecuredForm(length=48, freshness_bytes=7, mac_bytes=8)
+    >>> layout = SecuredLayout(length=48, freshness_bytes=7, mac_bytes=8)
     >>> sender = Authenticator(Key(bytes(range(16))), clock=lambda: 1_000_000)
-    >>> payload = sender.secure(bytes(32), data_id=0x4D50, form=form)
-    >>> verify = Verifier(Authenticator(Key(bytes(range(16)))), form)
+    >>> payload = sender.secure(bytes(32), data_id=0x4D50, layout=layout)
+    >>> verify = Verifier(Authenticator(Key(bytes(range(16)))), layout)
     >>> verify(payload, 0x4D50)[:32] == bytes(32), verify(payload, 0x4D50).name
     (True, 'REPLAY')
     >>> verify(payload, 0x4D51).name, verify(payload[:47], 0x4D50).name
@@ -183,7 +183,7 @@ class Authenticator:
         """Return the time as a freshness value [us]; None without a clock."""
         return None if self._clock is None else self._clock() // 1000
 
-    def secure(self, record: bytes, data_id: int, form: SecuredForm) -> bytes:
+    def secure(self, record: bytes, data_id: int, layout: SecuredLayout) -> bytes:
         """Return the secured I-PDU of a record with a SecOC data ID and the next freshness value.
 
         Raises:
@@ -197,10 +197,10 @@ class Authenticator:
             raise EncodeError(f"freshness must be 2^63 - 1 us at most, got {freshness}")
         self.last_sent = freshness
         key = self._active
-        authentic = record.ljust(form.authentic_bytes - 1, b"\0") + bytes([key.key_id])
-        truncated = freshness.to_bytes(FRESHNESS_BYTES, "big")[-form.freshness_bytes :]
+        authentic = record.ljust(layout.authentic_bytes - 1, b"\0") + bytes([key.key_id])
+        truncated = freshness.to_bytes(FRESHNESS_BYTES, "big")[-layout.freshness_bytes :]
         mac = key.mac(_data_to_authenticator(data_id, authentic, freshness))
-        return authentic + truncated + mac[: form.mac_bytes]
+        return authentic + truncated + mac[: layout.mac_bytes]
 
 
 class Verifier:
@@ -216,25 +216,25 @@ class Verifier:
     long silence; without it, the next value with the same low bytes is assumed.
     """
 
-    def __init__(self, authenticator: Authenticator, form: SecuredForm) -> None:
-        self._authenticator, self._form = authenticator, form
+    def __init__(self, authenticator: Authenticator, layout: SecuredLayout) -> None:
+        self._authenticator, self._layout = authenticator, layout
         #: Last accepted freshness value, by data ID [us].
         self.last_accepted: dict[int, int] = {}
 
     def __call__(self, data: bytes, data_id: int) -> bytes | Reason:
         """Return the authentic I-PDU of a secured I-PDU: the record, padding, and the key ID."""
-        form, authenticator = self._form, self._authenticator
-        if len(data) != form.length:
+        layout, authenticator = self._layout, self._authenticator
+        if len(data) != layout.length:
             return Reason.LENGTH
-        authentic, trailer = data[: form.authentic_bytes], data[form.authentic_bytes :]
-        truncated, mac = trailer[: form.freshness_bytes], trailer[form.freshness_bytes :]
+        authentic, trailer = data[: layout.authentic_bytes], data[layout.authentic_bytes :]
+        truncated, mac = trailer[: layout.freshness_bytes], trailer[layout.freshness_bytes :]
         key = authenticator.key(authentic[-1])
         if key is None:
             return Reason.KEY
         last = self.last_accepted.get(data_id, authenticator.not_before)
         now = authenticator.now()
         floor = last if now is None else max(last, now - authenticator.window - 1)
-        bits = 8 * form.freshness_bytes
+        bits = 8 * layout.freshness_bytes
         freshness = complete(int.from_bytes(truncated, "big"), bits, floor)
         if not key.verify(mac, _data_to_authenticator(data_id, authentic, freshness)):
             # Never accepted, but the count should distinguish an old frame from a forged one.

@@ -1,23 +1,23 @@
-"""Diagnostic of two senders on one slot."""
+"""Detector of a second sender on a slot."""
 
 from __future__ import annotations
 
-#: Conflicts that make two senders certain, and the greatest distance between two of them [cycles].
-#: A gateway that delays a transfer, or a sender that restarts, causes one or two.
+#: Conflicts that confirm two senders, and the longest interval between consecutive conflicts
+#: [cycles]. A gateway that delays a transfer, or a sender that restarts, causes one or two.
 CONFLICTS, NEAR_CYCLES = 8, 32
-#: Two senders are also certain if this many of the last new records came a second time.
+#: Two senders are also confirmed if DUPLICATES of the last NEW_RECORDS records came twice.
 NEW_RECORDS, DUPLICATES = 32, 29
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256
 
 
 class SenderConflict:
-    """Evidence of a second sender, as opposed to what a bad bus does to the records of one.
+    """Detector of a second sender on a slot, tolerant of bus faults.
 
-    A conflict is a record that the first sender cannot have sent: one with the counter of another
-    record, or of a sequence of its own. At most one counts in half a cycle, and at most one between
-    two new records. Two senders of the same content cause duplicates only; so does a path that
-    duplicates every frame. Time is an argument.
+    A conflict is a record that the first sender cannot have sent: one that reuses a counter with
+    other content, or belongs to another counter sequence. At most one counts in half a cycle, and
+    at most one between two new records. Two senders of the same content cause duplicates only; so
+    does a path that duplicates every frame. Time is an argument.
 
     The delivery of lines does not depend on this diagnostic. ``SlotView.usable`` does: a second
     sender whose counters are ahead by up to ``max_delta_counter`` passes the E2E check as lost
@@ -30,10 +30,10 @@ class SenderConflict:
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
         self._conflicts = self._new_records = self._duplicates = 0
-        self._conflict_ns = self._certain_ns = -(2**62)
+        self._conflict_ns = self._confirmed_ns = -(2**62)
         self._is_blocked = True  # no new record since the last conflict
-        #: Whether there are two senders, as far as is known now.
-        self.is_certain = False
+        #: Whether two senders are confirmed.
+        self.is_confirmed = False
 
     def new(self) -> None:
         """Count a new record."""
@@ -43,10 +43,10 @@ class SenderConflict:
             self._new_records, self._duplicates = 1, 0
 
     def duplicate(self, t_ns: int) -> None:
-        """Count the first duplicate of a new record; a sender that is stuck causes only one."""
+        """Count the first duplicate of a new record."""
         self._duplicates += 1
         if self._new_records >= NEW_RECORDS and self._duplicates >= DUPLICATES:
-            self.is_certain, self._certain_ns = True, t_ns
+            self.is_confirmed, self._confirmed_ns = True, t_ns
 
     def conflict(self, t_ns: int) -> None:
         """Count a record that another sender must have sent."""
@@ -56,7 +56,7 @@ class SenderConflict:
         self._conflicts = self._conflicts + 1 if cycles <= NEAR_CYCLES else 1
         self._conflict_ns, self._is_blocked = t_ns, True
         if self._conflicts >= CONFLICTS:
-            self.is_certain, self._certain_ns = True, t_ns
+            self.is_confirmed, self._confirmed_ns = True, t_ns
 
     def retract(self) -> None:
         """Discount the last conflict: its sequence was that of a sender that restarted."""
@@ -64,5 +64,5 @@ class SenderConflict:
 
     def elapse(self, t_ns: int) -> None:
         """Forget evidence that is too old at ``t_ns`` [ns]."""
-        if self.is_certain and abs(t_ns - self._certain_ns) > FORGET_CYCLES * self._cycle_ns:
-            self.is_certain, self._conflicts = False, 0
+        if self.is_confirmed and abs(t_ns - self._confirmed_ns) > FORGET_CYCLES * self._cycle_ns:
+            self.is_confirmed, self._conflicts = False, 0

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-#: The first cycle without a record is missed this many cycles after the last record, since the
-#: time of a record may jitter by half a cycle.
+#: The first cycle without a record is declared missed this many cycles after the last record,
+#: since the time of a record may jitter by half a cycle.
 GRACE_CYCLES = 1.5
 
 
@@ -15,8 +15,8 @@ class ReceptionDeadline:
         record                  missed        missed       record
           |<----- 1.5 cycles ---->|<- 1 cycle ->|            |<----- 1.5 cycles ----> ...
 
-    The result does not depend on how often ``elapse`` is called. A backlog, that is, records whose
-    time stamps lie before cycles that were counted already, is not counted again.
+    The result does not depend on how often ``elapse`` is called. Records that are read late do not
+    cause cycles already counted as missed to be counted again.
 
     Args:
         cycle_ns: time between records [ns].

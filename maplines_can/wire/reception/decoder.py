@@ -15,7 +15,7 @@ from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 
-PENDING = Reason.PENDING  # looked up once: feed is called for every frame
+PENDING = Reason.PENDING  # looked up only once, since feed is called for every frame
 
 
 class Decoder:
@@ -28,9 +28,9 @@ class Decoder:
     ``Codec.decoder`` makes one. At any time
     ``frames == line_frames + sum(counts.values()) + pending``.
 
-    Each record is checked by its counter after AUTOSAR E2E, and ``checks`` gives the state of
-    each slot. Of good records, only duplicates and late ones are dropped. What to do with a
-    line whose slot is not VALID is the consumer's decision.
+    Each record is checked by its counter according to AUTOSAR E2E, and ``checks`` gives the state
+    of each slot. Of good records, only duplicates and late ones are dropped. What to do with a line
+    whose slot is not VALID is the consumer's decision.
 
     With a verifier the MAC is checked first, and a frame that is not authentic changes nothing:
     no line, no transfer, no check.
@@ -53,9 +53,9 @@ class Decoder:
     ) -> None:
         #: Checks whether a frame is authentic; None without authentication.
         self.verifier = verifier
-        data_ids = {slot: channel.data_id for slot, channel in layout.channels.items()}
+        data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
         modulus = 2 ** layout["Counter"].length
-        self._slot_of_id = {key: slot for key, (slot, _) in layout.page_of_id.items()}
+        self._slot_of_id = {key: slot for key, (slot, _) in layout.message_of_id.items()}
         self._reassembler = Reassembler(
             layout,
             lambda payload, slot, t_ns: reader.read_one(payload, slot, data_ids[slot], t_ns),
@@ -63,7 +63,7 @@ class Decoder:
             verifier,
         )
         self._mixtures = MixtureAssembler(modulus, timeout_ns)
-        self._counts: Counter[Reason] = Counter()  # of the frames dropped between the two
+        self._counts: Counter[Reason] = Counter()  # dropped between reassembly and mixture assembly
         self.frames = 0  #: frames received
         self.lines = 0  #: lines delivered
         self.line_frames = 0  #: frames of the lines delivered
@@ -93,7 +93,7 @@ class Decoder:
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> MapLine | Reason:
-        """Take a frame. Nothing in a frame makes this raise.
+        """Decode a frame; return the line that it completes, or the reason why none.
 
         Args:
             can_id: its CAN ID.
@@ -102,8 +102,7 @@ class Decoder:
             is_extended: the ID has 29 bits.
 
         Returns:
-            The line that the frame completes, or the reason why it completes none (PENDING: not
-            yet).
+            The line, or the reason why there is none (PENDING: not yet). No frame raises.
         """
         self.frames += 1
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
@@ -138,7 +137,7 @@ class Decoder:
         return reason
 
     def _check_dropped(self, reason: Reason, key: tuple[int, bool], t_ns: int) -> None:
-        """Pass a dropped frame to the check of its slot, unless nobody knows who sent it."""
+        """Pass a dropped frame to the check of its slot, unless its sender is not authentic."""
         slot = self._slot_of_id.get(key)
         if slot is None or reason in NOT_AUTHENTIC:
             return  # as in AUTOSAR: what is not authentic does not reach the E2E check

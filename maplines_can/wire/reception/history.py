@@ -8,23 +8,23 @@ from typing import NamedTuple
 class _Entry(NamedTuple):
     """A received record."""
 
-    position: int
+    position: int  #: extended sequence number
     content: int
     is_new: bool  #: accepted when it came
     is_duplicated: bool  #: received again since
 
 
 class RecordHistory:
-    """Records of the last round of counters, to tell duplicates and fillers of gaps.
+    """Records of the last counter cycle, to recognise duplicates and late records that fill a gap.
 
-    Each counter has one entry. Its position in the sequence is the counter continued beyond its
-    wrap-around, so that an entry of an earlier round is not mistaken for one of this round.
+    Each counter has one entry. Its position is the extended (unwrapped) sequence number, so that
+    an entry of an earlier counter cycle is not mistaken for one of this cycle.
     """
 
     def __init__(self, modulus: int) -> None:
         self._modulus = modulus
         self._entries: dict[int, _Entry] = {}
-        self._newest = 0  # position of the last new record
+        self._newest = 0  # extended sequence number of the last new record
 
     def add_new(self, counter: int, content: int, ahead: int) -> None:
         """Add a new record, ``ahead`` positions after the last new one."""
@@ -48,7 +48,7 @@ class RecordHistory:
         return entry is not None and entry.content == content
 
     def mark_duplicated(self, counter: int, behind: int) -> bool:
-        """Mark a record as received again; return whether it is the first time, for a new one."""
+        """Mark a record as duplicated; return True the first time a new record is duplicated."""
         entry = self._at(counter, behind)
         if entry is None or not entry.is_new or entry.is_duplicated:
             return False
@@ -56,7 +56,7 @@ class RecordHistory:
         return True
 
     def fills_gap(self, counter: int, behind: int) -> bool:
-        """Return whether a late record follows a new one, as one that was overtaken does."""
+        """Return whether a late record directly follows a new one, the pattern of reordering."""
         before = self._at((counter - 1) % self._modulus, behind + 1)
         return before is not None and before.is_new
 

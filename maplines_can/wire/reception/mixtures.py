@@ -23,7 +23,8 @@ SEVERITY = (
     Status.UNKNOWN,
     Status.OUT_OF_RANGE,
 )
-#: Weights are multiples of a power of two, so their sum is exact up to the DBC's factor.
+#: Weights are multiples of a power of two, so their float sum is exact; the tolerance is for a
+#: factor rounded in the DBC.
 WEIGHT_TOLERANCE = 1e-9
 
 
@@ -52,7 +53,7 @@ class MixtureAssembler:
     Each slot has one incomplete mixture at most; time is an argument.
 
     Args:
-        modulus: number of counters.
+        modulus: counter modulus.
         timeout_ns: longest time between two components [ns]. A slow bus takes long for many
             components, so the time counts from the last one.
     """
@@ -69,10 +70,10 @@ class MixtureAssembler:
         return sum(mixture.frames for mixture in self._incomplete.values())
 
     def add(self, record: DecodedRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
-        """Take a new record, of this many frames, the first of which came at ``t_ns`` [ns].
+        """Add a record to its mixture; return the line that it completes.
 
         Returns:
-            The line that it completes, or the reason why it completes none.
+            The line, or the reason why the record completes none.
         """
         slot, first = record.line.slot, (record.counter - record.index) % self._modulus
         held = self._incomplete.get(slot)
@@ -99,7 +100,7 @@ class MixtureAssembler:
         return CompleteLine(_mixture_line(records), mixture.count, mixture.frames)
 
     def drop_if_within(self, slot: Slot, counter: int) -> None:
-        """Drop the incomplete mixture of a slot if a counter that is not new lies within it."""
+        """Drop the mixture if the counter of a rejected (STALE) record falls in its range."""
         held = self._incomplete.get(slot)
         if held and (counter - held.first) % self._modulus < held.count:
             self._drop(slot, Reason.INCOMPLETE)  # two senders, or components out of order
@@ -121,7 +122,7 @@ def _mixture_line(records: Sequence[DecodedRecord]) -> MapLine:
     gaussians = tuple(record.line.gaussian for record in records)
     mixture = GaussianMixture(np.array([record.weight for record in records]), gaussians)
     oldest = min((record.line for record in records), key=lambda line: line.t_ns or 0)
-    return replace(  # the age of a line counts from its reception
+    return replace(  # ``age`` is relative to ``t_ns``, so keep the earliest component's pair
         oldest,
         gaussian=mixture.overall,
         mixture=mixture,

@@ -16,7 +16,7 @@ STALE_CYCLES = 3.0
 
 
 class SlotView(NamedTuple):
-    """State of a slot as a consumer sees it in one of its cycles."""
+    """State of a slot at the consumer's call."""
 
     slot: Slot
     line: MapLine | None  #: the newest; None before the first
@@ -38,7 +38,7 @@ class SlotView(NamedTuple):
 class Monitor:
     """Decoder that keeps the newest line of each slot; time is an argument.
 
-    ``Receiver.latest`` uses one. By itself it serves where there is no bus, as in a simulator.
+    ``Receiver.latest`` uses one. It can also be used without a bus, as in a simulator.
     It is not thread-safe.
 
     >>> from maplines_can import Codec, Slot, MapLine
@@ -60,7 +60,7 @@ class Monitor:
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> MapLine | Reason:
-        """Take a frame, as ``Decoder.feed``."""
+        """Decode a frame, and keep the line that it completes as the newest of its slot."""
         answer = self._decoder.feed(can_id, data, t_ns, is_extended=is_extended)
         if isinstance(answer, MapLine):
             self._lines[answer.slot] = answer
@@ -95,7 +95,7 @@ class Monitor:
         return SlotView(Slot(slot), line, age, stale, state, check.status, check.two_senders)
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
-        """Return the checks of each slot on which anything was received."""
+        """Return the E2E statistics of each slot on which anything was received."""
         for check in self._decoder.checks.values():
             check.elapse(now_ns)
         stats = {slot: check.stats() for slot, check in self._decoder.checks.items()}

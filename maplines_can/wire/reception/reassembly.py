@@ -39,8 +39,8 @@ class Reassembler:
 
     Pages are collected by transfer ID, each transfer by itself, until it is complete or times
     out. Transfers do not affect each other: a damaged page may damage its own transfer, but it
-    neither ends another one nor counts as delivered. For the length of a time-out, the pages of a
-    good record are known, and the same pages are duplicates::
+    neither ends another one nor counts as delivered. Pages of a good record are remembered for one
+    time-out; identical pages within it are duplicates::
 
         page   0 1   2       0 1   3       2       0 1 2 3
         ID     7 7   7       8 8   7       8       7 7 7 7
@@ -56,8 +56,8 @@ class Reassembler:
         read: decodes the payload of a slot's record received at a time [ns], or rejects it.
         timeout_ns: longest time between the first and the last page of a transfer [ns].
         verify: returns the record of an authenticated payload and its data ID, or the reason
-            why it is not authentic. With it nothing else is accepted; without it nothing that is
-            authenticated.
+            why it is not authentic. If given, only authenticated frames are accepted; if None,
+            only unauthenticated ones.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class Reassembler:
         timeout_ns: int,
         verify: Callable[[bytes, int], bytes | Reason] | None = None,
     ) -> None:
-        self._ids, self._data_id_of_secured = layout.page_of_id, layout.data_id_of_secured
+        self._ids, self._data_id_of_secured = layout.message_of_id, layout.data_id_of_secured
         self._read, self._verify = read, verify
         self._pages, self._record_bytes = layout.pages, layout.record_bytes
         self._timeout_ns = timeout_ns
@@ -76,8 +76,8 @@ class Reassembler:
             _reader(layout[f"{TRANSFER_ID}{page}"]) for page in range(layout.pages)
         ]
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
-        self._incomplete: dict[Slot, dict[int, _Transfer]] = {slot: {} for slot in layout.channels}
-        self._complete: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.channels}
+        self._incomplete: dict[Slot, dict[int, _Transfer]] = {slot: {} for slot in layout.messages}
+        self._complete: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.messages}
         #: Frames dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
 
@@ -90,11 +90,11 @@ class Reassembler:
     def feed(
         self, can_id: int, data: bytes, t_ns: int, is_extended: bool = False
     ) -> Record | Reason:
-        """Take a frame.
+        """Add a frame to its transfer; return the record that it completes.
 
         Returns:
-            The record that the frame completes, or the reason why it completes none. All reasons
-            but PENDING are counted.
+            The record, or the reason why the frame completes none. All reasons but PENDING are
+            counted.
         """
         known = self._ids.get((can_id, is_extended))
         if known is None:
@@ -151,14 +151,14 @@ class Reassembler:
         return self._completed(slot, payload, transfer.t_ns, self._pages)
 
     def _completed(self, slot: Slot, payload: bytes, t_ns: int, frames: int) -> Record:
-        """Decode a record; remember a good one, and forget those half a round of IDs away."""
+        """Decode a record; keep a good one, and drop those of the next half range of IDs."""
         record = Record(slot, payload, t_ns, frames, self._read(payload, slot, t_ns))
         if not isinstance(record.content, Reason):
             complete, own = self._complete[slot], self._read_transfer_id[0](payload[:PAGE_BYTES])
             complete[own] = record
             half = self._transfer_ids // 2
             for other in [i for i in complete if 0 < (i - own) % self._transfer_ids < half]:
-                del complete[other]
+                del complete[other]  # of the previous cycle of transfer IDs
         return record
 
     def _is_known(self, slot: Slot, transfer_id: int, page: int, data: bytes, t_ns: int) -> bool:
@@ -169,7 +169,7 @@ class Reassembler:
         return record.payload[page * PAGE_BYTES : (page + 1) * PAGE_BYTES] == data
 
     def _is_old(self, since_ns: int, t_ns: int) -> bool:
-        # Time stamps may be swapped slightly; if the clock is set back, everything is old.
+        # Frames may arrive slightly out of order; if the clock is set back, everything is old.
         return abs(t_ns - since_ns) > self._timeout_ns
 
     def _expire_slot(self, slot: Slot, t_ns: int) -> None:

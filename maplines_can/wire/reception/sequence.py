@@ -13,7 +13,7 @@ from .history import RecordHistory
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 
-#: This many consecutive records behind the last new one are those of a sender that restarted.
+#: Number of consecutive old-counter records that indicate a restart.
 RESTART_RECORDS = 3
 
 
@@ -22,8 +22,8 @@ class SlotStats(NamedTuple):
 
     state: E2EState
     status: ProfileStatus | None  #: of the last check; None before the first
-    ok: int  #: records that follow the one before, or leave out some
-    lost: int  #: records missing between those, by their counters
+    ok: int  #: records accepted in sequence (OK or OKSOMELOST)
+    lost: int  #: records missing between those, according to their counters
     repeated: int
     wrong_sequence: int
     errors: int
@@ -45,27 +45,29 @@ class SequenceCheck:
     Each record is one check. Each cycle without a record is a check too: NONEWDATA (see
     ``ReceptionDeadline``); ``elapse`` brings the state up to a time.
 
-    A record whose checksum holds is admitted by its counter. ``last`` is the counter of the last
-    new record, ``span`` the number of records of the line that was delivered last (those of a
-    mixture), ``half`` half the number of counters; all differences are modulo the latter:
+    A record with a correct checksum is admitted by its counter (differences modulo ``modulus``):
 
-    ======================== =================================== ============ =============
-    counter                  content                             decision     E2E status
-    ======================== =================================== ============ =============
-    last + 1                                                     new          OK
-    last + 2 .. + max_delta                                      new          OKSOMELOST
-    last + max_delta .. half                                     new, jump    WRONGSEQUENCE
-    last - span + 1 .. last  as received with that counter       DUPLICATE    REPEATED
-    last - span + 1 .. last  another one: conflict               STALE        REPEATED
-    last - half .. - span    as received with that counter       DUPLICATE    WRONGSEQUENCE
-    last - half .. - span    another one, no restart             STALE        WRONGSEQUENCE
-    last - half .. - span    another one, restart                new, jump    WRONGSEQUENCE
-    ======================== =================================== ============ =============
+    - ``last`` is the counter of the last new record, and ``half`` is half of ``modulus``;
+    - ``span`` is the number of records (mixture components) of the line that was delivered last.
+
+    ======================================= ============================= ========== =============
+    counter                                 content                       decision   E2E status
+    ======================================= ============================= ========== =============
+    last + 1                                                              new        OK
+    last + 2 .. last + max_delta                                          new        OKSOMELOST
+    last + max_delta + 1 .. last + half - 1                               new, break WRONGSEQUENCE
+    last - span + 1 .. last                 as received with that counter DUPLICATE  REPEATED
+    last - span + 1 .. last                 another one: conflict         STALE      REPEATED
+    last - half .. last - span              as received with that counter DUPLICATE  WRONGSEQUENCE
+    last - half .. last - span              another one, no restart       STALE      WRONGSEQUENCE
+    last - half .. last - span              another one, restart          new, break WRONGSEQUENCE
+    ======================================= ============================= ========== =============
 
     Behind by ``span`` or more, a record is late, or its sender has restarted. It is a restart once
-    three consecutive records came over 1.5 cycles with no new record between them::
+    three consecutive records have come, the last at least 1.5 cycles after the first, with no new
+    record between them::
 
-        new      new      restart: the first two records are lost, before the slot is VALID
+        new      new      restart: the first two records are dropped; the slot is not VALID then
         41       42        0        1        2        3
         |--------|--------|--------|--------|--------|-----> time
                            STALE    STALE    new      new
@@ -80,17 +82,17 @@ class SequenceCheck:
 
     Two decisions go beyond AUTOSAR, both to the safe side:
 
-    - After a jump, the window of the state machine is that of another sequence. It is cleared, so
-      VALID is left at once and regained after ``min_ok_state_invalid`` OKs.
+    - After a sequence break (``break``), the window holds results of the old sequence. It is
+      cleared, so VALID is left at once and regained after ``min_ok_state_invalid`` OKs.
     - A record of the last line stays REPEATED however long the slot was silent. A transfer that a
-      gateway held back and a sender that restarted at exactly that counter look the same; to
-      refuse the latter costs one cycle, to accept the former gives a wrong line.
+      gateway held back and a sender that restarted at exactly that counter look the same. Dropping
+      a restarted sender's record costs one cycle; accepting a held-back one delivers an old line.
 
     Args:
         config: windows and bounds.
-        modulus: number of counters.
+        modulus: counter modulus.
         pages: frames of a classic record.
-        cycle_ns: time between records [ns]; those of a mixture count together.
+        cycle_ns: time between records [ns]; one period per mixture, not per component.
         is_authentic: records are authenticated, and each is newer than the last one.
     """
 
@@ -106,7 +108,7 @@ class SequenceCheck:
         self.cycle_ns = cycle_ns
         self.statuses: Counter[ProfileStatus] = Counter()  #: checks by outcome
         self.status: ProfileStatus | None = None  #: of the last check
-        self.lost = 0  #: records missing between those received, by their counters
+        self.lost = 0  #: records missing between those received, according to their counters
         self._machine = StateMachine(config)
         self._deadline = ReceptionDeadline(cycle_ns)
         self._history = RecordHistory(modulus)
@@ -117,8 +119,8 @@ class SequenceCheck:
         self._last: int | None = None  # counter of the last new record
         self._new_ns = 0  # its time
         self._restart: _Restart | None = None  # records behind it since then
-        self._left: int | None = None  # counter at which the last jump left the sequence
-        self._span = 1  # records of the line delivered last, if its last record is the last new one
+        self._left: int | None = None  # last counter before the sequence break
+        self._span = 1  # records of the line delivered last; 1 while a later line is incomplete
         self._longest_line = 1  # greatest number of records of a line so far
         self._duplicated_frames = 0  # since the last new record
 
@@ -130,10 +132,10 @@ class SequenceCheck:
     @property
     def two_senders(self) -> bool:
         """Whether two senders were detected in the last 256 cycles."""
-        return self._conflict.is_certain
+        return self._conflict.is_confirmed
 
     def received(self, counter: int, content: int, t_ns: int) -> Reason | None:
-        """Check a record whose checksum holds.
+        """Check a record whose checksum is correct.
 
         Args:
             counter: of the record.
@@ -154,7 +156,7 @@ class SequenceCheck:
                 self._step(REPEATED if behind < self._span else WRONGSEQUENCE)
                 return reason
             if self._left is not None and (counter - self._left) % self._modulus == 1:
-                self._conflict.conflict(t_ns)  # back to the sequence that the last jump left
+                self._conflict.conflict(t_ns)  # back to the sequence before the break
             self._left = self._last
             if ahead >= self._modulus // 2:
                 ahead = 2 * self._modulus  # the history is that of another sequence
@@ -175,12 +177,12 @@ class SequenceCheck:
         self._longest_line = max(self._longest_line, records)
 
     def failed(self, t_ns: int) -> None:
-        """Check a record, or a frame, that is damaged."""
+        """Count a damaged record or frame as an ERROR check."""
         self._record_arrived(t_ns)
         self._step(ERROR)
 
     def frame_duplicated(self, t_ns: int) -> None:
-        """Count a duplicated frame; as many as make a record are one check."""
+        """Count a duplicated frame: one REPEATED check per ``pages`` duplicated frames."""
         self._duplicated_frames += 1
         if self._duplicated_frames % self._pages == 0:
             self._record_arrived(t_ns)
@@ -189,7 +191,7 @@ class SequenceCheck:
             self._step(REPEATED)
 
     def elapse(self, t_ns: int) -> E2EState:
-        """Check the cycles without a record up to ``t_ns`` [ns]; return the state."""
+        """Step with NONEWDATA for each cycle missed up to ``t_ns`` [ns]; return the state."""
         self._conflict.elapse(t_ns)
         self._step_without_data(self._deadline.elapse(t_ns))
         return self.state
@@ -246,7 +248,7 @@ class SequenceCheck:
         return None if self._is_restart(counter, t_ns) else Reason.STALE
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
-        """Return whether a record is too far behind to be late, and fills no gap."""
+        """Return whether a record is too old for a delayed one, and fills no gap."""
         is_far = behind > self._max_delta * self._longest_line
         return is_far and not self._history.fills_gap(counter, behind)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ...arrays import number_text
 from ...line import Slot
-from ..message.channel import LONGEST_MS
 from ..message.layout import Layout
+from ..message.slot_messages import LONGEST_MS
 from ..protection.e2e_state import E2EConfig
 
 #: Time-out of a transfer if the DBC has no cycle time [ms].
@@ -19,10 +19,9 @@ def decoder_settings(
     e2e: E2EConfig | None = None,
 ) -> tuple[int, dict[Slot, int], E2EConfig]:
     """Return the time-out [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
-    channels = layout.channels
+    cycles = {slot: messages.cycle_ms for slot, messages in layout.messages.items()}
     if timeout_ms is None:
-        cycles = [channel.cycle_ms for channel in channels.values()]
-        timeout_ms = max(cycles) / 2 or DEFAULT_TIMEOUT_MS
+        timeout_ms = max(cycles.values()) / 2 or DEFAULT_TIMEOUT_MS
     for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
         if value is not None and not 0 < value <= LONGEST_MS:
             raise ValueError(
@@ -30,15 +29,15 @@ def decoder_settings(
                 f"got {number_text(value)}"
             )
     cycles_ns = {
-        slot: int(1e6 * (cycle_ms or channel.cycle_ms or 2 * DEFAULT_TIMEOUT_MS))
-        for slot, channel in channels.items()
+        slot: int(1e6 * (cycle_ms or own_ms or 2 * DEFAULT_TIMEOUT_MS))
+        for slot, own_ms in cycles.items()
     }
-    counters = 2 ** layout["Counter"].length
+    modulus = 2 ** layout["Counter"].length
     if e2e is None:
-        e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, counters // 4))
-    elif e2e.max_delta_counter >= counters // 2:
+        e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, modulus // 4))
+    elif e2e.max_delta_counter >= modulus // 2:
         raise ValueError(
-            f"max_delta_counter must be less than {counters // 2}, half of the counters of "
+            f"max_delta_counter must be less than {modulus // 2}, half the counter modulus of "
             f"{layout.source}, got {e2e.max_delta_counter}"
         )
     return int(timeout_ms * 1e6), cycles_ns, e2e

@@ -72,8 +72,8 @@ def test_value_tables_are_the_enumerations(database: Any) -> None:
 def test_the_page_names_the_ids_of_the_dbc() -> None:
     """The table of slots in dbc/README.md agrees with the DBC."""
     page = (ROOT / "dbc" / "README.md").read_text()
-    for channel in Layout.from_dbc().channels.values():
-        row = f"| 0x{channel.can_id:03X} | 0x{channel.fd_can_id:03X} | 0x{channel.data_id:04X} |"
+    for messages in Layout.from_dbc().messages.values():
+        row = f"| 0x{messages.can_id:03X} | 0x{messages.fd_can_id:03X} | 0x{messages.data_id:04X} |"
         assert row in page
 
 
@@ -94,7 +94,7 @@ def test_another_arrangement_of_pages_works(tmp_path: Path) -> None:
     path.write_text(other.dbc())
     codec = Codec.from_dbc(path)
     assert min(codec.can_ids) == 0x100
-    assert codec.layout.channels[Slot.EGO_LEFT].cycle_ms == 20
+    assert codec.layout.messages[Slot.EGO_LEFT].cycle_ms == 20
     payload = codec.encode_batch([[1.75, 0, 0, 0]])
     assert codec.decode_batch(payload).mean[0, 0] == 1.75
 

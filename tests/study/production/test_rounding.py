@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from maplines_can.cli.production import add_production
-from maplines_can.line import STATES, lateral
+from maplines_can.line import PARAMETERS, lateral
 from maplines_can.study import Gaussians, road
 from maplines_can.study.production.messages import PRODUCTION, default_message
 from maplines_can.study.production.rounding import (
@@ -292,7 +292,7 @@ def test_writers_agree(rows: Any) -> None:
     assert [row["message"] for row in table] == [r.message.name for r in rows]
     assert float(table[1]["worst_at_50m_m"]) == pytest.approx(0.0975)
     assert records[-1]["c1_factor"] == Layout.from_dbc()["C1"].factor
-    assert {f"{state}_bits" for state in STATES} <= set(records[0])
+    assert {f"{state}_bits" for state in PARAMETERS} <= set(records[0])
     for text in (as_text(rows), as_markdown(rows)):
         assert all(text.count(f"{r.message.maker} {r.message.name}") >= 4 for r in rows)
 

@@ -68,7 +68,7 @@ def test_an_unsuitable_dbc_is_rejected_with_the_reason(
     assert "edited.dbc" in str(error.value)
 
 
-def test_each_carrier_may_have_its_own_id_length(tmp_path: Path) -> None:
+def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
     """Classic CAN with 11 bits and CAN FD with 29 bits: frames and decoder agree."""
     fd_id = 0x80000000 | 0x18FF0048
     path = edited(tmp_path, (r"\b840\b", str(fd_id)))

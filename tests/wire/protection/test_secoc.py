@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scenes import scene_lines
 from secoc_streams import (
     DATA_ID,
-    FORM,
+    LAYOUT,
     MS,
     NOW,
     OTHER,
@@ -37,7 +37,7 @@ from maplines_can.errors import EncodeError, LayoutError
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.wire import Authenticator, E2EState, Key, Reason, Verifier
-from maplines_can.wire.message.channel import SecuredForm
+from maplines_can.wire.message.slot_messages import SecuredLayout
 from maplines_can.wire.protection.secoc import complete
 
 ROOT = Path(__file__).parents[3]
@@ -216,14 +216,14 @@ def test_the_window_about_the_current_time(
 @pytest.mark.parametrize("freshness_bytes", [1, 2, 4, 7])
 def test_short_freshness_with_a_counter(freshness_bytes: int) -> None:
     """If the value counts frames, one byte survives 255 lost frames, but not 256."""
-    form = replace(FORM, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
+    layout = replace(LAYOUT, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
     count = Clock(0)
     sender = Authenticator(Key(SECRET), clock=count)
-    verify = Verifier(Authenticator(Key(SECRET)), form)
+    verify = Verifier(Authenticator(Key(SECRET)), layout)
     frames = []
     for i in range(1, 2000):
         count.now = 1000 * i
-        frames.append(sender.secure(bytes(32), DATA_ID, form))
+        frames.append(sender.secure(bytes(32), DATA_ID, layout))
     kept = frames[:300] + frames[554:600]
     assert all(isinstance(verify(frame, DATA_ID), bytes) for frame in kept)
     assert verify(frames[598], DATA_ID) is Reason.REPLAY
@@ -238,7 +238,7 @@ def test_a_clock_reconstructs_short_freshness_after_any_silence(
     path = tmp_path / "narrow.dbc"
     path.write_text(replace(SECURED, freshness_bytes=4, mac_bytes=8).dbc())
     sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock))
-    assert sender.layout.secured == SecuredForm(48, 4, 8)
+    assert sender.layout.secured == SecuredLayout(48, 4, 8)
     with_clock = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock)).decoder()
     first = sent(sender, clock, lines[0], 1)
     base = (NOW - 60 * S) // US
@@ -404,7 +404,7 @@ def test_the_code_of_a_key_change_in_the_docs_runs() -> None:
     (steps,) = re.findall("```python\n(.*?)```", (ROOT / "docs" / "security.md").read_text(), re.S)
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = (Authenticator(old, clock=time.time_ns) for _ in range(2))
-    sender.secure(bytes(32), DATA_ID, FORM)
+    sender.secure(bytes(32), DATA_ID, LAYOUT)
     exec(steps, {"sender": sender, "receiver": receiver, "new": new})  # noqa: S102 - our own page
 
     assert sender.keys == receiver.keys == (new,)
@@ -458,7 +458,7 @@ def test_an_invalid_argument_of_authentication_raises(act: Any, message: str) ->
 def test_a_time_of_more_than_63_bits_raises() -> None:
     """The freshness value must fit 64 bits."""
     with pytest.raises(EncodeError, match="freshness must be"):
-        Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, FORM)
+        Authenticator(Key(SECRET), clock=lambda: 1000 * 2**63).secure(bytes(32), 1, LAYOUT)
 
 
 @pytest.mark.parametrize("code", ["MeanOnly", "Float16"])

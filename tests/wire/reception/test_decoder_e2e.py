@@ -32,7 +32,7 @@ VALID, NODATA, INIT, INVALID = E2EState
 @given(st.lists(st.integers(0, 32 * 8 - 1), max_size=4), st.integers(0, 254))
 def test_errors_agree_with_autosar_e2e(bits: Any, counter: int) -> None:
     """That package writes the counter and the checksum, and checks the damaged record."""
-    data_id = default_codec().layout.channels[SLOT].data_id
+    data_id = default_codec().layout.messages[SLOT].data_id
     before, after = (record(k).tobytes() for k in (counter, counter + 1))
     counted = bytearray(before)
     e2e.p05.e2e_p05_protect(counted, data_id, increment_counter=True)

@@ -1,4 +1,4 @@
-"""What is known of the records of the last round of counters."""
+"""Records of the last counter cycle."""
 
 from typing import Any
 

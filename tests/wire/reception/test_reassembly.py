@@ -272,8 +272,8 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int,
 def test_no_bytes_from_the_bus_can_raise(frames: Any) -> None:
     """Whatever arrives is read or dropped with a reason, at any time."""
     decoder = default_codec().decoder()
-    for can_id, data, jump in frames:
-        assert isinstance(decoder.feed(can_id, data, jump * 10**9), MapLine | Reason)
+    for can_id, data, gap_s in frames:
+        assert isinstance(decoder.feed(can_id, data, gap_s * 10**9), MapLine | Reason)
     check_accounts(decoder, len(frames))
 
 

@@ -14,8 +14,8 @@ VALID, INVALID = E2EState.VALID, E2EState.INVALID
 NONEWDATA = ProfileStatus.NONEWDATA
 
 
-@pytest.mark.parametrize(("good", "certain"), [(10, True), (30, True), (40, False)])
-def test_rare_conflicts_do_not_add_up(good: int, certain: bool) -> None:
+@pytest.mark.parametrize(("good", "confirmed"), [(10, True), (30, True), (40, False)])
+def test_rare_conflicts_do_not_add_up(good: int, confirmed: bool) -> None:
     """An occasional other record with a counter that was received before is an accident."""
     slot, t_ns = SequenceCheck(E2EConfig(), 256, 4, CYCLE), 0
     for k in range(12 * good):
@@ -23,11 +23,11 @@ def test_rare_conflicts_do_not_add_up(good: int, certain: bool) -> None:
         if k % good == 0:
             assert slot.received(k % 256, -1, t_ns + 30 * MS) is Reason.STALE
         t_ns += CYCLE
-    assert slot.two_senders is certain
+    assert slot.two_senders is confirmed
 
 
-@pytest.mark.parametrize(("share", "certain"), [(0.5, False), (0.7, False), (1.0, True)])
-def test_lines_that_are_received_twice(share: float, certain: bool) -> None:
+@pytest.mark.parametrize(("share", "confirmed"), [(0.5, False), (0.7, False), (1.0, True)])
+def test_lines_that_are_received_twice(share: float, confirmed: bool) -> None:
     """Two senders of the same lines look like this; one line in a hundred is lost."""
     rng = np.random.default_rng(5)
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
@@ -35,7 +35,7 @@ def test_lines_that_are_received_twice(share: float, certain: bool) -> None:
         for again in (False, True):
             if rng.random() < (share if again else 1) * 0.99:
                 slot.received(k % 256, k, k * CYCLE + again * 10 * MS)
-    assert slot.two_senders is certain
+    assert slot.two_senders is confirmed
 
 
 def test_a_line_lost_256_lines_after_another_is_counted() -> None:

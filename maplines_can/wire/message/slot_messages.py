@@ -1,4 +1,4 @@
-"""Messages of a slot: their CAN IDs, and the format of the authenticated ones."""
+"""Messages of a slot: their CAN IDs, and the layout of the authenticated ones."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ LONGEST_MS = 3_600_000
 
 
 @dataclass(frozen=True)
-class SecuredForm:
-    """Format of an authenticated message, AUTOSAR's secured I-PDU.
+class SecuredLayout:
+    """Layout of AUTOSAR's secured I-PDU, the payload of an authenticated message.
 
     The authentic I-PDU comes first: the record, padding, and the key ID in the last byte. The
     truncated freshness value follows (its low bytes), then the truncated MAC (its first bytes).
@@ -34,8 +34,8 @@ class SecuredForm:
 
 
 @dataclass(frozen=True)
-class Channel:
-    """Messages that carry the lines of one slot.
+class SlotMessages:
+    """Messages of one slot, in each frame format.
 
     Args:
         slot: the line slot.
