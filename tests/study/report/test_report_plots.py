@@ -7,7 +7,7 @@ from sweep_tables import USED
 
 from maplines_can.line import lateral, lateral_jacobian
 from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
-from maplines_can.study.report.drawing import looks
+from maplines_can.study.report.drawing import plot_styles
 from maplines_can.study.report.plots import kl_plot
 from maplines_can.study.report.tables import read_tables
 
@@ -15,7 +15,7 @@ from maplines_can.study.report.tables import read_tables
 def test_an_infinite_kl_is_above_the_axis_with_its_share(folder):
     """Each width has a mark at the infinity tick; the 99 % quantile has a view of its own."""
     tables = read_tables(folder)
-    plot = kl_plot(tables, "paper", looks(tables.codes))
+    plot = kl_plot(tables, "paper", plot_styles(tables.codes))
     source = next(
         r.data_source for r in plot.renderers if r.tags == ["code:LinearNearest"]
     )  # its line
