@@ -244,8 +244,8 @@ def transform_line(
         given = np.broadcast_to(np.asarray(displacement, dtype=float), (*ill_posed.shape, 3))
         first = given[ill_posed][0]
         raise IllPosedError(
-            "a line is not a function of x, or is nearly perpendicular to the x axis, after the "
-            f"displacement {first} (m, m, rad), so no cubic y(x) describes it; shorten the window "
+            "a line is not a function of x, or nearly perpendicular to the x axis, after the "
+            f"displacement {first} (m, m, rad), so no cubic describes it; shorten the window "
             "or check the heading"
         )
     return lines

@@ -43,7 +43,7 @@ class SenderConflict:
             self._new_records, self._duplicates = 1, 0
 
     def duplicate(self, t_ns: int) -> None:
-        """Count the first duplicate of a new record."""
+        """Count a duplicated record, once: a stuck sender must not be mistaken for two."""
         self._duplicates += 1
         if self._new_records >= NEW_RECORDS and self._duplicates >= DUPLICATES:
             self.is_confirmed, self._confirmed_ns = True, t_ns
