@@ -47,8 +47,8 @@ def check_accounts(decoder: Any, frames: Any) -> None:
     assert Reason.PENDING not in decoder.counts
 
 
-def test_a_burst_becomes_a_line(codec: Any) -> None:
-    """Three pages wait, the fourth delivers; the line bears the time of the first."""
+def test_a_transfer_becomes_a_line(codec: Any) -> None:
+    """Three pages wait, the fourth delivers; the line has the time of the first."""
     decoder = codec.decoder()
     *waiting, line = feed(decoder, transfers()[0], t_ns=7)
     assert waiting == [Reason.PENDING] * 3
@@ -101,15 +101,15 @@ def test_an_fd_frame_twice_is_delivered_once(codec: Any) -> None:
     check_accounts(decoder, 2)
 
 
-def test_a_late_burst_is_not_delivered_after_a_newer_one(codec: Any) -> None:
-    """A consumer never sees time go backwards."""
+def test_a_late_transfer_is_not_delivered_after_a_newer_one(codec: Any) -> None:
+    """A consumer never sees an older line after a newer one."""
     decoder = codec.decoder()
     answers = feed(decoder, [*transfers()[5], *transfers()[4], *transfers()[6]])
     assert sum(isinstance(a, MapLine) for a in answers) == 2
     assert decoder.counts == {Reason.STALE: 4}
 
 
-def test_a_slow_burst_times_out(codec: Any) -> None:
+def test_a_slow_transfer_times_out(codec: Any) -> None:
     """Pages further apart than the time-out are not one transfer."""
     decoder = codec.decoder(timeout_ms=10)
     a, b, c, d = transfers()[0]
@@ -123,7 +123,7 @@ def test_a_slow_burst_times_out(codec: Any) -> None:
     check_accounts(decoder, 4)
 
 
-def test_a_sender_that_starts_anew_is_heard_after_the_timeout(codec: Any) -> None:
+def test_a_restarted_sender_is_received_after_the_timeout(codec: Any) -> None:
     """A step back is taken for an old line, until the lines after it have come for a while."""
     decoder = codec.decoder(timeout_ms=50)
     assert isinstance(feed(decoder, transfers()[5])[-1], MapLine)
@@ -223,7 +223,7 @@ def test_random_frames_on_its_id_do_not_silence_a_line(codec: Any, fd: bool) -> 
     assert delivered >= 380
 
 
-def test_pages_of_two_bursts_with_one_number_fail_the_checksum(codec: Any) -> None:
+def test_pages_of_two_transfers_with_one_id_fail_the_checksum(codec: Any) -> None:
     """Sixteen lines apart the transfer number is the same; the checksum tells them apart."""
     decoder = codec.decoder()
     mixed = [*transfers()[0][:2], *transfers()[16][2:]]

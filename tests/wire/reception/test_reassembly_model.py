@@ -1,8 +1,8 @@
-"""Reassembly against a model that is a dictionary: a sender, a bus that does its worst, and rules.
+"""Reassembly against a simple model: a sender, a bus with faults, and the rules of delivery.
 
 The model knows which frames reached the receiver, and when. A line may be delivered only
 if it was sent, bit for bit, and all its frames were heard within the time-out; not twice and not
-backwards, as long as the counters tell and the slot is not silent, or old lines alone come for more
+out of order, as long as the counters tell and the slot is not silent, or old lines alone come for more
 than a cycle. A line on a calm bus is delivered.
 """
 
@@ -51,12 +51,12 @@ def bits_of(line: Any) -> Any:
     parts = line.mixture.components if line.mixture else ()
     gaussians = [g for part in (line.gaussian, *parts) for g in (part.mean, part.cov)]
     weights = [line.mixture.weights] if line.mixture else []
-    told = (line.slot, line.kind, line.x_min, line.x_max, line.age, line.status)
-    return repr(told).encode() + b"".join(a.tobytes() for a in (*gaussians, *weights))
+    header = (line.slot, line.kind, line.x_min, line.x_max, line.age, line.status)
+    return repr(header).encode() + b"".join(a.tobytes() for a in (*gaussians, *weights))
 
 
 class Bus(RuleBasedStateMachine):
-    """The rules; ``feed`` is where the model judges."""
+    """The rules; ``feed`` is where the model checks."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -65,7 +65,7 @@ class Bus(RuleBasedStateMachine):
         self.now = self.last = 10**12  # and the greatest time of a frame
         self.air: list[Any] = []
         self.sent: list[Any] = []
-        self.first = 0  # line since a sender started anew
+        self.first = 0  # first line since the last restart
         self.records = dict.fromkeys(Slot, 0)  # of each slot so far
         self.counter = dict.fromkeys(Slot, 0)  # of the next record
         self.epoch = dict.fromkeys(Slot, 0)
@@ -107,7 +107,7 @@ class Bus(RuleBasedStateMachine):
         self.air += self.send_line(slot, parts, fd)
 
     @rule(slot=SLOTS, counter=st.sampled_from([0, 0, 1, 5, 16, 128, 255]))
-    def start_the_sender_anew(self, slot: Any, counter: Any) -> None:
+    def restart_the_sender(self, slot: Any, counter: Any) -> None:
         self.counter[slot] = counter
         self.now += 26 * MS  # no process starts sooner
         self.epoch[slot] += 1
@@ -170,7 +170,7 @@ class Bus(RuleBasedStateMachine):
     def expire(self) -> None:
         self.decoder.expire(self.now)
 
-    # -- the receiver, and the judge -------------------------------------------------
+    # -- the receiver, and the checks -------------------------------------------------
 
     @precondition(lambda self: self.air)
     @rule(n=st.integers(1, 40))
@@ -194,9 +194,9 @@ class Bus(RuleBasedStateMachine):
         self.receive(len(self.air))
         self.now = max(self.now, self.last) + 26 * MS  # also if the clock was set back by a little
         answers = [self.feed(on_air) for on_air in self.send_line(slot, parts, fd)]
-        anew = self.epoch[slot] > 0  # its counters look like those of old lines
+        restarted = self.epoch[slot] > 0  # its counters look like those of old lines
         late = Reason.DUPLICATE in answers or Reason.STALE in answers
-        assert isinstance(answers[-1], MapLine) or (anew and late), answers
+        assert isinstance(answers[-1], MapLine) or (restarted and late), answers
         if isinstance(answers[-1], MapLine):
             self.epoch[slot] = 0
 
