@@ -1,9 +1,9 @@
 """Reassembly against a simple model: a sender, a bus with faults, and the rules of delivery.
 
-The model knows which frames reached the receiver, and when. A line may be delivered only
-if it was sent, bit for bit, and all its frames were heard within the time-out; not twice and not
-out of order, as long as the counters tell and the slot is not silent, or old lines alone come for more
-than a cycle. A line on a calm bus is delivered.
+The model knows which frames reached the receiver, and when. A line may be delivered only if it was
+sent, bit for bit, and all its frames were received within the time-out; not twice and not out of
+order, as long as the counters can tell and the slot is not silent, or old lines alone are received
+for more than a cycle. A line on an undisturbed bus is delivered.
 """
 
 from typing import Any, NamedTuple
