@@ -22,7 +22,7 @@ PARAMETERS = ("y_off", "beta", "c0", "c1")
 VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 
 #: Smallest advance along the car's x axis, as a share of the length of the line. A straight line
-#: meets it within 80 deg of the x axis.
+#: satisfies this if its angle to the x axis is less than 80 deg.
 LEAST_ADVANCE = 0.17
 
 #: Largest age [s]; still finite as a float in nanoseconds.
@@ -160,7 +160,7 @@ class MapLine:
 def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     """Return the lateral position l(x) of lines [m] (Map Line Interface, eq. 1).
 
-    The result is infinite or NaN, without a warning, where x is, or on overflow.
+    The result is infinite or NaN where x is, and on overflow; there is no warning.
 
     Args:
         parameters: (..., 4) lines [m, rad, 1/m, 1/m^2].

@@ -124,8 +124,8 @@ class Receiver(BackgroundThread):
                 neither an adapter with a clock of its own nor a change of the host's clock makes
                 a line look younger than it is.  After the start the frames may be a backlog,
                 for example on a link that was open before.  The time on that clock is then
-                unknown: the age is infinite and the line is stale until the backlog has been
-                drained for 0.2 s.
+                unknown: the age is infinite and the line is stale until the queueing delay has
+                stopped falling for 0.2 s, which shows that the backlog is drained.
             stale_cycles: after how many cycle times without a newer line a line is stale;
                 see ``Codec.decoder`` for the cycle time.
 

@@ -43,7 +43,7 @@ class StampClock:
         self._offset_ns: int | None = None  # stamp minus our clock, of the frame that waited least
         self._late_offset_ns = 0  # the same, of the frames that are late
         self._late_since_ns: int | None = None
-        #: True once the waiting time has fallen by less than 50 ms over 0.2 s.
+        #: True once the queueing delay has stopped falling (less than 50 ms in 0.2 s).
         self.is_settled = False
         self._base_offset_ns = self._base_at_ns = 0  # offset at the start of the 0.2 s
 

@@ -96,7 +96,7 @@ class TxQueue:
         return self._schedule.wait(now)
 
     def take(self, now: float) -> Transfer | None:
-        """Return the transfer whose deadline has passed, each deadline once; None if none has.
+        """Return the next transfer that is due, once per deadline; None if none is due.
 
         Raises:
             EncodeError: a value of a line does not fit into its signal.

@@ -25,10 +25,10 @@ class Nonlinearity(NamedTuple):
 
 
 def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlinearity:
-    """Find the direction in which the second-order term of a ``Transform``'s function is largest.
+    """Return the direction in which a function is most nonlinear within a Gaussian, and how much.
 
-    Second differences at sqrt(3) standard deviations give a symmetric matrix for
-    each output, in units of the standard deviation of that output. The direction
+    Second differences at sqrt(3) standard deviations give the Hessian of each output, in units of
+    the standard deviation of that output. The direction
     maximises the sum of the squares of their quadratic forms.
 
     Raises:

@@ -24,7 +24,7 @@ CHORDS = 16
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
 #: in addition to LEAST_ADVANCE.
 LEAST_PROGRESS = 1 / 3
-#: Smallest pivot of the normal equations; with fewer than 4 distinct points it is rounding error.
+#: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
 LEAST_PIVOT = 1e-13
 
 

@@ -15,14 +15,14 @@ from .nonlinearity import nonlinearity
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-#: Splits of N(0, 1) into 1 to 8 components of equal variance: (weights in 1/32, means), the lower
-#: half, the rest by symmetry. They minimise the criterion of DeMars, Bishop and
-#: Jah (J. Guidance, Control, and Dynamics 36, 2013): the squared difference of the densities plus
-#: lambda times the variance of a component. There are two additional conditions. The variance of
-#: the mixture is 1, so that it is not overconfident; that of the published splits is 3 to 5 %
-#: less. The weights are multiples of the step of the DBC. Lambda is 0.025 instead of 0.001:
-#: narrow components follow a nonlinear function better, and at 0.025 the rate of false negatives
-#: in the scenario street-turn-10deg is still 2 % (``maplines accuracy``).
+#: Splits of N(0, 1) into 1 to 8 components of equal variance: (weights in units of 1/32, means) of
+#: the components with mean <= 0, the others by symmetry. They minimise the criterion of DeMars,
+#: Bishop and Jah (J. Guidance, Control, and Dynamics 36, 2013): the squared difference of the
+#: densities plus lambda times the variance of a component. There are two additional conditions. The
+#: variance of the mixture is 1, so that it is not overconfident; that of the published splits is 3
+#: to 5 % less. The weights are multiples of the step of the DBC. Lambda is 0.025 instead of 0.001:
+#: narrow components follow a nonlinear function better, and at 0.025 the rate of false negatives in
+#: the scenario street-turn-10deg is still 2 % (``maplines accuracy``).
 SPLITS: dict[int, tuple[tuple[int, ...], tuple[float, ...]]] = {
     1: ((32,), (0.0,)),
     2: ((16,), (-0.67447659,)),

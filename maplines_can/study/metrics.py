@@ -37,7 +37,7 @@ class Evaluation:
 
     @property
     def overconfident(self) -> NDArray[np.bool_]:
-        """(N,) decoded covariances that do not cover the error of the decoded mean."""
+        """(N,) True where S' - (S + d d^T) is not positive semidefinite."""
         return ~(self.largest_ratio <= 1)
 
 
@@ -262,7 +262,7 @@ class Figure:
         return min(max(self.bins.edge(place + rest), self.least), self.greatest)
 
     def quantile_se(self, share: float) -> float:
-        """Return the standard error of a quantile, from those two rank errors above and below."""
+        """Return the standard error of a quantile, from those two rank errors above and below it."""
         if self.count < 2:
             return nan
         wide = 2 * sqrt(share * (1 - share) / self.count)
@@ -298,7 +298,7 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """What a code made of many Gaussians. ``a + b`` is the score of both together."""
+    """Accumulated counts and error statistics; ``a + b`` is the score of both together."""
 
     counts: Mapping[str, int]  #: of Gaussians: all of them ("n"), and those with a given outcome
     figures: Mapping[str, Figure]
@@ -374,7 +374,7 @@ class Score:
 def share_se(count: int, n: int) -> float:
     """Return the standard error of a share: the spread of its posterior, given ``count`` of n.
 
-    The prior is uniform (Laplace), so that the error is not zero for none of n or all.
+    The prior is uniform (Laplace), so that the error is not zero when count is 0 or n.
 
     >>> share_se(0, 10**6) < 1.1e-6, round(share_se(500, 1000), 4)
     (True, 0.0158)

@@ -38,7 +38,7 @@ class BusSettings:
         return self.data_bitrate is not None
 
     def link_settings(self) -> dict[str, Any]:
-        """Return the settings of ``Link``, the same for both ends."""
+        """Return the settings of ``Link``; pass one result to both links."""
         interface = self.interface
         if interface is None:
             interface = {"interface": "virtual", "channel": f"maplines-{uuid.uuid4()}"}

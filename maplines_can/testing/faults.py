@@ -1,4 +1,4 @@
-"""Which faults to inject: rates with a seed, and scripts; as values and as text."""
+"""Faults to inject: random rates and scripts of single faults, as values and as text."""
 
 from __future__ import annotations
 

@@ -237,7 +237,7 @@ class Codec:
         fd: bool = False,
         counters: Mapping[Slot, int] | None = None,
     ) -> list[list[Frame]]:
-        """Encode lines into the frames of each; many lines take hardly longer than one.
+        """Return the frames of each line; encoding many takes hardly longer than encoding one.
 
         Args:
             lines: lines to send.

@@ -106,11 +106,13 @@ def limit_of(
 ) -> Limit:
     """Estimate the bound of the source of a sample of Gaussians, by nearest neighbours.
 
-    The entropy of the coordinates is the sum of their single entropies, plus the entropy of their
-    normal scores, less that of as many standard normal numbers. This is exact and removes heavy
+    The joint entropy is the sum of the marginal entropies minus the total correlation. The latter
+    is the entropy of independent standard normal variables minus the joint entropy of the normal
+    scores. This is exact and removes heavy
     tails. Each entropy is estimated from the distances to the k-th neighbours (Kozachenko and
     Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys. Rev. E 69, 066138, 2004); that of the
-    scores in the metric of the covariance of the neighbours, which follows a curved source (after
+    scores with Mahalanobis distances of the local covariance of the neighbours, which adapts to a
+    curved source (after
     Lord, Sun and Bollt, Chaos 28, 033114, 2018). The error of the same procedure on a standard
     normal sample of the same size is subtracted.
 
@@ -119,8 +121,8 @@ def limit_of(
     2019). ``bias_bits`` extrapolates this law from N/8 and N samples. It is not subtracted:
     ``entropy_bits`` is the high end and ``entropy_bits - bias_bits`` the probable low end. On
     sources with closed forms the true value lay between them, up to the standard errors (that of
-    the bias is about three times that of the entropy), except for sources that are ten times as
-    wide as thick, or thinner, where it lay lower.
+    the bias is about three times that of the entropy), except for sources at least ten times wider
+    in one direction than in another, where it was lower.
 
     A source on a surface of fewer than n dimensions has no h_F (it is minus infinity), and its
     bound rises by less than n/2 log2 10 bit per decade. Exact ties give NaN. If the samples only

@@ -1,4 +1,4 @@
-"""Reader of the DBC; the only module of the package that imports cantools."""
+"""Reader of DBC files; the only module of `wire` that imports cantools."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 #: Conflicts that confirm two senders, and the longest interval between consecutive conflicts
 #: [cycles]. A gateway that delays a transfer, or a sender that restarts, causes one or two.
 CONFLICTS, NEAR_CYCLES = 8, 32
-#: Two senders are also confirmed if DUPLICATES of the last NEW_RECORDS records came twice.
+#: Two senders are also confirmed if DUPLICATES of NEW_RECORDS consecutive records came twice.
 NEW_RECORDS, DUPLICATES = 32, 29
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256

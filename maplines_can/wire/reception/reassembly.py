@@ -151,7 +151,7 @@ class Reassembler:
         return self._completed(slot, payload, transfer.t_ns, self._pages)
 
     def _completed(self, slot: Slot, payload: bytes, t_ns: int, frames: int) -> Record:
-        """Decode a record; keep a good one, and drop those of the next half range of IDs."""
+        """Decode a record; remember a good one, and forget those of the previous cycle of IDs."""
         record = Record(slot, payload, t_ns, frames, self._read(payload, slot, t_ns))
         if not isinstance(record.content, Reason):
             complete, own = self._complete[slot], self._read_transfer_id[0](payload[:PAGE_BYTES])

@@ -32,7 +32,7 @@ class SlotStats(NamedTuple):
 
 
 class _Restart(NamedTuple):
-    """Consecutive records behind the last new one: late, or of a sender that restarted."""
+    """Possible restart: a run of consecutive records behind the last new one."""
 
     last: int  #: counter of the last
     since_ns: int  #: time of the first
@@ -80,7 +80,7 @@ class SequenceCheck:
     It is also a restart if there was no new record for a whole window of the state machine. With
     authentication it is a restart at once, since each record is newer than the last one.
 
-    Two decisions go beyond AUTOSAR, both to the safe side:
+    Two decisions go beyond AUTOSAR; both err on the safe side:
 
     - After a sequence break (``break``), the window holds results of the old sequence. It is
       cleared, so VALID is left at once and regained after ``min_ok_state_invalid`` OKs.
@@ -139,7 +139,7 @@ class SequenceCheck:
 
         Args:
             counter: of the record.
-            content: equal for equal records, such as a hash.
+            content: hash of the record, to recognise duplicates.
             t_ns: time of reception [ns].
 
         Returns:
@@ -248,7 +248,7 @@ class SequenceCheck:
         return None if self._is_restart(counter, t_ns) else Reason.STALE
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
-        """Return whether a record is too old for a delayed one, and fills no gap."""
+        """Return whether a record is too far behind to be merely delayed, and fills no gap."""
         is_far = behind > self._max_delta * self._longest_line
         return is_far and not self._history.fills_gap(counter, behind)
 
