@@ -262,7 +262,7 @@ class Figure:
         return min(max(self.bins.edge(place + rest), self.least), self.greatest)
 
     def quantile_se(self, share: float) -> float:
-        """Return the standard error of a quantile, from those two rank errors above and below it."""
+        """Return the standard error of a quantile, from the quantiles two rank errors away."""
         if self.count < 2:
             return nan
         wide = 2 * sqrt(share * (1 - share) / self.count)
