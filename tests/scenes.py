@@ -1,5 +1,6 @@
 """Lines of example scenes, for tests."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from maplines_can import map_lines
@@ -8,3 +9,17 @@ from maplines_can import map_lines
 def scene_lines(scene: Any, lines: int = 4, **settings: Any) -> Any:
     """Return the first lines of a scene as ``map_lines`` does, with its settings."""
     return map_lines(scene.lines[:lines], scene.ego, scene.window, **settings)
+
+
+def lines_timed_out(counts: Mapping[str, int], pending: int, frames: int) -> int:
+    """Return how many lines a receiver dropped by the time-out of their transfers.
+
+    A machine that does not run the sender for half a cycle between the frames of a line causes
+    that. Tests allow it, and nothing else, so that they do not depend on the load.
+
+    Args:
+        counts: dropped frames by the name of the reason.
+        pending: frames of incomplete transfers.
+        frames: frames of a line.
+    """
+    return (counts.get("TIMEOUT", 0) + pending) // frames

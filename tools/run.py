@@ -39,6 +39,8 @@ def main(command: list[str]) -> int:
     os.environ["PATH"] = f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}"
     os.environ["VIRTUAL_ENV"] = str(VENV)
     try:
+        if os.name != "nt":  # the command takes this process over, and so its signals
+            os.execvp(find(command[0]), [find(command[0]), *command[1:]])  # noqa: S606
         return subprocess.run([find(command[0]), *command[1:]], check=False).returncode
     except FileNotFoundError:
         return fail(f"there is no command {command[0]!r} in {VENV} or on the path")
