@@ -92,7 +92,7 @@ def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of: Any) -> None
     """Both commands exit with status 1; others on the bus are not affected."""
     row = row_of("no-fd")
 
-    assert "enable it, or open the interface with fd=False" in row.seen
+    assert "enable it, or open the interface without --fd" in row.seen
     assert row.lost == row.sent - row.delivered == row.timed_out
 
 
