@@ -1,5 +1,6 @@
 """The rate-distortion bound: closed forms, invariance, a quantizer, sources without a bound."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from maplines_can.study.sweep import limit as limit_module
 from maplines_can.study.sweep.limit import Limit, limit_of
 
 LN2 = np.log(2)
-NORMAL_BITS = np.log2(2 * np.pi * np.e) / 2  # entropy of a standard normal number
+NORMAL_BITS = np.log2(2 * np.pi * math.e) / 2  # entropy of a standard normal number
 SIGMA0 = np.array([[1, 0.9, 0.5, 0.2], [0.9, 1, 0.7, 0.3], [0.5, 0.7, 1, 0.8], [0.2, 0.3, 0.8, 1]])
 TURN = np.array([[0.3, -2.0], [1.1, 0.4]])
 
