@@ -22,6 +22,7 @@ about them. The difference of the two is the entropy of the mean, given the cova
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -86,13 +87,13 @@ class Limit:
         if not (kl > 0).all():
             raise ValueError(f"kl must be positive [nat], got {kl!r}")
         n = self.dimension
-        return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * np.e * 2 * kl / n))
+        return np.asarray(self.entropy_bits - n / 2 * np.log2(2 * np.pi * math.e * 2 * kl / n))
 
     def kl(self, bits: ArrayLike) -> Array:
         """Return the (...,) smallest mean divergence [nat] for mean lengths of a message [bit]."""
         n = self.dimension
         excess = (self.entropy_bits - np.asarray(bits, dtype=float)) * 2 / n
-        return np.asarray(n / (4 * np.pi * np.e) * 2**excess)
+        return np.asarray(n / (4 * np.pi * math.e) * 2**excess)
 
 
 def limit_of(
@@ -279,7 +280,7 @@ def _entropy(theta: Array, k: int) -> tuple[float, float]:
     white = np.asarray(np.linalg.solve(root, scores.T).T, dtype=float)
     joint, local_dimension = _neighbours(white, k, shaped=True)
     joint += np.log(root.diagonal()).sum()
-    return single + joint - theta.shape[1] / 2 * np.log(2 * np.pi * np.e), local_dimension
+    return single + joint - theta.shape[1] / 2 * np.log(2 * np.pi * math.e), local_dimension
 
 
 def _neighbours(x: Array, k: int, shaped: bool) -> tuple[float, float]:
