@@ -131,10 +131,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
     sets, held_out = _lines(arguments)
     with bar(" %") as update:
-        progress = None
-        if update is not None:
-            progress = _percent(update)
-        result = design(sets, targets, held_out=held_out, progress=progress)
+        result = design(sets, targets, held_out=held_out, progress=_percent(update))
     dbc, page = result.write(arguments.out, _command(arguments))
     if arguments.json:
         print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
