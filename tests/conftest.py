@@ -1,10 +1,14 @@
 """Fixtures of several test files."""
 
+import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 from dbcs import default_codec
 from hypothesis import settings
+
+from maplines_can import Link
 
 # No test depends on how busy the machine is.
 settings.register_profile("no-deadline", deadline=None)
@@ -14,3 +18,14 @@ settings.load_profile("no-deadline")
 @pytest.fixture
 def codec() -> Any:
     return default_codec()
+
+
+@pytest.fixture
+def links() -> Iterator[Any]:
+    """Yield two links of one virtual channel."""
+    channel = f"e2e-{time.monotonic_ns()}"
+    with (
+        Link(interface="virtual", channel=channel) as one,
+        Link(interface="virtual", channel=channel) as other,
+    ):
+        yield one, other

@@ -2,27 +2,15 @@
 
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import can
-import pytest
 from dbcs import default_codec
 from e2e_streams import MS, SLOT, frames
 
-from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can import Codec, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent
 from maplines_can.wire import E2EState
-
-
-@pytest.fixture
-def links() -> Iterator[Any]:
-    channel = f"e2e-{time.monotonic_ns()}"
-    with (
-        Link(interface="virtual", channel=channel) as one,
-        Link(interface="virtual", channel=channel) as other,
-    ):
-        yield one, other
 
 
 def wait_until(condition: Any, timeout: float = 20.0) -> None:

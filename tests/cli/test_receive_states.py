@@ -4,25 +4,13 @@ import json
 import re
 import threading
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import can
 import pytest
 from e2e_streams import frames
 
-from maplines_can import Link
 from maplines_can.cli import main
-
-
-@pytest.fixture
-def links() -> Iterator[Any]:
-    channel = f"e2e-{time.monotonic_ns()}"
-    with (
-        Link(interface="virtual", channel=channel) as one,
-        Link(interface="virtual", channel=channel) as other,
-    ):
-        yield one, other
 
 
 def test_receive_prints_the_states_and_two_senders(
