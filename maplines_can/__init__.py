@@ -23,7 +23,15 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .bus import Link, Receiver, Transmitter, key_from_env, key_from_file, read_log
+    from .bus import (
+        LineListener,
+        Link,
+        Receiver,
+        Transmitter,
+        key_from_env,
+        key_from_file,
+        read_log,
+    )
     from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
     from .gaussian import Gaussian, nearest_covariance
     from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, transform_line
@@ -76,6 +84,7 @@ __all__ = [
     "Key",
     "Kind",
     "LayoutError",
+    "LineListener",
     "Linear",
     "Link",
     "MapError",
@@ -116,7 +125,7 @@ __version__ = "0.1.0"
 
 #: Names by the module that defines them.
 _EXPORTS = {
-    "bus": "Link Receiver Transmitter key_from_env key_from_file read_log",
+    "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log",
     "errors": "EncodeError IllPosedError LayoutError MaplinesError",
     "gaussian": "Gaussian nearest_covariance",
     "line": "Kind MapLine Slot Status lateral lateral_jacobian transform_line",

@@ -52,6 +52,8 @@ def sent_values(opener: Any) -> Any:
 
 
 class FakeDecoder:
+    can_ids = frozenset(range(0x100, 0x108))
+
     def __init__(self) -> None:
         self.counts: Counter[Any] = Counter()
         self.checks: dict[Any, Any] = {}

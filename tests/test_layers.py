@@ -35,7 +35,7 @@ wire.reception.monitor wire.reception.settings
 wire.codec
 wire
 bus.background bus.driver_errors bus.keys bus.load bus.logs bus.schedule bus.socketcan
-bus.bus_factory bus.link bus.stamp_clock bus.receiver bus.tx_queue bus.transmitter bus
+bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue bus.transmitter bus
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.sending cli.stderr
 cli cli.__main__ cli.accuracy cli.decode cli.demo cli.design cli.figures cli.receive cli.send
 cli.study

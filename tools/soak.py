@@ -330,7 +330,7 @@ def threads(n: Any, seed: Any, faults: Any) -> Any:
     with (
         Link(interface="virtual", channel=channel) as out,
         Link(opener, interface="virtual", channel=channel) as back,
-        Receiver(back, codec.decoder(), on_line=received.append) as receiver,
+        Receiver(back, codec.decoder(), on_line=received.append, can_ids=None) as receiver,
     ):
         with (
             Transmitter(out, codec, period=0.01, count=count) as transmitter,

@@ -2,14 +2,16 @@
 
 from .keys import key_from_env, key_from_file
 from .link import Link, Sent
+from .listener import LineListener, ReceiverStats
 from .load import bus_load, frame_bits, frame_time, transfers_within
 from .logs import LogFrame, read_log
-from .receiver import Receiver, ReceiverStats
+from .receiver import Receiver
 from .schedule import Lateness
 from .transmitter import Transmitter, TransmitterStats
 
 __all__ = [
     "Lateness",
+    "LineListener",
     "Link",
     "LogFrame",
     "Receiver",

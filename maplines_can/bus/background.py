@@ -1,11 +1,37 @@
-"""A thread whose errors reach the caller."""
+"""A thread whose errors reach the caller, and a lock that survives a fork."""
 
 from __future__ import annotations
 
+import os
 import threading
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
+from weakref import WeakSet
+
+
+class ForkSafeCondition(threading.Condition):
+    """Condition that is free in a forked child.
+
+    A fork copies the lock, but not the thread that holds it: nobody would release it in the child.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        _conditions.add(self)
+
+
+_conditions: WeakSet[ForkSafeCondition] = WeakSet()
+
+
+def _free_conditions() -> None:
+    for condition in _conditions:
+        threading.Condition.__init__(condition)
+
+
+if hasattr(os, "register_at_fork"):  # Windows has no fork
+    os.register_at_fork(after_in_child=_free_conditions)
 
 
 class BackgroundThread(ABC):
@@ -14,18 +40,22 @@ class BackgroundThread(ABC):
     A subclass implements `start` and `_run`. `_run` returns soon after `_stopping` is set.
     An exception that it raises is raised again in the caller's thread, by `wait` and `stop`.
 
-    The thread is a daemon: it does not keep a program from ending.
+    The thread is a daemon: it does not keep a program from ending. In a forked child it does not
+    run: there, `stop` and `wait` return at once.
 
     Args:
         name: of the thread.
+        on_end: called by the thread when it has ended, after its error is kept.
     """
 
-    def __init__(self, name: str) -> None:
-        self._changed = threading.Condition()  # guards the state of the subclass, too
+    def __init__(self, name: str, on_end: Callable[[], object] = lambda: None) -> None:
+        self._changed = ForkSafeCondition()  # guards the state of the subclass, too
+        self._on_end = on_end
         self._stopping = False  # the thread shall end
         self._ended = False  # the thread has ended, or will never start
         self._error: Exception | None = None
         self._error_raised = False
+        self._process: int | None = None  # the process in which the thread was started
         self._thread = threading.Thread(target=self._run_and_end, name=name, daemon=True)
 
     @abstractmethod
@@ -50,7 +80,7 @@ class BackgroundThread(ABC):
         """Wait for the end of the thread, for at most ``timeout`` [s].
 
         Returns:
-            Whether the thread has ended, or was never started.
+            Whether the thread has ended, was never started, or runs in the parent process only.
 
         Raises:
             Exception: the error that ended the thread.
@@ -75,9 +105,12 @@ class BackgroundThread(ABC):
 
     @property
     def _alive(self) -> bool:
-        return self._thread.ident is not None and not self._ended
+        # Not Thread.is_alive: if Ctrl-C interrupts it, Python 3.11 marks the thread as ended.
+        is_started = self._thread.ident is not None and self._process == os.getpid()
+        return is_started and not self._ended
 
     def _start_thread(self) -> Self:
+        self._process = os.getpid()
         self._thread.start()
         return self
 
@@ -91,7 +124,7 @@ class BackgroundThread(ABC):
     def _join(self, timeout: float | None = None) -> None:
         """Wait for the end; return at once in the thread itself or if it never started."""
         if self._thread is not threading.current_thread():
-            # Not Thread.join: if Ctrl-C interrupts it, Python 3.11 marks the thread as ended.
+            # Not Thread.join, for the same reason as in _alive.
             with self._changed:
                 self._changed.wait_for(lambda: not self._alive, timeout)
 
@@ -109,3 +142,4 @@ class BackgroundThread(ABC):
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
+            self._on_end()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -25,25 +26,43 @@ class UnsuitableInterfaceError(BusError):
 class BusFactory:
     """Factory of python-can buses on one interface, and the properties of that interface.
 
+    A bus that is given open is used as it is. It belongs to the caller: it is never shut down here,
+    and `open` returns the same bus again.
+
     Args:
         opener: function that returns a new open bus; called with the settings if there are any.
-            None for ``can.Bus``.
+            None for ``can.Bus``.  Or a bus that is open.
         settings: of ``can.Bus``. Settings that are None or missing are read from
             python-can's environment variables and configuration files. They are read only
             once, so that each bus is of the same interface.
 
     Raises:
         BusError: the settings name no interface that python-can knows.
+        TypeError: ``opener`` is neither a function nor a bus, or an open bus has settings.
     """
 
-    def __init__(self, opener: Callable[..., can.BusABC] | None, settings: dict[str, Any]) -> None:
+    def __init__(
+        self, opener: Callable[..., can.BusABC] | can.BusABC | None, settings: dict[str, Any]
+    ) -> None:
         self.name = ""  #: interface and channel, for messages
         self.fd = False  #: whether CAN FD frames can be sent
         self._channel = ""  # of SocketCAN only, whose kernel can be asked for its state
         self._index: int | None = None
         self.is_virtual = False  #: whether it is python-can's in-process interface
         self.is_socketcan = False
-        if opener is None or settings:
+        self.is_given = isinstance(opener, can.BusABC)  #: whether the caller opened the bus
+        if isinstance(opener, can.BusABC):
+            if settings:
+                names = ", ".join(settings)
+                raise TypeError(f"a bus that is open takes no settings, got {names}")
+            given = opener
+            self._opener: Callable[..., can.BusABC] = lambda: given
+        elif not (opener is None or callable(opener)):
+            raise TypeError(
+                "opener must be an open python-can bus (can.BusABC) or a function that returns "
+                f"one, got {opener!r}"
+            )
+        elif opener is None or settings:
             self._opener = self._configured(opener or can.Bus, settings)
         else:
             self._opener = opener
@@ -58,17 +77,23 @@ class BusFactory:
             BusError: the interface cannot be opened now; the message has the reason and the cure.
                 It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
+        if self.is_given and self.is_deleted():
+            raise BusError(f"{self.name} was deleted; a bus that was given open stays lost")
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
             error = BusError if problem.is_outage else UnsuitableInterfaceError
             raise error(f"{self.name} cannot be opened: {problem.text}")
         # Read before opening: a change in between then looks like a deletion, which reopens it.
         index = socketcan.index(self._channel)
+        bus = None
         try:
             bus = self._opener()
             if filters:
                 bus.set_filters(filters)
         except _ERRORS as error:
+            if bus is not None:  # without its filters it is of no use
+                with contextlib.suppress(can.CanError, OSError):
+                    self.close(bus)
             name = self.name or "the CAN interface"
             raise BusError(f"{name} cannot be opened: {error_text(error)}") from error
         self.name = self.name or str(bus.channel_info)
@@ -80,6 +105,11 @@ class BusFactory:
             index = socketcan.index(self._channel)
         self._index = index
         return bus
+
+    def close(self, bus: can.BusABC) -> None:
+        """Shut a bus down, unless it was given open."""
+        if not self.is_given:
+            bus.shutdown()
 
     def is_deleted(self) -> bool:
         """Return whether the interface of the open socket was deleted."""

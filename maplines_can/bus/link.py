@@ -4,20 +4,24 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import threading
 import time
 from collections.abc import Callable, Iterable
 from enum import Enum
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import can
 from can.typechecking import CanFilter
 
 from ..errors import BusError
+from .background import ForkSafeCondition
 from .bus_factory import BusFactory, UnsuitableInterfaceError
 from .driver_errors import DriverError, classify_error, error_text
 
 log = logging.getLogger("maplines_can.bus")
+
+#: Locks of sending on the buses that were given open, since several links may have the same one.
+_send_locks: WeakKeyDictionary[can.BusABC, ForkSafeCondition] = WeakKeyDictionary()
 
 
 class Sent(Enum):
@@ -39,9 +43,15 @@ class Link:
 
     Any number of threads may send and one may receive, at the same time.
 
+    A link may also be made of a bus that is open, ``Link(bus)``. The bus remains the caller's: the
+    link never shuts it down and does not reopen it. After an outage it tries the same bus again,
+    which helps if a SocketCAN interface was down, but not if it was deleted. All links of a bus
+    send in turn. If other code sends on it from another thread, use ``can.ThreadSafeBus``.
+
     Args:
         opener: bus factory; called with the settings if there are any, and again after each
-            outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.
+            outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.  Or a bus that
+            is open.
         on_event: called with (up, text) by the thread that noticed the event.
         backoff: shortest and longest pause between two attempts to reopen [s].
         clock: a monotonic clock [s].
@@ -52,6 +62,7 @@ class Link:
     Raises:
         BusError: the interface cannot be opened now, or a setting is wrong.
             The first opening is not retried: its failure is most often a mistake.
+        TypeError: ``opener`` is neither a function nor a bus, or an open bus has settings.
 
     >>> with Link(interface="virtual", channel="doc") as link:
     ...     link.name, link.up, link.send(can.Message(arbitration_id=1)).name
@@ -68,7 +79,7 @@ class Link:
 
     def __init__(
         self,
-        opener: Callable[..., can.BusABC] | None = None,
+        opener: Callable[..., can.BusABC] | can.BusABC | None = None,
         /,
         *,
         on_event: Callable[[bool, str], None] | None = None,
@@ -78,9 +89,8 @@ class Link:
     ) -> None:
         self._factory = BusFactory(opener, settings)
         self._on_event, self._backoff, self._clock = on_event, backoff, clock
-        self._lock = threading.Lock()  # guards the state below
-        self._send_lock = threading.Lock()  # python-can's buses are not safe for threads
-        self._closed = threading.Event()
+        self._lock = ForkSafeCondition()  # guards the state below
+        self._closed = False
         self._filters: list[CanFilter] | None = None
         self._unclear_since: dict[str, float] = {}  # of "send" and "recv"
         self._retry_at, self._pause, self._lost_at = 0.0, backoff[0], 0.0
@@ -91,6 +101,12 @@ class Link:
         #: How many times the interface was lost.
         self.outages = 0
         self._bus: can.BusABC | None = self._factory.open(self._filters)
+        # python-can's buses are not safe for threads.
+        self._send_lock = (
+            _send_locks.setdefault(self._bus, ForkSafeCondition())
+            if self._factory.is_given
+            else ForkSafeCondition()
+        )
 
     @property
     def name(self) -> str:
@@ -129,13 +145,13 @@ class Link:
         """
         bus = self._ready()
         if bus is None:
-            self._closed.wait(min(timeout, max(self._retry_at - self._clock(), 0.001)))
+            self._pause_for(min(timeout, max(self._retry_at - self._clock(), 0.001)))
             return None
         try:
             message = bus.recv(timeout)
         except (can.CanError, OSError, ValueError) as error:
             self._failed(bus, error, "recv")
-            self._closed.wait(0.001)  # limits the CPU load if the driver fails immediately
+            self._pause_for(0.001)  # limits the CPU load if the driver fails immediately
             return None
         self._worked(bus, "recv")
         if message is None:
@@ -145,22 +161,30 @@ class Link:
     def accept_only(self, can_ids: Iterable[int] | None) -> None:
         """Receive only frames of these CAN IDs; None for all frames.
 
-        The kernel or the hardware filters if the driver supports it, otherwise python-can.
-        Each ID passes as an 11-bit and as a 29-bit identifier.
+        The kernel or the hardware filters if the driver supports it, otherwise python-can, which
+        then drops error frames, too. Each ID passes as an 11-bit and as a 29-bit identifier.
+        If the driver fails to set the filters, the interface counts as lost.
         """
         ids = sorted(can_ids or ())
+        filters: list[CanFilter] = [{"can_id": i, "can_mask": 0x1FFFFFFF} for i in ids]
         with self._lock:
-            self._filters = [{"can_id": i, "can_mask": 0x1FFFFFFF} for i in ids] or None
-            if self._bus is not None:
-                self._bus.set_filters(self._filters)
+            self._filters = filters or None
+            bus = self._bus
+        if bus is None:  # the filters are set when it is reopened
+            return
+        try:
+            bus.set_filters(filters or None)
+        except (can.CanError, OSError, ValueError) as error:
+            self._mark_lost(bus, f"its filters cannot be set: {error_text(error)}")
 
     def close(self) -> None:
         """Close the interface; from any thread, any number of times."""
         with self._lock:
-            self._closed.set()
+            self._closed = True
+            self._lock.notify_all()
             bus, self._bus, self.up = self._bus, None, False
         if bus is not None:
-            bus.shutdown()
+            self._factory.close(bus)
 
     def __enter__(self) -> Link:
         return self
@@ -177,7 +201,7 @@ class Link:
             return bus
         report = None
         with self._lock:
-            if self._closed.is_set():
+            if self._closed:
                 raise BusError(f"{self.name} is closed; stop its users before its link")
             if self._bus is None and self._clock() >= self._retry_at:
                 try:
@@ -210,7 +234,7 @@ class Link:
         with self._lock:
             if bus is not self._bus:
                 return Sent.DOWN  # another thread has handled this loss
-            if isinstance(error, ValueError) and not isinstance(error, OSError):
+            if way == "send" and isinstance(error, ValueError) and not isinstance(error, OSError):
                 raise error  # the message itself is wrong: the caller's mistake
             kind = classify_error(error)
             if kind is DriverError.REFUSED and way == "send":
@@ -220,7 +244,8 @@ class Link:
                 ) from error
             # With SocketCAN, python-can raises an error without errno only for "Transmit buffer
             # full" (e.g. no node acknowledges).
-            no_ack = kind is DriverError.UNCLEAR and self._factory.is_socketcan
+            is_socketcan = self._factory.is_socketcan
+            no_ack = kind is DriverError.UNCLEAR and is_socketcan and way == "send"
             if kind is DriverError.FULL or no_ack:
                 return Sent.FULL
             if kind is not DriverError.LOST:
@@ -242,11 +267,20 @@ class Link:
                 self.outages += 1
                 self._lost_at = self._clock()
         with contextlib.suppress(can.CanError, OSError):  # closing a lost interface may fail, too
-            bus.shutdown()
+            self._factory.close(bus)
         if was_up:
-            self._report(
-                False, f"{self.name} is lost ({reason}); it is reopened as soon as it is back"
-            )
+            self._report(False, f"{self.name} is lost ({reason}); {self._outlook}")
+
+    @property
+    def _outlook(self) -> str:
+        if self._factory.is_given:
+            return "it is tried again, but not reopened, because it was given open"
+        return "it is reopened as soon as it is back"
+
+    def _pause_for(self, seconds: float) -> None:
+        """Wait; return at once when the link is closed."""
+        with self._lock:
+            self._lock.wait_for(lambda: self._closed, seconds)
 
     def _check_deleted(self, bus: can.BusABC) -> None:
         """Check once a second whether the interface was deleted; if so, mark the bus as lost."""
@@ -264,3 +298,19 @@ class Link:
         log.warning(text)
         if self._on_event:
             self._on_event(up, text)
+
+
+def link_of(link: Link | can.BusABC) -> Link:
+    """Return the link itself, or a link of a bus that is open.
+
+    Raises:
+        TypeError: it is neither.
+    """
+    if isinstance(link, Link):
+        return link
+    if isinstance(link, can.BusABC):
+        return Link(link)
+    raise TypeError(
+        "link must be a maplines_can.Link or an open python-can bus, such as can.Bus(...), "
+        f"got {link!r}"
+    )

@@ -12,7 +12,7 @@ from ..errors import BusError
 from ..line import MapLine, Slot
 from ..wire import Codec, Frame
 from .background import BackgroundThread
-from .link import Link, Sent
+from .link import Link, Sent, link_of
 from .schedule import Lateness, LatenessHistogram
 from .tx_queue import Transfer, TxQueue
 
@@ -54,7 +54,8 @@ class Transmitter(BackgroundThread):
     deadline.
 
     Args:
-        link: where to send. It stays open when the transmitter stops.
+        link: where to send: a `Link`, or a python-can bus that is open. It stays open when the
+            transmitter stops. A bus is not reopened after an outage, see `Link`.
         codec: encodes the lines; used by the transmitter's thread only.
         period: between two transfers of a slot [s].
         fd: send CAN FD frames.
@@ -62,13 +63,14 @@ class Transmitter(BackgroundThread):
         clock: a monotonic clock [s].
 
     Raises:
+        TypeError: ``link`` is neither a link nor a bus.
         ValueError: ``period`` or ``count`` is out of range.
         BusError: ``fd`` on a link without CAN FD.
     """
 
     def __init__(
         self,
-        link: Link,
+        link: Link | can.BusABC,
         codec: Codec,
         *,
         period: float = 0.05,
@@ -80,6 +82,7 @@ class Transmitter(BackgroundThread):
             raise ValueError(f"period must be in [0.001, 3600] s, got {period!r} s")
         if count is not None and count < 1:
             raise ValueError(f"count must be 1 or more, or None for ever, got {count!r}")
+        link = link_of(link)
         if fd and not link.fd:
             raise BusError(
                 f"{link.name} is opened without CAN FD; open it with fd=True, or send classic "

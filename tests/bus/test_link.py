@@ -16,6 +16,7 @@ from fake_bus import (
     LONG,
     NO_NUMBER,
     Clock,
+    FakeBus,
     FakeOpener,
     collect,
     map_line,
@@ -174,6 +175,45 @@ def test_filters_survive_an_outage() -> None:
                 {"can_id": 0x100, "can_mask": 0x1FFFFFFF},
                 {"can_id": 0x101, "can_mask": 0x1FFFFFFF},
             ]
+
+
+class Unfiltered(FakeBus):
+    """A bus whose driver fails to set filters."""
+
+    def _apply_filters(self, filters: Any) -> None:
+        if filters:
+            raise GONE
+
+
+def test_a_bus_that_cannot_be_filtered_counts_as_lost() -> None:
+    """It would let frames of other IDs pass. It is shut down, and the reason is reported once."""
+    clock, events = Clock(), []
+    buses: list[FakeBus] = []
+
+    def opener() -> FakeBus:
+        buses.append(Unfiltered() if len(buses) < 3 else FakeBus())
+        return buses[-1]
+
+    with Link(opener, on_event=lambda up, text: events.append((up, text)), clock=clock) as link:
+        link.accept_only({0x100})
+        for _ in range(3):
+            assert [bus.open for bus in buses] == [False] * len(buses)
+            assert not link.up
+            clock.now += 2.0
+            link.send(FRAME)
+        assert buses[-1].filters == [{"can_id": 0x100, "can_mask": 0x1FFFFFFF}]
+        assert (len(buses), link.outages) == (4, 1)
+    assert events == [
+        (False, "fake is lost (its filters cannot be set: No such device); it is reopened as soon "
+         "as it is back"),
+        (True, "fake is back after 6.0 s"),
+    ]  # fmt: skip
+
+
+def test_a_wrong_value_from_a_driver_is_no_mistake_of_the_caller() -> None:
+    """recv takes no message that could be wrong."""
+    with Link(FakeOpener(ValueError("odd"))) as link:
+        assert link.recv(0.0) is None
 
 
 @pytest.mark.socketcan

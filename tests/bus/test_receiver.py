@@ -34,7 +34,7 @@ def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
     """Lines, rejected frames, error frames, remote frames."""
     codec = FakeCodec()
     frames = codec.encode(map_line())
-    with Receiver(other, codec.decoder()) as receiver:
+    with Receiver(other, codec.decoder(), can_ids=None) as receiver:
         link.send(can.Message(is_error_frame=True))
         link.send(can.Message(arbitration_id=0x100, is_remote_frame=True, is_extended_id=False))
         send_frames(link, Frame(0x7FF, b"other"), *frames[:2], frames[3], *codec.encode(map_line()))
@@ -72,12 +72,20 @@ def test_get_has_a_timeout(other: Any) -> None:
 
 
 def test_stop_wakes_waiting_threads(other: Any) -> None:
-    receiver = Receiver(other, FakeCodec().decoder())
+    receiver = Receiver(other, FakeCodec().decoder()).start()
     waiting = threading.Thread(target=receiver.get)
     waiting.start()
-    receiver.stop()  # never started
+    receiver.stop()
     waiting.join(LONG)
     assert not waiting.is_alive()
+
+
+def test_item_10_a_receiver_that_never_started_has_nothing_to_wait_for(other: Any) -> None:
+    receiver = Receiver(other, FakeCodec().decoder())
+    assert receiver.get() is None
+    assert list(receiver) == []
+    receiver.stop()
+    assert receiver.get() is None
 
 
 def test_the_queue_keeps_the_newest_lines(link: Any, other: Any) -> None:
@@ -124,12 +132,27 @@ def test_an_error_of_the_thread_is_raised_by_the_iteration(channel: str) -> None
     receiver.stop()
 
 
-def test_other_can_ids_do_not_reach_the_decoder(link: Any, other: Any) -> None:
+@pytest.mark.parametrize(
+    ("settings", "foreign"), [({}, 0), ({"can_ids": {0x100}}, 0), ({"can_ids": None}, 1)]
+)
+def test_item_10_only_the_ids_of_the_decoder_pass_by_default(
+    link: Any, other: Any, settings: Any, foreign: int
+) -> None:
     codec = FakeCodec()
-    with Receiver(other, codec.decoder(), can_ids={0x100}) as receiver:
+    with Receiver(other, codec.decoder(), **settings) as receiver:
         send_frames(link, Frame(0x7FF, b""), *codec.encode(map_line()))
         assert receiver.get(LONG)
-        assert receiver.stats().frames == PAGES
+        assert receiver.stats().frames == PAGES + foreign
+
+
+def test_the_ids_of_the_decoder_are_those_of_the_dbc(codec: Codec) -> None:
+    assert codec.decoder().can_ids == codec.can_ids
+
+
+@pytest.mark.parametrize("can_ids", [(), set(), "all"])
+def test_wrong_can_ids_raise(other: Any, can_ids: Any) -> None:
+    with pytest.raises(ValueError, match="can_ids must be 1 CAN ID or more, 'decoder' for"):
+        Receiver(other, FakeCodec().decoder(), can_ids=can_ids)
 
 
 def test_a_queue_size_of_0_raises(other: Any) -> None:
@@ -144,7 +167,7 @@ def test_kernel_filters_and_local_frames(vcan: str) -> None:
     with (
         Link(interface="socketcan", channel=vcan) as link,
         Link(interface="socketcan", channel=vcan) as other,
-        Receiver(other, codec.decoder(), can_ids={0x100}) as receiver,
+        Receiver(other, codec.decoder()) as receiver,
     ):
         send_frames(link, *[Frame(0x7FF, b"")] * 20, *codec.encode(map_line()))
         assert abs(receiver.get(LONG).t_ns - time.time_ns()) < LONG * 1e9  # type: ignore[operator, union-attr]
@@ -155,7 +178,7 @@ def test_the_latest_line_of_a_backlog_is_not_new(
     channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sender has died; then the receiver starts, and reads a backlog from the queue."""
-    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
     codec = Codec.from_dbc()
     with (
         Link(interface="virtual", channel=channel, preserve_timestamps=True) as sender,

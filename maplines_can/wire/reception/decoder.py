@@ -76,6 +76,11 @@ class Decoder:
         }
 
     @property
+    def can_ids(self) -> frozenset[int]:
+        """CAN IDs of all lines, for filters."""
+        return frozenset(can_id for can_id, _ in self._slot_of_id)
+
+    @property
     def lost(self) -> int:
         """Records missing between those received, by their counters."""
         return sum(check.lost for check in self.checks.values())

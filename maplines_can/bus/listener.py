@@ -1,0 +1,210 @@
+"""Turn the messages of a bus into lines: whole lines come out, everything else is counted."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+import can
+
+from ..line import MapLine, Slot
+from ..wire import Decoder, Monitor, Reason, SlotStats, SlotView
+from ..wire.reception.monitor import STALE_CYCLES
+from .background import ForkSafeCondition
+from .stamp_clock import StampClock
+
+
+class ReceiverStats(NamedTuple):
+    """Counters of a receiver."""
+
+    lines: int  #: complete lines received
+    lost: int  #: lines that are missing according to the sender's counters
+    frames: int  #: data frames given to the decoder
+    error_frames: int  #: error frames of the bus, not given to the decoder
+    remote_frames: int  #: remote frames, not given to the decoder
+    overflowed: int  #: lines dropped from the full queue, oldest first
+    counts: dict[Reason, int]  #: frames by the decoder's reason
+    pending: int = 0  #: frames held for lines that are not complete
+
+
+class LineListener(can.Listener):
+    """Listener of python-can that turns messages into lines.
+
+    It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an event loop
+    of asyncio, or called by hand with the messages of a log. Use one listener for each bus.
+    A `Receiver` is such a listener with a link and a thread.
+
+    Lines go to the callback ``on_line`` if there is one. Otherwise they wait for
+    `get` or for iteration (``for line in listener``, which ends after `stop`). Lines that wait
+    when the listener stops can still be fetched. The newest ``queue_size`` lines wait. Older
+    ones are dropped and counted as overflowed, because a stale line is of no use.
+
+    A control loop needs neither callback nor queue: `latest` returns the newest line of a slot at
+    any time, with its age, its E2E state, and whether it is stale.
+
+    All methods may be called from any thread. No message raises an exception. One that the callback
+    raises reaches the caller of the listener: a notifier keeps it as ``notifier.exception`` and
+    stops reading, as with any listener. `get` and the iteration raise it again.
+
+    Args:
+        decoder: turns frames into lines; used by this listener only.
+        on_line: a plain function, called with each line by the thread that brings the message.
+        queue_size: how many lines may wait.
+
+    Raises:
+        ValueError: ``queue_size`` is less than 1.
+
+    >>> from maplines_can import Codec, MapLine
+    >>> codec = Codec.from_dbc()
+    >>> listener = LineListener(codec.decoder())
+    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0])):
+    ...     listener(
+    ...         can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+    ...     )
+    >>> listener.get().slot.name, listener.stats().frames
+    ('ROUTE', 4)
+    """
+
+    def __init__(
+        self,
+        decoder: Decoder,
+        *,
+        on_line: Callable[[MapLine], object] | None = None,
+        queue_size: int = 256,
+    ) -> None:
+        if queue_size < 1:
+            raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
+        self._decoder, self._on_line = decoder, on_line
+        self._monitor = Monitor(decoder)
+        self._changed = ForkSafeCondition()  # guards the state below, and the decoder
+        self._queue: deque[MapLine] = deque(maxlen=queue_size)
+        self._lines = self._frames = 0
+        self._error_frames = self._remote_frames = self._overflowed = 0
+        self._stamps = StampClock()
+        self._stopped = False
+        self._error: Exception | None = None  # of the notifier; None while messages arrive
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Decode a message; called by python-can.  After `stop` messages are ignored."""
+        with self._changed:
+            if self._stopped:
+                return
+            self._error = None
+            if msg.is_error_frame:
+                self._error_frames += 1
+                return
+            if msg.is_remote_frame:
+                self._remote_frames += 1
+                return
+            self._frames += 1
+            t_ns = round(msg.timestamp * 1e9) or time.time_ns()
+            self._stamps.add(t_ns, time.monotonic_ns())
+            can_id, data = msg.arbitration_id, bytes(msg.data)
+            line = self._monitor.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
+            if not isinstance(line, MapLine):
+                return
+            self._lines += 1
+            if self._on_line is None:
+                self._overflowed += len(self._queue) == self._queue.maxlen
+                self._queue.append(line)
+                self._changed.notify_all()
+                return
+        self._on_line(line)
+
+    def on_error(self, exc: Exception) -> None:
+        """Keep an error that ends the thread of a notifier, for `get`; called by python-can.
+
+        Raises:
+            NotImplementedError: always. This tells the notifier that the error is not handled:
+                it stops, unless another listener handles the error.
+        """
+        with self._changed:
+            self._error = exc
+            self._changed.notify_all()
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Ignore further messages, and let `get` and the iteration end; called by python-can."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+    def get(self, timeout: float | None = None) -> MapLine | None:
+        """Return the oldest line that waits.
+
+        Args:
+            timeout: how long to wait for a line [s]; None for ever.
+
+        Returns:
+            The line; None after the timeout, or if the listener is stopped and no line waits.
+
+        Raises:
+            TypeError: the lines go to a callback.
+            Exception: the error that ended the notifier, after the lines received before it.
+        """
+        if self._on_line is not None:
+            raise TypeError("the lines go to on_line; leave that out to get them")
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._stopped or self._error, timeout)
+            if self._queue:
+                return self._queue.popleft()
+            if self._error is not None:
+                raise self._error
+        return None
+
+    def __iter__(self) -> Iterator[MapLine]:
+        while (line := self.get()) is not None:
+            yield line
+
+    def latest(
+        self, slot: Slot, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SlotView:
+        """Return the newest line of a slot with its age, its E2E state, and whether it is stale.
+
+        Call it once in each cycle of a controller. It may be called from any thread, and beside
+        `get` and ``on_line``.
+
+        Args:
+            slot: which line.
+            now_ns: the time now on the clock of the frames' time stamps [ns]. By default it is
+                derived from the stamps received so far and the monotonic time since, so that
+                neither an adapter with a clock of its own nor a change of the host's clock makes
+                a line look younger than it is.  After the start the frames may be a backlog,
+                for example on a link that was open before.  The time on that clock is then
+                unknown: the age is infinite and the line is stale until the queueing delay has
+                stopped falling for 0.2 s, which shows that the backlog is drained.  With the
+                messages of a log, give the time.
+            stale_cycles: after how many cycle times without a newer line a line is stale;
+                see ``Codec.decoder`` for the cycle time.
+
+        Raises:
+            ValueError: the DBC has no such slot.
+        """
+        with self._changed:
+            view = self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+            known = now_ns is not None or self._stamps.is_settled
+        return view if known else view._replace(age=float("inf"), stale=True)
+
+    def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
+        """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
+        with self._changed:
+            return self._monitor.slots(self._now(now_ns))
+
+    def stats(self) -> ReceiverStats:
+        """Return a consistent copy of all counters."""
+        with self._changed:
+            return ReceiverStats(
+                lines=self._lines,
+                lost=self._decoder.lost,
+                frames=self._frames,
+                error_frames=self._error_frames,
+                remote_frames=self._remote_frames,
+                overflowed=self._overflowed,
+                counts=dict(self._decoder.counts),
+                pending=self._decoder.pending,
+            )
+
+    def _now(self, now_ns: int | None) -> int:
+        return self._stamps.now(time.monotonic_ns()) if now_ns is None else now_ns

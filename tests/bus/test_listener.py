@@ -1,0 +1,206 @@
+"""A listener turns the messages of python-can's notifiers and logs into lines (item 3)."""
+
+import asyncio
+import threading
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+from dbcs import default_codec
+from fake_bus import GONE, LONG, FakeBus, collect, map_line, message_of, wait_until
+from fake_codec import PAGES, FakeCodec
+from hypothesis import given
+from hypothesis import strategies as st
+
+import maplines_can
+from maplines_can.bus import LineListener
+from maplines_can.line import Slot
+from maplines_can.wire import Codec, E2EState
+
+POLL = 0.02  #: after which a notifier sees that it shall stop [s]
+
+
+@pytest.fixture
+def buses(channel: str) -> Any:
+    """Yield two open buses of one virtual channel."""
+    with (
+        can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) as out,
+        can.Bus(interface="virtual", channel=channel) as back,
+    ):
+        yield out, back
+
+
+def send(bus: Any, codec: Any, *lines: Any, **rest: Any) -> None:
+    for line in lines:
+        for frame in codec.encode(line):
+            bus.send(message_of(frame, **rest))
+
+
+def test_item_3_a_notifier_passes_lines_to_a_listener(buses: Any) -> None:
+    """As with a receiver: queue, newest line, states and counters."""
+    out, back = buses
+    codec = Codec.from_dbc()
+    listener = maplines_can.LineListener(codec.decoder())
+    with can.Notifier(back, [listener], timeout=POLL):
+        for k in range(9):
+            send(out, codec, map_line(y=k / 8), timestamp=1e9 + k / 20)
+        out.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, timestamp=1e9))
+        out.send(can.Message(is_error_frame=True))
+        out.send(can.Message(is_remote_frame=True))
+        lines = collect(listener, 9)
+        assert [line.gaussian.mean[0] for line in lines] == [k / 8 for k in range(9)]
+        wait_until(lambda: listener.stats().remote_frames)
+        view = listener.latest(Slot.EGO_LEFT, now_ns=lines[-1].t_ns)
+        assert (view.line, view.state) == (lines[-1], E2EState.VALID)
+        assert view.usable
+        assert list(listener.slots()) == [Slot.EGO_LEFT]
+    stats = listener.stats()
+    assert (stats.lines, stats.frames, stats.lost, stats.overflowed) == (9, 37, 0, 0)
+    assert (stats.error_frames, stats.remote_frames) == (1, 1)
+    assert stats.counts == {maplines_can.Reason.FOREIGN: 1}
+
+
+def test_the_iteration_ends_with_the_notifier(buses: Any) -> None:
+    """Lines that wait are still returned; frames that come later are ignored."""
+    out, back = buses
+    codec = FakeCodec()
+    listener = LineListener(codec.decoder())
+    notifier = can.Notifier(back, [listener], timeout=POLL)
+    send(out, codec, map_line(y=1), map_line(y=2))
+    wait_until(lambda: listener.stats().lines == 2)
+    lines: list[Any] = []
+    reading = threading.Thread(target=lambda: lines.extend(listener))
+    reading.start()
+    notifier.stop()
+    reading.join(LONG)
+    assert [line.gaussian.mean[0] for line in lines] == [1, 2]
+    assert listener.get() is None
+    listener(can.Message(arbitration_id=0x7FF))
+    assert listener.stats().frames == 2 * PAGES
+
+
+def test_a_callback_is_called_by_the_notifier(buses: Any) -> None:
+    out, back = buses
+    codec, called, threads = FakeCodec(), threading.Event(), []
+
+    def on_line(line: Any) -> None:
+        threads.append((threading.current_thread().name, line.slot))
+        called.set()
+
+    listener = LineListener(codec.decoder(), on_line=on_line)
+    with can.Notifier(back, [listener], timeout=POLL):
+        send(out, codec, map_line())
+        assert called.wait(LONG)
+        with pytest.raises(TypeError, match="the lines go to on_line"):
+            listener.get()
+    ((name, slot),) = threads
+    assert name.startswith("Notifier for bus")
+    assert slot is Slot.EGO_LEFT
+
+
+def test_an_event_loop_calls_the_listener(buses: Any) -> None:
+    """The lines reach an ``asyncio.Queue``, in the thread of the loop."""
+    out, back = buses
+    codec = FakeCodec()
+
+    async def receive() -> Any:
+        lines: asyncio.Queue[Any] = asyncio.Queue()
+        listener = LineListener(codec.decoder(), on_line=lines.put_nowait)
+        loop = asyncio.get_running_loop()
+        with can.Notifier(back, [listener], timeout=POLL, loop=loop):
+            send(out, codec, map_line(y=1), map_line(y=2))
+            return [await asyncio.wait_for(lines.get(), LONG) for _ in range(2)]
+
+    assert [line.gaussian.mean[0] for line in asyncio.run(receive())] == [1, 2]
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_the_error_of_a_callback_reaches_the_notifier(buses: Any) -> None:
+    """It ends the thread of the notifier, as that of any listener."""
+    out, back = buses
+    codec = FakeCodec()
+
+    def on_line(line: Any) -> None:
+        raise ZeroDivisionError
+
+    notifier = can.Notifier(back, [LineListener(codec.decoder(), on_line=on_line)], timeout=POLL)
+    send(out, codec, map_line())
+    wait_until(lambda: notifier.exception)
+    assert isinstance(notifier.exception, ZeroDivisionError)
+    notifier.stop()
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_the_error_of_a_bus_is_raised_by_get() -> None:
+    """Otherwise the caller would wait for ever for a notifier that has ended."""
+    listener = LineListener(FakeCodec().decoder())
+    notifier = can.Notifier(FakeBus([GONE]), [listener], timeout=POLL)
+    for _ in range(2):
+        with pytest.raises(OSError, match="No such device"):
+            listener.get()
+    notifier.stop()
+
+
+def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None:
+    """The messages that come after it show that the notifier runs."""
+
+    class Handler(can.Listener):
+        def on_message_received(self, msg: can.Message) -> None: ...
+
+        def on_error(self, exc: Exception) -> None: ...
+
+    out, back = buses
+    codec = FakeCodec()
+    listener = LineListener(codec.decoder())
+    with can.Notifier(back, [listener, Handler()], timeout=POLL) as notifier:
+        assert notifier._on_error(KeyError("handled"))
+        with pytest.raises(KeyError):
+            listener.get()
+        send(out, codec, map_line())
+        wait_until(lambda: listener.stats().lines)
+        assert listener.get() is not None
+        assert listener.get(0.0) is None
+
+
+def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
+    """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
+    codec, path = Codec.from_dbc(), tmp_path / "drive.asc"
+    with can.Logger(path) as log:
+        for k in range(9):
+            for frame in codec.encode(map_line()):
+                log(message_of(frame, timestamp=1e9 + k / 20))
+    for messages in (can.LogReader(path), can.MessageSync(can.LogReader(path), timestamps=False)):
+        listener = LineListener(codec.decoder())
+        for message in messages:
+            listener(message)
+        newest = collect(listener, 9)[-1]
+        assert listener.latest(Slot.EGO_LEFT, now_ns=newest.t_ns).usable
+
+
+@given(
+    st.lists(
+        st.builds(
+            can.Message,
+            arbitration_id=st.sampled_from([0, 0x100, 0x155, 0x1FFFFFFF])
+            | st.integers(0, 2**29 - 1),
+            data=st.binary(max_size=64),
+            timestamp=st.floats(0, 1e10),
+            is_extended_id=st.booleans(),
+            is_fd=st.booleans(),
+            is_remote_frame=st.booleans(),
+            is_error_frame=st.booleans(),
+        )
+    )
+)
+def test_no_message_raises(messages: list[can.Message]) -> None:
+    listener = LineListener(default_codec().decoder())
+    for message in messages:
+        listener(message)
+    stats = listener.stats()
+    assert stats.frames + stats.error_frames + stats.remote_frames == len(messages)
+
+
+def test_a_queue_size_of_0_raises_here_too() -> None:
+    with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
+        LineListener(FakeCodec().decoder(), queue_size=0)
