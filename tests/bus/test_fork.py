@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from fake_bus import LONG, FakeBus, FakeOpener, collect, map_line, send_frames
+from fake_bus import LONG, FakeBus, FakeOpener, collect, map_line, send_frames, wait_until
 from fake_codec import FakeCodec
 
 from maplines_can.bus import LineListener, Link, Receiver, Transmitter
@@ -68,8 +68,7 @@ def test_item_10_stop_wait_and_get_end_at_once_in_a_forked_child(link: Any, othe
         transmitter.publish(map_line(y=1))
         collect(receiver, 1)
         send_frames(link, *codec.encode(map_line(y=2)))
-        while receiver.stats().lines < 2:
-            threading.Event().wait(0.001)
+        wait_until(lambda: receiver.stats().lines == 2)
 
         def check() -> bool:
             waited, none = receiver.get(), receiver.get()

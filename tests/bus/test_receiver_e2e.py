@@ -1,30 +1,24 @@
 """The E2E state of a slot at a receiver on a bus."""
 
 import threading
-import time
 from typing import Any
 
-import can
+import pytest
 from dbcs import default_codec
 from e2e_streams import MS, SLOT, frames
+from fake_bus import LONG, FakeTime, message_of, wait_until
 
-from maplines_can import Codec, MapLine, Receiver, Transmitter
+from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent
 from maplines_can.wire import E2EState
-
-
-def wait_until(condition: Any, timeout: float = 20.0) -> None:
-    end = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
     """Many threads at once request the newest line: VALID while lines are received, then stale."""
     codec, wrong = Codec.from_dbc(), []
-    decoder = codec.decoder(cycle_ms=100)  # and lines at 50 Hz: a busy machine is no fault here
-    with Receiver(links[1], decoder, can_ids=codec.can_ids) as receiver:
+    # With lines at 50 Hz and no time-out: a busy machine is no fault here.
+    decoder = codec.decoder(cycle_ms=100, timeout_ms=3_600_000)
+    with Receiver(links[1], decoder) as receiver:
         stop = threading.Event()
 
         def control() -> None:
@@ -49,21 +43,22 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
         assert list(receiver.slots()) == [SLOT]
 
 
-def test_age_is_by_the_clock_of_the_frames(links: Any) -> None:
+def test_age_is_by_the_clock_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also if the time stamps of the adapter start at power-up."""
-    with Receiver(links[1], default_codec().decoder()) as receiver:
-        start = time.monotonic()
+    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    bus = {"interface": "virtual", "channel": "since-power-up"}
+    with (
+        Link(**bus, preserve_timestamps=True) as link,  # type: ignore[arg-type]
+        Link(**bus) as other,  # type: ignore[arg-type]
+        Receiver(other, default_codec().decoder()) as receiver,
+    ):
         for counter in range(2):  # one alone may be of a backlog
-            time.sleep(0.25 * counter)
             for frame in frames(counter):
-                message = can.Message(
-                    timestamp=12.5 + time.monotonic() - start,
-                    arbitration_id=frame.can_id,
-                    data=frame.data,
-                    is_extended_id=False,
-                )
-                assert links[0].send(message) is Sent.OK
-            assert receiver.get(20.0) is not None
+                message = message_of(frame, timestamp=12.5 + 0.25 * counter)
+                assert link.send(message) is Sent.OK
+            line = receiver.get(LONG)
+            assert line is not None
+            now.ns += 250 * MS
         view = receiver.latest(SLOT)
-        assert 0 <= view.age - view.line.age < 20.0  # type: ignore[union-attr]
-        assert receiver.latest(SLOT, now_ns=view.line.t_ns + 151 * MS).stale  # type: ignore[operator, union-attr]
+        assert view.age - line.age == pytest.approx(0.25)
+        assert receiver.latest(SLOT, now_ns=line.t_ns + 151 * MS).stale  # type: ignore[operator]

@@ -123,16 +123,24 @@ def test_a_frame_is_retried_while_the_queue_is_full() -> None:
 
 def test_a_queue_that_stays_full_costs_the_line_its_period() -> None:
     """It is given up when the next transfer is due, and counted; it is no outage."""
+
+    class Ticking(Clock):
+        """A clock that each call advances, so that no thread is late."""
+
+        def __call__(self) -> Any:
+            self.now += 1e-3
+            return self.now
+
     opener = FakeOpener(None, *[FULL] * 10_000)
     with Link(opener) as link:
-        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2)  # type: ignore[arg-type]
+        transmitter = Transmitter(link, FakeCodec(), period=0.02, count=2, clock=Ticking())  # type: ignore[arg-type]
         transmitter.publish(map_line())
         with transmitter:
             assert transmitter.wait(LONG)
         stats = transmitter.stats()
 
     assert (stats.lines, stats.frames) == (0, 1)
-    assert stats.full + stats.overruns == 2
+    assert (stats.full, stats.overruns) == (2, 0)
     assert stats.retries > 0
     assert link.outages == 0
 
@@ -258,7 +266,8 @@ def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
     """End to end: nothing rejected, nothing lost, every value as sent to within a millimetre."""
     codec = Codec.from_dbc()
     sent = [map_line(slot, y=slot / 7, age=0.02) for slot in Slot]
-    with Receiver(other, codec.decoder(), can_ids=codec.can_ids) as receiver:
+    decoder = codec.decoder(timeout_ms=3_600_000)  # a busy machine is no fault here
+    with Receiver(other, decoder) as receiver:
         transmitter = Transmitter(link, codec, period=0.05, fd=fd, count=4)
         transmitter.publish(sent)
         with transmitter:
