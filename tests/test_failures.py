@@ -39,9 +39,20 @@ def row_of(failures: Any) -> Any:
         assert row.wrong == 0
         assert 0 < row.delivered <= row.sent
         assert row.lines_again <= row.valid_again  # the times themselves depend on the machine
+        assert row.timed_out >= 0
         return row
 
     return run
+
+
+def check_only_timed_out(row: Any) -> None:
+    """Check that lines were lost by the time-out of the reassembly, and by nothing else.
+
+    A busy machine may suspend the sender within a line, or fill the transmit queue for so long that
+    the sender reports lines as given up. The counters of the receiver show exactly these.
+    """
+    assert row.sent - row.delivered == row.timed_out
+    assert row.lost == row.timed_out + row.given_up
 
 
 @pytest.mark.socketcan
@@ -81,10 +92,8 @@ def test_two_senders_on_the_same_slots_are_detected(row_of: Any) -> None:
 @pytest.mark.socketcan
 @pytest.mark.skipif(not shutil.which("cansend"), reason="no cansend: apt-get install can-utils")
 def test_error_frames_are_counted_and_cost_no_line(row_of: Any) -> None:
-    """They do not reach the decoder; lines are lost by the time-out of the reassembly only."""
-    row = row_of("error-frames")
-
-    assert row.lost == row.sent - row.delivered == row.timed_out
+    """They do not reach the decoder."""
+    check_only_timed_out(row_of("error-frames"))
 
 
 @pytest.mark.socketcan
@@ -93,7 +102,7 @@ def test_can_fd_on_a_classic_interface_ends_with_the_reason(row_of: Any) -> None
     row = row_of("no-fd")
 
     assert "enable it, or open the interface without --fd" in row.seen
-    assert row.lost == row.sent - row.delivered == row.timed_out
+    check_only_timed_out(row)
 
 
 @pytest.mark.socketcan
@@ -101,6 +110,4 @@ def test_a_clock_that_is_set_back_stops_nothing(row_of: Any, failures: Any) -> N
     """Time stamps go back an hour; a line with frames before and after that may time out."""
     if not failures.is_guest():
         pytest.skip("this would set the clock of a real machine")
-    row = row_of("clock-back")
-
-    assert row.lost == row.sent - row.delivered == row.timed_out
+    check_only_timed_out(row_of("clock-back"))

@@ -1,15 +1,48 @@
 """Fixtures of the tests of the command."""
 
+import threading
 import uuid
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import can
 import pytest
+from can.interfaces import virtual
+from fake_bus import LONG, FakeTime, message_of, wait_until
 
 
 @pytest.fixture
 def channel() -> str:
     """Name of a virtual channel that no other test uses."""
     return f"test-{uuid.uuid4()}"
+
+
+@pytest.fixture
+def replay(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., None]]:
+    """Return a function that sends transfers to the receiver that this process runs next.
+
+    It takes (time stamp [s], frames) of each transfer, and an event to wait for after the first.
+    The present time of the receiver is the last stamp, however busy the machine is.
+    """
+    monkeypatch.setattr("maplines_can.bus.listener.time", FakeTime())
+    threads: list[threading.Thread] = []
+
+    def start(transfers: Any, after_first: threading.Event | None = None) -> None:
+        def send() -> None:
+            with can.Bus(interface="virtual", channel=channel, preserve_timestamps=True) as bus:
+                wait_until(lambda: len(virtual.channels[channel]) == 2)
+                for number, (stamp, frames) in enumerate(transfers):
+                    for frame in frames:
+                        bus.send(message_of(frame, timestamp=stamp))
+                    if number == 0 and after_first is not None:
+                        assert after_first.wait(LONG)
+
+        threads.append(threading.Thread(target=send))
+        threads[-1].start()
+
+    yield start
+    for thread in threads:
+        thread.join()
 
 
 @pytest.fixture

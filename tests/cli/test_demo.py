@@ -128,7 +128,7 @@ def test_the_default_scene_is_the_production_car(capsys: pytest.CaptureFixture[s
 
 def test_the_text_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
     """Both divergences and the covered target are named and explained."""
-    assert main(["demo", "--seconds", "0.1", "--lines", "1"]) == 0
+    assert main(["demo", "--seconds", "0.1", "--lines", "1", "--fd"]) == 0  # no time-out
     text = capsys.readouterr().out
     (row,) = re.findall(r"KL [\d.]+ nat from the (.*), [\d.]+ nat from the (.*)", text)
     assert row == ("covered target", "sent Gaussian")

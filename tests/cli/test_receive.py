@@ -16,7 +16,7 @@ def test_lines_are_printed_until_the_count(
     """JSON lines on standard output, the counters on standard error."""
     with (
         Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, Codec.from_dbc(), period=0.02) as transmitter,
+        Transmitter(link, Codec.from_dbc(), period=0.02, fd=True) as transmitter,  # no time-out
     ):
         for line in scene_lines(scenario("highway")):
             transmitter.publish(line)
@@ -40,17 +40,19 @@ def test_a_silent_bus_ends_it_after_the_timeout(
     assert "nothing received for 0.05 s" in capsys.readouterr().err
 
 
-def test_the_cycle_time_decides_whether_a_slot_is_valid(slot_notes: Any, channel: str) -> None:
+def test_the_cycle_time_decides_whether_a_slot_is_valid(
+    replay: Any, slot_notes: Any, channel: str
+) -> None:
     """The slot of a slow sender is VALID with --cycle-ms and not VALID without it."""
     bus = ["--interface", "virtual", "--channel", channel]
-    with (
-        Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, Codec.from_dbc(), period=0.2) as transmitter,
-    ):
-        transmitter.publish(scene_lines(scenario("highway"), 1))
-        assert main(["receive", *bus, "--count", "8", "--cycle-ms", "200"]) == 0
-        (with_cycle,) = slot_notes()
-        assert main(["receive", *bus, "--count", "4"]) == 0
-        (without,) = slot_notes()
+    (line,) = scene_lines(scenario("highway"), 1)
+    codec = Codec.from_dbc()
+    transfers = [(1e9 + 0.2 * k, codec.encode(line)) for k in range(8)]
+    replay(transfers)
+    assert main(["receive", *bus, "--count", "8", "--cycle-ms", "200"]) == 0
+    (with_cycle,) = slot_notes()
+    replay(transfers)
+    assert main(["receive", *bus, "--count", "8"]) == 0
+    (without,) = slot_notes()
     assert with_cycle.startswith("maplines: ego left: VALID; 8 ok, 0 lost")
     assert not without.startswith("maplines: ego left: VALID")

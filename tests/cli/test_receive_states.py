@@ -3,37 +3,43 @@
 import json
 import re
 import threading
-import time
 from typing import Any
 
-import can
 import pytest
+from dbcs import default_codec
 from e2e_streams import frames
 
-from maplines_can.cli import main
+from maplines_can import MapLine
+from maplines_can.cli import main, receive
 
 
 def test_receive_prints_the_states_and_two_senders(
-    links: Any, capsys: pytest.CaptureFixture[str]
+    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A note of each change, a summary of each slot, and in JSON the checks with each line."""
+    transfers = [
+        (1e9 + 0.06 * cycle + 0.03 * sender, frames(counter, which=counter))
+        for cycle in range(30)
+        for sender, counter in enumerate((cycle, cycle + 77))
+    ]
+    decoder = default_codec().decoder()
+    answers = [
+        decoder.feed(frame.can_id, frame.data, round(stamp * 1e9))
+        for stamp, transfer in transfers
+        for frame in transfer
+    ]
+    delivered = sum(isinstance(answer, MapLine) for answer in answers)
+    noted, print_note = threading.Event(), receive.note
 
-    def send() -> None:
-        for cycle in range(30):
-            for ahead in (0, 77):
-                for frame in frames(cycle + ahead, which=cycle + ahead):
-                    links[0].send(
-                        can.Message(
-                            arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
-                        )
-                    )
-                time.sleep(0.03)
+    def note(text: str) -> None:
+        print_note(text)
+        if "INIT" in text:
+            noted.set()
 
-    bus = ["--interface", "virtual", "--channel", links[0].name.split()[1]]
-    sender = threading.Timer(0.2, send)
-    sender.start()
-    assert main(["receive", *bus, "--timeout", "1", "--json"]) == 0
-    sender.join()
+    monkeypatch.setattr(receive, "note", note)
+    replay(transfers, after_first=noted)
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--count", str(delivered), "--json"]) == 0
     out, err = capsys.readouterr()
     last = json.loads(out.splitlines()[-1])["e2e"]
     assert last["two_senders"]

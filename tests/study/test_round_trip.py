@@ -39,9 +39,11 @@ def test_figures_are_json() -> None:
     """With the counters of both ends by name."""
     trip = round_trip(LINES, Codec.from_dbc(), seconds=0.1)
     figures = json.loads(json.dumps(trip.as_dict()))
-    assert figures["sent"]["lines"] == figures["received"]["lines"]
+    received = figures["received"]
+    lost = lines_timed_out(received["counts"], received["pending"], 4)
+    assert figures["sent"]["lines"] == received["lines"] + lost
     assert figures["frame_format"] == "classic CAN"
-    assert set(figures["received"]["counts"].values()) <= {0}
+    assert {reason for reason, n in received["counts"].items() if n} <= {"TIMEOUT"}
 
 
 @pytest.mark.parametrize("direction", ["send", "receive"])
