@@ -4,6 +4,7 @@ The tests run on simulated time. The thread wakes up late, the bus takes its tim
 are lost, all at random.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -45,8 +46,9 @@ class Bench:
     def __post_init__(self) -> None:
         self.clock, self.opener = Clock(), FakeOpener(*self.script)
         self.start = self.clock.now
+        self.link = Link(self.opener)
         self.transmitter = Transmitter(
-            Link(self.opener), self.codec, period=PERIOD, max_age=self.max_age, clock=self.clock
+            self.link, self.codec, period=PERIOD, max_age=self.max_age, clock=self.clock
         )
         self.monitor = Monitor(self.codec.decoder())
         self.lines: list[MapLine] = []
@@ -79,11 +81,27 @@ class Bench:
         self.clock.now = max(self.clock.now, self.start + end)
 
 
+@pytest.fixture
+def make_bench() -> Iterator[Any]:
+    """Return a function that makes a bench; their links are closed at the end."""
+    made: list[Bench] = []
+
+    def make(*arguments: Any, **settings: Any) -> Bench:
+        made.append(Bench(*arguments, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.link.close()
+
+
 @pytest.mark.parametrize("seed", range(12))
-def test_item_1_a_hanging_producer_leaves_no_usable_line(codec: Codec, seed: int) -> None:
+def test_item_1_a_hanging_producer_leaves_no_usable_line(
+    make_bench: Any, codec: Codec, seed: int
+) -> None:
     """At every moment a usable line is as old as it says, and predicts the truth."""
     rng = np.random.default_rng(seed)
-    bench = Bench(Codec.from_dbc(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
+    bench = make_bench(Codec.from_dbc(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
     hang = rng.uniform(1.0, 2.0)
     pose, produced, used, motion = 0.0, 0.0, 0, Motion(SPEED, 0.0)
     bound = codec.layout.max_age + STALE_CYCLES * PERIOD
@@ -114,9 +132,9 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(codec: Codec, seed: int
     assert bench.monitor.slots(bench.now_ns)[SLOT].ok > 100  # the ECU is known to be alive
 
 
-def test_item_1_a_line_published_again_is_usable_again() -> None:
+def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
     """The next good line is enough: the slot stayed VALID."""
-    bench = Bench(Codec.from_dbc(), np.random.default_rng(0))
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(0))
     bench.transmitter.publish(map_line())
     bench.run(2.0)
     assert not bench.monitor.latest(SLOT, bench.now_ns).usable
@@ -126,9 +144,11 @@ def test_item_1_a_line_published_again_is_usable_again() -> None:
 
 
 @pytest.mark.parametrize("max_age", [0.06, 0.1, None])
-def test_item_1_max_age_is_the_greatest_age_that_is_sent(max_age: float | None) -> None:
+def test_item_1_max_age_is_the_greatest_age_that_is_sent(
+    make_bench: Any, max_age: float | None
+) -> None:
     """Beyond it the age is "too old"; such lines are counted."""
-    bench = Bench(Codec.from_dbc(), np.random.default_rng(1), max_age=max_age)
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(1), max_age=max_age)
     bench.transmitter.publish(map_line(age=0.01))
     bench.run(1.0)
     ages = [line.age for line in bench.lines]
@@ -156,7 +176,7 @@ AGE = r"(SG_ Age\b.*?)\(8,0\) \[0\|248\]"
     ("conversion", "max_age"),
     [("(2,0) [0|62]", 0.06), ("(20,0) [0|400]", 0.38), ("(5,10) [10|150]", 0.145)],
 )
-def test_item_1_other_dbcs(tmp_path: Any, conversion: str, max_age: float) -> None:
+def test_item_1_other_dbcs(make_bench: Any, tmp_path: Any, conversion: str, max_age: float) -> None:
     """The greatest raw value within the DBC's range, or a greater one, means "too old"."""
     codec = Codec.from_dbc(edited(tmp_path, (AGE, rf"\1{conversion}")))
     assert codec.layout.max_age == pytest.approx(max_age)
@@ -171,7 +191,7 @@ def test_item_1_other_dbcs(tmp_path: Any, conversion: str, max_age: float) -> No
         data_id = codec.layout.messages[SLOT].data_id
         payload = codec._writer.protect_one(raw | {"Age": age}, data_id)
         assert codec.decode_one(payload, SLOT).age == np.inf  # type: ignore[union-attr]
-    bench = Bench(codec, np.random.default_rng(2))
+    bench = make_bench(codec, np.random.default_rng(2))
     bench.transmitter.publish(map_line())
     bench.run(1.0)
     assert bench.lines[0].is_usable
@@ -180,10 +200,12 @@ def test_item_1_other_dbcs(tmp_path: Any, conversion: str, max_age: float) -> No
 
 @pytest.mark.parametrize("full", [3, 10, 40])
 def test_item_1_the_age_covers_the_wait_for_the_transmit_queue(
-    monkeypatch: pytest.MonkeyPatch, full: int
+    make_bench: Any, monkeypatch: pytest.MonkeyPatch, full: int
 ) -> None:
     """A line that waits is encoded again before its first frame, with the same counter."""
-    bench = Bench(Codec.from_dbc(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full)
+    bench = make_bench(
+        Codec.from_dbc(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full
+    )
     monkeypatch.setattr("maplines_can.bus.transmitter.time", sleeper := Sleeper(bench.clock))
     bench.transmitter.publish(map_line())
     for _ in range(3):
@@ -231,9 +253,9 @@ def test_item_1_a_mixture_is_as_old_as_its_oldest_component(codec: Codec, too_ol
         assert (line.age, line.t_ns) == (expected, 10**6 * too_old)
 
 
-def test_item_1_a_line_out_of_range_is_never_usable() -> None:
+def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
     """It is sent and received, VALID and new."""
-    bench = Bench(Codec.from_dbc(), np.random.default_rng(4))
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(4))
     for k in range(20):
         bench.transmitter.publish(map_line(y=1000.0))
         bench.run(PERIOD * k)
@@ -246,9 +268,9 @@ def test_item_1_a_line_out_of_range_is_never_usable() -> None:
     assert not view.usable
 
 
-def test_item_10_a_line_retracted_and_published_again_is_not_lost() -> None:
+def test_item_10_a_line_retracted_and_published_again_is_not_lost(make_bench: Any) -> None:
     """Whatever was encoded ahead: the counters have no gap, and nothing is dropped."""
-    bench = Bench(Codec.from_dbc(), np.random.default_rng(5))
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(5))
     for k in range(40):
         bench.transmitter.publish(map_line(slot) for slot in Slot)
         bench.run(bench.time + bench.rng.uniform(0, PERIOD))

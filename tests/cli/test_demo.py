@@ -30,8 +30,9 @@ def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
     assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
     for line in result["lines"]:
         assert line["kl_covered"] < 0.02
-        assert abs(line["lateral_error_80m"]) < 0.005
-        assert 1 <= line["sigma_80m"] / line["true_sigma_80m"] < 1.06
+        assert line["x"] in (72, 80)
+        assert abs(line["y"] - line["true_y"]) < 0.005
+        assert 1 <= line["y_sigma"] / line["true_y_sigma"] < 1.06
 
 
 def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -40,7 +41,7 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     picture = tmp_path / "demo.png"
     assert main(["demo", "--seconds", "0.2", "--map-error", "0.1", "--plot", str(picture)]) == 0
     text = capsys.readouterr().out
-    for words in ("ego left", "next right", "KL", "at 80 m", "bus load  8.6 % at 500 kbit/s"):
+    for words in ("ego left", "next right", "KL", "at 72 m", "bus load  8.6 % at 500 kbit/s"):
         assert words in text
     assert re.search(r"lost +\d+ lines, 0 frames", text)
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -118,11 +119,11 @@ def test_the_number_of_components_is_printed(
 
 
 def test_the_default_scene_is_the_production_car(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its lateral sigma at 80 m is below a metre."""
+    """Its lateral sigma is below a metre as far as the lines reach."""
     assert main(["demo", "--seconds", "0.1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["scenario"] == "production"
-    assert all(line["true_sigma_80m"] < 1 for line in result["lines"])
+    assert all(line["true_y_sigma"] < 1 for line in result["lines"])
     assert np.allclose(scenario("production").ego.sigma, [0.3, 0.1, np.radians(0.5)])
 
 
