@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dbcs import edited
 from scenes import lines_timed_out, scene_lines
 
 from maplines_can import Codec, Link, Slot, Transmitter, scenario
@@ -145,3 +146,45 @@ def test_nonlinearity_is_printed_for_mixtures_only(capsys: pytest.CaptureFixture
     text = capsys.readouterr().out
     assert "2 components, nonlinearity" in text
     assert "\nnonlinearity: share" in text
+
+
+def test_item_11_lines_are_compared_within_their_valid_range(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """At the end of the range where it is before 80 m; the picture goes no farther, either."""
+    figure_module = pytest.importorskip("matplotlib.figure")
+    figures: list[Any] = []
+    monkeypatch.setattr(
+        figure_module.Figure, "savefig", lambda figure, *_, **__: figures.append(figure)
+    )
+    arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
+    assert main([*arguments, "--json", "--plot", str(tmp_path / "turn.png")]) == 0
+    lines = json.loads(capsys.readouterr().out)["lines"]
+    sent = {line.slot.name: line for line in scene_lines(scenario("street-turn"))}
+    for line in lines:
+        true = sent[line["slot"]]
+        assert 0 < line["x"] <= true.x_max < 30
+        assert line["true_y"] == true.y(line["x"])
+        assert line["true_y_sigma"] == true.y_sigma(line["x"])
+        assert abs(line["y"] - line["true_y"]) < 0.005
+        assert line["y_sigma"] < 10
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "80 m" not in text
+    assert f"± {lines[0]['y_sigma']:.3f} at {lines[0]['x']:g} m" in text
+    drawn = [
+        curve.get_xdata() for curve in figures[0].axes[0].lines if curve.get_linestyle() == "--"
+    ]
+    assert [x.max() for x in drawn] == pytest.approx([line["x"] for line in lines], abs=0.3)
+    assert all(x.max() <= line["x"] for x, line in zip(drawn, lines, strict=True))
+
+
+def test_item_1_a_line_out_of_range_is_not_printed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It has no values that could be compared."""
+    dbc = edited(tmp_path, (r"(SG_ XMin\b.*?)\(8,-32\) \[-32\|24\]", r"\1(8,-160) [-160|-104]"))
+    assert main(["demo", "--dbc", str(dbc), "--seconds", "0.1", "--lines", "1"]) == 0
+    text = capsys.readouterr().out
+    assert "received  out of range: not usable" in text
+    assert "nat from" not in text
