@@ -36,9 +36,9 @@ class SlotView(NamedTuple):
 
         ``age`` is then at most the greatest age that the DBC can state, plus ``stale_cycles`` cycle
         times: 240 ms + 150 ms with the project's DBC. It is not less than the true age, except for
-        the time that the first frame of the line spent in the transmit queue and on the bus: at
-        most 2 ms for eight lines on a bus of their own at 500 kbit/s. A producer that hangs
-        therefore leaves no line usable for longer than that.
+        the time that the first frame of the line spent in the interface's transmit queue and on
+        the bus. If the producer of the lines hangs, no line is therefore usable 390 ms after its
+        pose, plus that time.
         """
         line = self.line
         vouched = line is not None and line.is_usable
