@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -25,7 +26,7 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 #: satisfies this if its angle to the x axis is less than 80 deg.
 LEAST_ADVANCE = 0.17
 
-#: Largest age [s]; still finite as a float in nanoseconds.
+#: Largest finite age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
 #: Most points to which ``transform_line`` fits a line; more need memory and change little.
 MAX_POINTS = 10_000
@@ -81,7 +82,8 @@ class MapLine:
         kind: kind of marking or boundary.
         x_min: start of the valid range [m].
         x_max: end of the valid range [m].
-        age: time from the pose to the transmission [s].
+        age: time from the pose to the transmission [s]; infinite if it is too long to be stated, or
+            unknown: the sender does not vouch for the line.
         status: quality of the covariance.
         t_ns: reception time of the first frame of the line [ns]; None at the sender.
         mixture: distribution of the line if one Gaussian does not describe it well;
@@ -89,6 +91,7 @@ class MapLine:
 
     Raises:
         ValueError: a value is out of range.
+        TypeError: ``gaussian`` or ``mixture`` is of another class.
     """
 
     slot: Slot
@@ -105,16 +108,27 @@ class MapLine:
         object.__setattr__(self, "slot", Slot(self.slot))
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(self, "status", Status(self.status))
+        if not isinstance(self.gaussian, Gaussian):
+            raise TypeError(
+                f"gaussian must be a Gaussian over {PARAMETERS}, got {_class_name(self.gaussian)}; "
+                "of a mean alone, MapLine.mean_only(slot, mean) makes a line"
+            )
         if self.gaussian.dimension != len(PARAMETERS):
             raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.dimension}-D")
+        if not isinstance(self.mixture, GaussianMixture | None):
+            raise TypeError(
+                f"mixture must be a GaussianMixture, or None, got {_class_name(self.mixture)}; "
+                "use MapLine.of_mixture(slot, mixture)"
+            )
         numbers = floats([self.x_min, self.x_max, self.age], "x_min, x_max and age")
         if not (np.isfinite(numbers[:2]).all() and self.x_min <= self.x_max):
             raise ValueError(
                 f"x_min <= x_max must be finite [m], got x_min={self.x_min!r}, x_max={self.x_max!r}"
             )
-        if not 0 <= numbers[2] <= MAX_AGE:
+        if not (0 <= numbers[2] <= MAX_AGE or numbers[2] == np.inf):
             raise ValueError(
-                f"age must be 0 s or more and finite (up to {MAX_AGE:g}), got {self.age!r}"
+                f"age must be 0 s or more (up to {MAX_AGE:g}), or infinite if it is too old or "
+                f"unknown, got {self.age!r}"
             )
         if self.t_ns is not None and self.t_ns != self.t_ns // 1:
             raise ValueError(
@@ -145,6 +159,19 @@ class MapLine:
         """
         return cls(slot, mixture.overall, mixture=mixture, **rest)
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether the line fits the message and its age is known.
+
+        If not, use neither its mean nor its covariance.
+
+        >>> line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=0.04)
+        >>> too_old = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=np.inf)
+        >>> line.is_usable, too_old.is_usable
+        (True, False)
+        """
+        return self.status is not Status.OUT_OF_RANGE and math.isfinite(self.age)
+
     def y(self, x: ArrayLike) -> NDArray[np.float64]:
         """Return the (...,) lateral position of the mean line at x [m]."""
         return lateral(self.gaussian.mean, x)
@@ -154,6 +181,10 @@ class MapLine:
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+
+
+def _class_name(value: object) -> str:
+    return type(value).__name__
 
 
 @np.errstate(over="ignore", invalid="ignore")

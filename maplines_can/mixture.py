@@ -68,8 +68,9 @@ class GaussianMixture:
     def overall(self) -> Gaussian:
         """The Gaussian with the mean and covariance of the mixture."""
         mean = self.weights @ self.means
-        d = self.means - mean
-        cov = np.einsum("k,kij->ij", self.weights, self.covs + d[:, :, None] * d[:, None, :])
+        with np.errstate(over="ignore", invalid="ignore"):  # Gaussian raises for such a result
+            d = self.means - mean
+            cov = np.einsum("k,kij->ij", self.weights, self.covs + d[:, :, None] * d[:, None, :])
         return Gaussian(mean, (cov + cov.T) / 2)
 
     def marginal(self, indices: ArrayLike) -> GaussianMixture:

@@ -3,6 +3,7 @@
 import struct
 from collections import Counter
 from enum import Enum
+from types import SimpleNamespace
 from typing import Any
 
 from maplines_can.line import MapLine, Slot
@@ -20,6 +21,8 @@ class Reason(Enum):
 
 class FakeCodec:
     """Page: number, counter, slot, 0, age [ms], y_off [mm]."""
+
+    layout = SimpleNamespace(max_age=60.0)
 
     def __init__(self) -> None:
         self.counters: Counter[Any] = Counter()

@@ -278,7 +278,9 @@ class Testbed:
 
     def send(self, scene: Any) -> Any:
         """Start a sender; return it and when it reported its start [s, monotonic]."""
-        sender = Process(*MAPLINES, "send", *self.on, "--scenario", scene, "--rate", "20")
+        sender = Process(
+            *MAPLINES, "send", *self.on, "--scenario", scene, "--rate", "20", "--standstill"
+        )
         self.scenes.append(scene)
         self.senders.append(sender)
         return sender, sender.wait_for_note("lines of")

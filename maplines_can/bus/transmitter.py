@@ -29,6 +29,7 @@ class TransmitterStats(NamedTuple):
     overruns: int = 0  #: deadlines skipped because the thread was a period late or more
     frames: int = 0  #: frames handed to the interface, those of unfinished transfers included
     retries: int = 0  #: attempts that met a full transmit queue and were repeated
+    expired: int = 0  #: lines sent as too old, because they were not published again in time
     lateness: Lateness = Lateness()  #: of the first frame of each transfer, after its deadline
 
 
@@ -41,12 +42,17 @@ class Transmitter(BackgroundThread):
     to back, and so are the components of one mixture.
 
     Deadlines are absolute (see ``Schedule``): they do not drift.  A deadline that is missed
-    by a period or more is skipped and counted as an overrun.  A line that is not published
-    again is sent again, with a growing age.
+    by a period or more is skipped and counted as an overrun.
+
+    A line that is not published again is sent again, with a growing age.  When its age exceeds
+    ``max_age``, the transmitter no longer vouches for it: the line is sent as "too old" (the
+    greatest raw value of the DBC's Age) and counted as ``expired``, so that no receiver uses it,
+    while the slot stays alive.  Publish at least once per ``max_age``, also for a long period.
 
     The value sent is the latest at encoding time: the deadline, or up to 0.1 s earlier together
-    with another line (see ``TxQueue``).  Freshness is also stamped then; age refers to the
-    deadline.
+    with another line (see ``TxQueue``).  Freshness is also stamped then.  The age that is sent is
+    not less than that of the pose when the first frame is handed to the interface: it allows for
+    4 ms after the deadline, and a transfer that is later is encoded again.
 
     Lines are sent whole or not at all.  After a frame that could not be sent, the rest of its
     transfer is dropped, the line is counted as ``down`` or ``full``, and the next period starts
@@ -60,11 +66,13 @@ class Transmitter(BackgroundThread):
         period: between two transfers of a slot [s].
         fd: send CAN FD frames.
         count: stop when every slot has had this many deadlines; None for ever.
+        max_age: greatest age of a line that is stated [s]; at most, and by default, the greatest
+            that the DBC can state (0.24 s with the project's).
         clock: a monotonic clock [s].
 
     Raises:
         TypeError: ``link`` is neither a link nor a bus.
-        ValueError: ``period`` or ``count`` is out of range.
+        ValueError: ``period``, ``count`` or ``max_age`` is out of range.
         BusError: ``fd`` on a link without CAN FD.
     """
 
@@ -76,12 +84,19 @@ class Transmitter(BackgroundThread):
         period: float = 0.05,
         fd: bool = False,
         count: int | None = None,
+        max_age: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if not 0.001 <= period <= 3600:
             raise ValueError(f"period must be in [0.001, 3600] s, got {period!r} s")
         if count is not None and count < 1:
             raise ValueError(f"count must be 1 or more, or None for ever, got {count!r}")
+        stated = codec.layout.max_age
+        if max_age is not None and not 0 < max_age <= stated:
+            raise ValueError(
+                f"max_age must be above 0 s and at most {stated:g} s, the greatest age that the "
+                f"DBC can state, got {max_age!r} s"
+            )
         link = link_of(link)
         if fd and not link.fd:
             raise BusError(
@@ -90,7 +105,8 @@ class Transmitter(BackgroundThread):
             )
         super().__init__("maplines transmit")
         self._link, self._period, self._clock = link, period, clock
-        self._tx_queue = TxQueue(codec, period, fd=fd, count=count)
+        max_age = stated if max_age is None else max_age
+        self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
         self._counts = TransmitterStats()
         self._lateness = LatenessHistogram()
 
@@ -107,6 +123,7 @@ class Transmitter(BackgroundThread):
         Raises:
             ValueError: ``t_pose_ns`` is more than 1 s ahead of ``time.time_ns()``, or more
                 than 1 h behind.
+            RuntimeError: the transmitter was stopped.
             Exception: the error of the codec or of a callback that ended the thread.
         """
         self._raise_error()
@@ -120,11 +137,20 @@ class Transmitter(BackgroundThread):
                 )
         lines = [line] if isinstance(line, MapLine) else list(line)
         with self._changed:
+            if self._stopping:
+                raise RuntimeError(
+                    "publish must come before stop: this transmitter was stopped and sends "
+                    "nothing; make a new Transmitter"
+                )
             self._tx_queue.put(lines, self._clock(), age)
             self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
-        """Stop sending the line of this slot; the slot may have none."""
+        """Stop sending the line of this slot; the slot may have none.
+
+        The slot's counter stays, so a line that is published later leaves no gap. After `stop`
+        there is nothing left to retract, and nothing happens.
+        """
         with self._changed:
             self._tx_queue.drop(slot)
 
@@ -153,18 +179,20 @@ class Transmitter(BackgroundThread):
 
     def _send(self, transfer: Transfer) -> None:
         sent = retries = 0
-        result = Sent.OK
+        give_up = transfer.deadline + self._period
         lateness = self._clock() - transfer.deadline
-        for frame in transfer.frames:
-            message = _message(frame)
-            result = self._link.send(message)
-            while result is Sent.FULL and self._clock() < transfer.deadline + self._period:
+        while True:
+            while sent == 0 and (now := self._clock()) > transfer.latest:
+                transfer = self._tx_queue.renew(transfer, now)
+            result = self._link.send(_message(transfer.frames[sent]))
+            sent += result is Sent.OK
+            if sent == len(transfer.frames) or result is Sent.DOWN:
+                break
+            if result is Sent.FULL:
+                if self._clock() >= give_up:
+                    break
                 time.sleep(RETRY)  # drivers do not signal that the queue has room again
                 retries += 1
-                result = self._link.send(message)
-            if result is not Sent.OK:
-                break
-            sent += 1
         with self._changed:
             self._lateness.add(lateness)
             self._count(
@@ -174,6 +202,7 @@ class Transmitter(BackgroundThread):
                 overruns=transfer.skipped,
                 frames=sent,
                 retries=retries,
+                expired=result is Sent.OK and transfer.expired,
             )
 
     def _count(self, **steps: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -13,25 +14,40 @@ from .schedule import Schedule
 
 #: Max lead time of encoding [s]; well below the 1 s freshness window.
 AHEAD = 0.1
+#: Lateness of a transfer that its age allows for [s]; most threads wake up earlier.
+ALLOWANCE = 0.004
+
+
+@dataclass(frozen=True)
+class Published:
+    """A line with the time of its publishing."""
+
+    line: MapLine
+    age: float  #: of the pose at the time of publishing [s]
+    at: float  #: time of publishing [s]
+
+    def with_age(self, now: float, max_age: float) -> MapLine:
+        """Return the line with its age at ``now``, infinite if it exceeds ``max_age`` [s]."""
+        age = max(0.0, self.age + now - self.at)
+        return replace(self.line, age=age if age <= max_age else math.inf)
 
 
 class Transfer(NamedTuple):
     """An encoded line of a slot with its deadline."""
 
+    published: Published
     deadline: float  #: [s]
+    latest: float  #: the age that is sent is not too small up to this time [s]
+    counter: int  #: of the first record
     frames: Sequence[Frame]  #: those of all components, if the line is a mixture
-    records: int  #: how many records the frames carry
+    expired: bool  #: the age is sent as "too old"
     skipped: int = 0  #: deadlines of the slot that were missed before this one
 
-
-@dataclass(frozen=True)
-class _Published:
-    line: MapLine
-    age: float  # of the pose at the time of publishing [s]
-    at: float  # time of publishing [s]
-
-    def with_age(self, now: float) -> MapLine:
-        return replace(self.line, age=max(0.0, self.age + now - self.at))
+    @property
+    def records(self) -> int:
+        """How many records the frames carry."""
+        mixture = self.published.line.mixture
+        return 1 if mixture is None else len(mixture.weights)
 
 
 class TxQueue:
@@ -44,7 +60,11 @@ class TxQueue:
     - a repeated value, if its deadline is less than half a period away.
 
     A producer that publishes once a period thus never has an old value sent, and its lines are
-    encoded once a period.  The age of a line encoded ahead is that at its own deadline.
+    encoded once a period.
+
+    The age of a line refers to `ALLOWANCE` after its deadline.  A transfer that is later still is
+    encoded again (see `renew`), so the age is never too small when the first frame is handed over.
+    An age of more than ``max_age`` is sent as "too old", the greatest raw value of the DBC's Age.
 
     If a line that is encoded ahead is not sent, because its deadline was skipped or its slot was
     dropped, the counters have no gap: they advance when a transfer is taken.
@@ -57,12 +77,15 @@ class TxQueue:
         period: between two transfers of a slot [s].
         fd: make CAN FD frames.
         count: number of deadlines of each slot; None for no limit.
+        max_age: greatest age that is stated [s].
     """
 
-    def __init__(self, codec: Codec, period: float, *, fd: bool, count: int | None) -> None:
-        self._codec, self._period, self._fd = codec, period, fd
+    def __init__(
+        self, codec: Codec, period: float, *, fd: bool, count: int | None, max_age: float
+    ) -> None:
+        self._codec, self._period, self._fd, self._max_age = codec, period, fd, max_age
         self._schedule: Schedule[Slot] = Schedule(period, count)
-        self._published: dict[Slot, _Published] = {}
+        self._published: dict[Slot, Published] = {}
         self._new: set[Slot] = set()  # published since they were last encoded
         self._ahead: dict[Slot, Transfer] = {}  # encoded, not due yet
         self._counters: Counter[Slot] = Counter()  # of the next record to be sent
@@ -76,7 +99,7 @@ class TxQueue:
             if line.slot not in self._published:
                 self._schedule.add(line.slot, line.slot / len(Slot), now)
             own = line.age if age is None else age
-            self._published[line.slot] = _Published(line, own, now)
+            self._published[line.slot] = Published(line, own, now)
             self._new.add(line.slot)
 
     def drop(self, slot: Slot) -> None:
@@ -111,6 +134,19 @@ class TxQueue:
         self._counters[due.key] += transfer.records
         return transfer._replace(skipped=due.skipped)
 
+    def renew(self, transfer: Transfer, now: float) -> Transfer:
+        """Return a late transfer, encoded again for the time when it will be twice as late.
+
+        The age of a transfer that cannot be sent for a long time thus exceeds the true one by no
+        more than the lateness, and few renewals are needed.  The counters stay: no frame of the
+        transfer may have been sent.
+        """
+        latest = now + max(ALLOWANCE, now - transfer.deadline)
+        line = transfer.published.with_age(latest, self._max_age)
+        counters = {line.slot: transfer.counter}
+        (frames,) = self._codec.encode_lines([line], fd=self._fd, counters=counters)
+        return transfer._replace(latest=latest, frames=frames, expired=line.age == math.inf)
+
     def _encode(self, slot: Slot, deadline: float) -> None:
         deadlines = {slot: deadline}
         for other in self._published.keys() - self._ahead.keys() - {slot}:
@@ -118,11 +154,18 @@ class TxQueue:
             if self._may_be_ahead(other, then, deadline):
                 deadlines[other] = then
         order = sorted(deadlines, key=deadlines.__getitem__)
-        batch = [self._published[each].with_age(deadlines[each]) for each in order]
+        latest = {each: deadlines[each] + ALLOWANCE for each in order}
+        batch = [self._published[each].with_age(latest[each], self._max_age) for each in order]
         encoded = self._codec.encode_lines(batch, fd=self._fd, counters=self._counters)
-        for line, frames in zip(batch, encoded, strict=True):
-            records = 1 if line.mixture is None else len(line.mixture.weights)
-            self._ahead[line.slot] = Transfer(deadlines[line.slot], frames, records)
+        for each, line, frames in zip(order, batch, encoded, strict=True):
+            self._ahead[each] = Transfer(
+                self._published[each],
+                deadlines[each],
+                latest[each],
+                self._counters[each],
+                frames,
+                expired=line.age == math.inf,
+            )
         self._new -= deadlines.keys()
 
     def _may_be_ahead(self, slot: Slot, deadline: float, now: float) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..line import Status
 from ..propagation.component_counts import TOLERANCE
 from ..scenarios import Scenario, scenario
 from ..study.figures.picture import draw_round_trip
@@ -18,7 +19,15 @@ from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
 from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
 from .output import counts_text, faults_text, slot_text
 from .parsing import add_command, seconds
-from .sending import LineComponents, add_sending, bitrates, components_text, lines_of
+from .sending import (
+    LineComponents,
+    add_sending,
+    bitrates,
+    components_of,
+    components_text,
+    lines_of,
+    rate_of,
+)
 from .stderr import progress_bar
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -71,10 +80,10 @@ def _demo(arguments: argparse.Namespace) -> int:
         )
     private = arguments.interface == "virtual" and arguments.channel is None
     bitrate, data_bitrate = bitrates(arguments)
-    lines, components = lines_of(scene, codec, arguments)
-    bus = BusSettings(
-        arguments.rate, bitrate, data_bitrate, None if private else bus_settings(arguments)
-    )
+    rate = rate_of(scene, codec, arguments)
+    components = components_of(scene, codec, arguments, rate)
+    lines = lines_of(scene, components, arguments)
+    bus = BusSettings(rate, bitrate, data_bitrate, None if private else bus_settings(arguments))
     shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     with progress_bar(" s", bar_format=shape, leave=False) as progress:
         trip = round_trip(
@@ -116,20 +125,23 @@ def _text(trip: RoundTrip, scene: Scenario, components: Sequence[LineComponents]
 
 def _table(lines: Sequence[LineResult], notes: Sequence[str]) -> list[str]:
     """Return the rows of all lines, with a note on each line if there are notes."""
-    head = ("y_off [m]", "beta [deg]", "c0 [1/km]", "c1 [1/km^2]", "y at 80 m [m]")
-    rows = [" " * 22 + "".join(f"{name:>21}" for name in head)]
+    head = ("y_off [m]", "beta [deg]", "c0 [1/km]", "c1 [1/km^2]", "y at x [m]")
+    rows = [" " * 22 + _columns(head)]
     for i, line in enumerate(lines):
         slot = slot_text(line.slot)
-        sent = _row(line.true_mean, line.true_sigma, line.true_sigma_80m)
+        sent = _row(line, line.true_mean, line.true_sigma, line.true_y, line.true_y_sigma)
         rows.append(f"{slot:<12}{'sent':<10}{sent}")
         indent = " " * 12
-        if line.mean is None or line.sigma is None or line.sigma_80m is None:
+        if line.mean is None or line.sigma is None or line.y is None or line.y_sigma is None:
             rows.append(f"{indent}nothing received")
             continue
+        if line.status == Status.OUT_OF_RANGE.name:
+            rows.append(f"{indent}received  out of range: not usable")
+            continue
         rows += [
-            f"{indent}{'received':<10}{_row(line.mean, line.sigma, line.sigma_80m)}",
-            f"{indent}status {(line.status or '').lower()}; at 80 m: mean off by "
-            f"{1e3 * (line.lateral_error_80m or 0):+.2f} mm, sigma {_ratio(line)}",
+            f"{indent}{'received':<10}{_row(line, line.mean, line.sigma, line.y, line.y_sigma)}",
+            f"{indent}status {(line.status or '').lower()}; at {line.x:g} m: mean off by "
+            f"{1e3 * (line.y - line.true_y):+.2f} mm, sigma {_ratio(line)}",
             f"{indent}KL {line.kl_covered:.4f} nat from the covered target, "
             f"{line.kl:.4f} nat from the sent Gaussian",
             *(f"{indent}{note}" for note in notes[i : i + 1]),
@@ -137,10 +149,17 @@ def _table(lines: Sequence[LineResult], notes: Sequence[str]) -> list[str]:
     return rows
 
 
-def _row(mean: Iterable[float], sigma: Iterable[float], sigma_80m: float) -> str:
+def _row(
+    line: LineResult, mean: Iterable[float], sigma: Iterable[float], y: float, y_sigma: float
+) -> str:
     scales = (1, np.degrees(1), 1e3, 1e6)
     cells = [f"{m * k:.3f} ± {_sigma(s * k)}" for m, s, k in zip(mean, sigma, scales, strict=True)]
-    return "".join(f"{cell:>21}" for cell in [*cells, f"± {_sigma(sigma_80m)}"])
+    cells.append(f"{y:.3f} ± {_sigma(y_sigma)} at {line.x:g} m")
+    return _columns(cells)
+
+
+def _columns(cells: Sequence[str]) -> str:
+    return "".join(f"{cell:>22}" for cell in cells[:-1]) + f"{cells[-1]:>27}"
 
 
 def _sigma(value: float) -> str:
@@ -148,10 +167,10 @@ def _sigma(value: float) -> str:
 
 
 def _ratio(line: LineResult) -> str:
-    """Return the change of the standard deviation at 80 m in percent."""
-    if not line.true_sigma_80m or line.sigma_80m is None:
+    """Return the change of the standard deviation of y in percent."""
+    if not line.true_y_sigma or line.y_sigma is None:
         return "unchanged"
-    return f"{100 * (line.sigma_80m / line.true_sigma_80m - 1):+.1f} %"
+    return f"{100 * (line.y_sigma / line.true_y_sigma - 1):+.1f} %"
 
 
 def _counters(trip: RoundTrip) -> list[str]:

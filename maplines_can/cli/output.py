@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, TextIO
 
 import numpy as np
 
-from ..line import PARAMETERS, MapLine
+from ..line import PARAMETERS, MapLine, Status
 from ..wire import SlotStats
 
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
@@ -24,12 +25,16 @@ def slot_text(slot: str) -> str:
 
 
 def line_text(line: MapLine) -> str:
-    """Return a line as one row of text."""
-    slot = slot_text(line.slot.name)
+    """Return a line as one row of text; if it is not usable, the reason instead of its values."""
+    status = line.status.name.replace("_", " ").lower()
+    head = f"{(line.t_ns or 0) / 1e9:.3f}  {slot_text(line.slot.name):<10}  {status:<9}  "
+    if line.status is Status.OUT_OF_RANGE:
+        return f"{head}not usable: the line does not fit the message"
+    if not line.is_usable:
+        return f"{head}not usable: too old, the sender no longer vouches for it"
     mean, sigma = line.gaussian.mean, line.gaussian.sigma
     return (
-        f"{(line.t_ns or 0) / 1e9:.3f}  {slot:<10}  {line.status.name.lower():<9}  "
-        f"y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
+        f"{head}y_off {mean[0]:+.3f} ± {sigma[0]:.3f} m  beta {np.degrees(mean[1]):+.2f} ± "
         f"{np.degrees(sigma[1]):.2f} deg  c0 {1e3 * mean[2]:+.3f} ± {1e3 * sigma[2]:.3f} /km  "
         f"c1 {1e6 * mean[3]:+.2f} ± {1e6 * sigma[3]:.2f} /km^2  "
         f"x {line.x_min:.0f}..{line.x_max:.0f} m  age {1e3 * line.age:.0f} ms"
@@ -37,7 +42,7 @@ def line_text(line: MapLine) -> str:
 
 
 def line_dict(line: MapLine) -> dict[str, Any]:
-    """Return all fields of a line, for JSON."""
+    """Return all fields of a line, for JSON; an infinite age is None."""
     return {
         "t": None if line.t_ns is None else line.t_ns / 1e9,
         "slot": line.slot.name,
@@ -45,7 +50,7 @@ def line_dict(line: MapLine) -> dict[str, Any]:
         "status": line.status.name,
         "x_min": line.x_min,
         "x_max": line.x_max,
-        "age": line.age,
+        "age": line.age if math.isfinite(line.age) else None,
         "components": 1 if line.mixture is None else len(line.mixture.weights),
         "mean": dict(zip(PARAMETERS, line.gaussian.mean.tolist(), strict=True)),
         "cov": line.gaussian.cov.tolist(),

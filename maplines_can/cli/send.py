@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from ..bus import Link, Transmitter
-from ..scenarios import scenario
+from ..bus.schedule import Schedule
+from ..scenarios import Scenario, scenario
 from .options import (
     add_bus,
     add_codec,
@@ -21,12 +24,32 @@ from .options import (
 )
 from .output import faults_text, slot_text
 from .parsing import add_command, natural
-from .sending import add_sending, components_text, frame_format_text, lines_of
+from .sending import (
+    AMPLITUDE,
+    SINE_PERIOD,
+    SPEED,
+    LineComponents,
+    add_sending,
+    components_of,
+    components_text,
+    frame_format_text,
+    lines_of,
+    rate_of,
+    weaving_ego,
+)
 from .stderr import note
 
-DESCRIPTION = """\
+#: Bounds of how often the lines are computed [1/s]. A line must not become too old with a low
+#: --rate; with a high one it is sent again with a greater age.
+LEAST_RATE, MOST_RATE = 20.0, 50.0
+
+DESCRIPTION = f"""\
 Send the lines of a scene until Ctrl-C, each as a Gaussian over its lateral offset, heading,
-curvature and curvature rate. Then print the counters."""
+curvature and curvature rate. Then print the counters.
+
+The car drives along the road of the scene at {SPEED:g} m/s and weaves within its lane: its
+lateral offset is a sine of {AMPLITUDE:g} m and {SINE_PERIOD:g} s. The lines are computed anew from
+each pose, at --rate, but at least {LEAST_RATE:g} and at most {MOST_RATE:g} times a second."""
 
 
 def add_send(commands: Any) -> None:
@@ -42,32 +65,38 @@ def add_send(commands: Any) -> None:
         metavar="N",
         help="stop after sending each line N times (default: send until Ctrl-C)",
     )
+    parser.add_argument(
+        "--standstill",
+        action="store_true",
+        help="the car stands at the pose of the scene: the lines stay the same, with a new age",
+    )
     add_faults(parser)
     add_json(parser, "the counters")
 
 
 def _send(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
-    lines, components = lines_of(scenario(arguments.scenario), codec, arguments)
+    scene = scenario(arguments.scenario)
+    rate = rate_of(scene, codec, arguments)
+    components = components_of(scene, codec, arguments, rate)
     opener = fault_opener(arguments)
     with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
-            link, codec, period=1 / arguments.rate, fd=arguments.fd, count=arguments.count
+            link, codec, period=1 / rate, fd=arguments.fd, count=arguments.count
         )
         try:
             with transmitter:
-                transmitter.publish(lines)
                 if not arguments.json:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
                     frame_format = frame_format_text(codec, fd=arguments.fd)
                     note(
-                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, "
-                        f"{frame_format}, {arguments.rate:g} Hz, {until}"
+                        f"{len(components)} lines of {arguments.scenario} on {link.name}, "
+                        f"{frame_format}, {rate:g} Hz, {until}"
                     )
                     if arguments.components != 1:
                         for line in components:
                             note(f"{slot_text(line.slot)}: {components_text(line)}")
-                transmitter.wait()
+                _publish(transmitter, scene, components, arguments, rate)
         except KeyboardInterrupt:
             pass
         stats, faults = transmitter.stats(), fault_counts(opener)
@@ -87,3 +116,27 @@ def _send(arguments: argparse.Namespace) -> int:
             lateness = ", ".join(f"{1e3 * value:.2f}" for value in stats.lateness)
             print(f"late by {lateness} ms (median, 99 %, maximum)")
         return 0
+
+
+def _publish(
+    transmitter: Transmitter,
+    scene: Scenario,
+    components: Sequence[LineComponents],
+    arguments: argparse.Namespace,
+    rate: float,
+) -> None:
+    """Publish the lines of the car, from pose to pose, until the transmitter ends."""
+    lines = lines_of(scene, components, arguments)
+    start = time.monotonic()
+    schedule: Schedule[str] = Schedule(1 / min(max(rate, LEAST_RATE), MOST_RATE))
+    schedule.add("pose", 0.0, start)
+    pause = 0.0
+    while not transmitter.wait(pause):
+        now, t_pose_ns = time.monotonic(), time.time_ns()
+        if schedule.take(now):
+            if not arguments.standstill:
+                lines = lines_of(scene, components, arguments, weaving_ego(scene, now - start))
+            transmitter.publish(lines, t_pose_ns)
+        after = time.monotonic()
+        # At least half of the time is left to the transmitter's thread.
+        pause = max(schedule.wait(after) or 0.0, after - now)

@@ -1,14 +1,16 @@
-"""Options of ``send`` and ``demo``, and the number of components that a bus-load limit allows."""
+"""Options of ``send`` and ``demo``, the lines that they send, and how many components each has."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ..bus import bus_load, transfers_within
+from ..gaussian import Gaussian
 from ..line import MapLine
 from ..propagation import MapError, Refit, component_counts, map_lines, nonlinearity
 from ..propagation.component_counts import remaining_nonlinearity
@@ -18,6 +20,11 @@ from .parsing import number
 
 #: Default bus-load limit for --components auto.
 MAX_LOAD = 0.3
+#: How often each line is sent if neither --rate nor the DBC states it [1/s].
+DEFAULT_RATE = 20.0
+#: Speed of the car of a scene along its road [m/s], and the lateral sine by which it weaves within
+#: its lane: amplitude [m] and period [s].
+SPEED, AMPLITUDE, SINE_PERIOD = 10.0, 0.3, 10.0
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class LineComponents:
 
 
 def add_sending(parser: argparse.ArgumentParser) -> None:
-    """Add the options for ``lines_of``: scene, lines, rate and components."""
+    """Add the options of the lines: scene, number, rate, components and map error."""
     add = parser.add_argument
     add(
         "--scenario",
@@ -50,9 +57,9 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     add(
         "--rate",
         type=number(float, 1e-3, 1000),
-        default=20.0,
         metavar="HZ",
-        help="how often each line is sent [1/s] (default: 20)",
+        help="how often each line is sent [1/s] (default: as GenMsgCycleTime of the DBC says, of "
+        f"several lines the shortest; {DEFAULT_RATE:g} without it)",
     )
     add(
         "--components",
@@ -78,35 +85,68 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def lines_of(
-    scenario: Scenario, codec: Codec, arguments: argparse.Namespace
-) -> tuple[list[MapLine], list[LineComponents]]:
-    """Return the lines to send, and the number of components of each.
+def rate_of(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> float:
+    """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
+    if arguments.rate is not None:
+        return float(arguments.rate)
+    messages = codec.layout.messages
+    slots = [line.slot for line in scenario.lines[: arguments.lines] if line.slot in messages]
+    cycles = [messages[slot].cycle_ms for slot in slots if messages[slot].cycle_ms]
+    return 1000 / min(cycles) if cycles else DEFAULT_RATE
+
+
+def components_of(
+    scenario: Scenario, codec: Codec, arguments: argparse.Namespace, rate: float
+) -> list[LineComponents]:
+    """Return the number of components of each line, as the options say.
 
     Raises:
         ValueError: the lines exceed ``--max-load``.
     """
-    components = choose_components(
+    return choose_components(
         scenario,
         codec,
         arguments.lines,
         components=arguments.components,
-        rate=arguments.rate,
+        rate=rate,
         fd=arguments.fd,
         bitrate=bitrates(arguments)[0],
         max_load=arguments.max_load,
     )
+
+
+def lines_of(
+    scenario: Scenario,
+    components: Sequence[LineComponents],
+    arguments: argparse.Namespace,
+    ego: Gaussian | None = None,
+) -> list[MapLine]:
+    """Return the lines as seen from a pose; None for that of the scene."""
     map_error = None
     if arguments.map_error:
         map_error = MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
-    lines = map_lines(
+    return map_lines(
         scenario.lines[: arguments.lines],
-        scenario.ego,
+        scenario.ego if ego is None else ego,
         scenario.window,
         components=[line.components for line in components],
         map_error=map_error,
     )
-    return lines, components
+
+
+def weaving_ego(scenario: Scenario, t: float) -> Gaussian:
+    """Return the pose at time t [s] of a car that weaves within its lane at ``SPEED``.
+
+    Its offset to the left is a sine, and its heading relative to the road is the slope of its path.
+    The road ahead stays that of the scene, as it does on a straight or circular road.
+
+    >>> weaving_ego(SCENARIOS["production"], 2.5).mean.round(9)  # at the end to the left
+    array([0. , 0.3, 0. ])
+    """
+    phase = 2 * np.pi * t / SINE_PERIOD
+    slope = 2 * np.pi / SINE_PERIOD * AMPLITUDE * np.cos(phase) / SPEED
+    offset = [0.0, AMPLITUDE * np.sin(phase), np.arctan(slope)]
+    return Gaussian(scenario.ego.mean + offset, scenario.ego.cov)
 
 
 def bitrates(arguments: argparse.Namespace) -> tuple[int, int | None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -90,8 +91,8 @@ def predict_to(
     predicted further, or sent. The age of the measurement is only known from the received line.
 
     The status determines how the covariance is predicted. For UNKNOWN only the mean is
-    transformed; the covariance stays ``VAGUE_SIGMA``. For OUT_OF_RANGE only the time
-    changes. For DIAGONAL the covariance is predicted as if all correlations were zero.
+    transformed; the covariance stays ``VAGUE_SIGMA``. For DIAGONAL the covariance is predicted as
+    if all correlations were zero.
 
     Args:
         line: a line with its reception time.
@@ -103,8 +104,9 @@ def predict_to(
         transform: moment transform, see ``predict``.
 
     Raises:
-        ValueError: the line was not received (``t_ns`` is None), the time is more
-            than 10 s from its pose, or a value or dimension is wrong.
+        ValueError: the line is not usable (its status is OUT_OF_RANGE or its age is infinite, see
+            ``MapLine.is_usable``) or was not received (``t_ns`` is None), the time is more than
+            10 s from its pose, or a value or dimension is wrong.
         IllPosedError: see ``predict``.
 
     >>> line = MapLine(0, Gaussian([1.75, 0.01, 0, 0], np.diag([0.1, 0.01, 1e-4, 1e-6]) ** 2),
@@ -113,6 +115,11 @@ def predict_to(
     >>> now.gaussian.mean.round(4) + 0.0, round(now.x_max, 2), now.age  # 0.1 s and 2 m on
     (array([1.77, 0.01, 0.  , 0.  ]), 77.94, 0.0)
     """
+    if line.status is Status.OUT_OF_RANGE:
+        raise ValueError(
+            f"line must be usable, got {line.slot.name} with status OUT_OF_RANGE, which has "
+            "neither mean nor covariance; check line.is_usable first"
+        )
     away_ns = t_ns - pose_time_ns(line)
     if not abs(away_ns) <= MAX_TIME * 1e9:
         raise ValueError(
@@ -131,8 +138,6 @@ def predict_to(
     else:
         displacement = motion
     _check_displacement(displacement)
-    if line.status == Status.OUT_OF_RANGE:
-        return replace(line, t_ns=t_ns, age=0.0)
     window = line.x_min, line.x_max
     x_min, x_max = _valid_range(line.gaussian.mean, displacement, window)
     missing = max(0.0, MIN_WINDOW - (window[1] - window[0]))
@@ -155,12 +160,13 @@ def predict_to(
 def pose_time_ns(line: MapLine) -> int:
     """Return the time of the pose that a received line refers to, on the receiver's clock [ns].
 
-    This is the reception time minus the age; the transmission time is neglected. An age
-    at the end of the DBC's range (248 ms) means 248 ms or more: the pose may then be older
-    than the result, and the line should not be used.
+    This is the reception time minus the age; the transmission time is neglected. The age is
+    rounded up, so the pose may be younger by one step of the age and the lateness that the
+    transmitter allows for: up to 12 ms with the project's DBC.
 
     Raises:
-        ValueError: the line was not received: its ``t_ns`` is None.
+        ValueError: the line was not received (``t_ns`` is None), or its age is infinite: the pose
+            is too old, or its time unknown.
 
     >>> pose_time_ns(MapLine.mean_only(0, [1.75, 0, 0, 0], age=0.04, t_ns=1_000_000_000))
     960000000
@@ -169,6 +175,11 @@ def pose_time_ns(line: MapLine) -> int:
         raise ValueError(
             "line.t_ns must be the reception time [ns], got None; set it with "
             "dataclasses.replace(line, t_ns=...), or use predict(line.gaussian, displacement, ...)"
+        )
+    if not math.isfinite(line.age):
+        raise ValueError(
+            f"line.age must be finite, got {line.age} s for {line.slot.name}: its pose is too old, "
+            "or its time unknown; check line.is_usable first"
         )
     return line.t_ns - round(line.age * 1e9)
 
@@ -182,6 +193,7 @@ def _check_displacement(displacement: Gaussian) -> None:
         )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # the constructor of the result raises
 def _valid_range(
     mean: NDArray[np.float64], displacement: Gaussian, window: Sequence[float]
 ) -> tuple[float, float]:

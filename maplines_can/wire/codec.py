@@ -127,7 +127,8 @@ class Codec:
         A value that does not fit is never clipped silently; the status reports it. An indefinite
         covariance is replaced by the nearest one that covers it (REPAIRED). A value beyond the end
         of its range is covered by a wider covariance (SATURATED), or if the widest covariance does
-        not cover it, the line is OUT_OF_RANGE.
+        not cover it, the line is OUT_OF_RANGE. So it is if no valid range within the given one can
+        be stated.
 
         Args:
             means: (N, 4) lines [m, rad, 1/m, 1/m^2].

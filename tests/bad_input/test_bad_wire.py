@@ -33,7 +33,7 @@ from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError
         ("encode(x_min=9, x_max=0)", EncodeError, "x_min.*x_max"),
         ("encode(x_max=nan)", EncodeError, "x_max.*nan"),
         ("encode(age=-1)", EncodeError, "age.*-1"),
-        ("encode(age=inf)", EncodeError, "age.*inf"),
+        ("encode(age=nan)", EncodeError, "age.*nan"),
         ("encode(counter=0.5)", EncodeError, "Counter.*0.5"),
         ("encode(counter=nan)", EncodeError, "Counter.*nan"),
         ("encode(counter=[1, 2])", ValueError, "."),

@@ -60,7 +60,7 @@ def test_a_slow_sender_signs_just_before_it_sends(clock: Any, period: float) -> 
     """At any rate no line is older than 0.1 s, so the window can be short."""
     sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
     decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
-    tx_queue = TxQueue(sender, period, fd=True, count=3)
+    tx_queue = TxQueue(sender, period, fd=True, count=3, max_age=1.0)
     tx_queue.put(scene_lines(scenario("highway"), 8), 0.0)
     now, answers = 0.0, []
     while not tx_queue.over:

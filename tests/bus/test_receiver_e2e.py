@@ -31,8 +31,12 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
         for thread in threads:
             thread.start()
         with Transmitter(links[0], codec, period=0.02) as transmitter:
-            transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
-            wait_until(lambda: receiver.latest(SLOT).usable)
+
+            def usable() -> bool:
+                transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
+                return receiver.latest(SLOT).usable
+
+            wait_until(usable)
         wait_until(lambda: receiver.latest(SLOT).stale)
         wait_until(lambda: receiver.latest(SLOT).state is E2EState.INVALID)
         assert receiver.latest(SLOT).line.gaussian.mean[0] == 1.75  # type: ignore[union-attr]

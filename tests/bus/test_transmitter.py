@@ -25,6 +25,7 @@ from maplines_can.bus import (
     Receiver,
     Transmitter,
 )
+from maplines_can.bus.tx_queue import ALLOWANCE
 from maplines_can.errors import BusError
 from maplines_can.line import Slot
 from maplines_can.wire import Codec, Frame
@@ -81,7 +82,7 @@ def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
         transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
         drive(transmitter, clock, 1000.5)
-        assert sent_values(opener)[0][0] == 2000
+        assert sent_values(opener)[0][0] == 2000 + 1000 * ALLOWANCE
 
 
 @pytest.mark.parametrize("t_pose_ns", [0, 2**62])

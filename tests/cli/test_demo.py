@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dbcs import edited
 from scenes import lines_timed_out, scene_lines
 
 from maplines_can import Codec, Link, Slot, Transmitter, scenario
@@ -30,8 +31,9 @@ def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
     assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
     for line in result["lines"]:
         assert line["kl_covered"] < 0.02
-        assert abs(line["lateral_error_80m"]) < 0.005
-        assert 1 <= line["sigma_80m"] / line["true_sigma_80m"] < 1.06
+        assert line["x"] in (72, 80)
+        assert abs(line["y"] - line["true_y"]) < 0.005
+        assert 1 <= line["y_sigma"] / line["true_y_sigma"] < 1.06
 
 
 def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -40,7 +42,7 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     picture = tmp_path / "demo.png"
     assert main(["demo", "--seconds", "0.2", "--map-error", "0.1", "--plot", str(picture)]) == 0
     text = capsys.readouterr().out
-    for words in ("ego left", "next right", "KL", "at 80 m", "bus load  8.6 % at 500 kbit/s"):
+    for words in ("ego left", "next right", "KL", "at 72 m", "bus load  8.6 % at 500 kbit/s"):
         assert words in text
     assert re.search(r"lost +\d+ lines, 0 frames", text)
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -118,11 +120,11 @@ def test_the_number_of_components_is_printed(
 
 
 def test_the_default_scene_is_the_production_car(capsys: pytest.CaptureFixture[str]) -> None:
-    """Its lateral sigma at 80 m is below a metre."""
+    """Its lateral sigma is below a metre as far as the lines reach."""
     assert main(["demo", "--seconds", "0.1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["scenario"] == "production"
-    assert all(line["true_sigma_80m"] < 1 for line in result["lines"])
+    assert all(line["true_y_sigma"] < 1 for line in result["lines"])
     assert np.allclose(scenario("production").ego.sigma, [0.3, 0.1, np.radians(0.5)])
 
 
@@ -144,3 +146,45 @@ def test_nonlinearity_is_printed_for_mixtures_only(capsys: pytest.CaptureFixture
     text = capsys.readouterr().out
     assert "2 components, nonlinearity" in text
     assert "\nnonlinearity: share" in text
+
+
+def test_item_11_lines_are_compared_within_their_valid_range(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """At the end of the range where it is before 80 m; the picture goes no farther, either."""
+    figure_module = pytest.importorskip("matplotlib.figure")
+    figures: list[Any] = []
+    monkeypatch.setattr(
+        figure_module.Figure, "savefig", lambda figure, *_, **__: figures.append(figure)
+    )
+    arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
+    assert main([*arguments, "--json", "--plot", str(tmp_path / "turn.png")]) == 0
+    lines = json.loads(capsys.readouterr().out)["lines"]
+    sent = {line.slot.name: line for line in scene_lines(scenario("street-turn"))}
+    for line in lines:
+        true = sent[line["slot"]]
+        assert 0 < line["x"] <= true.x_max < 30
+        assert line["true_y"] == true.y(line["x"])
+        assert line["true_y_sigma"] == true.y_sigma(line["x"])
+        assert abs(line["y"] - line["true_y"]) < 0.005
+        assert line["y_sigma"] < 10
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert "80 m" not in text
+    assert f"± {lines[0]['y_sigma']:.3f} at {lines[0]['x']:g} m" in text
+    drawn = [
+        curve.get_xdata() for curve in figures[0].axes[0].lines if curve.get_linestyle() == "--"
+    ]
+    assert [x.max() for x in drawn] == pytest.approx([line["x"] for line in lines], abs=0.3)
+    assert all(x.max() <= line["x"] for x, line in zip(drawn, lines, strict=True))
+
+
+def test_item_1_a_line_out_of_range_is_not_printed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """It has no values that could be compared."""
+    dbc = edited(tmp_path, (r"(SG_ XMin\b.*?)\(8,-32\) \[-32\|24\]", r"\1(8,-160) [-160|-104]"))
+    assert main(["demo", "--dbc", str(dbc), "--seconds", "0.1", "--lines", "1"]) == 0
+    text = capsys.readouterr().out
+    assert "received  out of range: not usable" in text
+    assert "nat from" not in text

@@ -390,14 +390,21 @@ def test_a_line_of_unknown_covariance() -> None:
     assert np.array_equal(now.gaussian.mean, transform_line(MEAN, motion.over(0.1).mean, WINDOW))
 
 
-def test_a_line_out_of_range_changes_only_its_time() -> None:
-    """It has no usable Gaussian; received data does not raise."""
-    saturated = Gaussian([0.0, 0.4999, 0.125, 0.03], np.diag(np.square(VAGUE_SIGMA)))  # type: ignore[arg-type]
-    line = replace(received(), gaussian=saturated, status=Status.OUT_OF_RANGE)
-    now = predict_to(line, 1_060_000_000, Motion(20.0, 0.1))
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        pytest.param({"status": Status.OUT_OF_RANGE}, "OUT_OF_RANGE.*check line.is_usable"),
+        pytest.param({"age": np.inf}, "age must be finite.*check line.is_usable"),
+    ],
+)
+def test_item_1_a_line_that_is_not_usable_is_not_predicted(change: Any, words: str) -> None:
+    """Out of range it has no Gaussian, and without an age no time."""
+    line = replace(received(), **change)
 
-    assert (now.status, now.gaussian) == (Status.OUT_OF_RANGE, saturated)
-    assert (now.t_ns, now.age) == (1_060_000_000, 0.0)
+    assert received().is_usable
+    assert not line.is_usable
+    with pytest.raises(ValueError, match=words):
+        predict_to(line, 1_060_000_000, Motion(20.0, 0.1))
 
 
 def test_a_line_without_reception_time_raises() -> None:

@@ -25,7 +25,7 @@ def test_demo_reports_the_faults(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(command) == 0
     text = capsys.readouterr().out
     (sent,) = re.findall(r"^sent .* (\d+) frames$", text, re.MULTILINE)
-    (lost,) = re.findall(r"^lost .* (\d+) frames$", text, re.MULTILINE)
+    (lost,) = re.findall(r"^lost .*? (\d+) frames\b", text, re.MULTILINE)
     (line,) = re.findall(r"^faults    .*", text, re.MULTILINE)
     done = {name: int(n) for n, name in re.findall(r"(\d+) (\w+)", line)}
     assert done["frames"] == int(sent)

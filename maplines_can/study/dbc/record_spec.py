@@ -60,7 +60,8 @@ _EXTENT = (
         why="0 to 248 m, beyond the range of any camera"),
     SignalSpec(
         name="Age", bits=5, factor=8, unit="ms",
-        about="Time from the pose to the transmission, rounded up; 248 means this or more.",
+        about="Time from the pose to the transmission, rounded up; "
+        "the greatest raw value means too old, or unknown.",
         why="a step is 24 cm of travel at 30 m/s, along the line where it matters least"),
 )
 _COMPONENT = (

@@ -73,6 +73,10 @@ def _draw_line(axes: Any, line: MapLine, colour: str, received: MapLine | None) 
     ax.annotate(name, (x[-1], y[-1]), (4, 0), textcoords="offset points", color=colour, va="center")
     if received is None:
         return
+    if not received.is_usable:
+        return
+    known = (x >= received.x_min) & (x <= received.x_max)
+    x, sigma = x[known], sigma[known]
     y, half = received.y(x), Z99 * received.y_sigma(x)
     ax.plot(x, y, color="0.15", lw=1.1, ls="--")
     for edge in (y - half, y + half):

@@ -62,6 +62,7 @@ def quantized_weights(weights: Array, steps: int) -> NDArray[np.int64]:
     return multiples
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def deficit(
     weights: Array, means: Array, covs: Array, decoded_weights: Array, decoded_means: Array
 ) -> Array:
@@ -91,9 +92,12 @@ def deficit(
     own = covs + d[..., :, None] * d[..., None, :]
     gap = T - total(decoded_weights, decoded_means, own, decoded_mean)
     scale = np.sqrt(np.einsum("nii->ni", T))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = np.where((scale > 0) & (scale < np.inf), scale, 1.0)
     scale2 = scale[:, :, None] * scale[:, None, :]
-    values, vectors = np.linalg.eigh(gap / scale2)
+    gap /= scale2
+    # On overflow some component is so far out of range that its own record is OUT_OF_RANGE.
+    gap[~np.isfinite(gap).all(axis=(1, 2))] = 0.0
+    values, vectors = np.linalg.eigh(gap)
     # A little more than the gap, so that a check with another algorithm's rounding passes.
     values = np.where(values > 0, values * (1 + 1e-6), 0.0)
     return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1) * scale2

@@ -119,6 +119,11 @@ class Layout:
         """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
         return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
 
+    @property
+    def max_age(self) -> float:
+        """Greatest age that a record can state [s]; the greatest raw value means "too old"."""
+        return self["Age"].physical_one(self["Age"].raw_max - 1) / 1000
+
     @cached_property
     def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
         """Map from (CAN ID, extended) to (slot, is_whole_record)."""

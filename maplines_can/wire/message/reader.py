@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -37,9 +38,9 @@ class Batch:
     verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``
     kind: NDArray[np.int64]  #: (N,) as ``Kind``
-    x_min: NDArray[np.float64]  #: (N,) [m]; equals x_max if the range is shorter than one step
+    x_min: NDArray[np.float64]  #: (N,) [m]
     x_max: NDArray[np.float64]  #: (N,) [m]
-    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]
+    age: NDArray[np.float64]  #: (N,) time from the pose to the sending [s]; inf if too old
     component_index: NDArray[np.int64]  #: (N,)
     component_count: NDArray[np.int64]  #: (N,)
     component_weight: NDArray[np.float64]  #: (N,)
@@ -76,6 +77,7 @@ class RecordReader:
         self._signals = layout.signals
         self._pages = layout.pages
         self._mean = [layout[name] for name in PARAMETER_SIGNALS]
+        self._too_old = layout["Age"].raw_max  # an age of this raw value or more is not stated
         self._resolution = layout.resolution
         self._covariance = covariance
         self._packing = packing
@@ -103,6 +105,7 @@ class RecordReader:
         transfer = raw["Counter"] & self._transfer_mask
         verdict = np.zeros(n, dtype=np.int8)
         invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
+        invalid |= (physical["XMin"] > physical["XMax"]) & (status != Status.OUT_OF_RANGE)
         invalid |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
         if not self._covariance.positive_definite:
             invalid |= ~np.isfinite(cov).all(axis=(1, 2))
@@ -122,7 +125,7 @@ class RecordReader:
             kind=raw["Kind"],
             x_min=np.minimum(physical["XMin"], physical["XMax"]),
             x_max=physical["XMax"],
-            age=physical["Age"] / 1000,
+            age=np.where(raw["Age"] < self._too_old, physical["Age"] / 1000, np.inf),
             component_index=index,
             component_count=count,
             component_weight=physical["ComponentWeight"],
@@ -149,6 +152,10 @@ class RecordReader:
             return Reason.CONTENT
         if index >= count or not 0 < weight <= 1:
             return Reason.CONTENT
+        x_min, x_max = (signals[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+        if x_min > x_max and raw["Status"] != Status.OUT_OF_RANGE:
+            return Reason.CONTENT
+        age = signals["Age"].physical_one(raw["Age"]) / 1000
         mean = np.array([signal.physical_one(raw[signal.name]) for signal in self._mean])
         without_covariance = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
         cov = _VAGUE.copy() if without_covariance else self._covariance.decode_one(raw)
@@ -160,14 +167,13 @@ class RecordReader:
                 cov = nearest_covariance(cov)
                 cov += np.diag(np.maximum(self._resolution, LEAST_VARIANCE * cov.diagonal()))
                 status = Status.REPAIRED
-        x_min, x_max = (signals[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
         line = MapLine(
             slot=slot,
             gaussian=Gaussian.trusted(mean, cov),
             kind=Kind(raw["Kind"]),
             x_min=min(x_min, x_max),
             x_max=x_max,
-            age=signals["Age"].physical_one(raw["Age"]) / 1000,
+            age=age if raw["Age"] < self._too_old else math.inf,
             status=status,
             t_ns=t_ns,
         )

@@ -13,13 +13,13 @@ from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
 from .attributes import RecordAttributes
 from .layout import Layout
 from .packing import Packing
-from .signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID
+from .signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID, Signal
 from .validation import CheckedGaussians
 
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8
-#: Tolerance [steps] of the directed rounding, for the floating-point error of the division.
+#: Tolerance [steps] for the floating-point error of the division, before directed rounding.
 SLACK = 1e-9
 
 
@@ -34,6 +34,7 @@ class RecordWriter:
         self._packing = packing
         self._crc_offset = layout.crc_offset
 
+    @np.errstate(over="ignore", invalid="ignore")  # the status reports what does not fit
     def write(
         self,
         gaussians: CheckedGaussians,
@@ -65,11 +66,13 @@ class RecordWriter:
             raise EncodeError(
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
-        clipped = self._put_valid_range(raw, attributes, n)
+        outside = self._put_valid_range(raw, attributes, n)
         self._put_age_and_weight(raw, attributes, n)
-        self._put_gaussian(raw, gaussians, self._supported(requested), clipped, cover)
+        self._put_gaussian(raw, gaussians, self._supported(requested), cover)
+        raw["Status"] = np.where(outside, Status.OUT_OF_RANGE, raw["Status"])
         return self._protect(raw, data_ids, n)
 
+    @np.errstate(over="ignore", invalid="ignore")
     def decoded_mean(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (..., 4) means that a receiver decodes."""
         columns = zip(self._mean, np.moveaxis(mean, -1, 0), strict=True)
@@ -87,21 +90,20 @@ class RecordWriter:
         raw: dict[str, NDArray[np.int64]],
         gaussians: CheckedGaussians,
         requested: NDArray[np.int64],
-        clipped: NDArray[np.bool_],
         cover: NDArray[np.float64] | None,
     ) -> None:
-        """Add the raw mean, covariance and status; ``clipped``: rows of a clipped valid range."""
+        """Add the raw mean, covariance and status."""
         mean, cov, indefinite = gaussians
+        clipped = np.zeros(len(mean), dtype=bool)
         decoded = np.empty_like(mean)
         for i, signal in enumerate(self._mean):
             nearest = signal.raw(mean[:, i])
             limited = signal.limited(nearest)
-            clipped = clipped | (nearest != limited)
+            clipped |= nearest != limited
             raw[signal.name] = limited.astype(np.int64)
             decoded[:, i] = signal.physical(limited)
-        with np.errstate(over="ignore"):
-            d = mean - decoded
-            error = cov + d[:, :, None] * d[:, None, :]
+        d = mean - decoded
+        error = cov + d[:, :, None] * d[:, None, :]
         if indefinite.any():
             error[indefinite] += nearest_covariance(cov[indefinite]) - cov[indefinite]
         diagonal = requested == Status.DIAGONAL
@@ -133,34 +135,29 @@ class RecordWriter:
         """Add the raw ends of the valid range, rounded inwards.
 
         Returns:
-            (n,) rows whose valid range is longer than the true one, because an end was clipped.
+            (n,) rows of which no range within the given one can be stated.
         """
-        x_min = _finite("x_min", attributes.x_min, n)
-        x_max = _finite("x_max", attributes.x_max, n)
-        clipped = np.zeros(n, dtype=bool)
-        for name, end, inwards, sign in (
-            ("XMin", x_min, np.ceil, 1),
-            ("XMax", x_max, np.floor, -1),
-        ):
-            signal = self.layout[name]
-            steps = (end - signal.offset) / signal.factor
-            wanted = inwards(steps - sign * SLACK)
-            limited = signal.limited(wanted)
-            clipped |= sign * (wanted - limited) > 0
-            raw[name] = limited.astype(np.int64)
+        x_min, x_max = _finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
-        return clipped
+        first, last = self.layout["XMin"], self.layout["XMax"]
+        raw_min, raw_max = (first.limited(_up(first, x_min)), last.limited(_down(last, x_max)))
+        raw |= {"XMin": raw_min.astype(np.int64), "XMax": raw_max.astype(np.int64)}
+        start, end = first.physical(raw_min), last.physical(raw_max)
+        return np.asarray((start < x_min) | (start > end) | (end > x_max))
 
     def _put_age_and_weight(
         self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
     ) -> None:
-        """Add the raw age, rounded up, and the raw weight of the component."""
-        signal, age = self.layout["Age"], 1000 * _finite("age", attributes.age, n)
-        if (age < 0).any():
-            raise EncodeError(f"age must be 0 s or more, got {age.min() / 1000:g}")
-        steps = np.ceil((age - signal.offset) / signal.factor - SLACK)
-        raw["Age"] = signal.limited(steps).astype(np.int64)
+        """Add the raw age, rounded up, and the raw weight of the component.
+
+        The greatest raw age, to which longer ones are limited, means "too old".
+        """
+        signal = self.layout["Age"]
+        age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
+        if not (age >= 0).all():
+            raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
+        raw["Age"] = signal.limited(_up(signal, 1000 * age)).astype(np.int64)
         signal = self.layout["ComponentWeight"]
         weight = _finite("component_weight", attributes.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
@@ -215,6 +212,18 @@ class RecordWriter:
         payload = self._packing.pack_one(raw)
         crc = record_crc_one(payload, data_id, self._crc_offset).to_bytes(CRC_BYTES, "little")
         return payload[: self._crc_offset] + crc + payload[self._crc_offset + CRC_BYTES :]
+
+
+def _up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n,) raw values of the next physical value that is not less."""
+    raw = np.ceil((physical - signal.offset) / signal.factor - SLACK)
+    return raw + (signal.physical(raw) < physical)
+
+
+def _down(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n,) raw values of the next physical value that is not greater."""
+    raw = np.floor((physical - signal.offset) / signal.factor + SLACK)
+    return raw - (signal.physical(raw) > physical)
 
 
 def _without_covariance(status: NDArray[np.int64]) -> NDArray[np.bool_]:

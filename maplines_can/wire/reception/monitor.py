@@ -20,7 +20,8 @@ class SlotView(NamedTuple):
 
     slot: Slot
     line: MapLine | None  #: the newest; None before the first
-    age: float  #: from the time of the line's pose to now [s]; infinite without a line
+    #: from the time of the line's pose to now [s]; infinite if too old, unknown, or without a line
+    age: float
     stale: bool  #: nothing newer came for some cycle times, or there is no line
     state: E2EState  #: of the slot
     status: ProfileStatus | None  #: of the last check; None before the first
@@ -28,11 +29,20 @@ class SlotView(NamedTuple):
 
     @property
     def usable(self) -> bool:
-        """Whether the E2E state is VALID, the line is not stale, and the slot has one sender.
+        """Whether a controller may use the line.
 
-        This does not consider the content of the line: see ``line.status``.
+        The E2E state is VALID, the line is not stale, the slot has one sender, the status of the
+        line is not OUT_OF_RANGE, and its age is finite: the sender vouches for it.
+
+        ``age`` is then at most the greatest age that the DBC can state, plus ``stale_cycles`` cycle
+        times: 240 ms + 150 ms with the project's DBC. It is not less than the true age, except for
+        the time that the first frame of the line spent in the interface's transmit queue and on
+        the bus. If the producer of the lines hangs, no line is therefore usable 390 ms after its
+        pose, plus that time.
         """
-        return self.state is E2EState.VALID and not self.stale and not self.two_senders
+        line = self.line
+        vouched = line is not None and line.is_usable
+        return vouched and self.state is E2EState.VALID and not self.stale and not self.two_senders
 
 
 class Monitor:

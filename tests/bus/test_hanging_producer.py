@@ -1,0 +1,294 @@
+"""A producer that hangs: the line is no longer usable after a stated time.
+
+The tests run on simulated time. The thread wakes up late, the bus takes its time, and frames
+are lost, all at random.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from dbcs import edited
+from fake_bus import FULL, Clock, FakeOpener, map_line
+
+from maplines_can import Codec, Link, MapLine, Monitor, Motion, Slot, Transmitter, predict_to
+from maplines_can.bus.tx_queue import ALLOWANCE
+from maplines_can.line import Status
+from maplines_can.wire import E2EState
+from maplines_can.wire.reception.monitor import STALE_CYCLES
+
+SLOT = Slot.EGO_LEFT
+PERIOD = 0.05
+SPEED, BETA, Y0 = 20.0, 0.09, -20.0  #: the car changes lanes: y grows by 1.8 m/s
+SIGMA = [0.05, 0.003, 1e-4, 1e-5]
+#: Longest time that a frame spends on the bus in these tests [s].
+TRANSIT = 0.003
+
+
+def true_line(t: float, age: float = 0.0) -> MapLine:
+    """Return the line of a pose at time t [s]."""
+    return MapLine.with_sigma(SLOT, [Y0 + SPEED * np.tan(BETA) * t, BETA, 0, 0], SIGMA, age=age)
+
+
+@dataclass
+class Bench:
+    """A transmitter and a monitor on one clock, without threads."""
+
+    codec: Codec
+    rng: np.random.Generator
+    script: list[Any] = field(default_factory=list)
+    max_age: float | None = None
+    lateness: float = 0.0
+    loss: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.clock, self.opener = Clock(), FakeOpener(*self.script)
+        self.start = self.clock.now
+        self.link = Link(self.opener)
+        self.transmitter = Transmitter(
+            self.link, self.codec, period=PERIOD, max_age=self.max_age, clock=self.clock
+        )
+        self.monitor = Monitor(self.codec.decoder())
+        self.lines: list[MapLine] = []
+
+    @property
+    def time(self) -> float:
+        return self.clock.now - self.start
+
+    @property
+    def now_ns(self) -> int:
+        return round(self.time * 1e9)
+
+    def run(self, end: float) -> None:
+        """Send and receive until ``end`` [s], each transfer a little late."""
+        while (step := self.transmitter._tx_queue.wait(self.clock.now)) is not None:
+            if self.time + step > end:
+                break
+            self.clock.now += step + self.rng.uniform(0, self.lateness)
+            transfer = self.transmitter._next_transfer()
+            assert transfer is not None
+            self.transmitter._send(transfer)
+            lost, t_ns = self.rng.random() < self.loss, self.now_ns
+            for i in range(self.opener.sent.qsize()):
+                message = self.opener.sent.get(timeout=0)
+                arrival_ns = t_ns + round(1e9 * self.rng.uniform(0, TRANSIT)) + 250_000 * i
+                if not (lost and i == 0):
+                    answer = self.monitor.feed(message.arbitration_id, message.data, arrival_ns)
+                    if isinstance(answer, MapLine):
+                        self.lines.append(answer)
+        self.clock.now = max(self.clock.now, self.start + end)
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Any]:
+    """Return a function that makes a bench; their links are closed at the end."""
+    made: list[Bench] = []
+
+    def make(*arguments: Any, **settings: Any) -> Bench:
+        made.append(Bench(*arguments, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.link.close()
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_item_1_a_hanging_producer_leaves_no_usable_line(
+    make_bench: Any, codec: Codec, seed: int
+) -> None:
+    """At every moment a usable line is as old as it says, and predicts the truth."""
+    rng = np.random.default_rng(seed)
+    bench = make_bench(Codec.from_dbc(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
+    hang = rng.uniform(1.0, 2.0)
+    pose, produced, used, motion = 0.0, 0.0, 0, Motion(SPEED, 0.0)
+    bound = codec.layout.max_age + STALE_CYCLES * PERIOD
+    for now in np.arange(0.0, 8.0, 0.005):
+        bench.run(now)
+        if now >= produced and now < hang:
+            pose = now - rng.uniform(0, 0.06)
+            bench.transmitter.publish(true_line(pose, age=bench.time - pose))
+            produced += PERIOD
+        view = bench.monitor.latest(SLOT, bench.now_ns)
+        if not view.usable:
+            continue
+        used += 1
+        assert bench.time - hang < bound + TRANSIT
+        assert view.line is not None
+        published = (view.line.gaussian.mean[0] - Y0) / (SPEED * np.tan(BETA))
+        true_age = bench.time - published
+        assert true_age - TRANSIT - 1e-3 <= view.age <= bound
+        predicted = predict_to(view.line, bench.now_ns, motion, time_sigma=0.005)
+        assert abs(predicted.y(0.0) - true_line(bench.time).y(0.0)) < 3 * predicted.y_sigma(0.0)
+    assert used > 100
+    view = bench.monitor.latest(SLOT, bench.now_ns)
+    assert (view.state, view.stale, view.two_senders) == (E2EState.VALID, False, False)
+    assert (view.usable, view.age) == (False, np.inf)
+    stats = bench.transmitter.stats()
+    assert stats.lines - stats.expired < 60
+    assert stats.expired > 100
+    assert bench.monitor.slots(bench.now_ns)[SLOT].ok > 100  # the ECU is known to be alive
+
+
+def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
+    """The next good line is enough: the slot stayed VALID."""
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(0))
+    bench.transmitter.publish(map_line())
+    bench.run(2.0)
+    assert not bench.monitor.latest(SLOT, bench.now_ns).usable
+    bench.transmitter.publish(map_line())
+    bench.run(2.11)
+    assert bench.monitor.latest(SLOT, bench.now_ns).usable
+
+
+@pytest.mark.parametrize("max_age", [0.06, 0.1, None])
+def test_item_1_max_age_is_the_greatest_age_that_is_sent(
+    make_bench: Any, max_age: float | None
+) -> None:
+    """Beyond it the age is "too old"; such lines are counted."""
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(1), max_age=max_age)
+    bench.transmitter.publish(map_line(age=0.01))
+    bench.run(1.0)
+    ages = [line.age for line in bench.lines]
+    limit = 0.24 if max_age is None else max_age
+    assert ages == sorted(ages)
+    assert max(age for age in ages if np.isfinite(age)) <= limit + 0.008
+    stated = sum(0.01 + ALLOWANCE + PERIOD * k <= limit for k in range(20))
+    assert [np.isfinite(age) for age in ages] == [k < stated for k in range(len(ages))]
+    assert bench.transmitter.stats().expired == len(ages) - stated
+
+
+@pytest.mark.parametrize("max_age", [0, -1, 0.241, np.inf, np.nan])
+def test_item_1_a_max_age_that_the_dbc_cannot_state_is_refused(codec: Codec, max_age: Any) -> None:
+    with (
+        Link(FakeOpener()) as link,
+        pytest.raises(ValueError, match=r"max_age must be above 0 s and at most 0\.24 s"),
+    ):
+        Transmitter(link, codec, max_age=max_age)
+
+
+AGE = r"(SG_ Age\b.*?)\(8,0\) \[0\|248\]"
+
+
+@pytest.mark.parametrize(
+    ("conversion", "max_age"),
+    [("(2,0) [0|62]", 0.06), ("(20,0) [0|400]", 0.38), ("(5,10) [10|150]", 0.145)],
+)
+def test_item_1_other_dbcs(make_bench: Any, tmp_path: Any, conversion: str, max_age: float) -> None:
+    """The greatest raw value within the DBC's range, or a greater one, means "too old"."""
+    codec = Codec.from_dbc(edited(tmp_path, (AGE, rf"\1{conversion}")))
+    assert codec.layout.max_age == pytest.approx(max_age)
+    ages = np.linspace(0.0, 0.6, 601)
+    payloads = codec.encode_batch(np.zeros((601, 4)), age=ages)
+    batch = codec.decode_batch(payloads)
+    assert (batch.age >= ages).all()
+    assert ((batch.age == np.inf) == (ages > max_age + 1e-12)).all()
+    assert {codec.decode_one(p.tobytes(), SLOT).age for p in payloads} == set(batch.age)  # type: ignore[union-attr]
+    raw = codec._writer._packing.unpack_one(payloads[0].tobytes())
+    for age in range(codec.layout["Age"].raw_max, 32):
+        data_id = codec.layout.messages[SLOT].data_id
+        payload = codec._writer.protect_one(raw | {"Age": age}, data_id)
+        assert codec.decode_one(payload, SLOT).age == np.inf  # type: ignore[union-attr]
+    bench = make_bench(codec, np.random.default_rng(2))
+    bench.transmitter.publish(map_line())
+    bench.run(1.0)
+    assert bench.lines[0].is_usable
+    assert not bench.lines[-1].is_usable
+
+
+@pytest.mark.parametrize("full", [3, 10, 40])
+def test_item_1_the_age_covers_the_wait_for_the_transmit_queue(
+    make_bench: Any, monkeypatch: pytest.MonkeyPatch, full: int
+) -> None:
+    """A line that waits is encoded again before its first frame, with the same counter."""
+    bench = make_bench(
+        Codec.from_dbc(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full
+    )
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", sleeper := Sleeper(bench.clock))
+    bench.transmitter.publish(map_line())
+    for _ in range(3):
+        bench.run(bench.time + PERIOD)
+    waited = full * sleeper.step
+    assert bench.lines[0].age == 0.008
+    age = bench.lines[1].age
+    assert PERIOD + waited <= age <= PERIOD + max(2 * waited, ALLOWANCE) + 0.008
+    assert bench.monitor.slots(bench.now_ns)[SLOT].lost == 0
+    assert bench.transmitter.stats()[2:6] == (0, 0, 4 * len(bench.lines), full)
+
+
+class Sleeper:
+    """Stands in for the module ``time``: a pause advances the clock."""
+
+    step = 0.001
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+
+    def sleep(self, _: float) -> None:
+        self.clock.now += self.step
+
+
+@pytest.mark.parametrize("too_old", [0, 1, 2])
+def test_item_1_a_mixture_is_as_old_as_its_oldest_component(codec: Codec, too_old: int) -> None:
+    """One component that is too old makes the line too old."""
+    for age, expected in [(np.inf, np.inf), (0.2, 0.2)]:
+        ages = [age if i == too_old else 0.04 for i in range(3)]
+        payloads = codec.encode_batch(
+            np.zeros((3, 4)), np.tile(np.diag([1e-2, 1e-4, 1e-8, 1e-12]), (3, 1, 1)), age=ages,
+            counter=range(3), component_index=range(3), component_count=3,
+            component_weight=[0.25, 0.25, 0.5],
+        )  # fmt: skip
+        decoder = codec.decoder()
+        answers = [
+            decoder.feed(frame.can_id, frame.data, 10**6 * i)
+            for i, payload in enumerate(payloads)
+            for frame in codec.frames(payload, SLOT)
+        ]
+        line = answers[-1]
+        assert isinstance(line, MapLine)
+        assert line.mixture is not None
+        assert line.is_usable == np.isfinite(expected)
+        assert (line.age, line.t_ns) == (expected, 10**6 * too_old)
+
+
+def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
+    """It is sent and received, VALID and new."""
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(4))
+    for k in range(20):
+        bench.transmitter.publish(map_line(y=1000.0))
+        bench.run(PERIOD * k)
+    view = bench.monitor.latest(SLOT, bench.now_ns)
+    assert view.line is not None
+    assert (view.state, view.stale, view.line.status) == (
+        *(E2EState.VALID, False),
+        Status.OUT_OF_RANGE,
+    )
+    assert not view.usable
+
+
+def test_item_10_a_line_retracted_and_published_again_is_not_lost(make_bench: Any) -> None:
+    """Whatever was encoded ahead: the counters have no gap, and nothing is dropped."""
+    bench = make_bench(Codec.from_dbc(), np.random.default_rng(5))
+    for k in range(40):
+        bench.transmitter.publish(map_line(slot) for slot in Slot)
+        bench.run(bench.time + bench.rng.uniform(0, PERIOD))
+        bench.transmitter.retract(Slot(k % 8))
+        bench.run(bench.time + bench.rng.uniform(0, PERIOD))
+    slots = bench.monitor.slots(bench.now_ns)
+    assert len(slots) == 8
+    assert sum(stats.ok for stats in slots.values()) == bench.transmitter.stats().lines > 200
+    assert {stats.lost for stats in slots.values()} == {0}
+
+
+def test_item_10_publish_after_stop_raises() -> None:
+    """Nothing would be sent; there is nothing left to retract."""
+    with Link(FakeOpener()) as link:
+        transmitter = Transmitter(link, Codec.from_dbc())
+        transmitter.publish(map_line())  # before the start
+        with transmitter:
+            pass
+        transmitter.retract(SLOT)
+        with pytest.raises(RuntimeError, match="publish must come before stop"):
+            transmitter.publish(map_line())
