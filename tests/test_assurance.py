@@ -128,25 +128,40 @@ def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> Non
         "@pytest.mark.parametrize('n', [1, 2, 3])\n"
         "def test_bad(n): assert n != 2\n"
         "def test_left_out(): pytest.skip('not here')\n"
+        "@pytest.mark.socketcan\ndef test_kernel(): pytest.skip('no vcan0')\n"
         "@pytest.fixture\ndef broken(): raise ValueError\n"
         "def test_no_setup(broken): pass\n",
     )
-    (tmp_path / "pyproject.toml").write_text("[tool.pytest.ini_options]\n")
-    names = ["test_good", "test_bad", "test_left_out", "test_no_setup"]
+    marker = "[tool.pytest.ini_options]\nmarkers = ['socketcan']\n"
+    (tmp_path / "pyproject.toml").write_text(marker)
+    names = ["test_good", "test_bad", "test_left_out", "test_kernel", "test_no_setup"]
     code = (
         "import json, pathlib, sys, traceability as tool\n"
         f"tool.ROOT = pathlib.Path({str(tmp_path)!r})\n"
-        f"found = tool.failures_of(['test_some.py::' + name for name in {names}])\n"
+        f"found = tool.outcomes_of(['test_some.py::' + name for name in {names}])\n"
         "pathlib.Path(sys.argv[1]).write_text(json.dumps(found))\n"
     )
     answer = tmp_path / "answer.json"
     command = [sys.executable, "-c", code, str(answer)]
     subprocess.run(command, cwd=tool.ROOT / "tools", check=True, capture_output=True)
-    assert json.loads(answer.read_text()) == [
-        "tests/test_some.py::test_bad: failed",
-        "tests/test_some.py::test_left_out: skipped",
-        "tests/test_some.py::test_no_setup: failed",
+    outcomes = json.loads(answer.read_text())
+    assert list(outcomes) == [f"tests/test_some.py::{name}" for name in names]
+    assert list(outcomes.values()) == [
+        "passed",
+        "failed",
+        "skipped",
+        "to be run in tools/vcan",
+        "failed",
     ]
+
+
+def test_a_test_that_does_not_pass_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    for outcome in ("passed", tool.NEEDS_KERNEL, "skipped", "failed", "not run"):
+        monkeypatch.setattr(tool, "outcomes_of", lambda tests, o=outcome: dict.fromkeys(tests, o))
+        result = tool.summary(PAGE, run=True)
+        is_gap = outcome not in ("passed", tool.NEEDS_KERNEL)
+        assert result["gaps"] == ([f"{TRACED}: {outcome}"] if is_gap else [])
+        assert result["passed"] == (outcome == "passed")
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -172,7 +187,7 @@ def test_the_command_runs_the_tests(tmp_path: Path) -> None:
     command = [sys.executable, "tools/traceability.py", str(page), "--run"]
     done = subprocess.run(command, cwd=tool.ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "1 passed" in done.stdout
+    assert "1 passed, 0 to be run in tools/vcan, 0 gaps" in done.stdout
 
 
 def test_the_coverage_of_packages_adds_up() -> None:
