@@ -35,7 +35,7 @@ def symmetric(draw: Any, n: int = 4) -> Any:
     A = A + A.T
     np.fill_diagonal(A, np.abs(A.diagonal()))
     scale = draw(scales(n))
-    return A * scale * scale[:, None]
+    return A * np.outer(scale, scale)  # exactly symmetric, whatever the ratio to the variances
 
 
 @st.composite

@@ -1,0 +1,215 @@
+"""docs/assurance.md has no gap, and tools/traceability.py finds every kind of gap."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import coverage_table
+import pytest
+import traceability as tool
+
+TRACED = "wire/protection/test_e2e.py::test_published_example_of_a_zero_record"
+#: A page without a gap; each case below breaks one thing in it.
+PAGE = f"""
+| ID | goal |
+|---|---|
+| G-1 | No wrong line. |
+
+| ID | of | assumption |
+|---|---|---|
+| A-1 | bus | It is a bus. |
+
+| ID | fault | assumes | requirements |
+|---|---|---|---|
+| F-1 | corruption | A-1 | R-1 |
+
+| ID | requirement | goals | code | tests |
+|---|---|---|---|---|
+| R-1 | A checksum. | G-1 | `wire.reasons:Reason.CRC` | `{TRACED}` |
+
+| other table | R-1 |
+|---|---|
+| not an ID | A-1 |
+"""
+
+GAPS = [
+    pytest.param("| R-1 | A", "| R1 | A", "an ID is a letter of G, A, F, R", id="malformed-id"),
+    pytest.param("| R-1 | A", "| X-1 | A", "an ID is a letter of G, A, F, R", id="unknown-kind"),
+    pytest.param("| F-1 |", "| A-1 |", "A-1 is defined 2 times", id="defined-twice"),
+    pytest.param("| A-1 | R-1 |", "| A-1 | R-1, R-2 |", "R-2 is mentioned but", id="undefined"),
+    pytest.param("corruption | A-1", "corruption | A-2", "A-2 is mentioned", id="no-assumption"),
+    pytest.param("not an ID | A-1", "not an ID | G-7", "G-7 is mentioned", id="undefined-in-text"),
+    pytest.param("A-1 | R-1 |", "A-1 | |", "F-1 has nothing in the column 'req", id="fault-alone"),
+    pytest.param("A-1 | R-1 |", "A-1 | - |", "F-1 must name requirements", id="fault-with-dash"),
+    pytest.param("A-1 | R-1 |", "A-1 | A-1 |", "F-1 must name requirements", id="fault-to-other"),
+    pytest.param("| G-1 | `", "| - | `", "R-1 must name goals", id="no-goal"),
+    pytest.param("| G-1 | `", "| F-1 | `", "R-1 must name goals", id="a-fault-as-goal"),
+    pytest.param("line. |", "line. |\n| G-2 | Fast. |", "G-2 is a goal without", id="goal-alone"),
+    pytest.param("bus. |", "bus. |\n| A-2 | x | y |", "A-2 is an assumption that", id="unused"),
+    pytest.param("| A checksum. |", "| |", "R-1 has nothing in the column 'requ", id="no-text"),
+    pytest.param("`wire.reasons:Reason.CRC`", "", "nothing in the column 'code'", id="no-code"),
+    pytest.param(f"`{TRACED}`", "", "nothing in the column 'tests'", id="no-test"),
+    pytest.param("| goals | code |", "| goals | source |", "column 'code'", id="no-column"),
+    pytest.param(f" | `{TRACED}` |", " |", "nothing in the column 'tests'", id="short-row"),
+    pytest.param("wire.reasons:", "wire.reason:", "no module 'wire.reason'", id="no-module"),
+    pytest.param("Reason.CRC", "Reason.CRC32", "does not define 'Reason.CRC32'", id="no-member"),
+    pytest.param("Reason.CRC", "Enum", "does not define 'Enum'", id="imported-only"),
+    pytest.param(":Reason.CRC", "", "does not define ''", id="module-only"),
+    pytest.param("protection/test_e2e", "test_e2e", "no file tests/wire/test_e2e.py", id="no-file"),
+    pytest.param("zero_record", "one_record", "has no test 'test_pub", id="renamed-test"),
+    pytest.param("test_published_example_of_a_zero_record", "np", "has no test 'np'", id="no-def"),
+    pytest.param(TRACED, "conftest.py::links", "has no test 'links'", id="a-fixture"),
+    pytest.param(f"`{TRACED}`", f"`{TRACED}` and more", "that is no name", id="unreadable"),
+    pytest.param("| ID | goal |", "| Id | goal |", "there are no goals", id="no-table"),
+]
+
+
+def test_the_shipped_page_has_no_gap() -> None:
+    result = tool.summary(tool.PAGE.read_text(encoding="utf-8"))
+    assert result["gaps"] == []
+    assert result["requirements"] >= 25
+    assert min(result["goals"], result["assumptions"], result["faults"]) > 0
+
+
+def test_the_page_of_the_cases_has_no_gap() -> None:
+    assert tool.summary(PAGE) == {
+        "goals": 1,
+        "assumptions": 1,
+        "faults": 1,
+        "requirements": 1,
+        "code references": 1,
+        "tests": 1,
+        "gaps": [],
+    }
+
+
+@pytest.mark.parametrize(("before", "after", "gap"), GAPS)
+def test_a_gap_is_found(before: str, after: str, gap: str) -> None:
+    page = PAGE.replace(before, after, 1)
+    assert page != PAGE
+    assert any(gap in found for found in tool.gaps_of(page)), tool.gaps_of(page)
+
+
+def test_no_row_of_the_shipped_page_may_be_missing() -> None:
+    """Without its row, everything that the page refers to elsewhere is missed."""
+    page = tool.PAGE.read_text(encoding="utf-8")
+    lines, complete = page.splitlines(), tool.gaps_of(page)
+    for item in tool.items_of(page):
+        rest = "\n".join([*lines[: item.line - 1], *lines[item.line :]])
+        if item.id in tool.ID.findall(rest):
+            assert f"{item.id} is mentioned but not defined" in tool.gaps_of(rest)
+            assert f"{item.id} is mentioned but not defined" not in complete
+
+
+def test_a_skipped_test_is_a_gap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_tests(tmp_path, "import pytest\n@pytest.mark.skip\ndef test_it(): pass\n")
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    assert tool.test_problem("test_some.py::test_it") == "the test test_some.py::test_it is skipped"
+
+
+def test_tests_of_a_class_and_attributes_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_tests(tmp_path, "class TestIt:\n    def test_it(self): pass\n")
+    monkeypatch.setattr(tool, "ROOT", tmp_path)
+    assert tool.test_problem("test_some.py::TestIt::test_it") is None
+    monkeypatch.undo()
+    for name in ("wire.protection.e2e_state:E2EConfig.max_delta_counter", "wire.reasons:Reason"):
+        assert tool.code_problem(name) is None
+
+
+def test_run_tells_failed_skipped_and_missing_from_passed(tmp_path: Path) -> None:
+    """In another process: a run of pytest within a run shares its state."""
+    write_tests(
+        tmp_path,
+        "import pytest\n"
+        "def test_good(): pass\n"
+        "@pytest.mark.parametrize('n', [1, 2, 3])\n"
+        "def test_bad(n): assert n != 2\n"
+        "def test_left_out(): pytest.skip('not here')\n"
+        "@pytest.mark.socketcan\ndef test_kernel(): pytest.skip('no vcan0')\n"
+        "@pytest.fixture\ndef broken(): raise ValueError\n"
+        "def test_no_setup(broken): pass\n",
+    )
+    marker = "[tool.pytest.ini_options]\nmarkers = ['socketcan']\n"
+    (tmp_path / "pyproject.toml").write_text(marker)
+    names = ["test_good", "test_bad", "test_left_out", "test_kernel", "test_no_setup"]
+    code = (
+        "import json, pathlib, sys, traceability as tool\n"
+        f"tool.ROOT = pathlib.Path({str(tmp_path)!r})\n"
+        f"found = tool.outcomes_of(['test_some.py::' + name for name in {names}])\n"
+        "pathlib.Path(sys.argv[1]).write_text(json.dumps(found))\n"
+    )
+    answer = tmp_path / "answer.json"
+    command = [sys.executable, "-c", code, str(answer)]
+    subprocess.run(command, cwd=tool.ROOT / "tools", check=True, capture_output=True)
+    outcomes = json.loads(answer.read_text())
+    assert list(outcomes) == [f"tests/test_some.py::{name}" for name in names]
+    assert list(outcomes.values()) == [
+        "passed",
+        "failed",
+        "skipped",
+        "to be run in tools/vcan",
+        "failed",
+    ]
+
+
+def test_a_test_that_does_not_pass_is_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    for outcome in ("passed", tool.NEEDS_KERNEL, "skipped", "failed", "not run"):
+        monkeypatch.setattr(tool, "outcomes_of", lambda tests, o=outcome: dict.fromkeys(tests, o))
+        result = tool.summary(PAGE, run=True)
+        is_gap = outcome not in ("passed", tool.NEEDS_KERNEL)
+        assert result["gaps"] == ([f"{TRACED}: {outcome}"] if is_gap else [])
+        assert result["passed"] == (outcome == "passed")
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A summary, the gaps, and the status."""
+    good, bad = tmp_path / "good.md", tmp_path / "bad.md"
+    good.write_text(PAGE)
+    bad.write_text(PAGE.replace("zero_record", "one_record"))
+    assert tool.main([str(good)]) == 0
+    assert capsys.readouterr().out == (
+        "good.md: 1 goals, 1 assumptions, 1 faults, 1 requirements, 1 code references, 1 tests, "
+        "0 gaps\n"
+    )
+    assert tool.main([str(bad)]) == 1
+    assert "bad.md: 1 goals" in (out := capsys.readouterr().out)
+    assert "R-1: tests/wire/protection/test_e2e.py has no test" in out
+    assert tool.main([str(bad), "--json"]) == 1
+    assert len(json.loads(capsys.readouterr().out)["gaps"]) == 1
+
+
+def test_the_command_runs_the_tests(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(PAGE)
+    command = [sys.executable, "tools/traceability.py", str(page), "--run"]
+    done = subprocess.run(command, cwd=tool.ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 passed, 0 to be run in tools/vcan, 0 gaps" in done.stdout
+
+
+def test_the_coverage_of_packages_adds_up() -> None:
+    """Files of two packages and of the top level."""
+    files = {
+        "maplines_can/line.py": summary(10, 9, 4, 3),
+        "maplines_can/wire/codec.py": summary(20, 20, 0, 0),
+        "maplines_can\\wire\\message\\layout.py": summary(20, 10, 8, 4),
+    }
+    rows = coverage_table.rows_of(files)
+    assert rows == [
+        ("top level", "10", "90 %", "4", "75 %"),
+        ("wire", "40", "75 %", "8", "50 %"),
+        ("total", "50", "78 %", "12", "58 %"),
+    ]
+    assert "| wire | 40 | 75 % | 8 | 50 % |" in coverage_table.markdown(rows)
+
+
+def summary(*counts: int) -> dict[str, dict[str, int]]:
+    return {"summary": dict(zip(coverage_table.COUNTS, counts, strict=True))}
+
+
+def write_tests(folder: Path, text: str) -> None:
+    (folder / "tests").mkdir()
+    (folder / "tests" / "test_some.py").write_text(text)

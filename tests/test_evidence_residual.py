@@ -1,0 +1,152 @@
+"""tools/evidence_residual.py against brute force, on records that are short enough for it."""
+
+import json
+from fractions import Fraction
+from itertools import combinations, product
+from math import comb
+from typing import Any
+
+import evidence_residual as tool
+import numpy as np
+import pytest
+
+from maplines_can.wire import E2EConfig, E2EState, ProfileStatus
+from maplines_can.wire.protection.e2e import record_crc
+from maplines_can.wire.protection.e2e_state import StateMachine
+
+
+def words(bits: int) -> Any:
+    """All patterns of so many bits, (2^bits, bits / 8) bytes."""
+    return np.arange(2**bits, dtype=">u4").view(np.uint8).reshape(-1, 4)[:, 4 - bits // 8 :]
+
+
+def weights_by_enumeration(record: int) -> list[int]:
+    """Weights of all changes of a record that keep its checksum right: every data word once."""
+    data = words(8 * (record - 2))
+    records = np.concatenate([np.zeros((len(data), 2), np.uint8), data], axis=1)
+    crc = record_crc(records, 0) ^ record_crc(np.zeros((1, record), np.uint8), 0)
+    flips = np.bitwise_count(data).sum(axis=1) + np.bitwise_count(crc)
+    return list(np.bincount(flips, minlength=8 * record + 1))
+
+
+@pytest.mark.parametrize("record", [3, 4])
+def test_weights_agree_with_enumeration(record: int) -> None:
+    assert tool.undetected_by_weight(tool.syndromes(record)) == weights_by_enumeration(record)
+
+
+def test_few_flips_agree_with_enumeration() -> None:
+    """Of a whole record, with and without the data ID: sets of up to four syndromes."""
+    for with_id in (False, True):
+        bits = tool.syndromes(with_id=with_id).astype(int)
+        counts = tool.undetected_by_weight(tool.syndromes(with_id=with_id))
+        sums = np.bincount([a ^ b for a, b in combinations(bits, 2)], minlength=2**16)
+
+        assert counts[0] == 1
+        assert len(set(bits)) == len(bits)  # no two flips cancel
+        assert 0 not in bits  # no one does
+        assert counts[:3] == [1, 0, 0]
+        assert counts[3] == sums[bits].sum() / 3 == 0
+        # A set of four is three pairs of pairs with the same sum, which share no bit.
+        assert counts[4] == sum(comb(int(n), 2) for n in sums) / 3
+
+
+def test_a_flip_of_the_data_id_is_that_of_the_protocol() -> None:
+    """The last 16 syndromes are those of the data ID as the package puts it into the checksum."""
+    zeros = np.zeros((16, 32), np.uint8)
+    ids = [(0x80 >> bit % 8) << bit // 8 * 8 for bit in range(16)]
+    expected = record_crc(zeros, np.array(ids)) ^ record_crc(zeros, 0)
+    assert list(tool.syndromes(with_id=True)[256:]) == list(expected)
+
+
+def test_the_residual_agrees_with_exact_arithmetic() -> None:
+    """Sum over all undetected patterns of a record of 4 bytes, in fractions."""
+    counts = weights_by_enumeration(4)
+    for p in (Fraction(1, 1000), Fraction(1, 7), Fraction(1, 2)):
+        exact = sum(int(a) * p**w * (1 - p) ** (32 - w) for w, a in enumerate(counts) if w)
+        assert tool.residual(float(p), tool.undetected_by_weight(tool.syndromes(4))) == (
+            pytest.approx(float(exact), rel=1e-12)
+        )
+
+
+def test_the_residual_of_random_bits_is_that_of_the_checksum() -> None:
+    """With p = 1/2 every pattern is equally likely."""
+    assert tool.residual(0.5, tool.weights()) == pytest.approx((2**240 - 1) / 2**256, rel=1e-9)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 9])
+def test_bursts_agree_with_enumeration(length: int) -> None:
+    bits = tool.syndromes(4).astype(int)
+    for start, undetected in tool.bursts(length, tool.syndromes(4)):
+        found = 0
+        for inner in product((0, 1), repeat=max(length - 2, 0)):
+            pattern = (1, *inner, 1)[:length] if length > 1 else (1,)
+            xor = 0
+            for place, flipped in enumerate(pattern):
+                xor ^= bits[start + place] * flipped
+            found += xor == 0
+        assert undetected == found
+
+
+def test_a_burst_of_17_bits_may_be_the_polynomial() -> None:
+    """Within the data one of the 2^15 is undetected: the detection of bursts ends at 16 bits."""
+    missed = dict(tool.bursts(17, tool.syndromes()[16 : 16 + 40]))
+    assert set(missed.values()) == {1}
+
+
+def test_the_share_of_a_random_page() -> None:
+    """Any 16 bits in a row of the data are independent, so a page has the full rank."""
+    assert tool.random_page(1, tool.syndromes()) == Fraction(2**48 - 1, 2**64 - 1)
+    assert tool.random_page(0, np.zeros(64, np.uint16)) == 1
+    assert tool.random_page(0, np.array([1, 2, 3, *[0] * 61])) == Fraction(2**62 - 1, 2**64 - 1)
+
+
+def test_the_bound_of_a_valid_slot_agrees_with_a_simulation() -> None:
+    """The state machine itself, on records that are accepted and wrong at random."""
+    rng, accepted_share, wrong_share, n = np.random.default_rng(3), 0.75, 0.05, 40_000
+    machine, used = StateMachine(E2EConfig()), 0
+    for accepted, wrong in zip(
+        rng.random(n) < accepted_share, rng.random(n) < wrong_share / accepted_share, strict=True
+    ):
+        state = machine.step(ProfileStatus.OK if accepted else ProfileStatus.ERROR)
+        used += bool(accepted and wrong and state is E2EState.VALID)
+    bound = wrong_share * tool.at_least(5, 9, accepted_share)
+    assert 0 < used / n < bound + 4 * (bound / n) ** 0.5
+
+
+def test_greatest_p_meets_its_target_just_so() -> None:
+    for target in tool.TARGETS.values():
+        p = tool.greatest_p(target, tool.weights())
+        rate = tool.RECORDS_PER_HOUR * tool.residual(p, tool.weights())
+        assert rate == pytest.approx(target, rel=1e-6)
+
+
+def test_the_figures_of_the_page() -> None:
+    """The table is as written by the tool, and so are the figures in the text."""
+    page = tool.PAGE.read_text(encoding="utf-8")
+    figures = tool.summary()
+    crossing = figures["undetected bursts of 16 bits or less"]
+    counts = [figures["undetected patterns of 4 bits"], comb(256, 4)]
+    counts += [figures["undetected patterns of 4 bits, with the data ID"]]
+    counts += [crossing["crossing"]]
+
+    assert figures["met"]
+    assert crossing["elsewhere"] == 0
+    assert crossing["undetected"] == 2
+    assert "two are not" in page
+    assert tool.table() in page
+    for count in counts:
+        assert (f"{count:_}".replace("_", " ") if count > 9999 else str(count)) in page
+    for p in figures["greatest bit error probability"].values():
+        assert f"{p:.1e}".replace("e-0", "e-") in page
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert tool.main(["--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["Hamming distance, 256 transmitted bits"] == 4
+
+
+def test_a_missed_promise_is_an_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tool, "CAN_UNDETECTED", 1e-3)
+    assert tool.main([]) == 1
