@@ -75,6 +75,7 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
             + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
             + [row["cov"][i][j] for i, j in UPPER_TRIANGLE]
         )
+        out.flush()  # a reader of a pipe gets each line at once
 
 
 def check_text(stats: SlotStats) -> str:

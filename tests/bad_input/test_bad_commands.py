@@ -186,7 +186,7 @@ def error_line(stderr: str) -> str:
         # maplines decode
         ("decode", 2, "LOG"),
         ("decode {d}/nowhere.log", 1, "nowhere.log"),
-        ("decode {d}", 1, "format"),
+        ("decode {d}", 1, "is not a file"),
         ("decode {d}/good.dbc", 1, "good.dbc"),
         ("decode {d}/binary.log", 1, "binary.log"),
         ("decode {d}/binary.asc", 1, "binary.asc"),

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ...errors import MissingExtraError
+from ...errors import missing_extra
 from ..metrics import LATERAL_X
 from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
 
@@ -48,9 +48,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         from .drawing import plot_styles
         from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
     except ImportError as error:
-        raise MissingExtraError(
-            'the report needs bokeh, jinja2 and pyarrow: pip install "maplines_can[study]"'
-        ) from error
+        raise missing_extra("the report needs bokeh, jinja2 and pyarrow", "study") from error
     tables = read_tables(folder)
     sets, look, groups = tables.sets, plot_styles(tables.codes), worst_groups(tables)
     field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]

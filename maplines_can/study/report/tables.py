@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import MissingExtraError, StudyError
+from ...errors import StudyError, missing_extra
 from ..codes import CODES
 from ..metrics import LATERAL_X
 
@@ -141,9 +141,7 @@ def read_tables(folder: str | Path) -> Tables:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise MissingExtraError(
-            'the report needs pyarrow and bokeh: pip install "maplines_can[study]"'
-        ) from error
+        raise missing_extra("the report needs pyarrow and bokeh", "study") from error
     folder = Path(folder)
     if not folder.is_dir():
         raise StudyError(f"{folder}: there is no such folder; a sweep creates one for its tables")

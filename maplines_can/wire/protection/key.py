@@ -6,7 +6,7 @@ import hmac
 import re
 from typing import Any
 
-from ...errors import KeyMaterialError, MissingExtraError
+from ...errors import KeyMaterialError, missing_extra
 
 #: Bytes of the secrets of AES-128 and AES-256.
 SECRET_BYTES = (16, 32)
@@ -127,7 +127,5 @@ def _primitives() -> tuple[Any, Any]:
         from cryptography.hazmat.primitives.ciphers.algorithms import AES
         from cryptography.hazmat.primitives.cmac import CMAC
     except ImportError as error:
-        raise MissingExtraError(
-            'authentication needs cryptography: pip install "maplines_can[secoc]"'
-        ) from error
+        raise missing_extra("authentication needs cryptography", "secoc") from error
     return AES, CMAC

@@ -200,7 +200,7 @@ def test_a_missing_extra_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
 
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[study\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[study\]"'):
         write_report(folder, tmp_path / "report.html")
 
 

@@ -57,7 +57,7 @@ def test_the_published_vectors(secret: Any, length: int, mac: str) -> None:
 def test_without_cryptography_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message has the command that installs it."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[secoc\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[secoc\]"'):
         Key(SECRET)
 
 
