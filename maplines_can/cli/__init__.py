@@ -48,6 +48,14 @@ OPTIONS = {
     "with fd=False": "without --fd",
     "fd=False": "without --fd",
     "fd=True": "--fd",
+    "frames or max_kl": "--frames or --max-kl",
+    "frames: ": "--frames ",
+    "max_kl": "--max-kl",
+    "keep_mean": "--keep-mean",
+    "ranges must": "--range must",
+    "sigmas must": "--sigma must",
+    "finer_bits": "--finer",
+    "window must": "--window must",
 }
 
 

@@ -1,5 +1,6 @@
 """The command line as a whole: help, usage, errors and how it ends."""
 
+import re
 import signal
 import subprocess
 import sys
@@ -104,19 +105,26 @@ def test_errors_are_one_clear_line(
     [
         pytest.param(["receive"], "--interface and --channel", id="no-interface"),
         pytest.param(["receive", "--interface", "socketcan"], "--channel can0", id="no-channel"),
+        pytest.param(["design"], "--frames or --max-kl must be given", id="no-target"),
+        pytest.param(["design", "--frames", "1", "--n", "100", "--set", "road"], "--frames 1 leave",
+                     id="too-few-frames"),
+        pytest.param(["design", "--frames", "4", "--keep-mean", "--range", "y_off=9"],
+                     "must not be given with --keep-mean", id="contradiction"),
+        pytest.param(["design", "--frames", "4", "--sigma", "y_off=0"], "--sigma must", id="sigma"),
+        pytest.param(["study", "run", "--out", "never", "--finer", "-8", "--n", "100", "--code",
+                      "Cholesky"], "so --finer cannot be -8", id="finer"),
     ],
-)
+)  # fmt: skip
 def test_errors_name_options_and_not_python_arguments(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: Any, words: str
 ) -> None:
-    """The user of the command cannot pass interface=..."""
+    """The user of the command cannot pass interface=..., nor max_kl."""
     for variable in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
         monkeypatch.delenv(variable, raising=False)
     assert main(arguments) == 1
     err = capsys.readouterr().err
     assert words in err
-    assert "interface=" not in err
-    assert "channel=" not in err
+    assert not re.search(r"(interface|channel|fd)=|\b(max|keep|finer)_[a-z]+", err)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +151,35 @@ def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], arguments: 
         main(arguments)
     assert end.value.code == 2
     assert "usage: maplines" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "usage", "hint"),
+    [
+        (["demo", "--rat", "5"], "maplines demo", "did you mean --rate?"),
+        (["receive", "--channell=vcan0"], "maplines receive", "did you mean --channel?"),
+        (["send", "--key", "car.key"], "maplines send", "did you mean --key"),
+        (
+            ["study", "run", "--out", "d", "--sed", "1"],
+            "maplines study run",
+            "did you mean --seed?",
+        ),
+        (["study", "production", "--mark"], "maplines study production", "mean --markdown?"),
+        (["design", "--frmes", "4"], "maplines design", "did you mean --frames?"),
+        (["receive", "--xyz"], "maplines receive", "'maplines receive --help' lists all options"),
+        (["scenarios", "extra"], "maplines scenarios", "'maplines scenarios --help' lists"),
+        (["--verion"], "maplines", "COMMAND"),
+    ],
+)
+def test_item_11_an_unknown_option_is_an_error_of_its_command(
+    capsys: pytest.CaptureFixture[str], arguments: Any, usage: str, hint: str
+) -> None:
+    """The usage is that of the command, and the error names the closest option."""
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    err = capsys.readouterr().err
+    assert err.startswith(f"usage: {usage} [-h]")
+    assert hint in err.splitlines()[-1]
 
 
 def test_an_unknown_command_is_answered_with_the_known_ones(
