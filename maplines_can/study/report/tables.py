@@ -13,12 +13,13 @@ from ..metrics import LATERAL_X
 
 Row = dict[str, Any]
 
-#: Columns of the summary with a KL divergence, and their names in the report.
+#: Columns of the summary with a KL divergence, and their names in the report. A mean follows a few
+#: outliers, which can be 1e10 times the median; so the median comes first.
 SUMMARY = {
-    "kl_mean": "KL of the covered target, mean",
     "kl_p50": "KL of the covered target, median",
     "kl_p99": "KL of the covered target, 99 %",
     "kl_max": "KL of the covered target, largest",
+    "kl_mean": "KL of the covered target, mean",
     "kl_before_inflation_mean": "KL before the inflation, mean",
     "kl_theory": "KL predicted by theory",
     "kl_untouched_mean": "KL of the true Gaussian, mean",
