@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 import maplines_can
 from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
+from maplines_can.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]
 ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]
@@ -219,3 +221,28 @@ def test_interrupt_while_a_module_is_imported(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("maplines_can.cli.import_module", import_module)
     assert main(["demo"]) == 130
+
+
+def test_item_11_a_codec_describes_itself() -> None:
+    """repr has the DBC, the covariance code and whether frames are authenticated."""
+    assert re.fullmatch(
+        r"<Codec of .*maplines\.dbc: Cholesky>", repr(maplines_can.Codec.from_dbc())
+    )
+
+
+@pytest.mark.parametrize("extra", ["secoc", "mf4", "study", "plot"])
+def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
+    """The command in the message names an extra of pyproject.toml; nothing is published."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert extra in extras["optional-dependencies"]
+    assert str(missing_extra("this needs that", extra)).endswith(f'pip install ".[{extra}]"')
+
+
+def test_item_11_no_text_names_a_package_that_is_not_published() -> None:
+    """No message and no page says pip install maplines_can."""
+    texts = [*(ROOT / "maplines_can").rglob("*.py"), *ROOT.glob("*.md"), *ROOT.glob("d*/*.md")]
+    wrong = [
+        path for path in texts if re.search(r"install\s.?maplines_can", path.read_text("utf-8"))
+    ]
+    assert len(texts) > 50
+    assert wrong == []
