@@ -35,3 +35,20 @@ class LogError(MaplinesError, OSError):
 
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
+
+
+def missing_extra(what: str, extra: str) -> MissingExtraError:
+    """Return the error for a package that is not installed, with the command that installs it.
+
+    Args:
+        what: what needs which package.
+        extra: optional extra of this package that includes it.
+
+    >>> print(missing_extra("authentication needs cryptography", "secoc"))
+    authentication needs cryptography; install the extra "secoc": in a checkout of maplines_can,
+    pip install ".[secoc]"
+    """
+    return MissingExtraError(
+        f'{what}; install the extra "{extra}": in a checkout of maplines_can, '
+        f'pip install ".[{extra}]"'
+    )

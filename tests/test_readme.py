@@ -10,22 +10,27 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("dbc/*.md")])
 #: A block of Python, and the block of text right after it, if there is one: its output.
 EXAMPLE = re.compile(r"(?ms)^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```\n)?")
+WITH_PYTHON = [page for page in PAGES if EXAMPLE.search(page.read_text(encoding="utf-8"))]
 CODE = re.compile(r"(?ms)^```.*?^```|`[^`\n]*`")
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]+))?\)")
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/python.md"])
-def test_examples_run_and_print_what_the_page_shows(
-    page: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_item_11_examples_run_as_pasted_and_print_what_the_page_shows(
+    page: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """The examples of a page continue each other; they need neither hardware nor other files."""
+    """Each example runs alone, unless its page says that they continue each other.
+
+    They need neither hardware nor other files.
+    """
     monkeypatch.chdir(tmp_path)
-    examples = EXAMPLE.findall((ROOT / page).read_text(encoding="utf-8"))
+    text = page.read_text(encoding="utf-8")
     namespace: dict[Any, Any] = {}
 
-    assert examples
-    for code, output in examples:
-        exec(compile(code, page, "exec"), namespace)  # noqa: S102 - our own page
+    for code, output in EXAMPLE.findall(text):
+        if "The examples continue each other" not in text:
+            namespace = {}
+        exec(compile(code, page.name, "exec"), namespace)  # noqa: S102 - our own page
         assert capsys.readouterr().out == output
 
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import io
+import re
 import sqlite3
 import struct
 import zlib
 from collections.abc import Iterator
+from datetime import datetime
 from importlib.util import find_spec
 from os import PathLike
 from pathlib import Path
@@ -15,10 +18,9 @@ from typing import IO, Any, NamedTuple, cast
 
 import can
 from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
-from can.io.generic import TextIOMessageReader
 from can.io.player import MESSAGE_READERS
 
-from ..errors import LogError, MissingExtraError
+from ..errors import LogError, missing_extra
 
 # Exceptions that python-can's readers raise on damaged files.
 _DAMAGE = (
@@ -27,7 +29,21 @@ _DAMAGE = (
     *(BLFParseError, NotImplementedError),
 )
 
-_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc")
+_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
+#: Suffixes that say nothing of the format; the first bytes do. If none fits, it is candump's.
+_ANY_FORMAT = ("", ".log", ".txt")
+_FIRST_BYTES = {
+    b"LOGG": ".blf",
+    b"MDF ": ".mf4",
+    b"SQLite format 3": ".db",
+    b";": ".trc",
+    b"timestamp,": ".csv",
+    b"date": ".asc",
+    b"base": ".asc",
+    b"//": ".asc",
+}
+_BINARY = (".blf", ".db", ".mf4")
+_GZIP = b"\x1f\x8b"
 
 #: First words of an .asc file.
 _ASC_HEADS = ("date", "base", "//")
@@ -36,47 +52,107 @@ _ASC_HEADS = ("date", "base", "//")
 _HEADER_AGAIN = {".csv": "\n", ".asc": "internal events logged\n"}
 
 
+#: Row of candump, such as "(1.5)  can0  340   [8]  11 22 33 44 55 66 77 88": with -t a time stamp,
+#: with -x the direction and the flags of CAN FD, with -a the data as ASCII.
+_CANDUMP_ROW = re.compile(
+    r"\s*(?:\((?P<time>[^)]*)\)\s+)?(?P<channel>\S+)\s+(?:[RT]X\s+[B-]\s[E-]\s+)?"
+    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+\[(?P<length>\d{1,2})\]"
+    r"(?P<data>(?:\s+[0-9A-Fa-f]{2}(?!\S))*)\s*(?P<remote>remote request)?(?:ERRORFRAME|'.*)?\s*"
+)
+#: Row of candump -L, such as "(1.5) can0 340#1122334455667788", with "##" and flags for CAN FD.
+_CANDUMP_LOG_ROW = re.compile(
+    r"\s*\((?P<time>[^)]*)\)\s+(?P<channel>\S+)\s+(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
+    r"(?:(?P<remote>R\d?)|(?:#[0-9A-Fa-f])?(?P<data>(?:[0-9A-Fa-f]{2})*))(?:_[0-9A-Fa-f])?"
+    r"(?:\s+[RT])?\s*"
+)
+_ERROR_FLAG = 1  #: of an error frame, above the 29 bits of the CAN ID that candump prints
+#: A first time stamp below this is from the start of the log, or from the frame before [s].
+_LEAST_ABSOLUTE = 10**8
+
+
 class LogFrame(NamedTuple):
     """Data frame of a log."""
 
     can_id: int
     data: bytes
-    t_ns: int  #: time of reception as logged [ns]: absolute, or from the log's start (.asc)
+    t_ns: int  #: time of reception as logged [ns]: absolute, or from the start of the log
     is_extended: bool
     channel: str  #: of the interface; empty if the log has none
+    has_time: bool = True  #: False if the log has no time stamps (candump without -L and -t)
 
 
-def read_log(path: str | PathLike[str]) -> Iterator[LogFrame]:
+def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
     """Return an iterator over the data frames of a log, in the order of the file.
 
-    The suffix determines the format: .asc, .blf, .csv, .db, .log (``candump -L``), .mf4 or .trc.
-    The text formats and .blf may be compressed (.gz). Error and remote frames are skipped.
-    The log is not loaded into memory at once.
+    The suffix determines the format: .asc, .blf, .csv, .db, .mf4 or .trc. With .log, .txt or
+    none, and in a stream, the content does; it may also be the output of candump, with or without
+    ``-L``, ``-t``, ``-x`` and ``-a``. The text formats and .blf may be compressed (.gz). Error and
+    remote frames are skipped. The log is not loaded into memory at once: a frame of a pipe is
+    returned as soon as its line has arrived.
+
+    The time stamps of ``candump -t d`` are differences. They are recognized, and added up, from the
+    first one that is less than half of the one before. ``candump -t A`` writes local time.
 
     A damaged record of a text log is skipped. A damaged binary log is read up to the damage.
     In both cases the error is raised once, after the last good frame.
+
+    Args:
+        source: path of a file, or a stream of bytes with ``peek``, such as ``sys.stdin.buffer``.
 
     Raises:
         LogError: the file does not exist or its format is unknown (raised by the call), or it is
             damaged (raised after the last good frame).
         MissingExtraError: .mf4 without the package asammdf.
     """
-    path = Path(path)
+    if not isinstance(source, str | PathLike):
+        return _read_any(cast(io.BufferedReader, source), str(getattr(source, "name", "stream")))
+    path = Path(source)
     suffix, compressed = path.suffix.lower(), False
     if suffix == ".gz":
         suffix, compressed = path.with_suffix("").suffix.lower(), True
-    if suffix not in _SUFFIXES:
+    if suffix and suffix not in _SUFFIXES:
         raise LogError(f"{path}: the format {suffix!r} is unknown; use {', '.join(_SUFFIXES)}")
     if compressed and suffix in {".db", ".mf4"}:
         raise LogError(f"{path}: {suffix} cannot be read while compressed; use gunzip first")
     if not path.is_file():  # sqlite would create the file
-        raise LogError(f"{path}: there is no such file")
-    if suffix == ".mf4" and not find_spec("asammdf"):
-        raise MissingExtraError(
-            f'{path}: reading .mf4 needs asammdf; pip install "maplines_can[mf4]"'
+        raise LogError(
+            f"{path}: " + ("is not a file" if path.exists() else "there is no such file")
         )
-    text = issubclass(MESSAGE_READERS[suffix], TextIOMessageReader)
-    return _read_text(path, suffix, compressed) if text else _read_binary(path, suffix, compressed)
+    if suffix in _BINARY:
+        _check_reader(path, suffix)
+        return _read_binary(path, suffix, compressed)
+    return _read_path(path, "" if suffix in _ANY_FORMAT else suffix)
+
+
+def _check_reader(path: Path, suffix: str) -> None:
+    if suffix == ".mf4" and not find_spec("asammdf"):
+        raise missing_extra(f"{path}: reading .mf4 needs asammdf", "mf4")
+
+
+def _read_path(path: Path, suffix: str = "") -> Iterator[LogFrame]:
+    with path.open("rb") as file:
+        yield from _read_any(file, str(path), suffix, path)
+
+
+def _read_any(
+    file: io.BufferedReader, name: str, suffix: str = "", path: Path | None = None
+) -> Iterator[LogFrame]:
+    """Yield the frames of an open log; without a suffix, its first bytes tell the format."""
+    try:
+        compressed = file.peek(2)[:2] == _GZIP
+        if compressed:
+            file = io.BufferedReader(cast(io.RawIOBase, gzip.GzipFile(fileobj=file)))
+        head = file.peek(16)
+    except _DAMAGE as error:
+        raise LogError(f"{name}: not a valid log ({_text(error)})") from error
+    suffix = suffix or next((s for first, s in _FIRST_BYTES.items() if head.startswith(first)), "")
+    if suffix not in _BINARY:
+        yield from _read_text(file, name, suffix)
+    elif path is None or compressed:
+        raise LogError(f"{name}: a log in the format {suffix} is read from a file, not compressed")
+    else:
+        _check_reader(path, suffix)
+        yield from _read_binary(path, suffix, compressed=False)
 
 
 def _read_binary(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame]:
@@ -164,23 +240,68 @@ class _Lines:
         self._inserted.append(line)
 
     def close(self) -> None:
-        self._file.close()
+        """Do nothing: whoever opened the file closes it."""
 
 
-def _read_text(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame]:
+class _CandumpReader:
+    """Reader of the output of candump, with and without ``-L``; yields data frames."""
+
+    def __init__(self, lines: Iterator[str]) -> None:
+        self._lines = lines
+        self._stamp = self._time = 0
+        self._is_difference = False
+
+    def __iter__(self) -> Iterator[LogFrame]:
+        for line in self._lines:
+            if line.isspace() or line.startswith("\t"):  # candump -e explains an error frame
+                continue
+            row = _CANDUMP_LOG_ROW.fullmatch(line) or _CANDUMP_ROW.fullmatch(line)
+            if row is None:
+                raise ValueError(f"not a row of candump: {line.strip()[:60]!r}")
+            can_id, is_extended = int(row["id"], 16), len(row["id"]) > 3
+            t_ns = 0 if row["time"] is None else self._t_ns(row["time"])
+            if row["remote"] or can_id >> 29 == _ERROR_FLAG:
+                continue
+            data = bytes.fromhex(row["data"])
+            length = int(row.groupdict().get("length") or len(data))
+            if len(data) != length or length > 64:
+                raise ValueError(f"{len(data)} bytes of data, but a length of {length}")
+            _check_id(can_id)
+            yield LogFrame(
+                can_id, data, t_ns, is_extended, row["channel"], has_time=row["time"] is not None
+            )
+
+    def _t_ns(self, text: str) -> int:
+        """Return the time of a row [ns]; differences are added up."""
+        stamp = _nanoseconds(text)
+        if 2 * stamp < self._stamp < _LEAST_ABSOLUTE * 10**9:
+            self._is_difference = True
+        self._stamp = stamp
+        self._time = self._time + stamp if self._is_difference else stamp
+        return self._time
+
+
+def _nanoseconds(text: str) -> int:
+    """Return a time stamp of candump: seconds, or date and time of day in local time."""
+    if "-" in text:
+        return round(datetime.fromisoformat(text).timestamp() * 1e6) * 1000
+    seconds, _, fraction = text.partition(".")
+    return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0") or 0)
+
+
+def _read_text(file: io.BufferedReader, name: str, suffix: str) -> Iterator[LogFrame]:
     good, bad, first, last = 0, 0, "", -1
     # With errors="replace" an invalid byte costs its own line only.
-    with (gzip.open if compressed else open)(
-        path, "rt", encoding="utf-8", errors="replace"
-    ) as file:
-        lines = _Lines(cast(IO[str], file))
-        open_reader = _TrcReader if suffix == ".trc" else MESSAGE_READERS[suffix]
+    text = io.TextIOWrapper(file, encoding="utf-8", errors="replace")
+    try:
+        lines = _Lines(text)
+        open_reader: Any = _READERS.get(suffix) or MESSAGE_READERS[suffix]
         reader = open_reader(cast(Any, lines))
         while lines.number > last:  # else the reader fails again without reading a line
             last = lines.number
             try:
-                for message in reader:
-                    yield from _data_frames(message)
+                for record in reader:
+                    yield from [record] if isinstance(record, LogFrame) else _data_frames(record)
                     good += 1
                 break
             except _DAMAGE as error:
@@ -188,22 +309,23 @@ def _read_text(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame]:
                 first = first or f"line {lines.number}: {_text(error)}"
                 if suffix in _HEADER_AGAIN:
                     lines.insert(_HEADER_AGAIN[suffix])
+    finally:
+        text.detach()  # else it closes the file, which may be standard input
     # python-can skips what it cannot read in an .asc file.
     if suffix == ".asc" and lines.first and not (good or lines.first.startswith(_ASC_HEADS)):
-        raise LogError(f"{path}: not a valid .asc file: it has neither a header nor frames")
+        raise LogError(f"{name}: not a valid .asc file: it has neither a header nor frames")
     if bad and not good:
-        hint = "; a .log file must be written by candump -L" if suffix == ".log" else ""
-        raise LogError(f"{path}: none of {bad} records can be read ({first}){hint}")
+        hint = "" if suffix else "; the content is no format that is known, such as candump's"
+        raise LogError(f"{name}: none of {bad} records can be read ({first}){hint}")
     if bad:
-        raise LogError(f"{path}: {bad} of {good + bad} records are damaged (the first: {first})")
+        raise LogError(f"{name}: {bad} of {good + bad} records are damaged (the first: {first})")
     if lines.truncation:
-        raise LogError(f"{path}: truncated after {good} good records ({_text(lines.truncation)})")
+        raise LogError(f"{name}: truncated after {good} good records ({_text(lines.truncation)})")
 
 
 def _data_frames(message: can.Message) -> Iterator[LogFrame]:
     if not (message.is_error_frame or message.is_remote_frame):
-        if not 0 <= message.arbitration_id < 2**29:
-            raise ValueError(f"CAN ID must be in [0, 0x1fffffff], got {message.arbitration_id:#x}")
+        _check_id(message.arbitration_id)
         yield LogFrame(
             message.arbitration_id,
             bytes(message.data),
@@ -213,6 +335,15 @@ def _data_frames(message: can.Message) -> Iterator[LogFrame]:
         )
 
 
+def _check_id(can_id: int) -> None:
+    if not 0 <= can_id < 2**29:
+        raise ValueError(f"CAN ID must be in [0, 0x1fffffff], got {can_id:#x}")
+
+
 def _text(error: Exception) -> str:
     text = " ".join(str(error).split())
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
+
+
+#: Readers of text formats that are not python-can's own.
+_READERS = {"": _CandumpReader, ".trc": _TrcReader}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import signal
 import sys
 import threading
@@ -47,6 +48,14 @@ OPTIONS = {
     "with fd=False": "without --fd",
     "fd=False": "without --fd",
     "fd=True": "--fd",
+    "frames or max_kl": "--frames or --max-kl",
+    "frames: ": "--frames ",
+    "max_kl": "--max-kl",
+    "keep_mean": "--keep-mean",
+    "ranges must": "--range must",
+    "sigmas must": "--sigma must",
+    "finer_bits": "--finer",
+    "window must": "--window must",
 }
 
 
@@ -69,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:  # the reader of our output, such as head, has closed it
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it at exit
         return 0
     except (MaplinesError, OSError, ValueError) as error:
         note(f"error: {_with_options(' '.join(str(error).split()))}")

@@ -6,7 +6,9 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
+from contextlib import closing
+from dataclasses import replace
 from typing import Any
 
 from ..bus import read_log
@@ -22,19 +24,24 @@ from .stderr import note, with_progress
 MOST_CHANNELS = 256
 
 DESCRIPTION = """\
-Print the lines in a log file, one row of JSON each. Standard error shows at the end how many
-frames were dropped and why, and the end-to-end (E2E) state of each slot."""
+Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. Standard error
+shows at the end how many frames were dropped and why, and the end-to-end (E2E) state of each slot.
+
+A log is in a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with
+or without -L, -t and -x. Without -L and -t it has no time stamps. "t" is then null, no time-out
+drops a frame, no cycle without data is counted, and the lines of a sender that restarts are dropped
+until its counter has caught up: use -L if you can."""
 
 
 def add_decode(commands: Any) -> None:
     """Add the command ``decode``."""
-    example = "maplines decode drive.blf --csv > drive.csv"
+    example = (
+        "maplines decode drive.blf --csv > drive.csv\n         candump -L vcan0 | maplines decode -"
+    )
     parser = add_command(commands, "decode", _decode, DESCRIPTION, example)
     add_codec(parser)
     add_cycle(parser)
-    parser.add_argument(
-        "log", metavar="LOG", help="log in a format of python-can: .asc .blf .csv .log .mf4 .trc"
-    )
+    parser.add_argument("log", metavar="LOG", help="log file, or - for standard input")
     parser.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
 
 
@@ -42,22 +49,25 @@ def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
     decoders: dict[str, Decoder] = {}
     last_ns = status = beyond = 0
+    has_time = True
+    log = sys.stdin.buffer if arguments.log == "-" else arguments.log
 
-    def lines() -> Iterator[tuple[str, MapLine]]:
-        nonlocal last_ns, status, beyond
+    def lines() -> Generator[tuple[str, MapLine], None, None]:
+        nonlocal last_ns, status, beyond, has_time
         try:
-            for frame in with_progress(read_log(arguments.log), " frames"):
+            for frame in with_progress(read_log(log), " frames"):
                 if frame.channel not in decoders:
                     if len(decoders) == MOST_CHANNELS:
                         beyond += 1
                         continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
+                has_time = frame.has_time
                 last_ns = frame.t_ns
                 result = decoders[frame.channel].feed(
-                    frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+                    frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
                 )
                 if isinstance(result, MapLine):
-                    yield frame.channel, result
+                    yield frame.channel, result if has_time else replace(result, t_ns=None)
         except LogError as error:  # the intact records have been read by now
             note(f"error: {error}")
             status = 1
@@ -70,14 +80,17 @@ def _decode(arguments: argparse.Namespace) -> int:
         for decoder in decoders.values():
             decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
 
-    try:
-        if arguments.csv:
-            write_csv(sys.stdout, lines())
-        else:
-            for channel, line in lines():
-                print(json.dumps(line_dict(line) | {"channel": channel}))
-    except KeyboardInterrupt:  # the counters so far are still useful
-        status = 130
+    with closing(lines()) as rows:  # ends the progress bar
+        try:
+            if arguments.csv:
+                write_csv(sys.stdout, rows)
+            else:
+                for channel, line in rows:
+                    print(json.dumps(line_dict(line) | {"channel": channel}), flush=True)
+        except KeyboardInterrupt:  # the counters so far are still useful
+            status = 130
+    if not has_time:
+        note("the log has no time stamps: what depends on time is not checked; use candump -L")
     _summarize(decoders, last_ns)
     return status
 

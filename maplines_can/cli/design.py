@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..line import PARAMETERS
-from ..study.design.plan import Targets
+from ..study.design.plan import MOST_FRAMES, Targets
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
+from .parsing import number, positive
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_design"]
@@ -22,6 +23,9 @@ __all__ = ["add_design"]
 ABOUT = """\
 Design a message layout: find the widths and factors of all fields and the order of the covariance
 rows that meet a target, and write the DBC and a page about it.
+
+The divergence is the Kullback-Leibler divergence (KL) from what the decoded Gaussian must cover,
+which is the one that was sent and the rounding error of its mean, to the decoded one; 0 is exact.
 
 Targets, one of them or both:
   --frames N   the least divergence in N classic CAN frames
@@ -38,8 +42,8 @@ With any design, each decoded covariance is positive definite and covers the one
 Lines unlike those of the set are covered too, by a covariance that is wider than necessary (status
 SATURATED), or are reported as OUT_OF_RANGE.
 
-Figures: predicted, from the steps and ranges of the fields; measured, through the DBC and the codec
-on lines that the search has not seen.
+Figures are given twice: predicted, from the steps and ranges of the fields; measured, through the
+DBC and the codec on lines that the search has not seen.
 """
 EXAMPLES = """\
 examples:
@@ -66,17 +70,28 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add("--frames", type=int, metavar="N", help="number of classic CAN frames of a line")
-    add("--max-kl", type=float, metavar="X", help="largest divergence [nat]")
-    add("--set", dest="lines", default="both", metavar="SET", help="see above; both by default")
+    add(
+        "--frames",
+        type=number(int, 1, MOST_FRAMES),
+        metavar="N",
+        help=f"number of classic CAN frames of a line, 1 to {MOST_FRAMES}",
+    )
+    add("--max-kl", type=positive, metavar="X", help="largest divergence [nat]")
+    add(
+        "--set",
+        dest="lines",
+        default="both",
+        metavar="SET",
+        help="lines to design for, see above (default: both)",
+    )
     add(
         "--range",
         dest="ranges",
         type=_of_states,
         default={},
         metavar="STATE=END,...",
-        help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2]; by default "
-        "those of the project's own DBC, y_off=32,beta=0.5,c0=0.125,c1=0.03125",
+        help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2] "
+        "(default: those of the DBC of this package, y_off=32,beta=0.5,c0=0.125,c1=0.03125)",
     )
     add(
         "--sigma",
@@ -84,34 +99,35 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         type=_of_states,
         default={},
         metavar="STATE=MOST,...",
-        help="greatest standard deviations; by default twice the greatest of the set",
+        help="greatest standard deviations (default: twice the greatest of the set)",
     )
-    add("--keep-mean", action="store_true", help="leave the mean as in the project's own DBC")
+    add("--keep-mean", action="store_true", help="leave the mean as in the DBC of this package")
     add(
         "--max-lateral",
-        type=float,
+        type=positive,
         default=Targets.max_lateral,
         metavar="M",
         help="largest effect of rounding the mean on the lateral position at 80 m [m]; "
-        f"{Targets.max_lateral:g} by default",
+        f"(default: {Targets.max_lateral:g})",
     )
     add(
         "--max-saturated",
-        type=float,
+        type=number(float, 1e-9, 1),
         default=Targets.max_saturated,
         metavar="SHARE",
-        help="largest share of saturated lines; "
-        f"{Targets.max_saturated:g} by default. A smaller one needs wider ranges, and so bits",
+        help="largest share of saturated lines; a smaller one needs wider ranges, and so bits "
+        f"(default: {Targets.max_saturated:g})",
     )
     add(
         "--n",
-        type=int,
+        type=number(int, 100, 10**6),
         default=5000,
-        help="lines of each set for the search, and as many for the figures; 5000 by default. Few "
-        "lines do not determine the ends of the ranges well",
+        metavar="N",
+        help="lines of each set for the search, and as many for the figures, 100 or more; few "
+        "lines do not determine the ends of the ranges well (default: 5000)",
     )
-    add("--seed", type=int, default=0, help="seed of the sets; 0 by default")
-    add("--out", default="design.dbc", metavar="FILE", help="the DBC; design.dbc by default")
+    add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
+    add("--out", default="design.dbc", metavar="FILE", help="the DBC (default: design.dbc)")
     add("--json", action="store_true", help="print all figures and fields as JSON")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
     return parser
@@ -149,8 +165,6 @@ def _lines(
     arguments: argparse.Namespace,
 ) -> tuple[dict[str, Gaussians], dict[str, Gaussians] | None]:
     """Return lines for the search, and lines for the figures."""
-    if not 100 <= arguments.n <= 10**6:
-        raise ValueError(f"--n must be from 100 to 1000000, got {arguments.n}")
     if arguments.lines in SETS:
         return (
             sets_of(arguments.lines, arguments.n, arguments.seed),
@@ -175,11 +189,11 @@ def _command(arguments: argparse.Namespace) -> str:
         if value not in (None, ""):
             words += [flag, f"{value:g}" if isinstance(value, float) else str(value)]
     words += ["--keep-mean"] if arguments.keep_mean else []
-    for flag, number in (
+    for flag, most in (
         ("--max-lateral", arguments.max_lateral),
         ("--max-saturated", arguments.max_saturated),
     ):
-        words += [flag, f"{number:g}"]
+        words += [flag, f"{most:g}"]
     words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
     return shlex.join([*words, Path(arguments.out).name])
 
@@ -188,9 +202,9 @@ def _of_states(text: str) -> dict[str, float]:
     """Parse numbers of some states, for argparse."""
     numbers = {}
     for part in text.split(","):
-        state, _, number = part.partition("=")
+        state, _, digits = part.partition("=")
         try:
-            numbers[state.strip()] = float(number)
+            numbers[state.strip()] = float(digits)
         except ValueError:
             numbers = {}
             break

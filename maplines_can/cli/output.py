@@ -10,7 +10,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from ..line import PARAMETERS, MapLine, Status
-from ..wire import SlotStats
+from ..wire import E2EState, ProfileStatus, SlotStats
 
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
 
@@ -80,12 +80,18 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
             + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
             + [row["cov"][i][j] for i, j in UPPER_TRIANGLE]
         )
+        out.flush()  # a reader of a pipe gets each line at once
 
 
 def check_text(stats: SlotStats) -> str:
-    """Return the E2E state of a slot and its counters as text."""
+    """Return the E2E state of a slot and its counters as text.
+
+    INVALID without data is the ordinary end of a sender, and no failure of its data.
+    """
+    is_silent = stats.status is ProfileStatus.NONEWDATA and stats.state is E2EState.INVALID
+    state = f"no data any more, {stats.state.name}" if is_silent else stats.state.name
     return (
-        f"{stats.state.name}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
+        f"{state}; {stats.ok} ok, {stats.lost} lost, {stats.repeated} repeated, "
         f"{stats.wrong_sequence} wrong sequence, {stats.errors} errors, "
         f"{stats.no_new_data} cycles without data"
         + ("; TWO SENDERS on this slot, or a path that duplicates frames" * stats.two_senders)

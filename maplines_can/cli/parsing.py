@@ -4,18 +4,35 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any, NoReturn
 
 
 class Parser(argparse.ArgumentParser):
     """Argument parser whose error messages do not repeat a secret key.
 
-    Options cannot be abbreviated: ``--key`` does not stand for ``--key-file``.
-    Subparsers are of the same class.
+    Options cannot be abbreviated: ``--key`` does not stand for ``--key-file``. An unknown option is
+    an error of the command that it was given to. Subparsers are of the same class.
     """
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse; raise an error with the usage of this very command for words it does not know.
+
+        argparse itself would report them with the usage of the whole program.
+        """
+        arguments, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{self._hint(unknown)}")
+        return arguments, unknown
+
+    def _hint(self, unknown: list[str]) -> str:
+        """Return the option that is most like the first unknown one, as the end of a sentence."""
+        word = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
+        like = get_close_matches(word, self._option_string_actions, 1)
+        return f"; did you mean {like[0]}?" if like else f"; '{self.prog} --help' lists all options"
 
     def error(self, message: str) -> NoReturn:
         """Print usage and message, with anything that may be a key hidden, and exit."""
@@ -79,4 +96,5 @@ def number(
 
 
 natural = number(int, 1, 10**9)
+positive = number(float, 1e-300, 1e300)
 seconds = number(float, 1e-3, 1e6)

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..study.production.rounding import production_table
 from ..study.production.text import as_csv, as_markdown, as_records, as_text
+from .parsing import number
 
 __all__ = ["add_production"]
 
@@ -22,11 +23,15 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         epilog="example: maplines study production --markdown",
     )
     parser.add_argument(
-        "--n", type=int, default=2000, help="number of lines, 100 or more (default: %(default)s)"
+        "--n",
+        type=number(int, 100, 10**6),
+        default=2000,
+        metavar="N",
+        help="number of lines, 100 or more (default: %(default)s)",
     )
     parser.add_argument(
         "--seed",
-        type=int,
+        type=number(int, 0, 2**32),
         default=0,
         help="seed of the roads and their errors (default: %(default)s)",
     )

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from ..bus import Link, Receiver
+from ..bus import Link, Receiver, ReceiverStats
 from ..line import MapLine, Slot
 from ..wire import E2EState, SlotStats
 from .options import (
@@ -41,7 +41,10 @@ CHECK_PERIOD = 0.05
 
 DESCRIPTION = """\
 Print the lines that arrive on a bus until Ctrl-C. Standard error shows when the end-to-end (E2E)
-state of a slot changes and, at the end, how many frames were dropped and why."""
+state of a slot changes and, at the end, how many frames were dropped and why.
+
+A slot is INIT until enough lines have come in sequence, and VALID then. It is INVALID after too
+many errors, or when its lines no longer come: "no data any more" if the sender was stopped."""
 
 
 def add_receive(commands: Any) -> None:
@@ -66,7 +69,8 @@ def add_receive(commands: Any) -> None:
         "--timeout",
         type=seconds,
         metavar="S",
-        help="stop when no line arrives for this time [s] (default: never)",
+        help="stop when no line arrives for this time [s]; the exit status is 1 if there was none "
+        "at all (default: never)",
     )
     add_faults(parser)
     add_json(parser, "each line")
@@ -112,7 +116,23 @@ def _receive(arguments: argparse.Namespace) -> int:
         note(f"{slot_text(slot.name)}: {check_text(check)}")
     if faults:
         note(f"faults: {faults_text(faults)}")
+    if not stats.lines and arguments.timeout is not None:
+        note(f"error: nothing received: {_why_nothing(stats, arguments.fd)}")
+        return 1
     return 0 if left in (None, 0) else 1
+
+
+def _why_nothing(stats: ReceiverStats, fd: bool) -> str:
+    """Return what to look at if no line has arrived."""
+    if stats.frames:
+        return (
+            f"{stats.frames} frames have arrived, but none completed a line; see why they were "
+            "dropped, and whether --dbc and the keys are those of the sender"
+        )
+    return (
+        "no frame has arrived; check that the sender runs, on the same --interface and --channel"
+        + ("" if fd else ", and whether it sends CAN FD (--fd)")
+    )
 
 
 def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
@@ -131,5 +151,5 @@ def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLi
             last = time.monotonic()
             yield line, slots[line.slot]
         elif timeout is not None and time.monotonic() - last >= timeout:
-            note(f"nothing received for {timeout:g} s")
+            note(f"no line for {timeout:g} s")
             return

@@ -34,7 +34,10 @@ def progress_bar(unit: str, **settings: Any) -> Iterator[Callable[[float, float]
 
 
 def with_progress(items: Iterable[T], unit: str) -> Iterable[T]:
-    """Return the items, counted by a progress bar while they are used."""
+    """Return the items, counted by a progress bar while they are used.
+
+    There is none if results go to a terminal: it would run into their rows.
+    """
     from tqdm import tqdm
 
-    return tqdm(items, unit=unit, disable=not sys.stderr.isatty())
+    return tqdm(items, unit=unit, disable=sys.stdout.isatty() or not sys.stderr.isatty())

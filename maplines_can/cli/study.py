@@ -20,7 +20,8 @@ __all__ = ["add_run"]
 
 ABOUT = """\
 Send sets of Gaussians through all covariance codes at several widths, and evaluate the decoded
-ones: whether they are definite, whether they cover, their divergence (KL), the lateral position.
+ones: whether they are positive definite, whether they cover the covariance that was sent, their
+Kullback-Leibler divergence (KL) from it, and the error of the lateral position.
 
 A set is
   paper        lines with pose error only: nearly singular covariances
@@ -48,7 +49,7 @@ package installed; they need no shared disk.
 """
 #: Default sizes; see ``Study``.
 DEFAULTS = {"n": 1_000_000, "fields_n": 100_000, "limit_n": 20_000}
-#: Sizes with --quick: under two minutes on two cores.
+#: Sizes with --quick.
 QUICK = {"n": 50_000, "fields_n": 20_000, "limit_n": 10_000}
 
 
@@ -78,7 +79,7 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         action="append",
         dest="sets",
         metavar="SET",
-        help=f"{', '.join(DRAWN_SETS)} or a file; may be repeated; paper and road by default",
+        help=f"{', '.join(DRAWN_SETS)} or a file; may be repeated (default: paper and road)",
     )
     add(
         "--code",
@@ -86,23 +87,35 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         dest="codes",
         choices=list(CODES),
         metavar="CODE",
-        help=f"one of {', '.join(CODES)}; may be repeated; all by default",
+        help=f"covariance code: {', '.join(CODES)}; may be repeated (default: all)",
     )
     add(
         "--finer",
         nargs="+",
         type=number(int, -8, 16),
         metavar="BITS",
-        help="more bits in each field, for finer steps; -2 -1 0 1 2 by default",
+        help="how many bits more each field has than in its DBC (default: -2 -1 0 1 2)",
     )
     add(
-        "--n", type=number(int, 1, 10**12), help="Gaussians of each drawn set; 1 000 000 by default"
+        "--n",
+        type=number(int, 1, 10**12),
+        metavar="N",
+        help="Gaussians of each drawn set (default: 1 000 000)",
     )
-    add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the draws; 0 by default")
+    add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the draws (default: 0)")
     add(
-        "--chunk", type=number(int, 100, 10**6), default=10_000, help="Gaussians in a chunk; 10 000"
+        "--chunk",
+        type=number(int, 100, 10**6),
+        default=10_000,
+        metavar="N",
+        help="Gaussians in a piece of work, after which it can be stopped (default: 10 000)",
     )
-    add("--jobs", type=number(int, 1, 1024), help="processes; one per processor by default")
+    add(
+        "--jobs",
+        type=number(int, 1, 1024),
+        metavar="N",
+        help="processes (default: one for each processor)",
+    )
     add("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
     add("--map", metavar="FILE", help="CSV of the lines that poses see")
     add(
@@ -111,15 +124,15 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         type=float,
         default=(-20.0, 80.0),
         metavar=("MIN", "MAX"),
-        help="range ahead of a pose where points of the map are used [m]; -20 80 by default",
+        help="range ahead of a pose where points of the map are used [m] (default: -20 80)",
     )
     add(
         "--transform",
         choices=["sigma-points", "quadrature"],
         default="sigma-points",
-        help="propagation from a pose to a line; sigma-points by default",
+        help="propagation from a pose to a line (default: sigma-points)",
     )
-    add("--quick", action="store_true", help="fewer Gaussians: under two minutes on two cores")
+    add("--quick", action="store_true", help="fewer Gaussians, for a first look")
     add("--json", action="store_true", help="print the table summary as JSON")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
     return parser

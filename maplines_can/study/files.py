@@ -28,7 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MissingExtraError, StudyError
+from ..errors import StudyError, missing_extra
 from ..gaussian import asymmetric, indefinite, nearest_covariance
 from ..polyline import Polyline
 
@@ -49,9 +49,7 @@ def arrow() -> Any:
     try:
         import pyarrow.parquet
     except ImportError as error:
-        raise MissingExtraError(
-            "Parquet files need pyarrow; pip install 'maplines_can[study]'"
-        ) from error
+        raise missing_extra("Parquet files need pyarrow", "study") from error
     return pyarrow
 
 

@@ -80,8 +80,8 @@ def test_candump_logs_keep_their_channels_and_times(tmp_path: Path) -> None:
     )
     first, second, third = read_log(path)
 
-    assert first == (0x100, bytes.fromhex("0011223344556677"), first.t_ns, False, "vcan0")
-    assert abs(first.t_ns - 1_700_000_000_123_456_000) < 1000  # a float of seconds
+    assert first == (0x100, bytes.fromhex("0011223344556677"), first.t_ns, False, "vcan0", True)
+    assert first.t_ns == 1_700_000_000_123_456_000
     assert (second.data.hex(), second.channel) == ("deadbeef", "can1")
     assert (third.is_extended, third.data) == (True, b"")
 
@@ -160,7 +160,7 @@ def test_a_file_of_something_else_is_one_clear_error(tmp_path: Path, suffix: str
     assert frames == []
     if suffix == ".log":
         assert "none of 20 records can be read (line 1: " in text
-        assert text.endswith("; a .log file must be written by candump -L")
+        assert text.endswith("; the content is no format that is known, such as candump's")
 
 
 @pytest.mark.parametrize("length", [0, 1, 15])
@@ -200,8 +200,9 @@ def test_a_reader_that_makes_no_progress_is_stopped(tmp_path: Path) -> None:
         ("missing.log", "there is no such file"),
         ("missing.db", "there is no such file"),
         ("drive.pcap", "the format '.pcap' is unknown; use .asc, .blf, .csv, .db, .log, .mf4, .tr"),
-        ("drive", "the format '' is unknown"),
-        ("drive.gz", "the format '' is unknown"),
+        ("drive", "there is no such file"),
+        ("drive.gz", "there is no such file"),
+        ("", "is not a file"),
         ("drive.db.gz", ".db cannot be read while compressed; use gunzip first"),
     ],
 )
@@ -218,7 +219,7 @@ def test_mf4_without_its_package_names_the_extra(
     monkeypatch.setattr("maplines_can.bus.logs.find_spec", lambda _: None)
     path = tmp_path / "drive.mf4"
     path.touch()
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[mf4\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[mf4\]"'):
         read_log(path)
 
 
@@ -230,5 +231,5 @@ def test_random_content_raises_log_error_at_worst(
     path = tmp_path_factory.getbasetemp() / f"any.{suffix}"
     header = {"asc": b"base hex\n", "csv": b"t\n", "trc": b";$FILEVERSION=1.1\n", "blf": b"LOGG"}
     path.write_bytes(header.get(suffix, b"") + content)
-    with contextlib.suppress(LogError):
+    with contextlib.suppress(LogError, MissingExtraError):  # asammdf is asked for by its magic
         list(read_log(path))

@@ -157,7 +157,7 @@ def test_the_channel_of_a_slot_is_printed(slot_notes: Any, tmp_path: Path) -> No
     assert main(["decode", path, "--csv"]) == 0
     first, second = slot_notes()
     assert first.startswith("maplines: can0 ego left: VALID; 20 ok, 0 lost")
-    assert second.startswith("maplines: can1 ego left: INVALID; 10 ok, 0 lost")
+    assert second.startswith("maplines: can1 ego left: no data any more, INVALID; 10 ok, 0 lost")
     assert second.endswith("9 cycles without data")
 
 

@@ -1,8 +1,10 @@
 """The command line as a whole: help, usage, errors and how it ends."""
 
+import re
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 import maplines_can
 from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
+from maplines_can.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]
 ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]
@@ -104,19 +107,26 @@ def test_errors_are_one_clear_line(
     [
         pytest.param(["receive"], "--interface and --channel", id="no-interface"),
         pytest.param(["receive", "--interface", "socketcan"], "--channel can0", id="no-channel"),
+        pytest.param(["design"], "--frames or --max-kl must be given", id="no-target"),
+        pytest.param(["design", "--frames", "1", "--n", "100", "--set", "road"], "--frames 1 leave",
+                     id="too-few-frames"),
+        pytest.param(["design", "--frames", "4", "--keep-mean", "--range", "y_off=9"],
+                     "must not be given with --keep-mean", id="contradiction"),
+        pytest.param(["design", "--frames", "4", "--sigma", "y_off=0"], "--sigma must", id="sigma"),
+        pytest.param(["study", "run", "--out", "never", "--finer", "-8", "--n", "100", "--code",
+                      "Cholesky"], "so --finer cannot be -8", id="finer"),
     ],
-)
+)  # fmt: skip
 def test_errors_name_options_and_not_python_arguments(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: Any, words: str
 ) -> None:
-    """The user of the command cannot pass interface=..."""
+    """The user of the command cannot pass interface=..., nor max_kl."""
     for variable in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
         monkeypatch.delenv(variable, raising=False)
     assert main(arguments) == 1
     err = capsys.readouterr().err
     assert words in err
-    assert "interface=" not in err
-    assert "channel=" not in err
+    assert not re.search(r"(interface|channel|fd)=|\b(max|keep|finer)_[a-z]+", err)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +153,35 @@ def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], arguments: 
         main(arguments)
     assert end.value.code == 2
     assert "usage: maplines" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "usage", "hint"),
+    [
+        (["demo", "--rat", "5"], "maplines demo", "did you mean --rate?"),
+        (["receive", "--channell=vcan0"], "maplines receive", "did you mean --channel?"),
+        (["send", "--key", "car.key"], "maplines send", "did you mean --key"),
+        (
+            ["study", "run", "--out", "d", "--sed", "1"],
+            "maplines study run",
+            "did you mean --seed?",
+        ),
+        (["study", "production", "--mark"], "maplines study production", "mean --markdown?"),
+        (["design", "--frmes", "4"], "maplines design", "did you mean --frames?"),
+        (["receive", "--xyz"], "maplines receive", "'maplines receive --help' lists all options"),
+        (["scenarios", "extra"], "maplines scenarios", "'maplines scenarios --help' lists"),
+        (["--verion"], "maplines", "COMMAND"),
+    ],
+)
+def test_item_11_an_unknown_option_is_an_error_of_its_command(
+    capsys: pytest.CaptureFixture[str], arguments: Any, usage: str, hint: str
+) -> None:
+    """The usage is that of the command, and the error names the closest option."""
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    err = capsys.readouterr().err
+    assert err.startswith(f"usage: {usage} [-h]")
+    assert hint in err.splitlines()[-1]
 
 
 def test_an_unknown_command_is_answered_with_the_known_ones(
@@ -182,3 +221,28 @@ def test_interrupt_while_a_module_is_imported(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("maplines_can.cli.import_module", import_module)
     assert main(["demo"]) == 130
+
+
+def test_item_11_a_codec_describes_itself() -> None:
+    """repr has the DBC, the covariance code and whether frames are authenticated."""
+    assert re.fullmatch(
+        r"<Codec of .*maplines\.dbc: Cholesky>", repr(maplines_can.Codec.from_dbc())
+    )
+
+
+@pytest.mark.parametrize("extra", ["secoc", "mf4", "study", "plot"])
+def test_item_11_an_extra_is_one_that_a_checkout_has(extra: str) -> None:
+    """The command in the message names an extra of pyproject.toml; nothing is published."""
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert extra in extras["optional-dependencies"]
+    assert str(missing_extra("this needs that", extra)).endswith(f'pip install ".[{extra}]"')
+
+
+def test_item_11_no_text_names_a_package_that_is_not_published() -> None:
+    """No message and no page says pip install maplines_can."""
+    texts = [*(ROOT / "maplines_can").rglob("*.py"), *ROOT.glob("*.md"), *ROOT.glob("d*/*.md")]
+    wrong = [
+        path for path in texts if re.search(r"install\s.?maplines_can", path.read_text("utf-8"))
+    ]
+    assert len(texts) > 50
+    assert wrong == []

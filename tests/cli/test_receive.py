@@ -11,8 +11,9 @@ from scenes import scene_lines
 
 from maplines_can import Codec, Link, Transmitter, scenario
 from maplines_can.cli import main
-from maplines_can.cli.output import line_dict, line_text
+from maplines_can.cli.output import check_text, line_dict, line_text
 from maplines_can.line import Status
+from maplines_can.wire import E2EState, ProfileStatus, SlotStats
 
 
 def test_lines_are_printed_until_the_count(
@@ -42,7 +43,74 @@ def test_a_silent_bus_ends_it_after_the_timeout(
     """The status is 1 if fewer lines arrived than --count."""
     bus = ["--interface", "virtual", "--channel", channel]
     assert main(["receive", *bus, "--count", "1", "--timeout", "0.05"]) == 1
-    assert "nothing received for 0.05 s" in capsys.readouterr().err
+    assert "no line for 0.05 s" in capsys.readouterr().err
+
+
+def test_item_11_nothing_received_is_an_error(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
+    """Without --count too; the last line says what to look at."""
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--timeout", "0.05"]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("maplines: error: nothing received: no frame has arrived; check")
+    assert "--fd" in last
+
+
+def test_item_11_frames_without_a_line_are_an_error(
+    capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
+    """The last line says so, and the counters say why."""
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("highway"), 1))
+        bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
+        assert main(["receive", *bus, "--timeout", "0.2"]) == 1
+    last = capsys.readouterr().err.splitlines()
+    (error,) = (row for row in last if "error:" in row)
+    assert "frames have arrived, but none completed a line" in error
+
+
+def test_item_11_a_receiver_that_outlives_its_sender_succeeds(
+    capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Lines came, so the status is 0 and there is no error. The sender stops at the first row."""
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.02) as transmitter,
+    ):
+
+        def stop(_: Any) -> str:
+            transmitter.stop()
+            return "a row"
+
+        monkeypatch.setattr("maplines_can.cli.receive.line_text", stop)
+        transmitter.publish(scene_lines(scenario("highway"), 1))
+        bus = ["--interface", "virtual", "--channel", channel]
+        assert main(["receive", *bus, "--timeout", "0.3"]) == 0
+    out, err = capsys.readouterr()
+    assert "a row" in out
+    assert "no line for 0.3 s" in err
+    assert "error:" not in err
+
+
+@pytest.mark.parametrize(
+    ("state", "status", "words"),
+    [
+        (E2EState.INVALID, ProfileStatus.NONEWDATA, "no data any more, INVALID; 60 ok, 0 lost"),
+        (E2EState.INVALID, ProfileStatus.ERROR, "INVALID; 60 ok"),
+        (E2EState.VALID, ProfileStatus.NONEWDATA, "VALID; 60 ok"),
+        (E2EState.INIT, ProfileStatus.NONEWDATA, "INIT; 60 ok"),
+    ],
+)
+def test_item_11_the_end_of_a_sender_is_named(
+    state: E2EState, status: ProfileStatus, words: str
+) -> None:
+    """INVALID without data is not said like a failure."""
+    stats = SlotStats(state, status, 60, 0, 0, 0, 0, 100, two_senders=False)
+    assert check_text(stats).startswith(words)
 
 
 def test_the_cycle_time_decides_whether_a_slot_is_valid(

@@ -23,6 +23,8 @@ UNIT = np.array([2.0**-8, 2.0**-12, 2.0**-14, 2.0**-16])
 #: Relative margin of the coded matrix over the one it must cover.
 MARGIN = 1e-6
 TRIES = 24
+#: Least squared pivot of a factor, relative to the diagonal element of its row.
+LEAST_PIVOT = 8 * np.finfo(float).eps
 
 
 def entry_name(i: int, j: int) -> str:
@@ -63,10 +65,10 @@ class IntegerCholesky(BatchCode):
             if not len(rows):
                 break
             values, fits = self._rounded(M[rows] * bump[rows, None, None])
-            decoded = self._unscaled(values)
+            R = self._factor(values)
             ratio = np.full(len(rows), 2.0)
             if fits.any():
-                ratio[fits] = _largest_ratio(decoded[fits], M[rows[fits]])
+                ratio[fits] = _largest_ratio(R[fits], M[rows[fits]])
             good = fits & (ratio <= 1)
             for name, value in values.items():
                 raw[name][rows[good]] = value[good]
@@ -79,7 +81,7 @@ class IntegerCholesky(BatchCode):
 
     def _rounded(self, M: Array) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
         """Return raw values of (n, 4, 4) matrices, and which fit, with the smallest exponents."""
-        L = np.linalg.cholesky(M)
+        L = _factors(M)
         least = np.full(len(M), self.exponent.physical_range[0])
         for (i, j), signal in self.entries.items():
             reach = signal.physical_range[1]
@@ -91,20 +93,23 @@ class IntegerCholesky(BatchCode):
         values = {self.exponent.name: (exponent - self.exponent.offset).astype(np.int64)}
         for (i, j), signal in self.entries.items():
             element = L[:, j, i] / scale / signal.factor
-            nearest = np.ceil(element - 1e-9) if i == j else np.rint(element)
+            # A diagonal element of 0 would decode to a singular matrix.
+            nearest = np.maximum(np.ceil(element - 1e-9), 1) if i == j else np.rint(element)
             values[signal.name] = signal.limited(nearest).astype(np.int64)
         return values, fits
 
-    def _unscaled(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+    def _factor(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
+        """Return the decoded upper triangular factors in the units of the code."""
         R = np.zeros((len(raw[self.exponent.name]), 4, 4))
         scale = np.exp2(self.exponent.physical(raw[self.exponent.name]))
         for (i, j), signal in self.entries.items():
             R[:, i, j] = signal.physical(raw[signal.name]) * scale
-        return R.transpose(0, 2, 1) @ R
+        return R
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]]) -> Array:
-        cov = np.empty((len(raw[self.exponent.name]), 4, 4))
-        cov[:, np.array(ORDER)[:, None], np.array(ORDER)] = self._unscaled(raw)
+        R = self._factor(raw)
+        cov = np.empty((len(R), 4, 4))
+        cov[:, np.array(ORDER)[:, None], np.array(ORDER)] = R.transpose(0, 2, 1) @ R
         cov *= UNIT[:, None] * UNIT
         return (cov + cov.transpose(0, 2, 1)) / 2
 
@@ -114,8 +119,24 @@ class IntegerCholesky(BatchCode):
         return none | wide | {self.exponent.name: self.exponent.raw_max}
 
 
-def _largest_ratio(decoded: Array, M: Array) -> Array:
-    """Return (n,) largest eigenvalues of decoded^-1 M, with a margin for rounding."""
-    inverse = np.linalg.inv(np.linalg.cholesky(decoded))
-    ratio = np.linalg.eigvalsh(inverse @ M @ inverse.transpose(0, 2, 1))[:, -1]
+def _factors(M: Array) -> Array:
+    """Return (n, 4, 4) lower Cholesky factors of semidefinite matrices with a positive diagonal.
+
+    Rounding can leave a pivot that is not positive, for which NumPy's factorization raises for the
+    whole batch. Here the pivot is at least what rounding of its row can hide; the caller checks
+    that the result covers.
+    """
+    L = np.zeros_like(M)
+    for i in range(4):
+        for j in range(i):
+            L[:, i, j] = (M[:, i, j] - (L[:, i, :j] * L[:, j, :j]).sum(axis=1)) / L[:, j, j]
+        pivot = M[:, i, i] - (L[:, i, :i] ** 2).sum(axis=1)
+        L[:, i, i] = np.sqrt(np.maximum(pivot, LEAST_PIVOT * M[:, i, i]))
+    return L
+
+
+def _largest_ratio(R: Array, M: Array) -> Array:
+    """Return (n,) largest eigenvalues of (R^T R)^-1 M, with a margin for rounding."""
+    inverse = np.linalg.inv(R)
+    ratio = np.linalg.eigvalsh(inverse.transpose(0, 2, 1) @ M @ inverse)[:, -1]
     return np.asarray(ratio * (1 + MARGIN), dtype=float)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import MissingExtraError
+from ...errors import missing_extra
 from ...gaussian import Gaussian
 from ...line import lateral_jacobian
 from ...scenarios import SCENARIOS
@@ -144,9 +144,7 @@ def draw_figures(
     try:
         import matplotlib as mpl
     except ImportError as error:
-        raise MissingExtraError(
-            'figures need matplotlib: pip install "maplines_can[plot]"'
-        ) from error
+        raise missing_extra("figures need matplotlib", "plot") from error
     if not samples >= LEAST_SAMPLES:
         raise ValueError(f"samples must be {LEAST_SAMPLES} or more, got {samples!r}")
     unknown = set(formats) - set(METADATA)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import MissingExtraError
+from ...errors import missing_extra
 from ...gaussian import Gaussian
 from ...line import MapLine
 from ...scenarios import Scenario
@@ -33,9 +33,7 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
         from matplotlib.figure import Figure
         from matplotlib.lines import Line2D
     except ImportError as error:
-        raise MissingExtraError(
-            'a picture needs matplotlib: pip install "maplines_can[plot]"'
-        ) from error
+        raise missing_extra("a picture needs matplotlib", "plot") from error
     figure = Figure(figsize=(10, 6.2), layout="constrained")
     axes = figure.subplots(2, 1, height_ratios=[3, 1.25], sharex=True)
     for colour, line in zip(COLOURS, trip.true_lines, strict=False):

@@ -6,9 +6,20 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ...errors import MissingExtraError
+from ...errors import missing_extra
+from ..codes import CODES
 from ..metrics import LATERAL_X
-from .tables import SUMMARY, Row, Tables, number, percent, read_tables, share, with_error
+from .tables import (
+    LARGEST_KL,
+    SUMMARY,
+    Row,
+    Tables,
+    number,
+    percent,
+    read_tables,
+    share,
+    with_error,
+)
 
 TITLE = "Covariance codes on the wire"
 #: (share column, label, column that is True if the share is guaranteed to be 0).
@@ -45,12 +56,11 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         from jinja2 import Environment, PackageLoader
 
         from .cases import BAND, fields_plot, worst_groups, worst_plots
+        from .choice import bits_more, choices
         from .drawing import plot_styles
         from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
     except ImportError as error:
-        raise MissingExtraError(
-            'the report needs bokeh, jinja2 and pyarrow: pip install "maplines_can[study]"'
-        ) from error
+        raise missing_extra("the report needs bokeh, jinja2 and pyarrow", "study") from error
     tables = read_tables(folder)
     sets, look, groups = tables.sets, plot_styles(tables.codes), worst_groups(tables)
     field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
@@ -77,7 +87,13 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
     environment = Environment(
         loader=PackageLoader(__package__, "."), autoescape=True, trim_blocks=True
     )
-    texts = {"number": number, "percent": percent, "share": share, "with_error": with_error}
+    texts = {
+        "bits_more": bits_more,
+        "number": number,
+        "percent": percent,
+        "share": share,
+        "with_error": with_error,
+    }
     first = [row for s in sets if (row := tables.shipped(s, tables.codes[0]))]
     environment.globals |= texts | {
         "nan": math.nan,
@@ -89,12 +105,15 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         "lateral_x": [f"{x:g}" for x in LATERAL_X],
         "not_definite": NOT_DEFINITE,
         "saturation": SATURATION,
+        "largest_kl": LARGEST_KL,
     }
     html = environment.get_template("report.html.j2").render(
         title=title,
         script=script,
         library=Resources(mode="inline", components=["bokeh"]).render_js(),
         first=first,
+        choices=choices(tables),
+        about={code: CODES[code].about if code in CODES else "" for code in tables.codes},
         counts={"n": sum(row["n"] for row in first)}
         | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
         broken=[

@@ -33,12 +33,10 @@ Looks = Mapping[str, Look]
 KL_LOW, KL_HIGH = -8, 3
 #: Legible on light and on dark pages.
 LIMIT = "#808080"
-#: Places of the text beside a mark: above, below, to the right.
-ASIDE: tuple[dict[str, Any], ...] = (
-    {"angle": math.pi / 2, "x_offset": 5, "y_offset": -8},
-    {"angle": math.pi / 2, "x_offset": 5, "y_offset": 8, "text_align": "right"},
-    {"x_offset": 8, "text_baseline": "middle"},
-)
+#: The KL that is shown until the reader chooses another one.
+FIRST = next(iter(SUMMARY))
+#: Place of the text above a mark.
+ABOVE: dict[str, Any] = {"angle": math.pi / 2, "x_offset": 5, "y_offset": -8}
 #: Largest share of Gaussians without a KL for which a mark is filled.
 LEFT_OUT = 0.01
 #: Ratios of sigmas that are marked on the axis, and the largest one on it.
@@ -51,9 +49,9 @@ ALL_CODES = "all codes"
 def kl_plot(tables: Tables, set_: str, looks: Looks) -> figure:
     """Plot the KL against the bits of the covariance: a curve for each code, and the limit.
 
-    A mark is hollow if its KL leaves out Gaussians or is beyond the axis. The code with the widths
-    of its DBC is labelled with the share of matrices that are not positive definite. Each code
-    with an infinite KL has a row of its own above the axis.
+    The median is shown first, with a whisker to the 99 % quantile. A mark is hollow if its KL
+    leaves out Gaussians or is beyond the axis. Each code with an infinite KL has a row of its own
+    above the axis, with the shares of matrices that are not positive definite.
     """
     seen = [row[key] for row in tables.summary for key in SUMMARY]
     logs = [math.log10(kl) for kl in seen if 0 < kl < math.inf] or [-2.0]
@@ -70,7 +68,7 @@ def kl_plot(tables: Tables, set_: str, looks: Looks) -> figure:
     most = max(row["covariance_bits"] for row in tables.summary)
     plot = new_plot(
         "bits of the covariance",
-        words["kl_mean"],
+        words[FIRST],
         400 + 44 * len(shelves),
         y_axis_type="log",
         y_range=Range1d(start=10.0 ** (low - 0.3), end=top),
@@ -79,21 +77,19 @@ def kl_plot(tables: Tables, set_: str, looks: Looks) -> figure:
     set_ticks(plot.yaxis[0], ticks(low, high) | dict.fromkeys(shelves.values(), "∞"))
     set_options(plot.yaxis[0], "kl", {key: {"axis_label": text} for key, text in words.items()})
     _draw_limit(plot, tables, set_, 10.0**low)
-    bad = {row["code"] for row in tables.summary if row["not_positive_definite"] > 0}
-    beside = sorted(looks, key=lambda code: code not in bad)  # those with texts first
     for code, look in looks.items():
         rows = tables.of(set_, code)
         if not rows:
             continue
         edges = 10.0**low, 10.0**high, shelves.get(code, top)
         views = {key: {"data": _kl_view(tables, rows, key, *edges)} for key in SUMMARY}
-        source = ColumnDataSource(views["kl_mean"]["data"])
+        source = ColumnDataSource(views[FIRST]["data"])
         set_options(source, "kl", views)
         dots = draw_code(plot, source, code, look)
-        style = ASIDE[0 if code in endless else beside.index(code) % len(ASIDE)]
-        style = style | {"text_font_size": "10px", "text_color": look.colour}
-        shares = plot.text("x", "y", text="mark", source=source, **style)
-        shares.tags = [f"code:{code}"]
+        if code in endless:  # texts beside other marks would hide one another
+            style = ABOVE | {"text_font_size": "10px", "text_color": look.colour}
+            shares = plot.text("x", "y", text="mark", source=source, **style)
+            shares.tags = [f"code:{code}"]
         add_hover(
             plot,
             dots,
@@ -112,16 +108,15 @@ def _kl_view(
 ) -> dict[str, list[Any]]:
     """Return the columns of one code for one KL; a KL that is not finite is at ``endless``."""
     points = []
-    shipped = tables.shipped(rows[0]["set"], rows[0]["code"])
     for row in rows:
         kl, error = row[key], 2 * row.get(f"{key}_se", math.nan)
         error = error if math.isfinite(error + kl) else 0.0
+        far = row["kl_p99"] if key == "kl_p50" and row["kl_p99"] >= kl else kl + error
         lost = row["not_positive_definite"], row["out_of_range"]
-        ends = [clip(y, low, 1.6 * high) for y in (max(kl - error, kl / 100), kl, kl + error)]
+        ends = [clip(y, low, 1.6 * high) for y in (max(kl - error, kl / 100), kl, far)]
         if _endless(row, key):
             ends = [endless] * 3
         whole = ends[1] <= high and sum(lost) <= LEFT_OUT
-        marked = lost[0] > 0 and (row is shipped or _endless(row, key))
         points.append(
             {
                 "x": row["covariance_bits"],
@@ -133,10 +128,10 @@ def _kl_view(
                 "record": row["record_bits"],
                 "frames": row["classic_frames"],
                 "text": with_error(kl, error / 2),
-                "over": tables.over_text(row) if key == "kl_mean" else "-",
+                "over": tables.over_text(row),
                 "bad": share(lost[0], row["not_positive_definite_se"], row["n"]),
                 "out": share(lost[1], row["out_of_range_se"], row["n"]),
-                "mark": percent(lost[0]) if marked else "",
+                "mark": percent(lost[0]) if lost[0] > 0 and _endless(row, key) else "",
             }
         )
     return columns(points)

@@ -7,18 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import MissingExtraError, StudyError
+from ...errors import StudyError, missing_extra
 from ..codes import CODES
 from ..metrics import LATERAL_X
 
 Row = dict[str, Any]
 
-#: Columns of the summary with a KL divergence, and their names in the report.
+#: Columns of the summary with a KL divergence, and their names in the report. A mean follows a few
+#: outliers, which can be 1e10 times the median; so the median comes first.
 SUMMARY = {
-    "kl_mean": "KL of the covered target, mean",
     "kl_p50": "KL of the covered target, median",
     "kl_p99": "KL of the covered target, 99 %",
     "kl_max": "KL of the covered target, largest",
+    "kl_mean": "KL of the covered target, mean",
     "kl_before_inflation_mean": "KL before the inflation, mean",
     "kl_theory": "KL predicted by theory",
     "kl_untouched_mean": "KL of the true Gaussian, mean",
@@ -141,9 +142,7 @@ def read_tables(folder: str | Path) -> Tables:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise MissingExtraError(
-            'the report needs pyarrow and bokeh: pip install "maplines_can[study]"'
-        ) from error
+        raise missing_extra("the report needs pyarrow and bokeh", "study") from error
     folder = Path(folder)
     if not folder.is_dir():
         raise StudyError(f"{folder}: there is no such folder; a sweep creates one for its tables")

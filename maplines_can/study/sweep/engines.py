@@ -20,7 +20,7 @@ from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, NamedTuple
 
-from ...errors import MissingExtraError, StudyError
+from ...errors import StudyError, missing_extra
 
 #: Number of times in a row that a process may die before the study is given up.
 DEATHS = 3
@@ -208,7 +208,5 @@ def _distributed() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise MissingExtraError(
-            "--scheduler needs Dask; pip install 'maplines_can[study]'"
-        ) from error
+        raise missing_extra("--scheduler needs Dask", "study") from error
     return distributed

@@ -6,10 +6,23 @@ import hmac
 import re
 from typing import Any
 
-from ...errors import KeyMaterialError, MissingExtraError
+from ...errors import KeyMaterialError, missing_extra
 
 #: Bytes of the secrets of AES-128 and AES-256.
 SECRET_BYTES = (16, 32)
+#: Whole numbers from here on may be a secret.
+LEAST_SECRET_NUMBER = 2**64
+
+
+def shown(value: object) -> str:
+    """Return a wrong argument as text for an error message; of what may be a secret, its type.
+
+    >>> shown(300), shown(-0.5), shown(None), shown("2b7e1516"), shown(2**100)
+    ('300', '-0.5', 'None', 'a str', 'an int of 101 bits')
+    """
+    if isinstance(value, int) and abs(value) >= LEAST_SECRET_NUMBER:
+        return f"an int of {value.bit_length()} bits"
+    return repr(value) if isinstance(value, int | float | None) else f"a {type(value).__name__}"
 
 
 class Key:
@@ -20,12 +33,12 @@ class Key:
     of this package contain the secret.
 
     Args:
-        secret: 16 or 32 random bytes.
+        secret: 16 or 32 random bytes, not their hex digits: see ``from_hex``.
         key_id: key ID on the bus, 0 to 255.
 
     Raises:
-        KeyMaterialError: the secret is not bytes, is too short or too long, or is one byte
-            repeated; or the key ID is not an integer from 0 to 255.
+        KeyMaterialError: the secret is not bytes, is too short or too long, consists of hex
+            digits, or is one byte repeated; or the key ID is not an integer from 0 to 255.
         MissingExtraError: the package cryptography is not installed.
 
     >>> Key(bytes(range(16)), key_id=7)
@@ -42,14 +55,19 @@ AES-256), got 4 characters
     def __init__(self, secret: bytes, key_id: int = 1) -> None:
         self.key_id, self.fingerprint = -1, "none"  # for the repr of a rejected key in a traceback
         try:
-            is_int = isinstance(key_id, int)  # otherwise it may be the secret, in the wrong place
-            if not (is_int and 0 <= key_id <= 255):
-                got = repr(key_id) if is_int else f"a {type(key_id).__name__}"
-                raise KeyMaterialError(f"key_id must be a whole number from 0 to 255, got {got}")
+            if not (isinstance(key_id, int) and 0 <= key_id <= 255):
+                raise KeyMaterialError(
+                    f"key_id must be a whole number from 0 to 255, got {shown(key_id)}"
+                )
             if not isinstance(secret, bytes | bytearray | memoryview):
                 raise KeyMaterialError(
                     f"a key must be bytes, got a {type(secret).__name__}; Key.from_hex reads hex "
                     "digits"
+                )
+            if re.fullmatch(rb"[0-9A-Fa-f]{16,}", bytes(secret).strip()):
+                raise KeyMaterialError(
+                    f"a key must be random bytes; these {len(secret)} are all hex digits, which "
+                    "Key.from_hex reads"
                 )
             if len(secret) not in SECRET_BYTES:
                 raise KeyMaterialError(
@@ -127,7 +145,5 @@ def _primitives() -> tuple[Any, Any]:
         from cryptography.hazmat.primitives.ciphers.algorithms import AES
         from cryptography.hazmat.primitives.cmac import CMAC
     except ImportError as error:
-        raise MissingExtraError(
-            'authentication needs cryptography: pip install "maplines_can[secoc]"'
-        ) from error
+        raise missing_extra("authentication needs cryptography", "secoc") from error
     return AES, CMAC

@@ -25,7 +25,7 @@ from collections.abc import Callable
 from ...errors import EncodeError
 from ..message.slot_messages import SecuredLayout
 from ..reasons import Reason
-from .key import Key
+from .key import Key, shown
 
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
@@ -89,22 +89,9 @@ class Authenticator:
         if strange := [type(key).__name__ for key in keys if not isinstance(key, Key)]:
             del keys  # one of them may be a secret
             raise TypeError(f"keys must be of the class Key, got a {strange[0]}; make a Key of it")
-        now = clock() if callable(clock) else None
-        if clock is not None and not isinstance(now, int):
-            raise ValueError(
-                "clock must be a function that returns nanoseconds as an int, such as "
-                f"time.time_ns, got {now!r} from {clock!r}"
-            )
-        if not (isinstance(window_ns, int | float) and 1000 <= window_ns < math.inf):
-            raise ValueError(
-                f"window_ns must be at least 1000 ns and finite, got {window_ns!r}; a second is "
-                "1_000_000_000"
-            )
-        if not (isinstance(not_before, int) and 0 <= not_before <= MOST_FRESHNESS):
-            raise ValueError(
-                f"not_before must be a whole number (int) from 0 to 2^63 - 1 us, got "
-                f"{not_before!r}; take a stored last_sent, or a stored last accepted value"
-            )
+        if problem := _problem(clock, window_ns, not_before):
+            del keys, clock, window_ns, not_before  # a traceback may show them
+            raise ValueError(problem)
         self._keys: dict[int, Key] = {}
         for key in keys:
             self.add(key)
@@ -152,8 +139,10 @@ class Authenticator:
         Raises:
             ValueError: there is no such key.
         """
-        if key_id not in self._keys:
-            raise ValueError(f"key_id must be one of {sorted(self._keys)}, got {key_id!r}; add it")
+        if not isinstance(key_id, int) or key_id not in self._keys:
+            got = shown(key_id)
+            del key_id  # it may be a secret
+            raise ValueError(f"key_id must be one of {sorted(self._keys)}, got {got}; add it")
         self._active = self._keys[key_id]
 
     def retire(self, key_id: int) -> None:
@@ -169,10 +158,12 @@ class Authenticator:
         kept = set()
         if self.last_sent > self.not_before or len(self._keys) == 1:
             kept = {self._active.key_id}
-        if key_id not in self._keys.keys() - kept:
+        if not isinstance(key_id, int) or key_id not in self._keys.keys() - kept:
+            got = shown(key_id)
+            del key_id  # it may be a secret
             in_use = f"; the key that is in use, {self._active.key_id}, cannot be retired"
             raise ValueError(
-                f"key_id must be one of {sorted(self._keys.keys() - kept)}, got {key_id!r}"
+                f"key_id must be one of {sorted(self._keys.keys() - kept)}, got {got}"
                 f"{in_use if kept else ''}"
             )
         if key_id == self._active.key_id:
@@ -248,6 +239,28 @@ class Verifier:
             return Reason.AGE
         self.last_accepted[data_id] = freshness
         return authentic
+
+
+def _problem(clock: object, window_ns: object, not_before: object) -> str | None:
+    """Return what is wrong with the settings of an authenticator; of a secret, only its type."""
+    now = clock() if callable(clock) else None
+    if clock is not None and not isinstance(now, int):
+        got = f"one that returns {shown(now)}" if callable(clock) else shown(clock)
+        return (
+            "clock must be a function that returns nanoseconds as an int, such as "
+            f"time.time_ns, got {got}"
+        )
+    if not (isinstance(window_ns, int | float) and 1000 <= window_ns < math.inf):
+        return (
+            f"window_ns must be at least 1000 ns and finite, got {shown(window_ns)}; a second is "
+            "1_000_000_000"
+        )
+    if not (isinstance(not_before, int) and 0 <= not_before <= MOST_FRESHNESS):
+        return (
+            "not_before must be a whole number (int) from 0 to 2^63 - 1 us, got "
+            f"{shown(not_before)}; take a stored last_sent, or a stored last accepted value"
+        )
+    return None
 
 
 def complete(truncated: int, bits: int, floor: int) -> int:

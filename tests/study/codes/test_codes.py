@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scenes import lines_timed_out, scene_lines
 
-from maplines_can import Codec, MapLine, Slot, Status
+from maplines_can import Codec, Gaussian, MapLine, Slot, Status
 from maplines_can.errors import LayoutError
 from maplines_can.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
@@ -251,3 +251,42 @@ def test_lines_travel_over_a_bus_with_every_dbc(name: Any) -> None:
     counts = {reason.name: n for reason, n in trip.received.counts.items()}
     frames = trip.sent.frames // trip.sent.lines
     assert trip.lines_lost == lines_timed_out(counts, trip.received.pending, frames)
+
+
+def singular(n: int) -> Any:
+    """Return covariances of rank 0 to 4 at many scales, all of which ``Gaussian`` accepts."""
+    rng = np.random.default_rng(8)
+    covs = []
+    for k in range(n):
+        root = rng.normal(size=(4, k % 5)) * 10.0 ** rng.uniform(-6, (0, 3, 5, 7)[k % 4], (4, 1))
+        covs.append(Gaussian(np.zeros(4), root @ root.T).cov)
+    return np.array(covs)
+
+
+@pytest.mark.parametrize("name", CODES)
+def test_item_10_no_gaussian_loses_its_batch(name: Any) -> None:
+    """A covariance that is singular but for rounding has no factor; the others are as alone."""
+    codec, covs = codec_of(name), singular(400)
+    means = np.tile([1.0, 0.0, 0.0, 0.0], (len(covs), 1))
+    payloads = codec.encode_batch(means, covs)
+    batch = codec.decode_batch(payloads)
+    assert batch.accepted.all()
+    for k in range(0, len(covs), 7):
+        alone = codec.decode_batch(codec.encode_batch(means[[k]], covs[[k]]))
+        np.testing.assert_array_equal(batch.cov[k], alone.cov[0])
+    usable = batch.status != Status.OUT_OF_RANGE
+    if codec.covariance.covering and usable.any():
+        evaluation = evaluate(
+            means[usable], covs[usable], batch.mean[usable], batch.cov[usable], codec.resolution
+        )
+        assert not evaluation.overconfident.any()
+
+
+def test_item_10_the_integer_factor_takes_what_rounding_left_indefinite() -> None:
+    """A covariance for which numpy.linalg.cholesky raises."""
+    root = np.array([[27.0], [5154.2], [-5.2], [1300.4]])
+    gaussian = Gaussian(np.zeros(4), root @ root.T)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(gaussian.cov + 1e-12 * np.eye(4))
+    record = codec_of("IntegerCholesky").encode(MapLine(Slot.EGO_LEFT, gaussian))
+    assert len(record) == 4

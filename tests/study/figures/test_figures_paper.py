@@ -382,7 +382,7 @@ def test_without_matplotlib_the_extra_is_named(
 ) -> None:
     """The error is raised before anything is written."""
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[plot\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[plot\]"'):
         figures.draw_figures(tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -63,7 +63,7 @@ def test_every_code_set_and_section_is_there(page: Any) -> None:
     """Each code has a toggle, each set and section a figure."""
     toggles = [a["value"] for t, a in page.elements if a.get("data-controls") == "code"]
     assert toggles == USED
-    assert [a for t, a in page.elements if t == "h2"] == [{}] * 6
+    assert [a for t, a in page.elements if t == "h2"] == [{}] * 8
     figures = [a for t, a in page.elements if t == "figure"]
     assert len(figures) == 6 * len(SETS)
     assert all(SETS[int(a["data-set"])] in a["aria-label"] for a in figures)
@@ -152,6 +152,27 @@ def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
     assert "Cholesky: 0 not definite and 0 overconfident of 200 Gaussians." in text
 
 
+def test_item_12_the_page_leads_with_the_choice_and_defines_its_terms(
+    rows: Any, tmp_path: Any
+) -> None:
+    """Outliers do not reach the headline; every term has a definition; each plot has a legend."""
+    summary = [each | ({"kl_mean": 1.9e10} if each["code"] == "Cholesky" else {})
+               for each in rows["summary"]]  # fmt: skip
+    folder = write(tmp_path / "sweep", rows, summary=summary)
+    page = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8"))
+    text = page.text()
+
+    assert text.index("Which code to choose") < text.index("choose Cholesky") < text.index("Terms")
+    head = text[: text.index("The numbers")]
+    assert "1.9e+10" not in head
+    assert "KL, median" in head
+    assert "KL, 99 %" in head
+    for term in ("Map line", "Covariance", "Set", "paper", "DBC", "Covered target", "KL", "nat",
+                 "Saturated", "Limit", "Not definite", "Overconfident"):  # fmt: skip
+        assert term in page.texts
+    assert sum(1 for tag, a in page.elements if tag == "p" and a.get("class") == "key") >= 4
+
+
 # ---- errors -----------------------------------------------------------------------
 
 
@@ -200,7 +221,7 @@ def test_a_missing_extra_is_named(
         monkeypatch.setitem(sys.modules, name, None)
     monkeypatch.setitem(sys.modules, package, None)
 
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[study\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[study\]"'):
         write_report(folder, tmp_path / "report.html")
 
 

@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import numpy as np
+import pytest
 from sweep_tables import USED
 
 from maplines_can.line import lateral, lateral_jacobian
@@ -62,3 +63,23 @@ def test_fields_are_sorted_by_the_cost_of_one_bit_less(folder: Any) -> None:
     plot = fields_plot(read_tables(folder), "paper", ["Cholesky"])
 
     assert plot.y_range.factors == ["Inflation", "PivotC0", "RatioC0C1"]  # type: ignore[attr-defined]
+
+
+def test_item_12_the_median_is_shown_first_without_texts_beside_marks(folder: Any) -> None:
+    """Texts beside marks hid one another; those above the axis have a row for each code."""
+    tables = read_tables(folder)
+    plot = kl_plot(tables, "paper", plot_styles(tables.codes))
+    assert plot.yaxis[0].axis_label == "KL of the covered target, median [nat]"
+    for renderer in plot.renderers:
+        if type(renderer.glyph).__name__ == "Text" and renderer.tags:  # type: ignore[attr-defined]
+            assert renderer.tags == ["code:LinearNearest"]  # the only one with an infinite KL
+    row_of = tables.shipped("paper", "Cholesky")
+    assert row_of is not None
+    (source,) = (
+        r.data_source  # type: ignore[attr-defined]
+        for r in plot.renderers
+        if r.tags == ["code:Cholesky"] and type(r.glyph).__name__ == "Segment"  # type: ignore[attr-defined]
+    )
+    at = source.data["finer"].index("+0")
+    assert source.data["y"][at] == pytest.approx(row_of["kl_p50"])
+    assert source.data["high"][at] == pytest.approx(row_of["kl_p99"])

@@ -3,6 +3,7 @@
 import pickle
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def test_the_published_vectors(secret: Any, length: int, mac: str) -> None:
 def test_without_cryptography_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """The message has the command that installs it."""
     monkeypatch.setitem(sys.modules, "cryptography.hazmat.primitives.cmac", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "maplines_can\[secoc\]"'):
+    with pytest.raises(MissingExtraError, match=r'pip install "\.\[secoc\]"'):
         Key(SECRET)
 
 
@@ -100,6 +101,8 @@ def test_no_text_of_an_object_contains_the_key(clock: Any, lines: Any) -> None:
         pytest.param(lambda _: Key.from_hex(SECRET), id="bytes-for-hex"),  # type: ignore[arg-type]
         pytest.param(lambda _: Authenticator(SECRET), id="no-key"),  # type: ignore[arg-type]
         pytest.param(lambda _: Authenticator(Key(SECRET)).add(SECRET), id="no-key-added"),  # type: ignore[arg-type]
+        pytest.param(lambda _: Key(SECRET.hex().encode()), id="hex-in-bytes"),
+        pytest.param(lambda _: Key(1, int.from_bytes(SECRET)), id="number-for-number"),  # type: ignore[arg-type]
         pytest.param(lambda _: key_from_file(SECRET.hex()), id="key-for-file"),
         pytest.param(lambda _: key_from_env(SECRET.hex()), id="key-for-env"),
     ],
@@ -129,3 +132,56 @@ def test_no_traceback_without_cryptography_contains_a_key(
         with pytest.raises(MissingExtraError) as caught:
             act()  # type: ignore[no-untyped-call]
         check_traceback(caught.value)
+
+
+SECRETS = [SECRET, bytearray(SECRET), SECRET.hex(), int.from_bytes(SECRET), list(SECRET)]
+
+
+@pytest.mark.parametrize("secret", SECRETS, ids=lambda secret: type(secret).__name__)
+@pytest.mark.parametrize(
+    "act",
+    [
+        pytest.param(lambda s: Authenticator(Key(SECRET)).use(s), id="use"),
+        pytest.param(lambda s: Authenticator(Key(SECRET)).retire(s), id="retire"),
+        pytest.param(lambda s: Authenticator(Key(SECRET), not_before=s), id="not_before"),
+        pytest.param(lambda s: Authenticator(Key(SECRET), clock=s), id="clock"),
+        pytest.param(lambda s: Authenticator(Key(SECRET), clock=lambda: [s]), id="of-the-clock"),  # type: ignore[arg-type, return-value]
+        pytest.param(lambda s: Authenticator(Key(SECRET), window_ns=[s]), id="window_ns"),  # type: ignore[arg-type]
+        pytest.param(lambda s: Key(SECRET, s), id="key_id"),
+        pytest.param(lambda s: Authenticator(s), id="key"),
+    ],
+)
+def test_item_10_a_secret_in_the_wrong_place_is_not_repeated(
+    act: Any, secret: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither by the message nor by the locals of a traceback: bytes, hex digits or a number."""
+    with pytest.raises((KeyMaterialError, TypeError, ValueError)) as caught:
+        act(secret)
+    check_no_secret(str(caught.value))
+    number = str(int.from_bytes(SECRET))
+    assert number not in str(caught.value)
+    assert str(list(SECRET)) not in str(caught.value)
+    frames = [
+        frame
+        for frame in traceback.TracebackException.from_exception(
+            caught.value, capture_locals=True
+        ).stack
+        if "maplines_can" in frame.filename
+    ]
+    assert frames
+    texts = " ".join(str(frame.locals) for frame in frames if "tests" not in frame.filename)
+    check_no_secret(texts)
+    assert number not in texts
+
+
+@pytest.mark.parametrize("text", [SECRET.hex(), AES_256.hex(), SECRET.hex().upper(), "5" * 16])
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_item_10_hex_digits_in_bytes_are_no_key(text: str, end: str) -> None:
+    """32 hex digits have the length of an AES-256 key; their writer meant an AES-128 key."""
+    with pytest.raises(KeyMaterialError, match=r"all hex digits, which Key\.from_hex reads"):
+        Key((text + end).encode())
+
+
+def test_random_bytes_are_a_key() -> None:
+    """Even if nearly all of them are hex digits."""
+    assert Key(SECRET.hex().encode()[:31] + b"g").key_id == 1

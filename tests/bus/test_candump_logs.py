@@ -1,0 +1,211 @@
+"""Output of candump, with and without -L, from files and pipes; cantools is the witness."""
+
+import io
+import sys
+from datetime import datetime
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cantools.logreader import Parser
+
+from maplines_can.bus import read_log
+from maplines_can.errors import LogError
+
+T0 = 1_700_000_000.123456
+#: Time [s], CAN ID as printed, data, and whether the frame is CAN FD.
+FRAMES = [
+    (0.0, "340", bytes(range(8)), False),
+    (0.000106, "341", b"", False),
+    (0.05, "1ABCDEF0", b"\xff", False),
+    (0.0503, "348", bytes(range(32)), True),
+]
+
+
+def column(frame: Any, *, extra: str = "", ascii_column: str = "") -> str:
+    """Return a row as candump prints it without -L."""
+    _, can_id, data, fd = frame
+    length = f"{len(data):02d}" if fd else f"{len(data)}"
+    row = f"  vcan0{extra}  {can_id:>8}{'  ' if fd else '   '}[{length}]"
+    return row + (f"  {data.hex(' ').upper()}" if data else "") + ascii_column
+
+
+def log_row(frame: Any, *, direction: str = "") -> str:
+    """Return a row as candump -L prints it."""
+    t, can_id, data, fd = frame
+    mark = "##1" if fd else "#"
+    return f"({T0 + t:017.6f}) vcan0 {can_id}{mark}{data.hex().upper()}{direction}"
+
+
+def stamped(stamps: Any) -> list[str]:
+    """Return rows of columns with time stamps."""
+    return [f" ({stamp}){column(frame)}" for stamp, frame in zip(stamps, FRAMES, strict=True)]
+
+
+TIMES = [t for t, *_ in FRAMES]
+#: Rows by the options of candump, and the times they stand for [s]; None if there are none.
+OUTPUTS: dict[str, tuple[list[str], list[float] | None]] = {
+    "none": ([column(frame) for frame in FRAMES], None),
+    "-a": ([column(frame, ascii_column="   '..@.'") for frame in FRAMES], None),
+    "-t a": (stamped([f"{T0 + t:017.6f}" for t in TIMES]), [T0 + t for t in TIMES]),
+    "-t z": (stamped([f"{t:010.6f}" for t in TIMES]), TIMES),
+    "-t A": (
+        stamped([datetime.fromtimestamp(T0 + t).isoformat(" ", "microseconds") for t in TIMES]),
+        [T0 + t for t in TIMES],
+    ),
+    "-L": ([log_row(frame) for frame in FRAMES], [T0 + t for t in TIMES]),
+    "-L -x": ([log_row(frame, direction=" R") for frame in FRAMES], [T0 + t for t in TIMES]),
+    "-x": ([column(frame, extra="  RX - -") for frame in FRAMES], None),
+    "-x, sent": ([column(frame, extra="  TX B E") for frame in FRAMES], None),
+}
+
+
+@pytest.mark.parametrize("suffix", [".log", ".txt", "", "stream"])
+@pytest.mark.parametrize("options", OUTPUTS)
+def test_item_11_every_output_of_candump_is_read(tmp_path: Path, options: str, suffix: str) -> None:
+    """IDs, data, channel and times, whatever the suffix, and from a stream."""
+    rows, times = OUTPUTS[options]
+    content = "\n".join(rows) + "\n"
+    if suffix == "stream":
+        frames = list(read_log(io.BufferedReader(io.BytesIO(content.encode()))))
+    else:
+        path = tmp_path / f"drive{suffix}"
+        path.write_text(content)
+        frames = list(read_log(path))
+
+    assert [(f.can_id, f.data) for f in frames] == [(int(i, 16), d) for _, i, d, _ in FRAMES]
+    assert [f.is_extended for f in frames] == [False, False, True, False]
+    assert {f.channel for f in frames} == {"vcan0"}
+    if times is None:
+        assert {(f.t_ns, f.has_time) for f in frames} == {(0, False)}
+    else:
+        assert [f.t_ns / 1e9 for f in frames] == pytest.approx(times, abs=1e-6)
+
+
+@pytest.mark.parametrize("options", [name for name in OUTPUTS if not name.startswith("-x")])
+def test_cantools_reads_the_same(tmp_path: Path, options: str) -> None:
+    """cantools decode takes these outputs; -x without -L it does not."""
+    rows, _ = OUTPUTS[options]
+    path = tmp_path / "drive.log"
+    path.write_text("\n".join(rows) + "\n")
+    witness = list(Parser(io.StringIO("\n".join(rows) + "\n")))
+
+    assert [(w.frame_id, w.data, w.is_extended_frame, w.channel) for w in witness] == [
+        (f.can_id, f.data, f.is_extended, f.channel) for f in read_log(path)
+    ]
+
+
+def test_time_differences_are_added_up(tmp_path: Path) -> None:
+    """candump -t d: from the first difference that shows what they are."""
+    gaps = [0.0, 0.0001, 0.0001, 0.05, 0.0001, 0.0001, 0.05]
+    path = tmp_path / "drive.txt"
+    path.write_text("".join(f" ({gap:010.6f})  can0  340   [1]  00\n" for gap in gaps))
+    times = [f.t_ns for f in read_log(path)]
+
+    assert [(b - a) / 1e9 for a, b in pairwise(times[3:])] == pytest.approx(gaps[4:])
+    assert times == sorted(times)
+
+
+def test_a_log_that_begins_anew_is_no_list_of_differences(tmp_path: Path) -> None:
+    """Absolute times may go back, such as when a clock is set."""
+    path = tmp_path / "drive.log"
+    path.write_text("(1700000000.5) can0 340#00\n(1600000000.5) can0 340#00\n")
+
+    assert [f.t_ns for f in read_log(path)] == [
+        1_700_000_000_500_000_000,
+        1_600_000_000_500_000_000,
+    ]
+
+
+def test_times_are_exact_to_the_nanosecond(tmp_path: Path) -> None:
+    """A float of seconds since 1970 is not."""
+    path = tmp_path / "drive.log"
+    path.write_text("(1700000000.123456789) can0 340#00\n")
+
+    assert [f.t_ns for f in read_log(path)] == [1_700_000_000_123_456_789]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "  can0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME",
+        "  can0  123   [0]  remote request",
+        "  can0  123   [4]  remote request",
+        "(1.5) can0 20000004#0004000000000000",
+        "(1.5) can0 123#R",
+        "(1.5) can0 123#R8",
+        "\tcontroller-problem{tx-error-warning}",
+        "",
+    ],
+)
+def test_what_is_no_data_frame_is_skipped(tmp_path: Path, row: str) -> None:
+    """Error and remote frames, the explanations of candump -e, and empty lines."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"{row}\n  can0  340   [1]  2A\n")
+
+    assert [f.data for f in read_log(path)] == [b"*"]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        "  can0  340   [8]  11 22 33",
+        "  can0  340   [1]  11 22",
+        "  can0  340   [65] " + " 11" * 65,
+        "  can0  FFFFFFFF   [1]  11",
+        "  can0  34   [1]  11",
+        "  can0  340   [1]  1",
+        "  can0  340   [1]",
+        "(one) can0 340#11",
+        "(1.5) can0 340#111",
+        "(2020-13-40 99:00:00.0)  can0  340   [1]  11",
+        "340   [1]  11",
+    ],
+)
+def test_a_damaged_row_costs_only_itself(tmp_path: Path, row: str) -> None:
+    path = tmp_path / "drive.log"
+    path.write_text(f"  can0  340   [1]  01\n{row}\n  can0  340   [1]  02\n")
+    frames: list[Any] = []
+    with pytest.raises(LogError, match=r"1 of 3 records are damaged \(the first: line 2: "):
+        frames.extend(read_log(path))
+
+    assert [f.data for f in frames] == [b"\x01", b"\x02"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        pytest.param(
+            "date Fri Nov 21 2025\nbase hex  timestamps absolute\nno internal events logged\n"
+            " 1.5 1  340  Rx  d 1 2A\n",
+            id="asc",
+        ),
+        pytest.param(";$FILEVERSION=1.1\n;$STARTTIME=40000.0\n  1)  1500.0  Rx  0340  1  2A\n",
+                     id="trc"),
+        pytest.param("timestamp,arbitration_id,extended,remote,error,dlc,data\n"
+                     "1.5,0x340,0,0,0,1,Kg==\n", id="csv"),
+    ],
+)  # fmt: skip
+def test_a_text_format_is_recognized_by_its_content(tmp_path: Path, content: str) -> None:
+    """In a file without a suffix of its own, and in a stream."""
+    path = tmp_path / "drive.txt"
+    path.write_text(content)
+    stream: Any = io.BufferedReader(io.BytesIO(content.encode()))
+
+    for source in (path, stream):
+        assert [(f.can_id, f.data) for f in read_log(source)] == [(0x340, b"*")]
+
+
+def test_a_binary_log_in_a_stream_is_one_clear_error() -> None:
+    stream: Any = io.BufferedReader(io.BytesIO(b"LOGG" + bytes(100)))
+    with pytest.raises(LogError, match=r"a log in the format \.blf is read from a file"):
+        list(read_log(stream))
+
+
+def test_standard_input_stays_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever opened a stream closes it."""
+    stream: Any = io.BufferedReader(io.BytesIO(b"  can0  340   [1]  2A\n"))
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(stream))
+    assert len(list(read_log(sys.stdin.buffer))) == 1
+    assert not stream.closed
