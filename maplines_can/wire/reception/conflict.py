@@ -22,11 +22,11 @@ class SenderConflict:
     at most one between two new records. Two senders of the same content cause duplicates only; so
     does a path that duplicates every frame. Time is an argument.
 
-    No mixture is put together while a second sender is suspected or confirmed, since its components
-    may be of both. Otherwise the delivery of lines does not depend on this diagnostic.
-    ``SlotView.usable`` does: a second sender whose counters are ahead by up to
-    ``max_delta_counter`` passes the E2E check as lost records do, and its lines are delivered while
-    the state is VALID.
+    For some cycles after a counter was reused with other content, a second sender is suspected, and
+    no mixture is put together, since its components may be of both. Otherwise the delivery of lines
+    does not depend on this diagnostic. ``SlotView.usable`` does: a second sender whose counters are
+    ahead by up to ``max_delta_counter`` passes the E2E check as lost records do, and its lines are
+    delivered while the state is VALID.
 
     Args:
         cycle_ns: time between records [ns].
@@ -74,10 +74,8 @@ class SenderConflict:
         self._suspected_ns = LONG_AGO_NS
 
     def is_suspected(self, t_ns: int) -> bool:
-        """Return whether a second sender is confirmed, or reused a counter shortly before."""
-        return self.is_confirmed or abs(t_ns - self._suspected_ns) <= (
-            SUSPECT_CYCLES * self._cycle_ns
-        )
+        """Return whether a counter was reused in the last cycles."""
+        return abs(t_ns - self._suspected_ns) <= SUSPECT_CYCLES * self._cycle_ns
 
     def elapse(self, t_ns: int) -> None:
         """Forget evidence that is too old at ``t_ns`` [ns]."""

@@ -125,7 +125,7 @@ class Decoder:
             if reason is Reason.STALE:
                 self._mixtures.drop_if_within(record.slot, content.counter)
             return self._dropped(reason, record.frames)
-        if content.count > 1 and check.may_have_two_senders(record.t_ns):
+        if content.count > 1 and check.counter_was_reused(record.t_ns):
             self._mixtures.drop(record.slot)  # its components may be of both
             return self._dropped(Reason.INCOMPLETE, record.frames)
         complete = self._mixtures.add(content, record.frames, record.t_ns)

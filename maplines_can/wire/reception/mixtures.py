@@ -40,7 +40,7 @@ class _Common(NamedTuple):
     """What all components of one line have in common."""
 
     first: int  #: counter of the first component
-    count: int
+    components: int
     kind: Kind
     x_min: float
     x_max: float
@@ -121,7 +121,7 @@ class MixtureAssembler:
     def drop_if_within(self, slot: Slot, counter: int) -> None:
         """Drop the mixture if the counter of a rejected (STALE) record falls in its range."""
         held = self._incomplete.get(slot)
-        if held and (counter - held.common.first) % self._modulus < held.common.count:
+        if held and (counter - held.common.first) % self._modulus < held.common.components:
             self._drop(slot, Reason.INCOMPLETE)  # two senders, or components out of order
 
     def expire(self, t_ns: int) -> None:

@@ -161,8 +161,8 @@ class SequenceCheck:
         """Whether two senders were detected in the last 256 cycles."""
         return self._conflict.is_confirmed
 
-    def may_have_two_senders(self, t_ns: int) -> bool:
-        """Return whether two senders were detected, or suspected in the last few cycles."""
+    def counter_was_reused(self, t_ns: int) -> bool:
+        """Return whether two records of one counter differed in the last cycles: two senders."""
         return self._conflict.is_suspected(t_ns)
 
     def received(self, counter: int, content: int, t_ns: int, records: int = 1) -> Reason | None:
