@@ -68,8 +68,9 @@ class Reassembler:
 
     The rest is left to the checksum, which covers the whole counter: pages whose records are 16
     apart, or a multiple, within one time-out, where the page with the counter was received of at
-    most one of the two, and none of the 8 records before the second one as a whole. Such a mixture
-    passes with a probability of 2^-16. (Numbers for transfer IDs of 4 bits.)
+    most one of the two, and none of the 8 records before the second one was received as a whole
+    after the first page. Such a mixture passes with a probability of 2^-16. (Numbers for transfer
+    IDs of 4 bits.)
 
     Whether a record is new is decided by its counter, see ``SequenceCheck``. Memory is constant:
     each slot has as many transfers as there are transfer IDs.

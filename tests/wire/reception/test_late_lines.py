@@ -47,15 +47,12 @@ def test_a_late_line_is_delivered_only_if_it_cannot_be_told_from_a_newer_one(
     Its counters were not received before: a duplicate would be recognised. With a short history,
     the receiver has joined after the line was sent.
     """
-    wrong = []
+    wrong = list[Any]()
     records = -(-max(8 * components, history * 256 // 40) // components) * components
     for late in range(components, 256):  # of its first record
         first = records - 1 - late
         gap = range(first, first + components)
-        if gap.start < 0:
-            received = [True] * records
-        else:
-            received = [i not in gap for i in range(records)]
+        received = [i not in gap or first < 0 for i in range(records)]
         check = check_of(received, components)
         check_state, newest = check.state, (records // components - 1) * CYCLE
         for phase in PHASES:
@@ -130,7 +127,7 @@ def test_a_mixture_that_is_0_8_to_1_55_s_late_is_not_delivered(late: int) -> Non
     assert view.line is not answer or late >= 30
 
 
-SPILLS = {
+SPILLS: dict[str, Any] = {
     "at once": lambda n: [0.1 + 0.01 * i / n for i in range(n)],
     "within a cycle": lambda n: [0.1 + 0.8 * i / n for i in range(n)],
     "at the rate of the sender": lambda n: [0.5 + i for i in range(min(n, 9))],
@@ -160,7 +157,7 @@ def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
     arrivals = [(newest + round(at * CYCLE), first + i) for i, at in enumerate(times)]
     if sender == "goes on":
         arrivals += [(newest + k * CYCLE, newer.stop + k - 1) for k in range(1, 20)]
-    late, delivered = [], []
+    late, delivered = list[int](), list[int]()
     for t_ns, line in sorted(arrivals):
         answer = stream.receive(line, t_ns)
         if isinstance(answer, MapLine):
