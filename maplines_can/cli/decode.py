@@ -15,7 +15,7 @@ from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
 from ..wire import Decoder
-from .options import add_codec, add_cycle, decoder_of, keyed_codec
+from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
 from .output import check_text, counts_text, line_dict, slot_text, write_csv
 from .parsing import add_command
 from .stderr import note, with_progress
@@ -41,6 +41,7 @@ def add_decode(commands: Any) -> None:
     parser = add_command(commands, "decode", _decode, DESCRIPTION, example)
     add_codec(parser)
     add_cycle(parser)
+    add_transfer_timeout(parser)
     parser.add_argument("log", metavar="LOG", help="log file, or - for standard input")
     parser.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
 

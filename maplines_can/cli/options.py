@@ -184,9 +184,23 @@ def add_cycle(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_transfer_timeout(parser: argparse.ArgumentParser) -> None:
+    """Add ``--transfer-timeout``, for ``decoder_of``."""
+    parser.add_argument(
+        "--transfer-timeout",
+        type=number(float, 0.001, 3_600_000),
+        metavar="MS",
+        help="longest time between the frames of a line's transfer [ms]. A longer one receives "
+        "more lines of a sender or receiver that is held up; beyond the time in which transfer IDs "
+        "repeat, frames of two lines can meet, and only the counter and the checksum tell them "
+        "apart (default: 1.5 cycles with the DBC of this package, 75 at 20 Hz; less if transfer "
+        "IDs repeat sooner)",
+    )
+
+
 def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
-    """Return a new decoder for the cycle time of ``--cycle-ms``."""
-    return codec.decoder(cycle_ms=arguments.cycle_ms)
+    """Return a new decoder for ``--cycle-ms`` and ``--transfer-timeout``."""
+    return codec.decoder(cycle_ms=arguments.cycle_ms, timeout_ms=arguments.transfer_timeout)
 
 
 def add_draws(parser: argparse.ArgumentParser, samples: int) -> None:

@@ -18,6 +18,7 @@ from .options import (
     add_cycle,
     add_faults,
     add_json,
+    add_transfer_timeout,
     bus_settings,
     decoder_of,
     fault_counts,
@@ -54,6 +55,7 @@ def add_receive(commands: Any) -> None:
     add_bus(parser)
     add_codec(parser)
     add_cycle(parser)
+    add_transfer_timeout(parser)
     parser.add_argument(
         "--freshness-window",
         type=seconds,

@@ -279,10 +279,12 @@ class Codec:
 
         Args:
             timeout_ms: longest time between the frames of a transfer, and between the components
-                of a mixture [ms]; by default half the DBC's longest cycle time, or 50 ms if it
-                has none.
-            cycle_ms: cycle time of the lines of a slot, for the E2E state and stale lines [ms]; by
-                default the slot's cycle time in the DBC, or 100 ms.
+                of a mixture [ms]. By default it is shorter than the time in which transfer IDs
+                repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, from 0.5 to 1.5. With
+                ``maplines.dbc`` it is 75 ms. See ``Reassembler`` for longer ones.
+            cycle_ms: cycle time of the lines of a slot [ms], for the E2E state, stale and late
+                lines, and the default of ``timeout_ms``; by default the slot's cycle time in the
+                DBC, or 100 ms.
             e2e: windows and bounds of the E2E state machines.
 
         Raises:

@@ -11,7 +11,7 @@ import can
 import pytest
 from scenes import scene_lines
 
-from maplines_can import Codec, scenario
+from maplines_can import Codec, MapLine, Slot, scenario
 from maplines_can.cli import main
 
 
@@ -174,3 +174,19 @@ def test_the_cycle_time_decides_how_many_cycles_are_missing(
     assert with_cycle.endswith(" 0 cycles without data")
     assert not without.startswith("maplines: ego left: VALID")
     assert without.endswith(f" {19 * 9} cycles without data")
+
+
+def test_the_time_out_of_a_transfer_is_an_option(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """60 ms between two frames are not too long; with an option, they are."""
+    path = tmp_path / "held-up.log"
+    frames = Codec.from_dbc().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
+    with can.Logger(path) as writer:
+        for t, frame in zip((1.0, 1.0002, 1.0602, 1.0604), frames, strict=True):
+            writer(message(frame, t, "can0"))
+    assert main(["decode", str(path)]) == 0
+    assert "1 lines from 4 frames" in capsys.readouterr().err
+    assert main(["decode", str(path), "--transfer-timeout", "25"]) == 0
+    out, err = capsys.readouterr()
+    assert (out, "0 lines from 4 frames" in err) == ("", True)

@@ -7,8 +7,11 @@ from __future__ import annotations
 CONFLICTS, NEAR_CYCLES = 8, 32
 #: Two senders are also confirmed if DUPLICATES of NEW_RECORDS consecutive records came twice.
 NEW_RECORDS, DUPLICATES = 32, 29
+#: A second sender is suspected for this many cycles after a counter was reused.
+SUSPECT_CYCLES = 10
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256
+LONG_AGO_NS = -(2**62)
 
 
 class SenderConflict:
@@ -19,9 +22,11 @@ class SenderConflict:
     at most one between two new records. Two senders of the same content cause duplicates only; so
     does a path that duplicates every frame. Time is an argument.
 
-    The delivery of lines does not depend on this diagnostic. ``SlotView.usable`` does: a second
-    sender whose counters are ahead by up to ``max_delta_counter`` passes the E2E check as lost
-    records do, and its lines are delivered while the state is VALID.
+    For some cycles after a counter was reused with other content, a second sender is suspected, and
+    no mixture is put together, since its components may be of both. Otherwise the delivery of lines
+    does not depend on this diagnostic. ``SlotView.usable`` does: a second sender whose counters are
+    ahead by up to ``max_delta_counter`` passes the E2E check as lost records do, and its lines are
+    delivered while the state is VALID.
 
     Args:
         cycle_ns: time between records [ns].
@@ -30,7 +35,7 @@ class SenderConflict:
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
         self._conflicts = self._new_records = self._duplicates = 0
-        self._conflict_ns = self._confirmed_ns = -(2**62)
+        self._conflict_ns = self._confirmed_ns = self._suspected_ns = LONG_AGO_NS
         self._is_blocked = True  # no new record since the last conflict
         #: Whether two senders are confirmed.
         self.is_confirmed = False
@@ -58,9 +63,19 @@ class SenderConflict:
         if self._conflicts >= CONFLICTS:
             self.is_confirmed, self._confirmed_ns = True, t_ns
 
+    def counter_reused(self, t_ns: int) -> None:
+        """Count a record whose counter was received before with other content, and suspect."""
+        self._suspected_ns = t_ns
+        self.conflict(t_ns)
+
     def retract(self) -> None:
         """Discount the last conflict: its sequence was that of a sender that restarted."""
         self._conflicts = max(0, self._conflicts - 1)
+        self._suspected_ns = LONG_AGO_NS
+
+    def is_suspected(self, t_ns: int) -> bool:
+        """Return whether a counter was reused in the last cycles."""
+        return abs(t_ns - self._suspected_ns) <= SUSPECT_CYCLES * self._cycle_ns
 
     def elapse(self, t_ns: int) -> None:
         """Forget evidence that is too old at ``t_ns`` [ns]."""

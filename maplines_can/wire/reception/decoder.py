@@ -37,7 +37,8 @@ class Decoder:
 
     Args:
         verifier: checks authenticated frames; None for a bus without authentication.
-        timeout_ns: longest time between the frames of a transfer [ns].
+        timeouts_ns: longest time between the frames of a transfer, and between the components of a
+            mixture, of each slot [ns].
         cycles_ns: time between records of each slot [ns].
         e2e: windows and bounds of the E2E state machines.
     """
@@ -47,7 +48,7 @@ class Decoder:
         layout: Layout,
         reader: RecordReader,
         verifier: Verifier | None,
-        timeout_ns: int,
+        timeouts_ns: Mapping[Slot, int],
         cycles_ns: Mapping[Slot, int],
         e2e: E2EConfig,
     ) -> None:
@@ -59,10 +60,10 @@ class Decoder:
         self._reassembler = Reassembler(
             layout,
             lambda payload, slot, t_ns: reader.read_one(payload, slot, data_ids[slot], t_ns),
-            timeout_ns,
+            timeouts_ns,
             verifier,
         )
-        self._mixtures = MixtureAssembler(modulus, timeout_ns)
+        self._mixtures = MixtureAssembler(modulus, timeouts_ns)
         self._counts: Counter[Reason] = Counter()  # dropped between reassembly and mixture assembly
         self.frames = 0  #: frames received
         self.lines = 0  #: lines delivered
@@ -119,11 +120,14 @@ class Decoder:
         if isinstance(content, Reason):
             check.failed(record.t_ns)
             return self._dropped(content, record.frames)
-        reason = check.received(content.counter, hash(record.payload), record.t_ns)
+        reason = check.received(content.counter, hash(record.payload), record.t_ns, content.count)
         if reason is not None:
             if reason is Reason.STALE:
                 self._mixtures.drop_if_within(record.slot, content.counter)
             return self._dropped(reason, record.frames)
+        if content.count > 1 and check.counter_was_reused(record.t_ns):
+            self._mixtures.drop(record.slot)  # its components may be of both
+            return self._dropped(Reason.INCOMPLETE, record.frames)
         complete = self._mixtures.add(content, record.frames, record.t_ns)
         if isinstance(complete, Reason):
             return complete
@@ -148,5 +152,5 @@ class Decoder:
             return  # as in AUTOSAR: what is not authentic does not reach the E2E check
         if reason is Reason.DUPLICATE:
             self.checks[slot].frame_duplicated(t_ns)
-        elif self.verifier is None or reason is not Reason.LENGTH:  # LENGTH or PAGE
+        elif reason is Reason.PAGE or (reason is Reason.LENGTH and self.verifier is None):
             self.checks[slot].failed(t_ns)

@@ -11,6 +11,7 @@ class _Entry(NamedTuple):
     position: int  #: extended sequence number
     content: int
     is_new: bool  #: accepted when it came
+    is_in_sequence: bool  #: new, or late but directly after one that is in sequence
     is_duplicated: bool  #: received again since
 
 
@@ -29,13 +30,20 @@ class RecordHistory:
     def add_new(self, counter: int, content: int, ahead: int) -> None:
         """Add a new record, ``ahead`` positions after the last new one."""
         self._newest += ahead
-        self._entries[counter] = _Entry(self._newest, content, is_new=True, is_duplicated=False)
+        self._entries[counter] = _Entry(
+            self._newest, content, is_new=True, is_in_sequence=True, is_duplicated=False
+        )
 
     def add_late(self, counter: int, content: int, behind: int) -> None:
         """Add a record that was not accepted, unless its position is taken."""
         if self._at(counter, behind) is None:
-            position = self._newest - behind
-            self._entries[counter] = _Entry(position, content, is_new=False, is_duplicated=False)
+            self._entries[counter] = _Entry(
+                self._newest - behind,
+                content,
+                is_new=False,
+                is_in_sequence=self.fills_gap(counter, behind),
+                is_duplicated=False,
+            )
 
     def has_other(self, counter: int, content: int, behind: int) -> bool:
         """Return whether another record came with this counter at this position."""
@@ -56,9 +64,9 @@ class RecordHistory:
         return True
 
     def fills_gap(self, counter: int, behind: int) -> bool:
-        """Return whether a late record directly follows a new one, the pattern of reordering."""
+        """Return whether a late record directly follows one in sequence, as in a reordered run."""
         before = self._at((counter - 1) % self._modulus, behind + 1)
-        return before is not None and before.is_new
+        return before is not None and before.is_in_sequence
 
     def _at(self, counter: int, behind: int) -> _Entry | None:
         entry = self._entries.get(counter)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ...line import MapLine, Slot, Status
+from ...line import Kind, MapLine, Slot, Status
 from ...mixture import GaussianMixture
 from ..message.reader import DecodedRecord
 from ..reasons import Reason
@@ -36,12 +36,22 @@ class CompleteLine(NamedTuple):
     frames: int  #: frames that carried them
 
 
+class _Common(NamedTuple):
+    """What all components of one line have in common."""
+
+    first: int  #: counter of the first component
+    components: int
+    kind: Kind
+    x_min: float
+    x_max: float
+    age: float
+
+
 @dataclass
 class _Incomplete:
     """The components of one mixture received so far."""
 
-    first: int  #: counter of the first component
-    count: int
+    common: _Common
     t_ns: int  #: time of the component received last
     components: dict[int, DecodedRecord] = field(default_factory=dict)
     frames: int = 0
@@ -50,16 +60,18 @@ class _Incomplete:
 class MixtureAssembler:
     """Assembler of the components of a line: all of them, by their counters, or none.
 
-    Each slot has one incomplete mixture at most; time is an argument.
+    Each slot has one incomplete mixture at most; time is an argument. Components of one line have
+    the same count, kind, valid range and age, and counters in the order of their indices. A
+    component in which one of these differs is of another line, which ends the incomplete one.
 
     Args:
         modulus: counter modulus.
-        timeout_ns: longest time between two components [ns]. A slow bus takes long for many
-            components, so the time counts from the last one.
+        timeouts_ns: longest time between two components of a line of each slot [ns]. A slow bus
+            takes long for many components, so the time counts from the last one.
     """
 
-    def __init__(self, modulus: int, timeout_ns: int) -> None:
-        self._modulus, self._timeout_ns = modulus, timeout_ns
+    def __init__(self, modulus: int, timeouts_ns: Mapping[Slot, int]) -> None:
+        self._modulus, self._timeouts_ns = modulus, timeouts_ns
         self._incomplete: dict[Slot, _Incomplete] = {}
         #: Frames dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
@@ -75,43 +87,51 @@ class MixtureAssembler:
         Returns:
             The line, or the reason why the record completes none.
         """
-        slot, first = record.line.slot, (record.counter - record.index) % self._modulus
+        line, first = record.line, (record.counter - record.index) % self._modulus
+        slot = line.slot
+        common = _Common(first, record.count, line.kind, line.x_min, line.x_max, line.age)
         held = self._incomplete.get(slot)
-        if held and self._is_old(held, t_ns):
+        if held and self._is_old(slot, held, t_ns):
             self._drop(slot, Reason.TIMEOUT)
-        elif held and (held.first, held.count) != (first, record.count):
+        elif held and held.common != common:
             self._drop(slot, Reason.INCOMPLETE)
         if record.count == 1:
-            return CompleteLine(record.line, 1, frames)
-        mixture = self._incomplete.setdefault(slot, _Incomplete(first, record.count, t_ns))
+            return CompleteLine(line, 1, frames)
+        mixture = self._incomplete.setdefault(slot, _Incomplete(common, t_ns))
         if record.index in mixture.components:
             self.counts[Reason.DUPLICATE] += frames
             return Reason.DUPLICATE
         mixture.components[record.index] = record
         mixture.frames += frames
         mixture.t_ns = t_ns
-        if len(mixture.components) < mixture.count:
+        if len(mixture.components) < record.count:
             return Reason.PENDING
-        records = [mixture.components[i] for i in range(mixture.count)]
+        records = [mixture.components[i] for i in range(record.count)]
         if abs(sum(component.weight for component in records) - 1) > WEIGHT_TOLERANCE:
             self._drop(slot, Reason.CONTENT)
             return Reason.CONTENT
         del self._incomplete[slot]
-        return CompleteLine(_mixture_line(records), mixture.count, mixture.frames)
+        return CompleteLine(_mixture_line(records), record.count, mixture.frames)
+
+    def drop(self, slot: Slot) -> None:
+        """Drop the mixture of a slot, if there is one."""
+        if slot in self._incomplete:
+            self._drop(slot, Reason.INCOMPLETE)
 
     def drop_if_within(self, slot: Slot, counter: int) -> None:
         """Drop the mixture if the counter of a rejected (STALE) record falls in its range."""
         held = self._incomplete.get(slot)
-        if held and (counter - held.first) % self._modulus < held.count:
+        if held and (counter - held.common.first) % self._modulus < held.common.components:
             self._drop(slot, Reason.INCOMPLETE)  # two senders, or components out of order
 
     def expire(self, t_ns: int) -> None:
         """Drop the mixtures that have timed out at ``t_ns`` [ns]."""
-        for slot in [s for s, mixture in self._incomplete.items() if self._is_old(mixture, t_ns)]:
+        held = self._incomplete.items()
+        for slot in [s for s, mixture in held if self._is_old(s, mixture, t_ns)]:
             self._drop(slot, Reason.TIMEOUT)
 
-    def _is_old(self, mixture: _Incomplete, t_ns: int) -> bool:
-        return abs(t_ns - mixture.t_ns) > self._timeout_ns
+    def _is_old(self, slot: Slot, mixture: _Incomplete, t_ns: int) -> bool:
+        return abs(t_ns - mixture.t_ns) > self._timeouts_ns[slot]
 
     def _drop(self, slot: Slot, reason: Reason) -> None:
         self.counts[reason] += self._incomplete.pop(slot).frames

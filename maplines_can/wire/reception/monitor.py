@@ -79,6 +79,9 @@ class Monitor:
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state.
 
+        A line that is late by 240 to 255 records looks newer, see ``SequenceCheck``; these are 12 s
+        of single lines, or 1.5 s of lines of 8 components.
+
         Args:
             slot: which line.
             now_ns: current time on the clock of the frames' time stamps [ns]. If this clock is

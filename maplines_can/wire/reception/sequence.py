@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import NamedTuple
 
@@ -13,8 +14,10 @@ from .history import RecordHistory
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 
-#: Number of consecutive old-counter records that indicate a restart.
+#: Number of consecutive records behind the last new one that indicate a restart.
 RESTART_RECORDS = 3
+#: A sender may be early by this much [cycles].
+JITTER_CYCLES = 0.5
 
 
 class SlotStats(NamedTuple):
@@ -31,12 +34,14 @@ class SlotStats(NamedTuple):
     two_senders: bool  #: detected in the last 256 cycles
 
 
-class _Restart(NamedTuple):
-    """Possible restart: a run of consecutive records behind the last new one."""
+class _Run(NamedTuple):
+    """Run of consecutive records behind the last new one: late, or of a sender that restarted."""
 
-    last: int  #: counter of the last
+    first: int  #: counter of the first
     since_ns: int  #: time of the first
-    records: int = 1
+    last: int  #: counter of the last
+    records: int
+    is_other: bool  #: one had a counter that was received before, but other content
 
 
 class SequenceCheck:
@@ -47,25 +52,34 @@ class SequenceCheck:
 
     A record with a correct checksum is admitted by its counter (differences modulo ``modulus``):
 
-    - ``last`` is the counter of the last new record, and ``half`` is half of ``modulus``;
-    - ``span`` is the number of records (mixture components) of the line that was delivered last.
+    - ``last`` is the counter of the last new record;
+    - ``span`` is the number of records (mixture components) of the line that was delivered last;
+    - ``most`` is how far ahead a newer record can be: ``max_delta``, or if that is more, the
+      records that a sender can have sent since the last new one. These are ceil(cycles since then
+      + 0.5) lines of the greatest number of components seen, and less than half of ``modulus``.
 
     ======================================= ============================= ========== =============
     counter                                 content                       decision   E2E status
     ======================================= ============================= ========== =============
     last + 1                                                              new        OK
     last + 2 .. last + max_delta                                          new        OKSOMELOST
-    last + max_delta + 1 .. last + half - 1                               new, break WRONGSEQUENCE
+    last + max_delta + 1 .. last + most                                   new, break WRONGSEQUENCE
     last - span + 1 .. last                 as received with that counter DUPLICATE  REPEATED
     last - span + 1 .. last                 another one: conflict         STALE      REPEATED
-    last - half .. last - span              as received with that counter DUPLICATE  WRONGSEQUENCE
-    last - half .. last - span              another one, no restart       STALE      WRONGSEQUENCE
-    last - half .. last - span              another one, restart          new, break WRONGSEQUENCE
+    any other                               as received with that counter DUPLICATE  WRONGSEQUENCE
+    any other                               another one, no restart       STALE      WRONGSEQUENCE
+    any other                               another one, restart          new, break WRONGSEQUENCE
     ======================================= ============================= ========== =============
 
-    Behind by ``span`` or more, a record is late, or its sender has restarted. It is a restart once
-    three consecutive records have come, the last at least 1.5 cycles after the first, with no new
-    record between them::
+    A record of the last rows is late, or its sender has restarted. If there was no new record for a
+    whole window of the state machine, it is a restart. Otherwise it is one after three consecutive
+    records, the last at least 1.5 cycles after the first, with no new record between them, if they
+    cannot be late ones:
+
+    - the first counter is less than ``max_delta``, since a sender that restarts begins at 0;
+    - one counter was received before with other content.
+
+    ::
 
         new      new      restart: the first two records are dropped; the slot is not VALID then
         41       42        0        1        2        3
@@ -77,8 +91,21 @@ class SequenceCheck:
         |--------|--------|||-------|-----> time
                            STALE    new
 
-    It is also a restart if there was no new record for a whole window of the state machine. With
-    authentication it is a restart at once, since each record is newer than the last one.
+    So a record that is late by L records is not delivered within a window after the last new one,
+    if L is less than ``modulus - most``. What remains:
+
+    - A record that is late by ``modulus - max_delta`` or more looks like one of the next, and the
+      state stays VALID. With the default, that is 240 to 255 records: 12 s of single lines, but
+      1.5 s of lines of 8 components. A smaller ``max_delta`` makes it less.
+    - Late by ``modulus - most`` or more, a record is delivered with a break: the slot is not VALID.
+    - After a window without a new record, late records are delivered with a break, as those of a
+      sender that restarted. If eight follow in sequence, the slot becomes VALID.
+    - Lateness counts modulo ``modulus``: 256 records more look the same.
+
+    A sender that is faster than ``cycle_ns`` exceeds ``most`` only after it has lost more than
+    ``max_delta`` records in a row; its records are then dropped until the window is over. If the
+    clock stands still, they are dropped until the counter comes round. With authentication each
+    record is newer than the last one: ``most`` is half of ``modulus``, and any other is a restart.
 
     Two decisions go beyond AUTOSAR; both err on the safe side:
 
@@ -118,7 +145,7 @@ class SequenceCheck:
         self._window_ns = config.window_size_valid * cycle_ns
         self._last: int | None = None  # counter of the last new record
         self._new_ns = 0  # its time
-        self._restart: _Restart | None = None  # records behind it since then
+        self._run: _Run | None = None  # records behind it since then
         self._left: int | None = None  # last counter before the sequence break
         self._span = 1  # records of the line delivered last; 1 while a later line is incomplete
         self._longest_line = 1  # greatest number of records of a line so far
@@ -134,13 +161,18 @@ class SequenceCheck:
         """Whether two senders were detected in the last 256 cycles."""
         return self._conflict.is_confirmed
 
-    def received(self, counter: int, content: int, t_ns: int) -> Reason | None:
+    def counter_was_reused(self, t_ns: int) -> bool:
+        """Return whether two records of one counter differed in the last cycles: two senders."""
+        return self._conflict.is_suspected(t_ns)
+
+    def received(self, counter: int, content: int, t_ns: int, records: int = 1) -> Reason | None:
         """Check a record whose checksum is correct.
 
         Args:
             counter: of the record.
             content: hash of the record, to recognise duplicates.
             t_ns: time of reception [ns].
+            records: number of records of its line (mixture components).
 
         Returns:
             None if the record is new; DUPLICATE or STALE if it must not be delivered.
@@ -149,16 +181,15 @@ class SequenceCheck:
         status, ahead = check(counter, self._last, self._max_delta, self._modulus), 1
         if status is not OK and self._last is not None:
             ahead = (counter - self._last) % self._modulus
+            is_newer = 0 < ahead <= self._most_ahead(t_ns, records)
             behind = self._modulus - ahead if ahead else 0
-            if behind <= self._modulus // 2 and (
-                reason := self._why_not_new(counter, content, behind, t_ns)
-            ):
+            if not is_newer and (reason := self._why_not_new(counter, content, behind, t_ns)):
                 self._step(REPEATED if behind < self._span else WRONGSEQUENCE)
                 return reason
             if self._left is not None and (counter - self._left) % self._modulus == 1:
                 self._conflict.conflict(t_ns)  # back to the sequence before the break
             self._left = self._last
-            if ahead >= self._modulus // 2:
+            if not is_newer:
                 ahead = 2 * self._modulus  # the history is that of another sequence
             elif status is OKSOMELOST or counter != 0:  # a sender restarts at 0
                 self.lost += ahead - 1
@@ -166,7 +197,7 @@ class SequenceCheck:
                 self._machine.clear()
         self._history.add_new(counter, content, ahead)
         self._conflict.new()
-        self._last, self._new_ns, self._restart = counter, t_ns, None
+        self._last, self._new_ns, self._run = counter, t_ns, None
         self._span, self._duplicated_frames = 1, 0
         self._step(status)
         return None
@@ -235,7 +266,7 @@ class SequenceCheck:
             self._conflict.duplicate(t_ns)
         if behind < self._span:
             if not is_duplicate:
-                self._conflict.conflict(t_ns)
+                self._conflict.counter_reused(t_ns)
             return Reason.DUPLICATE if is_duplicate else Reason.STALE
         if self._is_authentic or abs(t_ns - self._new_ns) > self._window_ns:
             return None
@@ -243,25 +274,40 @@ class SequenceCheck:
             return Reason.DUPLICATE
         has_other = self._history.has_other(counter, content, behind)
         self._history.add_late(counter, content, behind)
-        if has_other or self._is_of_another_sequence(counter, behind):
+        if has_other:
+            self._conflict.counter_reused(t_ns)
+        elif self._is_of_another_sequence(counter, behind):
             self._conflict.conflict(t_ns)
-        return None if self._is_restart(counter, t_ns) else Reason.STALE
+        return None if self._is_restart(counter, t_ns, is_other=has_other) else Reason.STALE
+
+    def _most_ahead(self, t_ns: int, records: int) -> int:
+        """Return how far ahead of the last new record a newer one can be.
+
+        With authentication, nothing else has to tell a newer record from an older one.
+        """
+        half = self._modulus // 2 - 1
+        if self._is_authentic:
+            return half
+        lines = math.ceil(abs(t_ns - self._new_ns) / self.cycle_ns + JITTER_CYCLES)
+        return min(half, max(self._max_delta, lines * max(self._longest_line, records)))
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
         """Return whether a record is too far behind to be merely delayed, and fills no gap."""
         is_far = behind > self._max_delta * self._longest_line
         return is_far and not self._history.fills_gap(counter, behind)
 
-    def _is_restart(self, counter: int, t_ns: int) -> bool:
+    def _is_restart(self, counter: int, t_ns: int, *, is_other: bool) -> bool:
         """Return whether the records behind the last new one are those of a restarted sender."""
-        restart = self._restart
-        if restart is None or (counter - restart.last) % self._modulus != 1:
-            self._restart = _Restart(counter, t_ns)
+        run = self._run
+        if run is None or (counter - run.last) % self._modulus != 1:
+            run = _Run(counter, t_ns, counter, 0, is_other=False)
+        self._run = run = run._replace(
+            last=counter, records=run.records + 1, is_other=run.is_other or is_other
+        )
+        is_long = abs(t_ns - run.since_ns) >= self._deadline.grace_ns
+        if run.records < RESTART_RECORDS or not is_long:
             return False
-        self._restart = restart._replace(last=counter, records=restart.records + 1)
-        if self._restart.records < RESTART_RECORDS:
-            return False
-        if abs(t_ns - restart.since_ns) < self._deadline.grace_ns:
+        if not (run.is_other and run.first < self._max_delta):
             return False
         self._conflict.retract()
         return True

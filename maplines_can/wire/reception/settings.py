@@ -5,11 +5,13 @@ from __future__ import annotations
 from ...arrays import number_text
 from ...line import Slot
 from ..message.layout import Layout
+from ..message.signals import TRANSFER_ID
 from ..message.slot_messages import LONGEST_MS
 from ..protection.e2e_state import E2EConfig
+from .deadline import GRACE_CYCLES
 
-#: Time-out of a transfer if the DBC has no cycle time [ms].
-DEFAULT_TIMEOUT_MS = 50.0
+#: Cycle time if the DBC has none [ms].
+DEFAULT_CYCLE_MS = 100.0
 
 
 def decoder_settings(
@@ -17,21 +19,20 @@ def decoder_settings(
     timeout_ms: float | None = None,
     cycle_ms: float | None = None,
     e2e: E2EConfig | None = None,
-) -> tuple[int, dict[Slot, int], E2EConfig]:
-    """Return the time-out [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
-    cycles = {slot: messages.cycle_ms for slot, messages in layout.messages.items()}
-    if timeout_ms is None:
-        timeout_ms = max(cycles.values()) / 2 or DEFAULT_TIMEOUT_MS
+) -> tuple[dict[Slot, int], dict[Slot, int], E2EConfig]:
+    """Return time-outs [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
     for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
         if value is not None and not 0 < value <= LONGEST_MS:
             raise ValueError(
                 f"{name} must be more than 0 ms and at most an hour ({LONGEST_MS} ms), "
                 f"got {number_text(value)}"
             )
-    cycles_ns = {
-        slot: int(1e6 * (cycle_ms or own_ms or 2 * DEFAULT_TIMEOUT_MS))
-        for slot, own_ms in cycles.items()
-    }
+    timeouts_ms, cycles_ms = dict[Slot, float](), dict[Slot, float]()
+    for slot, messages in layout.messages.items():
+        dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
+        cycles_ms[slot] = cycle_ms or dbc_ms
+        derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * cycles_ms[slot])
+        timeouts_ms[slot] = timeout_ms or derived_ms
     modulus = 2 ** layout["Counter"].length
     if e2e is None:
         e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, modulus // 4))
@@ -40,4 +41,24 @@ def decoder_settings(
             f"max_delta_counter must be less than {modulus // 2}, half the counter modulus of "
             f"{layout.source}, got {e2e.max_delta_counter}"
         )
-    return int(timeout_ms * 1e6), cycles_ns, e2e
+    return _in_ns(timeouts_ms), _in_ns(cycles_ms), e2e
+
+
+def timeout_cycles(layout: Layout) -> float:
+    """Return the default time-out of a transfer [cycles].
+
+    A transfer ID is used again after (transfer IDs / components) cycles at the earliest, when
+    every line has the greatest number of components. The sender may be early by half a cycle. A
+    transfer that takes longer than ``GRACE_CYCLES`` is given up in any case: its cycle has been
+    counted as missed.
+
+    >>> timeout_cycles(Layout.from_dbc())  # min(16 transfer IDs / 8 components - 0.5, 1.5)
+    1.5
+    """
+    transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
+    components = max(1.0, layout["ComponentCount"].physical_range[1])
+    return max(0.5, min(transfer_ids / components - 0.5, GRACE_CYCLES))
+
+
+def _in_ns(times_ms: dict[Slot, float]) -> dict[Slot, int]:
+    return {slot: int(1e6 * ms) for slot, ms in times_ms.items()}

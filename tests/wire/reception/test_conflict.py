@@ -1,9 +1,14 @@
 """Two senders on one slot: what the diagnostic is for."""
 
-from dbcs import default_codec
+from typing import Any
 
-from maplines_can.line import MapLine, Slot
-from maplines_can.wire import E2EState, Monitor
+import numpy as np
+import pytest
+from dbcs import default_codec
+from e2e_streams import MS, mixture_frames
+
+from maplines_can.line import Kind, MapLine, Slot
+from maplines_can.wire import E2EState, Monitor, Reason
 
 SLOT, CYCLE_NS = Slot.EGO_LEFT, 50_000_000
 OURS, THEIRS = 1.75, -1.75
@@ -38,3 +43,65 @@ def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> Non
     assert not any(wrong[-8:])  # and not usable, once the conflicts prove a second sender
     assert seen[0][2] == OURS
     assert isinstance(view.line, MapLine)
+
+
+def sources(line: MapLine, cycle: int, k: int) -> set[int]:
+    """Return the senders whose components are in a mixture."""
+    found = set()
+    for component in line.mixture.means:  # type: ignore[union-attr]
+        for sender in (0, 1):
+            alone, decoder = None, default_codec().decoder()
+            for frame in mixture_frames(cycle * k % 256, k, True, seed=sender):
+                alone = decoder.feed(frame.can_id, frame.data, 0)
+            assert isinstance(alone, MapLine)
+            if any(np.array_equal(component, own) for own in alone.mixture.means):  # type: ignore[union-attr]
+                found.add(sender)
+    return found
+
+
+@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_two_senders_in_phase_get_no_mixture_of_both(seed: int, k: int) -> None:
+    """Equal counters and components, and a third of the frames lost: 20 s."""
+    rng, monitor, mixed, usable = (
+        np.random.default_rng(seed),
+        Monitor(default_codec().decoder()),
+        0,
+        0,
+    )
+    for cycle in range(400):
+        t_ns = cycle * CYCLE_NS
+        pairs = zip(
+            *(mixture_frames(cycle * k % 256, k, True, seed=sender) for sender in (0, 1)),
+            strict=True,
+        )
+        for i, frame in enumerate(frame for pair in pairs for frame in pair):
+            if rng.random() < 1 / 3 and cycle > 1:
+                continue
+            answer = monitor.feed(frame.can_id, frame.data, t_ns + i * MS // 4)
+            if isinstance(answer, MapLine):
+                mixed += len(sources(answer, cycle, k)) > 1
+        usable += monitor.latest(SLOT, t_ns).usable
+    assert (mixed, usable) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [{"kind": max(Kind)}, {"x_min": -8.0}, {"x_max": 40.0}, {"age": 0.1}],
+    ids=["kind", "x_min", "x_max", "age"],
+)
+def test_components_with_other_attributes_are_of_another_sender(other: Any) -> None:
+    """What all components of a line share tells two senders apart from the first line on."""
+    codec, decoder = default_codec(), default_codec().decoder()
+
+    def component(index: int, **attributes: Any) -> Any:
+        record = codec.encode_mixtures(
+            [[0.5, 0.5]], np.zeros((1, 2, 4)), np.tile(1e-2 * np.eye(4), (1, 2, 1, 1)),
+            slot=SLOT, counter=[8], **attributes,
+        )[0, index]  # fmt: skip
+        return codec.frames(record, SLOT, fd=True)[0]
+
+    first, second = component(0), component(1, **other)
+    assert decoder.feed(first.can_id, first.data, 0) is Reason.PENDING
+    assert decoder.feed(second.can_id, second.data, MS) is Reason.PENDING
+    assert decoder.counts == {Reason.INCOMPLETE: 1}

@@ -1,0 +1,252 @@
+"""A line that is late is not delivered after a newer one, as far as counters and time can tell."""
+
+import math
+from copy import deepcopy
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from dbcs import default_codec
+from e2e_streams import CYCLE, MS, SLOT, frames, mixture_frames
+
+from maplines_can import MapLine, Monitor
+from maplines_can.wire import E2EConfig, E2EState, Reason, SequenceCheck
+
+VALID, INVALID = E2EState.VALID, E2EState.INVALID
+MAX_DELTA = E2EConfig().max_delta_counter
+COMPONENTS = [1, 2, 4, 8]
+PHASES = [0.0, 0.02, 0.3, 0.5, 0.51, 0.9, 1.0, 1.4, 2.2, 4.0]
+
+
+def most_ahead(phase: float, components: int) -> int:
+    """How far ahead a newer record can be: the formula of the documentation."""
+    lines = math.ceil(phase + 0.5)
+    return min(127, max(MAX_DELTA, lines * components))
+
+
+def check_of(received: list[bool], components: int) -> SequenceCheck:
+    """Return a check that has seen the records that were received, a line in each cycle."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for i, is_received in enumerate(received):
+        if is_received:
+            t_ns = i // components * CYCLE
+            assert check.received(i % 256, i, t_ns, components) is None
+            if (i + 1) % components == 0:
+                check.delivered(components)
+    return check
+
+
+@pytest.mark.parametrize("history", [8, 40])
+@pytest.mark.parametrize("components", COMPONENTS)
+def test_a_late_line_is_delivered_only_if_it_cannot_be_told_from_a_newer_one(
+    components: int, history: int
+) -> None:
+    """Every lateness from 1 to 255 records, at several times; the exceptions are exact.
+
+    Its counters were not received before: a duplicate would be recognised. With a short history,
+    the receiver has joined after the line was sent.
+    """
+    wrong = list[Any]()
+    records = -(-max(8 * components, history * 256 // 40) // components) * components
+    for late in range(components, 256):  # of its first record
+        first = records - 1 - late
+        gap = range(first, first + components)
+        received = [i not in gap or first < 0 for i in range(records)]
+        check = check_of(received, components)
+        check_state, newest = check.state, (records // components - 1) * CYCLE
+        for phase in PHASES:
+            probe, t_ns = deepcopy(check), newest + round(phase * CYCLE)
+            probe.elapse(t_ns)
+            answers = [
+                probe.received((first + i) % 256, -1 - i, t_ns, components)
+                for i in range(components)
+            ]
+            expected = 256 - late <= most_ahead(phase, components)
+            is_valid = probe.state is VALID and not probe.two_senders
+            if (answers == [None] * components) is not expected:
+                wrong.append((late, phase, answers))
+            if expected and check_state is VALID and is_valid is not (256 - late <= MAX_DELTA):
+                wrong.append((late, phase, probe.state))
+    assert wrong == []
+
+
+@cache
+def line_frames(line: int, components: int) -> Any:
+    """Return the CAN FD frames of a line, one for each component."""
+    counter = line * components % 256
+    if components == 1:
+        return frames(counter, True, which=line * 7 % 256)
+    return mixture_frames(counter, components, True, seed=line)
+
+
+class Stream:
+    """A receiver of lines at 20 Hz, of which some are held back."""
+
+    def __init__(self, components: int = 1) -> None:
+        self.components = components
+        self.monitor = Monitor(default_codec().decoder())
+        self.t_ns = 0
+
+    def receive(self, line: int, t_ns: int | None = None) -> Any:
+        """Return the answer to a line at a time, by default that of the next cycle."""
+        t_ns = self.t_ns if t_ns is None else t_ns
+        for i, frame in enumerate(line_frames(line, self.components)):
+            answer = self.monitor.feed(frame.can_id, frame.data, t_ns + i * MS // 4)
+        return answer
+
+    def run(self, lines: Any) -> list[Any]:
+        """Return the answers to a line, or None for none, in each cycle."""
+        answers = []
+        for line in lines:
+            if line is not None:
+                answers.append(self.receive(line))
+            self.t_ns += CYCLE
+        return answers
+
+
+@pytest.mark.parametrize("late", range(1, 32))
+def test_a_mixture_that_is_0_8_to_1_55_s_late_is_not_delivered(late: int) -> None:
+    """Except the two cases that look like the next line and the one after it.
+
+    Of 8 components, 30 and 31 lines late: 1.5 and 1.55 s.
+    """
+    stream, last = Stream(8), 39
+    stream.run([line if line != last - late else None for line in range(last + 1)])
+    t_ns = stream.t_ns - CYCLE + 10 * MS
+    assert stream.monitor.latest(SLOT, t_ns).usable
+
+    answer = stream.receive(last - late, t_ns)
+
+    assert isinstance(answer, MapLine) is (late >= 30)
+    if late < 30:
+        assert answer is Reason.STALE
+        assert all(isinstance(new, MapLine) for new in stream.run([last + 1, last + 2]))
+    view = stream.monitor.latest(SLOT, stream.t_ns)
+    assert view.usable
+    assert view.line is not answer or late >= 30
+
+
+SPILLS: dict[str, Any] = {
+    "at once": lambda n: [0.1 + 0.01 * i / n for i in range(n)],
+    "within a cycle": lambda n: [0.1 + 0.8 * i / n for i in range(n)],
+    "at the rate of the sender": lambda n: [0.5 + i for i in range(min(n, 9))],
+    "at twice the rate": lambda n: [0.5 + i / 2 for i in range(min(n, 18))],
+}
+
+
+@pytest.mark.parametrize("sender", ["goes on", "silent"])
+@pytest.mark.parametrize("spill", SPILLS)
+@pytest.mark.parametrize(
+    ("components", "held"), [(1, 1), (1, 3), (1, 8), (1, 16), (1, 32), (8, 3), (8, 8), (8, 10)]
+)
+@pytest.mark.parametrize("first_counter", [0, 8, 104])
+def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
+    first_counter: int, components: int, held: int, spill: str, sender: str
+) -> None:
+    """Between newer lines, or within the window after the last one; 8 lines: 5 before."""
+    first = (256 + first_counter) // components
+    stream = Stream(components)
+    newer = range(first + held, first + held + 10)
+    stream.run(range(first - 20, first))
+    stream.t_ns += held * CYCLE
+    stream.run(newer)
+    newest = stream.t_ns - CYCLE
+    assert stream.monitor.latest(SLOT, newest).usable
+    times = SPILLS[spill](held)
+    arrivals = [(newest + round(at * CYCLE), first + i) for i, at in enumerate(times)]
+    if sender == "goes on":
+        arrivals += [(newest + k * CYCLE, newer.stop + k - 1) for k in range(1, 20)]
+    late, delivered = list[int](), list[int]()
+    for t_ns, line in sorted(arrivals):
+        answer = stream.receive(line, t_ns)
+        if isinstance(answer, MapLine):
+            (late if line < newer.stop else delivered).append(line)
+    assert not stream.monitor.latest(SLOT, stream.t_ns).two_senders
+    assert late == []
+    assert delivered == sorted(delivered)
+    assert len(delivered) == (19 if sender == "goes on" else 0)
+
+
+def test_a_backlog_after_a_silent_window_is_delivered_but_not_usable() -> None:
+    """It looks like a sender that restarted: eight lines are not usable, those after them are."""
+    stream = Stream()
+    stream.run(range(40))
+    stream.t_ns += 20 * CYCLE
+    stream.run(range(60, 70))
+    assert stream.monitor.latest(SLOT, stream.t_ns).usable
+    stream.t_ns += 10 * CYCLE
+    states = []
+    for line in range(40, 49):
+        assert isinstance(stream.receive(line), MapLine)
+        states.append(stream.monitor.latest(SLOT, stream.t_ns).state)
+        stream.t_ns += MS
+    assert states == [INVALID] * 8 + [VALID]
+
+
+@pytest.mark.parametrize("last", [9, 60, 130, 200])
+def test_a_restart_within_the_window_costs_two_lines(last: int) -> None:
+    """If its first lines are lost, up to 15, it is the same."""
+    for first in (first for first in (0, 3, 15) if first < last):
+        check = check_of([True] * (last + 1), 1)
+        answers = [check.received(first + i, -1 - i, (last + 2 + i) * CYCLE, 1) for i in range(4)]
+        assert answers == [Reason.STALE, Reason.STALE, None, None]
+        assert check.state is INVALID
+        assert check.lost == 0
+
+
+@pytest.mark.parametrize("counter", [40, 100, 150, 230])
+def test_another_sender_takes_over_after_the_window(counter: int) -> None:
+    """With any counter: ten cycles after the last line, and VALID eight lines later."""
+    last = 200
+    check = check_of([True] * (last + 1), 1)
+    taken_over = valid = None
+    for k in range(1, 40):
+        t_ns = (last + k) * CYCLE
+        answer = check.received((counter + k) % 256, -k, t_ns, 1)
+        if answer is None and taken_over is None:
+            taken_over = k
+        if taken_over and valid is None and check.state is VALID:
+            valid = k
+    assert (taken_over, valid) == (11, 19)
+
+
+@pytest.mark.parametrize("components", COMPONENTS)
+@pytest.mark.parametrize("pace", [1, 2, 5])
+def test_a_sender_that_is_faster_than_the_cycle_time_is_received(
+    pace: int, components: int
+) -> None:
+    """One record in ten is lost; nothing that comes is dropped."""
+    rng = np.random.default_rng(4)
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for i in range(4000):
+        if rng.random() >= 0.1:
+            t_ns = i // components * CYCLE // pace
+            assert check.received(i % 256, i, t_ns, components) is None
+
+
+@pytest.mark.parametrize("lost", [0, 1, 15, 16, 60, 100])
+def test_a_clock_that_stands_still_does_not_silence_a_slot(lost: int) -> None:
+    """Up to 15 lost records do no harm; with more, none is new until the counter comes round."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for i in range(10):
+        check.received(i, i, 7, 1)
+    dropped = 0
+    while check.received((10 + lost + dropped) % 256, -dropped, 7, 1) is not None:
+        dropped += 1
+        assert dropped < 256
+    assert dropped == (0 if lost < MAX_DELTA else 256 - lost)
+
+
+@pytest.mark.parametrize("back", [1, 50, 3600_000])
+def test_a_clock_that_is_set_back_does_not_silence_a_slot(back: int) -> None:
+    """The next line is new."""
+    check = check_of([True] * 100, 1)
+    assert check.received(100, -1, 99 * CYCLE - back * MS, 1) is None
+    assert check.received(103, -2, 100 * CYCLE - back * MS, 1) is None
+
+
+def test_an_authentic_record_is_newer_whatever_the_time() -> None:
+    """Its freshness value says so."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE, is_authentic=True)
+    assert [check.received(c, c, 0, 1) for c in (0, 100, 220, 90)] == [None] * 4
