@@ -221,7 +221,7 @@ class _Part:
 
     @staticmethod
     def _without_value(values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        return np.isnan(values.reshape(len(values), -1)).any(axis=1)
+        return np.asarray(np.isnan(values.reshape(len(values), -1)).any(axis=1))
 
     def _at(self, points: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values at points, with z in place of the variable of the cut."""

@@ -68,7 +68,7 @@ def test_components_are_truncated_normals(k: Any) -> None:
 def test_a_mixture_has_the_moments_of_the_normal_distribution(k: Any) -> None:
     """E[z^2], E[z^4], ... are 1, 3, 15, 105. A split into equal variances has 2.6 for E[z^4]."""
     weights, means, _ = Mixture(k).moments(
-        lambda x: x ** np.arange(2, 10, 2), Gaussian([0.0], [[1.0]])
+        lambda x: x ** np.arange(2, 10, 2), Gaussian(np.zeros(1), np.eye(1))
     )
     assert weights @ means == pytest.approx(np.array([1.0, 3.0, 15.0, 105.0]), rel=1e-3)
 
