@@ -7,10 +7,14 @@ from numpy.typing import ArrayLike
 
 from .splitting import SPLITS, standard_split
 
-#: Largest nonlinearity within a component that needs no further component: the second-order term
-#: then has less than a tenth of the variance of the component. In the street turn with 10 deg of
-#: heading uncertainty five components meet it; about 4 % of their mass is on impossible lines.
+#: Largest nonlinearity of a Gaussian that needs no split: the second-order term then has less than
+#: a tenth of its variance.
 TOLERANCE = 0.3
+#: The same within the components of a mixture, as a share of the tolerance. They are cut from a
+#: Gaussian, and so differ from Gaussians even where the function is linear. In the street turn with
+#: 10 deg of heading uncertainty five components meet it; about 4 % of their mass is on impossible
+#: lines.
+OF_COMPONENTS = 0.75
 
 
 def remaining_nonlinearity(amount: float, k: int) -> float:
@@ -19,13 +23,13 @@ def remaining_nonlinearity(amount: float, k: int) -> float:
     Like ``Nonlinearity.amount``, it is the standard deviation of the second-order term divided by
     the total standard deviation, here within a component, with variances averaged over the
     components. Let the output have the variance 1 and the function be quadratic, with a
-    second-order term of variance a^2 and a squared slope of 1 - a^2 at the mean. A component of the
-    variance s^2 = 1 - sum w_i m_i^2 has a second-order term of the variance s^4 a^2. At its mean
-    m_i the squared slope is larger by 2 a^2 m_i^2, averaged over +m_i and -m_i. The result is
+    second-order term of variance a^2 and a squared slope of 1 - a^2 at the mean. A component
+    N(m_i, v_i) of ``Mixture.split`` has a second-order term of the variance v_i^2 a^2. At its mean
+    the squared slope is larger by 2 a^2 m_i^2, averaged over +m_i and -m_i. The result is
 
-        a_k^2 = a^2 s^2 / (1 + a^2 (1 - s^2)),
+        a_k^2 = a^2 sum w_i v_i^2 / sum w_i (a^2 v_i^2 + (1 - a^2 + 2 a^2 m_i^2) v_i).
 
-    or a s for a small a. The nonlinearity is smaller if the output also varies
+    The nonlinearity is smaller if the output also varies
     with other directions than that of the split, or has noise of its own. Terms above
     the second order are ignored: in a tight turn the outer components have more.
 
@@ -34,17 +38,21 @@ def remaining_nonlinearity(amount: float, k: int) -> float:
         k: number of components, 1 to 8.
 
     >>> [round(remaining_nonlinearity(0.8, k), 2) for k in (1, 2, 5, 8)]
-    [0.8, 0.52, 0.24, 0.17]
+    [0.8, 0.41, 0.18, 0.11]
     """
-    weights, means = standard_split(k)
-    variance = 1 - weights @ means**2
-    return float(amount * np.sqrt(variance / (1 + amount**2 * (1 - variance))))
+    weights, means, variances = standard_split(k)
+    second = weights @ (amount * variances) ** 2
+    first = weights @ ((1 - amount**2 + 2 * amount**2 * means**2) * variances)
+    return float(np.sqrt(second / (second + first)))
 
 
 def component_counts(
     amounts: ArrayLike, *, tolerance: float = TOLERANCE, budget: int | None = None
 ) -> list[int]:
     """Return the smallest numbers of components, 1 to 8 a line, that meet the tolerance.
+
+    The nonlinearity of a single Gaussian is compared with the tolerance, and that within the
+    components of a mixture with three quarters of it.
 
     If the budget is too small for that, the largest remaining nonlinearity is as small
     as the budget allows: each component goes to the line with the largest remaining
@@ -53,7 +61,7 @@ def component_counts(
 
     Args:
         amounts: (L,) ``Nonlinearity.amount`` of each line, from 0 to 1.
-        tolerance: largest nonlinearity within a component, more than 0.
+        tolerance: largest nonlinearity of a line that needs no split, more than 0.
         budget: number of components of all lines together, L or more; None for no limit.
 
     Raises:
@@ -77,7 +85,8 @@ def component_counts(
     counts = [1] * len(amounts)
     while budget is None or sum(counts) < budget:
         now = [remaining[i, k - 1] for i, k in enumerate(counts)]
-        unmet = [i for i, k in enumerate(counts) if k < len(SPLITS) and now[i] > tolerance]
+        limits = [tolerance if k == 1 else OF_COMPONENTS * tolerance for k in counts]
+        unmet = [i for i, k in enumerate(counts) if k < len(SPLITS) and now[i] > limits[i]]
         if not unmet:
             break
         counts[max(unmet, key=now.__getitem__)] += 1

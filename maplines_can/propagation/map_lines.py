@@ -10,7 +10,6 @@ from ..line import Kind, MapLine, Slot
 from ..mixture import GaussianMixture
 from ..polyline import Polyline
 from .refit import MapError, Refit
-from .sigma_points import SigmaPoints
 from .splitting import Mixture
 from .transform import Transform
 
@@ -35,7 +34,8 @@ def map_lines(
         window: (x_min, x_max) ahead of the mean pose from which the points are taken [m].
         components: components of the Gaussian mixture of each line, 1 to 8, as one number for
             all lines or one for each; 1 gives a single Gaussian.
-        transform: for the moments of each component; None for ``SigmaPoints()``.
+        transform: for the moments of each component; None for ``SigmaPoints()`` of a single
+            Gaussian, and for the default of ``Mixture``.
         map_error: error of the map, in addition to the error of the pose.
 
     Raises:
@@ -54,7 +54,6 @@ def map_lines(
         raise ValueError(
             f"components must be one number or one for each of {len(lines)} lines, got {counts}"
         )
-    transform = SigmaPoints() if transform is None else transform
     result = []
     for (slot, kind, polyline), k in zip(lines, counts, strict=True):
         refit = Refit(polyline, ego.mean, window, map_error)

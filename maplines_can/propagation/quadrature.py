@@ -16,6 +16,8 @@ from .transform import Moments, Transform, weighted_moments
 
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
+#: Total weight that the sums round off; points that have less are excluded without a warning.
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -60,10 +62,11 @@ class Quadrature(Transform):
                     f"total weight of {w[excluded].sum():.2g}; narrow the Gaussian or use "
                     "MonteCarlo, which excludes and counts such points"
                 )
-            warnings.warn(
-                f"{excluded.sum()} of {len(points)} points, with a total weight of "
-                f"{w[excluded].sum():.1e}, are ill-posed and excluded",
-                stacklevel=4,
-            )
+            if w[excluded].sum() > ROUNDING:
+                warnings.warn(
+                    f"{excluded.sum()} of {len(points)} points, with a total weight of "
+                    f"{w[excluded].sum():.1e}, are ill-posed and excluded",
+                    stacklevel=4,
+                )
             values, w = values[~excluded], w[~excluded] / w[~excluded].sum()
         return weighted_moments(values, w, w)

@@ -57,9 +57,11 @@ def test_remaining_nonlinearity_of_a_parabola(slope: float, k: Any) -> None:
 
 @pytest.mark.parametrize("k", SPLITS)
 def test_small_amounts_scale_with_the_sigma_of_a_component(k: Any) -> None:
-    """The sigma is that of a component of the split of N(0, 1)."""
-    component = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0]).components[0]  # type: ignore[arg-type]
-    assert remaining_nonlinearity(1e-3, k) / 1e-3 == pytest.approx(component.sigma[0], rel=1e-5)
+    """The sigma is that of the components of the split of N(0, 1), weighted by their variances."""
+    split = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0])  # type: ignore[arg-type]
+    variances = split.covs[:, 0, 0]
+    sigma = np.sqrt(split.weights @ variances**2 / (split.weights @ variances))
+    assert remaining_nonlinearity(1e-3, k) / 1e-3 == pytest.approx(sigma, rel=1e-5)
 
 
 def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> None:
@@ -77,16 +79,16 @@ def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> Non
 @pytest.mark.parametrize(
     ("name", "least", "most"),
     [
-        pytest.param("highway", 0.97, 1.01, id="a-parabola"),
-        pytest.param("highway-10deg", 0.97, 1.05, id="wide"),
-        pytest.param("production", 0.25, 0.76, id="other-variables-contribute"),
-        pytest.param("street-turn-10deg", 1.2, 2.0, id="higher-orders"),
+        pytest.param("highway", 0.97, 1.08, id="a-parabola"),
+        pytest.param("highway-10deg", 0.97, 1.4, id="wide"),
+        pytest.param("production", 0.2, 0.65, id="other-variables-contribute"),
+        pytest.param("street-turn-10deg", 1.2, 3.6, id="higher-orders"),
     ],
 )
 def test_remaining_nonlinearity_of_a_refit_against_measurement(
     name: str, least: float, most: float
 ) -> None:
-    """It agrees if the heading dominates; in a turn higher orders add to the outer components."""
+    """It agrees if the heading dominates; higher orders add to the wide outer components."""
     scene = scenario(name)
     refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
     amount = nonlinearity(refit, scene.ego).amount
@@ -119,15 +121,19 @@ def test_component_counts(values: Any, settings: Any, counts: Any) -> None:
 
 @given(amounts, tolerances, tolerances)
 def test_a_larger_tolerance_never_needs_more_components(values: Any, one: Any, other: Any) -> None:
-    """Without a budget each line gets the fewest components that meet the tolerance."""
+    """Without a budget each line gets the fewest components that meet the tolerance.
+
+    Components of a mixture meet three quarters of it.
+    """
     wide, narrow = (
         component_counts(values, tolerance=t) for t in sorted([one, other], reverse=True)
     )
     assert all(w <= n for w, n in zip(wide, narrow, strict=True))
     tolerance = min(one, other)
     for value, k in zip(values, narrow, strict=True):
-        assert k == 8 or remaining_nonlinearity(value, k) <= tolerance
-        assert k == 1 or remaining_nonlinearity(value, k - 1) > tolerance
+        limit = [tolerance, 0.75 * tolerance]
+        assert k == 8 or remaining_nonlinearity(value, k) <= limit[k > 1]
+        assert k == 1 or remaining_nonlinearity(value, k - 1) > limit[k > 2]
 
 
 @given(amounts, tolerances, st.integers(0, 64), st.integers(0, 64))

@@ -58,10 +58,8 @@ def representations(
         "mean and sigmas": Approximation.gaussian(mean, np.diag(cov.diagonal())),
     }
     found |= {name: Approximation.gaussian(*both) for name, both in moments.items()}
-    # In the street turn at 10 deg, Quadrature(5) for the components has 0.005 fewer false
-    # positives.
     for k in (3, 5):
-        found[f"mixture of {k}"] = Approximation(*Mixture(k, SigmaPoints()).moments(refit, ego))
+        found[f"mixture of {k}"] = Approximation(*Mixture(k).moments(refit, ego))
     return found
 
 
