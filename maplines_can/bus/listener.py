@@ -34,6 +34,8 @@ class LineListener(can.Listener):
 
     It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an event loop
     of asyncio, or called by hand with the messages of a log. Use one listener for each bus.
+    As for python-can, a time stamp of 0 means none: the present time is taken. Read a log that
+    starts at 0 with ``relative_timestamp=False``.
     A `Receiver` is such a listener with a link and a thread.
 
     Lines go to the callback ``on_line`` if there is one. Otherwise they wait for

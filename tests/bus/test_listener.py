@@ -166,13 +166,17 @@ def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None
 def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
     """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
     codec, path = Codec.from_dbc(), tmp_path / "drive.asc"
-    with can.Logger(path) as log:
+    with can.Logger(path) as logger:
         for k in range(9):
             for frame in codec.encode(map_line()):
-                log(message_of(frame, timestamp=1e9 + k / 20))
-    for messages in (can.LogReader(path), can.MessageSync(can.LogReader(path), timestamps=False)):
+                logger(message_of(frame, timestamp=1e9 + k / 20))
+
+    def messages() -> Any:
+        return can.LogReader(path, relative_timestamp=False)  # a time stamp of 0 means none
+
+    for log in (messages(), can.MessageSync(messages(), timestamps=False)):
         listener = LineListener(codec.decoder())
-        for message in messages:
+        for message in log:
             listener(message)
         newest = collect(listener, 9)[-1]
         assert listener.latest(Slot.EGO_LEFT, now_ns=newest.t_ns).usable

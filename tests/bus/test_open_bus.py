@@ -156,7 +156,8 @@ def test_all_links_of_a_bus_send_in_turn() -> None:
 @pytest.mark.socketcan
 def test_a_given_socket_works_again_unless_its_interface_was_deleted(vcan: str) -> None:
     """The kernel binds a socket to the interface, not to its name."""
-    events, codec = Events(), FakeCodec()
+    events = Events()
+    codec: Any = FakeCodec()
     with (
         can.Bus(interface="socketcan", channel=vcan) as bus,
         can.Bus(interface="socketcan", channel=vcan) as other,
@@ -165,7 +166,7 @@ def test_a_given_socket_works_again_unless_its_interface_was_deleted(vcan: str) 
         with (
             Receiver(other, codec.decoder()) as receiver,
             Transmitter(link, codec, period=0.005) as transmitter,
-        ):  # type: ignore[arg-type]
+        ):
             transmitter.publish(map_line())
             collect(receiver, 5)
             ip(f"link set {vcan} down")

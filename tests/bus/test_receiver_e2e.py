@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from dbcs import default_codec
 from e2e_streams import MS, SLOT, frames
-from fake_bus import LONG, FakeTime, message_of, wait_until
+from fake_bus import FakeTime, collect, message_of, wait_until
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent
@@ -60,9 +60,8 @@ def test_age_is_by_the_clock_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> N
             for frame in frames(counter):
                 message = message_of(frame, timestamp=12.5 + 0.25 * counter)
                 assert link.send(message) is Sent.OK
-            line = receiver.get(LONG)
-            assert line is not None
+            (line,) = collect(receiver, 1)
             now.ns += 250 * MS
         view = receiver.latest(SLOT)
         assert view.age - line.age == pytest.approx(0.25)
-        assert receiver.latest(SLOT, now_ns=line.t_ns + 151 * MS).stale  # type: ignore[operator]
+        assert receiver.latest(SLOT, now_ns=line.t_ns + 151 * MS).stale

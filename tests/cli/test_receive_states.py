@@ -10,7 +10,7 @@ from dbcs import default_codec
 from e2e_streams import frames
 
 from maplines_can import MapLine
-from maplines_can.cli import main, receive
+from maplines_can.cli import main, stderr
 
 
 def test_receive_prints_the_states_and_two_senders(
@@ -29,14 +29,14 @@ def test_receive_prints_the_states_and_two_senders(
         for frame in transfer
     ]
     delivered = sum(isinstance(answer, MapLine) for answer in answers)
-    noted, print_note = threading.Event(), receive.note
+    noted = threading.Event()
 
     def note(text: str) -> None:
-        print_note(text)
+        stderr.note(text)
         if "INIT" in text:
             noted.set()
 
-    monkeypatch.setattr(receive, "note", note)
+    monkeypatch.setattr("maplines_can.cli.receive.note", note)
     replay(transfers, after_first=noted)
     bus = ["--interface", "virtual", "--channel", channel]
     assert main(["receive", *bus, "--count", str(delivered), "--json"]) == 0
