@@ -109,6 +109,11 @@ class BackgroundThread(ABC):
         is_started = self._thread.ident is not None and self._process == os.getpid()
         return is_started and not self._ended
 
+    @property
+    def _is_stopped(self) -> bool:
+        """Whether the thread shall end, or runs in the parent process only."""
+        return self._stopping or self._process not in (None, os.getpid())
+
     def _start_thread(self) -> Self:
         self._process = os.getpid()
         self._thread.start()

@@ -123,7 +123,7 @@ class Transmitter(BackgroundThread):
         Raises:
             ValueError: ``t_pose_ns`` is more than 1 s ahead of ``time.time_ns()``, or more
                 than 1 h behind.
-            RuntimeError: the transmitter was stopped.
+            RuntimeError: the transmitter was stopped, or runs in the parent process only.
             Exception: the error of the codec or of a callback that ended the thread.
         """
         self._raise_error()
@@ -137,10 +137,10 @@ class Transmitter(BackgroundThread):
                 )
         lines = [line] if isinstance(line, MapLine) else list(line)
         with self._changed:
-            if self._stopping:
+            if self._is_stopped:
                 raise RuntimeError(
-                    "publish must come before stop: this transmitter was stopped and sends "
-                    "nothing; make a new Transmitter"
+                    "publish must come before stop, and in the process of start: this transmitter "
+                    "sends nothing; make a new Transmitter"
                 )
             self._tx_queue.put(lines, self._clock(), age)
             self._changed.notify_all()

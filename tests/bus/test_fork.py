@@ -94,7 +94,8 @@ def test_a_lock_that_a_thread_held_is_free_in_the_child() -> None:
     ):
 
         def check() -> bool:
-            transmitter.publish(map_line())
+            with pytest.raises(RuntimeError, match="publish must come before stop"):
+                transmitter.publish(map_line())
             transmitter.stop()
             receiver.stop()
             link.send(can.Message())
