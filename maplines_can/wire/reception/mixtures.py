@@ -141,15 +141,10 @@ def _mixture_line(records: Sequence[DecodedRecord]) -> MapLine:
     """Return the line of all components of a mixture."""
     gaussians = tuple(record.line.gaussian for record in records)
     mixture = GaussianMixture(np.array([record.weight for record in records]), gaussians)
-    oldest = min((record.line for record in records), key=_pose_ns)
-    return replace(  # ``age`` is relative to ``t_ns``, so keep the pair of the oldest pose
-        oldest,
+    first = min((record.line for record in records), key=lambda line: line.t_ns or 0)
+    return replace(  # all components have its age, which is relative to ``t_ns``
+        first,
         gaussian=mixture.overall,
         mixture=mixture,
         status=max((record.line.status for record in records), key=SEVERITY.index),
     )
-
-
-def _pose_ns(line: MapLine) -> float:
-    """Return the time of the pose of a line [ns]; minus infinity if it is too old to be known."""
-    return (line.t_ns or 0) - 1e9 * line.age
