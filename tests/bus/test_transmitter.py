@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -282,3 +283,24 @@ def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
         assert received.age >= 0.02 - codec.layout["Age"].factor / 1000
     assert stats.frames == len(lines) * (1 if fd else 4)
     assert (stats.lost, {k: n for k, n in stats.counts.items() if n}) == (0, {})
+
+
+def test_a_full_queue_is_not_retried_beyond_the_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line of the next deadline would be late."""
+    clock, opener = Clock(), FakeOpener(*[FULL] * 100_000)
+
+    def sleep(seconds: float) -> None:
+        clock.now += seconds
+
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", SimpleNamespace(sleep=sleep))
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=0.05, clock=clock)  # type: ignore[arg-type]
+        transmitter.publish(map_line())
+        clock.now += transmitter._tx_queue.wait(clock.now) or 0.0
+        start = clock.now
+        transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
+        stats = transmitter.stats()
+
+    assert clock.now - start == pytest.approx(0.05, abs=0.0025)
+    assert (stats.lines, stats.full, stats.frames) == (0, 1, 0)
+    assert 45 <= stats.retries <= 52

@@ -14,6 +14,7 @@ from maplines_can.errors import EncodeError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec, Reason
+from maplines_can.wire.message.signals import PARAMETER_SIGNALS
 
 
 def test_huge_numbers_do_not_overflow(codec: Any) -> None:
@@ -264,3 +265,34 @@ def test_extreme_numbers_raise_a_short_message(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())
     assert len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize("steps", [0.4, 0.6, 1, 3, 20, 45, 60, 1000])
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("i", range(4))
+def test_a_clipped_mean_without_a_covariance_is_out_of_range(
+    codec: Any, i: int, end: int, steps: float
+) -> None:
+    """By more than half a step: nothing covers it. By less it is only rounded."""
+    signal = codec.layout[PARAMETER_SIGNALS[i]]
+    mean = np.zeros(4)
+    mean[i] = signal.physical_range[end] + (1 if end else -1) * steps * abs(signal.factor)
+    batch = codec.decode_batch(codec.encode_batch(mean[None]))
+    assert batch.status[0] == (Status.UNKNOWN if steps < 0.5 else Status.OUT_OF_RANGE)
+
+
+def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
+    """DIAGONAL drops the correlations that make a matrix indefinite, so nothing is repaired."""
+    definite = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+    indefinite = definite.copy()
+    indefinite[0, 1] = indefinite[1, 0] = 2e-3
+    batch = codec.decode_batch(
+        codec.encode_batch(
+            np.zeros((4, 4)),
+            [indefinite, definite, indefinite, definite],
+            status=[Status.DIAGONAL, Status.FULL, Status.FULL, Status.DIAGONAL],
+        )
+    )
+    wanted = [Status.DIAGONAL, Status.FULL, Status.REPAIRED, Status.DIAGONAL]
+    assert batch.status.tolist() == wanted
+    assert (np.linalg.eigvalsh(batch.cov[0] - definite) > -1e-15).all()

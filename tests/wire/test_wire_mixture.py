@@ -156,3 +156,77 @@ def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     assert len(frames) == 32
     assert isinstance(answers[-1], MapLine)
     assert len(answers[-1].mixture.weights) == 8  # type: ignore[union-attr]
+
+
+def component(
+    codec: Codec, counter: int, index: int, count: int, weight: float, **attributes: float
+) -> Any:
+    """Return the frames of a component as a sender of any weights and counts sends it."""
+    payloads = codec.encode_batch(
+        [[1.75 + 0.1 * index, 0.0, 0.0, 0.0]],
+        np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None],
+        slot=Slot.CENTRE,
+        counter=counter,
+        component_index=index,
+        component_count=count,
+        component_weight=weight,
+        **attributes,
+    )
+    return codec.frames(payloads[0], Slot.CENTRE)
+
+
+@pytest.mark.parametrize("second", [0.25, 0.46875, 0.53125, 1.0])
+def test_weights_that_do_not_add_up_are_rejected(second: float) -> None:
+    """Correct checksums and counters, but a sum other than 1: no line, no error, all counted."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    frames = [*component(codec, 0, 0, 2, 0.5), *component(codec, 1, 1, 2, second)]
+    answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
+    assert answers == [Reason.PENDING] * 7 + [Reason.CONTENT]
+    assert decoder.counts == {Reason.CONTENT: 8}
+    assert decoder.pending == decoder.lines == 0
+    good = [*component(codec, 2, 0, 2, 0.5), *component(codec, 3, 1, 2, 0.5)]
+    answers = [decoder.feed(f.can_id, f.data, 10**6 + i * 1000) for i, f in enumerate(good)]
+    assert isinstance(answers[-1], MapLine)
+
+
+@pytest.mark.parametrize(("first", "second"), [(2, 3), (3, 2)])
+def test_components_of_different_counts_are_not_combined(first: int, second: int) -> None:
+    """The weights and counters fit, but one of two is no partner of one of three."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    frames = [*component(codec, 0, 0, first, 0.5), *component(codec, 1, 1, second, 0.5)]
+    for i, frame in enumerate(frames):
+        assert decoder.feed(frame.can_id, frame.data, i * 1000) is Reason.PENDING
+    assert decoder.counts == {Reason.INCOMPLETE: 4}
+    assert decoder.pending == 4
+
+
+def test_a_mixture_with_the_record_of_another_sender_within_is_given_up() -> None:
+    """Whose components they are is not known any more."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    own = [component(codec, i, i, 2, 0.5) for i in range(2)]
+    other = component(codec, 0, 0, 2, 0.5, x_max=60.0)
+    answers = []
+    for i, frame in enumerate([*own[0], *other, *own[1]]):
+        answers.append(decoder.feed(frame.can_id, frame.data, i * 1000))
+    assert Reason.STALE in answers
+    assert not [answer for answer in answers if isinstance(answer, MapLine)]
+    assert decoder.counts[Reason.INCOMPLETE] == 4
+    assert decoder.frames == sum(decoder.counts.values()) + decoder.pending
+
+
+def test_a_mixture_has_the_time_and_the_age_of_its_first_component() -> None:
+    """The line is not claimed to be newer than any of its components."""
+    codec = default_codec()
+    decoder = codec.decoder(timeout_ms=50)
+    frames = [
+        *component(codec, 0, 0, 2, 0.5, age=0.024),
+        *component(codec, 1, 1, 2, 0.5, age=0.008),
+    ]
+    answers = [decoder.feed(f.can_id, f.data, 7 + i * 3_000_000) for i, f in enumerate(frames)]
+    line = answers[-1]
+    assert isinstance(line, MapLine)
+    assert line.t_ns == 7
+    assert line.age == pytest.approx(0.024)
