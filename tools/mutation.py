@@ -63,7 +63,7 @@ TESTS = [
 #: What is not needed to run the tests.
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*cache*", ".hypothesis", "build", "dist")
 #: Time limit of the tests of a mutant: a multiple of their normal time, and a constant [s].
-SLOWER, START_UP = 6, 30
+SLOWER, START_UP = 3, 30
 #: Reason given in the report for a survivor that is not in the list.
 UNLISTED = "NOT LISTED"
 

@@ -304,3 +304,22 @@ def test_a_full_queue_is_not_retried_beyond_the_period(monkeypatch: pytest.Monke
     assert clock.now - start == pytest.approx(0.05, abs=0.0025)
     assert (stats.lines, stats.full, stats.frames) == (0, 1, 0)
     assert 45 <= stats.retries <= 52
+
+
+@pytest.mark.parametrize(("ago_s", "allowed"), [
+    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3601.0, False),
+])  # fmt: skip
+def test_the_allowed_times_of_a_pose(
+    monkeypatch: pytest.MonkeyPatch, ago_s: float, allowed: bool
+) -> None:
+    """From an hour ago to a second ahead, both included."""
+    fake = FakeTime()
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", fake)
+    with Link(FakeOpener()) as link:
+        transmitter = Transmitter(link, FakeCodec(), clock=Clock())  # type: ignore[arg-type]
+        t_pose_ns = fake.ns - int(ago_s * 1e9)
+        if allowed:
+            transmitter.publish(map_line(), t_pose_ns)
+        else:
+            with pytest.raises(ValueError, match="at most 1 s ahead and 1 h ago"):
+                transmitter.publish(map_line(), t_pose_ns)

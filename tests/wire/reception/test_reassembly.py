@@ -313,13 +313,24 @@ def test_a_line_that_stands_still_is_no_duplicate_of_itself(codec: Any) -> None:
 
 
 def test_a_page_of_a_recent_transfer_is_a_duplicate(codec: Any) -> None:
-    """All pages of less than half a round of IDs ago; they do not begin a new transfer."""
+    """All pages of up to half a round of IDs ago; they do not begin a new transfer."""
     decoder = codec.decoder(timeout_ms=200)
     half = 2 ** codec.layout["TransferId0"].length // 2
     for i, transfer in enumerate(standing(60)):
         feed(decoder, transfer, t_ns=2 * i * MS)
-        for back in range(min(i + 1, half)):
+        for back in range(min(i, half) + 1):
             (answer,) = feed(decoder, standing(60)[i - back][2:3], t_ns=(2 * i + 1) * MS)
             assert answer is Reason.DUPLICATE, back
         assert decoder.pending == 0
     assert decoder.lines == 60
+
+
+def test_a_line_that_stands_still_is_received_after_a_loss(codec: Any) -> None:
+    """Of less than half a round of IDs: the next pages are not those of the round before."""
+    ids = 2 ** codec.layout["TransferId0"].length
+    for gap in range(1, ids // 2):
+        decoder = codec.decoder(timeout_ms=200)
+        for i in [*range(ids), ids - 1 + gap]:
+            line = feed(decoder, standing(2 * ids)[i][::-1], t_ns=2 * i * MS)[-1]
+            assert isinstance(line, MapLine), gap
+        assert decoder.counts == {}
