@@ -54,10 +54,11 @@ from reporting import parser_of, progress, report
 ROOT = Path(__file__).resolve().parents[1]
 #: Libraries that the processes of the tests share, since importing them takes most of their time.
 PRELOAD = ["can", "cantools", "numpy", "scipy.linalg"]
-#: Tests of wire/ and bus/ that need no kernel and run no commands.
+#: Tests of wire/ and bus/; without those that run commands, which are slow.
 TESTS = [
     *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
     *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
+    *("tests/study/codes", "tests/study/test_guarantee.py"),  # of wire/covariance
     *("maplines_can/wire", "maplines_can/bus"),
 ]
 #: What is not needed to run the tests.

@@ -296,3 +296,22 @@ def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
     wanted = [Status.DIAGONAL, Status.FULL, Status.REPAIRED, Status.DIAGONAL]
     assert batch.status.tolist() == wanted
     assert (np.linalg.eigvalsh(batch.cov[0] - definite) > -1e-15).all()
+
+
+@pytest.mark.parametrize(("i", "j"), [(1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+@pytest.mark.parametrize(("reach", "status"), [(0.9, Status.FULL), (3.0, Status.SATURATED)])
+def test_a_correlation_beyond_its_signal_is_reported(
+    codec: Any, i: int, j: int, reach: float, status: Status
+) -> None:
+    """A wider pivot takes over what the ratio cannot hold, and the status says so."""
+    factor = codec.covariance.factor
+    middle = [sum(pivot.physical_range) / 2 for pivot in factor.pivots]
+    L = np.diag(np.exp2(middle))
+    L[i, j] = reach * factor.ratios[i][j].physical_range[1] * L[i, i]
+    cov = np.empty((4, 4))
+    cov[np.ix_(factor.order, factor.order)] = L @ L.T
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), (cov + cov.T)[None] / 2))
+    assert batch.status[0] == status
+    scaled = batch.cov[0] - cov
+    scale = np.sqrt(batch.cov[0].diagonal())
+    assert np.linalg.eigvalsh(scaled / scale[:, None] / scale)[0] > -1e-9

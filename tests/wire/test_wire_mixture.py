@@ -230,3 +230,45 @@ def test_a_mixture_has_the_time_and_the_age_of_its_first_component() -> None:
     assert isinstance(line, MapLine)
     assert line.t_ns == 7
     assert line.age == pytest.approx(0.024)
+
+
+def test_the_earliest_component_counts_even_if_its_stamp_is_out_of_order() -> None:
+    """Drivers may stamp two frames in the wrong order."""
+    codec = default_codec()
+    decoder = codec.decoder(timeout_ms=50)
+    first = component(codec, 0, 0, 2, 0.5, age=0.024)
+    second = component(codec, 1, 1, 2, 0.5, age=0.008)
+    for frame in first:
+        decoder.feed(frame.can_id, frame.data, 5_000_000)
+    (line,) = {decoder.feed(frame.can_id, frame.data, 4_000_000) for frame in second} - {
+        Reason.PENDING
+    }
+    assert isinstance(line, MapLine)
+    assert line.t_ns == 4_000_000
+    assert line.age == pytest.approx(0.008)
+
+
+def test_a_mixture_waits_for_its_time_out_and_no_longer() -> None:
+    """The time counts from the last component, in either direction of the clock."""
+    codec = default_codec()
+    for later_ns, pending in ((50_000_000, 4), (50_000_001, 0), (-50_000_000, 4), (-50_000_001, 0)):
+        decoder = codec.decoder(timeout_ms=50)
+        for frame in component(codec, 0, 0, 2, 0.5):
+            decoder.feed(frame.can_id, frame.data, 10**12)
+        decoder.expire(10**12 + later_ns)
+        assert decoder.pending == pending
+        assert decoder.counts[Reason.TIMEOUT] == 4 - pending
+
+
+def test_a_component_after_the_time_out_does_not_complete_the_mixture() -> None:
+    """Its frames wait for a mixture of their own."""
+    codec = default_codec()
+    decoder = codec.decoder(timeout_ms=50)
+    answers = [
+        decoder.feed(frame.can_id, frame.data, t_ns)
+        for t_ns, i in ((0, 0), (60_000_000, 1))
+        for frame in component(codec, i, i, 2, 0.5)
+    ]
+    assert set(answers) == {Reason.PENDING}
+    assert decoder.counts == {Reason.TIMEOUT: 4}
+    assert decoder.pending == 4
