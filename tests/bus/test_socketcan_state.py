@@ -22,25 +22,25 @@ CLASSIC, CAN_FD = 16, 72
 
 
 class Interface(NamedTuple):
-    index: int = 5
+    number: int = 5
     flags: int = UP | RUNNING | NOARP
     mtu: int = CAN_FD
 
 
 @pytest.fixture
 def kernel(monkeypatch: pytest.MonkeyPatch) -> dict[str, Interface]:
-    """Interfaces by name; a name without an index was deleted after it was looked up."""
+    """Interfaces by name; one of number 0 was deleted after it was looked up."""
     interfaces: dict[str, Interface] = {}
 
     def if_nametoindex(name: str) -> int:
         if name not in interfaces:
             raise OSError(errno.ENODEV, "No such device")
-        return interfaces[name].index
+        return interfaces[name].number
 
     def ioctl(socket: Any, request: int, ifreq: bytes) -> bytes:
         assert len(ifreq) == 40
         found = interfaces[ifreq[:16].rstrip(b"\0").decode()]
-        if found.index == 0:
+        if found.number == 0:
             raise OSError(errno.ENODEV, "No such device")
         answers = {
             SIOCGIFFLAGS: struct.pack("H", found.flags),
@@ -64,7 +64,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> dict[str, Interface]:
         pytest.param(Interface(mtu=CLASSIC), True, "no CAN FD (its MTU is 16", False, id="no-fd"),
         pytest.param(Interface(flags=NOARP), False, "is down", True, id="down"),
         pytest.param(Interface(flags=NOARP, mtu=CLASSIC), True, "is down", True, id="down-classic"),
-        pytest.param(Interface(index=0), False, "read: No such device", True, id="deleted-since"),
+        pytest.param(Interface(number=0), False, "read: No such device", True, id="deleted-since"),
         pytest.param(None, False, "no such interface", True, id="missing"),
     ],
 )
@@ -89,7 +89,7 @@ def test_what_prevents_the_use_of_an_interface(
 
 def test_the_index_of_an_interface(kernel: dict[str, Interface]) -> None:
     """None if there is none."""
-    kernel["can0"] = Interface(index=7)
+    kernel["can0"] = Interface(number=7)
     assert (index("can0"), index("can1")) == (7, None)
 
 
@@ -118,7 +118,7 @@ def test_a_deleted_interface_is_noticed_within_a_second(kernel: dict[str, Interf
     with Link(opener, interface="socketcan", channel="can0", clock=clock) as link:
         assert link.recv(0.0) is None
         assert (link.up, link.outages) == (True, 0)
-        kernel["can0"] = Interface(index=6)
+        kernel["can0"] = Interface(number=6)
         clock.now += 0.9
         assert link.recv(0.0) is None
         assert link.up
