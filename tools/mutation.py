@@ -2,7 +2,7 @@
 """Mutation test: change one place of `wire/` or `bus/` at a time; the tests must notice.
 
     mutation.py                           a sample of 300 mutants
-    mutation.py --sample 0                all of them: about 5000, a day
+    mutation.py --sample 0                all of them: about 5000, most of a day
     mutation.py --sources maplines_can/wire/reception --sample 0     all of a folder or a file
 
 A mutant is a copy of the tree with one change: a comparison, an operator, a number, a condition, a
@@ -10,14 +10,15 @@ default, a call or assignment left out (see mutants.py). It is killed if a test 
 end. The checkout itself is not changed.
 
 The tests are run once with the lines that each of them covers. A mutant is then tested by those
-that cover its lines, the fastest first, until one fails; --budget bounds their time. Other
-mutants of the same line may survive for want of time only: rerun with a greater --budget.
+that cover its lines, the fastest first, until one fails; --budget bounds their time. A mutant that
+only slower tests would kill survives then.
 
 The sample is drawn file by file, in proportion to the number of their mutants. Each seed gives
 another sample. Survivors are compared with tools/mutation_survivors.toml, which gives the reason
 of each survivor that is accepted; an accepted one still counts as a survivor.
 
-It takes 3 minutes for the lines, then about 4 s for a mutant: 25 minutes for 300 on one core.
+It takes 4 minutes for the lines, then 2 s for a mutant that is killed and up to --budget for one
+that survives: about half an hour for 300 on an idle core, twice that on a busy one.
 It needs Linux or macOS. Run it in the environment of the project:
 
     python3 tools/run.py python tools/mutation.py
@@ -126,7 +127,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="seed of the sample; 0 by default")
     parser.add_argument("--least", type=float, default=0.92, help="share to be killed; 0.92")
     parser.add_argument(
-        "--budget", type=float, default=30, metavar="S", help="tests of a mutant [s]; 30"
+        "--budget", type=float, default=60, metavar="S", help="tests of a mutant [s]; 60"
     )
     parser.add_argument(
         "--survivors", type=Path, default=ROOT / "tools" / "mutation_survivors.toml"

@@ -13,7 +13,7 @@ from random_lines import random_lines
 from maplines_can.errors import EncodeError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Codec, Frame, Reason
 from maplines_can.wire.message.signals import PARAMETER_SIGNALS
 
 
@@ -315,3 +315,31 @@ def test_a_correlation_beyond_its_signal_is_reported(
     scaled = batch.cov[0] - cov
     scale = np.sqrt(batch.cov[0].diagonal())
     assert np.linalg.eigvalsh(scaled / scale[:, None] / scale)[0] > -1e-9
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_every_kind_and_status_is_accepted(codec: Any, fd: bool) -> None:
+    """By both readers, up to the last of each; the next raw value has no meaning."""
+    kinds, cov = list(Kind), np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    payloads = codec.encode_batch(np.zeros((len(kinds), 4)), cov.repeat(len(kinds), 0), kind=kinds)
+    assert codec.decode_batch(payloads).accepted.all()
+    assert codec.decode_batch(payloads).kind.tolist() == kinds
+    for kind, payload in zip(kinds, payloads, strict=True):
+        assert codec.decode_one(payload.tobytes(), Slot.EGO_LEFT).kind is kind
+        assert {frame.is_fd for frame in codec.frames(payload, Slot.EGO_LEFT, fd=fd)} == {fd}
+    for status in Status:
+        payloads = codec.encode_batch(np.zeros((1, 4)), cov, status=status)
+        assert codec.decode_batch(payloads).accepted.all()
+        assert codec.decode_batch(payloads).status[0] == status
+        assert codec.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
+
+
+def test_a_frame_is_classic_with_11_bits_by_default() -> None:
+    assert Frame(0x340, b"") == (0x340, b"", False, False)
+
+
+def test_a_valid_range_may_be_one_point_but_not_reversed(codec: Any) -> None:
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    assert codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.0, x_max=12.0).shape == (1, 32)
+    with pytest.raises(EncodeError, match="x_min must be x_max or less"):
+        codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.001, x_max=12.0)

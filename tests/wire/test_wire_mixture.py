@@ -272,3 +272,12 @@ def test_a_component_after_the_time_out_does_not_complete_the_mixture() -> None:
     assert set(answers) == {Reason.PENDING}
     assert decoder.counts == {Reason.TIMEOUT: 4}
     assert decoder.pending == 4
+
+
+def test_a_mixture_of_one_component_is_a_line() -> None:
+    """Its weight is 1, the greatest that is allowed."""
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+    payloads = default_codec().encode_mixtures([[1.0]], [[[1.75, 0, 0, 0]]], [[cov]])
+    batch = default_codec().decode_batch(payloads[:, 0])
+    assert (batch.component_count[0], batch.component_weight[0]) == (1, 1)
+    assert batch.accepted.all()
