@@ -176,3 +176,13 @@ def test_a_late_record_is_no_duplicate_of_the_previous_round() -> None:
         slot.received(k % 256, k % 256, k * CYCLE)
     assert slot.received(40, 40, (256 + 45) * CYCLE) is Reason.STALE
     assert slot.received(39, 39, (256 + 45) * CYCLE) is Reason.DUPLICATE
+
+
+def test_a_late_record_that_comes_again_is_a_duplicate() -> None:
+    """It was not delivered, but it is known; another one of its counter is late as well."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in [*range(40), *range(41, 46)]:
+        slot.received(k, k, k * CYCLE)
+    assert slot.received(40, 40, 46 * CYCLE) is Reason.STALE
+    assert slot.received(40, 40, 47 * CYCLE) is Reason.DUPLICATE
+    assert slot.received(40, -1, 48 * CYCLE) is Reason.STALE
