@@ -217,35 +217,30 @@ def test_a_mixture_with_the_record_of_another_sender_within_is_given_up() -> Non
     assert decoder.frames == sum(decoder.counts.values()) + decoder.pending
 
 
-def test_a_mixture_has_the_time_and_the_age_of_its_first_component() -> None:
-    """The line is not claimed to be newer than any of its components."""
+@pytest.mark.parametrize(
+    ("first", "second", "oldest"),
+    [
+        pytest.param((5, 0.008), (6, 0.008), (5, 0.008), id="in-order"),
+        pytest.param((5, 0.008), (4, 0.008), (4, 0.008), id="stamps-out-of-order"),
+        pytest.param((5, 0.008), (6, 0.080), (6, 0.080), id="second-older"),
+        pytest.param((5, 0.080), (4, 0.008), (5, 0.080), id="first-older"),
+    ],
+)
+def test_a_mixture_is_as_old_as_its_oldest_component(
+    first: tuple[int, float], second: tuple[int, float], oldest: tuple[int, float]
+) -> None:
+    """The time of the oldest pose counts; drivers may also stamp frames out of order."""
     codec = default_codec()
     decoder = codec.decoder(timeout_ms=50)
-    frames = [
-        *component(codec, 0, 0, 2, 0.5, age=0.024),
-        *component(codec, 1, 1, 2, 0.5, age=0.008),
+    answers = [
+        decoder.feed(frame.can_id, frame.data, t_ms * 1_000_000)
+        for i, (t_ms, age) in enumerate((first, second))
+        for frame in component(codec, i, i, 2, 0.5, age=age)
     ]
-    answers = [decoder.feed(f.can_id, f.data, 7 + i * 3_000_000) for i, f in enumerate(frames)]
     line = answers[-1]
     assert isinstance(line, MapLine)
-    assert line.t_ns == 7
-    assert line.age == pytest.approx(0.024)
-
-
-def test_the_earliest_component_counts_even_if_its_stamp_is_out_of_order() -> None:
-    """Drivers may stamp two frames in the wrong order."""
-    codec = default_codec()
-    decoder = codec.decoder(timeout_ms=50)
-    first = component(codec, 0, 0, 2, 0.5, age=0.024)
-    second = component(codec, 1, 1, 2, 0.5, age=0.008)
-    for frame in first:
-        decoder.feed(frame.can_id, frame.data, 5_000_000)
-    (line,) = {decoder.feed(frame.can_id, frame.data, 4_000_000) for frame in second} - {
-        Reason.PENDING
-    }
-    assert isinstance(line, MapLine)
-    assert line.t_ns == 4_000_000
-    assert line.age == pytest.approx(0.008)
+    assert (line.t_ns or 0) // 1_000_000 == oldest[0]
+    assert line.age == pytest.approx(oldest[1])
 
 
 def test_a_mixture_waits_for_its_time_out_and_no_longer() -> None:
