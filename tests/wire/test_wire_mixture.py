@@ -276,3 +276,18 @@ def test_a_mixture_of_one_component_is_a_line() -> None:
     batch = default_codec().decode_batch(payloads[:, 0])
     assert (batch.component_count[0], batch.component_weight[0]) == (1, 1)
     assert batch.accepted.all()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_mixture_has_the_status_of_its_worst_component(order: tuple[int, int]) -> None:
+    """One that is only a diagonal makes the whole one."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    statuses = [[Status.FULL, Status.DIAGONAL][i] for i in order]
+    answers = [
+        decoder.feed(frame.can_id, frame.data, i * 1_000_000)
+        for i, status in enumerate(statuses)
+        for frame in component(codec, i, i, 2, 0.5, status=status)
+    ]
+    assert isinstance(answers[-1], MapLine)
+    assert answers[-1].status is Status.DIAGONAL
