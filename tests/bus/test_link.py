@@ -358,3 +358,28 @@ def test_a_link_survives_random_outages(vcan: str) -> None:
     assert events == [False, True] * link.outages
     # python-can does not close its socket if the interface goes down between our check and bind.
     gc.collect()
+
+
+def test_an_outage_lasts_from_its_first_failure() -> None:
+    """An interface that opens but fails again begins no second outage."""
+    opener, clock, texts = FakeOpener(GONE, GONE, GONE), Clock(), []
+    with Link(opener, on_event=lambda _, text: texts.append(text), clock=clock) as link:
+        for _ in range(3):
+            assert link.send(FRAME) is Sent.DOWN
+            clock.now += 2.0
+        assert link.send(FRAME) is Sent.OK
+        assert link.outages == 1
+
+    assert texts[1] == "fake is back after 6.0 s"
+    assert len(texts) == 2
+
+
+def test_a_filter_may_be_set_during_an_outage() -> None:
+    """It is that of the bus that is opened next."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock) as link:
+        assert link.send(FRAME) is Sent.DOWN
+        link.accept_only([0x348])
+        clock.now += 2.0
+        assert link.send(FRAME) is Sent.OK
+        assert [each["can_id"] for each in opener.opened[-1].filters] == [0x348]

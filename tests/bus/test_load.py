@@ -116,3 +116,13 @@ def test_wrong_rates_and_periods_are_refused() -> None:
         frame_time(Frame(1, b""), 0)
     with pytest.raises(ValueError, match="period must be positive"):
         bus_load([], 0, 500e3)
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 3, 8, 12, 24, 64])
+def test_bits_of_can_fd_frames_with_29_bits(length: int) -> None:
+    """Against the sum of the stuff bits of both phases: one for each 4 bits after the first."""
+    bits = frame_bits(length, is_extended=True, is_fd=True)
+    unstuffed = 36 + 1 + 4 + 8 * length
+    crc = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
+    assert bits.nominal + bits.data == unstuffed + (unstuffed - 1) // 4 + crc + 13
+    assert bits.nominal == 36 + 35 // 4 + 13

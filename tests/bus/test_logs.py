@@ -233,3 +233,13 @@ def test_random_content_raises_log_error_at_worst(
     path.write_bytes(header.get(suffix, b"") + content)
     with contextlib.suppress(LogError, MissingExtraError):  # asammdf is asked for by its magic
         list(read_log(path))
+
+
+def test_empty_lines_of_a_trc_log_are_no_records(tmp_path: Path) -> None:
+    """An editor may have left them."""
+    path = written(tmp_path / "drive.trc", LOGGED)
+    frames = list(read_log(path))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:-1], "", lines[-1], "", ""]))
+    assert list(read_log(path)) == frames
+    assert len(frames) == 3

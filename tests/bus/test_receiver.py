@@ -208,3 +208,14 @@ def test_the_latest_line_of_a_backlog_is_not_new(
                 assert k < 100
             assert k >= 24
             assert view.age < 10.0
+
+
+def test_a_queue_of_one_line_holds_the_newest(link: Any, other: Any) -> None:
+    """1 is the least size."""
+    codec = FakeCodec()
+    with Receiver(other, codec.decoder(), queue_size=1) as receiver:
+        for y in (1.0, 2.0, 3.0):
+            send_frames(link, *codec.encode(map_line(y=y)))
+        wait_until(lambda: receiver.stats().lines == 3)
+        assert receiver.get(LONG).gaussian.mean[0] == 3.0  # type: ignore[union-attr]
+        assert receiver.stats().overflowed == 2

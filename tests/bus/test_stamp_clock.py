@@ -71,3 +71,14 @@ def test_a_clock_that_drifts_stays_settled(ppm: int) -> None:
         at_ns = i * 100 * MS
         clock.add(at_ns + at_ns * ppm // 10**6, at_ns)
         assert clock.is_settled == (i >= 2)
+
+
+@pytest.mark.parametrize(("gain_ms", "settled"), [(0, True), (49, True), (50, False), (60, False)])
+def test_how_much_less_waiting_shows_a_backlog(gain_ms: int, settled: bool) -> None:
+    """50 ms or more within 0.2 s."""
+    clock = StampClock()
+    clock.add(0, 0)
+    clock.add((199 + gain_ms) * MS, 199 * MS)
+    assert not clock.is_settled
+    clock.add((200 + gain_ms) * MS, 200 * MS)
+    assert clock.is_settled is settled

@@ -2,6 +2,7 @@
 
 import itertools
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import can
@@ -282,3 +283,43 @@ def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
         assert received.age >= 0.02 - codec.layout["Age"].factor / 1000
     assert stats.frames == len(lines) * (1 if fd else 4)
     assert (stats.lost, {k: n for k, n in stats.counts.items() if n}) == (0, {})
+
+
+def test_a_full_queue_is_not_retried_beyond_the_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line of the next deadline would be late."""
+    clock, opener = Clock(), FakeOpener(*[FULL] * 100_000)
+
+    def sleep(seconds: float) -> None:
+        clock.now += seconds
+
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", SimpleNamespace(sleep=sleep))
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=0.05, clock=clock)  # type: ignore[arg-type]
+        transmitter.publish(map_line())
+        clock.now += transmitter._tx_queue.wait(clock.now) or 0.0
+        start = clock.now
+        transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
+        stats = transmitter.stats()
+
+    assert clock.now - start == pytest.approx(0.05, abs=0.0025)
+    assert (stats.lines, stats.full, stats.frames) == (0, 1, 0)
+    assert 45 <= stats.retries <= 52
+
+
+@pytest.mark.parametrize(("ago_s", "allowed"), [
+    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3601.0, False),
+])  # fmt: skip
+def test_the_allowed_times_of_a_pose(
+    monkeypatch: pytest.MonkeyPatch, ago_s: float, allowed: bool
+) -> None:
+    """From an hour ago to a second ahead, both included."""
+    fake = FakeTime()
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", fake)
+    with Link(FakeOpener()) as link:
+        transmitter = Transmitter(link, FakeCodec(), clock=Clock())  # type: ignore[arg-type]
+        t_pose_ns = fake.ns - int(ago_s * 1e9)
+        if allowed:
+            transmitter.publish(map_line(), t_pose_ns)
+        else:
+            with pytest.raises(ValueError, match="at most 1 s ahead and 1 h ago"):
+                transmitter.publish(map_line(), t_pose_ns)

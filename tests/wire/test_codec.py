@@ -13,7 +13,8 @@ from random_lines import random_lines
 from maplines_can.errors import EncodeError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Codec, Frame, Reason
+from maplines_can.wire.message.signals import PARAMETER_SIGNALS
 
 
 def test_huge_numbers_do_not_overflow(codec: Any) -> None:
@@ -264,3 +265,81 @@ def test_extreme_numbers_raise_a_short_message(make: Any, words: str) -> None:
     with pytest.raises(ValueError, match=words) as refusal:
         make(default_codec())
     assert len(str(refusal.value)) < 400
+
+
+@pytest.mark.parametrize("steps", [0.4, 0.6, 1, 3, 20, 45, 60, 1000])
+@pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.parametrize("i", range(4))
+def test_a_clipped_mean_without_a_covariance_is_out_of_range(
+    codec: Any, i: int, end: int, steps: float
+) -> None:
+    """By more than half a step: nothing covers it. By less it is only rounded."""
+    signal = codec.layout[PARAMETER_SIGNALS[i]]
+    mean = np.zeros(4)
+    mean[i] = signal.physical_range[end] + (1 if end else -1) * steps * abs(signal.factor)
+    batch = codec.decode_batch(codec.encode_batch(mean[None]))
+    assert batch.status[0] == (Status.UNKNOWN if steps < 0.5 else Status.OUT_OF_RANGE)
+
+
+def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
+    """DIAGONAL drops the correlations that make a matrix indefinite, so nothing is repaired."""
+    definite = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+    indefinite = definite.copy()
+    indefinite[0, 1] = indefinite[1, 0] = 2e-3
+    batch = codec.decode_batch(
+        codec.encode_batch(
+            np.zeros((4, 4)),
+            [indefinite, definite, indefinite, definite],
+            status=[Status.DIAGONAL, Status.FULL, Status.FULL, Status.DIAGONAL],
+        )
+    )
+    wanted = [Status.DIAGONAL, Status.FULL, Status.REPAIRED, Status.DIAGONAL]
+    assert batch.status.tolist() == wanted
+    assert (np.linalg.eigvalsh(batch.cov[0] - definite) > -1e-15).all()
+
+
+@pytest.mark.parametrize(("i", "j"), [(1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+@pytest.mark.parametrize(("reach", "status"), [(0.9, Status.FULL), (3.0, Status.SATURATED)])
+def test_a_correlation_beyond_its_signal_is_reported(
+    codec: Any, i: int, j: int, reach: float, status: Status
+) -> None:
+    """A wider pivot takes over what the ratio cannot hold, and the status says so."""
+    factor = codec.covariance.factor
+    middle = [sum(pivot.physical_range) / 2 for pivot in factor.pivots]
+    L = np.diag(np.exp2(middle))
+    L[i, j] = reach * factor.ratios[i][j].physical_range[1] * L[i, i]
+    cov = np.empty((4, 4))
+    cov[np.ix_(factor.order, factor.order)] = L @ L.T
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), (cov + cov.T)[None] / 2))
+    assert batch.status[0] == status
+    scaled = batch.cov[0] - cov
+    scale = np.sqrt(batch.cov[0].diagonal())
+    assert np.linalg.eigvalsh(scaled / scale[:, None] / scale)[0] > -1e-9
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_every_kind_and_status_is_accepted(codec: Any, fd: bool) -> None:
+    """By both readers, up to the last of each; the next raw value has no meaning."""
+    kinds, cov = list(Kind), np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    payloads = codec.encode_batch(np.zeros((len(kinds), 4)), cov.repeat(len(kinds), 0), kind=kinds)
+    assert codec.decode_batch(payloads).accepted.all()
+    assert codec.decode_batch(payloads).kind.tolist() == kinds
+    for kind, payload in zip(kinds, payloads, strict=True):
+        assert codec.decode_one(payload.tobytes(), Slot.EGO_LEFT).kind is kind
+        assert {frame.is_fd for frame in codec.frames(payload, Slot.EGO_LEFT, fd=fd)} == {fd}
+    for status in Status:
+        payloads = codec.encode_batch(np.zeros((1, 4)), cov, status=status)
+        assert codec.decode_batch(payloads).accepted.all()
+        assert codec.decode_batch(payloads).status[0] == status
+        assert codec.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
+
+
+def test_a_frame_is_classic_with_11_bits_by_default() -> None:
+    assert Frame(0x340, b"") == (0x340, b"", False, False)
+
+
+def test_a_valid_range_may_be_one_point_but_not_reversed(codec: Any) -> None:
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
+    assert codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.0, x_max=12.0).shape == (1, 32)
+    with pytest.raises(EncodeError, match="x_min must be x_max or less"):
+        codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.001, x_max=12.0)

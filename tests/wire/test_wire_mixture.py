@@ -156,3 +156,138 @@ def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     assert len(frames) == 32
     assert isinstance(answers[-1], MapLine)
     assert len(answers[-1].mixture.weights) == 8  # type: ignore[union-attr]
+
+
+def component(
+    codec: Codec, counter: int, index: int, count: int, weight: float, **attributes: float
+) -> Any:
+    """Return the frames of a component as a sender of any weights and counts sends it."""
+    payloads = codec.encode_batch(
+        [[1.75 + 0.1 * index, 0.0, 0.0, 0.0]],
+        np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None],
+        slot=Slot.CENTRE,
+        counter=counter,
+        component_index=index,
+        component_count=count,
+        component_weight=weight,
+        **attributes,
+    )
+    return codec.frames(payloads[0], Slot.CENTRE)
+
+
+@pytest.mark.parametrize("second", [0.25, 0.46875, 0.53125, 1.0])
+def test_weights_that_do_not_add_up_are_rejected(second: float) -> None:
+    """Correct checksums and counters, but a sum other than 1: no line, no error, all counted."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    frames = [*component(codec, 0, 0, 2, 0.5), *component(codec, 1, 1, 2, second)]
+    answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
+    assert answers == [Reason.PENDING] * 7 + [Reason.CONTENT]
+    assert decoder.counts == {Reason.CONTENT: 8}
+    assert decoder.pending == decoder.lines == 0
+    good = [*component(codec, 2, 0, 2, 0.5), *component(codec, 3, 1, 2, 0.5)]
+    answers = [decoder.feed(f.can_id, f.data, 10**6 + i * 1000) for i, f in enumerate(good)]
+    assert isinstance(answers[-1], MapLine)
+
+
+@pytest.mark.parametrize(("first", "second"), [(2, 3), (3, 2)])
+def test_components_of_different_counts_are_not_combined(first: int, second: int) -> None:
+    """The weights and counters fit, but one of two is no partner of one of three."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    frames = [*component(codec, 0, 0, first, 0.5), *component(codec, 1, 1, second, 0.5)]
+    for i, frame in enumerate(frames):
+        assert decoder.feed(frame.can_id, frame.data, i * 1000) is Reason.PENDING
+    assert decoder.counts == {Reason.INCOMPLETE: 4}
+    assert decoder.pending == 4
+
+
+def test_a_mixture_with_the_record_of_another_sender_within_is_given_up() -> None:
+    """Whose components they are is not known any more."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    own = [component(codec, i, i, 2, 0.5) for i in range(2)]
+    other = component(codec, 0, 0, 2, 0.5, x_max=60.0)
+    answers = []
+    for i, frame in enumerate([*own[0], *other, *own[1]]):
+        answers.append(decoder.feed(frame.can_id, frame.data, i * 1000))
+    assert Reason.STALE in answers
+    assert not [answer for answer in answers if isinstance(answer, MapLine)]
+    assert decoder.counts[Reason.INCOMPLETE] == 4
+    assert decoder.frames == sum(decoder.counts.values()) + decoder.pending
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "oldest"),
+    [
+        pytest.param((5, 0.008), (6, 0.008), (5, 0.008), id="in-order"),
+        pytest.param((5, 0.008), (4, 0.008), (4, 0.008), id="stamps-out-of-order"),
+        pytest.param((5, 0.008), (6, 0.080), (6, 0.080), id="second-older"),
+        pytest.param((5, 0.080), (4, 0.008), (5, 0.080), id="first-older"),
+    ],
+)
+def test_a_mixture_is_as_old_as_its_oldest_component(
+    first: tuple[int, float], second: tuple[int, float], oldest: tuple[int, float]
+) -> None:
+    """The time of the oldest pose counts; drivers may also stamp frames out of order."""
+    codec = default_codec()
+    decoder = codec.decoder(timeout_ms=50)
+    answers = [
+        decoder.feed(frame.can_id, frame.data, t_ms * 1_000_000)
+        for i, (t_ms, age) in enumerate((first, second))
+        for frame in component(codec, i, i, 2, 0.5, age=age)
+    ]
+    line = answers[-1]
+    assert isinstance(line, MapLine)
+    assert (line.t_ns or 0) // 1_000_000 == oldest[0]
+    assert line.age == pytest.approx(oldest[1])
+
+
+def test_a_mixture_waits_for_its_time_out_and_no_longer() -> None:
+    """The time counts from the last component, in either direction of the clock."""
+    codec = default_codec()
+    for later_ns, pending in ((50_000_000, 4), (50_000_001, 0), (-50_000_000, 4), (-50_000_001, 0)):
+        decoder = codec.decoder(timeout_ms=50)
+        for frame in component(codec, 0, 0, 2, 0.5):
+            decoder.feed(frame.can_id, frame.data, 10**12)
+        decoder.expire(10**12 + later_ns)
+        assert decoder.pending == pending
+        assert decoder.counts[Reason.TIMEOUT] == 4 - pending
+
+
+def test_a_component_after_the_time_out_does_not_complete_the_mixture() -> None:
+    """Its frames wait for a mixture of their own."""
+    codec = default_codec()
+    decoder = codec.decoder(timeout_ms=50)
+    answers = [
+        decoder.feed(frame.can_id, frame.data, t_ns)
+        for t_ns, i in ((0, 0), (60_000_000, 1))
+        for frame in component(codec, i, i, 2, 0.5)
+    ]
+    assert set(answers) == {Reason.PENDING}
+    assert decoder.counts == {Reason.TIMEOUT: 4}
+    assert decoder.pending == 4
+
+
+def test_a_mixture_of_one_component_is_a_line() -> None:
+    """Its weight is 1, the greatest that is allowed."""
+    cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+    payloads = default_codec().encode_mixtures([[1.0]], [[[1.75, 0, 0, 0]]], [[cov]])
+    batch = default_codec().decode_batch(payloads[:, 0])
+    assert (batch.component_count[0], batch.component_weight[0]) == (1, 1)
+    assert batch.accepted.all()
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_a_mixture_has_the_status_of_its_worst_component(order: tuple[int, int]) -> None:
+    """One that is only a diagonal makes the whole one."""
+    codec = default_codec()
+    decoder = codec.decoder()
+    statuses = [[Status.FULL, Status.DIAGONAL][i] for i in order]
+    answers = [
+        decoder.feed(frame.can_id, frame.data, i * 1_000_000)
+        for i, status in enumerate(statuses)
+        for frame in component(codec, i, i, 2, 0.5, status=status)
+    ]
+    assert isinstance(answers[-1], MapLine)
+    assert answers[-1].status is Status.DIAGONAL

@@ -47,3 +47,15 @@ def test_records_of_two_slots_have_different_checksums() -> None:
     record = np.zeros((2, 32), dtype=np.uint8)
     a, b = record_crc(record, np.array([0x4D40, 0x4D41]))
     assert a != b
+
+
+def test_the_header_is_at_the_start_by_default() -> None:
+    """Its checksum is not part of what it covers; all other bytes are."""
+    record = np.arange(1, 33, dtype=np.uint8)
+    wanted = record_crc(record[None], 0x1234, 0)[0]
+    for i in range(32):
+        changed = record.copy()
+        changed[i] ^= 0x55
+        crc = record_crc(changed[None], 0x1234)[0]
+        assert crc == record_crc_one(changed.tobytes(), 0x1234)
+        assert (crc == wanted) == (i < 2)

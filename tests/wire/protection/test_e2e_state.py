@@ -242,3 +242,14 @@ def test_a_configuration_that_the_standard_forbids_raises(values: Any, words: st
     """The message names the constraint and the values."""
     with pytest.raises(ValueError, match=words):
         E2EConfig(**values)
+
+
+def test_states_and_results_have_the_numbers_of_autosar() -> None:
+    """PRS_E2EProtocol R20-11: E2E_SMStateType and E2E_P05CheckStatusType."""
+    assert {state.name: state.value for state in E2EState} == {
+        "VALID": 0x00, "NODATA": 0x02, "INIT": 0x03, "INVALID": 0x04,
+    }  # fmt: skip
+    assert {status.name: status.value for status in ProfileStatus} == {
+        "OK": 0x00, "NONEWDATA": 0x01, "ERROR": 0x07,
+        "REPEATED": 0x08, "OKSOMELOST": 0x20, "WRONGSEQUENCE": 0x40,
+    }  # fmt: skip

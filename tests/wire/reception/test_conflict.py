@@ -9,6 +9,7 @@ from e2e_streams import MS, mixture_frames
 
 from maplines_can.line import Kind, MapLine, Slot
 from maplines_can.wire import E2EState, Monitor, Reason
+from maplines_can.wire.reception.conflict import SenderConflict
 
 SLOT, CYCLE_NS = Slot.EGO_LEFT, 50_000_000
 OURS, THEIRS = 1.75, -1.75
@@ -105,3 +106,70 @@ def test_components_with_other_attributes_are_of_another_sender(other: Any) -> N
     assert decoder.feed(first.can_id, first.data, 0) is Reason.PENDING
     assert decoder.feed(second.can_id, second.data, MS) is Reason.PENDING
     assert decoder.counts == {Reason.INCOMPLETE: 1}
+
+
+def conflicts(detector: SenderConflict, times: list[float]) -> list[bool]:
+    """Return whether two senders are confirmed after each conflict, at times in cycles."""
+    confirmed = []
+    for time in times:
+        detector.new()
+        detector.conflict(round(time * CYCLE_NS))
+        confirmed.append(detector.is_confirmed)
+    return confirmed
+
+
+@pytest.mark.parametrize(
+    ("apart", "confirmed"),
+    [(0.49, False), (0.5, True), (1, True), (32, True), (32.01, False), (100, False)],
+)
+def test_eight_conflicts_that_are_near_confirm(apart: float, confirmed: bool) -> None:
+    """From half a cycle to 32 cycles apart, and none of seven."""
+    times = [1000 + apart * i for i in range(8)]
+    assert conflicts(SenderConflict(CYCLE_NS), times) == [False] * 7 + [confirmed]
+
+
+def test_a_conflict_after_a_long_time_is_the_first_of_a_new_series() -> None:
+    """Seven more confirm."""
+    times = [1000.0, 1001.0, 1002.0, *(2000.0 + i for i in range(8))]
+    assert conflicts(SenderConflict(CYCLE_NS), times) == [False] * 10 + [True]
+
+
+def test_only_one_conflict_counts_between_two_new_records() -> None:
+    """A late queue is many records, but one fault."""
+    detector = SenderConflict(CYCLE_NS)
+    detector.new()
+    for i in range(20):
+        detector.conflict((1000 + i) * CYCLE_NS)
+    assert not detector.is_confirmed
+    assert conflicts(detector, [1020.0 + i for i in range(7)]) == [False] * 6 + [True]
+
+
+def test_a_restart_takes_back_its_conflict() -> None:
+    """And no more than there are."""
+    detector = SenderConflict(CYCLE_NS)
+    detector.retract()
+    assert not any(conflicts(detector, [1000.0 + i for i in range(7)]))
+    detector.retract()
+    assert conflicts(detector, [1007.0, 1008.0]) == [False, True]
+
+
+@pytest.mark.parametrize(("duplicates", "confirmed"), [(28, False), (29, True), (32, True)])
+def test_duplicates_of_nearly_all_records_confirm(duplicates: int, confirmed: bool) -> None:
+    """29 of 32 consecutive records."""
+    detector = SenderConflict(CYCLE_NS)
+    for i in range(32):
+        detector.new()
+        if i >= 32 - duplicates:
+            detector.duplicate(i * CYCLE_NS)
+    assert detector.is_confirmed is confirmed
+
+
+@pytest.mark.parametrize(("later", "confirmed"), [(256, True), (256.01, False), (-256.01, False)])
+def test_a_second_sender_is_forgotten_after_256_cycles(later: float, confirmed: bool) -> None:
+    """In either direction of the clock; then it takes eight conflicts again."""
+    detector = SenderConflict(CYCLE_NS)
+    assert conflicts(detector, [1000.0 + i for i in range(8)])[-1]
+    detector.elapse(round((1007 + later) * CYCLE_NS))
+    assert detector.is_confirmed is confirmed
+    if not confirmed:
+        assert not any(conflicts(detector, [1010.0 + i for i in range(7)]))

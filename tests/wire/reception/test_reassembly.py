@@ -293,3 +293,45 @@ def test_a_timeout_must_be_positive(codec: Any, timeout_ms: Any) -> None:
     """The message names value and unit."""
     with pytest.raises(ValueError, match="timeout_ms must be more than 0 ms"):
         codec.decoder(timeout_ms=timeout_ms)
+
+
+@cache
+def standing(n: int) -> Any:
+    """Frames of n transfers of one line that stands still."""
+    codec, mean = default_codec(), [[1.75, 0.0, 0.0, 0.0]] * n
+    payloads = codec.encode_batch(mean, [np.diag([1e-2, 1e-4, 1e-8, 1e-12])] * n)
+    return [codec.frames(payload, Slot.EGO_LEFT) for payload in payloads]
+
+
+def test_a_line_that_stands_still_is_no_duplicate_of_itself(codec: Any) -> None:
+    """Its pages are those of the transfer one round of IDs before, whatever page comes first."""
+    decoder = codec.decoder(timeout_ms=200)
+    for i, transfer in enumerate(standing(60)):
+        *waiting, line = feed(decoder, transfer[::-1], t_ns=2 * i * MS)
+        assert waiting == [Reason.PENDING] * 3
+        assert isinstance(line, MapLine)
+    assert decoder.counts == {}
+
+
+def test_a_page_of_a_recent_transfer_is_a_duplicate(codec: Any) -> None:
+    """All pages of up to half a round of IDs ago; they do not begin a new transfer."""
+    decoder = codec.decoder(timeout_ms=200)
+    half = 2 ** codec.layout["TransferId0"].length // 2
+    for i, transfer in enumerate(standing(60)):
+        feed(decoder, transfer, t_ns=2 * i * MS)
+        for back in range(min(i, half) + 1):
+            (answer,) = feed(decoder, standing(60)[i - back][2:3], t_ns=(2 * i + 1) * MS)
+            assert answer is Reason.DUPLICATE, back
+        assert decoder.pending == 0
+    assert decoder.lines == 60
+
+
+def test_a_line_that_stands_still_is_received_after_a_loss(codec: Any) -> None:
+    """Of less than half a round of IDs: the next pages are not those of the round before."""
+    ids = 2 ** codec.layout["TransferId0"].length
+    for gap in range(1, ids // 2):
+        decoder = codec.decoder(timeout_ms=200)
+        for i in [*range(ids), ids - 1 + gap]:
+            line = feed(decoder, standing(2 * ids)[i][::-1], t_ns=2 * i * MS)[-1]
+            assert isinstance(line, MapLine), gap
+        assert decoder.counts == {}

@@ -92,3 +92,97 @@ def test_a_backlog_is_not_missed_twice(asks_every_ms: int | None) -> None:
     slot.received(50, 50, now)
     assert slot.elapse(now + 74 * MS) is slot.state
     assert slot.statuses[NONEWDATA] <= missed + 1
+
+
+def slot_at(last: int, t_ns: int = 10_000 * MS) -> SequenceCheck:
+    """Return a check whose last new record, of this counter, came at ``t_ns``."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in range(last - 19, last + 1):
+        assert slot.received(k % 256, k, t_ns + (k - last) * CYCLE) is None
+    assert (slot.state, slot.lost) == (VALID, 0)
+    return slot
+
+
+@pytest.mark.parametrize(
+    ("ahead", "reason", "lost"),
+    [
+        pytest.param(1, None, 0, id="next"),
+        pytest.param(2, None, 1, id="one-lost"),
+        pytest.param(126, None, 125, id="almost-half-a-round"),
+        pytest.param(127, None, 126, id="just-below-half-a-round"),
+        pytest.param(128, Reason.STALE, 0, id="half-a-round"),
+        pytest.param(129, Reason.STALE, 0, id="just-above-half-a-round"),
+        pytest.param(255, Reason.STALE, 0, id="one-behind"),
+    ],
+)
+def test_half_a_round_of_the_counter_divides_new_from_late(
+    ahead: int, reason: Reason | None, lost: int
+) -> None:
+    """Less than half a round ahead is new, all else late; only the new ones show a loss."""
+    slot = slot_at(42)
+    assert slot.received((42 + ahead) % 256, -1, 10_000 * MS + CYCLE) is reason
+    assert slot.lost == lost
+
+
+@pytest.mark.parametrize("behind", [120, 127, 128])
+def test_a_restart_after_silence_is_no_loss(behind: int) -> None:
+    """A sender that restarts half a round behind its last record has lost none of its records."""
+    slot = slot_at(behind + 1)
+    assert slot.received(1, -1, 10_000 * MS + 100 * CYCLE) is None
+    assert slot.lost == 0
+
+
+def test_two_records_behind_are_no_restart_yet() -> None:
+    """However far apart in time: three consecutive ones are."""
+    slot, t_ns = slot_at(42), 10_000 * MS
+    assert slot.received(0, -1, t_ns + 1 * CYCLE) is Reason.STALE
+    assert slot.received(1, -2, t_ns + 3 * CYCLE) is Reason.STALE
+    assert slot.received(2, -3, t_ns + 4 * CYCLE) is None
+    assert slot.state is not VALID
+
+
+@pytest.mark.parametrize("interrupted_by", [43, 7])
+def test_a_restart_needs_consecutive_records(interrupted_by: int) -> None:
+    """A new record, or one that does not follow, begins the count again."""
+    slot, t_ns = slot_at(42), 10_000 * MS
+    assert slot.received(0, -1, t_ns + 1 * CYCLE) is Reason.STALE
+    assert slot.received(1, -2, t_ns + 2 * CYCLE) is Reason.STALE
+    slot.received(interrupted_by, -3, t_ns + 3 * CYCLE)
+    assert slot.received(2, -4, t_ns + 4 * CYCLE) is Reason.STALE
+
+
+def test_a_restart_takes_more_than_a_cycle() -> None:
+    """Three records at once are a queue that a gateway held back."""
+    slot, t_ns = slot_at(42), 10_000 * MS
+    assert slot.received(0, -1, t_ns + CYCLE) is Reason.STALE
+    assert slot.received(1, -2, t_ns + CYCLE + CYCLE // 2) is Reason.STALE
+    assert slot.received(2, -3, t_ns + 2 * CYCLE + CYCLE // 4) is Reason.STALE
+    assert slot.received(3, -4, t_ns + 2 * CYCLE + CYCLE // 2) is None
+
+
+def test_a_restart_is_seen_although_the_clock_is_set_back() -> None:
+    """Neither by a day nor by a few cycles does that keep a restarted sender out."""
+    by_a_day, by_some_cycles, t_ns = slot_at(42), slot_at(42), 10_000 * MS
+    assert by_a_day.received(0, -1, t_ns - 86_400_000 * MS) is None
+    assert by_some_cycles.received(0, -1, t_ns + 1 * CYCLE) is Reason.STALE
+    assert by_some_cycles.received(1, -2, t_ns + 2 * CYCLE) is Reason.STALE
+    assert by_some_cycles.received(2, -3, t_ns - 2 * CYCLE) is None
+
+
+def test_a_late_record_is_no_duplicate_of_the_previous_round() -> None:
+    """The line stands still, so all rounds of the counter bring the same contents."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in [*range(256 + 40), *range(256 + 41, 256 + 45)]:
+        slot.received(k % 256, k % 256, k * CYCLE)
+    assert slot.received(40, 40, (256 + 45) * CYCLE) is Reason.STALE
+    assert slot.received(39, 39, (256 + 45) * CYCLE) is Reason.DUPLICATE
+
+
+def test_a_late_record_that_comes_again_is_a_duplicate() -> None:
+    """It was not delivered, but it is known; another one of its counter is late as well."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in [*range(40), *range(41, 46)]:
+        slot.received(k, k, k * CYCLE)
+    assert slot.received(40, 40, 46 * CYCLE) is Reason.STALE
+    assert slot.received(40, 40, 47 * CYCLE) is Reason.DUPLICATE
+    assert slot.received(40, -1, 48 * CYCLE) is Reason.STALE

@@ -1,0 +1,140 @@
+"""The state of a SocketCAN interface, and a deleted one, with the answers of a fake kernel."""
+
+import errno
+import struct
+import sys
+from typing import Any, NamedTuple
+
+import pytest
+from fake_bus import FRAME, Clock, FakeOpener
+
+from maplines_can.bus import Link, Sent
+from maplines_can.bus.bus_factory import BusFactory, UnsuitableInterfaceError
+from maplines_can.bus.socketcan import index, problem
+from maplines_can.errors import BusError
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="SocketCAN is of Linux")
+
+#: Numbers of linux/sockios.h and linux/if.h.
+SIOCGIFFLAGS, SIOCGIFMTU = 0x8913, 0x8921
+UP, RUNNING, NOARP = 0x1, 0x40, 0x80
+CLASSIC, CAN_FD = 16, 72
+
+
+class Interface(NamedTuple):
+    number: int = 5
+    flags: int = UP | RUNNING | NOARP
+    mtu: int = CAN_FD
+
+
+@pytest.fixture
+def kernel(monkeypatch: pytest.MonkeyPatch) -> dict[str, Interface]:
+    """Interfaces by name; one of number 0 was deleted after it was looked up."""
+    interfaces: dict[str, Interface] = {}
+
+    def if_nametoindex(name: str) -> int:
+        if name not in interfaces:
+            raise OSError(errno.ENODEV, "No such device")
+        return interfaces[name].number
+
+    def ioctl(socket: Any, request: int, ifreq: bytes) -> bytes:
+        assert len(ifreq) == 40
+        found = interfaces[ifreq[:16].rstrip(b"\0").decode()]
+        if found.number == 0:
+            raise OSError(errno.ENODEV, "No such device")
+        answers = {
+            SIOCGIFFLAGS: struct.pack("H", found.flags),
+            SIOCGIFMTU: struct.pack("i", found.mtu),
+        }
+        if request not in answers:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return ifreq[:16] + answers[request].ljust(24, b"\xaa")
+
+    monkeypatch.setattr("socket.if_nametoindex", if_nametoindex)
+    monkeypatch.setattr("fcntl.ioctl", ioctl)
+    return interfaces
+
+
+@pytest.mark.parametrize(
+    ("interface", "fd", "words", "is_outage"),
+    [
+        pytest.param(Interface(), False, None, None, id="up"),
+        pytest.param(Interface(), True, None, None, id="up-with-can-fd"),
+        pytest.param(Interface(mtu=CLASSIC), False, None, None, id="classic"),
+        pytest.param(Interface(mtu=CLASSIC), True, "no CAN FD (its MTU is 16", False, id="no-fd"),
+        pytest.param(Interface(flags=NOARP), False, "is down", True, id="down"),
+        pytest.param(Interface(flags=NOARP, mtu=CLASSIC), True, "is down", True, id="down-classic"),
+        pytest.param(Interface(number=0), False, "read: No such device", True, id="deleted-since"),
+        pytest.param(None, False, "no such interface", True, id="missing"),
+    ],
+)
+def test_what_prevents_the_use_of_an_interface(
+    kernel: dict[str, Interface],
+    interface: Interface | None,
+    fd: bool,
+    words: str | None,
+    is_outage: bool | None,
+) -> None:
+    """Flags and MTU are read as netdevice(7) describes them."""
+    if interface is not None:
+        kernel["can0"] = interface
+    found = problem("can0", fd)
+    if words is None:
+        assert found is None
+    else:
+        assert found is not None
+        assert words in found.text
+        assert found.is_outage is is_outage
+
+
+def test_the_index_of_an_interface(kernel: dict[str, Interface]) -> None:
+    """None if there is none."""
+    kernel["can0"] = Interface(number=7)
+    assert (index("can0"), index("can1")) == (7, None)
+
+
+@pytest.mark.parametrize(
+    ("interface", "error"),
+    [(None, BusError), (Interface(mtu=CLASSIC), UnsuitableInterfaceError)],
+)
+def test_an_unusable_interface_is_not_opened(
+    kernel: dict[str, Interface], interface: Interface | None, error: type[BusError]
+) -> None:
+    """The error distinguishes what waiting can cure from what it cannot."""
+    if interface is not None:
+        kernel["can0"] = interface
+    opener = FakeOpener()
+    factory = BusFactory(opener, {"interface": "socketcan", "channel": "can0", "fd": True})
+    with pytest.raises(BusError, match="socketcan can0 cannot be opened: ") as caught:
+        factory.open()
+    assert caught.type is error
+    assert opener.opened == []
+
+
+def test_a_deleted_interface_is_noticed_within_a_second(kernel: dict[str, Interface]) -> None:
+    """One of the same name was created, so only the index shows it; the link reopens it."""
+    kernel["can0"] = Interface()
+    clock, opener = Clock(), FakeOpener()
+    with Link(opener, interface="socketcan", channel="can0", clock=clock) as link:
+        assert link.recv(0.0) is None
+        assert (link.up, link.outages) == (True, 0)
+        kernel["can0"] = Interface(number=6)
+        clock.now += 0.9
+        assert link.recv(0.0) is None
+        assert link.up
+        clock.now += 0.1
+        assert link.recv(0.0) is None
+        assert (link.up, link.outages) == (False, 1)
+        clock.now += 1.0
+        assert link.send(FRAME) is Sent.OK
+        assert (link.up, link.outages, len(opener.opened)) == (True, 1, 2)
+        clock.now += 10.0
+        assert link.recv(0.0) is None
+        assert link.up
+
+
+def test_another_interface_is_never_taken_for_a_deleted_socketcan_one() -> None:
+    """Its channel is none of the kernel's interfaces."""
+    factory = BusFactory(FakeOpener(), {"interface": "virtual", "channel": "lo"})
+    factory.open()
+    assert not factory.is_deleted()

@@ -1,0 +1,80 @@
+"""Exponents of 2: their range is checked at load, and both ways to compute them agree."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can.errors import LayoutError
+from maplines_can.wire.covariance.code import FARTHEST_OCTAVE, check_octaves
+from maplines_can.wire.covariance.factor import exp2_table, lookup, lookup_one
+from maplines_can.wire.message.signals import Signal
+
+LAYOUT: Any = SimpleNamespace(source="test.dbc")
+
+
+def exponent(length: int, *, signed: bool, factor: float = 1.0, offset: float = 0.0) -> Signal:
+    low = -(2 ** (length - 1)) if signed else 0
+    return Signal(
+        name="Pivot",
+        start=0,
+        length=length,
+        big_endian=False,
+        signed=signed,
+        factor=factor,
+        offset=offset,
+        unit="",
+        raw_min=low,
+        raw_max=low + 2**length - 1,
+        is_float=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("signed", "factor", "offset", "fits"),
+    [
+        pytest.param(False, FARTHEST_OCTAVE / 255, 0.0, True, id="up-to-the-end"),
+        pytest.param(False, FARTHEST_OCTAVE / 254, 0.0, False, id="beyond-the-end"),
+        pytest.param(False, FARTHEST_OCTAVE / 255, 1.0, False, id="beyond-with-offset"),
+        pytest.param(False, 1.0, -FARTHEST_OCTAVE, True, id="from-the-other-end"),
+        pytest.param(False, 1.0, -FARTHEST_OCTAVE - 1, False, id="before-the-other-end"),
+        pytest.param(True, FARTHEST_OCTAVE / 128, 0.0, True, id="signed"),
+        pytest.param(True, FARTHEST_OCTAVE / 127, 0.0, False, id="signed-beyond"),
+        pytest.param(True, FARTHEST_OCTAVE / 255, 0.0, True, id="signed-small"),
+        pytest.param(False, -0.1, 0.0, False, id="negative-factor"),
+    ],
+)
+def test_an_exponent_must_not_overflow(
+    signed: bool, factor: float, offset: float, fits: bool
+) -> None:
+    """All bits count, whatever range the DBC gives; the ends are allowed."""
+    signal = exponent(8, signed=signed, factor=factor, offset=offset)
+    if fits:
+        check_octaves(LAYOUT, [signal])
+    else:
+        with pytest.raises(LayoutError, match=r"test\.dbc: signal Pivot"):
+            check_octaves(LAYOUT, [signal])
+
+
+@pytest.mark.parametrize("length", [4, 15, 16])
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_table_and_the_power_agree(length: int, signed: bool) -> None:
+    """To the last bit, for one value and for many; long signals have no table."""
+    signal = exponent(length, signed=signed, factor=1 / 64, offset=-3.3)
+    table = exp2_table(signal)
+    assert table is not None
+    raw = np.linspace(signal.raw_min, signal.raw_max, 50).astype(np.int64)
+    wanted = np.exp2(signal.physical(raw))
+    assert np.array_equal(lookup(table, signal, raw), wanted)
+    assert np.array_equal(lookup(None, signal, raw), wanted)
+    for one, value in zip(raw.tolist(), wanted.tolist(), strict=True):
+        assert lookup_one(table, signal, one) == lookup_one(None, signal, one) == value
+    outside = np.array([signal.raw_min - 1, signal.raw_max + 1])
+    assert np.array_equal(lookup(table, signal, outside), table[[0, -1]])
+    assert [lookup_one(table, signal, one) for one in outside.tolist()] == [table[0], table[-1]]
+
+
+def test_a_long_signal_has_no_table() -> None:
+    """It would take half a megabyte and more."""
+    assert exp2_table(exponent(17, signed=False)) is None
