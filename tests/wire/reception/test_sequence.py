@@ -97,31 +97,40 @@ def test_a_backlog_is_not_missed_twice(asks_every_ms: int | None) -> None:
 def slot_at(last: int, t_ns: int = 10_000 * MS) -> SequenceCheck:
     """Return a check whose last new record, of this counter, came at ``t_ns``."""
     slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
-    for k in range(last - 19, last + 1):
+    for k in range(last - 59, last + 1):
         assert slot.received(k % 256, k, t_ns + (k - last) * CYCLE) is None
     assert (slot.state, slot.lost) == (VALID, 0)
     return slot
 
 
 @pytest.mark.parametrize(
-    ("ahead", "reason", "lost"),
+    ("ahead", "cycles", "reason", "lost"),
     [
-        pytest.param(1, None, 0, id="next"),
-        pytest.param(2, None, 1, id="one-lost"),
-        pytest.param(126, None, 125, id="almost-half-a-round"),
-        pytest.param(127, None, 126, id="just-below-half-a-round"),
-        pytest.param(128, Reason.STALE, 0, id="half-a-round"),
-        pytest.param(129, Reason.STALE, 0, id="just-above-half-a-round"),
-        pytest.param(255, Reason.STALE, 0, id="one-behind"),
+        pytest.param(1, 1, None, 0, id="next"),
+        pytest.param(2, 1, None, 1, id="one-lost"),
+        pytest.param(126, 126, None, 125, id="almost-half-a-round"),
+        pytest.param(127, 127, None, 126, id="just-below-half-a-round"),
+        pytest.param(126, 9, Reason.STALE, 0, id="sooner-than-it-can-be-sent"),
+        pytest.param(128, 9, Reason.STALE, 0, id="half-a-round"),
+        pytest.param(129, 9, Reason.STALE, 0, id="just-above-half-a-round"),
+        pytest.param(255, 1, Reason.STALE, 0, id="one-behind"),
     ],
 )
 def test_half_a_round_of_the_counter_divides_new_from_late(
-    ahead: int, reason: Reason | None, lost: int
+    ahead: int, cycles: int, reason: Reason | None, lost: int
 ) -> None:
-    """Less than half a round ahead is new, all else late; only the new ones show a loss."""
+    """Less than half a round ahead is new if there was time to send it, all else late."""
     slot = slot_at(42)
-    assert slot.received((42 + ahead) % 256, -1, 10_000 * MS + CYCLE) is reason
+    assert slot.received((42 + ahead) % 256, -1, 10_000 * MS + cycles * CYCLE) is reason
     assert slot.lost == lost
+
+
+@pytest.mark.parametrize("cycles", [126, 127, 128, 129, 200])
+def test_half_a_round_is_never_a_loss(cycles: int) -> None:
+    """After a silence this long a counter half a round ahead is that of a restarted sender."""
+    slot = slot_at(42)
+    assert slot.received(42 + 128, -1, 10_000 * MS + cycles * CYCLE) is None
+    assert slot.lost == 0
 
 
 @pytest.mark.parametrize("behind", [120, 127, 128])
