@@ -23,7 +23,7 @@ from .message.reader import Batch, DecodedRecord, RecordReader
 from .message.validation import checked_gaussians, checked_mixtures, checked_payloads
 from .message.writer import RecordWriter
 from .protection.e2e_state import E2EConfig
-from .protection.secoc import Authenticator, Verifier
+from .protection.secoc import Authenticator, Verifier, check_freshness
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
@@ -48,7 +48,7 @@ class Codec:
 
     Raises:
         LayoutError: the covariance code is unknown, or there is an authenticator but the DBC has
-            no authenticated message.
+            no authenticated message, or too short a freshness value for it.
 
     >>> codec = Codec.from_dbc()
     >>> payload = codec.encode_batch([[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])])
@@ -80,6 +80,8 @@ class Codec:
         self._mixture_writer = MixtureWriter(self._writer)
         self._line_writer = LineWriter(self._writer, self._mixture_writer)
         self._frame_writer = FrameWriter(layout, authenticator)
+        if authenticator is not None and layout.secured is not None:
+            check_freshness(authenticator, layout.secured)
         self._reader = RecordReader(layout, packing, self.covariance)
         self._counters: Counter[Slot] = Counter()
 

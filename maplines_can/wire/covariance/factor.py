@@ -9,7 +9,7 @@ matrix.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import chain
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -46,9 +46,15 @@ class CholeskyFactor:
         }
         names = sorted(PARAMETER_SIGNALS, key=lambda state: len(below[state]))
         if [len(below[name]) for name in names] != [0, 1, 2, 3]:
+            missing = [
+                f"Ratio{a}{b} or Ratio{b}{a}"
+                for a, b in combinations(PARAMETER_SIGNALS, 2)
+                if a not in below[b] and b not in below[a]
+            ]
             raise LayoutError(
                 f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
                 f"pair of {', '.join(PARAMETER_SIGNALS)}, but there are {below}"
+                f"{'; add ' if missing else ''}{' and '.join(missing)}"
             )
         #: Order of the rows, as indices into the mean.
         self.order = [PARAMETER_SIGNALS.index(name) for name in names]
@@ -62,8 +68,8 @@ class CholeskyFactor:
             check(ratio, RATIO, layout.source)
         if (condition := self._largest_condition()) > LARGEST_CONDITION:
             raise LayoutError(
-                f"{layout.source}: with the ranges of the ratios a matrix could have the condition "
-                f"number {condition:.0e}, too large for double precision; give them smaller factors "
+                f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "
+                f"matrix could have the condition number {condition:.0e}, too large for double precision; give them smaller factors "
                 "or fewer bits"
             )
         #: Standard deviations by raw pivot, for ``lookup``.

@@ -16,7 +16,7 @@ from cantools.database.can import Database, Message
 from cantools.database.can import Signal as DbcSignal
 
 from ...errors import LayoutError
-from ...line import Slot
+from ...line import Kind, Slot, Status
 from .dbc_limits import LARGEST_DBC, check_numbers
 from .requirements import REQUIREMENTS, bits_of, check, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
@@ -108,6 +108,8 @@ def content_of(database: Database, source: str) -> DbcContent:
         if messages.setdefault(slot, {}).setdefault(kind, message) is not message:
             raise LayoutError(f"{source}: slot {slot.name} has two messages in one frame format")
         _check_frame(message, kind, source)
+        for signal in message.signals:
+            _check_choices(signal, f"{source}: message {message.name}")
         records[message.name] = _record(message, source)
     if not records:
         raise LayoutError(
@@ -126,9 +128,7 @@ def content_of(database: Database, source: str) -> DbcContent:
     )
 
 
-def _shared_signals(
-    records: Mapping[str, Mapping[str, Signal]], source: str
-) -> dict[str, Signal]:
+def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
     """Return the signals that all messages hold; others are not of the record."""
     (first, signals), *others = records.items()
     for name, other in others:
@@ -160,6 +160,21 @@ def _check_frame(message: Message, kind: FrameFormat, source: str) -> None:
         )
     if any(signal.is_multiplexer for signal in message.signals):
         raise LayoutError(f"{where}: a CAN FD message holds all pages, so it has no multiplexer")
+
+
+def _check_choices(signal: DbcSignal, where: str) -> None:
+    """Check that names of Status and Kind in a table VAL_ have their numbers; others may be added."""
+    enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
+    for number, text in (signal.choices or {}).items() if enumeration else ():
+        if (
+            enumeration
+            and str(text) in enumeration.__members__
+            and enumeration[str(text)] != number
+        ):
+            raise LayoutError(
+                f"{where}: signal {signal.name}: its VAL_ gives {number} the name {text}, which is "
+                f"that of {enumeration[str(text)].value}; correct the table"
+            )
 
 
 def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:

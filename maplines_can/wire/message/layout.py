@@ -70,7 +70,7 @@ class Layout:
         pages = pages_of(self.signals)
         if pages != list(range(len(pages))) or not pages:
             raise LayoutError(f"{self.source}: pages must be numbered 0, 1, ..., got {pages}")
-        for page in pages:
+        for page in reversed(pages):  # that of page 0 may follow from that of page 1
             self[f"{TRANSFER_ID}{page}"]
         check_record(self.signals, self.source)
         check_messages(self.messages, self.secured, self.record_bytes, self.source)

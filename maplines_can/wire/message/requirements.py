@@ -239,12 +239,15 @@ RELATIONS: Sequence[Relation] = (
     ),
     Relation(
         TRANSFER_ID,
-        "the same length in each page; in page 0 it may be the low bits of Counter",
-        lambda signals: (
-            _in_its_page(signals, TRANSFER_ID)
-            and len({s.length for s in _each(signals, TRANSFER_ID)}) == 1
-        ),
-        "give each page one of the same length",
+        "to lie in its page; that of page 0 is the low bits of Counter, if it has none of its own",
+        lambda signals: _in_its_page(signals, TRANSFER_ID),
+        f"move {TRANSFER_ID}1 to page 1 and so on, and Counter to page 0",
+    ),
+    Relation(
+        TRANSFER_ID,
+        "the same length in each page",
+        lambda signals: len({s.length for s in _each(signals, TRANSFER_ID)}) == 1,
+        f"give {TRANSFER_ID}1, {TRANSFER_ID}2, ... as many bits",
     ),
     Relation(
         TRANSFER_ID,
