@@ -172,7 +172,12 @@ def original(*slots: Slot) -> str:
 def fields() -> list[str]:
     """Return the names of the signals of the original, without numbers of pages for ``Page``."""
     lines = map(SignalLine.parse, original().splitlines())
-    return list(dict.fromkeys(re.sub(r"^Page\d$", "Page", line.name) for line in lines if line))
+    return list(dict.fromkeys(field_of(line) for line in lines if line))
+
+
+def field_of(line: SignalLine) -> str:
+    """Return the name of a signal, without the number of the page for ``Page``."""
+    return re.sub(r"^Page\d$", "Page", line.name)
 
 
 def of_field(field: str) -> Iterator[Alteration]:
@@ -200,11 +205,7 @@ def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str
         if head := re.match(r"BO_ \d+ (\w+):", line):
             inside = bool(re.fullmatch(message, head[1]))
         old = SignalLine.parse(line)
-        if (
-            old is None
-            or not inside
-            or not re.fullmatch(field, re.sub(r"^Page\d$", "Page", old.name))
-        ):
+        if old is None or not inside or not re.fullmatch(field, field_of(old)):
             out.append(line)
             continue
         new = change(old)
@@ -213,8 +214,7 @@ def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str
         if new is not None:
             out.append(str(new))
     texts = "|".join(gone) or "-"
-    kept = re.sub(rf"^(CM_ SG_|VAL_) \d+ ({texts}) [^;]*;\n", "", "\n".join(out) + "\n", flags=re.M)
-    return kept
+    return re.sub(rf"^(CM_ SG_|VAL_) \d+ ({texts}) [^;]*;\n", "", "\n".join(out) + "\n", flags=re.M)
 
 
 def _places(text: str, field: str) -> Iterator[tuple[int, str]]:
@@ -224,7 +224,7 @@ def _places(text: str, field: str) -> Iterator[tuple[int, str]]:
         if head := re.match(r"BO_ (\d+)", line):
             can_id = int(head[1])
         signal = SignalLine.parse(line)
-        if signal and re.sub(r"^Page\d$", "Page", signal.name) == field:
+        if signal and field_of(signal) == field:
             yield can_id, signal.name
 
 
@@ -259,16 +259,14 @@ def of_messages() -> Iterator[Alteration]:
 
     def attribute(name: str, of: str, value: str) -> str:
         altered, found = re.subn(rf'^(BA_ "{name}" {of}) \S+;', rf"\1 {value};", text, flags=re.M)
-        assert found, (name, of)
-        return altered
+        return _found(altered, found, name)
 
     def removed(name: str, of: str) -> str:
         return re.sub(rf'^BA_ "{name}" {of} .*\n', "", text, flags=re.M)
 
     def replaced(old: str, new: str) -> str:
         altered, found = re.subn(old, new, text, flags=re.M)
-        assert found, old
-        return altered
+        return _found(altered, found, old)
 
     variants = {
         "unaltered": text,
@@ -301,8 +299,9 @@ def of_messages() -> Iterator[Alteration]:
         "slots swapped": attribute("MapLineSlot", "BO_ (?:832|840|848)", "5"),
         "equal CAN IDs, classic and CAN FD": replaced(r"\b840\b", "832"),
         "equal CAN IDs of two slots": replaced(r"\b841\b", "840"),
-        "CAN ID of another message": text.replace(
-            "\nBO_ 832 ", "\nBO_ 840 Other: 8 PositionEcu\n SG_ A : 0|8@1+ (1,0) [0|0] \"\" AdasEcu\n\nBO_ 832 "
+        "CAN ID of another message": replaced(
+            "^(?=BO_ 832 )",
+            'BO_ 840 Other: 8 PositionEcu\n SG_ A : 0|8@1+ (1,0) [0|0] ""  AdasEcu\n\n',
         ),
         "extended CAN ID": replaced(r"\b832\b", str(2**31 + 0x18FF0040)),
         "extended CAN ID of the same number": replaced(r"\b840\b", str(2**31 + 832)),
@@ -321,7 +320,9 @@ def of_messages() -> Iterator[Alteration]:
         ),
         "VFrameFormat classic of the authenticated": attribute("VFrameFormat", "BO_ 84[89]", "0"),
         "VFrameFormat missing": removed("VFrameFormat", r"BO_ \d+"),
-        "CovarianceCode of another": replaced(r'^BA_ "CovarianceCode" .*', 'BA_ "CovarianceCode" "Linear";'),
+        "CovarianceCode of another": replaced(
+            '"CovarianceCode" "Cholesky";', '"CovarianceCode" "Linear";'
+        ),
         "CovarianceCode missing": replaced(r'^BA_ "CovarianceCode" .*\n', ""),
         "no multiplexer": replaced("Page M :", "Page :"),
         "multiplexer renamed": replaced("Page M :", "Leaf M :"),
@@ -337,7 +338,7 @@ def of_messages() -> Iterator[Alteration]:
         "foreign signal named as a page": _foreign(
             text, r"\w+", "m4 : 16|8@1+", ": 272|8@1+"
         ).replace("Foreign", "Pages"),
-        "values of Status swapped": replaced(r'1 "FULL" 0 "UNKNOWN"|0 "UNKNOWN" 1 "FULL"', '0 "FULL" 1 "UNKNOWN"'),
+        "values of Status swapped": replaced('0 "UNKNOWN" 1 "FULL"', '0 "FULL" 1 "UNKNOWN"'),
         "values of Kind translated": replaced('"DASHED"', '"GESTRICHELT"'),
     }  # fmt: skip
     for length, messages in {
@@ -350,6 +351,12 @@ def of_messages() -> Iterator[Alteration]:
         )
     for name, altered in variants.items():
         yield Alteration("messages", name, altered)
+
+
+def _found(text: str, found: int, what: str) -> str:
+    if not found:
+        raise ValueError(f"the original has no {what}")
+    return text
 
 
 def _reordered(text: str) -> str:

@@ -69,8 +69,8 @@ class CholeskyFactor:
         if (condition := self._largest_condition()) > LARGEST_CONDITION:
             raise LayoutError(
                 f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "
-                f"matrix could have the condition number {condition:.0e}, too large for double precision; give them smaller factors "
-                "or fewer bits"
+                f"matrix could have the condition number {condition:.0e}, too large for double "
+                "precision; give them smaller factors or fewer bits"
             )
         #: Standard deviations by raw pivot, for ``lookup``.
         self.sigmas = [exp2_table(signal) for signal in self.pivots]

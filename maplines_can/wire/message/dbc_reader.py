@@ -22,6 +22,8 @@ from .requirements import REQUIREMENTS, bits_of, check, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import FD_LENGTHS, LONGEST_MS, SecuredLayout, SlotMessages
 
+__all__ = ["Database", "DbcContent", "content_of", "default_dbc_path", "parse_dbc", "read_text"]
+
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
 
@@ -163,17 +165,14 @@ def _check_frame(message: Message, kind: FrameFormat, source: str) -> None:
 
 
 def _check_choices(signal: DbcSignal, where: str) -> None:
-    """Check that names of Status and Kind in a table VAL_ have their numbers; others may be added."""
+    """Check that the names of Status and Kind have their numbers in VAL_; others are allowed."""
     enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
-    for number, text in (signal.choices or {}).items() if enumeration else ():
-        if (
-            enumeration
-            and str(text) in enumeration.__members__
-            and enumeration[str(text)] != number
-        ):
+    names = enumeration.__members__ if enumeration else {}
+    for number, text in (signal.choices or {}).items():
+        if names.get(str(text), number) != number:
             raise LayoutError(
                 f"{where}: signal {signal.name}: its VAL_ gives {number} the name {text}, which is "
-                f"that of {enumeration[str(text)].value}; correct the table"
+                f"that of {names[str(text)].value}; correct the table"
             )
 
 

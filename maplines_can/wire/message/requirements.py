@@ -66,6 +66,7 @@ def unit(*units: str) -> Requirement:
 
 
 def length(bits: int) -> Requirement:
+    """Return the requirement of a width."""
     return Requirement(f"{bits} bits", lambda signal: signal.length == bits, f"give it {bits} bits")
 
 
@@ -92,7 +93,7 @@ EXACT = Requirement(
 )
 FINITE = Requirement(
     f"a factor other than 0 of magnitude {LEAST_FACTOR:g} or more, and values up to {FARTHEST:g}",
-    lambda s: LEAST_FACTOR <= abs(s.factor) and bool(np.abs(s.reach).max() <= FARTHEST),
+    lambda s: abs(s.factor) >= LEAST_FACTOR and bool(np.abs(s.reach).max() <= FARTHEST),
     "correct factor and offset",
 )
 SOME_RANGE = Requirement(
@@ -334,8 +335,9 @@ def in_dbc(signal: Signal) -> str:
     if not signal.is_float:
         kind = ""
         low, high = (_plain(signal.physical_one(raw)) for raw in (signal.raw_min, signal.raw_max))
+    order, sign = int(not signal.big_endian), "-" if signal.signed else "+"
     return (
-        f"{signal.start}|{signal.length}@{int(not signal.big_endian)}{'-' if signal.signed else '+'}"
+        f"{signal.start}|{signal.length}@{order}{sign}"
         f' ({_plain(signal.factor)},{_plain(signal.offset)}) [{low}|{high}] "{signal.unit}"{kind}'
     )
 
