@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from maplines_can.line import Slot
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
+from maplines_can.wire.message.signals import SECURED_SIGNALS
 
 #: Slots of the original.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
@@ -183,6 +184,8 @@ def field_of(line: SignalLine) -> str:
 def of_field(field: str) -> Iterator[Alteration]:
     """Yield the alterations of a signal, the same ones in all messages."""
     text = original(SLOTS[0])
+    if field not in SECURED_SIGNALS:
+        text = _without(text, r"\w+SecOc")  # of_messages has it with all signals
     for name, change in CHANGES.items():
         altered = changed(text, field, change)
         if name.startswith("float"):

@@ -92,6 +92,8 @@ def _check_frames(
     fd: bool = False,
 ) -> None:
     decoder = codec.decoder()
+    records: list[bytes] = []
+    signals: list[dict[str, Any]] = []
     frames_of_lines = codec.encode_lines(lines, fd=fd, counters={})
     for i, (line, frames) in enumerate(zip(lines, frames_of_lines, strict=True)):
         answer: Any = None
@@ -102,8 +104,11 @@ def _check_frames(
             raise WrongResultError(f"line {i} is not delivered: {answer}")
         check_line(codec, line, answer)
         if i < witnessed:
-            for record in _records(codec, frames, fd):
-                _check_record(codec, database, frames[0], record, slot)
+            message = _message(database, frames[0])
+            for payloads in _records(codec, frames, fd):
+                records.append(b"".join(payloads)[: codec.layout.record_bytes])
+                signals.append(_decoded(message, payloads))
+    _check_records(codec, records, signals, slot)
 
 
 def _records(codec: Codec, frames: Sequence[Any], fd: bool) -> Iterator[list[bytes]]:
@@ -121,45 +126,50 @@ def _message(database: Database, frame: Any) -> Message:
     raise WrongResultError(f"no message has the CAN ID {frame.can_id:#x}")
 
 
-def _check_record(
-    codec: Codec, database: Database, frame: Any, payloads: list[bytes], slot: Slot
-) -> None:
-    """Compare one decoded record with the physical values that cantools decodes."""
-    message = _message(database, frame)
-    if any(len(payload) != message.length for payload in payloads):
-        raise WrongResultError(f"{message.name} has {message.length} bytes, got {len(payloads[0])}")
+def _decoded(message: Message, payloads: list[bytes]) -> dict[str, Any]:
+    """Return the physical values of a record as cantools decodes them."""
     signals: dict[str, Any] = {}
     for payload in payloads:
+        if len(payload) != message.length:
+            raise WrongResultError(f"{message.name} has {message.length} bytes, got {len(payload)}")
         signals |= message.decode(payload, decode_choices=False)  # type: ignore[arg-type]
-    record = b"".join(payloads)[: codec.layout.record_bytes]
-    batch = codec.decode_batch(np.frombuffer(record, dtype=np.uint8)[None], slot=slot)
+    return signals
+
+
+def _check_records(
+    codec: Codec, records: list[bytes], witness: list[dict[str, Any]], slot: Slot
+) -> None:
+    """Compare decoded records with the physical values that cantools decodes."""
+    batch = codec.decode_batch(np.array([list(record) for record in records], np.uint8), slot=slot)
     if not batch.accepted.all():
         raise WrongResultError(f"decode_batch rejects: {dict(batch.rejects)}")
-    for name, value in zip(PARAMETER_SIGNALS, batch.mean[0], strict=True):
-        _equal(name, value, signals[name])
-    for name, value in (
-        ("Status", batch.status),
-        ("Kind", batch.kind),
-        ("XMax", batch.x_max),
-        ("ComponentIndex", batch.component_index),
-        ("ComponentCount", batch.component_count),
-        ("ComponentWeight", batch.component_weight),
-        ("Counter", batch.counter),
-        ("XMin", batch.x_min),
-    ):
-        if name != "XMin" or signals["XMin"] <= signals["XMax"]:
-            _equal(name, value[0], signals[name])
-    if np.isfinite(batch.age[0]):
-        _equal("Age", batch.age[0], signals["Age"] / 1000)
-    elif signals["Age"] < codec.layout["Age"].physical_range[1]:
-        raise WrongResultError(f"Age is {signals['Age']} ms, decoded as too old")
-    one: Any = codec.read_record(record, slot)
-    if (one.line.gaussian.mean != batch.mean[0]).any() or one.counter != batch.counter[0]:
-        raise WrongResultError("read_record differs from decode_batch")
-    if batch.status[0] not in (Status.UNKNOWN, Status.OUT_OF_RANGE):
-        by_hand = covariance_by_hand(signals, codec)
-        if not np.allclose(by_hand, batch.cov[0], rtol=1e-9, atol=0):
-            raise WrongResultError("the covariance is not that of the signals")
+    columns = {
+        **dict(zip(PARAMETER_SIGNALS, batch.mean.T, strict=True)),
+        "Status": batch.status,
+        "Kind": batch.kind,
+        "XMin": batch.x_min,
+        "XMax": batch.x_max,
+        "Age": batch.age * 1000,
+        "ComponentIndex": batch.component_index,
+        "ComponentCount": batch.component_count,
+        "ComponentWeight": batch.component_weight,
+        "Counter": batch.counter,
+    }
+    greatest_age = codec.layout["Age"].physical_range[1]
+    for i, (record, signals) in enumerate(zip(records, witness, strict=True)):
+        expected = {name: signals[name] for name in columns}
+        expected["XMin"] = min(signals["XMin"], signals["XMax"])
+        if np.isinf(batch.age[i]) and signals["Age"] >= greatest_age:
+            expected["Age"] = np.inf
+        for name, value in expected.items():
+            _equal(name, columns[name][i], value)
+        one: Any = codec.read_record(record, slot)
+        if (one.line.gaussian.mean != batch.mean[i]).any() or one.counter != batch.counter[i]:
+            raise WrongResultError("read_record differs from decode_batch")
+        if batch.status[i] not in (Status.UNKNOWN, Status.OUT_OF_RANGE):
+            by_hand = covariance_by_hand(signals, codec)
+            if not np.allclose(by_hand, batch.cov[i], rtol=1e-9, atol=0):
+                raise WrongResultError("the covariance is not that of the signals")
 
 
 def covariance_by_hand(signals: Any, codec: Codec) -> Any:

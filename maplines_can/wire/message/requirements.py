@@ -215,6 +215,13 @@ def _each(signals: Mapping[str, Signal], name: str) -> list[Signal]:
     return [signals[f"{name}{page}"] for page in pages_of(signals)]
 
 
+def _named(signals: Mapping[str, Signal], name: str) -> list[Signal]:
+    """Return the signals that a requirement of this name is about."""
+    if name in (PAGE, TRANSFER_ID):
+        return _each(signals, name)
+    return [signals[name]] if name in signals else []
+
+
 def _most_components(signals: Mapping[str, Signal]) -> float:
     return signals["ComponentCount"].physical_range[1]
 
@@ -298,13 +305,14 @@ def check_record(signals: Mapping[str, Signal], source: str) -> None:
         LayoutError: a requirement is not met, two signals overlap, or one is not in the record.
     """
     for name, requirements in REQUIREMENTS.items():
-        for signal in _each(signals, name) if name in (PAGE, TRANSFER_ID) else [signals.get(name)]:
-            if signal is not None:
-                check(signal, requirements, source)
+        for signal in _named(signals, name):
+            check(signal, requirements, source)
     for relation in RELATIONS:
         if not relation.met(signals):
+            has = "; ".join(f"{s.name} is {in_dbc(s)}" for s in _named(signals, relation.name))
             raise LayoutError(
-                f"{source}: signal {relation.name} needs {relation.needs}; {relation.cure}"
+                f"{source}: signal {relation.name} needs {relation.needs}, but {has}; "
+                f"{relation.cure}"
             )
     owner: dict[int, str] = {}
     record = set(range(8 * PAGE_BYTES * len(pages_of(signals))))

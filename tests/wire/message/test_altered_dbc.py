@@ -135,9 +135,9 @@ def test_from_dbc_refuses_what_is_no_dbc(given: object) -> None:
 def test_foreign_signals_are_ignored() -> None:
     """A signal of others in one message, and one in the padding: they are sent as 0."""
     outcomes = {
-        o.alteration.name: o.result
-        for o in map(altered_dbc.outcome, altered_dbc.alterations_of(altered_dbc.MESSAGES))
-        if o.alteration.name.startswith("foreign")
+        alteration.name: altered_dbc.outcome(alteration, records=0, lines=8).result
+        for alteration in altered_dbc.alterations_of(altered_dbc.MESSAGES)
+        if alteration.name.startswith("foreign")
     }
     assert outcomes.pop("foreign signal over another") == "refused"
     assert set(outcomes.values()) == {"right"}
