@@ -135,7 +135,7 @@ def test_from_dbc_refuses_what_is_no_dbc(given: object) -> None:
 def test_foreign_signals_are_ignored() -> None:
     """A signal of others in one message, and one in the padding: they are sent as 0."""
     outcomes = {
-        alteration.name: altered_dbc.outcome(alteration, records=0, lines=8).result
+        alteration.name: altered_dbc.outcome(alteration, records=0).result
         for alteration in altered_dbc.alterations_of(altered_dbc.MESSAGES)
         if alteration.name.startswith("foreign")
     }
