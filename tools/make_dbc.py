@@ -50,7 +50,7 @@ def requirements_table() -> Any:
     relations = {
         name: [relation for relation in RELATIONS if relation.name == name] for name in REQUIREMENTS
     }
-    needs = {
+    needs: dict[str, Any] = {
         **{name: [*own, *relations[name]] for name, own in REQUIREMENTS.items()},
         "Pivot*`, `Inflation": OCTAVES,
         "Ratio*": RATIO,
