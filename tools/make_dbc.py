@@ -14,6 +14,9 @@ from reporting import fill_tables, parser_of
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
+from maplines_can.wire.covariance.code import OCTAVES
+from maplines_can.wire.covariance.factor import RATIO
+from maplines_can.wire.message.requirements import EXACT, QUANTITY, RELATIONS, REQUIREMENTS
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "dbc"
@@ -23,7 +26,11 @@ STUDY = ROOT / "maplines_can" / "study" / "dbc"
 
 def wanted() -> Any:
     """Return the text of each file."""
-    tables = {"fields": DEFAULT.table(), "codes": codes_table()}
+    tables = {
+        "fields": DEFAULT.table(),
+        "requirements": requirements_table(),
+        "codes": codes_table(),
+    }
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
     files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
@@ -35,6 +42,25 @@ def path_of(code: Any) -> Any:
     if code == DEFAULT.covariance_code:
         return FOLDER / "maplines.dbc"
     return STUDY / f"maplines-{code.lower()}.dbc"
+
+
+def requirements_table() -> Any:
+    """Return the table of what each signal needs, but for what all of them need."""
+    rows = ["| signal | needs |", "|---|---|"]
+    relations = {
+        name: [relation for relation in RELATIONS if relation.name == name] for name in REQUIREMENTS
+    }
+    needs: dict[str, Any] = {
+        **{name: [*own, *relations[name]] for name, own in REQUIREMENTS.items()},
+        "Pivot*`, `Inflation": OCTAVES,
+        "Ratio*": RATIO,
+    }
+    for name, of_signal in needs.items():
+        common = QUANTITY if EXACT in of_signal else ()
+        own = [requirement.needs for requirement in of_signal if requirement not in common]
+        rows.append(f"| `{name}` | {'; '.join(own).replace('|', chr(92) + '|')} |")
+    needed = "; ".join(requirement.needs for requirement in QUANTITY).replace("|", "\\|")
+    return "\n".join([*rows, f"| each signal of a record | {needed} |"])
 
 
 def codes_table() -> Any:

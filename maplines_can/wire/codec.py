@@ -14,7 +14,7 @@ from ..line import MapLine, Slot
 from .covariance import CholeskyCode, CovarianceCode
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
 from .message.components import MixtureWriter
-from .message.dbc_reader import default_dbc_path
+from .message.dbc_reader import Database, default_dbc_path
 from .message.frames import Frame, FrameWriter
 from .message.layout import Layout
 from .message.line_writer import LineWriter
@@ -23,7 +23,7 @@ from .message.reader import Batch, DecodedRecord, RecordReader
 from .message.validation import checked_gaussians, checked_mixtures, checked_payloads
 from .message.writer import RecordWriter
 from .protection.e2e_state import E2EConfig
-from .protection.secoc import Authenticator, Verifier
+from .protection.secoc import Authenticator, Verifier, check_freshness
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.settings import decoder_settings
@@ -48,7 +48,7 @@ class Codec:
 
     Raises:
         LayoutError: the covariance code is unknown, or there is an authenticator but the DBC has
-            no authenticated message.
+            no authenticated message, or too short a freshness value for it.
 
     >>> codec = Codec.from_dbc()
     >>> payload = codec.encode_batch([[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])])
@@ -80,27 +80,34 @@ class Codec:
         self._mixture_writer = MixtureWriter(self._writer)
         self._line_writer = LineWriter(self._writer, self._mixture_writer)
         self._frame_writer = FrameWriter(layout, authenticator)
+        if authenticator is not None and layout.secured is not None:
+            check_freshness(authenticator, layout.secured)
         self._reader = RecordReader(layout, packing, self.covariance)
         self._counters: Counter[Slot] = Counter()
 
     @classmethod
     def from_dbc(
         cls,
-        path: str | Path | None = None,
+        dbc: str | Path | Database | None = None,
         authenticator: Authenticator | None = None,
         codes: Mapping[str, type[CovarianceCode]] = CODES,
     ) -> Codec:
-        """Return the codec of a DBC file.
+        """Return the codec of a DBC: a file, or a database that cantools has loaded from one.
 
-        Without a path, the DBC is the project's ``maplines.dbc``, or ``maplines-secoc.dbc`` with
-        an authenticator.
+        Without a DBC, it is the project's ``maplines.dbc``, or ``maplines-secoc.dbc`` with an
+        authenticator.
 
         Raises:
-            LayoutError: the file is missing, or does not describe a map line.
+            LayoutError: the file is missing, or the DBC does not describe a map line; the message
+                says which signal or message needs what.
+
+        >>> database = cantools.database.load_file("dbc/maplines.dbc")  # doctest: +SKIP
+        >>> Codec.from_dbc(database)  # doctest: +SKIP
+        <Codec of the cantools database: Cholesky>
         """
-        if path is None and authenticator is not None:
-            path = default_dbc_path("maplines-secoc.dbc")
-        return cls(Layout.from_dbc(path), authenticator, codes)
+        if dbc is None and authenticator is not None:
+            dbc = default_dbc_path("maplines-secoc.dbc")
+        return cls(Layout.from_dbc(dbc), authenticator, codes)
 
     def __repr__(self) -> str:
         secured = "" if self.authenticator is None else ", authenticated"

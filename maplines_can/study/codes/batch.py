@@ -7,9 +7,9 @@ from typing import final
 
 import numpy as np
 
-from ...errors import LayoutError
 from ...wire.covariance.code import Array, CovarianceCode
 from ...wire.message.layout import Layout
+from ...wire.message.requirements import POSITIVE, QUANTITY, Requirement, check, holds
 from ...wire.message.signals import Signal
 
 
@@ -22,10 +22,16 @@ class BatchCode(CovarianceCode):
         return self.decode({name: np.array([raw[name]]) for name in names})[0]
 
 
+#: Requirements of an entry of a matrix.
+ENTRY = (
+    *QUANTITY,
+    POSITIVE,
+    Requirement("no offset", lambda signal: signal.offset == 0, "write offset 0"),
+    holds(0, 0),
+)
+
+
 def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
-    """Raise ``LayoutError`` unless the signals have positive factors and no offsets."""
+    """Raise ``LayoutError`` unless the signals meet ``ENTRY``."""
     for signal in signals:
-        if signal.factor <= 0 or signal.offset:
-            raise LayoutError(
-                f"{layout.source}: signal {signal.name} needs a positive factor and no offset"
-            )
+        check(signal, ENTRY, layout.source)

@@ -16,7 +16,7 @@ from ...line import VAGUE_SIGMA, Status
 from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from ...wire.message.signals import Signal
-from .batch import BatchCode
+from .batch import BatchCode, check_linear
 
 
 def _rounded_up(
@@ -44,6 +44,7 @@ class LogCorrelation(BatchCode):
         }
         self.signals = (*self.sigmas, *self.correlations.values())
         check_octaves(layout, self.sigmas)
+        check_linear(layout, self.correlations.values())
 
     def encode(self, error: Array, resolution: Array) -> Coded:
         sigma = np.sqrt(np.einsum("nii->ni", error) + resolution)

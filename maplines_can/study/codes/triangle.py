@@ -148,10 +148,12 @@ class _FloatTriangle(BatchCode):
         self.entries = {pair: layout[name(*pair)] for pair in PAIRS}
         self.signals = tuple(self.entries.values())
         for signal in self.signals:
-            if signal.length != bits or signal.signed or signal.is_float != self._is_float:
+            conversion = signal.factor, signal.offset, signal.signed, signal.is_float
+            if signal.length != bits or conversion != (1, 0, False, self._is_float):
                 kind = "a float" if self._is_float else "an unsigned pattern"
                 raise LayoutError(
-                    f"{layout.source}: signal {signal.name} must be {kind} of {bits} bits"
+                    f"{layout.source}: signal {signal.name} must be {kind} of {bits} bits, with "
+                    "factor 1 and offset 0"
                 )
 
     def encode(self, error: Array, resolution: Array) -> Coded:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -109,7 +111,7 @@ class DbcWriter:
     slots: tuple[Slot, ...] = tuple(Slot)
     first_secured_can_id: int | None = None  #: authenticated message of slot 0, if there are any
     first_secured_data_id: int = 0x4D50  #: SecOC data ID of slot 0
-    freshness_bytes: int = SECURED_SIGNALS["Freshness"]  #: 1 to 7
+    freshness_bytes: int = SECURED_SIGNALS["Freshness"]  #: 3 to 7
     mac_bytes: int = SECURED_SIGNALS["Mac"]  #: 1 to 8
 
     def __post_init__(self) -> None:
@@ -140,7 +142,8 @@ class DbcWriter:
                 attributes=_attributes(network), attribute_definitions=definitions
             ),
         )
-        return str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
+        text = str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
+        return re.sub(r"^ SG_ .*$", _without_exponents, text, flags=re.MULTILINE)
 
     def table(self) -> str:
         """Return the fields as a Markdown table, for the page beside the DBC."""
@@ -278,6 +281,16 @@ def _signal(
         comment=spec.about,
         receivers=["AdasEcu"],
         **multiplexing,
+    )
+
+
+def _without_exponents(line: re.Match[str]) -> str:
+    """Return a line ``SG_`` with its numbers as plain decimals, since some parsers read no others.
+
+    The digits stay the same, and so does the double that they mean.
+    """
+    return re.sub(
+        r"(?<=[(,|[])-?[\d.]+e[+-]?\d+", lambda number: f"{Decimal(number[0]):f}", line[0]
     )
 
 

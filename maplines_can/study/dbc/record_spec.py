@@ -59,9 +59,9 @@ _EXTENT = (
         about="End of the range where the cubic is valid, rounded down: never too wide.",
         why="0 to 248 m, beyond the range of any camera"),
     SignalSpec(
-        name="Age", bits=5, factor=8, unit="ms",
-        about="Time from the pose to the transmission, rounded up; "
-        "the greatest raw value means too old, or unknown.",
+        name="Age", bits=5, factor=8, unit="ms", choices={31: "TOO_OLD"},
+        about="Time from the pose to the transmission, rounded up. The greatest raw value means "
+              "too old, or unknown: the sender no longer vouches for the line; do not use it.",
         why="a step is 24 cm of travel at 30 m/s, along the line where it matters least"),
 )
 _COMPONENT = (

@@ -10,9 +10,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import LayoutError
 from ...line import Status
 from ..message.layout import Layout
+from ..message.requirements import POSITIVE, QUANTITY, Requirement, check, unit
 from ..message.signals import Signal
 
 Array = NDArray[np.float64]
@@ -89,19 +89,24 @@ def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDA
     return limited.astype(np.int64), nearest != limited
 
 
+#: Requirements of a signal that holds an exponent of 2.
+OCTAVES = (
+    *QUANTITY,
+    POSITIVE,
+    unit("octave"),
+    Requirement(
+        f"values from -{FARTHEST_OCTAVE} to {FARTHEST_OCTAVE} for any bits",
+        lambda signal: bool(np.abs(signal.reach).max() <= FARTHEST_OCTAVE),
+        "correct factor and offset",
+    ),
+)
+
+
 def check_octaves(layout: Layout, signals: Sequence[Signal]) -> None:
     """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
 
     Raises:
-        LayoutError: a factor is not positive, or an exponent can be too large.
+        LayoutError: a signal does not meet ``OCTAVES``.
     """
     for signal in signals:
-        if signal.factor <= 0:
-            raise LayoutError(f"{layout.source}: signal {signal.name} needs a positive factor")
-        least = -(2 ** (signal.length - 1)) if signal.signed else 0
-        ends = signal.physical([least, least + 2**signal.length - 1])
-        if not np.abs(ends).max() <= FARTHEST_OCTAVE:
-            raise LayoutError(
-                f"{layout.source}: signal {signal.name} reaches from 2^{ends[0]:g} to "
-                f"2^{ends[1]:g}; it must stay within 2^-{FARTHEST_OCTAVE} and 2^{FARTHEST_OCTAVE}"
-            )
+        check(signal, OCTAVES, layout.source)

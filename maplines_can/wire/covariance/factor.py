@@ -9,7 +9,7 @@ matrix.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from itertools import chain
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ...errors import LayoutError
 from ..message.layout import Layout
+from ..message.requirements import POSITIVE, QUANTITY, check, unit
 from ..message.signals import PARAMETER_SIGNALS, Signal
 from .code import Array, check_octaves
 
@@ -24,6 +25,8 @@ from .code import Array, check_octaves
 BLOCK = 2048
 #: Largest condition number of a decoded correlation matrix that double precision holds.
 LARGEST_CONDITION = 1e13
+#: Requirements of a ratio; beyond them, ``_largest_condition`` bounds all ratios together.
+RATIO = (*QUANTITY, POSITIVE, unit("1", "-"))
 
 
 class CholeskyFactor:
@@ -43,9 +46,15 @@ class CholeskyFactor:
         }
         names = sorted(PARAMETER_SIGNALS, key=lambda state: len(below[state]))
         if [len(below[name]) for name in names] != [0, 1, 2, 3]:
+            missing = [
+                f"Ratio{a}{b} or Ratio{b}{a}"
+                for a, b in combinations(PARAMETER_SIGNALS, 2)
+                if a not in below[b] and b not in below[a]
+            ]
             raise LayoutError(
                 f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
                 f"pair of {', '.join(PARAMETER_SIGNALS)}, but there are {below}"
+                f"{'; add ' if missing else ''}{' and '.join(missing)}"
             )
         #: Order of the rows, as indices into the mean.
         self.order = [PARAMETER_SIGNALS.index(name) for name in names]
@@ -54,23 +63,23 @@ class CholeskyFactor:
             [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
         ]
         self.signals: tuple[Signal, ...] = (*self.pivots, *chain(*self.ratios))
-        for signal in self.signals:
-            if signal.factor <= 0:
-                raise LayoutError(f"{layout.source}: signal {signal.name} needs a positive factor")
+        check_octaves(layout, self.pivots)
+        for ratio in chain(*self.ratios):
+            check(ratio, RATIO, layout.source)
         if (condition := self._largest_condition()) > LARGEST_CONDITION:
             raise LayoutError(
-                f"{layout.source}: with the ranges of the ratios a matrix could have the condition "
-                f"number {condition:.0e}, too large for double precision; make them narrower"
+                f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "
+                f"matrix could have the condition number {condition:.0e}, too large for double "
+                "precision; give them smaller factors or fewer bits"
             )
-        check_octaves(layout, self.pivots)
         #: Standard deviations by raw pivot, for ``lookup``.
         self.sigmas = [exp2_table(signal) for signal in self.pivots]
 
     def _largest_condition(self) -> float:
-        """Return a bound on the condition number of any decoded correlation matrix."""
+        """Return a bound on the condition number of the correlation matrix of any bits."""
         reach = np.zeros((4, 4))
         for i, ratios in enumerate(self.ratios):
-            reach[i, :i] = [max(map(abs, ratio.physical_range)) for ratio in ratios]
+            reach[i, :i] = [max(map(abs, ratio.reach)) for ratio in ratios]
         inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, with the worst signs
         norm = np.sqrt(1 + (reach**2).sum(axis=1))
         return float(((inverse * norm) ** 2).sum())

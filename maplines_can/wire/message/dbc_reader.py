@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from enum import Enum
 from importlib import resources
@@ -15,10 +16,13 @@ from cantools.database.can import Database, Message
 from cantools.database.can import Signal as DbcSignal
 
 from ...errors import LayoutError
-from ...line import Slot
+from ...line import Kind, Slot, Status
 from .dbc_limits import LARGEST_DBC, check_numbers
+from .requirements import REQUIREMENTS, bits_of, check, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
-from .slot_messages import LONGEST_MS, SecuredLayout, SlotMessages, fd_length
+from .slot_messages import FD_LENGTHS, LONGEST_MS, SecuredLayout, SlotMessages
+
+__all__ = ["Database", "DbcContent", "content_of", "default_dbc_path", "parse_dbc", "read_text"]
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
@@ -82,10 +86,15 @@ def parse_dbc(text: str, source: str) -> DbcContent:
         raise LayoutError(f"{source}: is not a valid DBC: {reason}") from error
     if not isinstance(database, Database):
         raise LayoutError(f"{source}: is not a DBC of CAN messages")
-    return _content(database, source)
+    return content_of(database, source)
 
 
-def _content(database: Database, source: str) -> DbcContent:
+def content_of(database: Database, source: str) -> DbcContent:
+    """Read the record and its messages from a loaded database.
+
+    Raises:
+        LayoutError: it does not describe a map line.
+    """
     records: dict[str, dict[str, Signal]] = {}
     messages: dict[Slot, dict[FrameFormat, Message]] = {}
     layouts: dict[str, SecuredLayout] = {}
@@ -100,19 +109,16 @@ def _content(database: Database, source: str) -> DbcContent:
             layouts[message.name], kind = _secured_layout(message, source), FrameFormat.SECURED
         if messages.setdefault(slot, {}).setdefault(kind, message) is not message:
             raise LayoutError(f"{source}: slot {slot.name} has two messages in one frame format")
+        _check_frame(message, kind, source)
+        for signal in message.signals:
+            _check_choices(signal, f"{source}: message {message.name}")
         records[message.name] = _record(message, source)
     if not records:
         raise LayoutError(
             f"{source}: no message has the attribute MapLineSlot, so none carries a map line"
         )
-    (first, signals), *others = records.items()
-    for name, other in others:
-        if other != signals:
-            differing = sorted({s for s in {*signals, *other} if signals.get(s) != other.get(s)})
-            raise LayoutError(
-                f"{source}: messages {first} and {name} must hold the same signals at the same "
-                f"places, but {', '.join(differing)} differ"
-            )
+    _check_can_ids(database, records, source)
+    signals = _shared_signals(records, source)
     if len(set(layouts.values())) > 1:
         raise LayoutError(f"{source}: messages {', '.join(layouts)} must have the same lengths")
     code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
@@ -122,6 +128,64 @@ def _content(database: Database, source: str) -> DbcContent:
         covariance_code=DEFAULT_CODE if code is None else str(code.value),
         secured=next(iter(layouts.values()), None),
     )
+
+
+def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
+    """Return the signals that all messages hold; others are not of the record."""
+    (first, signals), *others = records.items()
+    for name, other in others:
+        differing = sorted(s for s in signals.keys() & other.keys() if signals[s] != other[s])
+        differing += [f"{PAGE}{n}" for n in {*pages_of(signals)} ^ {*pages_of(other)}]
+        if differing:
+            raise LayoutError(
+                f"{source}: messages {first} and {name} must hold the same signals at the same "
+                f"places, but {', '.join(differing)} differ"
+            )
+    shared = set(signals).intersection(*(other for _, other in others))
+    return {name: signal for name, signal in signals.items() if name in shared}
+
+
+def _check_frame(message: Message, kind: FrameFormat, source: str) -> None:
+    """Check that a classic message has pages of 8 bytes, and a CAN FD one the whole record."""
+    where = f"{source}: message {message.name}"
+    if kind is FrameFormat.CLASSIC and message.length != PAGE_BYTES:
+        raise LayoutError(
+            f"{where}: a page must have 8 bytes, got {message.length}; for a whole record in one "
+            "message, make it a CAN FD message (VFrameFormat)"
+        )
+    if kind is FrameFormat.CLASSIC:
+        return
+    if message.length not in FD_LENGTHS or not message.is_fd:
+        raise LayoutError(
+            f"{where}: must be a CAN FD message (VFrameFormat) with a valid CAN FD payload length, "
+            f"got {message.length} bytes"
+        )
+    if any(signal.is_multiplexer for signal in message.signals):
+        raise LayoutError(f"{where}: a CAN FD message holds all pages, so it has no multiplexer")
+
+
+def _check_choices(signal: DbcSignal, where: str) -> None:
+    """Check that the names of Status and Kind have their numbers in VAL_; others are allowed."""
+    enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
+    names = enumeration.__members__ if enumeration else {}
+    for number, text in (signal.choices or {}).items():
+        if names.get(str(text), number) != number:
+            raise LayoutError(
+                f"{where}: signal {signal.name}: its VAL_ gives {number} the name {text}, which is "
+                f"that of {names[str(text)].value}; correct the table"
+            )
+
+
+def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:
+    """Check that no other message has the CAN ID of a message of a map line."""
+    names: dict[tuple[int, bool], str] = {}
+    for message in database.messages:
+        first = names.setdefault((message.frame_id, message.is_extended_frame), message.name)
+        if first != message.name and not {first, message.name}.isdisjoint(own):
+            raise LayoutError(
+                f"{source}: messages {first} and {message.name} have the same CAN ID, "
+                f"{message.frame_id}; give each its own"
+            )
 
 
 def _slot_messages(slot: Slot, messages: dict[FrameFormat, Message], source: str) -> SlotMessages:
@@ -145,7 +209,7 @@ def _slot_messages(slot: Slot, messages: dict[FrameFormat, Message], source: str
         fd_can_id=fd.frame_id if fd else None,
         is_extended=bool(classic and classic.is_extended_frame),
         fd_is_extended=bool(fd and fd.is_extended_frame),
-        fd_length=fd_length(fd.length) if fd else 0,
+        fd_length=fd.length if fd else 0,
         data_id=_integer(data_id, f"{where}: E2EDataId", 0xFFFF),
         cycle_ms=_integer(message.cycle_time or 0, f"{where}: GenMsgCycleTime", LONGEST_MS),
         secured_can_id=secured.frame_id if secured else None,
@@ -182,8 +246,8 @@ def _secured_layout(message: Message, source: str) -> SecuredLayout:
                 f"of whole bytes; {name} must have 1 to {most} bytes"
             )
         sizes[name] = size
-    if not message.is_fd or message.length != fd_length(message.length):
-        raise LayoutError(f"{where}: must be a CAN FD message with a valid CAN FD payload length")
+    for name in SECURED_SIGNALS:
+        check(_signal(signals[name]), REQUIREMENTS[name], where)
     return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
 
 
@@ -191,6 +255,7 @@ def _integer(value: Any, what: str, most: int) -> int:
     """Return the value of an attribute as an integer from 0 to ``most``."""
     try:
         number = int(value)
+        number = number if isinstance(value, str) or number == value else -1
     except (ValueError, TypeError, OverflowError):
         number = -1
     if not 0 <= number <= most:
@@ -206,39 +271,32 @@ def _record(message: Message, source: str) -> dict[str, Signal]:
         signals = _paged_signals(message, multiplexers, where)
     else:
         own = [signal for signal in message.signals if signal.name not in SECURED_SIGNALS]
-        signals = [_signal(signal, where) for signal in own]
+        signals = [_signal(signal) for signal in own]
     record = {signal.name: signal for signal in sorted(signals, key=lambda signal: signal.start)}
     if f"{TRANSFER_ID}0" not in record and {"Counter", f"{TRANSFER_ID}1"} <= set(record):
         record[f"{TRANSFER_ID}0"] = _low_bits(
             record["Counter"], f"{TRANSFER_ID}0", record[f"{TRANSFER_ID}1"].length
         )
-    pages = sum(name.startswith(PAGE) for name in record)
-    for page in range(pages):
-        for name in (f"{PAGE}{page}", f"{TRANSFER_ID}{page}"):
-            if name not in record:
-                raise LayoutError(f"{where}: signal {name} is missing")
-    for signal in record.values():
-        if signal.start >= 8 * PAGE_BYTES * pages:
-            raise LayoutError(f"{where}: signal {signal.name} lies beyond the {pages} pages")
-    if not pages or (not multiplexers and message.length < pages * PAGE_BYTES):
+    pages = pages_of(record)
+    if not pages or (not multiplexers and message.length < len(pages) * PAGE_BYTES):
         raise LayoutError(
             f"{where}: must have pages of 8 bytes, each with {PAGE} and {TRANSFER_ID}"
         )
-    return record
+    # Signals of others may lie in the padding of a CAN FD message.
+    end = 8 * PAGE_BYTES * len(pages)
+    return {name: signal for name, signal in record.items() if min(bits_of(signal)) < end}
 
 
 def _paged_signals(message: Message, multiplexers: list[DbcSignal], where: str) -> list[Signal]:
     """Return the signals of a multiplexed message, its pages concatenated."""
     if len(multiplexers) > 1 or multiplexers[0].name != PAGE:
         raise LayoutError(f"{where}: must have one multiplexer, named {PAGE}")
-    if message.length != PAGE_BYTES:
-        raise LayoutError(f"{where}: a page must have 8 bytes, got {message.length}")
     pages = sorted({i for s in message.signals for i in s.multiplexer_ids or ()})
     if pages != list(range(len(pages))):
         raise LayoutError(f"{where}: pages must be numbered 0, 1, ..., got {pages}")
     signals = []
     for dbc_signal in message.signals:
-        signal = _signal(dbc_signal, where)
+        signal = _signal(dbc_signal)
         if dbc_signal.multiplexer_ids is None:  # repeated in every page
             for page in pages:
                 start = signal.start + 8 * PAGE_BYTES * page
@@ -260,43 +318,28 @@ def _low_bits(signal: Signal, name: str, length: int) -> Signal:
     return replace(signal, name=name, start=start, length=length, raw_min=0, raw_max=2**length - 1)
 
 
-def _signal(signal: DbcSignal, where: str) -> Signal:
-    """Convert a cantools signal to a `Signal`."""
-    numbers = (signal.scale, signal.offset, signal.minimum, signal.maximum)
-    if not all(number is None or abs(number) < 1e300 for number in numbers):  # or NaN
-        raise LayoutError(f"{where}: signal {signal.name} needs a finite factor, offset and range")
+def _signal(signal: DbcSignal) -> Signal:
+    """Convert a cantools signal to a `Signal`; ``requirements`` checks it if it is needed."""
     factor, offset = float(signal.scale), float(signal.offset)
-    if signal.is_float and (signal.length, factor, offset) != (32, 1, 0):
-        raise LayoutError(
-            f"{where}: signal {signal.name} is a float; it needs 32 bits, factor 1 and offset 0, "
-            "or an integer type"
-        )
-    low, high = (-(2 ** (signal.length - 1)), 2 ** (signal.length - 1) - 1)
-    signed = signal.is_signed and not signal.is_float
-    if not signed:
-        low, high = 0, 2**signal.length - 1
-    if signal.length > (64 if signed else 63):
-        raise LayoutError(f"{where}: signal {signal.name} has more than 63 bits; make it narrower")
-    if not factor:
-        raise LayoutError(f"{where}: signal {signal.name} needs a finite factor other than 0")
-    bounds = sorted(
-        (bound - offset) / factor for bound in (signal.minimum, signal.maximum) if bound is not None
-    )
-    if len(bounds) == 2 and not signal.is_float:  # the DBC's range, if it is narrower
-        bounds = np.clip(bounds, -(2.0**65), 2.0**65).tolist()  # beyond all raw values
-        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
-        low = max(low, int(np.ceil(bounds[0] - slack)))
-        high = max(low, min(high, int(np.floor(bounds[1] + slack))))
-    return Signal(
+    converted = Signal(
         name=signal.name,
         start=signal.start,
         length=signal.length,
         big_endian=signal.byte_order == "big_endian",
-        signed=signed,
+        signed=bool(signal.is_signed and not signal.is_float),
         factor=factor,
         offset=offset,
         unit=signal.unit or "",
-        raw_min=low,
-        raw_max=high,
+        raw_min=0,
+        raw_max=0,
         is_float=bool(signal.is_float),
     )
+    low, high = converted.all_raw
+    bounds = (signal.minimum, signal.maximum)
+    if None not in bounds and factor and not signal.is_float:  # the DBC's range, if it is narrower
+        with np.errstate(all="ignore"):
+            ends = (np.array(bounds, dtype=float) - offset) / factor
+        ends = np.nan_to_num(ends[:: 1 if factor > 0 else -1]).clip(-(2.0**65), 2.0**65)
+        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
+        low, high = max(low, math.ceil(ends[0] - slack)), min(high, math.floor(ends[1] + slack))
+    return replace(converted, raw_min=low, raw_max=high)

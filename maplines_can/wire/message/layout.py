@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
-from .dbc_reader import default_dbc_path, parse_dbc, read_text
+from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
+from .requirements import check_record, pages_of
 from .signals import (
     HEADER_SIGNALS,
     PAGE,
@@ -22,7 +23,7 @@ from .signals import (
     TRANSFER_ID,
     Signal,
 )
-from .slot_messages import SecuredLayout, SlotMessages, fd_length
+from .slot_messages import SecuredLayout, SlotMessages, check_messages, fd_length
 
 __all__ = [
     "PAGE",
@@ -53,7 +54,8 @@ class Layout:
         secured: layout of the authenticated messages; None if there are none.
 
     Raises:
-        LayoutError: a signal is missing, or the E2E header has the wrong format.
+        LayoutError: a signal is missing or is not as ``requirements`` says, two messages have the
+            same CAN ID, or two slots the same data ID.
     """
 
     signals: Mapping[str, Signal]
@@ -63,24 +65,37 @@ class Layout:
     secured: SecuredLayout | None = None
 
     def __post_init__(self) -> None:
-        for name in HEADER_SIGNALS:
+        for name in (*HEADER_SIGNALS, *PARAMETER_SIGNALS):
             self[name]
-        crc = self["Crc"]
-        if crc.length != 16 or crc.start % 8 or crc.big_endian:
-            raise LayoutError(f"{self.source}: Crc must be 16 bits, Intel, on a byte boundary")
-        if self["Counter"].length < self[f"{TRANSFER_ID}0"].length:
-            raise LayoutError(f"{self.source}: Counter must be at least as long as {TRANSFER_ID}")
+        pages = pages_of(self.signals)
+        if pages != list(range(len(pages))) or not pages:
+            raise LayoutError(f"{self.source}: pages must be numbered 0, 1, ..., got {pages}")
+        for page in reversed(pages):  # that of page 0 may follow from that of page 1
+            self[f"{TRANSFER_ID}{page}"]
+        check_record(self.signals, self.source)
+        check_messages(self.messages, self.secured, self.record_bytes, self.source)
 
     @classmethod
-    def from_dbc(cls, path: str | Path | None = None) -> Layout:
-        """Read a layout from a DBC file; without a path, from the project's ``maplines.dbc``.
+    def from_dbc(cls, dbc: str | Path | Database | None = None) -> Layout:
+        """Read a layout from a DBC: a file, or a database that cantools has loaded from one.
+
+        Without an argument, it is the project's ``maplines.dbc``.
 
         Raises:
             LayoutError: the file is missing, is larger than 64 MB, is not a DBC, or does not
                 describe a map line.
+            TypeError: it is neither a path nor a ``cantools.database.can.Database``.
         """
-        path = default_dbc_path() if path is None else Path(path)
-        return cls.from_text(read_text(path), str(path))
+        if isinstance(dbc, str | Path | None):
+            path = default_dbc_path() if dbc is None else Path(dbc)
+            return cls.from_text(read_text(path), str(path))
+        if not isinstance(dbc, Database):
+            raise TypeError(
+                "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
+                f"{type(dbc).__name__}"
+            )
+        source = "the cantools database"
+        return cls(source=source, **content_of(dbc, source)._asdict())
 
     @classmethod
     def from_text(cls, text: str, source: str = "DBC") -> Layout:
@@ -96,13 +111,14 @@ class Layout:
             return self.signals[name]
         except KeyError:
             raise LayoutError(
-                f"{self.source}: there is no signal {name!r}; a map line needs it in each message"
+                f"{self.source}: there is no signal {name!r}; a map line needs it in each message, "
+                "within the pages of 8 bytes"
             ) from None
 
     @cached_property
     def pages(self) -> int:
         """Number of pages of a record."""
-        return sum(name.startswith(PAGE) for name in self.signals)
+        return len(pages_of(self.signals))
 
     @property
     def record_bytes(self) -> int:

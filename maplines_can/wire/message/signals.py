@@ -29,16 +29,16 @@ class Signal:
     Args:
         name: as in the DBC.
         start: first bit within the record, numbered as in the DBC.
-        length: number of bits; 1 to 64 if signed, 1 to 63 if unsigned.
+        length: number of bits.
         big_endian: Motorola byte order; ``start`` is then the most significant bit.
         signed: two's complement.
         factor: physical = raw * factor + offset.
         offset: see factor.
         unit: of the physical value.
         raw_min: least raw value within the DBC's range.
-        raw_max: greatest raw value within the DBC's range.
-        is_float: the raw value is the bit pattern of an IEEE 754 number of 32 bits. Only
-            ``physical`` supports such a signal.
+        raw_max: greatest raw value within the DBC's range; less than ``raw_min`` if there is none.
+        is_float: the raw value is the bit pattern of an IEEE 754 number. Only ``physical``
+            supports such a signal, with 32 bits.
     """
 
     name: str
@@ -75,6 +75,18 @@ class Signal:
     def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (...,) raw values clipped to the range; the caller reports the clipping."""
         return raw.clip(self.raw_min, self.raw_max)
+
+    @property
+    def all_raw(self) -> tuple[int, int]:
+        """Least and greatest raw value of any bits, also of those outside the DBC's range."""
+        least = -(2 ** (self.length - 1)) if self.signed else 0
+        return least, least + 2**self.length - 1
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Least and greatest physical value of any bits."""
+        low, high = sorted(self.physical_one(raw) for raw in self.all_raw)
+        return low, high
 
     @property
     def physical_range(self) -> tuple[float, float]:

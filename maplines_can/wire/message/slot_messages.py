@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ...errors import LayoutError
 from ...line import Slot
 
 #: Upper bound of a cycle time and of a time-out, one hour [ms].
@@ -19,7 +21,7 @@ class SecuredLayout:
 
     Args:
         length: of the secured I-PDU [byte].
-        freshness_bytes: of the truncated freshness value, 1 to 7.
+        freshness_bytes: of the truncated freshness value, 3 to 7.
         mac_bytes: of the truncated MAC, 1 to 8.
     """
 
@@ -67,10 +69,59 @@ class SlotMessages:
     secured_data_id: int = 0
 
 
+#: Payload lengths of CAN FD (ISO 11898-1) [byte].
+FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+
+
 def fd_length(length: int) -> int:
     """Return the shortest CAN FD payload length of at least ``length`` bytes (ISO 11898-1).
 
     >>> fd_length(24), fd_length(25)
     (24, 32)
     """
-    return next(n for n in (*range(9), 12, 16, 20, 24, 32, 48, 64) if n >= length)
+    return next(n for n in FD_LENGTHS if n >= length)
+
+
+def check_messages(
+    messages: Mapping[Slot, SlotMessages],
+    secured: SecuredLayout | None,
+    record_bytes: int,
+    source: str,
+) -> None:
+    """Check that frames of different messages, and records of different slots, are told apart.
+
+    Raises:
+        LayoutError: two messages have the same CAN ID, two slots have the same data ID, or a
+            message is too short for a record.
+    """
+    owners: dict[tuple[str, object], str] = {}
+    for of_slot in messages.values():
+        name = f"slot {of_slot.slot.name}"
+        for own, needed, frame in (
+            (of_slot.fd_length, record_bytes, "CAN FD" if of_slot.fd_can_id is not None else ""),
+            (secured.authentic_bytes if secured else 0, record_bytes + 1,
+             "authenticated" if of_slot.secured_can_id is not None else ""),
+        ):  # fmt: skip
+            if frame and own < needed:
+                raise LayoutError(
+                    f"{source}: {name}: the {frame} message has {own} bytes for the record, but "
+                    f"it needs {needed}; make it longer"
+                )
+        unique = [
+            ("CAN ID", of_slot.can_id, of_slot.is_extended, "classic"),
+            ("CAN ID", of_slot.fd_can_id, of_slot.fd_is_extended, "CAN FD"),
+            ("CAN ID", of_slot.secured_can_id, of_slot.secured_is_extended, "authenticated"),
+            ("E2EDataId", of_slot.data_id, False, ""),
+        ]
+        if of_slot.secured_can_id is not None:
+            unique.append(("SecOCDataId", of_slot.secured_data_id, False, ""))
+        for what, number, extended, frame in unique:
+            if number is None:
+                continue
+            own_name = f"{name} ({frame})" if frame else name
+            other = owners.setdefault((what, (number, extended)), own_name)
+            if other != own_name:
+                raise LayoutError(
+                    f"{source}: {other} and {own_name} have the same {what}, {number}, so a line "
+                    "of one could be delivered as that of the other; give each its own"
+                )

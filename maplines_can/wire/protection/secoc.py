@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ...errors import EncodeError
+from ...errors import EncodeError, LayoutError
 from ..message.slot_messages import SecuredLayout
 from ..reasons import Reason
 from .key import Key, shown
@@ -30,6 +30,8 @@ from .key import Key, shown
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
 MOST_FRESHNESS = 2**63 - 1
+#: Bytes that hold the whole freshness value of a frame, for 2283 years.
+WHOLE_FRESHNESS = 7
 
 
 class Authenticator:
@@ -203,11 +205,18 @@ class Verifier:
     A freshness value is accepted if it is greater than the last accepted one, and with a clock,
     if it is also within the authenticator's window about the current time. Only the clock rejects
     a recording that is replayed to a receiver that has just started; without a clock, only
-    ``not_before`` does. The clock also reconstructs freshness values of less than 7 bytes after a
-    long silence; without it, the next value with the same low bytes is assumed.
+    ``not_before`` does. The clock also completes a freshness value of less than 7 bytes, after any
+    silence and any number of lost frames: of the values with its low bytes, one at most lies within
+    the window. Without a clock a long silence could not be told from a short one, so the message
+    must hold all 7 bytes.
+
+    Raises:
+        LayoutError: ``Freshness`` has too few bytes for the window, or for a receiver without a
+            clock.
     """
 
     def __init__(self, authenticator: Authenticator, layout: SecuredLayout) -> None:
+        check_freshness(authenticator, layout)
         self._authenticator, self._layout = authenticator, layout
         #: Last accepted freshness value, by data ID [us].
         self.last_accepted: dict[int, int] = {}
@@ -261,6 +270,29 @@ def _problem(clock: object, window_ns: object, not_before: object) -> str | None
             f"{shown(not_before)}; take a stored last_sent, or a stored last accepted value"
         )
     return None
+
+
+def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None:
+    """Check that each freshness value that may be accepted can be completed from its low bytes.
+
+    Raises:
+        LayoutError: it has too few bytes.
+    """
+    span = 2 ** (8 * layout.freshness_bytes)  # [us]
+    has = f"Freshness has {layout.freshness_bytes} bytes"
+    if authenticator.now() is None:
+        if layout.freshness_bytes < WHOLE_FRESHNESS:
+            raise LayoutError(
+                f"{has}, but without a clock {WHOLE_FRESHNESS} are needed, or no frame would be "
+                f"accepted after a silence of {span / 1e6:.6g} s; give the authenticator a clock, "
+                "such as time.time_ns, or widen Freshness in the DBC"
+            )
+    elif span < 2 * authenticator.window + 2:
+        raise LayoutError(
+            f"{has}, which repeat after {span / 1e6:.6g} s, but window_ns allows a difference of "
+            f"{authenticator.window / 1e6:.6g} s to either side; widen Freshness in the DBC, or "
+            f"take a window_ns of {1000 * (span // 2 - 1)} at most"
+        )
 
 
 def complete(truncated: int, bits: int, floor: int) -> int:

@@ -36,7 +36,7 @@ from maplines_can import Codec, Slot, scenario
 from maplines_can.errors import EncodeError, LayoutError
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
-from maplines_can.wire import Authenticator, E2EState, Key, Reason, Verifier
+from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
 from maplines_can.wire.message.slot_messages import SecuredLayout
 from maplines_can.wire.protection.secoc import complete
 
@@ -213,44 +213,80 @@ def test_the_window_about_the_current_time(
     assert receiver.feed(good.can_id, good.data, NOW + S) is not Reason.AGE
 
 
-@pytest.mark.parametrize("freshness_bytes", [1, 2, 4, 7])
-def test_short_freshness_with_a_counter(freshness_bytes: int) -> None:
-    """If the value counts frames, one byte survives 255 lost frames, but not 256."""
-    layout = replace(LAYOUT, freshness_bytes=freshness_bytes, length=41 + freshness_bytes)
-    count = Clock(0)
-    sender = Authenticator(Key(SECRET), clock=count)
-    verify = Verifier(Authenticator(Key(SECRET)), layout)
-    frames = []
-    for i in range(1, 2000):
-        count.now = 1000 * i
-        frames.append(sender.secure(bytes(32), DATA_ID, layout))
-    kept = frames[:300] + frames[554:600]
-    assert all(isinstance(verify(frame, DATA_ID), bytes) for frame in kept)
-    assert verify(frames[598], DATA_ID) is Reason.REPLAY
-    late = verify(frames[599 + 257], DATA_ID)
-    assert late is Reason.MAC if freshness_bytes == 1 else isinstance(late, bytes)
+def with_freshness(tmp_path: Path, n: int, mac_bytes: int = 8) -> Path:
+    """A DBC with n bytes of freshness value."""
+    path = tmp_path / f"freshness{n}.dbc"
+    path.write_text(replace(SECURED, freshness_bytes=n, mac_bytes=mac_bytes).dbc())
+    return path
 
 
-def test_a_clock_reconstructs_short_freshness_after_any_silence(
-    tmp_path: Path, clock: Any, lines: Any
+@pytest.mark.parametrize("n", [1, 2])
+def test_a_freshness_value_that_is_too_short_is_refused(tmp_path: Path, n: int) -> None:
+    """Item 8: 2 bytes of microseconds last 65 ms, so no line would be accepted."""
+    with pytest.raises(LayoutError, match=r"Freshness is .*needs 3 bytes or more; widen it"):
+        Layout.from_dbc(with_freshness(tmp_path, n))
+
+
+@pytest.mark.parametrize(
+    ("n", "clock", "window_ns", "words"),
+    [
+        pytest.param(3, None, S, "3 bytes, but without a clock 7 are needed", id="3-no-clock"),
+        pytest.param(4, None, S, "silence of 4294.97 s", id="4-no-clock"),
+        pytest.param(6, None, S, "give the authenticator a clock", id="6-no-clock"),
+        pytest.param(3, Clock(), 9 * S, "repeat after 16.7772 s.* 8388607000 at most", id="window"),
+    ],
+)
+def test_a_freshness_value_that_could_not_be_completed_is_refused(
+    tmp_path: Path, n: int, clock: Any, window_ns: int, words: str
 ) -> None:
-    """With 32 bits of microseconds, a receiver without a clock fails after 72 minutes."""
-    path = tmp_path / "narrow.dbc"
-    path.write_text(replace(SECURED, freshness_bytes=4, mac_bytes=8).dbc())
-    sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock))
-    assert sender.layout.secured == SecuredLayout(48, 4, 8)
-    with_clock = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=clock)).decoder()
-    first = sent(sender, clock, lines[0], 1)
-    base = (NOW - 60 * S) // US
-    without = Codec.from_dbc(path, Authenticator(Key(SECRET), not_before=base)).decoder()
-    clock.now -= 50 * MS
-    assert names(feed(with_clock, first) + feed(without, first)) == ["line", "line"]
-    clock.now += 3 * 3600 * S
-    (later,) = sender.encode(lines[0], fd=True)
-    answers = [
-        decoder.feed(later.can_id, later.data, clock.now) for decoder in (with_clock, without)
-    ]
-    assert names(answers) == ["line", "MAC"]
+    """Item 8: without a clock, or with too wide a window, when the codec is made."""
+    keys = Authenticator(Key(SECRET), clock=clock, window_ns=window_ns)
+    with pytest.raises(LayoutError, match=words):
+        Codec.from_dbc(with_freshness(tmp_path, n), keys)
+    with pytest.raises(LayoutError, match=words):
+        Verifier(keys, SecuredLayout(41 + n, n, 8))
+
+
+@pytest.mark.parametrize(
+    ("n", "window_ns"), [(3, S), (3, 8_388_607_000), (4, S), (5, 30 * S), (7, S), (7, 600 * S)]
+)
+@pytest.mark.parametrize("offset", [-1, -0.5, 0, 0.999, 1])
+@pytest.mark.parametrize(
+    "gaps_s",
+    [
+        pytest.param([0.05] * 198, id="198-in-a-row"),
+        pytest.param([0.05, 0.15, 0.05, 1.0, 0.05], id="lost-frames"),
+        pytest.param([0.05, 16.8, 0.05, 33.554432, 0.05, 86_400, 0.05], id="silences"),
+    ],
+)
+def test_what_is_accepted_works(
+    tmp_path: Path, lines: Any, n: int, window_ns: int, offset: float, gaps_s: Any
+) -> None:
+    """Item 8: with a clock that is off by up to the window, each frame is accepted, and only once.
+
+    So it is after lost frames and any silence.
+    """
+    path = with_freshness(tmp_path, n)
+    own, other = Clock(), Clock()
+    sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=own))
+    receiver = Authenticator(Key(SECRET), clock=other, window_ns=window_ns)
+    verify = Codec.from_dbc(path, receiver).verifier()
+    assert verify is not None
+    for gap_s in gaps_s:
+        own.now += round(gap_s * S)
+        other.now = own.now + US * round(offset * window_ns / US)
+        (frame,) = sender.encode(lines[0], fd=True)
+        assert isinstance(verify(frame.data, DATA_ID), bytes)
+        assert verify(frame.data, DATA_ID) is Reason.REPLAY
+
+
+def test_without_a_clock_the_whole_value_is_accepted_after_any_silence(lines: Any) -> None:
+    """Item 8: 7 bytes need no clock at the receiver."""
+    own = Clock()
+    sender, decoder = codec_of(clock=own), codec_of().decoder()
+    for gap_s in (0.05, 17, 3600 * 24 * 365, 0.05):
+        own.now += round(gap_s * S)
+        assert names(feed(decoder, sender.encode(lines[0], fd=True))) == ["line"]
 
 
 # ---- rejected frames ----------------------------------------------------------------------

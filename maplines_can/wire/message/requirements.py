@@ -1,0 +1,354 @@
+"""Requirements of the signals of a record: what each must be for the codec's result to be right.
+
+``REQUIREMENTS`` is about single signals, ``RELATIONS`` about several of them. A covariance code
+states the requirements of its own signals in the same way, and checks them with ``check``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import LayoutError
+from ...line import Kind, Status
+from .packing import pieces_of
+from .signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
+
+#: Bits of an integer that a double holds exactly.
+EXACT_BITS = 53
+#: Bounds of a factor, and of the physical value of any bits: their squares are finite doubles.
+LEAST_FACTOR, FARTHEST = 1e-30, 1e30
+#: Least bits of the counter, so that the E2E state machine can tell lost records from late ones.
+LEAST_COUNTER_BITS = 4
+#: Least bytes of the freshness value: 3 bytes of microseconds last 16.8 s, 2 bytes only 65 ms.
+LEAST_FRESHNESS_BYTES = 3
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """A property that a signal must have.
+
+    Args:
+        needs: the property, which completes "the signal needs ...".
+        met: whether a signal has it.
+        cure: what to change in the DBC.
+    """
+
+    needs: str
+    met: Callable[[Signal], bool]
+    cure: str
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A property that signals of a record must have together; args as ``Requirement``.
+
+    Args:
+        name: of the signal to change.
+    """
+
+    name: str
+    needs: str
+    met: Callable[[Mapping[str, Signal]], bool]
+    cure: str
+
+
+def unit(*units: str) -> Requirement:
+    """Return the requirement of one of these units, or none."""
+    return Requirement(
+        f'the unit "{units[0]}", or none',
+        lambda signal: signal.unit in ("", *units),
+        "convert factor, offset and range to it",
+    )
+
+
+def length(bits: int) -> Requirement:
+    """Return the requirement of a width."""
+    return Requirement(f"{bits} bits", lambda signal: signal.length == bits, f"give it {bits} bits")
+
+
+def holds(low: int, high: int, what: str = "") -> Requirement:
+    """Return the requirement of a range that contains two values, and so all between them."""
+    values = f"{low} to {high}" if low < high else f"{low}"
+    return Requirement(
+        f"a range that holds {values}{what}",
+        lambda signal: _within(signal, low) and _within(signal, high),
+        "widen the signal and its range [min|max]",
+    )
+
+
+def _within(signal: Signal, physical: float) -> bool:
+    return bool(signal.raw_min <= signal.raw(physical) <= signal.raw_max)
+
+
+INTEGER = Requirement("an integer type", lambda s: not s.is_float, "remove its SIG_VALTYPE_")
+UNSIGNED = Requirement("an unsigned type", lambda s: not s.signed, "write + for the - after @0, @1")
+EXACT = Requirement(
+    f"{EXACT_BITS} bits at most",
+    lambda s: s.length <= EXACT_BITS,
+    "make it narrower: a double holds no more",
+)
+FINITE = Requirement(
+    f"a factor other than 0 of magnitude {LEAST_FACTOR:g} or more, and values up to {FARTHEST:g}",
+    lambda s: abs(s.factor) >= LEAST_FACTOR and bool(np.abs(s.reach).max() <= FARTHEST),
+    "correct factor and offset",
+)
+SOME_RANGE = Requirement(
+    "a range [min|max] that holds a value of its bits",
+    lambda s: s.raw_min <= s.raw_max,
+    "correct min and max, or write [0|0] for the range of all bits",
+)
+POSITIVE = Requirement(
+    "a positive factor", lambda s: s.factor > 0, "change the sign of the factor and the offset"
+)
+IDENTITY = Requirement(
+    "factor 1 and offset 0", lambda s: (s.factor, s.offset) == (1, 0), "write (1,0)"
+)
+WHOLE_RANGE = Requirement(
+    "the range of all its bits",
+    lambda s: (s.raw_min, s.raw_max) == s.all_raw,
+    "widen its range [min|max], or write [0|0]",
+)
+
+#: A value that is rounded to the nearest step.
+QUANTITY = (INTEGER, EXACT, FINITE, SOME_RANGE)
+#: A number that is sent as it is.
+NUMBER = (INTEGER, UNSIGNED, IDENTITY, EXACT, SOME_RANGE)
+_BYTES = (INTEGER, UNSIGNED, IDENTITY)
+
+
+def _weights_add_up(signal: Signal) -> bool:
+    steps = round(1 / signal.factor)
+    exact = np.array([1 / steps, 1.0]) if steps else np.zeros(1)
+    raw = signal.raw(exact)
+    in_range = (signal.limited(raw) == raw).all()
+    decoded = signal.physical(raw)
+    return bool(in_range and decoded[-1] == 1 and np.abs(decoded - exact).max() < 1e-12)
+
+
+#: Requirements of each signal of a record and of an authenticated message, by name.
+REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
+    "Crc": (
+        *NUMBER,
+        length(16),
+        Requirement("Intel byte order", lambda s: not s.big_endian, "write @1"),
+        Requirement("a byte boundary", lambda s: s.start % 8 == 0, "start it at a multiple of 8"),
+        WHOLE_RANGE,
+    ),
+    "Counter": (
+        *NUMBER,
+        WHOLE_RANGE,
+        Requirement(
+            f"{LEAST_COUNTER_BITS} bits or more",
+            lambda s: s.length >= LEAST_COUNTER_BITS,
+            "widen it: with fewer, lost records and late ones look the same",
+        ),
+    ),
+    TRANSFER_ID: (*NUMBER, WHOLE_RANGE),
+    PAGE: NUMBER,
+    "YOff": (*QUANTITY, unit("m")),
+    "Beta": (*QUANTITY, unit("rad")),
+    "C0": (*QUANTITY, unit("1/m")),
+    "C1": (*QUANTITY, unit("1/m^2")),
+    "Status": (*NUMBER, holds(0, max(Status), ", all values of Status")),
+    "Kind": (*NUMBER, holds(0, max(Kind), ", all values of Kind")),
+    "XMin": (*QUANTITY, POSITIVE, unit("m")),
+    "XMax": (*QUANTITY, POSITIVE, unit("m")),
+    "Age": (
+        *QUANTITY,
+        POSITIVE,
+        unit("ms"),
+        Requirement(
+            "0 ms or more for any bits", lambda s: s.reach[0] >= 0, "make it unsigned, offset 0"
+        ),
+        Requirement(
+            "three values or more in its range: two ages, and too old",
+            lambda s: s.raw_max - s.raw_min >= 2,
+            "widen the signal and its range [min|max]",
+        ),
+    ),
+    "ComponentIndex": (*NUMBER, holds(0, 0)),
+    "ComponentCount": (
+        *(INTEGER, UNSIGNED, EXACT, FINITE, SOME_RANGE),
+        Requirement(
+            "factor 1 and a whole offset",
+            lambda s: s.factor == 1 and s.offset.is_integer(),
+            "write (1,1), for counts from 1",
+        ),
+        holds(1, 1),
+    ),
+    "ComponentWeight": (
+        *QUANTITY,
+        POSITIVE,
+        unit("1", "-"),
+        Requirement(
+            "a factor of 1/n for a whole number n, and values from 1/n to exactly 1",
+            _weights_add_up,
+            "take a power of two, such as (0.03125,0.03125) with 5 bits",
+        ),
+    ),
+    "KeyId": _BYTES,
+    "Freshness": (
+        *_BYTES,
+        unit("us"),
+        Requirement(
+            f"{LEAST_FRESHNESS_BYTES} bytes or more",
+            lambda s: s.length >= 8 * LEAST_FRESHNESS_BYTES,
+            "widen it: 2 bytes of microseconds last 65 ms, 3 bytes 16.8 s",
+        ),
+    ),
+    "Mac": _BYTES,
+}
+
+
+def pages_of(names: Iterator[str] | Mapping[str, Signal]) -> list[int]:
+    """Return the numbers of the pages of a record, in ascending order."""
+    found = (re.fullmatch(f"{PAGE}(\\d+)", name) for name in names)
+    return sorted(int(match[1]) for match in found if match)
+
+
+def _each(signals: Mapping[str, Signal], name: str) -> list[Signal]:
+    """Return a signal that each page has, in the order of the pages."""
+    return [signals[f"{name}{page}"] for page in pages_of(signals)]
+
+
+def _named(signals: Mapping[str, Signal], name: str) -> list[Signal]:
+    """Return the signals that a requirement of this name is about."""
+    if name in (PAGE, TRANSFER_ID):
+        return _each(signals, name)
+    return [signals[name]] if name in signals else []
+
+
+def _most_components(signals: Mapping[str, Signal]) -> float:
+    return signals["ComponentCount"].physical_range[1]
+
+
+def _in_its_page(signals: Mapping[str, Signal], name: str) -> bool:
+    return all(
+        bits <= set(range(page * 8 * PAGE_BYTES, (page + 1) * 8 * PAGE_BYTES))
+        for page, bits in enumerate(map(bits_of, _each(signals, name)))
+    )
+
+
+#: Requirements of several signals of a record.
+RELATIONS: Sequence[Relation] = (
+    Relation(
+        PAGE,
+        "the same bits in each page, enough of them for all pages",
+        lambda signals: (
+            _in_its_page(signals, PAGE)
+            and len({(s.start % 64, s.length, s.big_endian) for s in _each(signals, PAGE)}) == 1
+            and len(pages_of(signals)) - 1 <= signals[f"{PAGE}0"].raw_max
+        ),
+        "place it as in page 0",
+    ),
+    Relation(
+        TRANSFER_ID,
+        "to lie in its page; that of page 0 is the low bits of Counter, if it has none of its own",
+        lambda signals: _in_its_page(signals, TRANSFER_ID),
+        f"move {TRANSFER_ID}1 to page 1 and so on, and Counter to page 0",
+    ),
+    Relation(
+        TRANSFER_ID,
+        "the same length in each page",
+        lambda signals: len({s.length for s in _each(signals, TRANSFER_ID)}) == 1,
+        f"give {TRANSFER_ID}1, {TRANSFER_ID}2, ... as many bits",
+    ),
+    Relation(
+        TRANSFER_ID,
+        "to tell apart two lines of the most components: 2^bits >= 2 x greatest ComponentCount",
+        lambda signals: 2 ** signals[f"{TRANSFER_ID}0"].length >= 2 * _most_components(signals),
+        "widen it in each page, or narrow the range of ComponentCount",
+    ),
+    Relation(
+        "Counter",
+        f"as many bits as {TRANSFER_ID} or more",
+        lambda signals: signals["Counter"].length >= signals[f"{TRANSFER_ID}0"].length,
+        f"widen it, or shorten {TRANSFER_ID}",
+    ),
+    Relation(
+        "ComponentIndex",
+        "a range up to the greatest ComponentCount less 1",
+        lambda signals: signals["ComponentIndex"].raw_max >= _most_components(signals) - 1,
+        "widen it, or narrow the range of ComponentCount",
+    ),
+    Relation(
+        "ComponentWeight",
+        "as many steps as the greatest ComponentCount",
+        lambda signals: 1.5 / signals["ComponentWeight"].factor > _most_components(signals),
+        "give it a finer factor, or narrow the range of ComponentCount",
+    ),
+)
+
+
+def check(signal: Signal, requirements: Sequence[Requirement], source: str) -> None:
+    """Check a signal.
+
+    Raises:
+        LayoutError: it does not meet a requirement.
+    """
+    for requirement in requirements:
+        if not requirement.met(signal):
+            raise LayoutError(
+                f"{source}: signal {signal.name} is {in_dbc(signal)}, but it needs "
+                f"{requirement.needs}; {requirement.cure}"
+            )
+
+
+def check_record(signals: Mapping[str, Signal], source: str) -> None:
+    """Check the signals of a record, each for itself and with the others.
+
+    Raises:
+        LayoutError: a requirement is not met, two signals overlap, or one is not in the record.
+    """
+    for name, requirements in REQUIREMENTS.items():
+        for signal in _named(signals, name):
+            check(signal, requirements, source)
+    for relation in RELATIONS:
+        if not relation.met(signals):
+            has = "; ".join(f"{s.name} is {in_dbc(s)}" for s in _named(signals, relation.name))
+            raise LayoutError(
+                f"{source}: signal {relation.name} needs {relation.needs}, but {has}; "
+                f"{relation.cure}"
+            )
+    owner: dict[int, str] = {}
+    record = set(range(8 * PAGE_BYTES * len(pages_of(signals))))
+    for name, signal in signals.items():
+        bits = bits_of(signal)
+        if not bits <= record:
+            raise LayoutError(f"{source}: signal {name} must lie in the record's pages of 8 bytes")
+        if name == f"{TRANSFER_ID}0" and bits <= bits_of(signals["Counter"]):
+            continue  # the low bits of the counter
+        for bit in bits:
+            if owner.setdefault(bit, name) != name:
+                raise LayoutError(f"{source}: signals {owner[bit]} and {name} overlap; move one")
+
+
+def bits_of(signal: Signal) -> set[int]:
+    """Return the bits of a signal in the record, numbered from the first byte's lowest bit."""
+    bits = set()
+    for word, shift, n, _ in pieces_of(signal):
+        for bit in range(shift, shift + n):
+            byte, place = divmod(bit, 8)
+            bits.add(64 * word + 8 * (7 - byte if signal.big_endian else byte) + place)
+    return bits
+
+
+def in_dbc(signal: Signal) -> str:
+    """Return a signal as in a DBC, with its start in the record."""
+    kind, low, high = f" (float{signal.length})", "", ""
+    if not signal.is_float:
+        kind = ""
+        low, high = (_plain(signal.physical_one(raw)) for raw in (signal.raw_min, signal.raw_max))
+    order, sign = int(not signal.big_endian), "-" if signal.signed else "+"
+    return (
+        f"{signal.start}|{signal.length}@{order}{sign}"
+        f' ({_plain(signal.factor)},{_plain(signal.offset)}) [{low}|{high}] "{signal.unit}"{kind}'
+    )
+
+
+def _plain(number: float) -> str:
+    return f"{number:.12g}"

@@ -1,0 +1,157 @@
+"""Item 2 of the assessment: an altered DBC gives a right result or a refusal.
+
+``tools/altered_dbc.py`` prints the table of all alterations; cantools is the witness.
+"""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import altered_dbc
+import cantools
+import pytest
+from dbc_alterations import fields, original
+
+from maplines_can import Codec
+from maplines_can.errors import LayoutError
+from maplines_can.line import Slot
+from maplines_can.study.codes import CODES
+from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
+from maplines_can.wire import Layout
+from maplines_can.wire.message.requirements import REQUIREMENTS, in_dbc
+
+ROOT = Path(__file__).parents[3]
+#: Fields for which it matters that counters wrap.
+COUNTED = ("Counter", "Page", "TransferId", "Component")
+
+
+@pytest.mark.parametrize("field", [altered_dbc.MESSAGES, *fields()])
+def test_an_altered_dbc_gives_a_right_result_or_a_refusal(field: str) -> None:
+    """Each alteration of a field. With those of the counters, 300 records are sent in a row."""
+    counted = field.startswith(COUNTED)
+    outcomes = [
+        altered_dbc.outcome(alteration, records=300 if counted else 0, lines=16)
+        for alteration in altered_dbc.alterations_of(field)
+    ]
+    wrong = [(o.alteration.name, o.text) for o in outcomes if o.result == "wrong"]
+    assert not wrong
+    assert {o.result for o in outcomes} == {"right", "refused"}
+
+
+def refusal(*edits: tuple[str, str]) -> str:
+    """The message with which the original with these edits is refused."""
+    text = original()
+    for pattern, replacement in edits:
+        text, found = re.subn(pattern, replacement, text)
+        assert found, pattern
+    with pytest.raises(LayoutError) as error:
+        Codec(Layout.from_text(text, "my.dbc"))
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("edit", "needs"),
+    [
+        pytest.param((r"(Status .*: \d+)\|3@1", r"\1|2@1"), "holds 0 to 5", id="status-of-2-bits"),
+        pytest.param((r"(Status .*\|3@1)\+", r"\1-"), "an unsigned type", id="status-signed"),
+        pytest.param((r"(XMin .*)\(8,-32\)", r"\1(-8,24)"), "positive factor", id="x-min-negative"),
+        pytest.param((r"(XMax .*)\(8,0\)", r"\1(-8,248)"), "positive factor", id="x-max-negative"),
+        pytest.param((r"(Age .*)\(8,0\)", r"\1(-8,248)"), "a positive factor", id="age-negative"),
+        pytest.param((r"(Age .*)\"ms\"", r'\1"s"'), 'the unit "ms"', id="age-in-seconds"),
+        pytest.param((r"(Beta .*)\"rad\"", r'\1"deg"'), 'the unit "rad"', id="beta-in-degrees"),
+        pytest.param((r"(Kind .*)\(1,0\)", r"\1(1,1)"), "factor 1 and offset 0", id="kind-offset"),
+        pytest.param((r"(Kind .*)\(1,0\)", r"\1(-1,7)"), "factor 1 and offset 0", id="kind-factor"),
+        pytest.param((r"(Counter .*\|8@1)\+", r"\1-"), "an unsigned type", id="counter-signed"),
+        pytest.param((r"(Counter .*)\[0\|255\]", r"\1[0|14]"), "range of all", id="counter-range"),
+        pytest.param((r"(TransferId2 .*\|)4@1", r"\g<1>3@1"), "the same length", id="transfer-3"),
+        pytest.param((r"(TransferId2 .*\|4@1)\+", r"\1-"), "unsigned", id="transfer-signed"),
+        pytest.param((r"(Crc .*\|16@1)\+", r"\1-"), "an unsigned type", id="crc-signed"),
+        pytest.param((r"(Page\d? .*)\(1,0\)", r"\1(1,1)"), "offset 0", id="page-offset"),
+        pytest.param((r"(YOff .*)\(0.0009765625,0\)", r"\1(0,0)"), "other than 0", id="factor-0"),
+        pytest.param((r"(YOff .*)\[[^]]*\]", r"\1[5|-5]"), "[min|max]", id="min-above-max"),
+        pytest.param((r"(PivotC1 .*)\(0.054,-32\)", r"\1(-0.054,-4)"), "positive", id="pivot"),
+        pytest.param(
+            (r'BA_ "E2EDataId" (BO_ \d+) \d+', r'BA_ "E2EDataId" \1 7'),
+            "EGO_LEFT and slot EGO_RIGHT have the same E2EDataId", id="data-id",
+        ),
+        pytest.param(
+            (r'BA_ "SecOCDataId" (BO_ \d+) \d+', r'BA_ "SecOCDataId" \1 7'),
+            "EGO_LEFT and slot EGO_RIGHT have the same SecOCDataId", id="secoc-data-id",
+        ),
+    ],
+)  # fmt: skip
+def test_the_refusal_says_where_what_and_the_cure(edit: tuple[str, str], needs: str) -> None:
+    """It names the file and the signal, what it has, what it needs and what to change."""
+    text = refusal(edit)
+    assert text.startswith("my.dbc: ")
+    assert needs in text
+    assert ";" in text
+
+
+@pytest.mark.parametrize("name", ["YOff", "Age", "XMax", "RatioBetaC0", "Inflation"])
+@pytest.mark.parametrize("length", [32, 64])
+def test_no_signal_is_a_float(name: str, length: int) -> None:
+    """SIG_VALTYPE_ 1 or 2, whatever the length."""
+    layout = Layout.from_text(dbc_writer_for("Cholesky").dbc())
+    signal = replace(layout[name], is_float=True, length=length, start=256, factor=1.0, offset=0.0)
+    if name in REQUIREMENTS:
+        with pytest.raises(LayoutError, match=rf"{name} is .*float{length}.*an integer type"):
+            replace(layout, signals={**layout.signals, name: signal})
+    assert f"(float{length})" in in_dbc(signal)
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_the_dbc_of_each_code_is_accepted(code: str) -> None:
+    """Also with finer steps, as ``maplines study`` makes them."""
+    for finer in (0,) if code in ("Float16", "Float32", "MeanOnly") else (-1, 0, 2):
+        Codec(Layout.from_text(dbc_writer_for(code, finer).dbc()), codes=CODES)
+
+
+def test_from_dbc_takes_a_loaded_database() -> None:
+    """Item 3: ``Codec.from_dbc(database)`` gives the frames of the file."""
+    path = ROOT / "dbc" / "maplines.dbc"
+    codec = Codec.from_dbc(cantools.database.load_file(path))  # type: ignore[arg-type]
+    assert codec.layout.signals == Layout.from_dbc(path).signals
+    assert codec.layout.messages == Layout.from_dbc(path).messages
+    assert "the cantools database" in repr(codec)
+
+
+def test_a_database_that_cantools_did_not_check_is_checked() -> None:
+    """Loaded with ``strict=False``, two signals may overlap."""
+    text = SECURED.dbc().replace("Kind m0 : 59|3@1", "Kind m0 : 58|3@1")
+    text = text.replace("Kind : 59|3@1", "Kind : 58|3@1")
+    database = cantools.database.load_string(text, "dbc", strict=False)
+    with pytest.raises(LayoutError, match="the cantools database: signals Status and Kind overlap"):
+        Codec.from_dbc(database)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("given", [7, b"maplines.dbc", object()])
+def test_from_dbc_refuses_what_is_no_dbc(given: object) -> None:
+    """The message names what it takes."""
+    with pytest.raises(TypeError, match="a path, or a Database that cantools has loaded"):
+        Codec.from_dbc(given)  # type: ignore[arg-type]
+
+
+def test_foreign_signals_are_ignored() -> None:
+    """A signal of others in one message, and one in the padding: they are sent as 0."""
+    outcomes = {
+        alteration.name: altered_dbc.outcome(alteration, records=0).result
+        for alteration in altered_dbc.alterations_of(altered_dbc.MESSAGES)
+        if alteration.name.startswith("foreign")
+    }
+    assert outcomes.pop("foreign signal over another") == "refused"
+    assert set(outcomes.values()) == {"right"}
+
+
+def test_each_slot_is_checked_on_its_own() -> None:
+    """Data IDs that differ are accepted, in any order."""
+    layout = Layout.from_dbc()
+    swapped = {
+        slot: replace(messages, data_id=layout.messages[Slot(7 - slot)].data_id)
+        for slot, messages in layout.messages.items()
+    }
+    assert replace(layout, messages=swapped).messages == swapped
+    left = layout.messages[Slot.EGO_LEFT]
+    clash = {**layout.messages, Slot.EGO_LEFT: replace(left, can_id=0x341)}
+    with pytest.raises(LayoutError, match="have the same CAN ID, 833"):
+        replace(layout, messages=clash)

@@ -1,0 +1,100 @@
+#!/usr/bin/env python3
+"""Load altered DBCs, and print for each field how many are right, refused and wrong.
+
+python tools/altered_dbc.py                     all fields and alterations, a few minutes
+python tools/altered_dbc.py Status Age --json   some fields, as JSON with all refusals
+
+An alteration is refused if loading raises a LayoutError that names the signal or a message. It is
+right if cantools, with the same altered DBC, reads the same values from all frames as the codec,
+and all lines arrive as promised. Anything else is wrong.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import cantools
+from dbc_alterations import Alteration, fields, of_field, of_messages
+from dbc_witness import check_codec
+from reporting import parser_of, progress
+
+from maplines_can.errors import LayoutError
+from maplines_can.wire import Codec, Layout
+
+MESSAGES = "messages"
+
+
+class Outcome(NamedTuple):
+    """What became of an altered DBC."""
+
+    alteration: Alteration
+    result: str  #: "right", "refused" or "wrong"
+    text: str = ""  #: of the refusal, or what is wrong
+
+
+def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outcome:
+    """Load an altered DBC and check it; ``records`` are sent in a row in each frame format."""
+    try:
+        codec = Codec(Layout.from_text(alteration.text, "DBC"))
+    except LayoutError as error:
+        names = alteration.field in str(error) or "message" in str(error) or "slot" in str(error)
+        if names or alteration.field == MESSAGES:
+            return Outcome(alteration, "refused", str(error))
+        return Outcome(alteration, "wrong", f"the refusal does not name the signal: {error}")
+    except Exception as error:  # noqa: BLE001 - any other error is a wrong result
+        return Outcome(alteration, "wrong", f"loading raises {error!r}")
+    database = cantools.database.load_string(alteration.text, "dbc")
+    try:
+        check_codec(codec, database, records, lines)  # type: ignore[arg-type]
+    except Exception as error:  # noqa: BLE001
+        return Outcome(alteration, "wrong", f"{type(error).__name__}: {error}")
+    return Outcome(alteration, "right")
+
+
+def alterations_of(field: str) -> Iterator[Alteration]:
+    """Yield the alterations of a signal, or of messages."""
+    return of_messages() if field == MESSAGES else of_field(field)
+
+
+def table(outcomes: dict[str, list[Outcome]]) -> str:
+    """Return the numbers of each field and their sum as text."""
+    rows = {field: [o.result for o in group] for field, group in outcomes.items()}
+    rows["all"] = [result for results in rows.values() for result in results]
+    lines = [f"{'field':<16}{'tried':>8}{'right':>8}{'refused':>9}{'wrong':>8}"]
+    for field, results in rows.items():
+        right, refused, wrong = (results.count(name) for name in ("right", "refused", "wrong"))
+        lines.append(f"{field:<16}{len(results):>8}{right:>8}{refused:>9}{wrong:>8}")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("field", nargs="*", help=f"signals, or {MESSAGES}; by default all")
+    parser.add_argument("--records", type=int, default=300, help="records in a row (default: 300)")
+    parser.add_argument("--json", action="store_true", help="print each alteration as JSON")
+    options = parser.parse_args()
+    known = [MESSAGES, *fields()]
+    if unknown := [field for field in options.field if field not in known]:
+        parser.error(f"there is no field {', '.join(unknown)}; choose from {', '.join(known)}")
+    outcomes = {}
+    for field in progress(options.field or known, "altered DBCs"):
+        outcomes[field] = [outcome(a, options.records) for a in alterations_of(field)]
+    wrong = [o for group in outcomes.values() for o in group if o.result == "wrong"]
+    if options.json:
+        result: dict[str, Any] = {
+            field: {o.alteration.name: {"result": o.result, "text": o.text} for o in group}
+            for field, group in outcomes.items()
+        }
+        print(json.dumps(result, indent=2))
+    else:
+        print(table(outcomes))
+        for o in wrong:
+            print(f"wrong: {o.alteration.field}, {o.alteration.name}: {o.text}")
+    return int(bool(wrong))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

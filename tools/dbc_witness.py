@@ -1,0 +1,265 @@
+"""Check of a codec against cantools with the same DBC, and against what the codec promises."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from cantools.database.can import Database, Message
+
+from maplines_can.errors import EncodeError
+from maplines_can.gaussian import Gaussian
+from maplines_can.line import PARAMETERS, Kind, MapLine, Slot, Status
+from maplines_can.mixture import GaussianMixture
+from maplines_can.wire import Authenticator, Codec, Key
+from maplines_can.wire.message.layout import PARAMETER_SIGNALS
+
+SECRET = bytes(range(16))
+#: Time between lines, and between the frames of one [ns].
+CYCLE_NS, FRAME_NS = 50_000_000, 100_000
+RANGES = ((0, 80), (-30.5, 50.3), (50, 80), (300, 400), (-100, -50), (3.1, 3.2), (-32, 248))
+AGES = (0.0, 1e-4, 0.04, 0.2399, 0.24, 0.2401, 5.0, np.inf)
+
+
+class WrongResultError(Exception):
+    """A result of the codec that is not what the DBC or the promise says."""
+
+
+def lines_of(slot: Slot, n: int, most_components: int) -> list[MapLine]:
+    """Return lines of each status, kind and age, some beyond all ranges, and mixtures."""
+    rng = np.random.default_rng(11)
+    lines = []
+    for i in range(n):
+        mean = rng.uniform(-1, 1, 4) * [4.0, 0.1, 2e-3, 1e-5]
+        root = rng.standard_normal((4, 4)) * np.array([[0.1], [0.01], [3e-4], [1e-5]])
+        match i % 8:
+            case 1:
+                mean[i // 8 % 4] = 1000.0 if i // 8 % 4 != 1 else 1.5
+            case 2:
+                root *= 1e-6
+            case 3:
+                root *= 1e3
+            case 4:
+                root[:, 1:] = 0  # singular
+        x_min, x_max = RANGES[i % len(RANGES)]
+        attributes: dict[str, Any] = {"kind": Kind(i % 8), "x_min": x_min, "x_max": x_max}
+        attributes |= {"age": AGES[i % len(AGES)], "status": Status(1 if i % 3 else i // 3 % 6)}
+        gaussian = Gaussian(mean, root @ root.T)
+        lines.append(MapLine(slot, gaussian, **attributes))
+    for k in {2, 3, most_components}:
+        if k > most_components:
+            continue
+        weights = rng.uniform(0.2, 1, k)
+        components = tuple(
+            Gaussian(line.gaussian.mean, line.gaussian.cov) for line in lines[5 : 5 + k]
+        )
+        mixture = GaussianMixture(weights / weights.sum(), components)
+        lines.append(MapLine.of_mixture(slot, mixture, x_max=40.0, age=0.02))
+    return lines
+
+
+def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 24) -> None:
+    """Send n lines in each frame format, and ``records`` in a row, and check all that arrives.
+
+    Raises:
+        WrongResultError: a result is wrong. Any other error is wrong, too.
+    """
+    for of_slot in codec.layout.messages.values():
+        slot = of_slot.slot
+        most = int(codec.layout["ComponentCount"].physical_range[1])
+        lines = lines_of(slot, n, min(most, 8))
+        row = [line for line in lines if line.mixture is None][: 1 + 7 * (records > 0)]
+        in_a_row = [row[i % len(row)] for i in range(records)]
+        if of_slot.can_id is not None:
+            _check_frames(codec, database, [*lines, *in_a_row], slot, len(lines))
+        if of_slot.fd_can_id is not None:
+            _check_frames(codec, database, [*lines, *in_a_row], slot, len(lines), fd=True)
+        if of_slot.secured_can_id is not None:
+            _check_authenticated(codec, database, lines[1:7], slot)
+        for missing, fd in ((of_slot.can_id is None, False), (of_slot.fd_can_id is None, True)):
+            if missing:
+                _must(EncodeError, codec.encode, lines[0], fd=fd)
+
+
+def _check_frames(
+    codec: Codec,
+    database: Database,
+    lines: Sequence[MapLine],
+    slot: Slot,
+    witnessed: int,
+    *,
+    fd: bool = False,
+) -> None:
+    decoder = codec.decoder()
+    records: list[bytes] = []
+    signals: list[dict[str, Any]] = []
+    frames_of_lines = codec.encode_lines(lines, fd=fd, counters={})
+    for i, (line, frames) in enumerate(zip(lines, frames_of_lines, strict=True)):
+        answer: Any = None
+        for j, frame in enumerate(frames):
+            t_ns = i * CYCLE_NS + j * FRAME_NS
+            answer = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+        if not isinstance(answer, MapLine):
+            raise WrongResultError(f"line {i} is not delivered: {answer}")
+        check_line(codec, line, answer)
+        if i < witnessed:
+            message = _message(database, frames[0])
+            for payloads in _records(codec, frames, fd):
+                records.append(b"".join(payloads)[: codec.layout.record_bytes])
+                signals.append(_decoded(message, payloads))
+    _check_records(codec, records, signals, slot)
+
+
+def _records(codec: Codec, frames: Sequence[Any], fd: bool) -> Iterator[list[bytes]]:
+    """Yield the payloads of each record."""
+    step = 1 if fd else codec.layout.pages
+    for i in range(0, len(frames), step):
+        yield [frame.data for frame in frames[i : i + step]]
+
+
+def _message(database: Database, frame: Any) -> Message:
+    """Return the message with the CAN ID of a frame."""
+    for message in database.messages:
+        if (message.frame_id, message.is_extended_frame) == (frame.can_id, frame.is_extended):
+            return message
+    raise WrongResultError(f"no message has the CAN ID {frame.can_id:#x}")
+
+
+def _decoded(message: Message, payloads: list[bytes]) -> dict[str, Any]:
+    """Return the physical values of a record as cantools decodes them."""
+    signals: dict[str, Any] = {}
+    for payload in payloads:
+        if len(payload) != message.length:
+            raise WrongResultError(f"{message.name} has {message.length} bytes, got {len(payload)}")
+        signals |= message.decode(payload, decode_choices=False)  # type: ignore[arg-type]
+    return signals
+
+
+def _check_records(
+    codec: Codec, records: list[bytes], witness: list[dict[str, Any]], slot: Slot
+) -> None:
+    """Compare decoded records with the physical values that cantools decodes."""
+    batch = codec.decode_batch(np.array([list(record) for record in records], np.uint8), slot=slot)
+    if not batch.accepted.all():
+        raise WrongResultError(f"decode_batch rejects: {dict(batch.rejects)}")
+    columns = {
+        **dict(zip(PARAMETER_SIGNALS, batch.mean.T, strict=True)),
+        "Status": batch.status,
+        "Kind": batch.kind,
+        "XMin": batch.x_min,
+        "XMax": batch.x_max,
+        "Age": batch.age * 1000,
+        "ComponentIndex": batch.component_index,
+        "ComponentCount": batch.component_count,
+        "ComponentWeight": batch.component_weight,
+        "Counter": batch.counter,
+    }
+    greatest_age = codec.layout["Age"].physical_range[1]
+    for i, (record, signals) in enumerate(zip(records, witness, strict=True)):
+        expected = {name: signals[name] for name in columns}
+        if batch.status[i] == Status.OUT_OF_RANGE:  # then its range may be empty
+            expected["XMin"] = min(signals["XMin"], signals["XMax"])
+        if signals["Age"] >= greatest_age:  # "too old"
+            expected["Age"] = np.inf
+        for name, value in expected.items():
+            _equal(name, columns[name][i], value)
+        one: Any = codec.read_record(record, slot)
+        if (one.line.gaussian.mean != batch.mean[i]).any() or one.counter != batch.counter[i]:
+            raise WrongResultError("read_record differs from decode_batch")
+        if batch.status[i] not in (Status.UNKNOWN, Status.OUT_OF_RANGE):
+            by_hand = covariance_by_hand(signals, codec)
+            if not np.allclose(by_hand, batch.cov[i], rtol=1e-9, atol=0):
+                raise WrongResultError("the covariance is not that of the signals")
+
+
+def covariance_by_hand(signals: Any, codec: Codec) -> Any:
+    """Return the covariance from the signals that cantools decodes, as in dbc/README.md."""
+    order = codec.covariance.factor.order  # type: ignore[attr-defined]
+    names = [PARAMETER_SIGNALS[i] for i in order]
+    L = np.zeros((4, 4))
+    for i, row in enumerate(names):
+        L[i, i] = 2.0 ** signals[f"Pivot{row}"]
+        for j, column in enumerate(names[:i]):
+            L[i, j] = signals[f"Ratio{row}{column}"] * L[i, i]
+    cov = np.empty((4, 4))
+    cov[np.ix_(order, order)] = 2.0 ** signals["Inflation"] * L @ L.T
+    return cov
+
+
+def _equal(name: str, value: float, expected: float) -> None:
+    if value != expected and abs(value - expected) > 1e-12 * abs(expected):
+        raise WrongResultError(f"{name} is {expected!r}, decoded as {value!r}")
+
+
+def check_line(codec: Codec, given: MapLine, got: MapLine) -> None:
+    """Check what the codec promises of a line that was sent and received."""
+    layout = codec.layout
+    if (got.slot, got.kind) != (given.slot, given.kind):
+        raise WrongResultError(f"{got.slot!r} {got.kind!r}, sent {given.slot!r} {given.kind!r}")
+    if not got.age >= given.age:
+        raise WrongResultError(f"the age is {got.age}, sent {given.age}")
+    if given.status is Status.OUT_OF_RANGE and got.status is not Status.OUT_OF_RANGE:
+        raise WrongResultError(f"a line that must not be used has the status {got.status.name}")
+    if got.status is Status.OUT_OF_RANGE:
+        return
+    if given.status is not Status.FULL and got.status not in (given.status, Status.SATURATED):
+        raise WrongResultError(f"the status is {got.status.name}, requested {given.status.name}")
+    _check_range(given, got)
+    steps = np.array([abs(layout[name].factor) for name in PARAMETER_SIGNALS])
+    d = given.gaussian.mean - got.gaussian.mean
+    if got.status is Status.UNKNOWN:
+        if (np.abs(d) > 0.51 * steps).any():
+            raise WrongResultError(f"the mean is off by {dict(zip(PARAMETERS, d, strict=True))}")
+        return
+    pairs = [(given.gaussian, got.gaussian)]
+    if given.mixture is not None and got.mixture is not None:
+        pairs += zip(given.mixture.components, got.mixture.components, strict=True)
+    for sent, received in pairs:
+        cov = np.diag(sent.cov.diagonal()) if got.status is Status.DIAGONAL else sent.cov
+        if given.status is Status.DIAGONAL:
+            cov = np.diag(sent.cov.diagonal())
+        d = sent.mean - received.mean
+        sigma = np.sqrt(received.cov.diagonal())
+        excess = (received.cov - cov - np.outer(d, d)) / np.outer(sigma, sigma)
+        if not np.linalg.eigvalsh(excess)[0] >= -1e-9:
+            raise WrongResultError(f"overconfident: {np.linalg.eigvalsh(excess)[0]:g}")
+
+
+def _check_range(given: MapLine, got: MapLine) -> None:
+    if got.x_min < given.x_min or got.x_max > given.x_max:
+        raise WrongResultError(
+            f"the range is [{got.x_min:g}, {got.x_max:g}] m, sent [{given.x_min:g}, "
+            f"{given.x_max:g}] m, {got.status.name}"
+        )
+
+
+def _check_authenticated(
+    codec: Codec, database: Database, lines: Sequence[MapLine], slot: Slot
+) -> None:
+    now = 1_750_000_000_000_000_000
+
+    def clock() -> int:
+        return now
+
+    secured = Codec(codec.layout, Authenticator(Key(SECRET, key_id=5), clock=clock))
+    decoder = secured.decoder()
+    for line in lines:
+        now += CYCLE_NS
+        (frame,) = secured.encode(line, fd=True)
+        signals: Any = _message(database, frame).decode(frame.data, decode_choices=False)
+        _equal("KeyId", 5, signals["KeyId"])
+        bits = 8 * codec.layout.secured.freshness_bytes if codec.layout.secured else 0
+        _equal("Freshness", now // 1000 % 2**bits, signals["Freshness"])
+        answer = decoder.feed(frame.can_id, frame.data, now, is_extended=frame.is_extended)
+        if not isinstance(answer, MapLine) or answer.slot is not slot:
+            raise WrongResultError(f"an authenticated line is not delivered: {answer}")
+        check_line(codec, line, answer)
+
+
+def _must(error: type[Exception], call: Any, *args: Any, **keywords: Any) -> None:
+    try:
+        call(*args, **keywords)
+    except error:
+        return
+    raise WrongResultError(f"{call.__name__} must raise {error.__name__}")
