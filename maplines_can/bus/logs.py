@@ -102,9 +102,15 @@ def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
     Raises:
         LogError: the file does not exist or its format is unknown (raised by the call), or it is
             damaged (raised after the last good frame).
+        TypeError: the source is neither a path nor such a stream.
         MissingExtraError: .mf4 without the package asammdf.
     """
     if not isinstance(source, str | PathLike):
+        if not hasattr(source, "peek"):
+            raise TypeError(
+                "source must be a path, or a stream of bytes with peek, such as "
+                f"sys.stdin.buffer, got a {type(source).__name__}"
+            )
         return _read_any(cast(io.BufferedReader, source), str(getattr(source, "name", "stream")))
     path = Path(source)
     suffix, compressed = path.suffix.lower(), False

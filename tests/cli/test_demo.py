@@ -120,7 +120,7 @@ def test_the_number_of_components_is_printed(
     assert main([*send, *turn]) == 0
     out, err = capsys.readouterr()
     for text in (out, err):
-        assert "5 components, nonlinearity 0.87, 0.26 within each of them" in text
+        assert "5 components, nonlinearity 0.87, 0.18 within each of them" in text
     assert main([*send, *turn, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
     assert [line["components"] for line in result["components"]] == [4, 5]

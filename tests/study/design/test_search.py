@@ -368,7 +368,7 @@ def test_the_command_reads_a_user_s_file(
     [
         (["--frames", "4", "--range", "y_off"], "must be numbers of y_off"),
         (["--frames", "4", "--range", "x=3"], "must be numbers of y_off"),
-        (["--frames", "four"], "invalid int value"),
+        (["--frames", "four"], "must be a whole number from 1 to 8"),
     ],
 )
 def test_invalid_arguments_exit(
