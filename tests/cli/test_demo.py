@@ -123,7 +123,7 @@ def test_the_number_of_components_is_printed(
         assert "5 components, nonlinearity 0.87, 0.18 within each of them" in text
     assert main([*send, *turn, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert [line["components"] for line in result["components"]] == [4, 5]
+    assert [line["components"] for line in result["components"]] == [5, 5]
     assert result["frames"] / result["lines"] > 4
 
 
