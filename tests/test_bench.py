@@ -1,5 +1,6 @@
 """The benchmark runs, reports what it measured, and compares equal results only."""
 
+import gc
 import importlib.util
 import json
 from collections.abc import Iterator
@@ -12,7 +13,7 @@ TARGETS = {"refit": 3, "scene": 2, "signals": 2, "batch": 2, "one": 0}
 
 
 @pytest.fixture
-def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
+def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """The tool as a module, with tiny sizes."""
     pytest.importorskip("filterpy")
     path = Path(__file__).parents[1] / "tools" / "bench.py"
@@ -25,7 +26,9 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
     spec.loader.exec_module(module)
     tiny = module.Sizes(poses=16, lines=8, singles=8, rounds=2, seconds=0.0)
     monkeypatch.setattr(module, "QUICK", tiny)
-    return module
+    gc.freeze()  # the tool collects garbage before each turn; that of other tests takes long
+    yield module
+    gc.unfreeze()
 
 
 def test_every_part_gives_a_row_for_each_of_its_targets(
