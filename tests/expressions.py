@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import sys
 from collections.abc import Iterator
@@ -65,6 +66,7 @@ def _objects() -> dict[str, Any]:
         "eye": np.eye,
         "full": np.full,
         "zeros": np.zeros,
+        "Queue": asyncio.Queue,
         "codec": codec,
         "layout": codec.layout,
         "one": one,

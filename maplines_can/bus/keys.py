@@ -25,11 +25,12 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
         KeyMaterialError: the file cannot be read, is readable by everybody, or holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
-    path = Path(path)
-    if KEY_LIKE.search(path.name) and not os.path.exists(path):
-        del path  # a traceback may show local variables
-        raise KeyMaterialError(_TYPED.format("a file"))
     try:
+        if not isinstance(path, str | Path):
+            raise KeyMaterialError(f"path must be a str or a Path, got a {type(path).__name__}")
+        path = Path(path)
+        if KEY_LIKE.search(path.name) and not os.path.exists(path):
+            raise KeyMaterialError(_TYPED.format("a file"))
         mode = path.stat().st_mode
         if os.name != "nt" and mode & stat.S_IROTH:  # the mode means nothing on Windows
             raise KeyMaterialError(
@@ -40,6 +41,8 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
         return Key.from_hex(path.read_bytes().decode("ascii", "replace"), key_id, str(path))
     except OSError as error:
         raise KeyMaterialError(f"{path}: cannot be read: {error.strerror or error}") from error
+    finally:
+        del path, key_id  # a traceback may show the locals
 
 
 def key_from_env(name: str, key_id: int = 1) -> Key:
@@ -51,12 +54,16 @@ def key_from_env(name: str, key_id: int = 1) -> Key:
         KeyMaterialError: the variable is not set, or holds no key.
         MissingExtraError: the package cryptography is not installed.
     """
-    if name not in os.environ:
+    try:
+        if not isinstance(name, str):
+            raise KeyMaterialError(f"name must be a str, got a {type(name).__name__}")
+        if name in os.environ:
+            return Key.from_hex(os.environ[name], key_id, f"environment variable {name}")
         if KEY_LIKE.search(name):
-            del name  # a traceback may show local variables
             raise KeyMaterialError(_TYPED.format("an environment variable"))
         raise KeyMaterialError(f"environment variable {name} is not set; it must hold the key")
-    return Key.from_hex(os.environ[name], key_id, f"environment variable {name}")
+    finally:
+        del name, key_id  # a traceback may show the locals
 
 
 def without_keys(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from inspect import iscoroutinefunction
 from typing import NamedTuple
 
 import can
@@ -57,6 +58,7 @@ class LineListener(can.Listener):
 
     Raises:
         ValueError: ``queue_size`` is less than 1.
+        TypeError: ``decoder`` is no decoder, or ``on_line`` is no plain function.
 
     >>> from maplines_can import Codec, MapLine
     >>> codec = Codec.from_dbc()
@@ -76,6 +78,13 @@ class LineListener(can.Listener):
         on_line: Callable[[MapLine], object] | None = None,
         queue_size: int = 256,
     ) -> None:
+        if not hasattr(decoder, "feed"):
+            raise TypeError(f"decoder must be a Decoder, such as codec.decoder(), got {decoder!r}")
+        if on_line is not None and (not callable(on_line) or iscoroutinefunction(on_line)):
+            raise TypeError(
+                "on_line must be a plain function, not a coroutine function, such as the "
+                f"put_nowait of an asyncio.Queue, got {on_line!r}"
+            )
         if queue_size < 1:
             raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
         self._decoder, self._on_line = decoder, on_line

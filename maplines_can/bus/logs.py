@@ -348,6 +348,8 @@ def _check_id(can_id: int) -> None:
 
 def _text(error: Exception) -> str:
     text = " ".join(str(error).split())
+    if text and type(error) is ValueError:
+        return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 

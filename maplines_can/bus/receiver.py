@@ -45,7 +45,8 @@ class Receiver(BackgroundThread):
             without filters of your own means that all frames pass and are counted.
 
     Raises:
-        TypeError: ``link`` is neither a link nor a bus.
+        TypeError: ``link`` is neither a link nor a bus, ``decoder`` is no decoder, or
+            ``on_line`` is no plain function.
         ValueError: ``queue_size`` is less than 1, or ``can_ids`` is empty.
     """
 
@@ -58,6 +59,7 @@ class Receiver(BackgroundThread):
         queue_size: int = 256,
         can_ids: Collection[int] | Literal["decoder"] | None = "decoder",
     ) -> None:
+        self._listener = LineListener(decoder, on_line=on_line, queue_size=queue_size)
         self._link = link_of(link)
         self._can_ids = decoder.can_ids if can_ids == "decoder" else can_ids
         if self._can_ids is not None and (isinstance(self._can_ids, str) or not self._can_ids):
@@ -65,7 +67,6 @@ class Receiver(BackgroundThread):
                 "can_ids must be 1 CAN ID or more, 'decoder' for those of its DBC, or None for "
                 f"all frames, got {can_ids!r}"
             )
-        self._listener = LineListener(decoder, on_line=on_line, queue_size=queue_size)
         super().__init__("maplines receive", on_end=self._listener.stop)
 
     def get(self, timeout: float | None = None) -> MapLine | None:

@@ -71,7 +71,7 @@ class Transmitter(BackgroundThread):
         clock: a monotonic clock [s].
 
     Raises:
-        TypeError: ``link`` is neither a link nor a bus.
+        TypeError: ``link`` is neither a link nor a bus, or ``codec`` is no codec.
         ValueError: ``period``, ``count`` or ``max_age`` is out of range.
         BusError: ``fd`` on a link without CAN FD.
     """
@@ -87,6 +87,8 @@ class Transmitter(BackgroundThread):
         max_age: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        if not hasattr(codec, "encode_lines"):
+            raise TypeError(f"codec must be a Codec, such as Codec.from_dbc(), got {codec!r}")
         if not 0.001 <= period <= 3600:
             raise ValueError(f"period must be in [0.001, 3600] s, got {period!r} s")
         if count is not None and count < 1:

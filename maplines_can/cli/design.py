@@ -89,7 +89,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         dest="ranges",
         type=_of_states,
         default={},
-        metavar="STATE=END,...",
+        metavar="PARAMETER=END,...",
         help="ends of the mean's ranges: y_off [m], beta [rad], c0 [1/m], c1 [1/m^2] "
         "(default: those of the DBC of this package, y_off=32,beta=0.5,c0=0.125,c1=0.03125)",
     )
@@ -98,7 +98,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         dest="sigmas",
         type=_of_states,
         default={},
-        metavar="STATE=MOST,...",
+        metavar="PARAMETER=MOST,...",
         help="greatest standard deviations (default: twice the greatest of the set)",
     )
     add("--keep-mean", action="store_true", help="leave the mean as in the DBC of this package")
@@ -107,7 +107,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         type=positive,
         default=Targets.max_lateral,
         metavar="M",
-        help="largest effect of rounding the mean on the lateral position at 80 m [m]; "
+        help="largest effect of rounding the mean on the lateral position at 80 m [m] "
         f"(default: {Targets.max_lateral:g})",
     )
     add(

@@ -49,6 +49,7 @@ class Codec:
     Raises:
         LayoutError: the covariance code is unknown, or there is an authenticator but the DBC has
             no authenticated message, or too short a freshness value for it.
+        TypeError: ``authenticator`` is something else, such as a key.
 
     >>> codec = Codec.from_dbc()
     >>> payload = codec.encode_batch([[1.75, 0, 0, 0]], [np.diag([0.01, 1e-4, 1e-8, 1e-12])])
@@ -66,6 +67,14 @@ class Codec:
         codes: Mapping[str, type[CovarianceCode]] = CODES,
     ) -> None:
         self.layout = layout
+        self.authenticator: Authenticator | None = None
+        if not isinstance(authenticator, Authenticator | None):
+            strange = type(authenticator).__name__
+            del authenticator  # it may be a secret
+            raise TypeError(
+                f"authenticator must be an Authenticator, or None, got a {strange}; "
+                "Authenticator(key, clock=time.time_ns) makes one of a Key"
+            )
         self.authenticator = authenticator
         if layout.covariance_code not in codes:
             raise LayoutError(
@@ -100,6 +109,7 @@ class Codec:
         Raises:
             LayoutError: the file is missing, or the DBC does not describe a map line; the message
                 says which signal or message needs what.
+            TypeError: ``dbc`` or ``authenticator`` is of another class.
 
         >>> database = cantools.database.load_file("dbc/maplines.dbc")  # doctest: +SKIP
         >>> Codec.from_dbc(database)  # doctest: +SKIP
@@ -107,7 +117,10 @@ class Codec:
         """
         if dbc is None and authenticator is not None:
             dbc = default_dbc_path("maplines-secoc.dbc")
-        return cls(Layout.from_dbc(dbc), authenticator, codes)
+        try:
+            return cls(Layout.from_dbc(dbc), authenticator, codes)
+        finally:
+            del authenticator  # a traceback may show the locals
 
     def __repr__(self) -> str:
         secured = "" if self.authenticator is None else ", authenticated"

@@ -15,7 +15,7 @@ from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError
         ('Codec.from_dbc("/dev/zero")', LayoutError, "/dev/zero"),
         ("Codec.from_dbc(7)", WRONG_CLASS, "."),
         ("Codec(None)", WRONG_CLASS, "."),
-        ('Codec(layout, "key")', LayoutError, "SecOCDataId"),
+        ('Codec(layout, "key")', TypeError, "authenticator must be an Authenticator.*a str"),
         ("codec.encode_batch([[nan, 0, 0, 0]])", ValueError, "means.*nan"),
         ("codec.encode_batch([[0, 0, 0]])", ValueError, "means.*1, 3"),
         ("codec.encode_batch([0, 0, 0, 0])", ValueError, "means.*4,"),

@@ -1,5 +1,7 @@
 """Keys from files and from the environment."""
 
+import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +10,7 @@ from secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
 
 from maplines_can.bus import key_from_env, key_from_file
 from maplines_can.errors import KeyMaterialError
-from maplines_can.wire import Key
+from maplines_can.wire import Codec, Key
 
 HEX = SECRET.hex()
 
@@ -64,3 +66,36 @@ def test_an_existing_file_or_variable_may_look_like_a_key(
     path = key_file(tmp_path, HEX.encode()).rename(tmp_path / f"{OTHER.hex()}.key")
     monkeypatch.setenv("F47AC10B58CC4372A5670E02", HEX)
     assert key_from_file(path) == key_from_env("F47AC10B58CC4372A5670E02") == Key(SECRET)
+
+
+def _reads_a_key(path: Path, wrong: Any) -> list[Callable[[], object]]:
+    """Calls with a secret in the place of another argument."""
+    return [
+        lambda: key_from_file(wrong),
+        lambda: key_from_env(wrong),
+        lambda: key_from_file(path, wrong),
+        lambda: key_from_file(path.with_name("none"), wrong),
+        lambda: key_from_env("HOME", wrong),
+        lambda: Key.from_hex(HEX, wrong),
+        lambda: Codec.from_dbc(None, wrong),
+        lambda: Codec(Codec.from_dbc().layout, wrong),
+    ]
+
+
+@pytest.mark.parametrize("wrong", [HEX, HEX.encode(), SECRET, bytearray(SECRET)])
+@pytest.mark.parametrize("call", range(8))
+def test_no_argument_shows_a_secret(tmp_path: Path, call: int, wrong: Any) -> None:
+    """Neither the error nor a local variable of the package in its traceback."""
+    path = key_file(tmp_path, HEX.encode())
+    with pytest.raises((KeyMaterialError, TypeError), match=r"must|cannot|looks like") as caught:
+        _reads_a_key(path, wrong)[call]()
+    check_no_secret(str(caught.value))
+    for frame, _ in traceback.walk_tb(caught.tb):
+        if "maplines_can" in frame.f_globals.get("__name__", ""):
+            check_no_secret(repr(list(frame.f_locals.values())))
+
+
+def test_a_key_is_no_authenticator() -> None:
+    """The error says how to make one of it."""
+    with pytest.raises(TypeError, match=r"got a Key; Authenticator\(key, clock=time.time_ns\)"):
+        Codec.from_dbc(None, Key(SECRET))  # type: ignore[arg-type]

@@ -18,7 +18,7 @@ from cantools.database.can import Signal as DbcSignal
 from ...errors import LayoutError
 from ...line import Kind, Slot, Status
 from .dbc_limits import LARGEST_DBC, check_numbers
-from .requirements import REQUIREMENTS, bits_of, check, pages_of
+from .requirements import LEAST_FRESHNESS_BYTES, REQUIREMENTS, bits_of, check, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import FD_LENGTHS, LONGEST_MS, SecuredLayout, SlotMessages
 
@@ -230,6 +230,7 @@ def _secured_layout(message: Message, source: str) -> SecuredLayout:
     signals = {signal.name: signal for signal in message.signals}
     end, sizes = message.length, {}
     for name, most in reversed(SECURED_SIGNALS.items()):
+        least = LEAST_FRESHNESS_BYTES if name == "Freshness" else 1
         signal = signals.get(name)
         size, odd_bits = divmod(signal.length if signal else 0, 8)
         end -= size
@@ -241,9 +242,10 @@ def _secured_layout(message: Message, source: str) -> SecuredLayout:
             or signal.start != 8 * end + (7 if motorola else 0)
             or not (motorola or size == 1)
         ):
+            size_text = "1 byte" if most == 1 else f"{least} to {most} bytes"
             raise LayoutError(
                 f"{where}: must end with {', '.join(SECURED_SIGNALS)}, in Motorola byte order and "
-                f"of whole bytes; {name} must have 1 to {most} bytes"
+                f"of whole bytes; {name} must have {size_text}, and end in byte {end + size - 1}"
             )
         sizes[name] = size
     for name in SECURED_SIGNALS:

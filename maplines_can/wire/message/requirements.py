@@ -270,6 +270,12 @@ RELATIONS: Sequence[Relation] = (
         f"widen it, or shorten {TRANSFER_ID}",
     ),
     Relation(
+        "XMax",
+        "an end above the start of XMin, or no valid range could be stated",
+        lambda signals: signals["XMax"].physical_range[1] > signals["XMin"].physical_range[0],
+        "correct their factors, offsets and ranges",
+    ),
+    Relation(
         "ComponentIndex",
         "a range up to the greatest ComponentCount less 1",
         lambda signals: signals["ComponentIndex"].raw_max >= _most_components(signals) - 1,

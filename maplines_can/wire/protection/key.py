@@ -112,7 +112,7 @@ AES-256), got 4 characters
                 )
             return cls(bytes.fromhex(text), key_id)
         finally:
-            del text  # a traceback may show the locals
+            del text, key_id  # a traceback may show the locals
 
     def mac(self, data: bytes) -> bytes:
         """Return the full AES-CMAC of the data, 16 bytes."""

@@ -69,6 +69,9 @@ def refusal(*edits: tuple[str, str]) -> str:
         pytest.param((r"(Page\d? .*)\(1,0\)", r"\1(1,1)"), "offset 0", id="page-offset"),
         pytest.param((r"(YOff .*)\(0.0009765625,0\)", r"\1(0,0)"), "other than 0", id="factor-0"),
         pytest.param((r"(YOff .*)\[[^]]*\]", r"\1[5|-5]"), "[min|max]", id="min-above-max"),
+        pytest.param(
+            (r"(XMax .*)\(8,0\) \[[^]]*\]", r"\1(8,-400) [0|0]"), "no valid range", id="x-max-low"
+        ),
         pytest.param((r"(PivotC1 .*)\(0.054,-32\)", r"\1(-0.054,-4)"), "positive", id="pivot"),
         pytest.param(
             (r'BA_ "E2EDataId" (BO_ \d+) \d+', r'BA_ "E2EDataId" \1 7'),

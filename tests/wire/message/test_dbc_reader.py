@@ -97,7 +97,7 @@ ROOT = Path(__file__).parents[3]
     ("pattern", "replacement", "message"),
     [
         (r"SG_ Mac : 327\|64@0", "SG_ Mac : 320|64@1", "must end with KeyId, Freshness, Mac"),
-        (r"SG_ KeyId : 263\|8@0", "SG_ KeyId : 263|7@0", "KeyId must have 1 to 1 bytes"),
+        (r"SG_ KeyId : 263\|8@0", "SG_ KeyId : 263|7@0", "KeyId must have 1 byte,"),
         (r"SG_ Freshness :.*\n", "", "must end with KeyId, Freshness, Mac"),
         (r"EgoLeftSecOc: 48", "EgoLeftSecOc: 64", "must end with KeyId, Freshness, Mac"),
         (
