@@ -262,7 +262,9 @@ class SequenceCheck:
     def _why_not_new(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
         """Return why a record ``behind`` the last new one is not delivered; None if it is new."""
         is_duplicate = self._history.is_duplicate(counter, content, behind)
-        if is_duplicate and self._history.mark_duplicated(counter, behind):
+        # Farther back, it may be of a sender that restarted in a car that stands.
+        is_near = behind <= self._max_delta
+        if is_duplicate and is_near and self._history.mark_duplicated(counter, behind):
             self._conflict.duplicate(t_ns)
         if behind < self._span:
             if not is_duplicate:
