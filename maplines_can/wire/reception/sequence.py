@@ -18,6 +18,10 @@ OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 RESTART_RECORDS = 3
 #: A sender may be early by this much [cycles].
 JITTER_CYCLES = 0.5
+#: The time between two lines is a mean over about this many.
+MEAN_LINES = 8
+#: A sender may be faster than the cycle time by this factor.
+FASTEST = 10
 
 
 class SlotStats(NamedTuple):
@@ -56,7 +60,8 @@ class SequenceCheck:
     - ``span`` is the number of records (mixture components) of the line that was delivered last;
     - ``most`` is how far ahead a newer record can be: ``max_delta``, or if that is more, the
       records that a sender can have sent since the last new one. These are ceil(cycles since then
-      + 0.5) lines of the greatest number of components seen, and less than half of ``modulus``.
+      + 0.5) lines of the greatest number of components seen, and less than half of ``modulus``. A
+      cycle is ``cycle_ns``, or the mean time between two lines of a faster sender.
 
     ======================================= ============================= ========== =============
     counter                                 content                       decision   E2E status
@@ -102,9 +107,9 @@ class SequenceCheck:
       sender that restarted. If eight follow in sequence, the slot becomes VALID.
     - Lateness counts modulo ``modulus``: 256 records more look the same.
 
-    A sender that is faster than ``cycle_ns`` exceeds ``most`` only after it has lost more than
-    ``max_delta`` records in a row; its records are then dropped until the window is over. If the
-    clock stands still, they are dropped until the counter comes round. With authentication each
+    A sender that loses more records in a row than ``most``, because it is more than ten times
+    faster than ``cycle_ns`` or has just become faster, is dropped until the window is over. If the
+    clock stands still, it is dropped until the counter comes round. With authentication each
     record is newer than the last one: ``most`` is half of ``modulus``, and any other is a restart.
 
     Two decisions go beyond AUTOSAR; both err on the safe side:
@@ -150,6 +155,8 @@ class SequenceCheck:
         self._span = 1  # records of the line delivered last; 1 while a later line is incomplete
         self._longest_line = 1  # greatest number of records of a line so far
         self._duplicated_frames = 0  # since the last new record
+        self._line_ns = float(cycle_ns)  # mean time between two lines in sequence
+        self._line: tuple[int, int] | None = None  # counter and time of the last line
 
     @property
     def state(self) -> E2EState:
@@ -206,6 +213,11 @@ class SequenceCheck:
         """Note that the last record completed a line of this many records."""
         self._span = records
         self._longest_line = max(self._longest_line, records)
+        if self._last is None:
+            return
+        if self._line is not None and (self._last - self._line[0]) % self._modulus == records:
+            self._line_ns += (abs(self._new_ns - self._line[1]) - self._line_ns) / MEAN_LINES
+        self._line = self._last, self._new_ns
 
     def failed(self, t_ns: int) -> None:
         """Count a damaged record or frame as an ERROR check."""
@@ -262,7 +274,9 @@ class SequenceCheck:
     def _why_not_new(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
         """Return why a record ``behind`` the last new one is not delivered; None if it is new."""
         is_duplicate = self._history.is_duplicate(counter, content, behind)
-        if is_duplicate and self._history.mark_duplicated(counter, behind):
+        # Farther back, it may be of a sender that restarted in a car that stands.
+        is_near = behind <= self._max_delta
+        if is_duplicate and is_near and self._history.mark_duplicated(counter, behind):
             self._conflict.duplicate(t_ns)
         if behind < self._span:
             if not is_duplicate:
@@ -288,7 +302,8 @@ class SequenceCheck:
         half = self._modulus // 2 - 1
         if self._is_authentic:
             return half
-        lines = math.ceil(abs(t_ns - self._new_ns) / self.cycle_ns + JITTER_CYCLES)
+        line_ns = min(max(self._line_ns, self.cycle_ns / FASTEST), self.cycle_ns)
+        lines = math.ceil(abs(t_ns - self._new_ns) / line_ns + JITTER_CYCLES)
         return min(half, max(self._max_delta, lines * max(self._longest_line, records)))
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:

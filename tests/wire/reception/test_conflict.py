@@ -8,7 +8,7 @@ from dbcs import default_codec
 from e2e_streams import MS, mixture_frames
 
 from maplines_can.line import Kind, MapLine, Slot
-from maplines_can.wire import E2EState, Monitor, Reason
+from maplines_can.wire import E2EConfig, E2EState, Monitor, Reason, SequenceCheck
 from maplines_can.wire.reception.conflict import SenderConflict
 
 SLOT, CYCLE_NS = Slot.EGO_LEFT, 50_000_000
@@ -173,3 +173,16 @@ def test_a_second_sender_is_forgotten_after_256_cycles(later: float, confirmed: 
     assert detector.is_confirmed is confirmed
     if not confirmed:
         assert not any(conflicts(detector, [1010.0 + i for i in range(7)]))
+
+
+@pytest.mark.parametrize(("records", "lines"), [(8, 20), (4, 40)])
+def test_a_sender_that_restarts_at_standstill_is_not_two_senders(records: int, lines: int) -> None:
+    """All lines are bit-identical, so those after the restart have come before: far behind."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE_NS)
+    for run in range(2):  # the second at once after the first
+        for i in range(lines * records):
+            t_ns = (run * lines + i // records) * CYCLE_NS
+            check.received(i, i, t_ns, records)
+            if (i + 1) % records == 0:
+                check.delivered(records)
+    assert (check.state, check.two_senders) == (E2EState.VALID, False)

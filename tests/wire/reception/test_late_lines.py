@@ -250,3 +250,23 @@ def test_an_authentic_record_is_newer_whatever_the_time() -> None:
     """Its freshness value says so."""
     check = SequenceCheck(E2EConfig(), 256, 4, CYCLE, is_authentic=True)
     assert [check.received(c, c, 0, 1) for c in (0, 100, 220, 90)] == [None] * 4
+
+
+@pytest.mark.parametrize("faster", [2, 5])
+@pytest.mark.parametrize("components", COMPONENTS)
+def test_a_sender_faster_than_the_cycle_loses_only_what_the_bus_loses(
+    components: int, faster: int
+) -> None:
+    """Its rate is learnt; a cycle time that is too long does not make its lines late ones."""
+    check, dropped = SequenceCheck(E2EConfig(), 256, 4, CYCLE), list[int]()
+    rng = np.random.default_rng(5)
+    most_lost = 120 // components - 2  # beyond, nothing tells a newer record from an older one
+    first = 0
+    for _ in range(100):
+        for line in range(first, first + 20):
+            for i in range(line * components, (line + 1) * components):
+                reason = check.received(i % 256, i, line * CYCLE // faster, components)
+                dropped += [] if reason is None else [line]
+            check.delivered(components)
+        first += 20 + int(rng.integers(1, min(most_lost, 8)))
+    assert dropped == []
