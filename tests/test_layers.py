@@ -3,6 +3,7 @@
 import ast
 import shutil
 from collections.abc import Iterator
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
@@ -76,12 +77,17 @@ def name_of(path: Path, package: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+parsed = cache(ast.parse)
+for _path in PACKAGE.rglob("*.py"):  # at import: after other tests, CPython 3.11 may fail to parse
+    parsed(_path.read_text())
+
+
 def imports(package: Path = PACKAGE) -> Iterator[Import]:
     """Yield all imports of all files."""
     modules = {name_of(path, package): path for path in package.rglob("*.py")}
     for name, path in sorted(modules.items()):
         parents = name.split(".") if path.name == "__init__.py" and name else name.split(".")[:-1]
-        tree = ast.parse(path.read_text())
+        tree = parsed(path.read_text())
         lazy = {
             id(node)
             for parent in ast.walk(tree)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Collection, Iterator
 from typing import Literal, Self
 
 import can
+from can.typechecking import CanFilters
 
 from ..line import MapLine, Slot
 from ..wire import Decoder, SlotStats, SlotView
@@ -34,8 +36,8 @@ class Receiver(BackgroundThread):
 
     Args:
         link: where to listen: a `Link`, or a python-can bus that is open. It stays open when the
-            receiver stops. Use one receiver for each: two would take each other's frames. A bus
-            is not reopened after an outage, see `Link`.
+            receiver stops, and a bus has its own filters again. Use one receiver for each: two
+            would take each other's frames. A bus is not reopened after an outage, see `Link`.
         decoder: turns frames into lines; used by the receiver's thread only.
         on_line: called by the thread with each line. While it runs, frames that arrive
             wait in the receive queue of the interface.
@@ -61,6 +63,8 @@ class Receiver(BackgroundThread):
     ) -> None:
         self._listener = LineListener(decoder, on_line=on_line, queue_size=queue_size)
         self._link = link_of(link)
+        self._bus = link if isinstance(link, can.BusABC) else None  # the caller's
+        self._bus_filters: CanFilters | None = None  # of the caller
         self._can_ids = decoder.can_ids if can_ids == "decoder" else can_ids
         if self._can_ids is not None and (isinstance(self._can_ids, str) or not self._can_ids):
             raise ValueError(
@@ -108,11 +112,17 @@ class Receiver(BackgroundThread):
     def start(self) -> Self:
         """Set the filter of the interface and start the thread; ``with`` calls this."""
         if self._can_ids is not None:
+            self._bus_filters = self._bus and self._bus.filters
             self._link.accept_only(self._can_ids)
         return self._start_thread()
 
     def _run(self) -> None:
-        while not self._stopping:
-            message = self._link.recv(POLL)
-            if message is not None:
-                self._listener(message)
+        try:
+            while not self._stopping:
+                message = self._link.recv(POLL)
+                if message is not None:
+                    self._listener(message)
+        finally:
+            if self._bus is not None and self._can_ids is not None:
+                with contextlib.suppress(can.CanError, OSError, ValueError):  # if it is shut down
+                    self._bus.set_filters(self._bus_filters)

@@ -48,6 +48,7 @@ class Transmitter(BackgroundThread):
     ``max_age``, the transmitter no longer vouches for it: the line is sent as "too old" (the
     greatest raw value of the DBC's Age) and counted as ``expired``, so that no receiver uses it,
     while the slot stays alive.  Publish at least once per ``max_age``, also for a long period.
+    Lines that are published before `start` wait for it.
 
     The value sent is the latest at encoding time: the deadline, or up to 0.1 s earlier together
     with another line (see ``TxQueue``).  Freshness is also stamped then.  The age that is sent is

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, NoReturn
@@ -38,6 +39,9 @@ class Parser(argparse.ArgumentParser):
         """Print usage and message, with anything that may be a key hidden, and exit."""
         from ..bus.keys import without_keys  # imports python-can, which --help does not need
 
+        if choice := re.search(r"invalid choice: '(.+)' \(choose from (.+)\)", message):
+            like = get_close_matches(choice[1], re.findall(r"[\w-]+", choice[2]), 1)
+            message += "".join(f"; did you mean {name}?" for name in like)
         super().error(without_keys(message))
 
 

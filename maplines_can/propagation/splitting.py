@@ -62,7 +62,7 @@ class Mixture:
     to the error of the transform within the parts, and is not overconfident.
 
     ``Quadrature(7)`` keeps that error small: in all scenes of this package the variance of the
-    mixture in its worst direction is at most 5 % too small. ``SigmaPoints()`` needs a fiftieth of
+    mixture in its worst direction is at most 6 % too small. ``SigmaPoints()`` needs a fiftieth of
     the points, but there that variance may be up to six times too small for 2 components, twice for
     3 and a fifth for 5. In a street turn with 10 deg of heading uncertainty a single Gaussian has a
     third of its mass on impossible lines; five components have about 4 %.

@@ -198,3 +198,17 @@ def test_a_socket_that_its_owner_closes_is_lost(vcan: str) -> None:
         assert link.recv(0.0) is None
         events.expect(False, "is lost (")
         assert link.send(FRAME) is Sent.DOWN
+
+
+def test_a_given_bus_gets_its_own_filters_back(channel: str) -> None:
+    """After stop, and also if it had filters of its own."""
+    for own in (None, [{"can_id": 1, "can_mask": 0x7FF}]):
+        with (
+            can.Bus(interface="virtual", channel=channel, can_filters=own) as bus,  # type: ignore[arg-type]
+            can.Bus(interface="virtual", channel=channel) as other,
+        ):
+            with Receiver(bus, Codec.from_dbc().decoder()):
+                assert {entry["can_id"] for entry in bus.filters or ()} > {832}
+            assert bus.filters == own
+            other.send(can.Message(arbitration_id=1, is_extended_id=False))
+            assert bus.recv(LONG) is not None
