@@ -26,12 +26,12 @@ class UnsuitableInterfaceError(BusError):
 class BusFactory:
     """Factory of python-can buses on one interface, and the properties of that interface.
 
-    A bus that is given open is used as it is. It belongs to the caller: it is never shut down here,
-    and `open` returns the same bus again.
+    An open bus may be given instead of a function. It belongs to the caller: it is never shut down
+    here, and `open` returns the same bus each time.
 
     Args:
         opener: function that returns a new open bus; called with the settings if there are any.
-            None for ``can.Bus``.  Or a bus that is open.
+            None for ``can.Bus``. An open bus is also accepted.
         settings: of ``can.Bus``. Settings that are None or missing are read from
             python-can's environment variables and configuration files. They are read only
             once, so that each bus is of the same interface.
@@ -91,7 +91,7 @@ class BusFactory:
             if filters:
                 bus.set_filters(filters)
         except _ERRORS as error:
-            if bus is not None:  # without its filters it is of no use
+            if bus is not None:  # it is useless without its filters
                 with contextlib.suppress(can.CanError, OSError):
                     self.close(bus)
             name = self.name or "the CAN interface"
@@ -107,7 +107,7 @@ class BusFactory:
         return bus
 
     def close(self, bus: can.BusABC) -> None:
-        """Shut a bus down, unless it was given open."""
+        """Shut a bus down, unless the caller opened it."""
         if not self.is_given:
             bus.shutdown()
 

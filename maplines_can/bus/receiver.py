@@ -33,9 +33,9 @@ class Receiver(BackgroundThread):
     is raised again by `get`, by the iteration, by `wait` and by `stop`.
 
     Args:
-        link: where to listen: a `Link`, or a python-can bus that is open. It stays open when the
-            receiver stops. Use one receiver for each: two would take each other's frames. A bus
-            is not reopened after an outage, see `Link`.
+        link: where to listen: a `Link` or an open python-can bus. It stays open when the receiver
+            stops. Use one receiver for each: two would take each other's frames. A bus is not
+            reopened after an outage, see `Link`.
         decoder: turns frames into lines; used by the receiver's thread only.
         on_line: called by the thread with each line. While it runs, frames that arrive
             wait in the receive queue of the interface.
