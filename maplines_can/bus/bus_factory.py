@@ -54,7 +54,7 @@ class BusFactory:
         if isinstance(opener, can.BusABC):
             if settings:
                 names = ", ".join(settings)
-                raise TypeError(f"a bus that is open takes no settings, got {names}")
+                raise TypeError(f"an open bus takes no settings, got {names}")
             given = opener
             self._opener: Callable[..., can.BusABC] = lambda: given
         elif not (opener is None or callable(opener)):
@@ -78,7 +78,9 @@ class BusFactory:
                 It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
         if self.is_given and self.is_deleted():
-            raise BusError(f"{self.name} was deleted; a bus that was given open stays lost")
+            raise BusError(
+                f"{self.name} was deleted, and an open bus of the caller is not reopened"
+            )
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
             error = BusError if problem.is_outage else UnsuitableInterfaceError

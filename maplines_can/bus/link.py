@@ -274,7 +274,7 @@ class Link:
     @property
     def _outlook(self) -> str:
         if self._factory.is_given:
-            return "it is tried again, but not reopened, because it was given open"
+            return "it is tried again, but not reopened, because the caller opened it"
         return "it is reopened as soon as it is back"
 
     def _pause_for(self, seconds: float) -> None:

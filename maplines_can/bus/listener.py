@@ -139,7 +139,7 @@ class LineListener(can.Listener):
         """Return the oldest line that waits.
 
         Args:
-            timeout: how long to wait for a line [s]; None for ever.
+            timeout: how long to wait for a line [s]; None for no limit.
 
         Returns:
             The line; None after the timeout, or if the listener is stopped and no line waits.
