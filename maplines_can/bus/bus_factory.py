@@ -79,7 +79,7 @@ class BusFactory:
         """
         if self.is_given and self.is_deleted():
             raise BusError(
-                f"{self.name} was deleted, and an open bus of the caller is not reopened"
+                f"{self.name} was deleted, and a bus of the caller is not reopened"
             )
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
