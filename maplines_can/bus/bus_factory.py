@@ -78,9 +78,7 @@ class BusFactory:
                 It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
         if self.is_given and self.is_deleted():
-            raise BusError(
-                f"{self.name} was deleted, and a bus of the caller is not reopened"
-            )
+            raise BusError(f"{self.name} was deleted, and a bus of the caller is not reopened")
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
             error = BusError if problem.is_outage else UnsuitableInterfaceError
