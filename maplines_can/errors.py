@@ -41,8 +41,8 @@ def missing_extra(what: str, extra: str) -> MissingExtraError:
     """Return the error for a package that is not installed, with the command that installs it.
 
     Args:
-        what: what needs which package.
-        extra: optional extra of this package that includes it.
+        what: the feature and the package that it needs.
+        extra: optional extra that includes the package.
 
     >>> print(missing_extra("authentication needs cryptography", "secoc"))
     authentication needs cryptography; install the extra "secoc": in a checkout of maplines_can,

@@ -82,8 +82,8 @@ class MapLine:
         kind: kind of marking or boundary.
         x_min: start of the valid range [m].
         x_max: end of the valid range [m].
-        age: time from the pose to the transmission [s]; infinite if it is too long to be stated, or
-            unknown: the sender does not vouch for the line.
+        age: time from the pose to the transmission [s]; infinite if the line is too old or its age
+            is unknown, so that the sender does not vouch for it.
         status: quality of the covariance.
         t_ns: reception time of the first frame of the line [ns]; None at the sender.
         mixture: distribution of the line if one Gaussian does not describe it well;
@@ -111,7 +111,7 @@ class MapLine:
         if not isinstance(self.gaussian, Gaussian):
             raise TypeError(
                 f"gaussian must be a Gaussian over {PARAMETERS}, got {_class_name(self.gaussian)}; "
-                "of a mean alone, MapLine.mean_only(slot, mean) makes a line"
+                "use MapLine.mean_only(slot, mean) for a mean without a covariance"
             )
         if self.gaussian.dimension != len(PARAMETERS):
             raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.dimension}-D")
@@ -161,9 +161,9 @@ class MapLine:
 
     @property
     def is_usable(self) -> bool:
-        """Whether the line fits the message and its age is known.
+        """Whether the line fitted the message and its age is finite.
 
-        If not, use neither its mean nor its covariance.
+        Do not use the mean or the covariance of a line that is not usable.
 
         >>> line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=0.04)
         >>> too_old = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=np.inf)

@@ -132,7 +132,7 @@ def test_the_figures_of_the_page() -> None:
     assert figures["met"]
     assert crossing["elsewhere"] == 0
     assert crossing["undetected"] == 2
-    assert "two are not" in page
+    assert "misses two of" in page
     assert tool.table() in page
     for count in counts:
         assert (f"{count:_}".replace("_", " ") if count > 9999 else str(count)) in page

@@ -1,12 +1,16 @@
 #!/usr/bin/env python3
-"""Load altered DBCs, and print for each field how many are right, refused and wrong.
+"""Load altered DBCs, and print how many of each field are right, refused and wrong.
 
-python tools/altered_dbc.py                     all fields and alterations, a few minutes
-python tools/altered_dbc.py Status Age --json   some fields, as JSON with all refusals
+    altered_dbc.py                     all fields and alterations, in four minutes
+    altered_dbc.py Status Age --json   some fields, as JSON with the text of each refusal
 
-An alteration is refused if loading raises a LayoutError that names the signal or a message. It is
-right if cantools, with the same altered DBC, reads the same values from all frames as the codec,
-and all lines arrive as promised. Anything else is wrong.
+An altered DBC is refused if loading it raises a LayoutError that names the signal or a message. It
+is right if cantools decodes the same values from all frames as the codec, and all lines arrive as
+promised. Anything else is wrong.
+
+Run it in the environment of the project: python3 tools/run.py python tools/altered_dbc.py
+
+The exit status is 1 if a result is wrong.
 """
 
 from __future__ import annotations
@@ -28,7 +32,7 @@ MESSAGES = "messages"
 
 
 class Outcome(NamedTuple):
-    """What became of an altered DBC."""
+    """Result of an altered DBC."""
 
     alteration: Alteration
     result: str  #: "right", "refused" or "wrong"
@@ -60,7 +64,7 @@ def alterations_of(field: str) -> Iterator[Alteration]:
 
 
 def table(outcomes: dict[str, list[Outcome]]) -> str:
-    """Return the numbers of each field and their sum as text."""
+    """Return the counts of each field and their sum as text."""
     rows = {field: [o.result for o in group] for field, group in outcomes.items()}
     rows["all"] = [result for results in rows.values() for result in results]
     lines = [f"{'field':<16}{'tried':>8}{'right':>8}{'refused':>9}{'wrong':>8}"]
@@ -71,8 +75,9 @@ def table(outcomes: dict[str, list[Outcome]]) -> str:
 
 
 def main() -> int:
+    """Print the counts, and what is wrong, and return the exit status."""
     parser = parser_of(__doc__)
-    parser.add_argument("field", nargs="*", help=f"signals, or {MESSAGES}; by default all")
+    parser.add_argument("field", nargs="*", help=f"signals, or {MESSAGES} (default: all)")
     parser.add_argument("--records", type=int, default=300, help="records in a row (default: 300)")
     parser.add_argument("--json", action="store_true", help="print each alteration as JSON")
     options = parser.parse_args()

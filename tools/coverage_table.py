@@ -3,7 +3,7 @@
 
     python3 tools/run.py coverage run -m pytest
     python3 tools/run.py python tools/coverage_table.py
-    python3 tools/run.py python tools/coverage_table.py --write   into docs/assurance.md, too
+    python3 tools/run.py python tools/coverage_table.py --write   also write docs/assurance.md
 
 The exit status is 1 if there is no data.
 """

@@ -1,6 +1,6 @@
-"""Altered DBCs: each field of the message with each alteration, and alterations of messages.
+"""Altered DBCs: each signal with each alteration, and alterations of messages.
 
-The original is ``dbc/maplines-secoc.dbc`` of two slots, with a fifth page for longer signals.
+The original is ``dbc/maplines-secoc.dbc`` with two slots and a fifth page for longer signals.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from maplines_can.wire.message.signals import SECURED_SIGNALS
 
 #: Slots of the original.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
-#: First free bit of the fifth page, at a byte boundary; 41 bits are free from there.
+#: Fifth page, and its first free bit at a byte boundary; 41 bits are free from there.
 ROOM_PAGE, ROOM = 4, 16
 
 _SIGNAL = re.compile(
@@ -68,7 +68,7 @@ class SignalLine:
         )
 
     def moved(self, length: int, order: str = "1") -> SignalLine:
-        """Return the signal with another length, at the free bits, over the range of its bits."""
+        """Return the signal with another length in the free bits, and the range of all its bits."""
         start = ROOM + (7 if order == "0" else 0)
         mux = f"m{ROOM_PAGE} " if self.mux else ""
         start += 0 if self.mux else 64 * ROOM_PAGE
@@ -76,7 +76,7 @@ class SignalLine:
         return replace(self, mux=mux, start=start, length=length, order=order, **ends)
 
     def scaled(self, by: float) -> SignalLine:
-        """Return the signal with factor, offset and range times a number."""
+        """Return the signal with factor, offset and range multiplied by a number."""
         ends = sorted((float(self.low) * by, float(self.high) * by))
         return replace(
             self,
@@ -171,21 +171,21 @@ def original(*slots: Slot) -> str:
 
 
 def fields() -> list[str]:
-    """Return the names of the signals of the original, without numbers of pages for ``Page``."""
+    """Return the names of the signals of the original; ``Page`` without the number of the page."""
     lines = map(SignalLine.parse, original().splitlines())
     return list(dict.fromkeys(field_of(line) for line in lines if line))
 
 
 def field_of(line: SignalLine) -> str:
-    """Return the name of a signal, without the number of the page for ``Page``."""
+    """Return the name of a signal; ``Page`` without the number of the page."""
     return re.sub(r"^Page\d$", "Page", line.name)
 
 
 def of_field(field: str) -> Iterator[Alteration]:
-    """Yield the alterations of a signal, the same ones in all messages."""
+    """Yield the alterations of a signal, each in all messages at once."""
     text = original(SLOTS[0])
     if field not in SECURED_SIGNALS:
-        text = _without(text, r"\w+SecOc")  # of_messages has it with all signals
+        text = _without(text, r"\w+SecOc")  # of_messages has the authenticated message
     for name, change in CHANGES.items():
         altered = changed(text, field, change)
         if name.startswith("float"):
@@ -199,7 +199,7 @@ def of_field(field: str) -> Iterator[Alteration]:
 def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str:
     """Return the text with a signal changed, in each message whose name matches.
 
-    If it is renamed or removed, its comments and values are removed.
+    If the signal is renamed or removed, its comments and value names are removed.
     """
     out: list[str] = []
     gone: set[str] = set()
@@ -232,7 +232,7 @@ def _places(text: str, field: str) -> Iterator[tuple[int, str]]:
 
 
 def _motorola(line: SignalLine) -> SignalLine:
-    """Return a signal mirrored into Motorola order: no two overlap if none did before."""
+    """Return a signal in Motorola order, mirrored within its bytes so that none overlap."""
     if line.name in ("Crc", "KeyId", "Freshness", "Mac"):
         return line
     return replace(line, start=line.start // 8 * 8 + 7 - line.start % 8, order="0")
@@ -257,7 +257,7 @@ def _foreign(text: str, message: str, classic: str, fd: str) -> str:
 
 
 def of_messages() -> Iterator[Alteration]:
-    """Yield the alterations of messages, their attributes, and of all signals together."""
+    """Yield the alterations of messages, of their attributes, and of all signals together."""
     text = original()
 
     def attribute(name: str, of: str, value: str) -> str:

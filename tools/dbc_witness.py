@@ -1,4 +1,4 @@
-"""Check of a codec against cantools with the same DBC, and against what the codec promises."""
+"""Check of a codec against cantools with the same DBC, and against its own promises."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ AGES = (0.0, 1e-4, 0.04, 0.2399, 0.24, 0.2401, 5.0, np.inf)
 
 
 class WrongResultError(Exception):
-    """A result of the codec that is not what the DBC or the promise says."""
+    """The codec's result differs from the DBC or from a promise."""
 
 
 def lines_of(slot: Slot, n: int, most_components: int) -> list[MapLine]:
@@ -60,10 +60,10 @@ def lines_of(slot: Slot, n: int, most_components: int) -> list[MapLine]:
 
 
 def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 24) -> None:
-    """Send n lines in each frame format, and ``records`` in a row, and check all that arrives.
+    """Send n lines in each frame format, and ``records`` in a row, and check what arrives.
 
     Raises:
-        WrongResultError: a result is wrong. Any other error is wrong, too.
+        WrongResultError: a result is wrong. Any other exception is also a wrong result.
     """
     for of_slot in codec.layout.messages.values():
         slot = of_slot.slot
@@ -193,7 +193,7 @@ def _equal(name: str, value: float, expected: float) -> None:
 
 
 def check_line(codec: Codec, given: MapLine, got: MapLine) -> None:
-    """Check what the codec promises of a line that was sent and received."""
+    """Check a received line against the one that was sent."""
     layout = codec.layout
     if (got.slot, got.kind) != (given.slot, given.kind):
         raise WrongResultError(f"{got.slot!r} {got.kind!r}, sent {given.slot!r} {given.kind!r}")

@@ -2,16 +2,16 @@
 """Compute the residual error probability of the checksum of a record, and rates per hour.
 
     evidence_residual.py           Hamming distance, undetected patterns, rates against two targets
-    evidence_residual.py --write   the same, into the table of docs/assurance.md
+    evidence_residual.py --write   also write the table of docs/assurance.md
 
 Run it in the environment of the project: python3 tools/run.py python tools/evidence_residual.py
 
 The checksum is CRC-16/CCITT over 240 transmitted bits and the 16 bits of the data ID, which are
-not transmitted; with itself that makes 256 transmitted bits. An error pattern is undetected if the
-syndromes of its bits add up to 0. The syndromes are those of the package's own checksum, and the
-numbers of undetected patterns are exact (MacWilliams' identity over the 2^16 checks).
+not transmitted; with the checksum itself, 256 bits are transmitted. An error pattern is undetected
+if the syndromes of its bits add up to 0. The syndromes are those of the package's own checksum, and
+the numbers of undetected patterns are exact (MacWilliams' identity over the 2^16 checks).
 
-Nothing is drawn at random. The exit status is 1 if a promise is missed.
+There are no random numbers. The exit status is 1 if a promise is missed.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MAC_BITS = 64
 
 
 def syndromes(record: int = RECORD, *, with_id: bool = False) -> NDArray[np.uint16]:
-    """Return the syndrome of each bit in the order of transmission: what its flip adds to the CRC.
+    """Return the change of the CRC by a flip of each bit, in the order of transmission.
 
     Args:
         record: length of the record [bytes].
@@ -155,7 +155,7 @@ def bursts(length: int, syndromes: NDArray[np.uint16]) -> Iterator[tuple[int, in
 
 
 def random_page(page: int, syndromes: NDArray[np.uint16]) -> Fraction:
-    """Return the share of undetected ones among all changes of one page."""
+    """Return the share of all changes of one page that are undetected."""
     rank, basis = 0, [0] * CRC_BITS
     for value in syndromes[PAGE_BITS * page : PAGE_BITS * (page + 1)].tolist():
         for bit in reversed(range(CRC_BITS)):
@@ -229,7 +229,7 @@ def summary() -> dict[str, Any]:
 
 
 def first(counts: Iterable[int]) -> int:
-    """Return the least number of flipped bits that can be undetected."""
+    """Return the Hamming distance: the least number of flipped bits that can be undetected."""
     return next(w for w, count in enumerate(counts) if w and count)
 
 
@@ -243,7 +243,7 @@ def table() -> str:
         "behind, 1e-6": "damaged behind the controllers: bit error probability 1e-6",
         "behind, 1e-5": "the same, 1e-5",
         "behind, 1e-4": "the same, 1e-4",
-        "behind, worst": "the same, the worst probability there is, slot VALID",
+        "behind, worst": "the same, worst bit error probability, slot VALID",
         "one random page": "one record an hour with a page of random or foreign content",
         "every record random": "every record random, such as by a faulty sender",
         "every record random, MAC": "the same with SecOC, a MAC of 64 bits",

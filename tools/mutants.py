@@ -38,7 +38,7 @@ FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 class Mutant(NamedTuple):
-    """A change of one place in a source file."""
+    """A change at one place of a source file."""
 
     function: str  #: qualified name of the function or class around it; "" at module level
     line: int
@@ -46,10 +46,10 @@ class Mutant(NamedTuple):
     mutated: str
     start: int  #: byte offsets of the original in the source
     end: int
-    #: Lines that a test must run to notice the change: those of the change itself, or of the body
-    #: of the function whose default argument it changes.
+    #: Lines that a test must run to detect the change: those of the change itself, or of the body
+    #: of the function whose default argument changes.
     lines: range
-    #: Names that a changed constant or class attribute has, where no function runs those lines.
+    #: Names of the constant or class attribute that changes outside a function.
     names: tuple[str, ...] = ()
 
     def apply(self, source: bytes) -> bytes:
@@ -58,7 +58,7 @@ class Mutant(NamedTuple):
 
 
 class _Scope(NamedTuple):
-    """What is around a node."""
+    """Context of a node."""
 
     name: str = ""
     in_function: bool = False
@@ -71,8 +71,8 @@ class _Scope(NamedTuple):
 def mutants(source: bytes) -> list[Mutant]:
     """Return all mutants of a source, in the order of their places.
 
-    Annotations, docstrings, texts, ``__repr__``, decorators, the messages of errors and the
-    ``strict`` of ``zip`` are left alone.
+    Annotations, docstrings, strings, ``__repr__``, decorators, error messages and the ``strict`` of
+    ``zip`` are not changed.
     """
     starts = [0]
     for line in source.splitlines(keepends=True):

@@ -1,27 +1,27 @@
 #!/usr/bin/env python3
-"""Mutation test: change one place of `wire/` or `bus/` at a time; the tests must notice.
+"""Mutation test: change one place of `wire/` or `bus/` at a time; the tests must fail.
 
     mutation.py                           a sample of 300 mutants
     mutation.py --sample 0                all of them: about 5000, most of a day
     mutation.py --sources maplines_can/wire/reception --sample 0     all of a folder or a file
 
-A mutant is a copy of the tree with one change: a comparison, an operator, a number, a condition, a
-default, a call or assignment left out (see mutants.py). It is killed if a test fails or does not
-end. The checkout itself is not changed.
+A mutant is a copy of the tree with one change to a comparison, an operator, a number, a condition,
+a default, a call or an assignment (see mutants.py). It is killed if a test fails or does not end.
+The checkout itself is not changed.
 
-The tests are run once with the lines that each of them covers. A mutant is then tested by those
-that cover its lines, the fastest first, until one fails; --budget bounds their time. A mutant that
-only slower tests would kill survives then.
+All tests are run once to record the lines that each of them covers. A mutant is then tested by
+those that cover its lines, the fastest first, until one fails. --budget limits their time, so a
+mutant that only slower tests would kill survives.
 
-The sample is drawn file by file, in proportion to the number of their mutants. Each seed gives
-another sample. Survivors are compared with tools/mutation_survivors.toml, which gives the reason
-of each survivor that is accepted; an accepted one still counts as a survivor.
+The sample has mutants of each file, in proportion to their number; each seed gives another sample.
+tools/mutation_survivors.toml has the reasons for accepted survivors. An accepted survivor still
+counts as a survivor.
 
-It takes 4 minutes for the lines, then 2 s for a mutant that is killed and up to --budget for one
-that survives: about half an hour for 300 on an idle core, twice that on a busy one.
+Recording the lines takes 4 minutes. Then a killed mutant takes 2 s, and a survivor up to --budget:
+about half an hour for 300 mutants on an idle core, twice that on a busy one.
+
 It needs Linux or macOS. Run it in the environment of the project:
-
-    python3 tools/run.py python tools/mutation.py
+python3 tools/run.py python tools/mutation.py
 
 The exit status is 1 if less than --least of the mutants are killed, or if the tests fail on the
 unchanged tree.
@@ -55,14 +55,14 @@ from reporting import parser_of, progress, report
 ROOT = Path(__file__).resolve().parents[1]
 #: Libraries that the processes of the tests share, since importing them takes most of their time.
 PRELOAD = ["can", "cantools", "numpy", "scipy.linalg"]
-#: Tests of wire/ and bus/; without those that run commands, which are slow.
+#: Tests of wire/ and bus/, without those that run commands, which are slow.
 TESTS = [
     *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
     *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
     *("tests/study/codes", "tests/study/test_guarantee.py"),  # of wire/covariance
     *("maplines_can/wire", "maplines_can/bus"),
 ]
-#: What is not needed to run the tests.
+#: Files that the tests do not need.
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*cache*", ".hypothesis", "build", "dist")
 #: Time limit of the tests of a mutant: a multiple of their normal time, and a constant [s].
 SLOWER, START_UP = 3, 30
@@ -79,7 +79,7 @@ class Outcome(NamedTuple):
 
     @property
     def is_killed(self) -> bool:
-        """Whether the tests noticed the mutant."""
+        """Whether the tests detected the mutant."""
         return self.how in ("killed", "timeout")
 
 
@@ -116,23 +116,39 @@ def main() -> int:
 
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
-    parser.add_argument("--sources", nargs="+", default=["maplines_can/wire", "maplines_can/bus"])
+    parser.add_argument(
+        "--sources",
+        nargs="+",
+        default=["maplines_can/wire", "maplines_can/bus"],
+        help="files or folders to change (default: maplines_can/wire maplines_can/bus)",
+    )
     parser.add_argument(
         "--tests",
         nargs="+",
         default=TESTS,
-        help="files or folders; by default those of wire/ and bus/, and their docstrings",
-    )
-    parser.add_argument("--sample", type=int, default=300, help="mutants; 0: all. Default 300")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the sample; 0 by default")
-    parser.add_argument("--least", type=float, default=0.92, help="share to be killed; 0.92")
-    parser.add_argument(
-        "--budget", type=float, default=60, metavar="S", help="tests of a mutant [s]; 60"
+        help="files or folders (default: those of wire/ and bus/, and their docstrings)",
     )
     parser.add_argument(
-        "--survivors", type=Path, default=ROOT / "tools" / "mutation_survivors.toml"
+        "--sample", type=int, default=300, help="number of mutants; 0: all (default: 300)"
     )
-    parser.add_argument("--root", type=Path, default=ROOT, help="tree to test; this checkout")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sample (default: 0)")
+    parser.add_argument(
+        "--least", type=float, default=0.92, help="share that must be killed (default: 0.92)"
+    )
+    parser.add_argument(
+        "--budget",
+        type=float,
+        default=60,
+        metavar="S",
+        help="time of a mutant's tests [s] (default: 60)",
+    )
+    parser.add_argument(
+        "--survivors",
+        type=Path,
+        default=ROOT / "tools" / "mutation_survivors.toml",
+        help="accepted survivors (default: tools/mutation_survivors.toml)",
+    )
+    parser.add_argument("--root", type=Path, default=ROOT, help="tree to test (default: this one)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
     for name in [*arguments.sources, *arguments.tests]:
@@ -220,7 +236,7 @@ class Runner:
     def outcome(
         self, file: str, mutant: Mutant, tests: Sequence[str], seconds: Mapping[str, float]
     ) -> str:
-        """Return what the tests do to a mutant: killed, timeout, survived or not covered."""
+        """Return the result of a mutant: killed, timeout, survived or not covered."""
         if not tests:
             return "not covered"
         path = self._tree / file
@@ -228,7 +244,7 @@ class Runner:
         limit = START_UP + SLOWER * sum(seconds[test] for test in tests)
         try:
             path.write_bytes(mutant.apply(source))
-            # Compiled files are valid for a time of change and a size: both may be the same.
+            # Python compares time and size with those of the compiled file; both may be equal.
             os.utime(path, ns=(0, 1 + mutant.start))
             status = self._run(partial(run_tests, self._tree, list(tests)), limit)
         finally:

@@ -23,7 +23,7 @@ def run_tests(tree: Path, tests: Sequence[str]) -> None:
 
 
 def record_lines(tree: Path, sources: Sequence[str], tests: Sequence[str], out: Path) -> None:
-    """Run tests, write the lines that each covers and the time that it takes; end the process."""
+    """Run tests, write the lines and the time of each, and end the process."""
     sys.dont_write_bytecode = False  # the mutants' processes need not compile what is unchanged
     recorder = _Recorder(tree, sources)
     _pytest(tree, tests, recorder)
@@ -46,11 +46,11 @@ def _pytest(tree: Path, arguments: Sequence[str], plugin: object, *options: str)
 
 
 def _end(status: int) -> None:
-    os._exit(status)  # threads that a failed test left behind must not keep the process
+    os._exit(status)  # threads that a failed test left behind must not keep it alive
 
 
 class _NoShrinking:
-    """Plugin that makes hypothesis deterministic, and leaves its failing examples as they are."""
+    """Plugin that makes hypothesis deterministic, and does not shrink failing examples."""
 
     def pytest_collection(self) -> None:
         try:
@@ -78,8 +78,8 @@ class _Chosen:
 class _Recorder:
     """Plugin that records the lines and the time of each test.
 
-    Lines that run during the import of a test file, or in the set-up of one of its tests, count
-    for all its tests, since they share fixtures.
+    Lines that run during the import of a test file, or in the set-up of one of its tests, count for
+    all tests of the file, since they share fixtures.
     """
 
     def __init__(self, tree: Path, sources: Sequence[str]) -> None:

@@ -2,13 +2,12 @@
 """Check that docs/assurance.md traces each goal, fault and requirement to code and tests.
 
     traceability.py          check the page against the source: nothing is imported or run
-    traceability.py --run    run the traced tests, too; each one must pass, except those that need
-                             SocketCAN where there is none (tools/vcan runs them)
+    traceability.py --run    also run the traced tests; each must pass, except those that need
+                             SocketCAN if the kernel has none (tools/vcan runs them)
     traceability.py --json   print the result as JSON
 
-Every table of the page whose first column is called ID has one item in each row. Its ID is a letter
-and a number: G-1 is a safety goal, A-1 an assumption of use, F-1 a fault, R-1 a requirement. It is
-a gap if
+Each row of a table whose first column is called ID is one item. Its ID is a letter and a number:
+G-1 is a safety goal, A-1 an assumption of use, F-1 a fault, R-1 a requirement. There is a gap if
 
 - an ID is malformed, defined twice, or used but not defined, or a cell is missing or empty;
 - a goal has no requirement, or a fault none;
@@ -107,7 +106,7 @@ def gaps_of(page: str) -> list[str]:
 
 
 def _gaps_of_item(item: Item) -> Iterator[str]:
-    """Yield the gaps that the row of an item shows."""
+    """Yield the gaps in the row of an item."""
     kind = item.id[:1]
     if not ID.fullmatch(item.id) or kind not in KINDS:
         yield f"line {item.line}: an ID is a letter of {', '.join(KINDS)} and a number: {item.id!r}"
@@ -198,7 +197,7 @@ class _Outcomes:
         self.worst: dict[str, str] = {}
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Note the outcome of a phase; setup and teardown count if they do not pass."""
+        """Record the outcome of a phase; set-up and teardown count only if they do not pass."""
         if report.when == "call" or report.outcome != "passed":
             outcome: str = report.outcome
             if report.skipped and "socketcan" in report.keywords:

@@ -12,9 +12,9 @@ from weakref import WeakSet
 
 
 class ForkSafeCondition(threading.Condition):
-    """Condition that is free in a forked child.
+    """Condition whose lock is not held in a forked child.
 
-    A fork copies the lock, but not the thread that holds it: nobody would release it in the child.
+    A fork copies the lock but not the thread that holds it, so nothing would release it there.
     """
 
     def __init__(self) -> None:
@@ -40,12 +40,12 @@ class BackgroundThread(ABC):
     A subclass implements `start` and `_run`. `_run` returns soon after `_stopping` is set.
     An exception that it raises is raised again in the caller's thread, by `wait` and `stop`.
 
-    The thread is a daemon: it does not keep a program from ending. In a forked child it does not
-    run: there, `stop` and `wait` return at once.
+    The thread is a daemon: it does not keep a program from ending. It does not run in a forked
+    child, where `stop` and `wait` return at once.
 
     Args:
         name: of the thread.
-        on_end: called by the thread when it has ended, after its error is kept.
+        on_end: called by the thread at its end, after its error is stored.
     """
 
     def __init__(self, name: str, on_end: Callable[[], object] = lambda: None) -> None:
@@ -111,7 +111,7 @@ class BackgroundThread(ABC):
 
     @property
     def _is_stopped(self) -> bool:
-        """Whether the thread shall end, or runs in the parent process only."""
+        """Whether the thread was told to end, or runs in the parent process only."""
         return self._stopping or self._process not in (None, os.getpid())
 
     def _start_thread(self) -> Self:

@@ -26,12 +26,12 @@ class UnsuitableInterfaceError(BusError):
 class BusFactory:
     """Factory of python-can buses on one interface, and the properties of that interface.
 
-    A bus that is given open is used as it is. It belongs to the caller: it is never shut down here,
-    and `open` returns the same bus again.
+    An open bus may be given instead of a function. It belongs to the caller: it is never shut down
+    here, and `open` returns the same bus each time.
 
     Args:
         opener: function that returns a new open bus; called with the settings if there are any.
-            None for ``can.Bus``.  Or a bus that is open.
+            None for ``can.Bus``. An open bus is also accepted.
         settings: of ``can.Bus``. Settings that are None or missing are read from
             python-can's environment variables and configuration files. They are read only
             once, so that each bus is of the same interface.
@@ -54,7 +54,7 @@ class BusFactory:
         if isinstance(opener, can.BusABC):
             if settings:
                 names = ", ".join(settings)
-                raise TypeError(f"a bus that is open takes no settings, got {names}")
+                raise TypeError(f"an open bus takes no settings, got {names}")
             given = opener
             self._opener: Callable[..., can.BusABC] = lambda: given
         elif not (opener is None or callable(opener)):
@@ -78,7 +78,7 @@ class BusFactory:
                 It is an `UnsuitableInterfaceError` if the interface is up but lacks CAN FD.
         """
         if self.is_given and self.is_deleted():
-            raise BusError(f"{self.name} was deleted; a bus that was given open stays lost")
+            raise BusError(f"{self.name} was deleted, and a bus of the caller is not reopened")
         problem = socketcan.problem(self._channel, self.fd) if self._channel else None
         if problem:
             error = BusError if problem.is_outage else UnsuitableInterfaceError
@@ -91,7 +91,7 @@ class BusFactory:
             if filters:
                 bus.set_filters(filters)
         except _ERRORS as error:
-            if bus is not None:  # without its filters it is of no use
+            if bus is not None:  # it is useless without its filters
                 with contextlib.suppress(can.CanError, OSError):
                     self.close(bus)
             name = self.name or "the CAN interface"
@@ -107,7 +107,7 @@ class BusFactory:
         return bus
 
     def close(self, bus: can.BusABC) -> None:
-        """Shut a bus down, unless it was given open."""
+        """Shut a bus down, unless the caller opened it."""
         if not self.is_given:
             bus.shutdown()
 

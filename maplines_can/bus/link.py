@@ -20,7 +20,7 @@ from .driver_errors import DriverError, classify_error, error_text
 
 log = logging.getLogger("maplines_can.bus")
 
-#: Locks of sending on the buses that were given open, since several links may have the same one.
+#: Locks for sending on open buses that callers passed, since several links may share one.
 _send_locks: WeakKeyDictionary[can.BusABC, ForkSafeCondition] = WeakKeyDictionary()
 
 
@@ -43,15 +43,15 @@ class Link:
 
     Any number of threads may send and one may receive, at the same time.
 
-    A link may also be made of a bus that is open, ``Link(bus)``. The bus remains the caller's: the
-    link never shuts it down and does not reopen it. After an outage it tries the same bus again,
-    which helps if a SocketCAN interface was down, but not if it was deleted. All links of a bus
-    send in turn. If other code sends on it from another thread, use ``can.ThreadSafeBus``.
+    ``Link(bus)`` makes a link of an open bus. The bus remains the caller's: the link never shuts it
+    down and does not reopen it. After an outage it tries the same bus again, which helps if a
+    SocketCAN interface was down, but not if it was deleted. Links that share a bus send one at a
+    time. If other code sends on it from another thread, use ``can.ThreadSafeBus``.
 
     Args:
         opener: bus factory; called with the settings if there are any, and again after each
-            outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults.  Or a bus that
-            is open.
+            outage. By default ``can.Bus``; ``testing.FaultyOpener`` injects faults. An open bus is
+            also accepted.
         on_event: called with (up, text) by the thread that noticed the event.
         backoff: shortest and longest pause between two attempts to reopen [s].
         clock: a monotonic clock [s].
@@ -162,7 +162,7 @@ class Link:
         """Receive only frames of these CAN IDs; None for all frames.
 
         The kernel or the hardware filters if the driver supports it, otherwise python-can, which
-        then drops error frames, too. Each ID passes as an 11-bit and as a 29-bit identifier.
+        then also drops error frames. Each ID passes as an 11-bit and as a 29-bit identifier.
         If the driver fails to set the filters, the interface counts as lost.
         """
         ids = sorted(can_ids or ())
@@ -274,7 +274,7 @@ class Link:
     @property
     def _outlook(self) -> str:
         if self._factory.is_given:
-            return "it is tried again, but not reopened, because it was given open"
+            return "it is tried again, but not reopened, because the caller opened it"
         return "it is reopened as soon as it is back"
 
     def _pause_for(self, seconds: float) -> None:
@@ -301,10 +301,10 @@ class Link:
 
 
 def link_of(link: Link | can.BusABC) -> Link:
-    """Return the link itself, or a link of a bus that is open.
+    """Return a link unchanged, or make a link of an open bus.
 
     Raises:
-        TypeError: it is neither.
+        TypeError: the argument is neither.
     """
     if isinstance(link, Link):
         return link

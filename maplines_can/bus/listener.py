@@ -1,4 +1,4 @@
-"""Turn the messages of a bus into lines: whole lines come out, everything else is counted."""
+"""Turn the messages of a bus into lines; everything else is counted."""
 
 from __future__ import annotations
 
@@ -33,11 +33,12 @@ class ReceiverStats(NamedTuple):
 class LineListener(can.Listener):
     """Listener of python-can that turns messages into lines.
 
-    It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an event loop
-    of asyncio, or called by hand with the messages of a log. Use one listener for each bus.
-    As for python-can, a time stamp of 0 means none: the present time is taken. Read a log that
-    starts at 0 with ``relative_timestamp=False``.
-    A `Receiver` is such a listener with a link and a thread.
+    It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an asyncio
+    event loop, or called directly with the messages of a log. Use one listener for each bus. A
+    `Receiver` is a listener with a link and a thread.
+
+    As in python-can, a time stamp of 0 means that there is none; the current time is used instead.
+    Read a log that starts at 0 with ``relative_timestamp=False``.
 
     Lines go to the callback ``on_line`` if there is one. Otherwise they wait for
     `get` or for iteration (``for line in listener``, which ends after `stop`). Lines that wait
@@ -47,9 +48,10 @@ class LineListener(can.Listener):
     A control loop needs neither callback nor queue: `latest` returns the newest line of a slot at
     any time, with its age, its E2E state, and whether it is stale.
 
-    All methods may be called from any thread. No message raises an exception. One that the callback
-    raises reaches the caller of the listener: a notifier keeps it as ``notifier.exception`` and
-    stops reading, as with any listener. `get` and the iteration raise it again.
+    All methods may be called from any thread. No message causes an exception. An exception raised
+    by the callback reaches the caller of the listener: a notifier keeps it as
+    ``notifier.exception`` and stops reading, as with any listener. `get` and the iteration raise it
+    again.
 
     Args:
         decoder: turns frames into lines; used by this listener only.
@@ -98,7 +100,7 @@ class LineListener(can.Listener):
         self._error: Exception | None = None  # of the notifier; None while messages arrive
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Decode a message; called by python-can.  After `stop` messages are ignored."""
+        """Decode a message; called by python-can. Messages after `stop` are ignored."""
         with self._changed:
             if self._stopped:
                 return
@@ -125,11 +127,11 @@ class LineListener(can.Listener):
         self._on_line(line)
 
     def on_error(self, exc: Exception) -> None:
-        """Keep an error that ends the thread of a notifier, for `get`; called by python-can.
+        """Store the error that ends a notifier's thread, for `get`; called by python-can.
 
         Raises:
-            NotImplementedError: always. This tells the notifier that the error is not handled:
-                it stops, unless another listener handles the error.
+            NotImplementedError: always. This tells the notifier that the error is not handled, so
+                it stops unless another listener handles the error.
         """
         with self._changed:
             self._error = exc
@@ -146,7 +148,7 @@ class LineListener(can.Listener):
         """Return the oldest line that waits.
 
         Args:
-            timeout: how long to wait for a line [s]; None for ever.
+            timeout: how long to wait for a line [s]; None for no limit.
 
         Returns:
             The line; None after the timeout, or if the listener is stopped and no line waits.

@@ -7,8 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from ..wire import Frame
-
-_FD_LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+from ..wire.message.slot_messages import FD_LENGTHS
 
 
 class FrameBits(NamedTuple):
@@ -44,7 +43,7 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
     >>> frame_bits(8), frame_bits(32, is_fd=True)
     (FrameBits(nominal=135, data=0), FrameBits(nominal=34, data=358))
     """
-    if length not in (_FD_LENGTHS if is_fd else _FD_LENGTHS[:9]):
+    if length not in (FD_LENGTHS if is_fd else FD_LENGTHS[:9]):
         lengths = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if is_fd else "0 to 8"
         raise ValueError(f"length must be {lengths} bytes, got {length!r}")
     if not is_fd:

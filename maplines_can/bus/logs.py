@@ -30,7 +30,7 @@ _DAMAGE = (
 )
 
 _SUFFIXES = (".asc", ".blf", ".csv", ".db", ".log", ".mf4", ".trc", ".txt")
-#: Suffixes that say nothing of the format; the first bytes do. If none fits, it is candump's.
+#: Suffixes without a known format. The first bytes tell it; if none matches, it is candump's.
 _ANY_FORMAT = ("", ".log", ".txt")
 _FIRST_BYTES = {
     b"LOGG": ".blf",
@@ -66,7 +66,7 @@ _CANDUMP_LOG_ROW = re.compile(
     r"(?:\s+[RT])?\s*"
 )
 _ERROR_FLAG = 1  #: of an error frame, above the 29 bits of the CAN ID that candump prints
-#: A first time stamp below this is from the start of the log, or from the frame before [s].
+#: Smaller time stamps are relative to the start of the log or to the previous frame [s].
 _LEAST_ABSOLUTE = 10**8
 
 
@@ -84,20 +84,20 @@ class LogFrame(NamedTuple):
 def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
     """Return an iterator over the data frames of a log, in the order of the file.
 
-    The suffix determines the format: .asc, .blf, .csv, .db, .mf4 or .trc. With .log, .txt or
-    none, and in a stream, the content does; it may also be the output of candump, with or without
-    ``-L``, ``-t``, ``-x`` and ``-a``. The text formats and .blf may be compressed (.gz). Error and
-    remote frames are skipped. The log is not loaded into memory at once: a frame of a pipe is
-    returned as soon as its line has arrived.
+    The suffix determines the format: .asc, .blf, .csv, .db, .mf4 or .trc. The content determines it
+    if the suffix is .log or .txt, or if there is none, as in a stream. It may then also be the
+    output of candump, with or without ``-L``, ``-t``, ``-x`` and ``-a``. The text formats and .blf
+    may be compressed (.gz). Error and remote frames are skipped. The log is not loaded into memory
+    at once; a frame of a pipe is returned as soon as its line has arrived.
 
-    The time stamps of ``candump -t d`` are differences. They are recognized, and added up, from the
-    first one that is less than half of the one before. ``candump -t A`` writes local time.
+    The time stamps of ``candump -t d`` are differences. They are recognised and added up from the
+    first one that is less than half of the previous one. ``candump -t A`` writes local time.
 
     A damaged record of a text log is skipped. A damaged binary log is read up to the damage.
     In both cases the error is raised once, after the last good frame.
 
     Args:
-        source: path of a file, or a stream of bytes with ``peek``, such as ``sys.stdin.buffer``.
+        source: path of a file, or a binary stream with ``peek``, such as ``sys.stdin.buffer``.
 
     Raises:
         LogError: the file does not exist or its format is unknown (raised by the call), or it is
@@ -143,7 +143,7 @@ def _read_path(path: Path, suffix: str = "") -> Iterator[LogFrame]:
 def _read_any(
     file: io.BufferedReader, name: str, suffix: str = "", path: Path | None = None
 ) -> Iterator[LogFrame]:
-    """Yield the frames of an open log; without a suffix, its first bytes tell the format."""
+    """Yield the frames of an open log; without a suffix, the first bytes determine the format."""
     try:
         compressed = file.peek(2)[:2] == _GZIP
         if compressed:
@@ -155,7 +155,9 @@ def _read_any(
     if suffix not in _BINARY:
         yield from _read_text(file, name, suffix)
     elif path is None or compressed:
-        raise LogError(f"{name}: a log in the format {suffix} is read from a file, not compressed")
+        raise LogError(
+            f"{name}: a log in the format {suffix} is read from a file only, not compressed"
+        )
     else:
         _check_reader(path, suffix)
         yield from _read_binary(path, suffix, compressed=False)
@@ -246,7 +248,7 @@ class _Lines:
         self._inserted.append(line)
 
     def close(self) -> None:
-        """Do nothing: whoever opened the file closes it."""
+        """Do nothing: the file belongs to the caller."""
 
 
 class _CandumpReader:

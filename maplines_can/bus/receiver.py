@@ -35,9 +35,9 @@ class Receiver(BackgroundThread):
     is raised again by `get`, by the iteration, by `wait` and by `stop`.
 
     Args:
-        link: where to listen: a `Link`, or a python-can bus that is open. It stays open when the
-            receiver stops, and a bus has its own filters again. Use one receiver for each: two
-            would take each other's frames. A bus is not reopened after an outage, see `Link`.
+        link: where to listen: a `Link` or an open python-can bus. It stays open when the receiver
+            stops, and a bus gets its own filters back. Use one receiver for each: two would take
+            each other's frames. A bus is not reopened after an outage, see `Link`.
         decoder: turns frames into lines; used by the receiver's thread only.
         on_line: called by the thread with each line. While it runs, frames that arrive
             wait in the receive queue of the interface.
@@ -112,7 +112,7 @@ class Receiver(BackgroundThread):
     def start(self) -> Self:
         """Set the filter of the interface and start the thread; ``with`` calls this."""
         if self._can_ids is not None:
-            self._bus_filters = self._bus and self._bus.filters
+            self._bus_filters = None if self._bus is None else self._bus.filters
             self._link.accept_only(self._can_ids)
         return self._start_thread()
 

@@ -47,12 +47,12 @@ class Transmitter(BackgroundThread):
     A line that is not published again is sent again, with a growing age.  When its age exceeds
     ``max_age``, the transmitter no longer vouches for it: the line is sent as "too old" (the
     greatest raw value of the DBC's Age) and counted as ``expired``, so that no receiver uses it,
-    while the slot stays alive.  Publish at least once per ``max_age``, also for a long period.
+    while the slot stays alive.  Publish at least once per ``max_age``, even with a longer period.
     Lines that are published before `start` wait for it.
 
     The value sent is the latest at encoding time: the deadline, or up to 0.1 s earlier together
     with another line (see ``TxQueue``).  Freshness is also stamped then.  The age that is sent is
-    not less than that of the pose when the first frame is handed to the interface: it allows for
+    not less than the age of the pose when the first frame is handed to the interface: it includes
     4 ms after the deadline, and a transfer that is later is encoded again.
 
     Lines are sent whole or not at all.  After a frame that could not be sent, the rest of its
@@ -61,14 +61,14 @@ class Transmitter(BackgroundThread):
     deadline.
 
     Args:
-        link: where to send: a `Link`, or a python-can bus that is open. It stays open when the
-            transmitter stops. A bus is not reopened after an outage, see `Link`.
+        link: where to send: a `Link` or an open python-can bus. It stays open when the transmitter
+            stops. A bus is not reopened after an outage, see `Link`.
         codec: encodes the lines; used by the transmitter's thread only.
         period: between two transfers of a slot [s].
         fd: send CAN FD frames.
         count: stop when every slot has had this many deadlines; None for ever.
-        max_age: greatest age of a line that is stated [s]; at most, and by default, the greatest
-            that the DBC can state (0.24 s with the project's).
+        max_age: greatest age of a line that is stated [s]; at most the greatest age that the DBC
+            can state, which is the default (0.24 s with the project's DBC).
         clock: a monotonic clock [s].
 
     Raises:
@@ -142,8 +142,8 @@ class Transmitter(BackgroundThread):
         with self._changed:
             if self._is_stopped:
                 raise RuntimeError(
-                    "publish must come before stop, and in the process of start: this transmitter "
-                    "sends nothing; make a new Transmitter"
+                    "publish must come before stop, and in the process that called start: this "
+                    "transmitter sends nothing; make a new Transmitter"
                 )
             self._tx_queue.put(lines, self._clock(), age)
             self._changed.notify_all()

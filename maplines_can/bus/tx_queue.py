@@ -14,13 +14,13 @@ from .schedule import Schedule
 
 #: Max lead time of encoding [s]; well below the 1 s freshness window.
 AHEAD = 0.1
-#: Lateness of a transfer that its age allows for [s]; most threads wake up earlier.
+#: Lateness of a transfer that its age includes [s]; a thread usually wakes up earlier.
 ALLOWANCE = 0.004
 
 
 @dataclass(frozen=True)
 class Published:
-    """A line with the time of its publishing."""
+    """A line with the time when it was published."""
 
     line: MapLine
     age: float  #: of the pose at the time of publishing [s]
@@ -37,7 +37,7 @@ class Transfer(NamedTuple):
 
     published: Published
     deadline: float  #: [s]
-    latest: float  #: the age that is sent is not too small up to this time [s]
+    latest: float  #: until then, the age that is sent is not too small [s]
     counter: int  #: of the first record
     frames: Sequence[Frame]  #: those of all components, if the line is a mixture
     expired: bool  #: the age is sent as "too old"
@@ -62,8 +62,8 @@ class TxQueue:
     A producer that publishes once a period thus never has an old value sent, and its lines are
     encoded once a period.
 
-    The age of a line refers to `ALLOWANCE` after its deadline.  A transfer that is later still is
-    encoded again (see `renew`), so the age is never too small when the first frame is handed over.
+    The age of a line refers to `ALLOWANCE` after its deadline.  A transfer that is later than that
+    is encoded again (see `renew`), so the age is never too small when its first frame is sent.
     An age of more than ``max_age`` is sent as "too old", the greatest raw value of the DBC's Age.
 
     If a line that is encoded ahead is not sent, because its deadline was skipped or its slot was
@@ -135,11 +135,11 @@ class TxQueue:
         return transfer._replace(skipped=due.skipped)
 
     def renew(self, transfer: Transfer, now: float) -> Transfer:
-        """Return a late transfer, encoded again for the time when it will be twice as late.
+        """Encode a late transfer again, with the age when it will be twice as late.
 
-        The age of a transfer that cannot be sent for a long time thus exceeds the true one by no
-        more than the lateness, and few renewals are needed.  The counters stay: no frame of the
-        transfer may have been sent.
+        Few renewals are thus needed if a transfer cannot be sent for a long time, and its age
+        exceeds the true one by no more than the lateness.  The counters stay the same, so no frame
+        of the transfer may have been sent.
         """
         latest = now + max(ALLOWANCE, now - transfer.deadline)
         line = transfer.published.with_age(latest, self._max_age)

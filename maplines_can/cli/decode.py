@@ -24,13 +24,14 @@ from .stderr import note, with_progress
 MOST_CHANNELS = 256
 
 DESCRIPTION = """\
-Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. Standard error
-shows at the end how many frames were dropped and why, and the end-to-end (E2E) state of each slot.
+Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. At the end,
+standard error shows how many frames were dropped and why, and the end-to-end (E2E) state of each
+slot.
 
-A log is in a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with
-or without -L, -t and -x. Without -L and -t it has no time stamps. "t" is then null, no time-out
-drops a frame, no cycle without data is counted, and the lines of a sender that restarts are dropped
-until its counter has caught up: use -L if you can."""
+LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with or
+without -L, -t and -x. Without -L and -t it has no time stamps: "t" is null, no frame times out,
+cycles without data are not counted, and the lines of a sender that restarts are dropped until its
+counter has caught up. So prefer -L."""
 
 
 def add_decode(commands: Any) -> None:
@@ -91,7 +92,9 @@ def _decode(arguments: argparse.Namespace) -> int:
         except KeyboardInterrupt:  # the counters so far are still useful
             status = 130
     if not has_time:
-        note("the log has no time stamps: what depends on time is not checked; use candump -L")
+        note(
+            "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
+        )
     _summarize(decoders, last_ns)
     return status
 

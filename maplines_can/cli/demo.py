@@ -49,8 +49,8 @@ covered target: the sent Gaussian, widened by the rounding error of its mean. Th
 COMPONENTS_LEGEND = f"""\
 nonlinearity: share of the standard deviation of a line that comes from the nonlinear part of
     its dependence on the pose, 0 to 1; a large value means that one Gaussian fits badly.
-    --components auto splits a line where it exceeds {TOLERANCE:g}, into enough components that
-    three quarters of that is left within each of them, as far as --max-load allows."""
+    --components auto splits a line if it exceeds {TOLERANCE:g}, into enough components that at
+    most three quarters of that is left within each, as far as --max-load allows."""
 
 
 def add_demo(commands: Any) -> None:

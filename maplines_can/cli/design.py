@@ -24,8 +24,9 @@ ABOUT = """\
 Design a message layout: find the widths and factors of all fields and the order of the covariance
 rows that meet a target, and write the DBC and a page about it.
 
-The divergence is the Kullback-Leibler divergence (KL) from what the decoded Gaussian must cover,
-which is the one that was sent and the rounding error of its mean, to the decoded one; 0 is exact.
+The divergence is the Kullback-Leibler divergence (KL) from the covered target to the decoded
+Gaussian; 0 is exact. The covered target is the sent Gaussian, widened by the rounding error of its
+mean.
 
 Targets, one of them or both:
   --frames N   the least divergence in N classic CAN frames
@@ -115,8 +116,8 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         type=number(float, 1e-9, 1),
         default=Targets.max_saturated,
         metavar="SHARE",
-        help="largest share of saturated lines; a smaller one needs wider ranges, and so bits "
-        f"(default: {Targets.max_saturated:g})",
+        help="largest share of saturated lines; a smaller one needs wider ranges, and so more "
+        f"bits (default: {Targets.max_saturated:g})",
     )
     add(
         "--n",
@@ -124,7 +125,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         default=5000,
         metavar="N",
         help="lines of each set for the search, and as many for the figures, 100 or more; few "
-        "lines do not determine the ends of the ranges well (default: 5000)",
+        "lines determine the ends of the ranges poorly (default: 5000)",
     )
     add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
     add("--out", default="design.dbc", metavar="FILE", help="the DBC (default: design.dbc)")

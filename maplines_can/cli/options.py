@@ -190,11 +190,11 @@ def add_transfer_timeout(parser: argparse.ArgumentParser) -> None:
         "--transfer-timeout",
         type=number(float, 0.001, 3_600_000),
         metavar="MS",
-        help="longest time between the frames of a line's transfer [ms]. A longer one receives "
-        "more lines of a sender or receiver that is held up; beyond the time in which transfer IDs "
-        "repeat, frames of two lines can meet, and only the counter and the checksum tell them "
-        "apart (default: 1.5 cycles with the DBC of this package, 75 at 20 Hz; less if transfer "
-        "IDs repeat sooner)",
+        help="longest time between the frames of one transfer [ms]. A longer one receives more "
+        "lines if the sender or receiver is held up; but if it exceeds the time after which "
+        "transfer IDs repeat, only the counter and the checksum distinguish frames of two lines "
+        "(default: 1.5 cycles with the DBC of this package, 75 at 20 Hz; less if transfer IDs "
+        "repeat sooner)",
     )
 
 

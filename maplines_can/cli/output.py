@@ -86,7 +86,7 @@ def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
 def check_text(stats: SlotStats) -> str:
     """Return the E2E state of a slot and its counters as text.
 
-    INVALID without data is the ordinary end of a sender, and no failure of its data.
+    INVALID without data is how a sender normally ends, not an error in its data.
     """
     is_silent = stats.status is ProfileStatus.NONEWDATA and stats.state is E2EState.INVALID
     state = f"no data any more, {stats.state.name}" if is_silent else stats.state.name

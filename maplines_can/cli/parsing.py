@@ -20,9 +20,9 @@ class Parser(argparse.ArgumentParser):
         super().__init__(allow_abbrev=False, **settings)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse; raise an error with the usage of this very command for words it does not know.
+        """Parse arguments; report unknown ones with the usage of this command.
 
-        argparse itself would report them with the usage of the whole program.
+        argparse would report them with the usage of the whole program.
         """
         arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
@@ -30,7 +30,7 @@ class Parser(argparse.ArgumentParser):
         return arguments, unknown
 
     def _hint(self, unknown: list[str]) -> str:
-        """Return the option that is most like the first unknown one, as the end of a sentence."""
+        """Return the closest option to the first unknown one, as the end of a sentence."""
         word = next((word for word in unknown if word.startswith("-")), "").partition("=")[0]
         like = get_close_matches(word, self._option_string_actions, 1)
         return f"; did you mean {like[0]}?" if like else f"; '{self.prog} --help' lists all options"

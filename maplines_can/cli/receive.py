@@ -44,8 +44,8 @@ DESCRIPTION = """\
 Print the lines that arrive on a bus until Ctrl-C. Standard error shows when the end-to-end (E2E)
 state of a slot changes and, at the end, how many frames were dropped and why.
 
-A slot is INIT until enough lines have come in sequence, and VALID then. It is INVALID after too
-many errors, or when its lines no longer come: "no data any more" if the sender was stopped."""
+A slot is in the state INIT until enough lines have come in sequence, and then in VALID. It becomes
+INVALID after too many errors, or if its lines stop: "no data any more"."""
 
 
 def add_receive(commands: Any) -> None:
@@ -71,7 +71,7 @@ def add_receive(commands: Any) -> None:
         "--timeout",
         type=seconds,
         metavar="S",
-        help="stop when no line arrives for this time [s]; the exit status is 1 if there was none "
+        help="stop when no line arrives for this time [s]; the exit status is 1 if none arrived "
         "at all (default: never)",
     )
     add_faults(parser)
@@ -125,10 +125,10 @@ def _receive(arguments: argparse.Namespace) -> int:
 
 
 def _why_nothing(stats: ReceiverStats, fd: bool) -> str:
-    """Return what to look at if no line has arrived."""
+    """Return what to check if no line has arrived."""
     if stats.frames:
         return (
-            f"{stats.frames} frames have arrived, but none completed a line; see why they were "
+            f"{stats.frames} frames have arrived, but none completed a line; check why they were "
             "dropped, and whether --dbc and the keys are those of the sender"
         )
     return (

@@ -39,17 +39,18 @@ from .sending import (
 )
 from .stderr import note
 
-#: Bounds of how often the lines are computed [1/s]. A line must not become too old with a low
-#: --rate; with a high one it is sent again with a greater age.
+#: Bounds of the rate at which lines are computed [1/s]. With a lower --rate they would become too
+#: old; with a higher one they are sent several times with a growing age.
 LEAST_RATE, MOST_RATE = 20.0, 50.0
 
 DESCRIPTION = f"""\
 Send the lines of a scene until Ctrl-C, each as a Gaussian over its lateral offset, heading,
 curvature and curvature rate. Then print the counters.
 
-The car drives along the road of the scene at {SPEED:g} m/s and weaves within its lane: its
-lateral offset is a sine of {AMPLITUDE:g} m and {SINE_PERIOD:g} s. The lines are computed anew from
-each pose, at --rate, but at least {LEAST_RATE:g} and at most {MOST_RATE:g} times a second."""
+The car drives along the road of the scene at {SPEED:g} m/s and weaves within its lane: its lateral
+offset is a sine with an amplitude of {AMPLITUDE:g} m and a period of {SINE_PERIOD:g} s. The lines
+are computed from each new pose, at --rate, but at least {LEAST_RATE:g} and at most {MOST_RATE:g}
+times a second."""
 
 
 def add_send(commands: Any) -> None:
@@ -68,7 +69,7 @@ def add_send(commands: Any) -> None:
     parser.add_argument(
         "--standstill",
         action="store_true",
-        help="the car stands at the pose of the scene: the lines stay the same, with a new age",
+        help="keep the car at the pose of the scene: only the age of the lines changes",
     )
     add_faults(parser)
     add_json(parser, "the counters")
@@ -125,7 +126,7 @@ def _publish(
     arguments: argparse.Namespace,
     rate: float,
 ) -> None:
-    """Publish the lines of the car, from pose to pose, until the transmitter ends."""
+    """Publish the lines of the moving car until the transmitter ends."""
     lines = lines_of(scene, components, arguments)
     start = time.monotonic()
     schedule: Schedule[str] = Schedule(1 / min(max(rate, LEAST_RATE), MOST_RATE))

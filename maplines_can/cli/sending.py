@@ -1,4 +1,4 @@
-"""Options of ``send`` and ``demo``, the lines that they send, and how many components each has."""
+"""Options of ``send`` and ``demo``, and the lines that they send."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .parsing import number
 
 #: Default bus-load limit for --components auto.
 MAX_LOAD = 0.3
-#: How often each line is sent if neither --rate nor the DBC states it [1/s].
+#: Rate of each line if neither --rate nor the DBC states it [1/s].
 DEFAULT_RATE = 20.0
 #: Speed of the car of a scene along its road [m/s], and the lateral sine by which it weaves within
 #: its lane: amplitude [m] and period [s].
@@ -58,8 +58,8 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         "--rate",
         type=number(float, 1e-3, 1000),
         metavar="HZ",
-        help="how often each line is sent [1/s] (default: as GenMsgCycleTime of the DBC says, of "
-        f"several lines the shortest; {DEFAULT_RATE:g} without it)",
+        help="how often each line is sent [1/s] (default: from GenMsgCycleTime of the DBC, the "
+        f"shortest of these lines; {DEFAULT_RATE:g} if it has none)",
     )
     add(
         "--components",
@@ -98,7 +98,7 @@ def rate_of(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> 
 def components_of(
     scenario: Scenario, codec: Codec, arguments: argparse.Namespace, rate: float
 ) -> list[LineComponents]:
-    """Return the number of components of each line, as the options say.
+    """Return the number of components of each line, from the options.
 
     Raises:
         ValueError: the lines exceed ``--max-load``.
@@ -121,7 +121,7 @@ def lines_of(
     arguments: argparse.Namespace,
     ego: Gaussian | None = None,
 ) -> list[MapLine]:
-    """Return the lines as seen from a pose; None for that of the scene."""
+    """Return the lines as seen from a pose; by default, the pose of the scene."""
     map_error = None
     if arguments.map_error:
         map_error = MapError(arguments.map_error, arguments.map_error, np.radians(0.05))

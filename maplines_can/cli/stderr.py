@@ -36,7 +36,7 @@ def progress_bar(unit: str, **settings: Any) -> Iterator[Callable[[float, float]
 def with_progress(items: Iterable[T], unit: str) -> Iterable[T]:
     """Return the items, counted by a progress bar while they are used.
 
-    There is none if results go to a terminal: it would run into their rows.
+    There is no bar if the results go to a terminal, where it would overwrite them.
     """
     from tqdm import tqdm
 

@@ -94,7 +94,7 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         nargs="+",
         type=number(int, -8, 16),
         metavar="BITS",
-        help="how many bits more each field has than in its DBC (default: -2 -1 0 1 2)",
+        help="additional bits of each field over its DBC (default: -2 -1 0 1 2)",
     )
     add(
         "--n",
@@ -108,7 +108,7 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         type=number(int, 100, 10**6),
         default=10_000,
         metavar="N",
-        help="Gaussians in a piece of work, after which it can be stopped (default: 10 000)",
+        help="Gaussians in a chunk; a stopped run continues at the next one (default: 10 000)",
     )
     add(
         "--jobs",

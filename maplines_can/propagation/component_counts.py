@@ -10,10 +10,10 @@ from .splitting import SPLITS, standard_split
 #: Largest nonlinearity of a Gaussian that needs no split: the second-order term then has less than
 #: a tenth of its variance.
 TOLERANCE = 0.3
-#: The same within the components of a mixture, as a share of the tolerance. They are cut from a
-#: Gaussian, and so differ from Gaussians even where the function is linear. In the street turn with
-#: 10 deg of heading uncertainty five components meet it; about 4 % of their mass is on impossible
-#: lines.
+#: Largest nonlinearity within the components of a mixture, as a share of the tolerance. It is
+#: smaller because a component is a part of a Gaussian and so not Gaussian itself, even if the
+#: function is linear. In the street turn with 10 deg of heading uncertainty five components are
+#: enough; about 4 % of their mass is on impossible lines.
 OF_COMPONENTS = 0.75
 
 
@@ -29,9 +29,9 @@ def remaining_nonlinearity(amount: float, k: int) -> float:
 
         a_k^2 = a^2 sum w_i v_i^2 / sum w_i (a^2 v_i^2 + (1 - a^2 + 2 a^2 m_i^2) v_i).
 
-    The nonlinearity is smaller if the output also varies
-    with other directions than that of the split, or has noise of its own. Terms above
-    the second order are ignored: in a tight turn the outer components have more.
+    The nonlinearity is smaller if the output also varies with other directions than that of the
+    split, or has noise of its own. Terms above the second order are ignored; in a tight turn the
+    outer components therefore have more.
 
     Args:
         amount: ``Nonlinearity.amount`` of the Gaussian before the split.
@@ -51,8 +51,8 @@ def component_counts(
 ) -> list[int]:
     """Return the smallest numbers of components, 1 to 8 a line, that meet the tolerance.
 
-    The nonlinearity of a single Gaussian is compared with the tolerance, and that within the
-    components of a mixture with three quarters of it.
+    A single Gaussian may have the nonlinearity ``tolerance``; within the components of a mixture,
+    three quarters of it are allowed.
 
     If the budget is too small for that, the largest remaining nonlinearity is as small
     as the budget allows: each component goes to the line with the largest remaining

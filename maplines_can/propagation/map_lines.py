@@ -34,8 +34,7 @@ def map_lines(
         window: (x_min, x_max) ahead of the mean pose from which the points are taken [m].
         components: components of the Gaussian mixture of each line, 1 to 8, as one number for
             all lines or one for each; 1 gives a single Gaussian.
-        transform: for the moments of each component; None for ``SigmaPoints()`` of a single
-            Gaussian, and for the default of ``Mixture``.
+        transform: for the moments of each component; None for the default of ``Mixture``.
         map_error: error of the map, in addition to the error of the pose.
 
     Raises:

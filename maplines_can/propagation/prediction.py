@@ -165,8 +165,8 @@ def pose_time_ns(line: MapLine) -> int:
     transmitter allows for: up to 12 ms with the project's DBC.
 
     Raises:
-        ValueError: the line was not received (``t_ns`` is None), or its age is infinite: the pose
-            is too old, or its time unknown.
+        ValueError: the line was not received (``t_ns`` is None), or its age is infinite: it is too
+            old, or its age is unknown.
 
     >>> pose_time_ns(MapLine.mean_only(0, [1.75, 0, 0, 0], age=0.04, t_ns=1_000_000_000))
     960000000
@@ -178,8 +178,8 @@ def pose_time_ns(line: MapLine) -> int:
         )
     if not math.isfinite(line.age):
         raise ValueError(
-            f"line.age must be finite, got {line.age} s for {line.slot.name}: its pose is too old, "
-            "or its time unknown; check line.is_usable first"
+            f"line.age must be finite, got {line.age} s for {line.slot.name}: the line is too old, "
+            "or its age is unknown; check line.is_usable first"
         )
     return line.t_ns - round(line.age * 1e9)
 

@@ -16,7 +16,7 @@ from .transform import Moments, Transform, weighted_moments
 
 #: Largest total weight of points that may be excluded.
 NEGLIGIBLE = 1e-3
-#: Total weight that the sums round off; points that have less are excluded without a warning.
+#: Total weight that is lost in rounding; points with less are excluded without a warning.
 ROUNDING = 1e-12
 
 

@@ -19,14 +19,13 @@ from .quadrature import NEGLIGIBLE, Quadrature
 from .sigma_points import SigmaPoints
 from .transform import Transform
 
-#: Cuts of N(0, 1) into 1 to 8 intervals: their probabilities in units of 1/32, those of the lower
-#: half (and of the interval in the middle), the others by symmetry. The probabilities add up to 1,
-#: so nothing of the Gaussian is lost, and the mixture has its moments of every order. A split into
-#: Gaussians of equal variance (DeMars, Bishop and Jah, J. Guidance, Control, and Dynamics 36, 2013)
-#: has those of the first three orders only. Its tails are too light: at the vertex of a parabola,
-#: the sigma of five such components is 11 % too small. Of all probabilities that are multiples
-#: of the step of the DBC, these leave the least of z^2 that no straight line follows within the
-#: intervals.
+#: Cuts of N(0, 1) into 1 to 8 intervals, as probabilities in units of 1/32: those of the lower
+#: half and of the middle interval; the others follow by symmetry. The intervals cover the whole
+#: Gaussian, so together they have its moments of every order. A split into Gaussians of equal
+#: variance (DeMars, Bishop and Jah, J. Guidance, Control, and Dynamics 36, 2013) only has those of
+#: the first three orders. Its tails are too light: at the vertex of a parabola, the sigma of five
+#: such components is 11 % too small. Of all probabilities that are multiples of the step of the
+#: DBC, these have the least squared deviation of z^2 from a straight line within each interval.
 SPLITS: dict[int, tuple[int, ...]] = {
     1: (32,),
     2: (16,),
@@ -37,19 +36,19 @@ SPLITS: dict[int, tuple[int, ...]] = {
     7: (1, 4, 7, 8),
     8: (1, 3, 5, 7),
 }
-#: Points farther out than this [standard deviations] at which the function has no value are moved
-#: inwards. Their probability is that of the points which ``Quadrature`` may exclude, 0.001.
+#: Points without a function value are moved inwards if they are farther out than this [standard
+#: deviations]. Their probability is 0.001, as of the points that ``Quadrature`` may exclude.
 TAIL = -NormalDist().inv_cdf(NEGLIGIBLE / 2)
 #: Number of weight steps that add up to 1.
 WEIGHT_STEPS = 32
 
 
 class StandardSplit(NamedTuple):
-    """Components of N(0, 1), which is cut into k intervals, in ascending order."""
+    """Components of N(0, 1) cut into k intervals, in ascending order."""
 
     weights: NDArray[np.float64]  #: (k,) probabilities of the intervals
-    means: NDArray[np.float64]  #: (k,) of the distribution within each interval
-    variances: NDArray[np.float64]  #: (k,) of the same
+    means: NDArray[np.float64]  #: (k,) means within the intervals
+    variances: NDArray[np.float64]  #: (k,) variances within the intervals
 
 
 @dataclass(frozen=True)
@@ -58,17 +57,17 @@ class Mixture:
 
     The Gaussian is cut across the direction in which the function is most nonlinear (for a refit,
     nearly the heading). Each component has the moments of the function within its part. By the law
-    of total variance, the mixture as a whole has those of the function over the whole Gaussian, up
-    to the error of the transform within the parts, and is not overconfident.
+    of total variance, the mixture as a whole has the moments of the function over the whole
+    Gaussian, except for the error of the transform within the parts, and is not overconfident.
 
     ``Quadrature(7)`` keeps that error small: in all scenes of this package the variance of the
     mixture in its worst direction is at most 6 % too small. ``SigmaPoints()`` needs a fiftieth of
-    the points, but there that variance may be up to six times too small for 2 components, twice for
-    3 and a fifth for 5. In a street turn with 10 deg of heading uncertainty a single Gaussian has a
+    the points, but may make that variance too small by a factor of 6 with 2 components, 2 with 3,
+    and 1.2 with 5. In a street turn with 10 deg of heading uncertainty a single Gaussian has a
     third of its mass on impossible lines; five components have about 4 %.
 
-    If the function has no value at a point in the tails of that direction, more than 3.3 standard
-    deviations (0.1 % of the probability) from the mean, the value at a point farther in is taken.
+    If the function has no value at a point more than 3.3 standard deviations from the mean in that
+    direction (0.1 % of the probability), the value at a point nearer to the mean is used.
 
     Args:
         k: number of components, 1 to 8.
@@ -179,7 +178,7 @@ def standard_split(k: int) -> StandardSplit:
 class _Part:
     """A function within one part of a Gaussian, as a function of standard normal variables.
 
-    One of the variables is mapped to the part by the quantiles of both distributions.
+    One of the variables is mapped to the part by matching quantiles.
     """
 
     def __init__(
@@ -200,7 +199,7 @@ class _Part:
         self.standard = Gaussian(np.zeros(gaussian.dimension), np.diag(varies.astype(float)))
         u = np.where(varies, direction, 0.0)
         self._axis = int(np.argmax(np.abs(u)))
-        # A reflection turns that axis into u, and leaves those that are perpendicular to both.
+        # The reflection maps that axis to u, and leaves directions perpendicular to both unchanged.
         reflection = np.eye(len(u))
         v = u / (np.copysign(np.linalg.norm(u), u[self._axis]) or 1.0) - reflection[self._axis]
         if v.any():

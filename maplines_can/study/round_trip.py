@@ -21,7 +21,7 @@ from .metrics import evaluate
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
 
-#: How often the lines are published again [s]; they are sent as too old after 0.24 s.
+#: Period of publishing the lines again [s]; they would be sent as too old after 0.24 s.
 REFRESH = 0.05
 #: Greatest distance at which lines are compared [m].
 MOST_X = 80.0
@@ -238,7 +238,7 @@ def _run(
                 with transmitter:
                     transmitter.publish(lines)
                     while not transmitter.wait(REFRESH):
-                        transmitter.publish(lines)  # as of a new pose, so that none gets too old
+                        transmitter.publish(lines)  # as from a new pose, so that none is too old
                         tick()
             except KeyboardInterrupt:  # the lines so far are still useful
                 pass

@@ -48,7 +48,7 @@ class Codec:
 
     Raises:
         LayoutError: the covariance code is unknown, or there is an authenticator but the DBC has
-            no authenticated message, or too short a freshness value for it.
+            no authenticated message, or its freshness value is too short.
         TypeError: ``authenticator`` is something else, such as a key.
 
     >>> codec = Codec.from_dbc()
@@ -101,14 +101,14 @@ class Codec:
         authenticator: Authenticator | None = None,
         codes: Mapping[str, type[CovarianceCode]] = CODES,
     ) -> Codec:
-        """Return the codec of a DBC: a file, or a database that cantools has loaded from one.
+        """Return the codec of a DBC file, or of a database that cantools has loaded from one.
 
-        Without a DBC, it is the project's ``maplines.dbc``, or ``maplines-secoc.dbc`` with an
+        By default, the DBC is the project's ``maplines.dbc``, or ``maplines-secoc.dbc`` with an
         authenticator.
 
         Raises:
             LayoutError: the file is missing, or the DBC does not describe a map line; the message
-                says which signal or message needs what.
+                names the signal or message and what it needs.
             TypeError: ``dbc`` or ``authenticator`` is of another class.
 
         >>> database = cantools.database.load_file("dbc/maplines.dbc")  # doctest: +SKIP
@@ -146,9 +146,9 @@ class Codec:
 
         A value that does not fit is never clipped silently; the status reports it. An indefinite
         covariance is replaced by the nearest one that covers it (REPAIRED). A value beyond the end
-        of its range is covered by a wider covariance (SATURATED), or if the widest covariance does
-        not cover it, the line is OUT_OF_RANGE. So it is if no valid range within the given one can
-        be stated.
+        of its range is covered by a wider covariance (SATURATED). The line is OUT_OF_RANGE if the
+        widest covariance does not cover the value, or if ``XMin`` and ``XMax`` cannot state a valid
+        range within the given one.
 
         Args:
             means: (N, 4) lines [m, rad, 1/m, 1/m^2].
@@ -299,9 +299,10 @@ class Codec:
 
         Args:
             timeout_ms: longest time between the frames of a transfer, and between the components
-                of a mixture [ms]. By default it is shorter than the time in which transfer IDs
-                repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, from 0.5 to 1.5. With
-                ``maplines.dbc`` it is 75 ms. See ``Reassembler`` for longer ones.
+                of a mixture [ms]. The default is shorter than the time after which transfer IDs
+                repeat: (transfer IDs / greatest ComponentCount - 0.5) cycles, at least 0.5 and at
+                most 1.5 cycles; 75 ms with ``maplines.dbc``. ``Reassembler`` describes the effect
+                of a longer one.
             cycle_ms: cycle time of the lines of a slot [ms], for the E2E state, stale and late
                 lines, and the default of ``timeout_ms``; by default the slot's cycle time in the
                 DBC, or 100 ms.

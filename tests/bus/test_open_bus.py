@@ -75,7 +75,7 @@ def test_item_3_anything_else_is_refused_by_name(wrong: Any) -> None:
 
 
 def test_wrong_arguments_of_a_link_raise() -> None:
-    with pytest.raises(TypeError, match="a bus that is open takes no settings, got channel"):
+    with pytest.raises(TypeError, match="an open bus takes no settings, got channel"):
         Link(FakeBus(), channel="can0")
     with pytest.raises(TypeError, match=r"opener must be an open python-can bus .* got 'can0'"):
         Link("can0")  # type: ignore[arg-type]
@@ -94,8 +94,8 @@ def test_a_given_bus_is_never_shut_down_and_tried_again_after_an_outage() -> Non
         assert link.outages == 1
     assert bus.open
     assert events == [
-        (False, "fake is lost (No such device); it is tried again, but not reopened, because it "
-         "was given open"),
+        (False, "fake is lost (No such device); it is tried again, but not reopened, because "
+         "the caller opened it"),
         (True, "fake is back after 6.0 s"),
     ]  # fmt: skip
 
@@ -204,7 +204,7 @@ def test_a_given_bus_gets_its_own_filters_back(channel: str) -> None:
     """After stop, and also if it had filters of its own."""
     for own in (None, [{"can_id": 1, "can_mask": 0x7FF}]):
         with (
-            can.Bus(interface="virtual", channel=channel, can_filters=own) as bus,  # type: ignore[arg-type]
+            can.Bus(interface="virtual", channel=channel, can_filters=own) as bus,
             can.Bus(interface="virtual", channel=channel) as other,
         ):
             with Receiver(bus, Codec.from_dbc().decoder()):

@@ -122,9 +122,9 @@ class IntegerCholesky(BatchCode):
 def _factors(M: Array) -> Array:
     """Return (n, 4, 4) lower Cholesky factors of semidefinite matrices with a positive diagonal.
 
-    Rounding can leave a pivot that is not positive, for which NumPy's factorization raises for the
-    whole batch. Here the pivot is at least what rounding of its row can hide; the caller checks
-    that the result covers.
+    Rounding can make a pivot zero or negative, for which NumPy's factorization raises for the whole
+    batch. Here a pivot is at least as large as the rounding error of its row; the caller checks
+    that the result covers the matrix.
     """
     L = np.zeros_like(M)
     for i in range(4):

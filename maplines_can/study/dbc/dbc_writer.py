@@ -285,9 +285,9 @@ def _signal(
 
 
 def _without_exponents(line: re.Match[str]) -> str:
-    """Return a line ``SG_`` with its numbers as plain decimals, since some parsers read no others.
+    """Return a line ``SG_`` with plain decimals, since some parsers do not read exponents.
 
-    The digits stay the same, and so does the double that they mean.
+    The digits, and so the values as doubles, stay the same.
     """
     return re.sub(
         r"(?<=[(,|[])-?[\d.]+e[+-]?\d+", lambda number: f"{Decimal(number[0]):f}", line[0]

@@ -1,4 +1,4 @@
-"""Which covariance code to choose for a number of frames, from the summary of a sweep."""
+"""Recommendation of a covariance code for each number of frames, from the summary of a sweep."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Choice(NamedTuple):
 
 
 def choices(tables: Tables) -> list[Choice]:
-    """Return what to choose, for each number of frames where the choice changes.
+    """Return a recommendation for each number of frames at which it changes.
 
     A code is valid if every decoded covariance was positive definite and covered its target, on
     all sets. Of the valid ones that fit, the one with the least KL at 99 % of the Gaussians is
@@ -79,7 +79,7 @@ def _choice(
 
 
 def _variants(tables: Tables) -> list[Variant]:
-    """Return the codes with each of their widths that all sets have."""
+    """Return the codes with each of their widths for which all sets have results."""
     found: dict[tuple[str, int], Variant] = {}
     for row in tables.summary:
         found.setdefault((row["code"], row["finer_bits"]), []).append(row)
@@ -109,7 +109,7 @@ def _fault(variant: Variant) -> str:
 
 
 def _faults(variants: Sequence[Variant]) -> str:
-    """Return why each code is not valid, with the widths nearest to those of its DBC."""
+    """Return why each code is not valid, for the widths nearest to those of its DBC."""
     nearest = {v[0]["code"]: v for v in sorted(variants, key=lambda v: -abs(v[0]["finer_bits"]))}
     return "; ".join(f"{code} {fault}" for code, v in nearest.items() if (fault := _fault(v)))
 

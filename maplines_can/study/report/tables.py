@@ -13,8 +13,8 @@ from ..metrics import LATERAL_X
 
 Row = dict[str, Any]
 
-#: Columns of the summary with a KL divergence, and their names in the report. A mean follows a few
-#: outliers, which can be 1e10 times the median; so the median comes first.
+#: Columns of the summary with a KL divergence, and their names in the report. The median comes
+#: first, because the mean is dominated by a few outliers of up to 1e10 times the median.
 SUMMARY = {
     "kl_p50": "KL of the covered target, median",
     "kl_p99": "KL of the covered target, 99 %",

@@ -27,7 +27,7 @@ class RecordAttributes:
         kind: kind of the line.
         x_min: start of the valid range of the cubic [m].
         x_max: end of the valid range of the cubic [m].
-        age: time from the pose to the sending [s]; infinite: too old, or unknown.
+        age: time from the pose to the sending [s]; infinite if too old or unknown.
         status: requested status; None: FULL. DIAGONAL requests the variances only.
         component_index: index of the component in its mixture, from 0.
         component_count: number of components of the mixture.

@@ -131,7 +131,7 @@ def content_of(database: Database, source: str) -> DbcContent:
 
 
 def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
-    """Return the signals that all messages hold; others are not of the record."""
+    """Return the signals that all messages have; others do not belong to the record."""
     (first, signals), *others = records.items()
     for name, other in others:
         differing = sorted(s for s in signals.keys() & other.keys() if signals[s] != other[s])
@@ -146,12 +146,12 @@ def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) ->
 
 
 def _check_frame(message: Message, kind: FrameFormat, source: str) -> None:
-    """Check that a classic message has pages of 8 bytes, and a CAN FD one the whole record."""
+    """Check the length and the multiplexer of a message against its frame format."""
     where = f"{source}: message {message.name}"
     if kind is FrameFormat.CLASSIC and message.length != PAGE_BYTES:
         raise LayoutError(
             f"{where}: a page must have 8 bytes, got {message.length}; for a whole record in one "
-            "message, make it a CAN FD message (VFrameFormat)"
+            "frame, make it a CAN FD message (VFrameFormat)"
         )
     if kind is FrameFormat.CLASSIC:
         return
@@ -161,23 +161,25 @@ def _check_frame(message: Message, kind: FrameFormat, source: str) -> None:
             f"got {message.length} bytes"
         )
     if any(signal.is_multiplexer for signal in message.signals):
-        raise LayoutError(f"{where}: a CAN FD message holds all pages, so it has no multiplexer")
+        raise LayoutError(
+            f"{where}: a CAN FD message holds all pages, so it must not have a multiplexer"
+        )
 
 
 def _check_choices(signal: DbcSignal, where: str) -> None:
-    """Check that the names of Status and Kind have their numbers in VAL_; others are allowed."""
+    """Check that VAL_ gives no name of a Status or Kind to another value; new names are allowed."""
     enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
     names = enumeration.__members__ if enumeration else {}
     for number, text in (signal.choices or {}).items():
         if names.get(str(text), number) != number:
             raise LayoutError(
-                f"{where}: signal {signal.name}: its VAL_ gives {number} the name {text}, which is "
-                f"that of {names[str(text)].value}; correct the table"
+                f"{where}: signal {signal.name}: VAL_ gives the value {number} the name {text}, "
+                f"which belongs to the value {names[str(text)].value}; correct VAL_"
             )
 
 
 def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:
-    """Check that no other message has the CAN ID of a message of a map line."""
+    """Check that no message has the same CAN ID as a message of a map line."""
     names: dict[tuple[int, bool], str] = {}
     for message in database.messages:
         first = names.setdefault((message.frame_id, message.is_extended_frame), message.name)
@@ -284,7 +286,7 @@ def _record(message: Message, source: str) -> dict[str, Signal]:
         raise LayoutError(
             f"{where}: must have pages of 8 bytes, each with {PAGE} and {TRANSFER_ID}"
         )
-    # Signals of others may lie in the padding of a CAN FD message.
+    # The padding of a CAN FD message may hold other signals.
     end = 8 * PAGE_BYTES * len(pages)
     return {name: signal for name, signal in record.items() if min(bits_of(signal)) < end}
 
@@ -321,7 +323,7 @@ def _low_bits(signal: Signal, name: str, length: int) -> Signal:
 
 
 def _signal(signal: DbcSignal) -> Signal:
-    """Convert a cantools signal to a `Signal`; ``requirements`` checks it if it is needed."""
+    """Convert a cantools signal to a `Signal`; ``requirements`` checks those of the record."""
     factor, offset = float(signal.scale), float(signal.offset)
     converted = Signal(
         name=signal.name,

@@ -54,8 +54,8 @@ class Layout:
         secured: layout of the authenticated messages; None if there are none.
 
     Raises:
-        LayoutError: a signal is missing or is not as ``requirements`` says, two messages have the
-            same CAN ID, or two slots the same data ID.
+        LayoutError: a signal is missing or does not meet its ``requirements``, two messages have
+            the same CAN ID, or two slots the same data ID.
     """
 
     signals: Mapping[str, Signal]
@@ -70,16 +70,16 @@ class Layout:
         pages = pages_of(self.signals)
         if pages != list(range(len(pages))) or not pages:
             raise LayoutError(f"{self.source}: pages must be numbered 0, 1, ..., got {pages}")
-        for page in reversed(pages):  # that of page 0 may follow from that of page 1
+        for page in reversed(pages):  # the reader derives the first one from the second
             self[f"{TRANSFER_ID}{page}"]
         check_record(self.signals, self.source)
         check_messages(self.messages, self.secured, self.record_bytes, self.source)
 
     @classmethod
     def from_dbc(cls, dbc: str | Path | Database | None = None) -> Layout:
-        """Read a layout from a DBC: a file, or a database that cantools has loaded from one.
+        """Read a layout from a DBC file, or from a database that cantools has loaded from one.
 
-        Without an argument, it is the project's ``maplines.dbc``.
+        By default, the DBC is the project's ``maplines.dbc``.
 
         Raises:
             LayoutError: the file is missing, is larger than 64 MB, is not a DBC, or does not
@@ -111,7 +111,7 @@ class Layout:
             return self.signals[name]
         except KeyError:
             raise LayoutError(
-                f"{self.source}: there is no signal {name!r}; a map line needs it in each message, "
+                f"{self.source}: there is no signal {name!r}; each message of a map line needs it, "
                 "within the pages of 8 bytes"
             ) from None
 

@@ -77,7 +77,7 @@ class RecordReader:
         self._signals = layout.signals
         self._pages = layout.pages
         self._mean = [layout[name] for name in PARAMETER_SIGNALS]
-        self._too_old = layout["Age"].raw_max  # an age of this raw value or more is not stated
+        self._too_old = layout["Age"].raw_max  # the raw value that means so, or more
         self._resolution = layout.resolution
         self._covariance = covariance
         self._packing = packing

@@ -1,13 +1,14 @@
-"""Requirements of the signals of a record: what each must be for the codec's result to be right.
+"""Requirements on the signals of a record, without which a codec would give wrong results.
 
-``REQUIREMENTS`` is about single signals, ``RELATIONS`` about several of them. A covariance code
-states the requirements of its own signals in the same way, and checks them with ``check``.
+``REQUIREMENTS`` has those of single signals, ``RELATIONS`` those of several signals together. A
+covariance code states the requirements on its own signals in the same way, and checks them with
+``check``.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,13 +18,13 @@ from ...line import Kind, Status
 from .packing import pieces_of
 from .signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 
-#: Bits of an integer that a double holds exactly.
+#: Most bits of an integer that a double represents exactly.
 EXACT_BITS = 53
-#: Bounds of a factor, and of the physical value of any bits: their squares are finite doubles.
+#: Least factor, and greatest physical value of any bits; their squares are still finite doubles.
 LEAST_FACTOR, FARTHEST = 1e-30, 1e30
-#: Least bits of the counter, so that the E2E state machine can tell lost records from late ones.
+#: Least bits of the counter; with fewer, lost records cannot be told from late ones.
 LEAST_COUNTER_BITS = 4
-#: Least bytes of the freshness value: 3 bytes of microseconds last 16.8 s, 2 bytes only 65 ms.
+#: Least bytes of the freshness value: 3 bytes of microseconds repeat after 16.8 s, 2 after 65 ms.
 LEAST_FRESHNESS_BYTES = 3
 
 
@@ -44,10 +45,13 @@ class Requirement:
 
 @dataclass(frozen=True)
 class Relation:
-    """A property that signals of a record must have together; args as ``Requirement``.
+    """A property that several signals of a record must have together.
 
     Args:
-        name: of the signal to change.
+        name: the signal to change.
+        needs: the property, which completes "the signal needs ...".
+        met: whether the signals of a record have it.
+        cure: what to change in the DBC.
     """
 
     name: str
@@ -57,7 +61,7 @@ class Relation:
 
 
 def unit(*units: str) -> Requirement:
-    """Return the requirement of one of these units, or none."""
+    """Return the requirement that the unit is one of these, or that there is none."""
     return Requirement(
         f'the unit "{units[0]}", or none',
         lambda signal: signal.unit in ("", *units),
@@ -66,12 +70,12 @@ def unit(*units: str) -> Requirement:
 
 
 def length(bits: int) -> Requirement:
-    """Return the requirement of a width."""
+    """Return the requirement of this number of bits."""
     return Requirement(f"{bits} bits", lambda signal: signal.length == bits, f"give it {bits} bits")
 
 
 def holds(low: int, high: int, what: str = "") -> Requirement:
-    """Return the requirement of a range that contains two values, and so all between them."""
+    """Return the requirement that the range contains all values from ``low`` to ``high``."""
     values = f"{low} to {high}" if low < high else f"{low}"
     return Requirement(
         f"a range that holds {values}{what}",
@@ -85,19 +89,21 @@ def _within(signal: Signal, physical: float) -> bool:
 
 
 INTEGER = Requirement("an integer type", lambda s: not s.is_float, "remove its SIG_VALTYPE_")
-UNSIGNED = Requirement("an unsigned type", lambda s: not s.signed, "write + for the - after @0, @1")
+UNSIGNED = Requirement(
+    "an unsigned type", lambda s: not s.signed, "write + for the - after @0 or @1"
+)
 EXACT = Requirement(
-    f"{EXACT_BITS} bits at most",
+    f"at most {EXACT_BITS} bits",
     lambda s: s.length <= EXACT_BITS,
-    "make it narrower: a double holds no more",
+    "make it narrower, since a double represents no more bits exactly",
 )
 FINITE = Requirement(
-    f"a factor other than 0 of magnitude {LEAST_FACTOR:g} or more, and values up to {FARTHEST:g}",
+    f"a factor other than 0, from {LEAST_FACTOR:g} in magnitude, and values up to {FARTHEST:g}",
     lambda s: abs(s.factor) >= LEAST_FACTOR and bool(np.abs(s.reach).max() <= FARTHEST),
     "correct factor and offset",
 )
 SOME_RANGE = Requirement(
-    "a range [min|max] that holds a value of its bits",
+    "a range [min|max] that contains a value of its bits",
     lambda s: s.raw_min <= s.raw_max,
     "correct min and max, or write [0|0] for the range of all bits",
 )
@@ -113,9 +119,9 @@ WHOLE_RANGE = Requirement(
     "widen its range [min|max], or write [0|0]",
 )
 
-#: A value that is rounded to the nearest step.
+#: Requirements of a physical value, which is rounded to a step.
 QUANTITY = (INTEGER, EXACT, FINITE, SOME_RANGE)
-#: A number that is sent as it is.
+#: Requirements of a number that is sent unchanged.
 NUMBER = (INTEGER, UNSIGNED, IDENTITY, EXACT, SOME_RANGE)
 _BYTES = (INTEGER, UNSIGNED, IDENTITY)
 
@@ -144,7 +150,7 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
         Requirement(
             f"{LEAST_COUNTER_BITS} bits or more",
             lambda s: s.length >= LEAST_COUNTER_BITS,
-            "widen it: with fewer, lost records and late ones look the same",
+            "widen it, since with fewer bits lost and late records look the same",
         ),
     ),
     TRANSFER_ID: (*NUMBER, WHOLE_RANGE),
@@ -162,10 +168,12 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
         POSITIVE,
         unit("ms"),
         Requirement(
-            "0 ms or more for any bits", lambda s: s.reach[0] >= 0, "make it unsigned, offset 0"
+            "0 ms or more for any bits",
+            lambda s: s.reach[0] >= 0,
+            "make it unsigned, with offset 0",
         ),
         Requirement(
-            "three values or more in its range: two ages, and too old",
+            'at least three values in its range: two ages, and "too old"',
             lambda s: s.raw_max - s.raw_min >= 2,
             "widen the signal and its range [min|max]",
         ),
@@ -197,26 +205,26 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
         Requirement(
             f"{LEAST_FRESHNESS_BYTES} bytes or more",
             lambda s: s.length >= 8 * LEAST_FRESHNESS_BYTES,
-            "widen it: 2 bytes of microseconds last 65 ms, 3 bytes 16.8 s",
+            "widen it, since 2 bytes of microseconds repeat after 65 ms, 3 bytes after 16.8 s",
         ),
     ),
     "Mac": _BYTES,
 }
 
 
-def pages_of(names: Iterator[str] | Mapping[str, Signal]) -> list[int]:
-    """Return the numbers of the pages of a record, in ascending order."""
+def pages_of(names: Iterable[str]) -> list[int]:
+    """Return the numbers of the pages of a record, from its signals, in ascending order."""
     found = (re.fullmatch(f"{PAGE}(\\d+)", name) for name in names)
     return sorted(int(match[1]) for match in found if match)
 
 
 def _each(signals: Mapping[str, Signal], name: str) -> list[Signal]:
-    """Return a signal that each page has, in the order of the pages."""
+    """Return the signals of this name of all pages, in the order of the pages."""
     return [signals[f"{name}{page}"] for page in pages_of(signals)]
 
 
 def _named(signals: Mapping[str, Signal], name: str) -> list[Signal]:
-    """Return the signals that a requirement of this name is about."""
+    """Return the signals that the requirements of this name apply to."""
     if name in (PAGE, TRANSFER_ID):
         return _each(signals, name)
     return [signals[name]] if name in signals else []
@@ -233,11 +241,11 @@ def _in_its_page(signals: Mapping[str, Signal], name: str) -> bool:
     )
 
 
-#: Requirements of several signals of a record.
+#: Requirements on several signals of a record.
 RELATIONS: Sequence[Relation] = (
     Relation(
         PAGE,
-        "the same bits in each page, enough of them for all pages",
+        "the same bits in each page, and enough bits to number all pages",
         lambda signals: (
             _in_its_page(signals, PAGE)
             and len({(s.start % 64, s.length, s.big_endian) for s in _each(signals, PAGE)}) == 1
@@ -247,25 +255,25 @@ RELATIONS: Sequence[Relation] = (
     ),
     Relation(
         TRANSFER_ID,
-        "to lie in its page; that of page 0 is the low bits of Counter, if it has none of its own",
+        "to lie in its page (in page 0, it may be the low bits of Counter)",
         lambda signals: _in_its_page(signals, TRANSFER_ID),
-        f"move {TRANSFER_ID}1 to page 1 and so on, and Counter to page 0",
+        f"move {TRANSFER_ID}1 to page 1, and so on, and Counter to page 0",
     ),
     Relation(
         TRANSFER_ID,
         "the same length in each page",
         lambda signals: len({s.length for s in _each(signals, TRANSFER_ID)}) == 1,
-        f"give {TRANSFER_ID}1, {TRANSFER_ID}2, ... as many bits",
+        f"give {TRANSFER_ID}1, {TRANSFER_ID}2, ... the same number of bits",
     ),
     Relation(
         TRANSFER_ID,
-        "to tell apart two lines of the most components: 2^bits >= 2 x greatest ComponentCount",
+        "values for two lines of the most components: 2^bits >= 2 x greatest ComponentCount",
         lambda signals: 2 ** signals[f"{TRANSFER_ID}0"].length >= 2 * _most_components(signals),
         "widen it in each page, or narrow the range of ComponentCount",
     ),
     Relation(
         "Counter",
-        f"as many bits as {TRANSFER_ID} or more",
+        f"at least as many bits as {TRANSFER_ID}",
         lambda signals: signals["Counter"].length >= signals[f"{TRANSFER_ID}0"].length,
         f"widen it, or shorten {TRANSFER_ID}",
     ),
@@ -277,21 +285,21 @@ RELATIONS: Sequence[Relation] = (
     ),
     Relation(
         "ComponentIndex",
-        "a range up to the greatest ComponentCount less 1",
+        "a range up to the greatest ComponentCount minus 1",
         lambda signals: signals["ComponentIndex"].raw_max >= _most_components(signals) - 1,
         "widen it, or narrow the range of ComponentCount",
     ),
     Relation(
         "ComponentWeight",
-        "as many steps as the greatest ComponentCount",
+        "at least as many steps as the greatest ComponentCount",
         lambda signals: 1.5 / signals["ComponentWeight"].factor > _most_components(signals),
-        "give it a finer factor, or narrow the range of ComponentCount",
+        "give it a smaller factor, or narrow the range of ComponentCount",
     ),
 )
 
 
 def check(signal: Signal, requirements: Sequence[Requirement], source: str) -> None:
-    """Check a signal.
+    """Check that a signal meets its requirements.
 
     Raises:
         LayoutError: it does not meet a requirement.
@@ -305,7 +313,7 @@ def check(signal: Signal, requirements: Sequence[Requirement], source: str) -> N
 
 
 def check_record(signals: Mapping[str, Signal], source: str) -> None:
-    """Check the signals of a record, each for itself and with the others.
+    """Check the signals of a record, one by one and together.
 
     Raises:
         LayoutError: a requirement is not met, two signals overlap, or one is not in the record.
@@ -344,7 +352,7 @@ def bits_of(signal: Signal) -> set[int]:
 
 
 def in_dbc(signal: Signal) -> str:
-    """Return a signal as in a DBC, with its start in the record."""
+    """Return a signal in the notation of a DBC, with its start bit in the record."""
     kind, low, high = f" (float{signal.length})", "", ""
     if not signal.is_float:
         kind = ""

@@ -78,7 +78,7 @@ class Signal:
 
     @property
     def all_raw(self) -> tuple[int, int]:
-        """Least and greatest raw value of any bits, also of those outside the DBC's range."""
+        """Least and greatest raw value of any bits, including those outside the DBC's range."""
         least = -(2 ** (self.length - 1)) if self.signed else 0
         return least, least + 2**self.length - 1
 

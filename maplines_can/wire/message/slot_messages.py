@@ -88,7 +88,7 @@ def check_messages(
     record_bytes: int,
     source: str,
 ) -> None:
-    """Check that frames of different messages, and records of different slots, are told apart.
+    """Check that the messages have room for a record, and that their CAN and data IDs are unique.
 
     Raises:
         LayoutError: two messages have the same CAN ID, two slots have the same data ID, or a
@@ -97,24 +97,25 @@ def check_messages(
     owners: dict[tuple[str, object], str] = {}
     for of_slot in messages.values():
         name = f"slot {of_slot.slot.name}"
-        for own, needed, frame in (
-            (of_slot.fd_length, record_bytes, "CAN FD" if of_slot.fd_can_id is not None else ""),
-            (secured.authentic_bytes if secured else 0, record_bytes + 1,
-             "authenticated" if of_slot.secured_can_id is not None else ""),
-        ):  # fmt: skip
-            if frame and own < needed:
-                raise LayoutError(
-                    f"{source}: {name}: the {frame} message has {own} bytes for the record, but "
-                    f"it needs {needed}; make it longer"
-                )
+        rooms = []
         unique = [
             ("CAN ID", of_slot.can_id, of_slot.is_extended, "classic"),
             ("CAN ID", of_slot.fd_can_id, of_slot.fd_is_extended, "CAN FD"),
             ("CAN ID", of_slot.secured_can_id, of_slot.secured_is_extended, "authenticated"),
             ("E2EDataId", of_slot.data_id, False, ""),
         ]
+        if of_slot.fd_can_id is not None:
+            rooms.append(("CAN FD", of_slot.fd_length, record_bytes))
         if of_slot.secured_can_id is not None:
+            authentic_bytes = secured.authentic_bytes if secured else 0
+            rooms.append(("authenticated", authentic_bytes, record_bytes + 1))  # with the key ID
             unique.append(("SecOCDataId", of_slot.secured_data_id, False, ""))
+        for frame, room, needed in rooms:
+            if room < needed:
+                raise LayoutError(
+                    f"{source}: {name}: the {frame} message has {room} bytes for the record, but "
+                    f"it needs {needed}; make it longer"
+                )
         for what, number, extended, frame in unique:
             if number is None:
                 continue
@@ -123,5 +124,5 @@ def check_messages(
             if other != own_name:
                 raise LayoutError(
                     f"{source}: {other} and {own_name} have the same {what}, {number}, so a line "
-                    "of one could be delivered as that of the other; give each its own"
+                    "of one could be delivered as a line of the other; give each its own"
                 )

@@ -19,7 +19,7 @@ from .validation import CheckedGaussians
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8
-#: Tolerance [steps] for the floating-point error of the division, before directed rounding.
+#: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
 
 
@@ -135,7 +135,7 @@ class RecordWriter:
         """Add the raw ends of the valid range, rounded inwards.
 
         Returns:
-            (n,) rows of which no range within the given one can be stated.
+            (n,) rows for which no range within the given one can be stated.
         """
         x_min, x_max = _finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)
         if (x_min > x_max).any():
@@ -151,7 +151,7 @@ class RecordWriter:
     ) -> None:
         """Add the raw age, rounded up, and the raw weight of the component.
 
-        The greatest raw age, to which longer ones are limited, means "too old".
+        Longer ages are limited to the greatest raw value, which means "too old".
         """
         signal = self.layout["Age"]
         age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
@@ -215,13 +215,13 @@ class RecordWriter:
 
 
 def _up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) raw values of the next physical value that is not less."""
+    """Return the (n,) raw values of the physical values, rounded up."""
     raw = np.ceil((physical - signal.offset) / signal.factor - SLACK)
     return raw + (signal.physical(raw) < physical)
 
 
 def _down(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) raw values of the next physical value that is not greater."""
+    """Return the (n,) raw values of the physical values, rounded down."""
     raw = np.floor((physical - signal.offset) / signal.factor + SLACK)
     return raw - (signal.physical(raw) > physical)
 

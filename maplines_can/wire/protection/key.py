@@ -10,12 +10,12 @@ from ...errors import KeyMaterialError, missing_extra
 
 #: Bytes of the secrets of AES-128 and AES-256.
 SECRET_BYTES = (16, 32)
-#: Whole numbers from here on may be a secret.
+#: An integer of at least this magnitude may be a secret.
 LEAST_SECRET_NUMBER = 2**64
 
 
 def shown(value: object) -> str:
-    """Return a wrong argument as text for an error message; of what may be a secret, its type.
+    """Return a wrong argument as text for an error message, or only its type if it may be a secret.
 
     >>> shown(300), shown(-0.5), shown(None), shown("2b7e1516"), shown(2**100)
     ('300', '-0.5', 'None', 'a str', 'an int of 101 bits')
@@ -33,7 +33,7 @@ class Key:
     of this package contain the secret.
 
     Args:
-        secret: 16 or 32 random bytes, not their hex digits: see ``from_hex``.
+        secret: 16 or 32 random bytes; for hex digits, see ``from_hex``.
         key_id: key ID on the bus, 0 to 255.
 
     Raises:

@@ -30,7 +30,7 @@ from .key import Key, shown
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
 MOST_FRESHNESS = 2**63 - 1
-#: Bytes that hold the whole freshness value of a frame, for 2283 years.
+#: Bytes of a complete freshness value, enough for 2283 years.
 WHOLE_FRESHNESS = 7
 
 
@@ -205,10 +205,11 @@ class Verifier:
     A freshness value is accepted if it is greater than the last accepted one, and with a clock,
     if it is also within the authenticator's window about the current time. Only the clock rejects
     a recording that is replayed to a receiver that has just started; without a clock, only
-    ``not_before`` does. The clock also completes a freshness value of less than 7 bytes, after any
-    silence and any number of lost frames: of the values with its low bytes, one at most lies within
-    the window. Without a clock a long silence could not be told from a short one, so the message
-    must hold all 7 bytes.
+    ``not_before`` does.
+
+    The clock also completes a freshness value of less than 7 bytes, after any silence and any
+    number of lost frames, since at most one value with these low bytes lies within the window.
+    Without a clock the message must have all 7 bytes, because the length of a silence is unknown.
 
     Raises:
         LayoutError: ``Freshness`` has too few bytes for the window, or for a receiver without a
@@ -251,7 +252,7 @@ class Verifier:
 
 
 def _problem(clock: object, window_ns: object, not_before: object) -> str | None:
-    """Return what is wrong with the settings of an authenticator; of a secret, only its type."""
+    """Return what is wrong with the settings of an authenticator, without repeating a secret."""
     now = clock() if callable(clock) else None
     if clock is not None and not isinstance(now, int):
         got = f"one that returns {shown(now)}" if callable(clock) else shown(clock)
@@ -273,7 +274,7 @@ def _problem(clock: object, window_ns: object, not_before: object) -> str | None
 
 
 def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None:
-    """Check that each freshness value that may be accepted can be completed from its low bytes.
+    """Check that the message has enough bytes of the freshness value to complete it.
 
     Raises:
         LayoutError: it has too few bytes.
@@ -283,7 +284,7 @@ def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None
     if authenticator.now() is None:
         if layout.freshness_bytes < WHOLE_FRESHNESS:
             raise LayoutError(
-                f"{has}, but without a clock {WHOLE_FRESHNESS} are needed, or no frame would be "
+                f"{has}, but without a clock {WHOLE_FRESHNESS} are needed, since no frame could be "
                 f"accepted after a silence of {span / 1e6:.6g} s; give the authenticator a clock, "
                 "such as time.time_ns, or widen Freshness in the DBC"
             )
@@ -291,7 +292,7 @@ def check_freshness(authenticator: Authenticator, layout: SecuredLayout) -> None
         raise LayoutError(
             f"{has}, which repeat after {span / 1e6:.6g} s, but window_ns allows a difference of "
             f"{authenticator.window / 1e6:.6g} s to either side; widen Freshness in the DBC, or "
-            f"take a window_ns of {1000 * (span // 2 - 1)} at most"
+            f"use a window_ns of {1000 * (span // 2 - 1)} at most"
         )
 
 

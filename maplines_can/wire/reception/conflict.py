@@ -22,11 +22,11 @@ class SenderConflict:
     at most one between two new records. Two senders of the same content cause duplicates only; so
     does a path that duplicates every frame. Time is an argument.
 
-    For some cycles after a counter was reused with other content, a second sender is suspected, and
-    no mixture is put together, since its components may be of both. Otherwise the delivery of lines
-    does not depend on this diagnostic. ``SlotView.usable`` does: a second sender whose counters are
-    ahead by up to ``max_delta_counter`` passes the E2E check as lost records do, and its lines are
-    delivered while the state is VALID.
+    For ``SUSPECT_CYCLES`` after a counter was reused with other content, a second sender is
+    suspected and no mixture is put together, since its components may come from both. Otherwise the
+    delivery of lines does not depend on this diagnostic. ``SlotView.usable`` does: a second sender
+    whose counters are ahead by up to ``max_delta_counter`` passes the E2E check as lost records do,
+    and its lines are delivered while the state is VALID.
 
     Args:
         cycle_ns: time between records [ns].
@@ -64,7 +64,7 @@ class SenderConflict:
             self.is_confirmed, self._confirmed_ns = True, t_ns
 
     def counter_reused(self, t_ns: int) -> None:
-        """Count a record whose counter was received before with other content, and suspect."""
+        """Count a conflict by a reused counter, and suspect a second sender."""
         self._suspected_ns = t_ns
         self.conflict(t_ns)
 
@@ -74,7 +74,7 @@ class SenderConflict:
         self._suspected_ns = LONG_AGO_NS
 
     def is_suspected(self, t_ns: int) -> bool:
-        """Return whether a counter was reused in the last cycles."""
+        """Return whether a counter was reused in the last ``SUSPECT_CYCLES``."""
         return abs(t_ns - self._suspected_ns) <= SUSPECT_CYCLES * self._cycle_ns
 
     def elapse(self, t_ns: int) -> None:

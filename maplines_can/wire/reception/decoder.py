@@ -38,7 +38,7 @@ class Decoder:
     Args:
         verifier: checks authenticated frames; None for a bus without authentication.
         timeouts_ns: longest time between the frames of a transfer, and between the components of a
-            mixture, of each slot [ns].
+            mixture, for each slot [ns].
         cycles_ns: time between records of each slot [ns].
         e2e: windows and bounds of the E2E state machines.
     """
@@ -126,7 +126,7 @@ class Decoder:
                 self._mixtures.drop_if_within(record.slot, content.counter)
             return self._dropped(reason, record.frames)
         if content.count > 1 and check.counter_was_reused(record.t_ns):
-            self._mixtures.drop(record.slot)  # its components may be of both
+            self._mixtures.drop(record.slot)  # its components may come from two senders
             return self._dropped(Reason.INCOMPLETE, record.frames)
         complete = self._mixtures.add(content, record.frames, record.t_ns)
         if isinstance(complete, Reason):

@@ -11,7 +11,7 @@ class _Entry(NamedTuple):
     position: int  #: extended sequence number
     content: int
     is_new: bool  #: accepted when it came
-    is_in_sequence: bool  #: new, or late but directly after one that is in sequence
+    is_in_sequence: bool  #: new, or late and directly after one that is in sequence
     is_duplicated: bool  #: received again since
 
 

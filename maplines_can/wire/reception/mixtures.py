@@ -37,7 +37,7 @@ class CompleteLine(NamedTuple):
 
 
 class _Common(NamedTuple):
-    """What all components of one line have in common."""
+    """Values that all components of a line share."""
 
     first: int  #: counter of the first component
     components: int
@@ -60,14 +60,14 @@ class _Incomplete:
 class MixtureAssembler:
     """Assembler of the components of a line: all of them, by their counters, or none.
 
-    Each slot has one incomplete mixture at most; time is an argument. Components of one line have
-    the same count, kind, valid range and age, and counters in the order of their indices. A
-    component in which one of these differs is of another line, which ends the incomplete one.
+    Each slot has at most one incomplete mixture; time is an argument. The components of a line have
+    the same count, kind, valid range and age, and counters in the order of their indices. If one of
+    these differs, a component belongs to another line, and the incomplete mixture is dropped.
 
     Args:
         modulus: counter modulus.
-        timeouts_ns: longest time between two components of a line of each slot [ns]. A slow bus
-            takes long for many components, so the time counts from the last one.
+        timeouts_ns: longest time between two components of a line, for each slot [ns]. It counts
+            from the last component, since a slow bus takes long for many components.
     """
 
     def __init__(self, modulus: int, timeouts_ns: Mapping[Slot, int]) -> None:

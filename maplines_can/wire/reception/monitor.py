@@ -31,14 +31,14 @@ class SlotView(NamedTuple):
     def usable(self) -> bool:
         """Whether a controller may use the line.
 
-        The E2E state is VALID, the line is not stale, the slot has one sender, the status of the
-        line is not OUT_OF_RANGE, and its age is finite: the sender vouches for it.
+        This is so if the E2E state is VALID, the line is not stale, the slot has one sender, the
+        status of the line is not OUT_OF_RANGE, and its age is finite.
 
-        ``age`` is then at most the greatest age that the DBC can state, plus ``stale_cycles`` cycle
-        times: 240 ms + 150 ms with the project's DBC. It is not less than the true age, except for
-        the time that the first frame of the line spent in the interface's transmit queue and on
-        the bus. If the producer of the lines hangs, no line is therefore usable 390 ms after its
-        pose, plus that time.
+        The ``age`` of a usable line is at most the greatest age that the DBC can state plus
+        ``stale_cycles`` cycle times: 240 ms + 150 ms with the project's DBC. It is not less than
+        the true age, except for the time that the first frame of the line spent in the transmit
+        queue of the interface and on the bus. If the producer of the lines hangs, no line is
+        therefore usable later than 390 ms after its pose, plus that time.
         """
         line = self.line
         vouched = line is not None and line.is_usable
@@ -79,8 +79,8 @@ class Monitor:
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state.
 
-        A line that is late by 240 to 255 records looks newer, see ``SequenceCheck``; these are 12 s
-        of single lines, or 1.5 s of lines of 8 components.
+        A line that is late by 240 to 255 records looks newer and is returned as such (see
+        ``SequenceCheck``). These are 12 s of single lines, or 1.5 s of lines of 8 components.
 
         Args:
             slot: which line.

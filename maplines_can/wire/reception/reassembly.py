@@ -49,15 +49,15 @@ class Reassembler:
                transfer 7 is complete: |           duplicates
                transfer 8 waits for page 3; it is dropped after the time-out
 
-    A transfer ID is used again after as many records as there are IDs. Two transfers of one ID are
-    kept apart by three rules, of which the last two do not depend on time:
+    A transfer ID is used again after as many records as there are IDs. Three rules keep two
+    transfers with the same ID apart. Only the first one depends on time:
 
-    - the time-out, by default shorter than the time in which an ID is used again;
-    - the page with the counter: of two counters with one ID, the newer one is kept, and a transfer
-      with the older one is dropped as a whole (REPLACED);
-    - the order of transfers: when a good record is complete, a transfer that had begun before it,
-      although its ID is up to half the IDs ahead, is of the previous round, and is dropped
-      (INCOMPLETE).
+    - The time-out is by default shorter than the time after which an ID is used again.
+    - If the pages with the counter of two transfers have the same ID but different counters, the
+      newer one is kept. The transfer with the older one is dropped as a whole (REPLACED).
+    - When a good record is complete, an incomplete transfer whose ID is ahead by up to half the
+      number of IDs must have begun after it. If it began before, it belongs to the previous round
+      of IDs and is dropped (INCOMPLETE).
 
     ::
 
@@ -66,11 +66,11 @@ class Reassembler:
                transfer 7 lost two pages    |
                                             it is 8 ahead of 15, but older: dropped
 
-    The rest is left to the checksum, which covers the whole counter: pages whose records are 16
-    apart, or a multiple, within one time-out, where the page with the counter was received of at
-    most one of the two, and none of the 8 records before the second one was received as a whole
-    after the first page. Such a mixture passes with a probability of 2^-16. (Numbers for transfer
-    IDs of 4 bits.)
+    In the remaining case only the checksum, which covers the whole counter, rejects a record that
+    is put together from two transfers; it misses one in 2^16. With transfer IDs of 4 bits, this
+    case requires all of the following: the two records are 16 or a multiple of 16 apart; their
+    pages arrive within one time-out; the page with the counter is received from only one of them;
+    and none of the 8 records before the second one is received completely after the first page.
 
     Whether a record is new is decided by its counter, see ``SequenceCheck``. Memory is constant:
     each slot has as many transfers as there are transfer IDs.
@@ -78,7 +78,7 @@ class Reassembler:
     Args:
         layout: CAN IDs and pages.
         read: decodes the payload of a slot's record received at a time [ns], or rejects it.
-        timeouts_ns: longest time between the first and the last page of a transfer of each slot
+        timeouts_ns: longest time between the first and the last page of a transfer, for each slot
             [ns].
         verify: returns the record of an authenticated payload and its data ID, or the reason
             why it is not authentic. If given, only authenticated frames are accepted; if None,
@@ -187,7 +187,7 @@ class Reassembler:
         return record
 
     def _counters_ahead(self, page: int, data: bytes, before: bytes) -> int:
-        """Return how far the counter of a page is ahead of another's; 0 if it has no counter."""
+        """Return how far the counter of a page is ahead of another's; 0 if pages have none."""
         if page != self._counter_page:
             return 0
         return (self._read_counter(data) - self._read_counter(before)) % self._counters
@@ -201,7 +201,7 @@ class Reassembler:
             half = self._transfer_ids // 2
             for other in [i for i in complete if 0 < (i - own) % self._transfer_ids < half]:
                 del complete[other]
-            # A dict keeps the order of insertion, so these had begun before this record.
+            # A dict keeps the order of insertion, so these began before this record.
             begun_before = takewhile(lambda i: i != own, list(self._incomplete[slot]))
             for other in [i for i in begun_before if 0 < (i - own) % self._transfer_ids <= half]:
                 self._drop(slot, other, Reason.INCOMPLETE)

@@ -39,50 +39,52 @@ class SlotStats(NamedTuple):
 
 
 class _Run(NamedTuple):
-    """Run of consecutive records behind the last new one: late, or of a sender that restarted."""
+    """Consecutive records behind the last new one: late ones, or those of a restarted sender."""
 
     first: int  #: counter of the first
     since_ns: int  #: time of the first
     last: int  #: counter of the last
     records: int
-    is_other: bool  #: one had a counter that was received before, but other content
+    is_other: bool  #: one has a counter that was received before with different content
 
 
 class SequenceCheck:
-    """Checks of one slot, and its E2E state machine; time is an argument.
+    """Checks of the records of one slot, and its E2E state machine; time is an argument.
 
-    Each record is one check. Each cycle without a record is a check too: NONEWDATA (see
-    ``ReceptionDeadline``); ``elapse`` brings the state up to a time.
+    Each record is one check. Each cycle without a record is a check too, with the status NONEWDATA
+    (see ``ReceptionDeadline``). ``elapse`` brings the state up to a given time.
 
-    A record with a correct checksum is admitted by its counter (differences modulo ``modulus``):
+    The counter decides whether a record with a correct checksum is new. In the table, counters are
+    modulo ``modulus``, and
 
     - ``last`` is the counter of the last new record;
     - ``span`` is the number of records (mixture components) of the line that was delivered last;
-    - ``most`` is how far ahead a newer record can be: ``max_delta``, or if that is more, the
-      records that a sender can have sent since the last new one. These are ceil(cycles since then
-      + 0.5) lines of the greatest number of components seen, and less than half of ``modulus``. A
-      cycle is ``cycle_ns``, or the mean time between two lines of a faster sender.
+    - ``most`` is the number of records that the sender can have sent since the last new one, but
+      at least ``max_delta`` and less than half of ``modulus``. In t cycles a sender can send
+      ceil(t + 0.5) lines, each with the greatest number of components received so far. A cycle is
+      ``cycle_ns``, or the mean time between two lines of a faster sender.
 
     ======================================= ============================= ========== =============
-    counter                                 content                       decision   E2E status
+    counter                                 content for this counter      decision   E2E status
     ======================================= ============================= ========== =============
-    last + 1                                                              new        OK
-    last + 2 .. last + max_delta                                          new        OKSOMELOST
-    last + max_delta + 1 .. last + most                                   new, break WRONGSEQUENCE
-    last - span + 1 .. last                 as received with that counter DUPLICATE  REPEATED
-    last - span + 1 .. last                 another one: conflict         STALE      REPEATED
-    any other                               as received with that counter DUPLICATE  WRONGSEQUENCE
-    any other                               another one, no restart       STALE      WRONGSEQUENCE
-    any other                               another one, restart          new, break WRONGSEQUENCE
+    last + 1                                any                           new        OK
+    last + 2 .. last + max_delta            any                           new        OKSOMELOST
+    last + max_delta + 1 .. last + most     any                           new, break WRONGSEQUENCE
+    last - span + 1 .. last                 same as before                DUPLICATE  REPEATED
+    last - span + 1 .. last                 different: conflict           STALE      REPEATED
+    any other                               same as before                DUPLICATE  WRONGSEQUENCE
+    any other                               different, no restart         STALE      WRONGSEQUENCE
+    any other                               different, restart            new, break WRONGSEQUENCE
     ======================================= ============================= ========== =============
 
-    A record of the last rows is late, or its sender has restarted. If there was no new record for a
-    whole window of the state machine, it is a restart. Otherwise it is one after three consecutive
-    records, the last at least 1.5 cycles after the first, with no new record between them, if they
-    cannot be late ones:
+    If no new record came for a whole window of the state machine, a record of the last three rows
+    is a restart. Within the window, a record of the last two rows is late or its sender has
+    restarted. It is a restart once three or more of them have come with consecutive counters, with
+    no new record in between, and late records are ruled out:
 
+    - the last came at least 1.5 cycles after the first;
     - the first counter is less than ``max_delta``, since a sender that restarts begins at 0;
-    - one counter was received before with other content.
+    - one of the counters was received before with different content.
 
     ::
 
@@ -96,21 +98,24 @@ class SequenceCheck:
         |--------|--------|||-------|-----> time
                            STALE    new
 
-    So a record that is late by L records is not delivered within a window after the last new one,
-    if L is less than ``modulus - most``. What remains:
+    Within a window after the last new record, a record that is late by L records is therefore not
+    delivered if L is less than ``modulus - most``. The counter cannot detect these late records:
 
-    - A record that is late by ``modulus - max_delta`` or more looks like one of the next, and the
-      state stays VALID. With the default, that is 240 to 255 records: 12 s of single lines, but
-      1.5 s of lines of 8 components. A smaller ``max_delta`` makes it less.
-    - Late by ``modulus - most`` or more, a record is delivered with a break: the slot is not VALID.
-    - After a window without a new record, late records are delivered with a break, as those of a
-      sender that restarted. If eight follow in sequence, the slot becomes VALID.
-    - Lateness counts modulo ``modulus``: 256 records more look the same.
+    - A record that is late by ``modulus - max_delta`` or more looks like one of the next records.
+      It is delivered, and the state stays VALID. By default these are 240 to 255 records: 12 s of
+      single lines at 20 Hz, but 1.5 s of lines of 8 components. A smaller ``max_delta`` narrows the
+      range.
+    - A record that is late by ``modulus - most`` or more is delivered with a break, so the slot is
+      not VALID.
+    - After a window without a new record, late records are delivered with a break, like those of a
+      restarted sender. If eight follow in sequence, the slot becomes VALID.
+    - A record that is late by ``modulus`` records more looks the same.
 
-    A sender that loses more records in a row than ``most``, because it is more than ten times
-    faster than ``cycle_ns`` or has just become faster, is dropped until the window is over. If the
-    clock stands still, it is dropped until the counter comes round. With authentication each
-    record is newer than the last one: ``most`` is half of ``modulus``, and any other is a restart.
+    If more than ``most`` records of a sender are lost in a row, because it is more than ten times
+    faster than ``cycle_ns`` or has just become faster, the next ones are dropped until the window
+    is over, or if the clock stands still, until the counter has wrapped around. With
+    authentication, each record is known to be newer than the last one: ``most`` is half of
+    ``modulus`` less 1, and any record beyond it is a restart.
 
     Two decisions go beyond AUTOSAR; both err on the safe side:
 
@@ -169,7 +174,7 @@ class SequenceCheck:
         return self._conflict.is_confirmed
 
     def counter_was_reused(self, t_ns: int) -> bool:
-        """Return whether two records of one counter differed in the last cycles: two senders."""
+        """Return whether a counter came with two contents in the last cycles: two senders."""
         return self._conflict.is_suspected(t_ns)
 
     def received(self, counter: int, content: int, t_ns: int, records: int = 1) -> Reason | None:
@@ -295,9 +300,9 @@ class SequenceCheck:
         return None if self._is_restart(counter, t_ns, is_other=has_other) else Reason.STALE
 
     def _most_ahead(self, t_ns: int, records: int) -> int:
-        """Return how far ahead of the last new record a newer one can be.
+        """Return the greatest difference of the counter of a newer record from the last new one.
 
-        With authentication, nothing else has to tell a newer record from an older one.
+        With authentication it is not limited by time: the freshness value excludes older records.
         """
         half = self._modulus // 2 - 1
         if self._is_authentic:

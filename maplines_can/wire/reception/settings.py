@@ -47,10 +47,10 @@ def decoder_settings(
 def timeout_cycles(layout: Layout) -> float:
     """Return the default time-out of a transfer [cycles].
 
-    A transfer ID is used again after (transfer IDs / components) cycles at the earliest, when
-    every line has the greatest number of components. The sender may be early by half a cycle. A
-    transfer that takes longer than ``GRACE_CYCLES`` is given up in any case: its cycle has been
-    counted as missed.
+    A transfer ID is used again after (transfer IDs / components) cycles at the earliest: when each
+    line has the greatest number of components. Half a cycle is subtracted, since the sender may be
+    early. The result is at most ``GRACE_CYCLES``, because a cycle counts as missed after that, and
+    at least half a cycle.
 
     >>> timeout_cycles(Layout.from_dbc())  # min(16 transfer IDs / 8 components - 0.5, 1.5)
     1.5
