@@ -76,7 +76,7 @@ def down(row: Any) -> None:
         ip("link set vcan0 down")
         row.detected = receiver.wait_for_note("is lost", started) - started
         sender.wait_for_note("is lost", started)
-        invalid = receiver.wait_for_each_slot(": INVALID", started) - started
+        invalid = receiver.wait_for_each_slot("INVALID;", started) - started
         time.sleep(OUTAGE)
         testbed.wait_for_recovery(*timed(lambda: ip("link set vcan0 up")))
         for process in (receiver, sender):
@@ -92,7 +92,7 @@ def unplugged(row: Any) -> None:
         started = time.monotonic()
         ip("link del vcan0")
         row.detected = receiver.wait_for_note("is lost", started) - started
-        invalid = receiver.wait_for_each_slot(": INVALID", started) - started
+        invalid = receiver.wait_for_each_slot("INVALID;", started) - started
 
         def recreate() -> None:
             ip("link add dev vcan0 type vcan")
@@ -110,7 +110,7 @@ def killed(row: Any) -> None:
         receiver.wait_for_lines(10 * SLOTS)
         started = time.monotonic()
         testbed.senders[0].end(signal.SIGKILL)
-        row.detected = receiver.wait_for_each_slot(": INVALID", started) - started
+        row.detected = receiver.wait_for_each_slot("INVALID;", started) - started
         since, since_ns = timed(lambda: None)
         _, sending = testbed.send(OTHER_SCENE)
         again = receiver.wait_for_new_lines(since, since_ns)
@@ -155,7 +155,7 @@ def two_senders(row: Any) -> None:
     with Testbed(row) as testbed:
         receiver = testbed.receiver
         second, started = testbed.send(OTHER_SCENE)
-        invalid = receiver.wait_for_note(": INVALID", started)
+        invalid = receiver.wait_for_note("INVALID;", started)
         row.detected = receiver.wait_for_each_slot("TWO SENDERS", started) - started
         receiver.wait_for_lines(40 * SLOTS)
         states = [line["e2e"]["state"] for when, line in receiver.out if when > invalid]
@@ -177,7 +177,7 @@ def other_traffic(row: Any) -> None:
         time.sleep(FLOOD)
         rate = (traffic(testbed.channel) - before) / FLOOD
         testbed.wait_for_recovery(*timed(testbed.others[-1].end))
-        invalid = sum(": INVALID" in text for _, text in testbed.receiver.notes)
+        invalid = sum("INVALID;" in text for _, text in testbed.receiver.notes)
     row.seen = (
         f"{rate:.0f} frames/s; the filter in the kernel drops them; "
         f"INVALID {invalid} times meanwhile"
@@ -189,7 +189,7 @@ def random_traffic(row: Any) -> None:
     with Testbed(row) as testbed:
         started = testbed.flood("-g", "0", "-p", "10")
         before = traffic(testbed.channel)
-        row.detected = testbed.receiver.wait_for_note(": INVALID", started) - started
+        row.detected = testbed.receiver.wait_for_note("INVALID;", started) - started
         time.sleep(FLOOD)
         rate = (traffic(testbed.channel) - before) / (FLOOD + row.detected)
         testbed.wait_for_recovery(*timed(testbed.others[-1].end))
@@ -286,7 +286,7 @@ def fd_gone(row: Any) -> None:
         row.detected = receiver.wait_for_note("is lost", started) - started
         ip("link set vcan1 mtu 16 up")
         reported = receiver.wait_for_note("the interface has no CAN FD", started)
-        invalid = receiver.wait_for_each_slot(": INVALID", started)
+        invalid = receiver.wait_for_each_slot("INVALID;", started)
         before = len(receiver.out)
 
         def repair() -> None:
