@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Print the branch coverage of each package, from the data file of `pytest --cov`.
 
-    python3 tools/run.py pytest -n 2 --cov --cov-report=
+    python3 tools/run.py pytest -n 2 --dist loadfile --cov --cov-report=
     python3 tools/run.py python tools/coverage_table.py
     python3 tools/run.py python tools/coverage_table.py --write   also write docs/assurance.md
 
