@@ -74,3 +74,12 @@ def test_a_thread_that_never_started_has_ended() -> None:
     assert thread.wait()
     thread.stop()
     assert thread.wait()
+
+
+def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:
+    """Nobody waits for it: what it was to do is not wanted any more."""
+    thread = Waiting()
+    thread.stop()
+    thread.start()
+    assert thread.wait(0.0)
+    thread.go.set()

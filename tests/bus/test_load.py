@@ -1,5 +1,6 @@
 """Bits of a frame are the published bounds."""
 
+import contextlib
 from typing import Any
 
 import pytest
@@ -126,3 +127,13 @@ def test_bits_of_can_fd_frames_with_29_bits(length: int) -> None:
     crc = 4 + 17 + 6 if length <= 16 else 4 + 21 + 7
     assert bits.nominal + bits.data == unstuffed + (unstuffed - 1) // 4 + crc + 13
     assert bits.nominal == 36 + 35 // 4 + 13
+
+
+def test_can_fd_has_exactly_the_lengths_of_its_dlcs() -> None:
+    """ISO 11898-1: DLC 9 to 15 are 12, 16, 20, 24, 32, 48 and 64 bytes."""
+    known = []
+    for length in range(66):
+        with contextlib.suppress(ValueError):
+            frame_bits(length, is_fd=True)
+            known.append(length)
+    assert known == [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64]

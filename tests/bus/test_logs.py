@@ -243,3 +243,9 @@ def test_empty_lines_of_a_trc_log_are_no_records(tmp_path: Path) -> None:
     path.write_text("\n".join([*lines[:-1], "", lines[-1], "", ""]))
     assert list(read_log(path)) == frames
     assert len(frames) == 3
+
+
+@pytest.mark.parametrize("suffix", ["asc", "blf", "csv", "log", "trc"])
+def test_a_log_without_frames_is_no_error(tmp_path: Path, suffix: str) -> None:
+    """A recording of a silent bus has no good and no damaged record."""
+    assert list(read_log(written(tmp_path / f"silent.{suffix}", []))) == []

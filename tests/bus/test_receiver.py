@@ -219,3 +219,17 @@ def test_a_queue_of_one_line_holds_the_newest(link: Any, other: Any) -> None:
         wait_until(lambda: receiver.stats().lines == 3)
         assert receiver.get(LONG).gaussian.mean[0] == 3.0  # type: ignore[union-attr]
         assert receiver.stats().overflowed == 2
+
+
+def test_lines_received_before_an_error_come_before_it(link: Any, other: Any) -> None:
+    """`get` raises the error of the thread once no line waits."""
+    codec = FakeCodec()
+    receiver = Receiver(other, codec.decoder()).start()
+    send_frames(link, *codec.encode(map_line()))
+    wait_until(lambda: receiver.stats().lines == 1)
+    other.close()
+    with pytest.raises(BusError, match="is closed"):
+        receiver.wait(LONG)
+    assert isinstance(receiver.get(), MapLine)
+    with pytest.raises(BusError, match="is closed"):
+        receiver.get()

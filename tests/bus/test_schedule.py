@@ -1,5 +1,6 @@
 """Deadlines do not drift, and lateness is counted."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -55,3 +56,14 @@ def test_lateness_is_within_5_percent(values: Any) -> None:
     assert summary.median == pytest.approx(np.quantile(values, 0.5, **inverted), rel=0.05)  # type: ignore[call-overload]
     assert summary.p99 == pytest.approx(np.quantile(values, 0.99, **inverted), rel=0.05)  # type: ignore[call-overload]
     assert summary.max == max(values)
+
+
+def test_a_key_that_is_unknown_or_removed_has_no_deadline() -> None:
+    schedule = Schedule[Any](1.0)
+    assert schedule.deadline("a") == math.inf
+    schedule.add("a", 0.0, now=5.0)
+    assert schedule.deadline("a") == 5.0
+    schedule.remove("a")
+    schedule.remove("a")
+    assert schedule.deadline("a") == math.inf
+    assert schedule.wait(now=5.0) is None

@@ -6,7 +6,7 @@ import sys
 from typing import Any, NamedTuple
 
 import pytest
-from fake_bus import FRAME, Clock, FakeOpener
+from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeOpener
 
 from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import BusFactory, UnsuitableInterfaceError
@@ -138,3 +138,18 @@ def test_another_interface_is_never_taken_for_a_deleted_socketcan_one() -> None:
     factory = BusFactory(FakeOpener(), {"interface": "virtual", "channel": "lo"})
     factory.open()
     assert not factory.is_deleted()
+
+
+def test_only_an_error_without_a_number_means_that_no_node_acknowledges(
+    kernel: dict[str, Interface],
+) -> None:
+    """However long it lasts, it is no outage; the error of an interface that is gone is one."""
+    kernel["can0"] = Interface()
+    opener, clock = FakeOpener(*[NO_NUMBER] * 5, GONE), Clock()
+    with Link(opener, clock=clock, interface="socketcan", channel="can0") as link:
+        for _ in range(5):
+            assert link.send(FRAME) is Sent.FULL
+            clock.now += Link.UNCLEAR_TIMEOUT
+        assert (link.up, link.outages) == (True, 0)
+        assert link.send(FRAME) is Sent.DOWN
+        assert (link.up, link.outages) == (False, 1)

@@ -13,7 +13,7 @@ from maplines_can import Gaussian, MapLine, Slot, Status
 from maplines_can.mixture import GaussianMixture
 from maplines_can.propagation.splitting import SPLITS, Mixture
 from maplines_can.study import adversarial, evaluate
-from maplines_can.wire import Codec, Reason
+from maplines_can.wire import Codec, E2EConfig, Reason
 from maplines_can.wire.message.components import quantized_weights
 
 
@@ -281,3 +281,18 @@ def test_a_mixture_has_the_status_of_its_worst_component(order: tuple[int, int])
     ]
     assert isinstance(answers[-1], MapLine)
     assert answers[-1].status is Status.DIAGONAL
+
+
+@pytest.mark.parametrize(("counter", "is_given_up"), [(12, True), (13, False)])
+def test_a_rejected_record_ends_only_the_mixture_that_its_counter_is_in(
+    counter: int, is_given_up: bool
+) -> None:
+    """The mixture has the counters 10 to 12; a record with the next one is not of it."""
+    codec = default_codec()
+    decoder = codec.decoder(e2e=E2EConfig(max_delta_counter=1))
+    own = [component(codec, 10 + i, i, 3, weight) for i, weight in enumerate((0.5, 0.25, 0.25))]
+    other = component(codec, counter, 0, 1, 1.0)
+    answers = [decoder.feed(f.can_id, f.data, 0) for f in [*own[0], *other, *own[1], *own[2]]]
+    assert answers[7] is Reason.STALE
+    assert isinstance(answers[-1], MapLine) is not is_given_up
+    assert decoder.counts[Reason.INCOMPLETE] == (4 if is_given_up else 0)

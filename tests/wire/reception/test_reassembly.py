@@ -1,6 +1,7 @@
 """Frames to lines: all or nothing, every frame accounted for."""
 
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,9 +11,10 @@ from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from maplines_can.errors import LayoutError
 from maplines_can.line import MapLine, Slot
 from maplines_can.study import road
-from maplines_can.wire import Reason
+from maplines_can.wire import Codec, Reason
 
 MS = 1_000_000
 
@@ -335,3 +337,27 @@ def test_a_line_that_stands_still_is_received_after_a_loss(codec: Any) -> None:
             line = feed(decoder, standing(2 * ids)[i][::-1], t_ns=2 * i * MS)[-1]
             assert isinstance(line, MapLine), gap
         assert decoder.counts == {}
+
+
+def test_a_page_of_an_old_transfer_begins_a_new_one(codec: Any) -> None:
+    """After as many transfers lost as there are IDs, a line that stands still has equal pages."""
+    decoder = codec.decoder(timeout_ms=50)
+    ids = 2 ** codec.layout["TransferId0"].length
+    for i in (0, ids):
+        *waiting, line = feed(decoder, standing(ids + 1)[i][::-1], t_ns=50 * i * MS)
+        assert waiting == [Reason.PENDING] * 3
+        assert isinstance(line, MapLine)
+    assert decoder.counts == {}
+
+
+def test_a_counter_in_two_pages_is_refused(codec: Any) -> None:
+    """No page alone would say to which record it belongs."""
+    layout = codec.layout
+    signals = dict(layout.signals)
+    signals["Counter"] = replace(layout["Counter"], start=58, big_endian=True)
+    signals["Status"] = replace(layout["Status"], start=59)
+    signals["Kind"] = replace(layout["Kind"], start=16)
+    signals["TransferId0"] = replace(layout["TransferId1"], name="TransferId0", start=19)
+    signals["C0"] = replace(layout["C0"], start=72, length=11)
+    with pytest.raises(LayoutError, match="Counter must lie within a page"):
+        Codec(replace(layout, signals=signals)).decoder()

@@ -195,3 +195,62 @@ def test_a_late_record_that_comes_again_is_a_duplicate() -> None:
     assert slot.received(40, 40, 46 * CYCLE) is Reason.STALE
     assert slot.received(40, 40, 47 * CYCLE) is Reason.DUPLICATE
     assert slot.received(40, -1, 48 * CYCLE) is Reason.STALE
+
+
+def test_the_status_after_silence_says_that_there_is_no_data() -> None:
+    """It replaces that of the last record, also in the statistics."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    slot.received(0, 0, 0)
+    assert slot.status is ProfileStatus.OK
+    slot.elapse(2 * CYCLE)
+    assert slot.status is slot.stats().status is NONEWDATA
+
+
+def test_duplicated_frames_are_repeated_records_once_they_fill_one() -> None:
+    """Each new record starts the count again."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for counter in range(5):
+        slot.received(counter, counter, counter * CYCLE)
+        for _ in range(3):
+            slot.frame_duplicated(counter * CYCLE)
+    assert slot.stats().repeated == 0
+    slot.frame_duplicated(4 * CYCLE)
+    assert slot.stats().repeated == 1
+
+
+def test_a_duplicated_transfer_is_not_silence() -> None:
+    """A stuck sender is present: its checks are REPEATED, not NONEWDATA."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    slot.received(0, 0, 0)
+    for cycle in range(1, 6):
+        for _ in range(4):
+            slot.frame_duplicated(cycle * CYCLE)
+    slot.elapse(6 * CYCLE)
+    assert (slot.stats().repeated, slot.stats().no_new_data) == (5, 0)
+
+
+def test_two_senders_are_forgotten_on_a_silent_bus() -> None:
+    """The time alone is enough: 256 cycles after the last evidence, without another record."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in range(96):  # duplicates count in blocks of 32
+        for late_ms in (0, 10):
+            slot.received(k, k, k * CYCLE + late_ms * MS)
+    assert slot.two_senders
+    last = 95 * CYCLE + 10 * MS
+    slot.elapse(last + 256 * CYCLE)
+    assert slot.two_senders
+    slot.elapse(last + 256 * CYCLE + 1)
+    assert not slot.two_senders
+
+
+@pytest.mark.parametrize(("lost_in_pause", "two_senders"), [(0, True), (1, False)])
+def test_senders_that_take_turns_are_two(lost_in_pause: int, two_senders: bool) -> None:
+    """Each continues its own sequence after the other; a sender that restarts continues none."""
+    slot, counters = SequenceCheck(E2EConfig(), 256, 4, CYCLE), [0, 120]
+    for turn in range(20):
+        for k in range(3):
+            counter = counters[turn % 2] % 256
+            assert slot.received(counter, turn, (15 * turn + k) * CYCLE) is None
+            counters[turn % 2] += 1
+        counters[turn % 2] += lost_in_pause
+    assert slot.two_senders is two_senders
