@@ -43,6 +43,15 @@ def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
         assert batch.mean == pytest.approx(mean, abs=1e-3)
 
 
+@pytest.mark.parametrize("status", [Status.UNKNOWN, Status.OUT_OF_RANGE])
+def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
+    codec: Any, status: Status
+) -> None:
+    """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
+    payloads = codec.encode_batch([[1.75, 0, 0, 0]], status=status)
+    assert codec.decode_batch(payloads).status[0] == status
+
+
 def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
