@@ -1,11 +1,12 @@
 """The codec: status, frames, and the readers and writers that must agree."""
 
+from pathlib import Path
 from typing import Any
 
 import cantools
 import numpy as np
 import pytest
-from dbcs import DBC, default_codec
+from dbcs import DBC, default_codec, edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_lines import random_lines
@@ -43,6 +44,15 @@ def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
         assert batch.mean == pytest.approx(mean, abs=1e-3)
 
 
+@pytest.mark.parametrize("status", [Status.UNKNOWN, Status.OUT_OF_RANGE])
+def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
+    codec: Any, status: Status
+) -> None:
+    """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
+    payloads = codec.encode_batch([[1.75, 0, 0, 0]], status=status)
+    assert codec.decode_batch(payloads).status[0] == status
+
+
 def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
@@ -72,6 +82,30 @@ def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
     """Without a covariance, nothing covers a clipped mean."""
     batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
     assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
+
+
+def test_an_ill_conditioned_line_of_the_default_code_is_not_repaired(tmp_path: Path) -> None:
+    """The code guarantees a definite covariance, so the reader leaves it and its status alone.
+
+    In a DBC with wider ratios, some bits have a correlation matrix with an eigenvalue of 2e-13.
+    """
+    path = edited(
+        tmp_path, (r"(RatioC0C1 [^(]*)\(0.03125,-80\) \[[^]]*\]", r"\1(0.9375,-2400) [0|0]")
+    )
+    codec = Codec.from_dbc(path)
+    signals, (payload,) = codec.layout.signals, codec.encode_batch([[1.75, 0, 0, 0]])
+    raw = codec._reader._packing.unpack_one(payload.tobytes())
+    raw |= {name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")}
+    raw |= {name: s.raw_max for name, s in signals.items() if name.startswith("RatioBeta")}
+    raw["Status"] = Status.FULL
+    data = codec._writer.protect_one(raw, codec.layout.messages[Slot.EGO_LEFT].data_id)
+    batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
+    sigma = np.sqrt(batch.cov[0].diagonal())
+    assert 0 < np.linalg.eigvalsh(batch.cov[0] / np.outer(sigma, sigma))[0] < 1e-12
+    line = codec.decode_one(data, Slot.EGO_LEFT)
+    assert isinstance(line, MapLine)
+    assert line.status == Status.FULL
+    assert np.array_equal(line.gaussian.cov, batch.cov[0])
 
 
 def test_cantools_decodes_and_encodes_the_same_frames(codec: Any) -> None:

@@ -113,6 +113,23 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
 
 
 @pytest.mark.parametrize("name", CODES)
+def test_a_definite_line_is_decoded_alone_as_in_a_batch(name: Any) -> None:
+    """Only an indefinite covariance is repaired: others keep their status and each bit."""
+    codec, payloads, batch = sent_and_decoded(name, *(values[:30] for values in lines_of("road")))
+    definite = 0
+    for payload, cov, status in zip(payloads, batch.cov, batch.status, strict=True):
+        line = codec.decode_one(payload.tobytes(), Slot.EGO_LEFT)
+        sigma = np.sqrt(cov.diagonal())
+        if sigma.all() and np.linalg.eigvalsh(cov / np.outer(sigma, sigma))[0] > 1e-9:
+            definite += 1
+            assert line.status == status
+            assert np.array_equal(line.gaussian.cov, cov)
+        else:
+            assert line.status is Status.REPAIRED
+    assert definite or name == "Float16"  # loses the variance of c1
+
+
+@pytest.mark.parametrize("name", CODES)
 def test_cantools_reads_the_same_signals(name: Any) -> None:
     """Physical values of every page agree, and cantools encodes the same bytes."""
     means, covs = (values[:20] for values in lines_of("road"))

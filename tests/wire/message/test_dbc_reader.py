@@ -56,6 +56,8 @@ def test_motorola_signals_are_supported(tmp_path: Path) -> None:
         pytest.param((r"(RatioBetaC0[^(]*)\(0.0390625,0\) \[[^]]*\]", r"\1(64,0) [-1e6|1e6]"),
                      "double precision", id="ratio-too-wide"),
         pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
+        pytest.param((r'1 "FULL" 2 "DIAGONAL"', '1 "DIAGONAL" 2 "FULL"'),
+                     "value 1 the name DIAGONAL, which belongs to the value 2", id="swapped-names"),
     ],
 )  # fmt: skip
 def test_an_unsuitable_dbc_is_rejected_with_the_reason(
@@ -66,6 +68,32 @@ def test_an_unsuitable_dbc_is_rejected_with_the_reason(
     with pytest.raises(LayoutError, match=words) as error:
         Codec.from_dbc(path)
     assert "edited.dbc" in str(error.value)
+
+
+def test_every_data_id_of_16_bits_is_accepted(tmp_path: Path) -> None:
+    """The greatest one included."""
+    path = edited(tmp_path, (r'("E2EDataId" BO_ (832|840)) \d+', r"\1 65535"))
+    assert Layout.from_dbc(path).messages[Slot.EGO_LEFT].data_id == 65535
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("FLOAT 0 65535", "19776.5"), ("STRING", '"left"')],
+    ids=["fraction", "text"],
+)
+def test_a_data_id_that_is_no_whole_number_is_rejected(
+    tmp_path: Path, kind: str, value: str
+) -> None:
+    """It is neither rounded nor replaced by another number."""
+    path = edited(
+        tmp_path,
+        (r'("E2EDataId") INT 0 65535', rf"\1 {kind}"),
+        (r'("E2EDataId") 0;', r'\1 "0";' if kind == "STRING" else r"\1 0;"),
+        (r'("E2EDataId" BO_ (832|840)) \d+', rf"\1 {value}"),
+        (r'("E2EDataId" BO_ (?!832|840)\d+) (\d+)', r'\1 "\2"' if kind == "STRING" else r"\1 \2"),
+    )
+    with pytest.raises(LayoutError, match=r"EgoLeft: E2EDataId must be a whole number from 0 to"):
+        Codec.from_dbc(path)
 
 
 def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
