@@ -118,6 +118,17 @@ def test_replay_reordering_and_loss(clock: Any, lines: Any) -> None:
     assert decoder.counts == {Reason.REPLAY: 5}
 
 
+def test_an_old_frame_is_late_or_a_replay(clock: Any) -> None:
+    """Late before the window and not yet overtaken, and a replay if a newer one was accepted."""
+    sender = Authenticator(Key(SECRET), clock=clock)
+    verify = Verifier(Authenticator(Key(SECRET), clock=clock), LAYOUT)
+    old = sender.secure(bytes(32), DATA_ID, LAYOUT)
+    clock.now += 2 * S
+    assert verify(old, DATA_ID) is Reason.AGE
+    assert verify(sender.secure(bytes(32), DATA_ID, LAYOUT), DATA_ID) == bytes(32) + b"\x01"
+    assert verify(old, DATA_ID) is Reason.REPLAY
+
+
 def test_each_slot_has_its_own_freshness(clock: Any, lines: Any) -> None:
     """Frames of two slots may be reordered, and none is accepted for the other slot."""
     codec = codec_of(clock=clock)
