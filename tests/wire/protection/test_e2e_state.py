@@ -244,6 +244,12 @@ def test_a_configuration_that_the_standard_forbids_raises(values: Any, words: st
         E2EConfig(**values)
 
 
+def test_a_state_machine_reports_the_numbers_of_autosar() -> None:
+    """NODATA, INIT, VALID and INVALID, one after the other."""
+    machine = StateMachine(SMALL)
+    assert [int(machine.step(LETTERS[s])) for s in "noooeee"] == [2, 3, 3, 0, 0, 0, 4]
+
+
 def test_states_and_results_have_the_numbers_of_autosar() -> None:
     """PRS_E2EProtocol R20-11: E2E_SMStateType and E2E_P05CheckStatusType."""
     assert {state.name: state.value for state in E2EState} == {
