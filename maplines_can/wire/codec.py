@@ -129,7 +129,7 @@ class Codec:
     @property
     def can_ids(self) -> frozenset[int]:
         """CAN IDs of all lines, for filters."""
-        return frozenset(can_id for can_id, _ in self.layout.message_of_id)
+        return self.layout.can_ids
 
     @property
     def resolution(self) -> NDArray[np.float64]:

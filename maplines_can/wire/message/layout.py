@@ -153,6 +153,11 @@ class Layout:
                 ids[messages.secured_can_id, messages.secured_is_extended] = (messages.slot, True)
         return ids
 
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """CAN IDs of all lines, for filters."""
+        return frozenset(can_id for can_id, _ in self.message_of_id)
+
     @cached_property
     def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
         """Map from (CAN ID, extended) to the SecOC data ID."""

@@ -52,6 +52,8 @@ class Decoder:
         cycles_ns: Mapping[Slot, int],
         e2e: E2EConfig,
     ) -> None:
+        #: CAN IDs of all lines, for filters.
+        self.can_ids = layout.can_ids
         #: Checks whether a frame is authentic; None without authentication.
         self.verifier = verifier
         data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
@@ -75,11 +77,6 @@ class Decoder:
             )
             for slot, cycle_ns in cycles_ns.items()
         }
-
-    @property
-    def can_ids(self) -> frozenset[int]:
-        """CAN IDs of all lines, for filters."""
-        return frozenset(can_id for can_id, _ in self._slot_of_id)
 
     @property
     def lost(self) -> int:
