@@ -11,16 +11,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import floats
 from ..errors import IllPosedError
-from ..line import LEAST_ADVANCE, PARAMETERS, lateral, line_of_cubic
-from ..polyline import Polyline, near_stretch, to_ego
+from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
+from ..polyline import MAX_TURN, Polyline, Stretches, stretches, to_ego
+from .valid_range import NODES, at_nodes, longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6
 #: Poses per block: the arrays of one block fit in the processor's cache.
 BLOCK = 2048
-#: Number of chords by which the shape of a line is checked.
-CHORDS = 16
+#: Ends of the chords by which the shape of a line is checked, among the fitted points.
+CHORD_ENDS = np.linspace(0, len(NODES) - 1, 17).round().astype(int)
+#: Default of the largest deviation of a cubic from its line [m].
+MAX_MISFIT = 0.1
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
 #: in addition to LEAST_ADVANCE.
 LEAST_PROGRESS = 1 / 3
@@ -57,28 +60,37 @@ class MapError:
 
 
 class Refit:
-    """Function from a pose to the least-squares cubics through the points of map lines.
+    """Function from a pose to the cubics that map lines are, seen from there.
 
-    The points are selected once, in a window relative to ``pose``, so that the
-    function is smooth. For each pose the points are transformed to the ego frame (u, v),
-    and a cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted (Map Line Interface,
-    section III-A). A rotation mixes u and v linearly. Each sum of the normal equations is
-    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are
-    computed once: the cost per pose does not depend on the number of points.
+    The stretch of each line is selected once, in a window relative to ``pose``, so that the
+    function is smooth (see ``Polyline.window``), and shortened to the range that a cubic follows
+    within ``max_misfit``. For each pose the stretch is transformed to the ego frame (u, v), and a
+    cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface, section
+    III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result therefore
+    depends on the line and not on the spacing of its points, and deviates little more than the
+    best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is therefore
+    a polynomial in the cosine and sine of the rotation, whose coefficients are computed once:
+    the cost per pose does not depend on the number of points.
 
     Args:
         polyline: the line, or several lines for which each call returns parameters.
         pose: (3,) mean pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
-        window: (x_min, x_max) in the ego frame of ``pose``; points in it are used [m].
+        window: (x_min, x_max) in the ego frame of ``pose``; the line in it is used [m].
         map_error: error of the map points; transforms add its effect to the covariance.
+        max_misfit: largest deviation of the cubic from the line within ``x_range`` [m]. What
+            remains of it is covered by ``noise_cov``. Infinite for a fit to all of the window
+            without that cover, as in the paper.
+        max_turn: largest angle between a line and the x axis of ``pose`` [rad]; the line is not
+            used farther along.
 
     Raises:
-        ValueError: ``pose`` or ``window`` is wrong, or there is no line.
-        IllPosedError: there are fewer than 4 points in the window, or seen from ``pose``
-            they are not a function of x or nearly perpendicular to the x axis.
+        ValueError: ``pose``, ``window`` or ``max_misfit`` is wrong, or there is no line.
+        IllPosedError: a line is not in the window, or is nearly perpendicular to the x axis.
 
     >>> road = Polyline([[x, 2.0] for x in range(0, 100, 5)])
     >>> refit = Refit(road, [0.0, 0.0, 0.0], window=(-20.0, 80.0))
+    >>> refit.x_range
+    array([ 0., 80.])
     >>> refit([10.0, 0.5, 0.0]).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     >>> refit([[0.0, 0.0, 0.1], [0.0, 0.0, 1.57]]).round(3) + 0.0  # the second is perpendicular
@@ -92,52 +104,79 @@ class Refit:
         pose: ArrayLike,
         window: tuple[float, float],
         map_error: MapError | None = None,
+        *,
+        max_misfit: float = MAX_MISFIT,
+        max_turn: float = MAX_TURN,
     ) -> None:
-        self.pose = np.array(floats(pose, "pose"))
-        if self.pose.shape != (3,) or not np.isfinite(self.pose).all():
-            raise ValueError(f"pose must be finite with shape (3,), got {self.pose!r}")
-        x_min, x_max = window
-        if not x_min < x_max:
-            raise ValueError(f"window must have x_min < x_max [m], got {window}")
         single = isinstance(polyline, Polyline)
         lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
         if not lines:
             raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
-        points = to_ego(np.concatenate([line.points for line in lines]), self.pose)
-        lengths = [len(line.points) for line in lines]
-        near = near_stretch(points, lengths, x_min, x_max)
-        points = points[near]
-        count = np.add.reduceat(near, _starts(np.array(lengths)), dtype=int)
-        if (count < len(PARAMETERS)).any():
-            raise IllPosedError(
-                f"a cubic needs 4 points, but the line has {count.min()} in the window "
-                f"[{x_min:g}, {x_max:g}] m of the pose; widen the window or resample the line"
-            )
-        start = _starts(count)
-        #: (n, 2) points of each line in the window, in the frame of the mean pose [m].
-        self.points = [points[i : i + n] for i, n in zip(start, count, strict=True)]
+        seen = stretches(lines, pose, window, max_turn)
+        for i, reason in sorted(seen.left_out.items()):
+            which = "the line" if single else f"line {i} of {len(lines)}"
+            raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
         self._trailing = () if single else (len(lines),)
-        low, high = np.minimum.reduceat(points, start), np.maximum.reduceat(points, start)
+        self._set(seen, floats(pose, "pose"), map_error, max_misfit)
+
+    @classmethod
+    def of_stretches(
+        cls,
+        seen: Stretches,
+        pose: ArrayLike,
+        map_error: MapError | None = None,
+        max_misfit: float = MAX_MISFIT,
+    ) -> Refit:
+        """Return the function for stretches that were selected, as for several lines."""
+        refit = cls.__new__(cls)
+        refit._trailing = (len(seen.given),)
+        refit._set(seen, floats(pose, "pose"), map_error, max_misfit)
+        return refit
+
+    def _set(
+        self,
+        seen: Stretches,
+        pose: NDArray[np.float64],
+        map_error: MapError | None,
+        max_misfit: float,
+    ) -> None:
+        if not max_misfit > 0:
+            raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
+        self.pose = np.array(pose)
+        self._x_range, shift, self._misfit = longest_ranges(seen, max_misfit)
+        if max_misfit == np.inf:
+            shift = np.zeros_like(shift)
+        x = at_nodes(self._x_range)
+        #: (L, K, 2) points of each line to which the cubics are fitted, in the frame of ``pose``.
+        self.points = np.stack([x, seen.lateral(x) + shift[:, None]], axis=-1)
+        low, high = self.points.min(axis=1), self.points.max(axis=1)
         self._centre = (low + high) / 2  # (L, 2)
         self._half = (high[:, 0] - low[:, 0]) / 2  # (L,)
-        if not self._half.all():
-            self._raise_ill_posed(self.pose, window)
-        self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
-        self._span = self._chords.sum(axis=1)  # (L, 2)
+        self._chords = np.diff(self.points[:, CHORD_ENDS], axis=1)  # (L, CHORDS, 2)
+        self._span = self.points[:, -1] - self.points[:, 0]  # (L, 2)
         self._least_advance = LEAST_ADVANCE * np.hypot(*self._chords.T).sum(axis=0)[:, None]
-        scaled = (points - self._centre.repeat(count, axis=0)) / self._half.repeat(count)[:, None]
-        self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_MONOMIALS).reshape(
+        scaled = (self.points - self._centre[:, None]) / self._half[:, None, None]
+        self._coefficients = (_moments(scaled) @ _MOMENTS_TO_MONOMIALS).reshape(
             -1, 2 * DEGREE + 1
         )  # (11 L, 2 DEGREE + 1)
-        if np.isnan(self._cubics(np.array([[1.0], [0.0]]))).any():
-            self._raise_ill_posed(self.pose, window)
-        self.noise_cov = None if map_error is None else self._noise_cov(map_error)
+        noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
+        if map_error is not None:
+            noise_cov += self._noise_cov(map_error, seen.position(x))
+        if max_misfit < np.inf:
+            noise_cov[:, 0, 0] += self._misfit**2
+        is_exact = map_error is None and max_misfit == np.inf
+        #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
+        self.noise_cov = None if is_exact else noise_cov.reshape(*self._trailing, 4, 4)
 
     @property
     def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): range of the points along the x axis of the mean pose [m]."""
-        x_range = self._centre[:, :1] + self._half[:, None] * [-1.0, 1.0]
-        return x_range.reshape(*self._trailing, 2)
+        """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
+        return self._x_range.reshape(*self._trailing, 2)
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """(), or (L,): largest deviation of the cubic from the line in its range [m]."""
+        return self._misfit.reshape(self._trailing)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -189,20 +228,29 @@ class Refit:
         q[:, ~(well_posed & solved)] = np.nan
         return q
 
-    def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
-        """Return the covariance of the lines due to the map error, to first order."""
+    def _noise_cov(
+        self, error: MapError, position: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.
+
+        ``position`` are (L, K) fractional indices of the fitted points among those of the map.
+        """
         step = 1e-4
         poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
-        ahead, behind = self(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
+        ahead, behind = self._block(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
         J_line_pose = (ahead - behind) / (2 * step)  # (3, L, 4)
         pose_sigma = np.array([error.offset_sigma, error.offset_sigma, error.heading_sigma])
         J = J_line_pose * pose_sigma[:, None, None]
         cov = np.einsum("klm,kln->lmn", J, J)
-        mean = self(self.pose[None]).reshape(-1, len(PARAMETERS))
+        mean = self._block(self.pose[None])[0]
         for i, points in enumerate(self.points):
-            unit_cov = _fit_cov(points, mean[i], self._centre[i, 0], self._half[i])
+            unit_cov = _fit_cov(points, position[i], mean[i], self._centre[i, 0], self._half[i])
+            # The fit averages the point errors, but the line itself has them in full.
+            J = lateral_jacobian(mean[i], points[:, 0])
+            averaged = np.einsum("ki,ij,kj->k", J, unit_cov, J).min()
+            unit_cov[0, 0] += max(0.0, 1 - averaged)
             cov[i] += error.point_sigma**2 * unit_cov
-        return cov.reshape(*self._trailing, len(PARAMETERS), len(PARAMETERS))
+        return cov
 
     def _raise_ill_posed(
         self, pose: NDArray[np.float64], window: tuple[float, float] | None
@@ -216,35 +264,13 @@ class Refit:
         )
 
 
-def _starts(count: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the index of the first point of each line in the concatenated points."""
-    return count.cumsum() - count
-
-
-def _chords(
-    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return the (L, CHORDS, 2) differences between points at equal distances on each line."""
-    x, y = (points[1:] - points[:-1]).T
-    distance = np.zeros(len(points))
-    np.hypot(x, y).cumsum(out=distance[1:])  # includes the steps from one line to the next
-    stop = start + count - 1
-    marks = distance[start] + _MARKS * (distance[stop] - distance[start])  # (CHORDS + 1, L)
-    knots = points[distance.searchsorted(marks).clip(start, stop)]
-    return (knots[1:] - knots[:-1]).swapaxes(0, 1)
-
-
-def _moments(
-    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return (L, 49) moments mean(a^i b^j), i and j = 0 .. DEGREE, of the points (a, b)."""
-    points = np.ascontiguousarray(points.T)
+def _moments(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (L, 49) moments mean(a^i b^j), i and j = 0 .. DEGREE, of (L, K, 2) points (a, b)."""
     powers = np.ones((DEGREE + 1, *points.shape))
     for k in range(DEGREE):
         np.multiply(powers[k], points, out=powers[k + 1])
-    a, b = powers[:, 0], powers[:, 1]
-    sums = [a[:, i : i + n] @ b[:, i : i + n].T for i, n in zip(start, count, strict=True)]
-    return np.array(sums).reshape(len(count), -1) / count[:, None]
+    a, b = np.moveaxis(powers, (3, 1, 0), (0, 1, 2))  # (L, DEGREE + 1, K)
+    return (a @ b.swapaxes(1, 2)).reshape(len(a), -1) / points.shape[1]
 
 
 def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -288,8 +314,6 @@ def _moments_to_monomials() -> NDArray[np.float64]:
 
 #: The same for all lines, so computed once.
 _MOMENTS_TO_MONOMIALS = _moments_to_monomials()
-#: Ends of the chords as shares of the length of a line.
-_MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
 #: Rows of the normal equations with their right-hand sides, as indices into the sums.
 _NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
 
@@ -313,9 +337,16 @@ def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 
 
 def _fit_cov(
-    points: NDArray[np.float64], line: NDArray[np.float64], centre: float, half: float
+    points: NDArray[np.float64],
+    position: NDArray[np.float64],
+    line: NDArray[np.float64],
+    centre: float,
+    half: float,
 ) -> NDArray[np.float64]:
-    """Return the (4, 4) covariance of a fitted line for unit errors of its points."""
+    """Return the (4, 4) covariance of a fitted line for unit errors of the points of the map.
+
+    The fitted points are interpolated between those of the map, at ``position``.
+    """
     u, v = points.T
     A = np.vander((u - centre) / half, 4, increasing=True)
     dA = np.column_stack([np.zeros_like(u), A[:, :3] * [1, 2, 3]]) / half
@@ -325,7 +356,15 @@ def _fit_cov(
     residual = v - lateral(line, u)
     # An error in u acts twice: via the slope of l, and via the change of A's row.
     V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
+    # The error of a fitted point is the weighted mean of those of its two neighbours.
+    below = np.floor(position).astype(int)
+    share = position - below
+    below -= below[0]
+    W = np.zeros((len(u), below[-1] + 2))
+    W[np.arange(len(u)), below] = 1 - share
+    W[np.arange(len(u)), below + 1] = share
+    V = np.hstack([V[:, : len(u)] @ W, V[:, len(u) :] @ W])
     # J: derivative of line_of_cubic at the fit; only beta is nonlinear in q, by its arctangent.
     J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
     J[1] = np.tan(J[1]) * np.cos(beta) ** 2
-    return J @ (V @ V.T) @ J.T
+    return np.asarray(J @ (V @ V.T) @ J.T)
