@@ -19,7 +19,7 @@ from .transform import Transform
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
-MARGIN = 2.0
+MARGIN = 3.0
 #: Lines of less range are left out [m].
 MIN_RANGE = 1.0
 #: Standard deviations of the heading for which the turn of a line leaves room.
