@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import cantools
-from dbc_alterations import Alteration, fields, of_field, of_messages
+from dbc_alterations import SLOTS, Alteration, fields, of_field, of_messages
 from dbc_witness import check_codec
 from reporting import parser_of, progress
 
@@ -44,10 +44,10 @@ def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outc
     try:
         codec = Codec(Layout.from_text(alteration.text, "DBC"))
     except LayoutError as error:
-        names = alteration.field in str(error) or "message" in str(error) or "slot" in str(error)
-        if names or alteration.field == MESSAGES:
+        named = (alteration.field, SLOTS[0].name, "EgoLeft")
+        if alteration.field == MESSAGES or any(name in str(error) for name in named):
             return Outcome(alteration, "refused", str(error))
-        return Outcome(alteration, "wrong", f"the refusal does not name the signal: {error}")
+        return Outcome(alteration, "wrong", f"the refusal names no signal or message: {error}")
     except Exception as error:  # noqa: BLE001 - any other error is a wrong result
         return Outcome(alteration, "wrong", f"loading raises {error!r}")
     database = cantools.database.load_string(alteration.text, "dbc")

@@ -70,7 +70,7 @@ class SignalLine:
     def moved(self, length: int, order: str = "1") -> SignalLine:
         """Return the signal with another length in the free bits, and the range of all its bits."""
         start = ROOM + (7 if order == "0" else 0)
-        mux = f"m{ROOM_PAGE} " if self.mux else ""
+        mux = f"m{ROOM_PAGE} " if self.mux.startswith("m") else self.mux
         start += 0 if self.mux else 64 * ROOM_PAGE
         ends = {"low": "0", "high": "0"}
         return replace(self, mux=mux, start=start, length=length, order=order, **ends)

@@ -197,13 +197,13 @@ def check_line(codec: Codec, given: MapLine, got: MapLine) -> None:
     layout = codec.layout
     if (got.slot, got.kind) != (given.slot, given.kind):
         raise WrongResultError(f"{got.slot!r} {got.kind!r}, sent {given.slot!r} {given.kind!r}")
-    if not got.age >= given.age:
-        raise WrongResultError(f"the age is {got.age}, sent {given.age}")
+    _check_age(codec, given, got)
     if given.status is Status.OUT_OF_RANGE and got.status is not Status.OUT_OF_RANGE:
         raise WrongResultError(f"a line that must not be used has the status {got.status.name}")
     if got.status is Status.OUT_OF_RANGE:
+        _check_out_of_range(codec, given)
         return
-    if given.status is not Status.FULL and got.status not in (given.status, Status.SATURATED):
+    if got.status not in (given.status, Status.SATURATED):
         raise WrongResultError(f"the status is {got.status.name}, requested {given.status.name}")
     _check_range(given, got)
     steps = np.array([abs(layout[name].factor) for name in PARAMETER_SIGNALS])
@@ -212,6 +212,9 @@ def check_line(codec: Codec, given: MapLine, got: MapLine) -> None:
         if (np.abs(d) > 0.51 * steps).any():
             raise WrongResultError(f"the mean is off by {dict(zip(PARAMETERS, d, strict=True))}")
         return
+    components = 1 if given.mixture is None else len(given.mixture.weights)
+    if (1 if got.mixture is None else len(got.mixture.weights)) != components:
+        raise WrongResultError(f"a line of {components} components has another number of them")
     pairs = [(given.gaussian, got.gaussian)]
     if given.mixture is not None and got.mixture is not None:
         pairs += zip(given.mixture.components, got.mixture.components, strict=True)
@@ -224,6 +227,30 @@ def check_line(codec: Codec, given: MapLine, got: MapLine) -> None:
         excess = (received.cov - cov - np.outer(d, d)) / np.outer(sigma, sigma)
         if not np.linalg.eigvalsh(excess)[0] >= -1e-9:
             raise WrongResultError(f"overconfident: {np.linalg.eigvalsh(excess)[0]:g}")
+
+
+def _check_age(codec: Codec, given: MapLine, got: MapLine) -> None:
+    """Check that the age is rounded up by less than a step, and infinite only beyond the range."""
+    signal = codec.layout["Age"]
+    exact = max(given.age, signal.physical_range[0] / 1000)
+    most = exact + signal.factor / 1000 if exact <= codec.layout.max_age else np.inf
+    if not given.age <= got.age <= most:
+        raise WrongResultError(f"the age is {got.age}, sent {given.age}")
+
+
+def _check_out_of_range(codec: Codec, given: MapLine) -> None:
+    """Check that the mean or the valid range of a line without a covariance does not fit."""
+    if given.status is not Status.UNKNOWN:
+        return
+    ranges = [codec.layout[name].physical_range for name in PARAMETER_SIGNALS]
+    fits = all(low <= x <= high for x, (low, high) in zip(given.gaussian.mean, ranges, strict=True))
+    first, last = codec.layout["XMin"], codec.layout["XMax"]
+    starts, ends = (
+        signal.physical(np.arange(signal.raw_min, signal.raw_max + 1)) for signal in (first, last)
+    )
+    start = starts[starts >= given.x_min].min(initial=np.inf)
+    if fits and ((start <= ends) & (ends <= given.x_max)).any():
+        raise WrongResultError("a mean and a range that fit are OUT_OF_RANGE")
 
 
 def _check_range(given: MapLine, got: MapLine) -> None:

@@ -28,8 +28,8 @@ def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlineari
     """Return the direction in which a function is most nonlinear within a Gaussian, and how much.
 
     Second differences at sqrt(3) standard deviations give the Hessian of each output, in units of
-    the standard deviation of that output. The direction
-    maximises the sum of the squares of their quadratic forms.
+    the standard deviation of that output. The direction maximises the sum of the squares of their
+    quadratic forms.
 
     Raises:
         IllPosedError: the function has no value at a point that is needed.

@@ -10,7 +10,7 @@ from dbcs import default_codec
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, SigmaPoints, map_lines
 from maplines_can.propagation import Mixture
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.scenarios import SCENARIOS, pose
 from maplines_can.study.random_scenarios import random_scenarios
 
 DRAWS = 200_000
@@ -144,3 +144,15 @@ def test_item_7_in_random_scenes(k: int) -> None:
     assert min(ratios) >= 0.97
     assert sorted(worst)[-2] <= 1.04
     assert max(worst) <= 1.35
+
+
+@pytest.mark.parametrize("heading_sigma_deg", [0.2, 2.0, 6.0])
+@pytest.mark.parametrize("k", [2, 5])
+def test_item_7_up_to_6_deg_there_is_no_exception(k: int, heading_sigma_deg: float) -> None:
+    """On any of the random roads, with sigmas of 0.5 m along and 1 m across."""
+    ego = pose(0.5, 1.0, heading_sigma_deg)
+    for scene in random_scenarios(40, seed=7):
+        refit = Refit(scene.polylines[0], ego.mean, scene.window)
+        true, whole = Quadrature(13)(refit, ego), Mixture(k)(refit, ego).overall
+        assert worst_direction(whole.cov, true.cov) <= 1.002
+        assert (np.abs(whole.mean - true.mean) <= 0.002 * true.sigma).all()

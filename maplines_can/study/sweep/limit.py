@@ -109,13 +109,12 @@ def limit_of(
 
     The joint entropy is the sum of the marginal entropies minus the total correlation. The latter
     is the entropy of independent standard normal variables minus the joint entropy of the normal
-    scores. This is exact and removes heavy
-    tails. Each entropy is estimated from the distances to the k-th neighbours (Kozachenko and
-    Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys. Rev. E 69, 066138, 2004); that of the
-    scores with Mahalanobis distances of the local covariance of the neighbours, which adapts to a
-    curved source (after
-    Lord, Sun and Bollt, Chaos 28, 033114, 2018). The error of the same procedure on a standard
-    normal sample of the same size is subtracted.
+    scores. This is exact and removes heavy tails. Each entropy is estimated from the distances to
+    the k-th neighbours (Kozachenko and Leonenko 1987; Kraskov, Stoegbauer and Grassberger, Phys.
+    Rev. E 69, 066138, 2004); that of the scores with Mahalanobis distances of the local covariance
+    of the neighbours, which adapts to a curved source (after Lord, Sun and Bollt, Chaos 28, 033114,
+    2018). The error of the same procedure on a standard normal sample of the same size is
+    subtracted.
 
     The result is still too high if the source is finer than the distance of neighbours; for smooth
     sources the excess goes with N^(-2/n) (Berrett, Samworth and Yuan, Ann. Statist. 47, 288,
