@@ -213,7 +213,7 @@ class Refit:
         """Return the (N, L, 4) lines for a block of (N, 3) poses."""
         d = poses - self.pose
         turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
-        q = self._cubics(d[:, 2], turn)
+        q = self._cubics(turn)
         q *= self._half
         # Centre of the points as seen from each pose.
         x, y = self._centre[:, :, None] - (d[:, :2] @ self._to_ego).T[:, None]
@@ -221,14 +221,13 @@ class Refit:
         q[0] += c * y - s * x
         return line_of_cubic(q, c * x + s * y, self._half).swapaxes(0, 1)  # (N, L, 4)
 
-    def _cubics(self, angle: NDArray[np.float64], turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4, L, N) cubics through the centred and scaled points after rotations.
 
-        They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine of the
-        (N,) angles.
+        They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine.
         """
-        lines, poses = len(self._half), len(angle)
-        sums = (self._harmonics @ _harmonics(angle)).reshape(lines, -1, poses)  # (L, 11, N)
+        lines, poses = len(self._half), turn.shape[1]
+        sums = (self._harmonics @ _harmonics(turn)).reshape(lines, -1, poses)  # (L, 11, N)
         q, least_pivot = _solve_normal(sums.swapaxes(0, 1))
         advance = (self._chords @ turn).reshape(lines, -1, poses)  # (L, CHORDS, N)
         net, total = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)
@@ -272,10 +271,11 @@ class Refit:
         )
 
 
-def _harmonics(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (2 DEGREE + 1, N): cos(k angle), k = 0 .. 6, and sin(k angle), k = 1 .. 6."""
-    multiples = np.multiply.outer(np.arange(DEGREE + 1.0), angle)
-    return np.concatenate([np.cos(multiples), np.sin(multiples[1:])])
+def _harmonics(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (2 DEGREE + 1, N): 1, and cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h, sin h."""
+    z = turn[0] + 1j * turn[1]
+    powers = np.multiply.accumulate(z[None].repeat(DEGREE, axis=0))
+    return np.concatenate([np.ones_like(turn[:1]), powers.real, powers.imag])
 
 
 def _moments_to_harmonics() -> NDArray[np.float64]:
@@ -296,7 +296,7 @@ def _moments_to_harmonics() -> NDArray[np.float64]:
     v_u[:, :, 1:] = c[:, None, None] * u[:4, :, :-1]
     v_u[:, :, :, 1:] -= s[:, None, None] * u[:4, :, :, :-1]
     values = np.concatenate([u, v_u]).swapaxes(0, 1).reshape(len(angles), -1)
-    coefficients = np.linalg.solve(_harmonics(angles).T, values)
+    coefficients = np.linalg.solve(_harmonics(np.array([c, s])).T, values)
     shape = (len(angles), 11, (DEGREE + 1) ** 2)
     return coefficients.reshape(shape).T.reshape((DEGREE + 1) ** 2, -1)
 
