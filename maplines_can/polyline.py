@@ -147,8 +147,8 @@ class Polyline:
         """
         if self._tree is None:
             return self
-        s = self._tree.nearest(point)
-        return _part(self, math.floor((s - reach) / BLOCK), math.ceil((s + reach) / BLOCK))
+        low, high = self._tree.around_nearest(point)
+        return _part(self, math.floor((low - reach) / BLOCK), math.ceil((high + reach) / BLOCK))
 
 
 @lru_cache(maxsize=KEPT)
@@ -173,7 +173,9 @@ class _Tree:
         count = np.ceil(np.diff(distance) / spacing).astype(int) if spacing > 0 else None
         if count is not None and (count > 1).any():
             long = np.flatnonzero(count > 1)
-            between = [np.linspace(*distance[i : i + 2], count[i] + 1)[1:-1] for i in long]
+            between = [
+                np.linspace(distance[i], distance[i + 1], int(count[i]) + 1)[1:-1] for i in long
+            ]
             s = np.sort(np.concatenate([distance, *between]))
             points = np.column_stack([np.interp(s, distance, p) for p in points.T])
             distance = s
@@ -182,17 +184,25 @@ class _Tree:
         #: Farthest that any point of the line is from the nearest point in the tree.
         self._gap = float(np.diff(distance).max()) / 2
 
-    def nearest(self, point: NDArray[np.float64]) -> float:
-        """Return the arc length of the point of the line that is nearest to a point [m]."""
+    def around_nearest(self, point: NDArray[np.float64]) -> tuple[float, float]:
+        """Return two arc lengths with the point of the line nearest to a point between them [m].
+
+        They differ by at most ``BLOCK``, or are equal.
+        """
         bound, _ = self._tree.query(point)
         rows = np.array(self._tree.query_ball_point(point, (bound + self._gap) * (1 + 1e-9)))
+        first, last = max(0, rows.min() - 1), min(rows.max() + 1, len(self._points) - 1)
+        low, high = self._distance[first], self._distance[last]
+        if high - low <= BLOCK:
+            return float(low), float(high)
         first = np.concatenate([rows, rows - 1]).clip(0, len(self._points) - 2)
         begin = self._points[first].T
         step = self._points[first + 1].T - begin
         share, squared = nearest_share(begin, step, squared_length(step), point[:, None])
         best = squared.argmin()
         i = first[best]
-        return float(self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i]))
+        s = self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i])
+        return float(s), float(s)
 
 
 @dataclass(frozen=True, eq=False)

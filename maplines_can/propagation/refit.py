@@ -272,7 +272,7 @@ class Refit:
 
 
 def _harmonics(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (2 DEGREE + 1, N): 1, and cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h, sin h."""
+    """Return (2 DEGREE + 1, N): 1, cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h and sin h."""
     z = turn[0] + 1j * turn[1]
     powers = np.multiply.accumulate(z[None].repeat(DEGREE, axis=0))
     return np.concatenate([np.ones_like(turn[:1]), powers.real, powers.imag])
