@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import floats
-from ..gaussian import Gaussian
+from ..gaussian import Gaussian, indefinite
 from ..line import MapLine, Slot
 from ..mixture import GaussianMixture
 from ..polyline import MAX_TURN, LeftOut, Polyline, stretches, to_ego
@@ -114,9 +114,10 @@ def map_lines(
             continue
         mixture = Mixture(counts[slots[0]], transform)
         weights, means, covs = mixture.moments(_Extended(refit, wide), ego)
+        make = Gaussian.trusted if _is_positive(covs) else Gaussian
         for i, (low, high) in enumerate(x_range[wide].tolist()):
             slot = slots[seen.given[wide][i]]
-            gaussians = tuple(map(Gaussian, means[:, i], covs[:, i]))
+            gaussians = tuple(map(make, means[:, i], covs[:, i]))
             rest: dict[str, Any] = {"kind": lines[slot].kind, "x_min": low, "x_max": high}
             if len(gaussians) == 1:
                 found[slot] = MapLine(slot, gaussians[0], **rest)
@@ -159,6 +160,12 @@ class _Extended:
             values[rows] = np.where(missing[rows][..., None], filled, values[rows])
             missing = np.isnan(values[..., 0])
         return values
+
+
+def _is_positive(covs: NDArray[np.float64]) -> bool:
+    """Return whether symmetric (..., n, n) matrices are covariances, checked all at once."""
+    variances = np.diagonal(covs, axis1=-2, axis2=-1)
+    return bool(np.isfinite(covs).all() and (variances > 0).all() and not indefinite(covs).any())
 
 
 def _checked(
