@@ -68,10 +68,10 @@ class Refit:
     within ``max_misfit``. For each pose the stretch is transformed to the ego frame (u, v), and a
     cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
     section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result
-    therefore depends on the line and not on the spacing of its points, and deviates little more than the
-    best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is therefore
-    a polynomial in the cosine and sine of the rotation, whose coefficients are computed once:
-    the cost per pose does not depend on the number of points.
+    therefore depends on the line and not on the spacing of its points, and deviates little more
+    than the best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is
+    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are computed
+    once: the cost per pose does not depend on the number of points.
 
     Args:
         polyline: the line, or several lines for which each call returns parameters.
