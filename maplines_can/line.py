@@ -222,7 +222,7 @@ def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
 
 
 def line_of_cubic(
-    q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
+    q: NDArray[np.float64], centre: NDArray[np.float64], half: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the (..., 4) lines of cubics in the normalised variable ``w = (u - centre) / half``.
 
@@ -230,15 +230,20 @@ def line_of_cubic(
     the first derivative as an angle.
     """
     q0, q1, q2, q3 = q
-    r = 1 / np.asarray(half, dtype=float)
-    w = -np.asarray(centre, dtype=float) * r
-    lines = np.empty((4, *np.broadcast_shapes(np.shape(q0), np.shape(w))))
+    r = 1 / half
+    w = -centre * r
+    lines = np.empty((4, *np.broadcast_shapes(q0.shape, w.shape)))
+    # Horner's scheme, repeated, gives the Taylor coefficients at w.
     q3_w = q3 * w
-    lines[0] = q0 + w * (q1 + w * (q2 + q3_w))
-    lines[1] = np.arctan((q1 + w * (2 * q2 + 3 * q3_w)) * r)
-    lines[2] = (2 * q2 + 6 * q3_w) * (r * r)
-    lines[3] = 6 * q3 * (r * r * r)
-    return np.moveaxis(lines, 0, -1)
+    value2 = q2 + q3_w
+    value1 = q1 + w * value2
+    slope2 = value2 + q3_w
+    lines[0] = q0 + w * value1
+    lines[1] = np.arctan((value1 + w * slope2) * r)
+    r2 = 2 * r * r
+    lines[2] = (slope2 + q3_w) * r2
+    lines[3] = q3 * (3 * r2 * r)
+    return lines.transpose(*range(1, lines.ndim), 0)
 
 
 def transform_line(

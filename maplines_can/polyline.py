@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
-from typing import Any
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +21,14 @@ MAX_POINTS = 10**7
 MAX_ROUNDING = 1e-3
 #: Lines of more points keep a search tree, so that a query does not visit all points.
 INDEXED = 2048
-#: Most points of such a line that a query uses; if there are more near the car, it is sampled
-#: evenly, in a window of 100 m at least every 0.6 m.
-MOST_NEAR = 800
+#: Parts of such a line begin and end at multiples of this length along it [m], so that the next
+#: query uses the same part.
+BLOCK = 100.0
+#: Most points of a part; if there are more near the car, it is sampled evenly, for a window of
+#: 100 m at least every 0.7 m.
+MOST_NEAR = 1000
+#: Concatenated lines and parts of lines that are kept for the next query.
+KEPT = 16
 #: Largest angle between the car's x axis and a line that it sees [rad]; farther along, the line
 #: is nearly parallel to the y axis, and no function y(x).
 MAX_TURN = math.radians(65.0)
@@ -79,7 +84,9 @@ class Polyline:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         object.__setattr__(self, "kind", Kind(self.kind))
-        object.__setattr__(self, "_tree", _Tree(points, distance) if len(points) > INDEXED else None)
+        object.__setattr__(
+            self, "_tree", _Tree(points, distance) if len(points) > INDEXED else None
+        )
 
     @property
     def length(self) -> float:
@@ -133,23 +140,27 @@ class Polyline:
         x = np.concatenate([[low], seen.x[inside], [high]])
         return to_map(np.column_stack([x, seen.lateral(x[None])[0]]), pose)
 
-    def part_near(
-        self, point: NDArray[np.float64], reach: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return points, and their arc lengths, up to ``reach`` [m] from that nearest to a point.
+    def near(self, point: NDArray[np.float64], reach: float) -> Polyline:
+        """Return the part of the line up to ``reach`` [m] from its point nearest to a point.
 
-        A line without a search tree is returned as a whole.
+        It may be longer. A line without a search tree is returned as a whole.
         """
         if self._tree is None:
-            return self.points, self.distance
-        s = self._tree.nearest(point)
-        a, b = self.distance.searchsorted([s - reach, s + reach])
-        part = slice(max(0, a - 1), b + 1)
-        points, distance = self.points[part], self.distance[part]
-        if len(points) > MOST_NEAR:
-            rows = distance.searchsorted(np.linspace(distance[0], distance[-1], MOST_NEAR))
-            points, distance = points[rows], distance[rows]
-        return points, distance
+            return self
+        low, high = self._tree.around_nearest(point)
+        return _part(self, math.floor((low - reach) / BLOCK), math.ceil((high + reach) / BLOCK))
+
+
+@lru_cache(maxsize=KEPT)
+def _part(line: Polyline, begin: int, end: int) -> Polyline:
+    """Return the part of a large line between two multiples of ``BLOCK`` along it."""
+    a, b = line.distance.searchsorted([begin * BLOCK, end * BLOCK])
+    part = slice(max(0, a - 1), b + 1)
+    points, distance = line.points[part], line.distance[part]
+    if len(points) > MOST_NEAR:
+        rows = distance.searchsorted(np.linspace(distance[0], distance[-1], MOST_NEAR))
+        points = points[rows]
+    return Polyline(points)
 
 
 class _Tree:
@@ -162,7 +173,9 @@ class _Tree:
         count = np.ceil(np.diff(distance) / spacing).astype(int) if spacing > 0 else None
         if count is not None and (count > 1).any():
             long = np.flatnonzero(count > 1)
-            between = [np.linspace(*distance[i : i + 2], count[i] + 1)[1:-1] for i in long]
+            between = [
+                np.linspace(distance[i], distance[i + 1], int(count[i]) + 1)[1:-1] for i in long
+            ]
             s = np.sort(np.concatenate([distance, *between]))
             points = np.column_stack([np.interp(s, distance, p) for p in points.T])
             distance = s
@@ -171,15 +184,25 @@ class _Tree:
         #: Farthest that any point of the line is from the nearest point in the tree.
         self._gap = float(np.diff(distance).max()) / 2
 
-    def nearest(self, point: NDArray[np.float64]) -> float:
-        """Return the arc length of the point of the line that is nearest to a point [m]."""
+    def around_nearest(self, point: NDArray[np.float64]) -> tuple[float, float]:
+        """Return two arc lengths with the point of the line nearest to a point between them [m].
+
+        They differ by at most ``BLOCK``, or are equal.
+        """
         bound, _ = self._tree.query(point)
         rows = np.array(self._tree.query_ball_point(point, (bound + self._gap) * (1 + 1e-9)))
-        first = np.unique(np.concatenate([rows, rows - 1]).clip(0, len(self._points) - 2))
-        share, squared = nearest_share(self._points[first], self._points[first + 1], point)
+        first, last = max(0, rows.min() - 1), min(rows.max() + 1, len(self._points) - 1)
+        low, high = self._distance[first], self._distance[last]
+        if high - low <= BLOCK:
+            return float(low), float(high)
+        first = np.concatenate([rows, rows - 1]).clip(0, len(self._points) - 2)
+        begin = self._points[first].T
+        step = self._points[first + 1].T - begin
+        share, squared = nearest_share(begin, step, squared_length(step), point[:, None])
         best = squared.argmin()
         i = first[best]
-        return float(self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i]))
+        s = self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i])
+        return float(s), float(s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +218,7 @@ class Stretches:
     line: NDArray[np.intp]  #: (n,) which of the L stretches each point belongs to
     x_range: NDArray[np.float64]  #: (L, 2) ends of the stretches within the window [m]
     given: NDArray[np.intp]  #: (L,) which of the lines each stretch is of
+    first: NDArray[np.intp]  #: (L,) index of the first point of each stretch
     left_out: dict[int, LeftOut]  #: reasons of the lines without a stretch
 
     def lateral(
@@ -225,7 +249,50 @@ class Stretches:
         return x + line * self._step
 
 
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
+class _Joined(NamedTuple):
+    """What a query needs of several lines and does not depend on the pose, concatenated.
+
+    There is a step from each point to the next one of the line. The last one has length 0.
+    """
+
+    points: NDArray[np.float64]  #: (2, n) [m]
+    steps: NDArray[np.float64]  #: (2, n) [m]
+    squared: NDArray[np.float64]  #: (n,) squared lengths of the steps [m^2]
+    chords: NDArray[np.float64]  #: (2, n) each short step with DIRECTION_BASE / 2 on both sides [m]
+    chord: NDArray[np.float64]  #: (n,) lengths of the chords [m]
+    size: NDArray[np.intp]  #: (L,) numbers of points
+    first: NDArray[np.intp]  #: (L,) indices of the first points
+    last: NDArray[np.intp]  #: (L,) indices of the last points
+
+
+@lru_cache(maxsize=KEPT)
+@np.errstate(over="ignore", invalid="ignore")
+def _joined(lines: tuple[Polyline, ...]) -> _Joined:
+    """Return lines concatenated. A car asks for the same lines again and again."""
+    count = np.array([len(line.points) for line in lines])
+    points = np.concatenate([line.points for line in lines])
+    steps, chords = (np.concatenate(arrays) for arrays in zip(*map(_steps, lines), strict=True))
+    points, steps, chords = (np.ascontiguousarray(xy.T) for xy in (points, steps, chords))
+    last = count.cumsum() - 1
+    first = last + 1 - count
+    squared = squared_length(steps)
+    return _Joined(points, steps, squared, chords, np.hypot(*chords), count, first, last)
+
+
+def _steps(line: Polyline) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (n, 2) steps of a line, and the chords from which their directions are taken."""
+    points, distance = line.points, line.distance
+    steps = np.append(np.diff(points, axis=0), [[0.0, 0.0]], axis=0)
+    if not (np.diff(distance) < DIRECTION_BASE).any():
+        return steps, steps
+    middle = (distance[1:] + distance[:-1]) / 2
+    begin = distance.searchsorted(middle - DIRECTION_BASE / 2, side="right") - 1
+    end = distance.searchsorted(middle + DIRECTION_BASE / 2)
+    chords = points[end.clip(max=len(points) - 1)] - points[begin.clip(min=0)]
+    return steps, np.append(chords, [[0.0, 0.0]], axis=0)
+
+
+@np.errstate(over="ignore", invalid="ignore")
 def stretches(
     lines: Sequence[Polyline],
     pose: ArrayLike,
@@ -250,102 +317,86 @@ def stretches(
     if not -np.inf < x_min < x_max < np.inf:
         raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
     # If the car is not in the window, the end of the window nearest to it takes its place.
-    start = np.array([min(max(0.0, x_min), x_max), 0.0])
-    reach = (x_max - x_min + abs(start[0])) / math.cos(max_turn)
-    parts = [line.part_near(to_map(start, pose), reach) for line in lines]
-    points = to_ego(np.concatenate([points for points, _ in parts]), pose)
-    distance = np.concatenate([distance for _, distance in parts])
-    count = np.array([len(points) for points, _ in parts])
-    last = count.cumsum() - 1
-    first = last + 1 - count
-    gap = np.append(0.0, distance[last] - distance[first] + 1)  # longer than DIRECTION_BASE
-    distance += (gap.cumsum()[:-1] - distance[first]).repeat(count)
+    ahead = min(max(0.0, x_min), x_max)
+    reach = (x_max - x_min + abs(ahead)) / math.cos(max_turn)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    start = pose[:2] + np.array([ahead * c, ahead * s])
+    parts = tuple([line.near(start, reach) for line in lines])
+    joined = _joined(parts)
 
-    share, squared = nearest_share(points[:-1], points[1:], start)
-    direction = _direction(points, distance, first, last, max_turn)
-    direction[last[:-1]] = BETWEEN_LINES
-    seen = np.abs(direction) == 1
+    # Steps in the direction of the car's x axis are 1, against it -1, and across 0.
+    advance = c * joined.chords[0] + s * joined.chords[1]
+    least = math.cos(max_turn) * joined.chord
+    direction = np.subtract(advance >= least, advance <= -least, dtype=np.int8)
+    share, squared = nearest_share(joined.points, joined.steps, joined.squared, start[:, None])
+    squared[joined.last] = np.inf
+    squared = np.fmin(squared, np.inf)  # NaN by overflow is far away
+    is_least = squared == np.minimum.reduceat(squared, joined.first).repeat(joined.size)
+    hits = is_least.nonzero()[0]
+    nearest = hits[hits.searchsorted(joined.first)]
     left_out: dict[int, LeftOut] = {}
-    nearest = first.copy()
-    for i, (a, b) in enumerate(zip(first, last, strict=True)):
-        k = a + int(squared[a:b].argmin())
-        if not seen[k]:
-            s = distance[k] + share[k] * (distance[k + 1] - distance[k])
-            near = seen[a:b] & (np.abs(distance[a:b] - s) <= reach)
-            if not near.any():
-                left_out[i] = LeftOut.ACROSS
-            k = a + int(np.where(near, squared[a:b], np.inf).argmin())
-        nearest[i] = k
+    for i in (direction[nearest] == 0).nonzero()[0].tolist():
+        own = slice(joined.first[i], joined.last[i] + 1)
+        distance, k = parts[i].distance, nearest[i] - joined.first[i]
+        s_nearest = distance[k] + share[nearest[i]] * (distance[k + 1] - distance[k])
+        near = (direction[own] != 0) & (np.abs(distance - s_nearest) <= reach)
+        if near.any():
+            nearest[i] = own.start + np.where(near, squared[own], np.inf).argmin()
+        else:
+            left_out[i] = LeftOut.ACROSS
     given = np.array([i for i in range(len(lines)) if i not in left_out], dtype=np.intp)
     nearest = nearest[given]
-    # A stretch is the run of steps in the same direction around the nearest one.
-    edges = np.flatnonzero(direction[1:] != direction[:-1]) + 1
-    edges = np.concatenate([[0], edges, [len(direction)]])
-    run = edges.searchsorted(nearest, side="right")
-    begin, end = edges[run - 1], edges[run]
-    size = end - begin + 1
-    stop = size.cumsum()
-    line = np.arange(len(given)).repeat(size)
-    within = np.arange(len(line)) - (stop - size)[line]
+    # A stretch is the run of steps in the same direction around the nearest one, and of these the
+    # steps that lie in the window, at least in part.
+    turns = np.concatenate([[0], (direction[1:] != direction[:-1]).nonzero()[0] + 1])
+    run = turns.searchsorted(nearest, side="right")
+    x, y = np.array([[c, s], [-s, c]]) @ (joined.points - pose[:2, None])
+    before, beyond = x <= x_min, x >= x_max
+    inside = (~(before[1:] & before[:-1] | beyond[1:] & beyond[:-1])).nonzero()[0]
+    a, b = inside.searchsorted(turns[run - 1]), inside.searchsorted(turns[run])
+    inside = np.append(inside, 0)
+    begin, end = inside[a], inside[b - 1] + 1
     forward = direction[nearest] == 1
-    rows = np.where(forward, begin, end)[line] + np.where(forward, 1, -1)[line] * within
-    x, y = points[rows].T
-    low, high = x[stop - size].clip(min=x_min), x[stop - 1].clip(max=x_max)
-    if not (low < high).all():
-        left_out |= dict.fromkeys(given[~(low < high)].tolist(), LeftOut.NOT_IN_WINDOW)
-    # Steps that lie in the window, at least in part, of the lines that do.
-    used = (x[:-1] < x_max) & (x[1:] > x_min) & (line[:-1] == line[1:]) & (low < high)[line[:-1]]
-    kept = np.append(used, False) | np.append(False, used)
-    kept_lines = np.flatnonzero(low < high)
-    return Stretches(
-        x[kept],
-        y[kept],
-        kept_lines.searchsorted(line[kept]),
-        np.column_stack([low, high])[kept_lines],
-        given[kept_lines],
-        left_out,
-    )
-
-
-#: Direction of a step along the car's x axis: against it, none, along it, or between two lines.
-BETWEEN_LINES = 2
-
-
-def _direction(
-    points: NDArray[np.float64],
-    distance: NDArray[np.float64],
-    first: NDArray[np.intp],
-    last: NDArray[np.intp],
-    max_turn: float,
-) -> NDArray[np.int8]:
-    """Return for each step along the points 1 if it goes ahead, -1 if back, 0 if across.
-
-    Of a short step it is the direction of the line within half of ``DIRECTION_BASE`` on both sides.
-    """
-    steps = np.diff(points, axis=0)
-    if (np.diff(distance) < DIRECTION_BASE).any():
-        middle = (distance[1:] + distance[:-1]) / 2
-        line = np.arange(len(first)).repeat(last - first + 1)[:-1]
-        a = distance.searchsorted(middle - DIRECTION_BASE / 2, side="right") - 1
-        b = distance.searchsorted(middle + DIRECTION_BASE / 2)
-        steps = points[b.clip(max=last[line])] - points[a.clip(min=first[line])]
-    dx, dy = steps.T
-    along = np.abs(dx) >= math.cos(max_turn) * np.hypot(dx, dy)
-    return np.where(along, np.sign(dx), 0).astype(np.int8)
+    low = x[np.where(forward, begin, end)].clip(min=x_min)
+    high = x[np.where(forward, end, begin)].clip(max=x_max)
+    seen = (a < b) & (low < high)
+    if not seen.all():
+        left_out |= dict.fromkeys(given[~seen].tolist(), LeftOut.NOT_IN_WINDOW)
+        given, begin, end, forward = given[seen], begin[seen], end[seen], forward[seen]
+        low, high = low[seen], high[seen]
+    size = end - begin + 1
+    first = size.cumsum() - size
+    step = np.where(forward, 1, -1)
+    rows = (np.where(forward, begin, end) - step * first).repeat(size)
+    rows += step.repeat(size) * np.arange(len(rows))
+    line = np.arange(len(given)).repeat(size)
+    x_range = np.array([low, high]).T
+    return Stretches(x[rows], y[rows], line, x_range, given, first, left_out)
 
 
 def nearest_share(
-    begin: NDArray[np.float64], end: NDArray[np.float64], point: NDArray[np.float64]
+    begin: NDArray[np.float64],
+    step: NDArray[np.float64],
+    squared: NDArray[np.float64],
+    point: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each of (n, 2) segments is nearest to a point, and the squared distances.
+    """Return where each of (2, n) segments is nearest to a point, and the squared distances.
 
-    The places are shares of the segments from 0 to 1.
+    The places are shares of the segments from 0 to 1. ``squared`` are the (n,) squared lengths of
+    the segments, and the point is (2, 1).
     """
-    step, offset = end - begin, point - begin
-    squared = (step * step).sum(axis=1)
-    share = ((offset * step).sum(axis=1) / np.where(squared > 0, squared, 1.0)).clip(0, 1)
-    offset = offset - share[:, None] * step
-    return share, (offset * offset).sum(axis=1)
+    offset = point - begin
+    share = offset[0] * step[0] + offset[1] * step[1]
+    share /= squared
+    share = np.minimum(np.maximum(share, 0.0), 1.0)
+    offset -= share * step
+    offset *= offset
+    return share, offset[0] + offset[1]
+
+
+def squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n,) squared lengths of (2, n) steps, a tiny number in place of 0."""
+    return np.maximum(steps[0] ** 2 + steps[1] ** 2, np.finfo(float).tiny)
 
 
 def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:

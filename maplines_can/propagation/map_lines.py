@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import floats
-from ..gaussian import Gaussian
+from ..gaussian import Gaussian, indefinite
 from ..line import MapLine, Slot
 from ..mixture import GaussianMixture
 from ..polyline import MAX_TURN, LeftOut, Polyline, stretches, to_ego
@@ -108,14 +108,16 @@ def map_lines(
         refit = Refit.of_stretches(seen, ego.mean, map_error, max_misfit)
         margin = MARGIN * _along_sigma(P, refit.points[:, [0, -1], 1])  # (L, 2)
         x_range = (refit.x_range + margin * [1, -1]).clip(x_min, x_max)
+        wide = (x_range[:, 1] - x_range[:, 0] >= MIN_RANGE) & ~refit.is_across
+        found |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~wide]}
+        if not wide.any():
+            continue
         mixture = Mixture(counts[slots[0]], transform)
-        weights, means, covs = mixture.moments(_Extended(refit), ego)
-        for i, (low, high) in enumerate(x_range.tolist()):
-            slot = slots[seen.given[i]]
-            if high - low < MIN_RANGE:
-                found[slot] = LeftOut.TOO_SHORT
-                continue
-            gaussians = tuple(map(Gaussian, means[:, i], covs[:, i]))
+        weights, means, covs = mixture.moments(_Extended(refit, wide), ego)
+        make = Gaussian.trusted if _is_positive(covs) else Gaussian
+        for i, (low, high) in enumerate(x_range[wide].tolist()):
+            slot = slots[seen.given[wide][i]]
+            gaussians = tuple(map(make, means[:, i], covs[:, i]))
             rest: dict[str, Any] = {"kind": lines[slot].kind, "x_min": low, "x_max": high}
             if len(gaussians) == 1:
                 found[slot] = MapLine(slot, gaussians[0], **rest)
@@ -129,31 +131,41 @@ def map_lines(
 
 
 class _Extended:
-    """A refit that also has values at poses from which a line is not a function of x.
+    """Some lines of a refit, with values also at poses from which they are not functions of x.
 
-    They are extrapolated linearly from the mean pose through the farthest pose with a value that
+    These are extrapolated linearly from the mean pose through the farthest pose with a value that
     halving the distance finds, so that a transform keeps the spread in that direction.
     """
 
-    def __init__(self, refit: Refit) -> None:
-        self._refit = refit
-        self.noise_cov = refit.noise_cov
+    def __init__(self, refit: Refit, lines: NDArray[np.bool_]) -> None:
+        self._refit, self._lines = refit, lines
+        self.noise_cov = None if refit.noise_cov is None else refit.noise_cov[lines]
+
+    def _values(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._refit(poses)[:, self._lines]
 
     def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = self._refit(poses)
+        values = self._values(poses)
         missing = np.isnan(values[..., 0])
         if not missing.any():
             return values
-        mean = self._refit(self._refit.pose[None])
+        pose = self._refit.pose
+        mean = self._values(pose[None])
         share = 1.0
         while missing.any():
             share /= 2
             rows = np.flatnonzero(missing.any(axis=1))
-            inner = self._refit(self._refit.pose + share * (poses[rows] - self._refit.pose))
+            inner = self._values(pose + share * (poses[rows] - pose))
             filled = mean + (inner - mean) / share
             values[rows] = np.where(missing[rows][..., None], filled, values[rows])
             missing = np.isnan(values[..., 0])
         return values
+
+
+def _is_positive(covs: NDArray[np.float64]) -> bool:
+    """Return whether symmetric (..., n, n) matrices are covariances, checked all at once."""
+    variances = np.diagonal(covs, axis1=-2, axis2=-1)
+    return bool(np.isfinite(covs).all() and (variances > 0).all() and not indefinite(covs).any())
 
 
 def _checked(

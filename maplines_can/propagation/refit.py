@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
@@ -12,16 +13,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import floats
 from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
-from ..polyline import MAX_TURN, Polyline, Stretches, stretches, to_ego
-from .valid_range import NODES, at_nodes, longest_ranges
+from ..polyline import MAX_TURN, Polyline, Stretches, stretches
+from .valid_range import NODES, longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6
 #: Poses per block: the arrays of one block fit in the processor's cache.
 BLOCK = 2048
-#: Ends of the chords by which the shape of a line is checked, among the fitted points.
-CHORD_ENDS = np.linspace(0, len(NODES) - 1, 17).round().astype(int)
+#: The shape of a line is checked by chords from each CHORD-th of the fitted points to the next.
+CHORD = (len(NODES) - 1) // 16
 #: Default of the largest deviation of a cubic from its line [m].
 MAX_MISFIT = 0.1
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
@@ -65,12 +66,12 @@ class Refit:
     The stretch of each line is selected once, in a window relative to ``pose``, so that the
     function is smooth (see ``Polyline.window``), and shortened to the range that a cubic follows
     within ``max_misfit``. For each pose the stretch is transformed to the ego frame (u, v), and a
-    cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface, section
-    III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result therefore
-    depends on the line and not on the spacing of its points, and deviates little more than the
-    best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is therefore
-    a polynomial in the cosine and sine of the rotation, whose coefficients are computed once:
-    the cost per pose does not depend on the number of points.
+    cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
+    section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result
+    therefore depends on the line and not on the spacing of its points, and deviates little more
+    than the best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is
+    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are computed
+    once: the cost per pose does not depend on the number of points.
 
     Args:
         polyline: the line, or several lines for which each call returns parameters.
@@ -143,22 +144,23 @@ class Refit:
         if not max_misfit > 0:
             raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
         self.pose = np.array(pose)
-        self._x_range, shift, self._misfit = longest_ranges(seen, max_misfit)
-        if max_misfit == np.inf:
-            shift = np.zeros_like(shift)
-        x = at_nodes(self._x_range)
+        fitted = longest_ranges(seen, max_misfit)
+        self._x_range, self._misfit = fitted.x_range, fitted.misfit
+        x, y = fitted.x, fitted.y
+        if max_misfit < np.inf:
+            y = y + fitted.shift[:, None]
         #: (L, K, 2) points of each line to which the cubics are fitted, in the frame of ``pose``.
-        self.points = np.stack([x, seen.lateral(x) + shift[:, None]], axis=-1)
-        low, high = self.points.min(axis=1), self.points.max(axis=1)
-        self._centre = (low + high) / 2  # (L, 2)
-        self._half = (high[:, 0] - low[:, 0]) / 2  # (L,)
-        self._chords = np.diff(self.points[:, CHORD_ENDS], axis=1)  # (L, CHORDS, 2)
-        self._span = self.points[:, -1] - self.points[:, 0]  # (L, 2)
-        self._least_advance = LEAST_ADVANCE * np.hypot(*self._chords.T).sum(axis=0)[:, None]
-        scaled = (self.points - self._centre[:, None]) / self._half[:, None, None]
-        self._coefficients = (_moments(scaled) @ _MOMENTS_TO_MONOMIALS).reshape(
-            -1, 2 * DEGREE + 1
-        )  # (11 L, 2 DEGREE + 1)
+        self.points = np.stack([x, y], axis=-1)
+        self._half = (x[:, -1:] - x[:, :1]) / 2  # (L, 1)
+        low, high = y.min(axis=1), y.max(axis=1)
+        self._centre = np.array([(x[:, 0] + x[:, -1]) / 2, (low + high) / 2])  # (2, L)
+        scaled = (y - self._centre[1][:, None]) / self._half
+        self._harmonics = _harmonics_of_sums(scaled)  # (11 L, 2 DEGREE + 1)
+        chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
+        self._chords = chords.reshape(-1, 2)
+        self._least_advance = LEAST_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        self._to_ego = np.array([[c, -s], [s, c]])
         noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
         if map_error is not None:
             noise_cov += self._noise_cov(map_error, seen.position(x))
@@ -172,6 +174,11 @@ class Refit:
     def x_range(self) -> NDArray[np.float64]:
         """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
         return self._x_range.reshape(*self._trailing, 2)
+
+    @property
+    def is_across(self) -> NDArray[np.bool_]:
+        """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
+        return (2 * self._half < self._least_advance).reshape(self._trailing)
 
     @property
     def misfit(self) -> NDArray[np.float64]:
@@ -206,13 +213,13 @@ class Refit:
         """Return the (N, L, 4) lines for a block of (N, 3) poses."""
         d = poses - self.pose
         turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
+        q = self._cubics(turn)
+        q *= self._half
         # Centre of the points as seen from each pose.
-        x, y = self._centre.T[:, :, None] - to_ego(d[:, :2], [0.0, 0.0, self.pose[2]]).T[:, None]
+        x, y = self._centre[:, :, None] - (d[:, :2] @ self._to_ego).T[:, None]
         c, s = turn
-        centre_u, centre_v = c * x + s * y, c * y - s * x  # (L, N)
-        q = self._half[:, None] * self._cubics(turn)
-        q[0] += centre_v
-        return line_of_cubic(q, centre_u, self._half[:, None]).swapaxes(0, 1)  # (N, L, 4)
+        q[0] += c * y - s * x
+        return line_of_cubic(q, c * x + s * y, self._half).swapaxes(0, 1)  # (N, L, 4)
 
     def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4, L, N) cubics through the centred and scaled points after rotations.
@@ -220,17 +227,17 @@ class Refit:
         They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine.
         """
         lines, poses = len(self._half), turn.shape[1]
-        sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
-        q, solved = _solve_normal(sums.swapaxes(0, 1))
-        net = np.abs(self._span @ turn)  # (L, N)
-        total = np.abs(self._chords @ turn).sum(axis=1)
+        sums = (self._harmonics @ _harmonics(turn)).reshape(lines, -1, poses)  # (L, 11, N)
+        q, least_pivot = _solve_normal(sums.swapaxes(0, 1))
+        advance = (self._chords @ turn).reshape(lines, -1, poses)  # (L, CHORDS, N)
+        net, total = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)
         well_posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * total)
-        q[:, ~(well_posed & solved)] = np.nan
+        well_posed &= least_pivot > LEAST_PIVOT
+        if not well_posed.all():
+            q[:, ~well_posed] = np.nan
         return q
 
-    def _noise_cov(
-        self, error: MapError, position: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _noise_cov(self, error: MapError, position: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.
 
         ``position`` are (L, K) fractional indices of the fitted points among those of the map.
@@ -244,7 +251,7 @@ class Refit:
         cov = np.einsum("klm,kln->lmn", J, J)
         mean = self._block(self.pose[None])[0]
         for i, points in enumerate(self.points):
-            unit_cov = _fit_cov(points, position[i], mean[i], self._centre[i, 0], self._half[i])
+            unit_cov = _fit_cov(points, position[i], mean[i], self._centre[0, i], self._half[i, 0])
             # The fit averages the point errors, but the line itself has them in full.
             J = lateral_jacobian(mean[i], points[:, 0])
             averaged = np.einsum("ki,ij,kj->k", J, unit_cov, J).min()
@@ -264,76 +271,80 @@ class Refit:
         )
 
 
-def _moments(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (L, 49) moments mean(a^i b^j), i and j = 0 .. DEGREE, of (L, K, 2) points (a, b)."""
-    powers = np.ones((DEGREE + 1, *points.shape))
-    for k in range(DEGREE):
-        np.multiply(powers[k], points, out=powers[k + 1])
-    a, b = np.moveaxis(powers, (3, 1, 0), (0, 1, 2))  # (L, DEGREE + 1, K)
-    return (a @ b.swapaxes(1, 2)).reshape(len(a), -1) / points.shape[1]
+def _harmonics(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (2 DEGREE + 1, N): 1, cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h and sin h."""
+    z = turn[0] + 1j * turn[1]
+    powers = np.multiply.accumulate(z[None].repeat(DEGREE, axis=0))
+    return np.concatenate([np.ones_like(turn[:1]), powers.real, powers.imag])
 
 
-def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (2 DEGREE + 1, N): c^(6-j) s^j, j = 0 .. 6, and c^(5-j) s^j, j = 0 .. 5, of (c, s)."""
-    powers = np.ones((DEGREE + 1, *turn.shape))
-    for k in range(DEGREE):
-        np.multiply(powers[k], turn, out=powers[k + 1])
-    c, s = powers[:, 0], powers[:, 1]
-    return np.concatenate([c[::-1] * s, c[-2::-1] * s[:-1]])
-
-
-def _moments_to_monomials() -> NDArray[np.float64]:
+def _moments_to_harmonics() -> NDArray[np.float64]:
     """Return the (49, 11 (2 DEGREE + 1)) matrix from moments to the sums of rotated points.
 
-    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b
-    - s a. Homogenised to degree 5 or 6 in (c, s) with c^2 + s^2 = 1, all are linear combinations of
-    13 monomials with integer coefficients. Small rotations cause no cancellation.
+    The moments are mean(b^j a^i), i and j = 0 .. 6. The sums are mean(u^k), k = 0 .. 6, and
+    mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b - s a. They are trigonometric
+    polynomials, which their values at 13 angles determine.
     """
-
-    def times(p: NDArray[np.float64], s: int, a: int, b: int) -> NDArray[np.float64]:
-        return np.roll(p, (s, a, b), axis=(0, 1, 2))  # p[j, m, n]: coefficient of s^j a^m b^n
-
-    one = np.zeros((DEGREE + 1,) * 3)
-    one[0, 0, 0] = 1
-    u = [one]
-    for _ in range(DEGREE):
-        u.append(times(u[-1], 0, 1, 0) + times(u[-1], 1, 0, 1))
-    v = [times(p, 0, 0, 1) - times(p, 1, 1, 0) for p in u[:4]]
-    matrix = np.zeros(((DEGREE + 1) ** 2, 11, 2 * DEGREE + 1))
-    for i, (p, degree) in enumerate(zip(u + v, [*range(7), *range(1, 5)], strict=True)):
-        for _ in range((DEGREE - degree) // 2):
-            p = p + times(p, 2, 0, 0)
-        even, odd = slice(0, DEGREE + 1), slice(DEGREE + 1, None)
-        columns = p.reshape(DEGREE + 1, -1).T
-        if degree % 2:
-            matrix[:, i, odd] = columns[:, :-1]
-        else:
-            matrix[:, i, even] = columns
-    return matrix.reshape(len(matrix), -1)
+    angles = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
+    c, s = np.cos(angles), np.sin(angles)
+    u = np.zeros((DEGREE + 1, len(angles), DEGREE + 1, DEGREE + 1))  # powers, coefficients [j, i]
+    u[0, :, 0, 0] = 1
+    for k in range(DEGREE):
+        u[k + 1, :, :, 1:] = c[:, None, None] * u[k, :, :, :-1]
+        u[k + 1, :, 1:] += s[:, None, None] * u[k, :, :-1]
+    v_u = np.zeros_like(u[:4])
+    v_u[:, :, 1:] = c[:, None, None] * u[:4, :, :-1]
+    v_u[:, :, :, 1:] -= s[:, None, None] * u[:4, :, :, :-1]
+    values = np.concatenate([u, v_u]).swapaxes(0, 1).reshape(len(angles), -1)
+    coefficients = np.linalg.solve(_harmonics(np.array([c, s])).T, values)
+    shape = (len(angles), 11, (DEGREE + 1) ** 2)
+    return coefficients.reshape(shape).T.reshape((DEGREE + 1) ** 2, -1)
 
 
 #: The same for all lines, so computed once.
-_MOMENTS_TO_MONOMIALS = _moments_to_monomials()
-#: Rows of the normal equations with their right-hand sides, as indices into the sums.
-_NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
+_MOMENTS_TO_HARMONICS = _moments_to_harmonics()
+#: (K, DEGREE + 1) powers of the nodes, with the factor of a mean.
+_POWERS = np.vander(NODES, DEGREE + 1, increasing=True) / len(NODES)
 
 
-def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the (4, ...) solutions of the normal equations, and a mask of the solvable ones.
+def _harmonics_of_sums(b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (11 L, 2 DEGREE + 1) coefficients of the sums of points (a, b) after rotations.
 
-    The (11, ...) sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3. Gaussian elimination
-    without pivoting: the matrix is positive definite.
+    Of each line, a are the nodes and b is (L, K).
     """
-    M = sums[_NORMAL]  # (4, 5, ...)
-    q = M[:, 4]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for i in range(3):
-            M[i, i + 1 :] /= M[i, i]
-            M[i + 1 :, i + 1 :] -= M[i + 1 :, i, None] * M[i, i + 1 :]
-        q[3] /= M[3, 3]
-        for i in (3, 2, 1):
-            q[:i] -= M[:i, i] * q[i]
-        return q, (M.diagonal() > LEAST_PIVOT).all(axis=-1)
+    powers = np.ones((DEGREE + 1, *b.shape))
+    for k in range(DEGREE):
+        np.multiply(powers[k], b, out=powers[k + 1])
+    moments = (powers @ _POWERS).swapaxes(0, 1).reshape(len(b), -1)  # (L, 49)
+    return (moments @ _MOMENTS_TO_HARMONICS).reshape(-1, 2 * DEGREE + 1)
+
+
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (4, ...) solutions of the normal equations, and their least pivots.
+
+    The (11, ...) sums are mean(u^k), k = 0 .. 6, the first of which is 1, and mean(v u^k), k = 0
+    .. 3. The elimination needs no pivoting, as the matrix is positive definite.
+    """
+    m1, m2, m3, m6 = sums[1], sums[2], sums[3], sums[6]
+    rhs = sums[7:]
+    # Row i of the symmetric matrix from its diagonal on, after i steps of the elimination.
+    row1 = sums[2:5] - m1 * sums[1:4]
+    row2 = sums[4:6] - m2 * sums[2:4]
+    factor = row1[1:] / row1[0]
+    row2 -= factor[0] * row1[1:]
+    factor3 = row2[1] / row2[0]
+    last = m6 - m3 * m3 - factor[1] * row1[2] - factor3 * row2[1]
+    q = np.empty((4, *m1.shape))
+    q[0] = rhs[0]
+    q[1:] = rhs[1:] - rhs[0] * sums[1:4]
+    q[2:] -= factor * q[1]
+    q[3] -= factor3 * q[2]
+    q[3] /= last
+    q[2] = q[2] / row2[0] - factor3 * q[3]
+    q[1] = q[1] / row1[0] - factor[0] * q[2] - factor[1] * q[3]
+    q[0] -= m1 * q[1] + m2 * q[2] + m3 * q[3]
+    return q, np.minimum(np.minimum(row1[0], row2[0]), last)
 
 
 def _fit_cov(

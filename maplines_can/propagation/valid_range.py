@@ -19,81 +19,88 @@ _COARSE = np.cos(np.pi * np.arange(32) / 31)[::-1]
 _STARTS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])
 #: A metre behind the car counts this share of a metre ahead.
 BEHIND = 0.5
-#: Ends of the ranges that are tried, as shares of the way from the car to the end of the window.
-_ENDS = np.linspace(0, 1, 17)
-#: Halvings of the interval that contains the end of the longest range.
-_HALVINGS = 4
+#: Ends that are tried in each round of the search, as shares of the interval that contains the
+#: end of the longest range, and the number of rounds.
+_ENDS = np.array([0.25, 0.5, 0.75, 1.0])
+_ROUNDS = 4
 
 
-def _residual_matrix(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix from values at the nodes to the residuals of their cubic fit."""
-    Q, _ = np.linalg.qr(np.vander(nodes, 4))
-    return np.eye(len(nodes)) - Q @ Q.T
+def _fit_matrix(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (K, K + 4) matrix from values at the nodes to the residuals of their cubic fit,
+    and to its coefficients, of w^0 first.
+    """
+    powers = np.vander(nodes, 4, increasing=True)
+    coefficients = np.linalg.pinv(powers)
+    return np.hstack([(np.eye(len(nodes)) - powers @ coefficients).T, coefficients.T])
 
 
-_RESIDUALS = _residual_matrix(NODES)
-_COARSE_RESIDUALS = _residual_matrix(_COARSE)
-#: The matrix from values at the nodes to the coefficients of their cubic fit, of w^0 first.
-_CUBICS = np.linalg.pinv(np.vander(NODES, 4, increasing=True))
+_FIT = _fit_matrix(NODES)
+_COARSE_RESIDUALS = np.ascontiguousarray(_fit_matrix(_COARSE)[:, :-4].T)
 
 
-def at_nodes(x_range: NDArray[np.float64], nodes: NDArray[np.float64] = NODES) -> NDArray[np.float64]:
+def at_nodes(
+    x_range: NDArray[np.float64], nodes: NDArray[np.float64] = NODES
+) -> NDArray[np.float64]:
     """Return the (..., K) positions of the nodes in (..., 2) ranges."""
     low, high = x_range[..., :1], x_range[..., 1:]
     return (low + high) / 2 + (high - low) / 2 * nodes
 
 
-def deviations(
-    stretches: Stretches, x_range: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (L,) least and greatest deviations of L lines from their cubic fits [m].
-
-    The cubics are fitted at the nodes of the (L, 2) ranges; the deviations are those at the nodes
-    and at all points of the lines within the ranges.
-    """
-    y = stretches.lateral(at_nodes(x_range))
-    residual = y @ _RESIDUALS
-    least, greatest = residual.min(axis=1), residual.max(axis=1)
-    low, high = x_range[stretches.line].T
-    inside = (low < stretches.x) & (stretches.x < high)
-    if inside.any():
-        line, x = stretches.line[inside], stretches.x[inside]
-        w = (x - x_range.mean(axis=1)[line]) / ((high - low)[inside] / 2)
-        q0, q1, q2, q3 = (_CUBICS @ y.T)[:, line]
-        residual = stretches.y[inside] - (q0 + w * (q1 + w * (q2 + w * q3)))
-        np.minimum.at(least, line, residual)
-        np.maximum.at(greatest, line, residual)
-    return least, greatest
-
-
 class Fitted(NamedTuple):
-    """Ranges in which cubics follow L lines."""
+    """Least-squares fits of cubics to L lines in ranges of them."""
 
     x_range: NDArray[np.float64]  #: (L, 2) [m]
-    shift: NDArray[np.float64]  #: (L,) of the cubic from the least-squares fit [m]
-    misfit: NDArray[np.float64]  #: (L,) largest deviation of the shifted cubic [m]
+    x: NDArray[np.float64]  #: (L, K) positions of the nodes [m]
+    y: NDArray[np.float64]  #: (L, K) lateral positions of the lines at the nodes [m]
+    least: NDArray[np.float64]  #: (L,) least deviation of a line from its cubic [m]
+    greatest: NDArray[np.float64]  #: (L,) greatest deviation of a line from its cubic [m]
+
+    @property
+    def shift(self) -> NDArray[np.float64]:
+        """(L,) shift of the cubics that makes their largest deviations least [m]."""
+        return (self.greatest + self.least) / 2
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """(L,) largest deviation of the shifted cubics [m]."""
+        return (self.greatest - self.least) / 2
+
+
+def fit(stretches: Stretches, x_range: NDArray[np.float64]) -> Fitted:
+    """Return the fits in the (L, 2) ranges of all stretches.
+
+    The deviations are those at the nodes and at all points of the lines within the ranges.
+    """
+    x = at_nodes(x_range)
+    y = stretches.lateral(x)
+    fits = y @ _FIT
+    at_node, q = fits[:, : len(NODES)], fits[:, len(NODES) :]
+    low, high = x_range.T
+    of_line = np.vstack([q.T, (low + high) / 2, (high - low) / 2])
+    q0, q1, q2, q3, centre, half = of_line[:, stretches.line]
+    w = (stretches.x - centre) / half
+    at_point = stretches.y - (q0 + w * (q1 + w * (q2 + w * q3)))
+    at_point[np.abs(w) >= 1] = 0.0  # between the extremes, as the residuals have the mean 0
+    least = np.minimum(at_node.min(axis=1), np.minimum.reduceat(at_point, stretches.first))
+    greatest = np.maximum(at_node.max(axis=1), np.maximum.reduceat(at_point, stretches.first))
+    return Fitted(x_range, x, y, least, greatest)
 
 
 def longest_ranges(stretches: Stretches, max_misfit: float) -> Fitted:
-    """Return the longest ranges within the stretches in which the misfit is at most a limit.
+    """Return the fits in the longest ranges of the stretches with a misfit of at most a limit.
 
     The least-squares fit is shifted to halve the span of its deviations. This matters for points
     that are far apart in a bend: the line between them is all on one side of the bend.
     """
-    x_range = stretches.x_range
-    least, greatest = deviations(stretches, x_range)
-    bad = np.flatnonzero(greatest - least > 2 * max_misfit)
+    fits = fit(stretches, stretches.x_range)
+    bad = np.flatnonzero(fits.misfit > max_misfit)
     if len(bad):
-        x_range = x_range.copy()
+        x_range = stretches.x_range.copy()
         x_range[bad] = _search(stretches, bad, max_misfit)
-        while True:
-            least, greatest = deviations(stretches, x_range)
-            bad = np.flatnonzero(greatest - least > 2 * max_misfit)
-            if not len(bad):
-                break
+        while len(bad := np.flatnonzero((fits := fit(stretches, x_range)).misfit > max_misfit)):
             car = np.clip(0.0, *x_range[bad].T)[:, None]
             x_range[bad] = car + 0.97 * (x_range[bad] - car)
-    return Fitted(x_range, (greatest + least) / 2, (greatest - least) / 2)
+    return fits
 
 
 def _search(
@@ -101,27 +108,36 @@ def _search(
 ) -> NDArray[np.float64]:
     """Return the (B, 2) ranges with the longest reach of B lines, about the car's place.
 
-    The misfit does not always grow with the range, so ends are first tried at regular distances.
-    The end is then refined by bisection.
+    Each start that is tried is a candidate. The interval that contains the end of its longest
+    range is narrowed in rounds. Candidates that cannot become the best of their line are dropped.
     """
     low, high = stretches.x_range[lines].T[:, :, None]  # (B, 1)
     car = np.clip(0.0, low, high)
-    begin = car + (low - car) * _STARTS  # (B, S)
-
-    def fits(begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.bool_]:
-        x = at_nodes(np.stack([begin, end], axis=-1), _COARSE)
-        y = stretches.lateral(x.reshape(len(lines), -1), lines).reshape(x.shape)
-        return np.asarray(np.ptp(y @ _COARSE_RESIDUALS, axis=-1) <= 2 * max_misfit)
-
-    ends = car + (high - car) * _ENDS  # (B, E)
-    good = fits(*np.broadcast_arrays(begin[:, :, None], ends[:, None]))  # (B, S, E)
-    farthest = np.where(good, np.arange(len(_ENDS)), 0).max(axis=-1)  # (B, S)
-    inner = np.take_along_axis(ends, farthest, axis=1)
-    outer = np.take_along_axis(ends, (farthest + 1).clip(max=len(_ENDS) - 1), axis=1)
-    for _ in range(_HALVINGS):
-        middle = (inner + outer) / 2
-        good = fits(begin, middle)
-        inner, outer = np.where(good, middle, inner), np.where(good, outer, middle)
-    rows = np.arange(len(lines))
-    best = np.where(fits(begin, inner), inner - BEHIND * begin, -np.inf).argmax(axis=1)
-    return np.column_stack([begin[rows, best], inner[rows, best]])
+    begin = (car + (low - car) * _STARTS).ravel()
+    which = np.arange(len(lines)).repeat(len(_STARTS))
+    inner, outer = car[which, 0], high[which, 0]
+    found = begin == inner
+    for _ in range(_ROUNDS):
+        ends = inner[:, None] + (outer - inner)[:, None] * _ENDS  # (C, E)
+        x_range = np.stack(np.broadcast_arrays(begin[:, None], ends), axis=-1)
+        x = at_nodes(x_range.reshape(-1, 2), _COARSE)
+        y = stretches.lateral(x, lines[which].repeat(len(_ENDS)))
+        residual = _COARSE_RESIDUALS @ y.T  # (K, C E)
+        span = residual.max(axis=0) - residual.min(axis=0)
+        good = (span <= 2 * max_misfit).reshape(ends.shape)
+        some = good.any(axis=1)
+        rows, last = np.arange(len(ends)), len(_ENDS) - 1
+        farthest = last - good[:, ::-1].argmax(axis=1)
+        outer = np.where(some, ends[rows, (farthest + 1).clip(max=last)], ends[:, 0])
+        inner = np.where(some, ends[rows, farthest], inner)
+        found |= some
+        reach = np.where(found, inner - BEHIND * begin, -np.inf)
+        best = np.full(len(lines), -np.inf)
+        np.maximum.at(best, which, reach)
+        kept = outer - BEHIND * begin >= best[which]
+        begin, inner, outer, found, which, reach = (
+            values[kept] for values in (begin, inner, outer, found, which, reach)
+        )
+    order = np.lexsort([reach, which])
+    chosen = order[np.searchsorted(which[order], np.arange(len(lines)), side="right") - 1]
+    return np.column_stack([begin, inner])[chosen]
