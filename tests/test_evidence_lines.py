@@ -49,6 +49,14 @@ def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
     assert np.isnan(tool.crossings(local[None], s, 12.5)).all()
 
 
+def test_an_oncoming_line_is_known_by_its_direction_at_the_car() -> None:
+    """Whatever its direction is farther along."""
+    hairpin = np.array([[-50.0, 2], [50, 2], [50, 30], [-50, 30]])
+    assert not tool.is_oncoming(hairpin)
+    assert tool.is_oncoming(hairpin[::-1])
+    assert tool.is_oncoming(hairpin - [0, 31])
+
+
 def test_the_nearest_place_is_between_points() -> None:
     nearest, s = tool.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
     assert nearest == 1

@@ -58,6 +58,8 @@ BEYOND, RMS, REFUSED, RATIO = 0.005, (0.85, 1.08), 0.02, (0.85, 0.6)
 LEAST_VALUES = 500
 #: Lines of which the map has more within the window ahead of the car must not be refused [m].
 AHEAD = 15.0
+#: A line that reaches farther both ways from x = 0 could be given there [m].
+AT_CAR = 2.0
 #: A line is a function y(x) while it deviates by less from the car's x axis [rad].
 TURN = np.radians(65.0)
 #: Points of the map farther away along the line are not used [m].
@@ -81,6 +83,13 @@ def place_of(points: Array) -> tuple[int, Array]:
     nearest = int(np.hypot(*(begin + share[:, None] * step).T).argmin())
     s = np.append(0.0, np.hypot(*step.T).cumsum())
     return nearest, s - s[nearest] - share[nearest] * (s[nearest + 1] - s[nearest])
+
+
+def is_oncoming(local: Array) -> bool:
+    """Return whether the direction of a line is against the x axis where the car is."""
+    _, s = place_of(local)
+    behind, ahead = np.interp([-1.0, 1.0], s, local[:, 0])
+    return bool(ahead < behind)
 
 
 def crossings(local: Array, s: Array, x: float) -> Array:
@@ -180,12 +189,14 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
     """Return the figures of one shape of road and one pose."""
     z: dict[str, list[Array]] = {name: [] for name in PLACES}
     reasons, lengths, reach, same, longest = Counter[str](), [], [], [], []
-    ahead = refused = visible = refused_visible = 0
+    ahead = refused = visible = refused_visible = at_car = not_at_car = 0
     for number in range(settings.lines):
         step()
         rng = np.random.default_rng([seed, list(SHAPES).index(shape), number])
         points, pose, is_reversed = random_case(shape, rng)
         local = seen_from(points, pose[None])[0]
+        if is_oncoming(local):  # a road that crosses itself
+            points, local, is_reversed = points[::-1], local[::-1], not is_reversed
         nearest, s = place_of(local)
         view = View(local, nearest)
         is_ahead = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0) >= AHEAD
@@ -201,6 +212,9 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
         refused_visible += is_visible and not is_given
         if not isinstance(line, MapLine):
             continue
+        is_at_car = view.is_seen and view.low <= -AT_CAR and view.high >= AT_CAR
+        at_car += is_at_car
+        not_at_car += is_at_car and not line.x_min <= 0 <= line.x_max
         lengths.append(line.x_max - line.x_min)
         reach.append(line.x_max)
         if view.is_seen and number < settings.ranges:
@@ -221,6 +235,7 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
         "left out": dict(sorted(reasons.items())),
         "refused": refused / max(ahead, 1),
         "refused in view": refused_visible / max(visible, 1),
+        "not at the car": not_at_car / max(at_car, 1),
         "beyond 3 sigma": {name: beyond(values) for name, values in z.items()},
         "rms": {name: rms(values) for name, values in z.items()},
         "values": {name: sum(map(len, values)) for name, values in z.items()},
@@ -299,8 +314,8 @@ def show(title: str, rows: Any) -> None:
     """Print the figures of a pose as a table."""
     places = "".join(f"{'x = ' + name:>14}" for name in PLACES)
     print(
-        f"\n{title}\n{'':18}refused  (in view){places}   range  x_max  ratio, same  any x_min\n"
-        f"{'':36}{'|z| > 3   rms ' * len(PLACES)}     m      m    50 %  5 %  50 %  5 %"
+        f"\n{title}\n{'':16} refused in view no x = 0{places}   range  x_max  ratio, same  any x_min\n"
+        f"{'':42}{'|z| > 3  rms  ' * len(PLACES)}     m      m    50 %  5 %  50 %  5 %"
     )
     for name, row in rows.items():
         figures = "".join(
@@ -314,8 +329,10 @@ def show(title: str, rows: Any) -> None:
             for which in ("ratio, same x_min", "ratio, any x_min")
         )
         lengths = "".join(f"{(row[key] or [0])[0]:7.1f}" for key in ("range", "x_max"))
-        refused = f"{row['refused']:7.1%}{row['refused in view']:9.1%}"
-        print(f"{name:18}{refused}  {figures} {lengths} {ratios}")
+        lost = "".join(
+            f"{row[key]:8.1%}" for key in ("refused", "refused in view", "not at the car")
+        )
+        print(f"{name:16}{lost}  {figures} {lengths} {ratios}")
 
 
 def main(argv: list[str] | None = None) -> int:
