@@ -314,8 +314,10 @@ def show(title: str, rows: Any) -> None:
     """Print the figures of a pose as a table."""
     places = "".join(f"{'x = ' + name:>14}" for name in PLACES)
     print(
-        f"\n{title}\n{'':16} refused in view no x = 0{places}   range  x_max  ratio, same  any x_min\n"
-        f"{'':42}{'|z| > 3  rms  ' * len(PLACES)}     m      m    50 %  5 %  50 %  5 %"
+        f"\n{title}\n{'':16} refused in view  no x=0  {places}"
+        "   range  x_max  ratio, same   any x_min\n"
+        f"{'':42}{'  |z| > 3  rms' * len(PLACES)}"
+        "       m      m   50 %  5 %   50 %  5 %"
     )
     for name, row in rows.items():
         figures = "".join(
