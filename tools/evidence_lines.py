@@ -172,7 +172,7 @@ def over_the_wire(codec: Codec, line: MapLine) -> MapLine | None:
     decoder, received = codec.decoder(), None
     for frame in codec.encode(line):
         received = decoder.feed(frame.can_id, frame.data, t_ns=0)
-    return received if received is not None and received.is_usable else None
+    return received if isinstance(received, MapLine) and received.is_usable else None
 
 
 class Settings(NamedTuple):
@@ -373,7 +373,7 @@ def evidence(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
     )
     shapes, poses = arguments.shape or SHAPES, arguments.pose or POSES
     result: dict[str, Any] = {}
-    misses = []
+    misses: list[str] = []
     with bar(settings.lines * len(shapes) * len(poses), unit=" lines", leave=False) as progress:
         for pose_name in poses:
             result[pose_name] = {}
