@@ -54,8 +54,8 @@ PLACES: dict[str, Callable[[float, float], float]] = {
 #: Bounds: largest share of |z| > 3, rms of z, largest share of refused lines, and least ratio of
 #: the range to its limit (median, 5 % quantile).
 BEYOND, RMS, REFUSED, RATIO = 0.005, (0.85, 1.08), 0.02, (0.85, 0.6)
-#: Fewer values at a place have no share that could be compared with its bound.
-LEAST_VALUES = 500
+#: Fewer values at a place are too few to compare their share of |z| > 3 with its bound.
+LEAST_VALUES = 4000
 #: Lines of which the map has more within the window ahead of the car must not be refused [m].
 AHEAD = 15.0
 #: A line that reaches farther both ways from x = 0 could be given there [m].
