@@ -52,7 +52,7 @@ if TYPE_CHECKING:
         predict,
         predict_to,
     )
-    from .scenarios import SCENARIOS, Scenario, scenario
+    from .scenarios import SCENARIOS, STREETS, Scenario, scenario
     from .wire import (
         Authenticator,
         Batch,
@@ -70,6 +70,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SCENARIOS",
+    "STREETS",
     "Authenticator",
     "Batch",
     "Codec",
@@ -133,7 +134,7 @@ _EXPORTS = {
     "polyline": "Polyline",
     "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
     "Transform map_lines pose_time_ns predict predict_to",
-    "scenarios": "SCENARIOS Scenario scenario",
+    "scenarios": "SCENARIOS STREETS Scenario scenario",
     "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
     "Reason SlotView",
 }

@@ -1,4 +1,4 @@
-"""Example scenes: those of the paper, and a production car."""
+"""Example scenes: those of the paper, a production car, and streets of typical shapes."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .gaussian import Gaussian
 from .line import Kind, Slot
 from .polyline import Polyline
+from .street_shapes import street_scenes
 
 
 class SceneLine(NamedTuple):
@@ -145,6 +146,11 @@ def _scenarios() -> Iterator[Scenario]:
 
 #: The scenarios by name. The paper states the heading sigmas; the other values are our choice.
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _scenarios()}
+#: Streets of typical shapes, seen by a car with sigmas of 0.1 m along, 0.2 m across and 0.2 deg.
+STREETS: dict[str, Scenario] = {
+    name: Scenario(name, about, pose(0.1, 0.2, 0.2), lines, (-20.0, 80.0))
+    for name, about, lines in street_scenes()
+}
 
 
 def scenario(name: str) -> Scenario:
@@ -159,9 +165,11 @@ def scenario(name: str) -> Scenario:
     Traceback (most recent call last):
     ...
     ValueError: no scenario 'moon'; there are highway, highway-correlated, highway-10deg, \
-street-turn, street-turn-10deg, production
+street-turn, street-turn-10deg, production, corner, roundabout-12m, roundabout-50m, exit, s-bend, \
+lane-ends, lane-widens, motorway-coarse
     """
+    scenes = SCENARIOS | STREETS
     try:
-        return SCENARIOS[name]
+        return scenes[name]
     except KeyError:
-        raise ValueError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}") from None
+        raise ValueError(f"no scenario {name!r}; there are {', '.join(scenes)}") from None

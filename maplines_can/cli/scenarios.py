@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..scenarios import SCENARIOS
+from ..scenarios import SCENARIOS, STREETS
 from .options import add_json
 from .parsing import add_command
 
@@ -30,10 +30,10 @@ def _scenarios(arguments: argparse.Namespace) -> int:
                 "window": scene.window,
                 "lines": [line.slot.name for line in scene.lines],
             }
-            for scene in SCENARIOS.values()
+            for scene in (SCENARIOS | STREETS).values()
         ]
         print(json.dumps(rows, indent=2))
     else:
-        for scene in SCENARIOS.values():
+        for scene in (SCENARIOS | STREETS).values():
             print(f"{scene.name:<20}{scene.about}")
     return 0

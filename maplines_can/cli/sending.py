@@ -14,7 +14,7 @@ from ..gaussian import Gaussian
 from ..line import MapLine
 from ..propagation import MapError, Refit, component_counts, map_lines, nonlinearity
 from ..propagation.component_counts import remaining_nonlinearity
-from ..scenarios import SCENARIOS, Scenario
+from ..scenarios import SCENARIOS, STREETS, Scenario
 from ..wire import Codec
 from .parsing import number
 
@@ -43,9 +43,9 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     add(
         "--scenario",
         default="production",
-        choices=list(SCENARIOS),
+        choices=list(SCENARIOS | STREETS),
         metavar="NAME",
-        help=f"scene to send: {', '.join(SCENARIOS)} (default: production)",
+        help=f"scene to send: {', '.join(SCENARIOS | STREETS)} (default: production)",
     )
     add(
         "--lines",

@@ -13,7 +13,7 @@ from scenes import lines_timed_out, scene_lines
 
 from maplines_can import Codec, Link, Slot, Transmitter, scenario
 from maplines_can.cli import main
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.scenarios import SCENARIOS, STREETS
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +56,7 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", SCENARIOS | STREETS)
 def test_each_scenario(capsys: pytest.CaptureFixture[str], name: Any) -> None:
     """No line of any scene is lost but by the time-out."""
     assert main(["demo", "--seconds", "0.1", "--scenario", name, "--json"]) == 0
