@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,14 @@ class Status(IntEnum):
     REPAIRED = 3  #: as FULL; an indefinite matrix was replaced by one that covers it (upper bound)
     SATURATED = 4  #: as FULL, but wider than necessary: a value reached the end of its range
     OUT_OF_RANGE = 5  #: the line does not fit the message: use neither mean nor covariance
+
+
+class LeftOut(StrEnum):
+    """Reason for which a line of the map is not given."""
+
+    NOT_IN_WINDOW = "the line is not in the window"
+    ACROSS = "the line is across the car's x axis"
+    TOO_SHORT = "the range of the line is shorter than the pose error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +190,21 @@ class MapLine:
         J = lateral_jacobian(self.gaussian.mean, x)
         with np.errstate(over="ignore", invalid="ignore"):
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
+
+
+class MapLineList(list[MapLine]):
+    """Result of ``map_lines``: lines, and the reasons of those that are left out.
+
+    Args:
+        lines: the lines.
+        left_out: reason of each line that is left out, by its slot.
+    """
+
+    def __init__(
+        self, lines: Iterable[MapLine] = (), left_out: Mapping[Slot, LeftOut] | None = None
+    ) -> None:
+        super().__init__(lines)
+        self.left_out = dict(left_out or {})
 
 
 def _class_name(value: object) -> str:
