@@ -71,9 +71,7 @@ def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> dict[Slot
         (Slot.EDGE_RIGHT, Kind.KERB, -width - 0.5),
         (Slot.ROUTE, Kind.VIRTUAL, width * 3 / 2),
     )
-    return {
-        slot: Polyline(parallel(right_boundary, offset), kind) for slot, kind, offset in plan
-    }
+    return {slot: Polyline(parallel(right_boundary, offset), kind) for slot, kind, offset in plan}
 
 
 def _highway() -> dict[Slot, Polyline]:

@@ -70,6 +70,4 @@ def random_scenarios(n: int, seed: int = 0) -> Iterator[Scenario]:
         heading_sigma_deg = 10 ** rng.uniform(np.log10(0.05), 1.0)
         ego = pose(sigma_x, sigma_y, heading_sigma_deg, correlation=rng.uniform(-0.9, 0.9))
         lines = {Slot.EGO_LEFT: Polyline(points, Kind.SOLID)}
-        yield Scenario(
-            f"random-{seed}-{i}", "a random road", ego, lines, (-behind - 1, ahead + 1)
-        )
+        yield Scenario(f"random-{seed}-{i}", "a random road", ego, lines, (-behind - 1, ahead + 1))

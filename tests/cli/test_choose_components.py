@@ -32,7 +32,9 @@ def test_the_bus_load_stays_within_its_limit(
             choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
         return
     chosen = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
-    sent = scene_lines(scene, lines, components={slot: line.components for slot, line in chosen.items()})
+    sent = scene_lines(
+        scene, lines, components={slot: line.components for slot, line in chosen.items()}
+    )
     assert bus_load(chain(*codec.encode_lines(sent, fd=fd)), 1 / rate, 5e5, 2e6) <= max_load * (
         1 + 1e-9
     )
@@ -63,9 +65,7 @@ def test_can_fd_allows_more_components() -> None:
     scene, codec = scenario("street-turn-10deg"), default_codec()
     classic, fd = (
         {slot: line.components for slot, line in chosen.items()}
-        for chosen in (
-            choose_components(scene, codec, fd=fd, max_load=0.2) for fd in (False, True)
-        )
+        for chosen in (choose_components(scene, codec, fd=fd, max_load=0.2) for fd in (False, True))
     )
     assert sum(classic.values()) == 9  # 9 transfers of 4 x 135 bits take 19.4 %
     assert set(fd.values()) == {3}  # nonlinearity of 0.4 to 0.52, of which each may keep 0.225

@@ -9,8 +9,10 @@ import pytest
 from dbcs import default_codec
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, SigmaPoints, map_lines
+from maplines_can.line import Slot
 from maplines_can.propagation import Mixture
 from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import paper_refit
 from maplines_can.study.random_scenarios import random_scenarios
 
 DRAWS = 200_000
@@ -29,7 +31,7 @@ class Truth(NamedTuple):
 @cache
 def refit_of(name: str) -> Refit:
     scene = SCENARIOS[name]
-    return Refit(scene.polylines, scene.ego.mean, scene.window)
+    return paper_refit(scene)
 
 
 @cache
@@ -107,7 +109,7 @@ def test_item_7_with_sigma_points(name: str, k: int, worst: float, least: float)
 def test_item_7_after_the_wire(name: str, k: int) -> None:
     """Lines as ``map_lines`` makes them: encoded and decoded, the whole covers the truth."""
     scene, codec, truth = SCENARIOS[name], default_codec(), truth_of(name)
-    lines = map_lines(scene.lines, scene.ego, scene.window, components=k)
+    lines = map_lines(scene.lines, scene.ego, window=scene.window, components=k)
     weights = np.array([line.mixture.weights for line in lines])  # type: ignore[union-attr]
     means = np.array([line.mixture.means for line in lines])  # type: ignore[union-attr]
     covs = np.array([line.mixture.covs for line in lines])  # type: ignore[union-attr]
@@ -133,7 +135,7 @@ def test_item_7_in_random_scenes(k: int) -> None:
     """
     ratios, worst = [], []
     for scene in random_scenarios(40, seed=7):
-        refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)
+        refit = paper_refit(scene, Slot.EGO_LEFT)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             true = Quadrature(13)(refit, scene.ego)
