@@ -271,9 +271,9 @@ def transform_line(
     """Transform lines to the ego frame of another pose (Map Line Interface, section III-A-1).
 
     Points of the line are transformed to the new frame, and a cubic is fitted to them. With 4
-    points these are Chebyshev points, and the cubic interpolates them. More points are evenly
-    spaced, like those of a map, and fitted by least squares. The result then agrees with a refit of
-    the map points from the new pose within 1 mm over the same window, for displacements up to 5 m
+    points these are Chebyshev points, and the cubic interpolates them. More points are spaced
+    like those of ``Refit`` and fitted by least squares. The result then agrees with a refit of the
+    line of the map from the new pose within 1 mm over the same window, for displacements up to 5 m
     and 10 deg, on 100 m of road with radius >= 200 m. It does not hold in a street turn.
 
     Args:
@@ -321,7 +321,7 @@ def transform_line_or_nan(
         raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
-        nodes = np.linspace(1, -1, points)
+        nodes = np.cos(np.pi * np.arange(points) / (points - 1))
     x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
     lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
     if poses.shape[-1:] != (3,):

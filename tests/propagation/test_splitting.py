@@ -2,6 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
@@ -14,7 +15,7 @@ from scipy.stats import norm, truncnorm
 from maplines_can.errors import IllPosedError
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import Slot
-from maplines_can.propagation import MapError, MonteCarlo, Quadrature, Refit, SigmaPoints
+from maplines_can.propagation import MapError, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.propagation.splitting import SPLITS, Mixture, standard_split
 from maplines_can.scenarios import pose, scenario
 from maplines_can.study.paper_refit import paper_refit
@@ -147,7 +148,7 @@ def test_tails_without_a_value_are_moved_inwards() -> None:
     scene = scenario("street-turn")
     for degrees in (10.0, 12.0):
         ego = pose(0.5, 0.5, degrees)
-        refit = Refit(scene.lines[Slot.EGO_RIGHT], ego.mean, scene.window)
+        refit = paper_refit(replace(scene, ego=ego), Slot.EGO_RIGHT)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # corners of a weight below 1e-8
             expected = Quadrature(13)(refit, ego)

@@ -56,7 +56,9 @@ def of_scene(name: Any, scatter: float = 0.0) -> Any:
     window = scene.window[0] - 1, scene.window[1] + 1
     for i, line in enumerate(scene.lines.values()):
         noise = scatter * np.random.default_rng(i).normal(size=line.points.shape)
-        roads += Refit(Polyline(line.points + noise), scene.ego.mean, window, **PAPER).points
+        roads.append(
+            Refit(Polyline(line.points + noise), scene.ego.mean, window, **PAPER).points[0]
+        )
     return roads
 
 
@@ -72,7 +74,7 @@ def random_roads() -> Any:
         p = scene.lines[Slot.EGO_LEFT].points
         turn = np.diff(np.unwrap(np.arctan2(*np.diff(p, axis=0).T[::-1])))
         if np.abs(turn).max() / np.hypot(*(p[1] - p[0])) < 1 / 500:
-            roads += paper_refit(scene, Slot.EGO_LEFT).points
+            roads.append(paper_refit(scene, Slot.EGO_LEFT).points[0])
     assert len(roads) > 30
     return roads
 
@@ -115,11 +117,11 @@ def test_a_transformed_line_agrees_with_a_refit(
 @pytest.mark.parametrize(("i", "points"), [*((i, 32) for i in range(8)), (0, 4), (0, 51)])
 @pytest.mark.parametrize("name", ["street-turn", "street-turn-10deg"])
 def test_a_street_turn_does_not_agree_with_a_refit(name: str, i: Any, points: Any) -> None:
-    """The difference is decimetres for any points: a rotated cubic is not a cubic.
+    """The difference is a decimetre for any points: a rotated cubic is not a cubic.
 
     The transformation knows the line but not the road. The difference also occurs if the map
     points lie on the cubic, so no other method could avoid it. It is less than a fifth of the
-    residual of the cubic, which is metres at the far end. A translation is exact.
+    residual of the cubic, which is more than a metre at the far end. A translation is exact.
     """
     scene = SCENARIOS[name]
     refit = paper_refit(scene, Slot(i))
@@ -128,9 +130,9 @@ def test_a_street_turn_does_not_agree_with_a_refit(name: str, i: Any, points: An
     difference, misfit = apart(road, points)
     of_cubic, _ = apart(np.column_stack([road[:, 0], lateral(line, road[:, 0])]), points)
 
-    assert 0.3 < difference < min(1.0, misfit / 5)
-    assert 0.1 < of_cubic < misfit / 5
-    assert misfit > 4.0
+    assert 0.05 < difference < min(0.25, misfit / 5)
+    assert 0.005 < of_cubic < misfit / 5
+    assert misfit > 1.0
     for shift in ([4.0, -3.0, 0.0], [5.0, -5.0, 0.0]):
         shifted, x = transform_line(line, shift, window, points), to_ego(road, shift)[:, 0]
         assert np.allclose(lateral(shifted, x), lateral(refit(shift), x), rtol=0, atol=1e-9)
