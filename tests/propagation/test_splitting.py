@@ -154,6 +154,6 @@ def test_tails_without_a_value_are_moved_inwards() -> None:
             expected = Quadrature(13)(refit, ego)
             for k in SEVERAL:
                 sigma = Mixture(k)(refit, ego).overall.sigma
-                assert sigma == pytest.approx(expected.sigma, rel=0.05)
+                assert sigma == pytest.approx(expected.sigma, rel=0.06)
     with pytest.raises(IllPosedError, match=r"in the standardised variables of component 1 of 5, "):
         Mixture(5)(refit, pose(0.5, 0.5, 18.0))
