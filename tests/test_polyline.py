@@ -214,9 +214,9 @@ def test_points_of_several_lines_are_selected_independently(count: int) -> None:
     assert together.given.tolist() == [0, 1, 3, 4]
     for row, i in enumerate(together.given):
         alone = stretches([lines[i]], pose, window)
-        at = np.linspace(*alone.x_range[0], 50)
+        at = np.linspace(alone.x_range[0, 0], alone.x_range[0, 1], 50)
         assert np.allclose(together.x_range[row], alone.x_range[0], rtol=0, atol=1e-9)
-        at_all = np.linspace(*together.x_range.T, 50).T
+        at_all = np.linspace(together.x_range[:, 0], together.x_range[:, 1], 50).T
         assert np.allclose(together.lateral(at_all)[row], alone.lateral(at[None])[0], atol=1e-9)
 
 

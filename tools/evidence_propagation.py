@@ -63,8 +63,7 @@ def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
         x = (low + high) / 2 + (high - low) / 2 * nodes
         points = np.column_stack([x, np.interp(x, *line.points.T)])
         reference.append(qr_refit(points, poses))
-    reference = np.stack(reference, axis=1)
-    difference = np.nanmax(np.abs(lines - reference), axis=0)
+    difference = np.nanmax(np.abs(lines - np.stack(reference, axis=1)), axis=0)
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
 
 

@@ -51,7 +51,8 @@ def paper(n: int, seed: int = 0) -> Gaussians:
 def road(n: int, seed: int = 0) -> Gaussians:
     """Return n lines of the same roads with pose and map error, as far as a cubic follows them.
 
-    Their covariances cover what the cubic misses (see ``Refit``). Point errors and offsets of the map are 2 to 20 cm, its heading error is 0.05 deg.
+    Their covariances cover what the cubic misses (see ``Refit``). Point errors and offsets of the
+    map are 2 to 20 cm, its heading error is 0.05 deg.
     """
     return _small_set(n, seed, with_map_error=True)
 
