@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
-from .line import Kind
+from .line import Kind, LeftOut
 
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
@@ -35,14 +34,6 @@ MAX_TURN = math.radians(65.0)
 #: Length over which the direction of a line is taken [m], so that close points with small errors
 #: do not count as turns.
 DIRECTION_BASE = 0.5
-
-
-class LeftOut(StrEnum):
-    """Reason for which a line of the map is not given."""
-
-    NOT_IN_WINDOW = "the line is not in the window"
-    ACROSS = "the line is across the car's x axis"
-    TOO_SHORT = "the range of the line is shorter than the pose error"
 
 
 @dataclass(frozen=True, eq=False)

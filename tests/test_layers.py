@@ -17,7 +17,8 @@ ORDER = """
 arrays errors
 gaussian mixture line polyline
 street_shapes scenarios
-propagation.refit propagation.transform propagation.linear propagation.monte_carlo
+propagation.valid_range propagation.refit propagation.transform propagation.linear
+propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation

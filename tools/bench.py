@@ -146,7 +146,7 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 
 def highway_lines() -> list[Polyline]:
     """Return eight parallel lines, longer than the window at both ends."""
-    inner = scenario("highway").polylines[1].points
+    inner = scenario("highway").lines[Slot.EGO_RIGHT].points
     beyond = np.arange(1, 6)[:, None]
     before = inner[0] + (inner[0] - inner[1]) * beyond[::-1]
     after = inner[-1] + (inner[-1] - inner[-2]) * beyond

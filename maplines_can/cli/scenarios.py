@@ -28,7 +28,7 @@ def _scenarios(arguments: argparse.Namespace) -> int:
                 "about": scene.about,
                 "ego_sigma": scene.ego.sigma.tolist(),
                 "window": scene.window,
-                "lines": [line.slot.name for line in scene.lines],
+                "lines": [slot.name for slot in scene.lines],
             }
             for scene in (SCENARIOS | STREETS).values()
         ]

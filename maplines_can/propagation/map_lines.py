@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ..arrays import floats
 from ..gaussian import Gaussian, indefinite
-from ..line import MapLine, Slot
+from ..line import LeftOut, MapLine, MapLineList, Slot
 from ..mixture import GaussianMixture
-from ..polyline import MAX_TURN, LeftOut, Polyline, stretches, to_ego
+from ..polyline import MAX_TURN, Polyline, stretches, to_ego
 from .refit import MAX_MISFIT, MapError, Refit
 from .splitting import Mixture
 from .transform import Transform
@@ -28,17 +28,6 @@ TURN_MARGIN = 3.0
 MIN_TURN = np.radians(20.0)
 #: Lateral distance for which the window is widened, so that the margins do not shorten it [m].
 ASIDE = 10.0
-
-
-class MapLineList(list[MapLine]):
-    """Lines of the map, and the reasons of those that are left out."""
-
-    def __init__(
-        self, lines: Iterable[MapLine] = (), left_out: Mapping[Slot, LeftOut] | None = None
-    ) -> None:
-        super().__init__(lines)
-        #: Reasons of the lines that are left out.
-        self.left_out = dict(left_out or {})
 
 
 def map_lines(

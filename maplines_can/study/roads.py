@@ -1,7 +1,7 @@
 """Gaussians of the lines of random roads, for many roads at once.
 
 The roads have the distributions of ``random_scenarios``, but other draws. The Gaussians
-are those of ``SigmaPoints`` over ``Refit``, up to rounding. This is a hundred times faster for two
+are those of ``SigmaPoints`` over ``Refit``, up to rounding. This is several times faster for two
 reasons: the arrays run over roads, and a fitted cubic can be shifted without another fit, so that
 only the sigma points of the heading need a fit of their own.
 """
@@ -13,10 +13,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import LEAST_ADVANCE, lateral, line_of_cubic
+from ..line import LEAST_ADVANCE, lateral, lateral_jacobian, line_of_cubic
+from ..polyline import MAX_TURN, Polyline, stretches
 from ..propagation import SigmaPoints
-from ..propagation.refit import LEAST_PROGRESS
+from ..propagation.refit import CHORD_ENDS, LEAST_PROGRESS, MAX_MISFIT
 from ..propagation.transform import weighted_moments
+from ..propagation.valid_range import at_nodes, longest_ranges
 
 Array = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ POINTS = 60
 BLOCK = 256
 #: Step of the derivative with respect to the pose, as in ``Refit`` [m, rad].
 STEP = 1e-4
+#: Window that contains each road as a whole [m].
+WINDOW = (-1e3, 1e3)
 
 
 class Roads(NamedTuple):
@@ -97,61 +101,78 @@ def _curves(y_off: Array, heading: Array, curvature: Array, spacing: Array, plac
     return np.stack([c * x - d * y, d * x + c * y + y_off[:, None]], axis=-1)
 
 
-def lines_of_roads(roads: Roads) -> tuple[Array, Array]:
+def lines_of_roads(
+    roads: Roads, *, max_misfit: float = MAX_MISFIT, max_turn: float = MAX_TURN
+) -> tuple[Array, Array]:
     """Propagate the pose through the refit of each road, with sigma points.
 
+    Args:
+        roads: the roads.
+        max_misfit: see ``Refit``.
+        max_turn: see ``Refit``.
+
     Returns:
-        (N, 4) means and (N, 4, 4) covariances; NaN where the points double back or run across the
-        car at a sigma point.
+        (N, 4) means and (N, 4, 4) covariances; NaN where a road is across the car at the mean pose
+        or at a sigma point.
     """
     n = len(roads.number)
-    mean, cov = np.empty((n, 4)), np.empty((n, 4, 4))
+    mean, cov = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
     for start in range(0, n, BLOCK):
-        rows = slice(start, start + BLOCK)
+        rows = np.arange(start, min(n, start + BLOCK))
+        lines = [Polyline(roads.points[i, : roads.number[i]]) for i in rows]
+        seen = stretches(lines, np.zeros(3), WINDOW, max_turn)
+        x_range, shift, misfit = longest_ranges(seen, max_misfit)
+        x = at_nodes(x_range)
+        if max_misfit == np.inf:
+            shift, misfit = np.zeros_like(shift), np.zeros_like(misfit)
+        points = np.stack([x, seen.lateral(x) + shift[:, None]], axis=-1)
+        rows = rows[seen.given]
         block = Roads(*(None if field is None else field[rows] for field in roads))  # type: ignore[arg-type]
-        mean[rows], cov[rows] = _lines_of_block(block)
+        mean[rows], cov[rows] = _lines_of_block(block, points, seen.position(x))
+        cov[rows, 0, 0] += misfit**2
     return mean, cov
 
 
-def _lines_of_block(roads: Roads) -> tuple[Array, Array]:
-    zero = np.zeros(len(roads.number))
+def _lines_of_block(roads: Roads, points: Array, position: Array) -> tuple[Array, Array]:
+    """Return the moments of the cubics through (N, K, 2) points of the roads.
+
+    ``position`` are (N, K) fractional indices of these points among those of the map.
+    """
+    zero = np.zeros(len(points))
     s_x, s_y, s_h = np.sqrt(3) * roads.sigma.T
     rho = roads.correlation
     e_x = np.stack([zero, s_x, zero, -s_x, zero])  # sigma points with no change of heading
     e_y = np.stack([zero, rho * s_y, np.sqrt(1 - rho**2) * s_y])
     e_y = np.concatenate([e_y, -e_y[1:]])
-    straight = _Fit(roads, zero)
-    left, right = _Fit(roads, s_h), _Fit(roads, -s_h)
+    straight = _Fit(points, zero)
+    left, right = _Fit(points, s_h), _Fit(points, -s_h)
     shifted = [straight.seen_from(x, y) for x, y in zip(e_x, e_y, strict=True)]
     values = np.stack([*shifted[:3], left.line, *shifted[3:], right.line])  # (7, N, 4)
     mean, cov = weighted_moments(values, *SigmaPoints().weights(3))
     if roads.map_error is not None:
-        cov = cov + _noise_cov(straight, roads, roads.map_error)
+        cov = cov + _noise_cov(straight, points, position, roads.map_error)
     for fit in (straight, left, right):
         mean[~fit.posed], cov[~fit.posed] = np.nan, np.nan
     return mean, (cov + cov.transpose(0, 2, 1)) / 2
 
 
 class _Fit:
-    """Cubics fitted to the points of N roads, after a turn of each car by (N,) ``turn`` [rad]."""
+    """Cubics through (N, K, 2) points, after a turn of each car by (N,) ``turn`` [rad]."""
 
-    def __init__(self, roads: Roads, turn: Array) -> None:
-        self.valid = np.arange(POINTS) < roads.number[:, None]  # (N, P)
-        x, y = np.moveaxis(roads.points, -1, 0)
+    def __init__(self, points: Array, turn: Array) -> None:
+        x, y = np.moveaxis(points, -1, 0)
         c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
         self.u, self.v = c * x + s * y, c * y - s * x
-        low = np.where(self.valid, self.u, np.inf).min(axis=1)
-        high = np.where(self.valid, self.u, -np.inf).max(axis=1)
+        low, high = self.u.min(axis=1), self.u.max(axis=1)
         self.centre, self.half = (low + high) / 2, (high - low) / 2
         self.posed = self._posed()
         w = (self.u - self.centre[:, None]) / self.half[:, None]
         powers = np.ones((4, *w.shape))
         for k in range(3):
             np.multiply(powers[k], w, out=powers[k + 1])
-        powers *= self.valid
-        self.A = powers.transpose(1, 2, 0)  # (N, P, 4)
+        self.A = powers.transpose(1, 2, 0)  # (N, K, 4)
         self.normal = self.A.transpose(0, 2, 1) @ self.A
-        middle = (self.v * self.valid).sum(axis=1) / roads.number
+        middle = self.v.mean(axis=1)
         right = self.A.transpose(0, 2, 1) @ (self.v - middle[:, None])[..., None]
         self.q = np.linalg.solve(self.normal, right)[..., 0].T  # (4, N)
         self.q[0] += middle
@@ -163,39 +184,51 @@ class _Fit:
 
     def _posed(self) -> NDArray[np.bool_]:
         """Return (N,) whether a cubic follows the points, by the criteria of ``Refit``."""
-        along, across = (np.diff(a, axis=1) * self.valid[:, 1:] for a in (self.u, self.v))
+        along, across = (np.diff(a[:, CHORD_ENDS], axis=1) for a in (self.u, self.v))
         net, way = np.abs(along.sum(axis=1)), np.abs(along).sum(axis=1)
         length = np.hypot(along, across).sum(axis=1)
         return (net >= LEAST_ADVANCE * length) & (net >= LEAST_PROGRESS * way)
 
 
-def _noise_cov(fit: _Fit, roads: Roads, map_error: Array) -> Array:
+def _noise_cov(fit: _Fit, points: Array, position: Array, map_error: Array) -> Array:
     """Propagate the map error through the fit, to first order at the mean pose: (N, 4, 4)."""
     point_sigma, offset_sigma, heading_sigma = map_error.T
-    zero = np.zeros(len(roads.number))
+    zero = np.zeros(len(points))
     J = np.stack(
         [
             fit.seen_from(zero + STEP, zero) - fit.seen_from(zero - STEP, zero),
             fit.seen_from(zero, zero + STEP) - fit.seen_from(zero, zero - STEP),
-            _Fit(roads, zero + STEP).line - _Fit(roads, zero - STEP).line,
+            _Fit(points, zero + STEP).line - _Fit(points, zero - STEP).line,
         ]
     ) / (2 * STEP)  # (3, N, 4), of the line with respect to the pose
     J *= np.stack([offset_sigma, offset_sigma, heading_sigma])[..., None]
-    return np.einsum("knm,knl->nml", J, J) + _fit_cov(fit) * point_sigma[:, None, None] ** 2
+    return np.einsum("knm,knl->nml", J, J) + _fit_cov(fit, position) * (
+        point_sigma[:, None, None] ** 2
+    )
 
 
-def _fit_cov(fit: _Fit) -> Array:
-    """Return the (N, 4, 4) covariance of fitted lines whose points have unit variance."""
+def _fit_cov(fit: _Fit, position: Array) -> Array:
+    """Return the (N, 4, 4) covariance of fitted lines for unit errors of the points of the map."""
     _, beta, c0, c1 = fit.line.T[..., None]
     slope = np.tan(beta) + fit.u * (c0 + fit.u * c1 / 2)
     residual = fit.v - lateral(fit.line[:, None, :], fit.u)
     # An error of u acts as an error of v times the slope, and moves the residual along the line.
     moved = -fit.A * slope[..., None]
     moved[..., 1:] += fit.A[..., :3] * [1, 2, 3] * (residual / fit.half[:, None])[..., None]
-    error = fit.normal + moved.transpose(0, 2, 1) @ moved
+    # The error of a fitted point is the weighted mean of those of its neighbours on the map.
+    place = position - np.floor(position[:, :1])
+    knots = np.arange(np.floor(place.max()) + 2)
+    W = (1 - np.abs(place[..., None] - knots)).clip(0)  # (N, K, points of the map)
+    V, V_moved = fit.A.transpose(0, 2, 1) @ W, moved.transpose(0, 2, 1) @ W
+    error = V @ V.transpose(0, 2, 1) + V_moved @ V_moved.transpose(0, 2, 1)
     # The derivative of line_of_cubic; linear in q but for the arctangent of beta.
     unit = np.eye(4)[:, :, None] + np.zeros_like(fit.half)  # (4, 4, N)
     J = line_of_cubic(unit, fit.centre, fit.half).transpose(1, 2, 0).copy()  # (N, 4 of line, 4)
     J[:, 1] = np.tan(J[:, 1]) * np.cos(beta) ** 2
     B = np.linalg.solve(fit.normal, J.transpose(0, 2, 1))  # (N, 4, 4 of line)
-    return B.transpose(0, 2, 1) @ error @ B
+    cov = B.transpose(0, 2, 1) @ error @ B
+    # The fit averages the point errors, but the line itself has them in full.
+    J = lateral_jacobian(fit.line[:, None], fit.u)  # (N, K, 4)
+    averaged = ((J @ cov) * J).sum(axis=-1).min(axis=1)
+    cov[:, 0, 0] += (1 - averaged).clip(0)
+    return cov

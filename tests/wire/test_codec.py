@@ -56,7 +56,9 @@ def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
 def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
-    payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=5.0)
+    payload = codec.encode_batch(
+        [[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=5.0, x_max=80.0
+    )
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
 
 
