@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,6 +44,10 @@ matrix is -1; use nearest_covariance(cov), which covers it
 
     mean: NDArray[np.float64]
     cov: NDArray[np.float64]
+
+    if TYPE_CHECKING:  # the fields have the types after conversion
+
+        def __init__(self, mean: ArrayLike, cov: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         rounding = rounding_of(self.cov)

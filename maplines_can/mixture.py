@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +33,10 @@ class GaussianMixture:
 
     weights: NDArray[np.float64]
     components: tuple[Gaussian, ...]
+
+    if TYPE_CHECKING:  # the fields have the types after conversion
+
+        def __init__(self, weights: ArrayLike, components: Iterable[Gaussian]) -> None: ...
 
     def __post_init__(self) -> None:
         weights = np.array(floats(self.weights, "weights"))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -60,6 +60,10 @@ class Polyline:
     #: (n,) arc length from the first point to each point [m].
     distance: NDArray[np.float64] = field(init=False, repr=False)
     _tree: Any = field(init=False, repr=False)
+
+    if TYPE_CHECKING:  # the fields have the types after conversion
+
+        def __init__(self, points: ArrayLike, kind: Kind = Kind.UNKNOWN) -> None: ...
 
     def __post_init__(self) -> None:
         _check_precision(self.points)

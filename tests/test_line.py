@@ -84,7 +84,7 @@ def test_y_sigma_is_the_spread_of_lines() -> None:
     R = np.eye(4)
     R[0, 1] = R[1, 0] = -0.6
     R[2, 3] = R[3, 2] = 0.3
-    gaussian = Gaussian([1.75, 0.1, 1e-3, 1e-6], R * np.outer(sigma, sigma))  # type: ignore[arg-type]
+    gaussian = Gaussian([1.75, 0.1, 1e-3, 1e-6], R * np.outer(sigma, sigma))
     line = MapLine(Slot.EGO_LEFT, gaussian)
     drawn = lateral(gaussian.sample(n, seed=1)[:, None], X)
 
@@ -111,7 +111,9 @@ def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(
     p = polynomial(line)(Polynomial([centre, half]))
     q = np.array([p.deriv(k)(0.0) / factorial(k) for k in range(4)])
 
-    assert np.allclose(lateral(line_of_cubic(q, centre, half), X), lateral(line, X), atol=1e-9)
+    assert np.allclose(
+        lateral(line_of_cubic(q, np.array(centre), np.array(half)), X), lateral(line, X), atol=1e-9
+    )
 
 
 @given(mild_lines())

@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 from maplines_can.line import Kind, LeftOut
 from maplines_can.polyline import INDEXED, Polyline, stretches, to_ego, to_map
 
-STRAIGHT = Polyline([[x, 0.0] for x in range(101)])  # type: ignore[arg-type]
+STRAIGHT = Polyline([[x, 0.0] for x in range(101)])
 
 
 def hairpin(gap: float = 10.0) -> Any:
@@ -171,7 +171,7 @@ def test_a_window_contains_the_near_branch_of_a_hairpin(pose: Any, y: float) -> 
 
 def test_near_refers_to_the_car_and_not_to_the_start_of_the_window() -> None:
     """Of a line that crosses behind the car, the branch that passes the car is selected."""
-    road = Polyline([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]])
+    road = Polyline(np.array([[-20, 2], [0, 2], [50, 2], [100, 16], [50, 9.5], [0, 3], [-20, 0.4]]))
     seen = road.resampled(1.0).window([0.0, 0.0, 0.0], -15.0, 40.0)
 
     assert np.allclose(seen[:, 1], 2.0)

@@ -35,6 +35,6 @@ def test_item_10_a_huge_mean_issues_no_warning(codec: Codec, size: float, parame
         with contextlib.suppress(ValueError):  # IllPosedError, too
             call()
     if abs(size) > 1e154:
-        apart = GaussianMixture([0.5, 0.5], [line.gaussian, Gaussian(np.zeros(4), cov)])  # type: ignore[arg-type]
+        apart = GaussianMixture([0.5, 0.5], [line.gaussian, Gaussian(np.zeros(4), cov)])
         with pytest.raises(ValueError, match="cov must be finite"):
             MapLine.of_mixture(0, apart)  # type: ignore[arg-type]

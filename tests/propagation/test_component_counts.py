@@ -51,7 +51,7 @@ def test_remaining_nonlinearity_of_a_parabola(slope: float, k: Any) -> None:
     def parabola(x: Any) -> Any:
         return slope * x + x**2
 
-    gaussian = Gaussian([0.0], [[1.0]])  # type: ignore[arg-type]
+    gaussian = Gaussian([0.0], [[1.0]])
     remaining = remaining_nonlinearity(nonlinearity(parabola, gaussian).amount, k)
     assert remaining == pytest.approx(pooled(parabola, gaussian, k), rel=1e-6)
 
@@ -59,7 +59,7 @@ def test_remaining_nonlinearity_of_a_parabola(slope: float, k: Any) -> None:
 @pytest.mark.parametrize("k", SPLITS)
 def test_small_amounts_scale_with_the_sigma_of_a_component(k: Any) -> None:
     """The sigma is that of the components of the split of N(0, 1), weighted by their variances."""
-    split = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0])  # type: ignore[arg-type]
+    split = Mixture(k).split(Gaussian([0.0], [[1.0]]), direction=[1.0])
     variances = split.covs[:, 0, 0]
     sigma = np.sqrt(split.weights @ variances**2 / (split.weights @ variances))
     assert remaining_nonlinearity(1e-3, k) / 1e-3 == pytest.approx(sigma, rel=1e-5)
@@ -71,7 +71,7 @@ def test_remaining_nonlinearity_is_less_if_another_variable_contributes() -> Non
     def saddle(x: Any) -> Any:
         return x[:, :1] ** 2 + x[:, 1:]
 
-    gaussian = Gaussian([0.0, 0.0], np.eye(2))  # type: ignore[arg-type]
+    gaussian = Gaussian([0.0, 0.0], np.eye(2))
     for k in range(2, 9):
         predicted = remaining_nonlinearity(nonlinearity(saddle, gaussian).amount, k)
         assert pooled(saddle, gaussian, k) < predicted

@@ -21,7 +21,7 @@ def test_linear_is_the_first_order_expansion(function: Any, slope: Any, m: float
     The error of the fourth-order difference with steps of 0.01 s is s^5 1e-8 / 30 times the
     fifth derivative.
     """
-    result = Linear()(function, Gaussian([m], [[s**2]]))  # type: ignore[arg-type]
+    result = Linear()(function, Gaussian([m], [[s**2]]))
 
     assert result.mean[0] == function(m)
     assert np.isclose(result.sigma[0], abs(slope(m)) * s, rtol=0, atol=3e-9 * s**5 + 1e-12)

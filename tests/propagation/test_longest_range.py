@@ -32,7 +32,8 @@ def s_bend(radius: float) -> Any:
 def deviation(polyline: Any, x_range: Any, line: Any = None) -> float:
     """Largest deviation of a cubic from a line, by default of the best one (Chebyshev)."""
     points = polyline.window(ORIGIN, *x_range)
-    x = np.linspace(*x_range, 150)
+    x_min, x_max = x_range
+    x = np.linspace(x_min, x_max, 150)
     y = np.interp(x, *points.T)
     if line is not None:
         return float(np.abs(y - lateral(line, x)).max())
@@ -73,7 +74,7 @@ def test_the_misfit_is_as_stated_and_within_its_limit(name: str, max_misfit: flo
 
     assert refit.misfit <= max_misfit
     assert found == pytest.approx(float(refit.misfit), abs=0.02 * max_misfit)
-    assert np.array_equal(refit.noise_cov, np.diag([float(refit.misfit) ** 2, 0, 0, 0]))
+    assert np.array_equal(np.asarray(refit.noise_cov), np.diag([float(refit.misfit) ** 2, 0, 0, 0]))
 
 
 def test_item_2_the_range_is_near_the_chebyshev_limit() -> None:

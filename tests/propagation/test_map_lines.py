@@ -139,7 +139,7 @@ def test_only_lines_left_out_give_an_empty_list() -> None:
     across = Polyline([[20, -9], [20, 9]])
     assert map_lines({LEFT: across}, EGO).left_out == {LEFT: LeftOut.ACROSS}
     assert map_lines({}, EGO) == []
-    short = map_lines({LEFT: Polyline([[10, 0], [10.5, 0]])}, EGO)
+    short = map_lines({LEFT: Polyline([[10.0, 0.0], [10.5, 0.0]])}, EGO)
     assert short.left_out == {LEFT: LeftOut.TOO_SHORT}
 
 

@@ -35,7 +35,7 @@ def test_monte_carlo_agrees_with_closed_forms(
     function: Any, closed: Any, m: float, s: float
 ) -> None:
     """Within 5 standard errors, that of the variance computed from the fourth moment."""
-    monte_carlo, gaussian = MonteCarlo(200_000, seed=5), Gaussian([m], [[s**2]])  # type: ignore[arg-type]
+    monte_carlo, gaussian = MonteCarlo(200_000, seed=5), Gaussian([m], [[s**2]])
     result, (mean, variance) = monte_carlo(function, gaussian), closed(m, s)
     d = monte_carlo.samples(function, gaussian).values - result.mean
     error = np.sqrt(((d**4).mean() - variance**2) / monte_carlo.n)
@@ -76,6 +76,6 @@ def test_errors_are_independent_of_the_draws() -> None:
         return x
 
     identity.noise_cov = np.eye(1)  # type: ignore[attr-defined]
-    values = MonteCarlo(N, seed=3).samples(identity, Gaussian([0.0], [[1.0]])).values  # type: ignore[arg-type]
+    values = MonteCarlo(N, seed=3).samples(identity, Gaussian([0.0], [[1.0]])).values
 
     assert abs(values.var() - 2.0) <= 5 * 2.0 * np.sqrt(2 / N)

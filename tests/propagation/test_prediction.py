@@ -48,12 +48,12 @@ NO_DISPLACEMENT = Gaussian(np.zeros(3), np.zeros((3, 3)))
 DISPLACEMENTS = {
     "cruise": Motion.with_sigma(20.0, 0.02, (0.5, 0.01)).over(0.1),
     "turn": Motion.with_sigma(8.0, 0.4, (0.3, 0.03)).over(0.25),
-    "far": Gaussian([4.5, 1.0, np.radians(10)], np.diag([0.3, 0.1, np.radians(1)]) ** 2),  # type: ignore[arg-type]
+    "far": Gaussian([4.5, 1.0, np.radians(10)], np.diag([0.3, 0.1, np.radians(1)]) ** 2),
 }
 
 
 def known(*displacement: Any) -> Any:
-    return Gaussian(displacement, np.zeros((3, 3)))  # type: ignore[arg-type]
+    return Gaussian(displacement, np.zeros((3, 3)))
 
 
 def inverse(motion: Any) -> Any:
@@ -142,7 +142,7 @@ def test_a_translation_keeps_the_determinant() -> None:
     """
     L = np.diag([0.1, 1e-4, 1e-6, 1e-8])
     L[1:, 0], L[2:, 1], L[3, 2] = [1e-2, 1e-4, 1e-6], [1e-6, 1e-8], 1e-8
-    nearly_singular = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)  # type: ignore[arg-type]
+    nearly_singular = Gaussian([1.75, 0.0, 1e-3, 1e-6], L @ L.T)
     now = predict(nearly_singular, known(2.0, 0.1, 0.0), WINDOW)
 
     expected = 2 * np.log(L.diagonal()).sum()
@@ -152,8 +152,8 @@ def test_a_translation_keeps_the_determinant() -> None:
 @pytest.mark.parametrize("heading_deg", [-30, 0.0, 10])
 def test_rotation_of_a_straight_line(heading_deg: float) -> None:
     """beta' = beta - heading, and the variances add up, exactly."""
-    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)  # type: ignore[arg-type]
-    turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)  # type: ignore[arg-type]
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0, 0.01, 0, 0]) ** 2)
+    turn = Gaussian([0, 0, np.radians(heading_deg)], np.diag([0, 0, 0.02]) ** 2)
     now = predict(line, turn, WINDOW)
     beta = 0.1 - np.radians(heading_deg)
 
@@ -167,8 +167,8 @@ def test_rotation_of_a_straight_line(heading_deg: float) -> None:
 
 def test_translation_of_a_straight_line() -> None:
     """y_off' = y_off + tan(beta) x - y: mean and variance are exact."""
-    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)  # type: ignore[arg-type]
-    displacement = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)  # type: ignore[arg-type]
+    line = Gaussian([2.0, 0.1, 0, 0], np.diag([0.1, 0, 0, 0]) ** 2)
+    displacement = Gaussian([3.0, 0.5, 0.0], np.diag([0.4, 0.2, 0]) ** 2)
     now = predict(line, displacement, WINDOW)
     slope = np.tan(0.1)
 
@@ -272,7 +272,7 @@ def test_predict_to_starts_at_the_time_of_the_pose() -> None:
     assert (now.slot, now.kind, now.status) == (line.slot, Kind.DASHED, Status.REPAIRED)
 
 
-@pytest.mark.parametrize("mixture", [None, GaussianMixture([1.0], [LINE])])  # type: ignore[arg-type]
+@pytest.mark.parametrize("mixture", [None, GaussianMixture([1.0], [LINE])])
 def test_predict_to_uses_the_given_transform(mixture: Any) -> None:
     """For a Gaussian and for the components of a mixture."""
     displacement = DISPLACEMENTS["far"]
@@ -283,7 +283,7 @@ def test_predict_to_uses_the_given_transform(mixture: Any) -> None:
 
 def test_predict_to_with_a_displacement() -> None:
     """From odometry, which may include a lateral displacement."""
-    displacement = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)  # type: ignore[arg-type]
+    displacement = Gaussian([2.0, 0.3, 0.01], np.diag([0.02, 0.01, 0.001]) ** 2)
     now = predict_to(received(), 1_060_000_000, displacement)
 
     assert np.array_equal(now.gaussian.mean, predict(LINE, displacement, WINDOW).mean)
@@ -330,7 +330,7 @@ def test_two_predictions_are_one(
 def test_the_valid_range_moves_and_gets_shorter() -> None:
     """Its ends are those seen from the new pose, moved inwards by 3 sigma, and never swapped."""
     sigma, R = np.array([0.1, 0.2, 0.01]), np.array([[1, 0.8, 0], [0.8, 1, 0.5], [0, 0.5, 1]])
-    displacement = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))  # type: ignore[arg-type]
+    displacement = Gaussian([5.0, 0.0, np.radians(40)], R * np.outer(sigma, sigma))
     line = received(x_min=-8.0)
     now = predict_to(line, 960_000_000, displacement)
     ends = np.array([[x, line.y(x)] for x in (-8.0, 80.0)])
@@ -346,7 +346,7 @@ def test_the_valid_range_moves_and_gets_shorter() -> None:
 
 def test_the_valid_range_after_a_u_turn() -> None:
     """x_min is still less than x_max."""
-    displacement = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)  # type: ignore[arg-type]
+    displacement = Gaussian([0.0, 0.0, np.pi], np.diag([0.0, 0.0, 0.01]) ** 2)
     now = predict_to(received(), 960_000_000, displacement)
     inwards = 3 * 0.01 * lateral(MEAN, [80.0, 0.0])  # a rotation moves the far end more
 

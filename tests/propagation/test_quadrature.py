@@ -31,7 +31,7 @@ def test_quadrature_agrees_with_closed_forms(
     function: Any, closed: Any, m: float, s: float
 ) -> None:
     """15 points give mean and variance of x^2, exp x and sin x of a Gaussian to 9 digits."""
-    result = Quadrature(15)(function, Gaussian([m], [[s**2]]))  # type: ignore[arg-type]
+    result = Quadrature(15)(function, Gaussian([m], [[s**2]]))
 
     assert np.allclose([result.mean[0], result.cov[0, 0]], closed(m, s), rtol=1e-9, atol=1e-9)
 
@@ -39,7 +39,7 @@ def test_quadrature_agrees_with_closed_forms(
 @pytest.mark.parametrize("order", [1, 2, 3, 5, 8, 13])
 def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order: int) -> None:
     """All moments below 2n are exact; that of degree 2n is too small by n!."""
-    gaussian = Gaussian([0.0, 0.0], np.diag([1.0, 0.25]))  # type: ignore[arg-type]
+    gaussian = Gaussian([0.0, 0.0], np.diag([1.0, 0.25]))
     for degree in range(2 * order):
         even = np.prod(np.arange(degree // 2 * 2 - 1.0, 0, -2))  # double factorial
         mean = Quadrature(order).moments(lambda x, k=degree: x[:, :1] ** k, gaussian).mean[0]
@@ -52,7 +52,7 @@ def test_quadrature_is_exact_up_to_its_degree_and_not_beyond(order: int) -> None
 
 def test_quadrature_is_exact_for_mixed_powers() -> None:
     """Also for correlated variables: E[x^2 y^2] = P00 P11 + 2 P01^2."""
-    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])  # type: ignore[arg-type]
+    gaussian = Gaussian([0.0, 0.0], [[2.0, 0.6], [0.6, 1.0]])
     mean = Quadrature(3).moments(lambda x: x[:, :1] ** 2 * x[:, 1:] ** 2, gaussian).mean
 
     assert np.isclose(mean[0], 2.0 * 1.0 + 2 * 0.6**2, rtol=1e-12)
@@ -82,7 +82,7 @@ def test_points_of_small_weight_without_a_value_are_excluded() -> None:
     def cut(limit: Any) -> Any:
         return lambda x: np.where(np.abs(x) > limit, np.nan, x**2)
 
-    gaussian = Gaussian([0.0], [[1.0]])  # type: ignore[arg-type]
+    gaussian = Gaussian([0.0], [[1.0]])
     z, w = np.polynomial.hermite_e.hermegauss(13)
     kept = np.abs(z) <= 5.5
     with pytest.warns(

@@ -243,7 +243,7 @@ def test_an_ill_posed_line_raises(points: Any, pose: Any, words: str) -> None:
         Refit(Polyline(points), pose, (-10, 40))
     with pytest.raises(IllPosedError, match=words):
         Refit(
-            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],  # type: ignore[arg-type]
+            [Polyline([[x, 0.0] for x in range(-9, 40)]).resampled(1), Polyline(points)][::-1],
             pose,
             (-10, 40),
         )
@@ -272,7 +272,7 @@ def test_no_line_raises() -> None:
 
 def test_ill_posed_poses_give_nan() -> None:
     """Their rows are NaN; MonteCarlo counts them and warns."""
-    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])  # type: ignore[arg-type]
+    road = Polyline([[x, 2.0] for x in range(-20, 81, 2)])
     refit = Refit(road, np.zeros(3), (-20, 80))
     wide = Gaussian(np.zeros(3), np.diag([0.25, 0.25, np.radians(40) ** 2]))
     n = 20_000
@@ -296,7 +296,7 @@ def test_ill_posed_poses_give_nan() -> None:
 def test_only_ill_posed_draws_raise() -> None:
     """Without values there are no moments."""
     refit = refit_of(HIGHWAY)
-    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))  # type: ignore[arg-type]
+    ill_posed = Gaussian([0, 0, np.pi / 2], np.diag([1, 1, 1e-6]))
 
     with pytest.raises(IllPosedError, match="no value at 1000 of 1000 draws; narrow the Gaussian"):
         MonteCarlo(1000).samples(refit, ill_posed)

@@ -79,7 +79,7 @@ def test_a_mixture_has_the_moments_of_the_normal_distribution(k: Any) -> None:
 @pytest.mark.parametrize("k", SPLITS)
 def test_a_split_keeps_mean_and_covariance(k: Any) -> None:
     """For any direction, and for a singular Gaussian."""
-    gaussian = Gaussian([1.0, 2.0, 3.0], np.diag([0.25, 0.0, 0.01]))  # type: ignore[arg-type]
+    gaussian = Gaussian([1.0, 2.0, 3.0], np.diag([0.25, 0.0, 0.01]))
     split = Mixture(k).split(gaussian, direction=[1.0, 2.0, -1.0])
     assert len(split.weights) == k
     assert split.overall.mean == pytest.approx(gaussian.mean, abs=1e-9)

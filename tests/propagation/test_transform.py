@@ -112,7 +112,7 @@ def test_a_point_without_a_value_raises(transform: Any) -> None:
         return np.where(x[:, :1] >= 0, x, np.nan)
 
     with pytest.raises(IllPosedError, match=r"no value at \[-.*; narrow the Gaussian or use Monte"):
-        transform(half, Gaussian([0.0, 0.0], np.eye(2)))  # type: ignore[arg-type]
+        transform(half, Gaussian([0.0, 0.0], np.eye(2)))
 
 
 def test_a_function_must_return_one_row_per_point() -> None:

@@ -62,7 +62,7 @@ def test_poses_see_the_lines_of_their_map(name: str, transform: Any, drive: Any)
     chunks = [chunk() for chunk in given_set.chunks(1, 2, 0)]
     lines, _ = read_map(drive / "map.csv")
     refit = Refit(lines[0], [50.0, 0.0, 0.0], (-20.0, 80.0))
-    mean, cov = transform.moments(refit, Gaussian([50.0, 0.0, 0.0], np.diag([0.3, 0.1, 0.01]) ** 2))  # type: ignore[arg-type]
+    mean, cov = transform.moments(refit, Gaussian([50.0, 0.0, 0.0], np.diag([0.3, 0.1, 0.01]) ** 2))
 
     assert given_set.sizes(1, 2) == [2, 1]
     assert [len(chunk.mean) for chunk in chunks] == [4, 2]

@@ -20,7 +20,7 @@ from maplines_can.wire.message.components import deficit, quantized_weights
 def test_weights_of_a_split_are_multiples_of_the_step() -> None:
     """The message rounds no weight of a split."""
     for k in SPLITS:
-        weights = Mixture(k).split(Gaussian([0.0], [[1.0]])).weights  # type: ignore[arg-type]
+        weights = Mixture(k).split(Gaussian([0.0], [[1.0]])).weights
         assert np.array_equal(quantized_weights(weights[None], 32)[0], weights * 32)
 
 
