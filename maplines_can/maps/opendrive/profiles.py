@@ -1,0 +1,69 @@
+"""Piecewise cubic functions of s: widths, borders, lane offset, superelevation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Piece(NamedTuple):
+    """A cubic a + b ds + c ds^2 + d ds^3 from ``start`` on, with ds = s - start."""
+
+    start: float
+    a: float
+    b: float = 0.0
+    c: float = 0.0
+    d: float = 0.0
+
+
+class Profiles:
+    """Several piecewise cubic functions, evaluated together.
+
+    Before its first piece, a function has the value at the start of that piece. Without pieces it
+    is 0.
+
+    Args:
+        functions: the pieces of each function, in any order. Of pieces with one start, the last
+            one applies.
+    """
+
+    def __init__(self, functions: Sequence[Sequence[Piece]]) -> None:
+        self.count = len(functions)
+        most = max(map(len, functions), default=0)
+        table = np.zeros((self.count, max(most, 1), 5))
+        table[:, :, 0] = np.inf
+        table[:, 0, 0] = 0.0
+        for row, pieces in zip(table, functions, strict=True):
+            if pieces:
+                row[: len(pieces)] = sorted(pieces, key=lambda piece: piece.start)
+        self._start, self._coefficients = table[:, :, 0], table[:, :, 1:]
+
+    @property
+    def starts(self) -> Array:
+        """(n,) starts of all pieces."""
+        return self._start[np.isfinite(self._start)]
+
+    def __call__(self, s: Array, at: Array) -> Array:
+        """Return (count, n) values at ``s``, of the pieces that apply at ``at``.
+
+        At the end of a piece, its own value and that of the next one can differ. A position within
+        the stretch of interest as ``at`` selects the piece.
+
+        >>> step = Profiles([[Piece(0.0, 1.0), Piece(10.0, 6.0)]])
+        >>> step(np.array([10.0, 10.0]), at=np.array([9.0, 11.0]))
+        array([[1., 6.]])
+        """
+        if self._start.shape[1] == 1:
+            start, coefficients = self._start, self._coefficients
+        else:
+            index = (self._start[:, 1:, np.newaxis] <= at).sum(axis=1)  # (count, n)
+            rows = np.arange(self.count)[:, np.newaxis]
+            start, coefficients = self._start[rows, index], self._coefficients[rows, index]
+        a, b, c, d = np.moveaxis(coefficients, -1, 0)
+        ds = np.maximum(s - start, 0.0)
+        return a + ds * (b + ds * (c + ds * d))
