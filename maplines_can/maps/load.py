@@ -9,7 +9,7 @@ import re
 import zlib
 from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 from ..errors import MapFileError
 from .model import Map
@@ -99,7 +99,7 @@ class _Bounded(io.RawIOBase):
         return len(data)
 
 
-def _head(stream: io.BufferedReader, name: str) -> str:
+def _head(stream: io.BufferedReader[Any], name: str) -> str:
     """Return the beginning of the file as text."""
     try:
         data = stream.peek(HEAD)

@@ -7,8 +7,7 @@ name other files, and so is deep nesting. A document that ends early yields the 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterator
 from typing import BinaryIO, NoReturn
 from xml.parsers import expat
 
@@ -20,7 +19,6 @@ CHUNK = 1 << 16
 MAX_DEPTH = 64
 
 
-@dataclass(slots=True)
 class Element:
     """An element of an XML document.
 
@@ -28,15 +26,18 @@ class Element:
         tag: name without its namespace.
         attributes: values as they are in the file.
         line: line of the file where it begins.
+
+    Attributes:
         children: elements in it.
         text: text in it.
     """
 
-    tag: str
-    attributes: dict[str, str]
-    line: int
-    children: list[Element] = field(default_factory=list)
-    text: str = ""
+    __slots__ = ("attributes", "children", "line", "tag", "text")
+
+    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
+        self.tag, self.attributes, self.line = tag, attributes, line
+        self.children: list[Element] = []
+        self.text = ""
 
     def get(self, name: str, default: str = "") -> str:
         """Return the value of an attribute."""
@@ -59,21 +60,32 @@ class Document:
     Args:
         stream: bytes of the document.
         name: of the file, for messages.
+        ignored: tags of elements that are left out.
+        text_in: tags of elements whose text is kept; by default, of all.
 
     Raises:
         MapFileError: the document has a document type, or is nested too deeply.
     """
 
-    def __init__(self, stream: BinaryIO, name: str) -> None:
+    def __init__(
+        self,
+        stream: BinaryIO,
+        name: str,
+        ignored: Container[str] = (),
+        text_in: Container[str] | None = None,
+    ) -> None:
         self._stream, self._name = stream, name
+        self._ignored, self._text_in = ignored, text_in
         self._stack: list[Element] = []
         self._complete: list[Element] = []
+        self._ignored_depth = 0
         self._expat = expat.ParserCreate()
         self._expat.buffer_text = True
         self._expat.StartElementHandler = self._start
         self._expat.EndElementHandler = self._end
-        self._expat.CharacterDataHandler = self._text
         self._expat.StartDoctypeDeclHandler = self._doctype
+        if text_in is None:
+            self._expat.CharacterDataHandler = self._text
         self.root: Element | None = None
         self.error: str | None = None
 
@@ -83,7 +95,7 @@ class Document:
             while chunk := self._stream.read(CHUNK):
                 self._expat.Parse(chunk)
                 yield from self._take()
-            self._expat.Parse(b"", True)  # noqa: FBT003 - takes no keyword
+            self._expat.Parse(b"", True)
         except expat.ExpatError as error:
             self.error = f"line {error.lineno}: {expat.ErrorString(error.code)}"
         except (EOFError, OSError, zlib.error) as error:  # of a compressed file
@@ -95,23 +107,35 @@ class Document:
         return complete
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        line = self._expat.CurrentLineNumber
-        element = Element(tag.rpartition(":")[2], attributes, line)
-        if len(self._stack) >= MAX_DEPTH:
-            self._refuse(f"elements are nested more than {MAX_DEPTH} deep")
-        if not self._stack:
+        stack = self._stack
+        if ":" in tag:
+            tag = tag.rpartition(":")[2]
+        if self._ignored_depth or tag in self._ignored:
+            self._ignored_depth += 1
+            return
+        element = Element(tag, attributes, self._expat.CurrentLineNumber)
+        if len(stack) > 1:  # the root keeps no children: they are taken one by one
+            stack[-1].children.append(element)
+            if len(stack) >= MAX_DEPTH:
+                self._refuse(f"elements are nested more than {MAX_DEPTH} deep")
+        elif not stack:
             self.root = element
-        elif len(self._stack) > 1:  # the root holds no children: they are taken one by one
-            self._stack[-1].children.append(element)
-        self._stack.append(element)
+        stack.append(element)
+        if self._text_in is not None and tag in self._text_in:
+            self._expat.CharacterDataHandler = self._text
 
     def _end(self, _tag: str) -> None:
+        if self._ignored_depth:
+            self._ignored_depth -= 1
+            return
         element = self._stack.pop()
         if len(self._stack) == 1:
             self._complete.append(element)
+        if self._text_in is not None and element.tag in self._text_in:
+            self._expat.CharacterDataHandler = None
 
     def _text(self, text: str) -> None:
-        if not text.isspace():
+        if self._stack and not self._ignored_depth:
             self._stack[-1].text += text
 
     def _doctype(self, *_: object) -> NoReturn:

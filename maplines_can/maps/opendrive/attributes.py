@@ -35,7 +35,7 @@ def attempt(
     for element in elements:
         try:
             found.append(read(element))
-        except UnusableError as error:  # noqa: PERF203 - one bad element must not end the loop
+        except UnusableError as error:
             skipped.append(error.skipped)
     return found
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+
 import numpy as np
 
 from .profiles import Array, Profiles
@@ -135,13 +136,13 @@ class Boundaries:
     def _breaks(self) -> Array:
         """Return the (n,) ends of the intervals in which all functions are smooth."""
         profiles = (self._widths, self._borders, self._road.lane_offset, self._road.roll)
-        inside = np.concatenate(
-            [self._road.reference.starts, *(p.starts for p in profiles if p is not None)]
-        )
-        inside = np.unique(inside[(self.start < inside) & (inside < self.end)])
-        inside = inside[self.end - inside > SHORTEST]
-        breaks = np.concatenate([[self.start], inside])
-        return np.append(breaks[np.diff(breaks, prepend=-np.inf) > SHORTEST], self.end)
+        inside = set(self._road.reference.starts.tolist())
+        inside.update(*(profile.starts for profile in profiles if profile is not None))
+        breaks = [self.start]
+        for s in sorted(inside):
+            if s - breaks[-1] > SHORTEST and self.end - s > SHORTEST:
+                breaks.append(s)
+        return np.array([*breaks, self.end])
 
 
 def _sampled(lines: Boundaries, breaks: Array) -> Complex:

@@ -138,7 +138,10 @@ def lane_links(
         road = roads.get(end.lane.road)
         return road.sections[end.lane.section].get(end.lane.lane) if road else None
 
-    for place, one, other in (*_of_lanes(roads, skipped), *_of_junctions(roads, connections, skipped)):
+    for place, one, other in (
+        *_of_lanes(roads, skipped),
+        *_of_junctions(roads, connections, skipped),
+    ):
         if lost := next((end for end in (one, other) if lane(end) is None), None):
             skipped.append(Skipped(place, f"it names lane {lost.lane}, which is not in the map"))
         else:

@@ -21,6 +21,9 @@ class Piece(NamedTuple):
     d: float = 0.0
 
 
+_ZERO, _PADDING = Piece(0.0, 0.0), Piece(np.inf, 0.0)
+
+
 class Profiles:
     """Several piecewise cubic functions, evaluated together.
 
@@ -33,20 +36,13 @@ class Profiles:
     """
 
     def __init__(self, functions: Sequence[Sequence[Piece]]) -> None:
-        self.count = len(functions)
-        most = max(map(len, functions), default=0)
-        table = np.zeros((self.count, max(most, 1), 5))
-        table[:, :, 0] = np.inf
-        table[:, 0, 0] = 0.0
-        for row, pieces in zip(table, functions, strict=True):
-            if pieces:
-                row[: len(pieces)] = sorted(pieces, key=lambda piece: piece.start)
-        self._start, self._coefficients = table[:, :, 0], table[:, :, 1:]
-
-    @property
-    def starts(self) -> Array:
-        """(n,) starts of all pieces."""
-        return self._start[np.isfinite(self._start)]
+        rows = [sorted(pieces, key=lambda piece: piece.start) for pieces in functions]
+        most = max(map(len, rows), default=0) or 1
+        padded = [row + [_PADDING if row else _ZERO] * (most - len(row)) for row in rows]
+        table = np.array(padded, dtype=float).reshape(len(rows), most, 5).transpose(2, 0, 1)
+        #: Starts of all pieces [m].
+        self.starts = [piece.start for row in rows for piece in row]
+        self._start, self._coefficients = table[0], table[1:]  # (count, most), (4, count, most)
 
     def __call__(self, s: Array, at: Array) -> Array:
         """Return (count, n) values at ``s``, of the pieces that apply at ``at``.
@@ -59,11 +55,11 @@ class Profiles:
         array([[1., 6.]])
         """
         if self._start.shape[1] == 1:
-            start, coefficients = self._start, self._coefficients
+            start, (a, b, c, d) = self._start, self._coefficients
         else:
-            index = (self._start[:, 1:, np.newaxis] <= at).sum(axis=1)  # (count, n)
-            rows = np.arange(self.count)[:, np.newaxis]
-            start, coefficients = self._start[rows, index], self._coefficients[rows, index]
-        a, b, c, d = np.moveaxis(coefficients, -1, 0)
+            found = [np.searchsorted(row, at, side="right") - 1 for row in self._start]
+            index = np.maximum(found, 0)  # (count, n)
+            rows = np.arange(len(index))[:, np.newaxis]
+            start, (a, b, c, d) = self._start[rows, index], self._coefficients[:, rows, index]
         ds = np.maximum(s - start, 0.0)
         return a + ds * (b + ds * (c + ds * d))

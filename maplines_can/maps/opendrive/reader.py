@@ -22,6 +22,9 @@ from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, 
 from .reference_line import Complex
 from .road import RoadRecord, read_road
 
+#: Elements that say nothing of lanes.
+_IGNORED = {"elevationProfile", "objects", "railroad", "signals", "surface", "userData"}
+
 T = TypeVar("T")
 
 
@@ -38,11 +41,13 @@ def read(stream: BinaryIO, name: str) -> Map:
         MapFileError: it is not XML, is not OpenDRIVE, or has no usable road.
     """
     reader = _Reader()
-    document = Document(stream, name)
+    document = Document(stream, name, ignored=_IGNORED, text_in={"geoReference"})
     for element in document.elements():
         reader.add(element)
     if document.root is None or document.root.tag != "OpenDRIVE":
-        why = document.error or f"the root element is <{document.root.tag if document.root else ''}>"
+        why = (
+            document.error or f"the root element is <{document.root.tag if document.root else ''}>"
+        )
         raise MapFileError(f"{name} is not an OpenDRIVE file: {why}")
     if document.error:
         why = f"{document.error}; the rest of the file is not used"
@@ -141,20 +146,23 @@ class _Reader:
                 beside.reverse()
             (left, left_kind), (right, right_kind) = sides
             same, opposite = _neighbours(road, index, record, beside)
-            yield key, Lane(
-                id=str(key),
-                left=lines.between(left, left, is_forward),
-                right=lines.between(right, right, is_forward),
-                centre=lines.between(left, right, is_forward),
-                type=record.type,
-                left_kind=left_kind,
-                right_kind=right_kind,
-                speed_limit=_longest(record.speeds or road.speeds, extent, None),
-                left_neighbour=same[0],
-                right_neighbour=same[1],
-                opposite_left=opposite,
-                road=road.id,
-                junction=road.junction,
+            yield (
+                key,
+                Lane(
+                    id=str(key),
+                    left=lines.between(left, left, is_forward),
+                    right=lines.between(right, right, is_forward),
+                    centre=lines.between(left, right, is_forward),
+                    type=record.type,
+                    left_kind=left_kind,
+                    right_kind=right_kind,
+                    speed_limit=_longest(record.speeds or road.speeds, extent, None),
+                    left_neighbour=same[0],
+                    right_neighbour=same[1],
+                    opposite_left=opposite,
+                    road=road.id,
+                    junction=road.junction,
+                ),
             )
 
     def map(self, name: str) -> Map:
@@ -196,17 +204,18 @@ class _Lines:
         """Return the line halfway between two rows, in the direction of s or against it."""
         key = (one, other, is_forward)
         if key not in self._known:
-            points = _distinct((self._points[one] + self._points[other]) / 2)
-            if not is_forward:
-                points = points[::-1]
-            self._known[key] = Polyline(np.column_stack([points.real, points.imag]))
+            points = self._points[one]
+            if one != other:
+                points = (points + self._points[other]) / 2
+            points = _distinct(points)[:: 1 if is_forward else -1]
+            self._known[key] = Polyline(np.array([points.real, points.imag]).T)
         return self._known[key]
 
 
 def _distinct(points: Complex) -> Complex:
     """Return the points without those that repeat the one before, but with both ends."""
-    near = np.abs(np.diff(points)) <= SAME
-    if not near.any() or len(points) == 2:
+    near = np.abs(points[1:] - points[:-1]) <= SAME
+    if len(points) == 2 or not near.any():
         return points
     keep = np.append(True, ~near)
     keep[-1] = True

@@ -19,8 +19,9 @@ Complex = NDArray[np.complex128]
 
 #: Most heading change of one geometry [rad]; more is an error of the file.
 MAX_TURN = 1000.0
-#: Fresnel integrals are exact to 1e-9 up to this ratio of curvature^2 to change of curvature.
-_FRESNEL_RATIO = 1e5
+#: Fresnel integrals are exact to 1e-9 m up to these ratios of curvature^2 [1], and of curvature [m],
+#: to its change; beyond, their differences cancel.
+_FRESNEL_RATIO, _FRESNEL_START = 1e5, 1e6
 #: Heading change [rad] over which the quadrature is exact to 1e-12.
 _PANEL = 8.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
@@ -142,6 +143,7 @@ def clothoid(s: Array, curvature: Array, rate: Array) -> tuple[Complex, Complex]
     position = s * np.sinc(half / np.pi) * np.exp(1j * half)  # chord of an arc
     if rate.any():
         by_fresnel = (rate != 0) & (curvature**2 <= _FRESNEL_RATIO * np.abs(rate))
+        by_fresnel &= np.abs(curvature) <= _FRESNEL_START * np.abs(rate)
         nearly_arc = (rate != 0) & ~by_fresnel
         for mask, method in ((by_fresnel, _by_fresnel), (nearly_arc, _by_quadrature)):
             if mask.any():
@@ -167,7 +169,7 @@ def _by_quadrature(s: Array, curvature: Array, rate: Array) -> Complex:
     turn = np.abs(s) * (np.abs(curvature) + np.abs(rate * s))
     panels = int(turn.max() / _PANEL) + 1
     half = s / (2 * panels)
-    position = np.zeros(len(s), complex)
+    position: Complex = np.zeros(len(s), dtype=np.complex128)
     for panel in range(panels):
         node = half * (_NODES[:, np.newaxis] + 2 * panel + 1)
         position += _WEIGHTS @ np.exp(1j * node * (curvature + rate * node / 2))

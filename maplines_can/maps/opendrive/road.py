@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 from ..model import Skipped
@@ -101,9 +102,7 @@ def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
         lane_offset=Profiles([[cubic(e, "s") for e in lanes.all("laneOffset")]]),
         roll=Profiles([rolls]) if any(any(piece[1:]) for piece in rolls) else None,
         speeds=tuple(
-            attempt(
-                lambda e: (number(e, "s", 0.0), speed(e.first("speed") or e)), types, skipped
-            )
+            attempt(lambda e: (number(e, "s", 0.0), speed(e.first("speed") or e)), types, skipped)
         ),
         sections=read_sections(lanes, reference.end, skipped),
         predecessor=_road_link(link, "predecessor", skipped),
@@ -135,7 +134,7 @@ def _reference_line(road: Element, skipped: list[Skipped]) -> ReferenceLine:
     geometries = sorted((g for g in geometries if g.length > 0), key=lambda g: g.s)
     if not geometries:
         raise UnusableError(road, "the road has no <planView> with a <geometry>")
-    for one, other in zip(geometries, geometries[1:], strict=False):
+    for one, other in pairwise(geometries):
         if abs(one.s + one.length - other.s) > LENGTH_TOLERANCE:
             why = f"the geometry at s = {one.s:g} m ends at {one.s + one.length:g} m; it is used "
             skipped.append(Skipped(where(road), f"{why}up to the next one at {other.s:g} m"))
