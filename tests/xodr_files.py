@@ -27,7 +27,9 @@ def geometry(
     return f'<geometry s="{s:.17g}" {attributes}>{shape}</geometry>'
 
 
-def cubic(tag: str, a: float, b: float = 0.0, c: float = 0.0, d: float = 0.0, **start: float) -> str:
+def cubic(
+    tag: str, a: float, b: float = 0.0, c: float = 0.0, d: float = 0.0, **start: float
+) -> str:
     """Return an element with the coefficients of a cubic, and its ``s`` or ``sOffset``."""
     starts = " ".join(f'{name}="{value!r}"' for name, value in start.items())
     return f'<{tag} {starts} a="{a!r}" b="{b!r}" c="{c!r}" d="{d!r}"/>'

@@ -90,7 +90,9 @@ def test_spiral(start: float, end: float) -> None:
     st.one_of(st.just(0.0), st.floats(-12, -1).map(lambda e: 10.0**e)),
     st.booleans(),
 )
-def test_clothoids_agree_with_quadrature(s: float, curvature: float, rate: float, sign: bool) -> None:
+def test_clothoids_agree_with_quadrature(
+    s: float, curvature: float, rate: float, sign: bool
+) -> None:
     rate = rate / s * (1 if sign else -1)
     (position,), _ = clothoid(np.array([s]), np.array([curvature]), np.array([rate]))
     steps = 64 + int(s * (abs(curvature) + abs(rate) * s))
@@ -124,8 +126,12 @@ def test_poly3_of_a_slanted_line() -> None:
 
 
 def param_poly3(u: tuple[float, ...], v: tuple[float, ...], p_range: str) -> str:
-    names = [f'{name}{axis}="{value!r}"' for axis, k in (("U", u), ("V", v)) for name, value in zip("abcd", k, strict=True)]
-    return f'<paramPoly3 {p_range} {" ".join(names)}/>'
+    names = [
+        f'{name}{axis}="{value!r}"'
+        for axis, k in (("U", u), ("V", v))
+        for name, value in zip("abcd", k, strict=True)
+    ]
+    return f"<paramPoly3 {p_range} {' '.join(names)}/>"
 
 
 def test_param_poly3_with_arc_length_range() -> None:
@@ -165,7 +171,9 @@ def test_param_poly3_whose_start_tangent_is_not_the_heading() -> None:
 def test_param_poly3_that_starts_at_rest() -> None:
     """Where the first derivative is 0, the direction is that of the second."""
     shape = param_poly3((0, 0, 30, 0), (0, 0, 40, 0), 'pRange="normalized"')
-    position, tangent = at(line_of(geometry(shape, length=50.0), length=50.0), np.array([0.0, 25.0]))
+    position, tangent = at(
+        line_of(geometry(shape, length=50.0), length=50.0), np.array([0.0, 25.0])
+    )
     assert tangent == pytest.approx([0.6 + 0.8j] * 2)
     assert position == pytest.approx([0, 15 + 20j], abs=1e-6)
 
@@ -202,7 +210,9 @@ def test_all_kinds_chained() -> None:
     ):
         part = geometry(shape, s=s, x=position.real, y=position.imag, heading=heading, length=30.0)
         parts.append(part)
-        position, tangent = (values[0] for values in at(line_of(part, length=s + 30), np.array([s + 30])))
+        position, tangent = (
+            values[0] for values in at(line_of(part, length=s + 30), np.array([s + 30]))
+        )
         heading = float(np.angle(tangent))
         ends.append(position)
         s += 30

@@ -8,7 +8,7 @@ import numpy as np
 
 from .profiles import Array, Profiles
 from .reference_line import Complex
-from .road import RoadRecord
+from .road import MAX_COORDINATE, RoadRecord
 
 #: Largest distance of a sampled line from the exact one [m], with a margin to 0.5 mm.
 CHORD_ERROR = 0.4e-3
@@ -21,14 +21,14 @@ SHORTEST = 1e-6
 #: Negative widths up to this one are rounding errors [m].
 WIDTH_TOLERANCE = 1e-3
 #: Most samples of all boundaries of a lane section together.
-MAX_SAMPLES = 1_000_000
+MAX_SAMPLES = 500_000
 #: Refinements of the samples; each at least halves an interval.
 _PASSES = 30
 _FRACTIONS = np.array([[0.0], [0.25], [0.5], [0.75], [1.0]])
 
 
 class SamplingError(ValueError):
-    """Boundaries that are not finite, or need too many samples."""
+    """Boundaries that are too far away, or need too many samples."""
 
 
 class Boundaries:
@@ -124,10 +124,9 @@ class Boundaries:
         Where a function jumps, both of its values are points.
 
         Raises:
-            SamplingError: the boundaries are not finite, or need too many samples.
+            SamplingError: the boundaries are too far away, or need too many samples.
         """
-        with np.errstate(all="ignore"):  # what overflows is not finite, and refused
-            points = _sampled(self, self._breaks())
+        points = _sampled(self, self._breaks())
         following = np.abs(points[:, 2::2] - points[:, 1:-1:2]).max(axis=0)
         keep = np.ones(points.shape[1], bool)
         keep[1:-1:2] = following > SAME  # else the start of the next interval stands for both
@@ -161,8 +160,8 @@ def _sampled(lines: Boundaries, breaks: Array) -> Complex:
         s = a + (b - a) * _FRACTIONS  # (5, n)
         points = lines(s.ravel(), np.tile((a + b) / 2, 5))
         points = points.reshape(rows, 5, len(a))
-        if not np.isfinite(points).all():
-            raise SamplingError("its boundaries are not finite")
+        if not (np.abs(points) < 2 * MAX_COORDINATE).all():
+            raise SamplingError(f"its boundaries are not within {2 * MAX_COORDINATE:g} m")
         deviation = _deviation(points)
         bad = (deviation > CHORD_ERROR) & (b - a > 2 * SHORTEST)
         starts.append(a[~bad])

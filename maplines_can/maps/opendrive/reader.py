@@ -28,6 +28,7 @@ _IGNORED = {"elevationProfile", "objects", "railroad", "signals", "surface", "us
 T = TypeVar("T")
 
 
+@np.errstate(all="ignore")  # what overflows is not finite, and its road is not used
 def read(stream: BinaryIO, name: str) -> Map:
     """Read a map from the bytes of an OpenDRIVE file.
 

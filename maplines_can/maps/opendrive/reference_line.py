@@ -19,7 +19,7 @@ Complex = NDArray[np.complex128]
 
 #: Most heading change of one geometry [rad]; more is an error of the file.
 MAX_TURN = 1000.0
-#: Fresnel integrals are exact to 1e-9 m up to these ratios of curvature^2 [1], and of curvature [m],
+#: Fresnel integrals are exact to 1e-9 m up to these ratios of curvature^2 [1] and of curvature [m]
 #: to its change; beyond, their differences cancel.
 _FRESNEL_RATIO, _FRESNEL_START = 1e5, 1e6
 #: Heading change [rad] over which the quadrature is exact to 1e-12.
@@ -157,11 +157,12 @@ def _by_fresnel(s: Array, curvature: Array, rate: Array) -> Complex:
     curvature s + rate s^2 / 2 = sign(rate) pi/2 t^2 - curvature^2 / (2 rate)
     with t = sqrt(|rate| / pi) (s + curvature / rate).
     """
-    scale = np.sqrt(np.abs(rate) / np.pi)
-    from_s, from_c = fresnel(scale * curvature / rate)
-    to_s, to_c = fresnel(scale * (s + curvature / rate))
+    scale, before = np.sqrt(np.abs(rate) / np.pi), curvature / rate
+    from_s, from_c = fresnel(scale * before)
+    to_s, to_c = fresnel(scale * (s + before))
     integral = (to_c - from_c) + 1j * np.sign(rate) * (to_s - from_s)
-    return np.exp(-0.5j * curvature**2 / rate) * integral / scale
+    found: Complex = np.exp(-0.5j * (curvature * before)) * integral / scale
+    return found
 
 
 def _by_quadrature(s: Array, curvature: Array, rate: Array) -> Complex:
