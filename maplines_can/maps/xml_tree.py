@@ -17,6 +17,8 @@ from ..errors import MapFileError
 CHUNK = 1 << 16
 #: Deepest nesting; OpenDRIVE uses 9 levels.
 MAX_DEPTH = 64
+#: Longest text of an element [characters].
+MAX_TEXT = 1 << 16
 
 
 class Element:
@@ -64,7 +66,8 @@ class Document:
         text_in: tags of elements whose text is kept; by default, of all.
 
     Raises:
-        MapFileError: the document has a document type, or is nested too deeply.
+        MapFileError: the document has a document type, is nested too deeply, or has too long a
+            text; during the iteration.
     """
 
     def __init__(
@@ -137,6 +140,8 @@ class Document:
     def _text(self, text: str) -> None:
         if self._stack and not self._ignored_depth:
             self._stack[-1].text += text
+            if len(self._stack[-1].text) > MAX_TEXT:
+                self._refuse(f"<{self._stack[-1].tag}> has more than {MAX_TEXT} characters of text")
 
     def _doctype(self, *_: object) -> NoReturn:
         self._refuse("a document type (<!DOCTYPE ...>) is not allowed in a map; remove it")

@@ -188,6 +188,11 @@ BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 100}">' for 
             id="external-dtd",
         ),
         pytest.param("<OpenDRIVE>" + "<a>" * 100_000, "nested more than 64 deep", id="nesting"),
+        pytest.param(
+            f"<OpenDRIVE><header><geoReference>{'x' * 10**6}</geoReference></header></OpenDRIVE>",
+            "<geoReference> has more than 65536 characters of text",
+            id="text",
+        ),
         pytest.param("<a/>", "not an OpenDRIVE file: the root element is <a>", id="root"),
         pytest.param("<OpenDRIVE>&x;</OpenDRIVE>", "contains no usable road", id="entity"),
         pytest.param(

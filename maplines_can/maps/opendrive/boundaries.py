@@ -11,7 +11,7 @@ from .reference_line import Complex
 from .road import MAX_COORDINATE, RoadRecord
 
 #: Largest distance of a sampled line from the exact one [m], with a margin to 0.5 mm.
-CHORD_ERROR = 0.4e-3
+CHORD_ERROR = 0.45e-3
 #: Largest distance of samples [m].
 MAX_SPACING = 50.0
 #: Points nearer to each other are one [m].
@@ -19,12 +19,15 @@ SAME = 1e-4
 #: Shorter intervals of s, and lane sections, are points [m].
 SHORTEST = 1e-6
 #: Negative widths up to this one are rounding errors [m].
-WIDTH_TOLERANCE = 1e-3
+WIDTH_TOLERANCE = 1e-4
 #: Most samples of all boundaries of a lane section together.
 MAX_SAMPLES = 500_000
+#: Most pieces into which an interval is divided at once.
+MAX_PIECES = 1000
 #: Refinements of the samples; each at least halves an interval.
 _PASSES = 30
-_FRACTIONS = np.array([[0.0], [0.25], [0.5], [0.75], [1.0]])
+#: Parts of an interval at whose ends the lines are evaluated: first, and after a refinement.
+_QUARTERS, _HALVES = np.linspace(0, 1, 5)[:, np.newaxis], np.linspace(0, 1, 3)[:, np.newaxis]
 
 
 class SamplingError(ValueError):
@@ -152,32 +155,36 @@ def _sampled(lines: Boundaries, breaks: Array) -> Complex:
     starts: list[Array] = []
     ends: list[Complex] = []
     count = 0
+    fractions = _QUARTERS
     for _ in range(_PASSES):
         count += int(pieces.sum()) * rows
         if count > MAX_SAMPLES:
             raise SamplingError(f"its boundaries need more than {MAX_SAMPLES} points")
         a, b = _divided(a, b, pieces.astype(int))
-        s = a + (b - a) * _FRACTIONS  # (5, n)
-        points = lines(s.ravel(), np.tile((a + b) / 2, 5))
-        points = points.reshape(rows, 5, len(a))
-        if not (np.abs(points) < 2 * MAX_COORDINATE).all():
-            raise SamplingError(f"its boundaries are not within {2 * MAX_COORDINATE:g} m")
+        s = a + (b - a) * fractions  # (f, n)
+        points = lines(s.ravel(), np.broadcast_to((a + b) / 2, s.shape).ravel())
+        points = points.reshape(rows, len(fractions), len(a))
         deviation = _deviation(points)
+        if not (deviation < 2 * MAX_COORDINATE).all():  # true for NaN too
+            raise SamplingError(f"its boundaries are not within {2 * MAX_COORDINATE:g} m")
         bad = (deviation > CHORD_ERROR) & (b - a > 2 * SHORTEST)
         starts.append(a[~bad])
-        ends.append(points[:, ::4, ~bad])
+        ends.append(points[:, :: len(fractions) - 1, ~bad])
         if not bad.any():
             break
-        a, b = a[bad], b[bad]
-        pieces = np.ceil(np.sqrt(np.minimum(deviation[bad] / CHORD_ERROR, 1e6)))
-        pieces = np.maximum(pieces, 2)
+        a, b, pieces = a[bad], b[bad], _pieces(points[:, :, bad])
+        fractions = _QUARTERS if lines.negative else _HALVES  # widths cut at 0 have kinks
     order = np.concatenate(starts).argsort()
     both = np.concatenate(ends, axis=2)[:, :, order]  # (rows, 2, n)
+    if not np.abs(both).max() < 2 * MAX_COORDINATE:  # true for NaN too
+        raise SamplingError(f"its boundaries are not within {2 * MAX_COORDINATE:g} m")
     return both.transpose(0, 2, 1).reshape(len(both), -1)
 
 
 def _divided(a: Array, b: Array, pieces: np.ndarray) -> tuple[Array, Array]:
     """Return the intervals from a to b, each divided into pieces."""
+    if (pieces == 1).all():
+        return a, b
     first = np.repeat(np.cumsum(pieces) - pieces, pieces)
     step = np.repeat((b - a) / pieces, pieces)
     index = np.arange(len(first)) - first
@@ -187,12 +194,28 @@ def _divided(a: Array, b: Array, pieces: np.ndarray) -> tuple[Array, Array]:
 
 
 def _deviation(points: Complex) -> Array:
-    """Return (n,) largest distances of the points inside from the chord; (rows, 5, n) points."""
-    chord = points[:, 4:] - points[:, :1]
-    inside = points[:, 1:4] - points[:, :1]
-    square = np.abs(chord) ** 2
-    along = np.divide(
-        (inside * chord.conj()).real, square, out=np.zeros(inside.shape), where=square > 0
-    )
-    deviation: Array = np.abs(inside - np.clip(along, 0.0, 1.0) * chord).max(axis=(0, 1))
-    return deviation
+    """Return (n,) largest distances of the points inside from the chord; (rows, f, n) points."""
+    chord = points[:, -1:] - points[:, :1]
+    inside = points[:, 1:-1] - points[:, :1]
+    size = np.abs(chord)
+    is_closed = size == 0
+    deviation = np.abs((inside * chord.conj()).imag) / np.where(is_closed, 1.0, size)
+    if is_closed.any():
+        deviation = np.where(is_closed, np.abs(inside), deviation)
+    found: Array = deviation.max(axis=(0, 1))
+    return found
+
+
+def _pieces(points: Complex) -> Array:
+    """Return (n,) numbers of pieces whose chords are near enough; (rows, f, n) points.
+
+    The distance from a chord is an eighth of the second difference at the ends of two pieces. At
+    the ends of the interval, it is extrapolated.
+    """
+    second = np.abs(points[:, 2:] - 2 * points[:, 1:-1] + points[:, :-2]).max(axis=0)  # (f - 2, n)
+    largest = second.max(axis=0)
+    if len(second) > 1:
+        extrapolated = np.maximum(2 * second[0] - second[1], 2 * second[-1] - second[-2])
+        largest = np.maximum(largest, extrapolated)
+    count = (points.shape[1] - 1) * np.sqrt(largest / (8 * CHORD_ERROR))
+    return np.clip(np.ceil(count), 2, MAX_PIECES)

@@ -28,7 +28,7 @@ class LaneKey(NamedTuple):
     lane: int
 
     def __str__(self) -> str:
-        return ":".join(map(str, self))
+        return f"{self.road}:{self.section}:{self.lane}"
 
 
 class LaneEnd(NamedTuple):

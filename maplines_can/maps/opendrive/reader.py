@@ -199,6 +199,7 @@ class _Lines:
 
     def __init__(self, points: Complex) -> None:
         self._points = points
+        self._has_repeats = bool((np.abs(points[:, 1:] - points[:, :-1]) <= SAME).any())
         self._known: dict[tuple[int, int, bool], Polyline] = {}
 
     def between(self, one: int, other: int, is_forward: bool) -> Polyline:
@@ -208,7 +209,9 @@ class _Lines:
             points = self._points[one]
             if one != other:
                 points = (points + self._points[other]) / 2
-            points = _distinct(points)[:: 1 if is_forward else -1]
+            if one != other or self._has_repeats:
+                points = _distinct(points)
+            points = points[:: 1 if is_forward else -1]
             self._known[key] = Polyline(np.array([points.real, points.imag]).T)
         return self._known[key]
 
@@ -232,6 +235,8 @@ def _is_forward(road: RoadRecord, record: LaneRecord) -> bool:
 
 def _longest(records: Sequence[tuple[float, T]], extent: tuple[float, float], default: T) -> T:
     """Return the value that applies to the longest part of a stretch of s."""
+    if len(records) < 2:
+        return records[0][1] if records else default
     start, end = extent
     lengths: defaultdict[T, float] = defaultdict(float)
     ordered = sorted(records, key=itemgetter(0))
