@@ -216,6 +216,11 @@ def test_a_road_that_succeeds_itself() -> None:
             id="head-on",
         ),
         pytest.param(
+            [road(section(lane(1, successor=-1)), section(lane(-1), s=50.0))],
+            "it meets lane 1:1:-1, which has the opposite driving direction",
+            id="back-to-back",
+        ),
+        pytest.param(
             [road(link='<predecessor elementType="road" elementId="1" elementS="5"/>')],
             "a connection between the ends of a road (virtual junction) is not used",
             id="virtual-junction",

@@ -123,6 +123,19 @@ def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
     assert lane_of(road(section(lane(-1, kerb)))).right_kind == Kind.KERB
 
 
+def test_the_edges_of_a_one_way_road() -> None:
+    """The boundary between its lanes is none."""
+    found = read_map(road(section(lane(-1), lane(-2)))).lanes
+    assert found["1:0:-1"].left_kind == found["1:0:-2"].right_kind == Kind.ROAD_EDGE
+    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == Kind.UNKNOWN
+
+
+def test_roads_in_a_junction_have_no_edges() -> None:
+    """They overlap."""
+    found = lane_of(road(section(lane(-1)), attributes='junction="9"'))
+    assert found.left_kind == found.right_kind == Kind.UNKNOWN
+
+
 @pytest.mark.parametrize(
     ("first", "expected"), [(30.0, Kind.SOLID), (49.9, Kind.SOLID), (50.1, Kind.DASHED)]
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 
 import numpy as np
 
@@ -74,6 +75,12 @@ class Boundaries:
         """Ids of lanes with a negative width at a sample."""
         return [i for i, least in zip(self._ids, self._least, strict=True) if least < 0]
 
+    @property
+    def outermost(self) -> tuple[int, int]:
+        """Rows of the leftmost and of the rightmost boundary; 0 if that is lane 0."""
+        left, right = self._left[-1:], self._right[-1:]
+        return self.rows[left[0]][1] if left else 0, self.rows[right[0]][1] if right else 0
+
     def __call__(self, s: Array, at: Array) -> Complex:
         """Return (rows, n) points of lane 0 and of the outer boundaries of the lanes.
 
@@ -137,12 +144,15 @@ class Boundaries:
 
     def _breaks(self) -> Array:
         """Return the (n,) ends of the intervals in which all functions are smooth."""
-        profiles = (self._widths, self._borders, self._road.lane_offset, self._road.roll)
-        inside = set(self._road.reference.starts.tolist())
-        inside.update(*(profile.starts for profile in profiles if profile is not None))
+        road = self._road
+        functions = (road.reference, self._widths, self._borders, road.lane_offset, road.roll)
+        inside = []
+        for starts in (function.starts for function in functions if function is not None):
+            first = bisect_right(starts, self.start + SHORTEST)
+            inside += starts[first : bisect_left(starts, self.end - SHORTEST, first)]
         breaks = [self.start]
         for s in sorted(inside):
-            if s - breaks[-1] > SHORTEST and self.end - s > SHORTEST:
+            if s - breaks[-1] > SHORTEST:
                 breaks.append(s)
         return np.array([*breaks, self.end])
 

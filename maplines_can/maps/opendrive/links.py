@@ -155,7 +155,7 @@ def lane_links(
             leaves = first.is_forward == one.is_end, second.is_forward == other.is_end
             if leaves == (True, False):
                 yield one.lane, other.lane
-            elif leaves == (True, True) and one < other and _drivable(first, second):
+            elif leaves[0] == leaves[1] and one < other and _drivable(first, second):
                 why = f"it meets lane {other.lane}, which has the opposite driving direction"
                 skipped.append(Skipped(f"line {first.line}, lane {one.lane}", why))
 

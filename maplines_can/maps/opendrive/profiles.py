@@ -40,8 +40,8 @@ class Profiles:
         most = max(map(len, rows), default=0) or 1
         padded = [row + [_PADDING if row else _ZERO] * (most - len(row)) for row in rows]
         table = np.array(padded, dtype=float).reshape(len(rows), most, 5).transpose(2, 0, 1)
-        #: Starts of all pieces [m].
-        self.starts = [piece.start for row in rows for piece in row]
+        #: Starts of all pieces [m], sorted.
+        self.starts = sorted(piece.start for row in rows for piece in row)
         self._start, self._coefficients = table[0], table[1:]  # (count, most), (4, count, most)
 
     def __call__(self, s: Array, at: Array) -> Array:

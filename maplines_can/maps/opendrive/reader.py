@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import BinaryIO, TypeVar
@@ -125,27 +125,26 @@ class _Reader:
         boundaries = Boundaries(road, index)
         lines = _Lines(boundaries.sampled())
         records = sorted(section.lanes.values(), key=lambda record: -record.id)
-        marks = {record.id: _longest(record.marks, extent, Kind.UNKNOWN) for record in records}
-        marks[0] = _longest(section.centre_marks, extent, Kind.UNKNOWN)
-        for end in {records[0].id, records[-1].id} if records else ():
-            if marks[end] in {Kind.UNKNOWN, Kind.VIRTUAL}:
-                marks[end] = Kind.ROAD_EDGE
-        inner_id = {record.id: _inner(record.id, section.lanes) for record in records}
+        kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
+        for record in records:
+            kinds[boundaries.rows[record.id][1]] = _longest(record.marks, extent, Kind.UNKNOWN)
+        if not road.junction:  # roads overlap in a junction
+            for row in boundaries.outermost:
+                if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
+                    kinds[row] = Kind.ROAD_EDGE
+        negative = set(boundaries.negative)
         padded = [None, *records, None]
         for record, on_left, on_right in zip(records, padded, padded[2:], strict=False):
             key = LaneKey(road.id, index, record.id)
-            if record.id in boundaries.negative:
+            if record.id in negative:
                 place = f"line {record.line}, lane {key}"
                 self.skipped.append(Skipped(place, "its width is negative in part; 0 is used"))
             is_forward = _is_forward(road, record)
             inner, outer = boundaries.rows[record.id]
-            sides = [(outer, marks[record.id]), (inner, marks[inner_id[record.id]])]
+            left, right = (outer, inner) if (record.id > 0) == is_forward else (inner, outer)
             beside = [on_left, on_right]
-            if (record.id > 0) != is_forward:
-                sides.reverse()
             if not is_forward:
                 beside.reverse()
-            (left, left_kind), (right, right_kind) = sides
             same, opposite = _neighbours(road, index, record, beside)
             yield (
                 key,
@@ -155,8 +154,8 @@ class _Reader:
                     right=lines.between(right, right, is_forward),
                     centre=lines.between(left, right, is_forward),
                     type=record.type,
-                    left_kind=left_kind,
-                    right_kind=right_kind,
+                    left_kind=kinds[left],
+                    right_kind=kinds[right],
                     speed_limit=_longest(record.speeds or road.speeds, extent, None),
                     left_neighbour=same[0],
                     right_neighbour=same[1],
@@ -244,12 +243,6 @@ def _longest(records: Sequence[tuple[float, T]], extent: tuple[float, float], de
     for (s, value), stop in zip(ordered, stops, strict=False):
         lengths[value] += max(0.0, min(stop, end) - max(s, start))
     return max(lengths, key=lengths.__getitem__, default=default)
-
-
-def _inner(lane_id: int, lanes: Iterable[int]) -> int:
-    """Return the id of the lane that is next to a lane toward the reference line; 0 at last."""
-    between = (i for i in lanes if i * lane_id > 0 and abs(i) < abs(lane_id))
-    return max(between, key=abs, default=0)
 
 
 def _neighbours(

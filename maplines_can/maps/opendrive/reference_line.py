@@ -77,7 +77,8 @@ class ReferenceLine:
     """
 
     def __init__(self, geometries: Sequence[Geometry]) -> None:
-        self.starts = np.array([g.s for g in geometries])
+        self.starts = [g.s for g in geometries]
+        self._start = np.array(self.starts)
         self.end = geometries[-1].s + geometries[-1].length
         self._origin = np.array([complex(g.x, g.y) for g in geometries])
         self._direction = np.exp(1j * np.array([g.heading for g in geometries]))
@@ -99,8 +100,8 @@ class ReferenceLine:
 
     def __call__(self, s: Array, at: Array) -> tuple[Complex, Complex]:
         """Return (n,) positions and (n,) unit tangents at ``s`` of the geometries at ``at``."""
-        index = np.maximum(np.searchsorted(self.starts, at, side="right") - 1, 0)
-        ds = s - self.starts[index]
+        index = np.maximum(np.searchsorted(self._start, at, side="right") - 1, 0)
+        ds = s - self._start[index]
         if not self._has_cubics:
             local, tangent = clothoid(ds, *self._clothoid[index].T)
         else:

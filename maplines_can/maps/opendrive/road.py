@@ -72,8 +72,9 @@ class RoadRecord:
 
     def extent(self, section: int) -> tuple[float, float]:
         """Return the s at which a lane section begins and ends [m]."""
-        ends = [*(record.s for record in self.sections[1:]), self.reference.end]
-        return self.sections[section].s, ends[section]
+        is_last = section == len(self.sections) - 1
+        end = self.reference.end if is_last else self.sections[section + 1].s
+        return self.sections[section].s, end
 
 
 def read_road(element: Element, skipped: list[Skipped]) -> RoadRecord:
