@@ -66,8 +66,8 @@ class Document:
         text_in: tags of elements whose text is kept; by default, of all.
 
     Raises:
-        MapFileError: the document has a document type, is nested too deeply, or has too long a
-            text; during the iteration.
+        MapFileError: the document has a document type, an unknown encoding, too deep a nesting, or
+            too long a text; during the iteration.
     """
 
     def __init__(
@@ -101,6 +101,10 @@ class Document:
             self._expat.Parse(b"", True)
         except expat.ExpatError as error:
             self.error = f"line {error.lineno}: {expat.ErrorString(error.code)}"
+        except MapFileError:
+            raise
+        except (LookupError, ValueError) as error:  # of the encoding that the document names
+            raise MapFileError(f"{self._name}: {error}; save it as UTF-8") from None
         except (EOFError, OSError, zlib.error) as error:  # of a compressed file
             self.error = f"line {self._expat.CurrentLineNumber}: {error}"
         yield from self._take()

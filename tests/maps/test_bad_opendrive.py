@@ -193,6 +193,16 @@ BOMB = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 100}">' for 
             "<geoReference> has more than 65536 characters of text",
             id="text",
         ),
+        pytest.param(
+            '<?xml version="1.0" encoding="UTF-9"?><OpenDRIVE/>',
+            "unknown encoding: UTF-9; save it as UTF-8",
+            id="unknown-encoding",
+        ),
+        pytest.param(
+            '<?xml version="1.0" encoding="gb2312"?><OpenDRIVE/>',
+            "multi-byte encodings are not supported; save it as UTF-8",
+            id="encoding-of-several-bytes",
+        ),
         pytest.param("<a/>", "not an OpenDRIVE file: the root element is <a>", id="root"),
         pytest.param("<OpenDRIVE>&x;</OpenDRIVE>", "contains no usable road", id="entity"),
         pytest.param(
