@@ -190,10 +190,11 @@ def _arc_length(c: Complex, p: Array) -> Array:
 def _at_arc_length(c: Complex, length: Array, highest: Array) -> Array:
     """Return (n,) p from 0 to ``highest`` at arc lengths, by Newton's method in a bracket."""
     low, high = np.zeros_like(length), highest
+    tolerance = 1e-9 + 1e-14 * length
     p = np.minimum(length / np.maximum(_speed(c, low), 1e-9), high)
     for _ in range(_STEPS):
         excess = _arc_length(c, p) - length
-        if (np.abs(excess) * (high > low)).max(initial=0.0) < 1e-9:
+        if not (np.abs(excess) * (high > low) > tolerance).any():  # neither if it is NaN
             break
         high, low = np.where(excess > 0, p, high), np.where(excess > 0, low, p)
         step = p - excess / np.maximum(_speed(c, p), 1e-12)
