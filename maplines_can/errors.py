@@ -33,6 +33,10 @@ class LogError(MaplinesError, OSError):
     """A log file cannot be read, or only in part; its good records were returned before."""
 
 
+class DriveFileError(MaplinesError, ValueError):
+    """A recorded drive cannot be used: a file, a column, a value, or positions off the map."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 
