@@ -148,7 +148,11 @@ def _read_rows(
                 f"{source}: line {number}: has {len(cells)} values, but the header has "
                 f"{len(names)} columns; correct the line"
             )
-        row = [_number(cells[i], f"{source}: line {number}: column {names[i]}") for i in places]
+        try:
+            row = [float(cells[i]) for i in places]
+        except ValueError:
+            where = f"{source}: line {number}: column"
+            row = [_number(cells[i], f"{where} {names[i]}") for i in places]
         if all(map(math.isfinite, row)):
             rows.append(row)
             lines.append(number)

@@ -93,7 +93,7 @@ class SimulatedDrive:
         self, path: SmoothPath, limits: NDArray[np.float64], stops: NDArray[np.float64]
     ) -> _Profile:
         """Return the profile of the greatest speeds that satisfy all limits."""
-        limit_s, stop_s = path.from_polyline(limits[:, 0]), path.from_polyline(stops[:, 0])
+        limit_s, stop_s = (_placed(pairs[:, 0], path) for pairs in (limits, stops))
         breaks = np.unique(np.concatenate([[0.0, path.length], limit_s, stop_s]))
         # Two cells at least between two breaks, so that a car gets from one stop to the next.
         counts = np.ceil(np.diff(breaks) / STEP).astype(int).clip(min=2)
@@ -163,6 +163,12 @@ class SimulatedDrive:
         return even_times(self.start, self.end, rate)
 
 
+def _placed(distance: NDArray[np.float64], path: SmoothPath) -> NDArray[np.float64]:
+    """Return arc lengths at distances along the polyline [m], equal if they are within 1 mm."""
+    s = path.from_polyline(distance).round(3)
+    return np.where(s > path.length - 1e-3, path.length, s)
+
+
 class _Profile(NamedTuple):
     """Arc lengths and speeds of a drive, with constant acceleration between its points."""
 
@@ -198,7 +204,8 @@ def even_times(start: float, end: float, rate: float) -> NDArray[np.float64]:
     array([1.  , 1.05, 1.1 ])
     """
     _check(rate, "rate", "Hz", positive=True)
-    return start + np.arange(np.floor((end - start) * rate + 1e-6) + 1) / rate
+    times = start + np.arange(np.floor((end - start) * rate + 1e-6) + 1) / rate
+    return times.clip(max=end)
 
 
 def _check(value: float, name: str, unit: str, *, positive: bool) -> None:

@@ -16,7 +16,7 @@ from ..gaussian import Gaussian
 from .columns import POSITION, chosen, quantities, read_csv
 from .drive import State, even_times
 from .map_frame import north, project
-from .records import covariances, covered, first_problem, valid_series
+from .records import covariances, covered, first_problem, linear, valid_series
 
 #: Longest time between two records that is interpolated [s].
 MAX_GAP = 1.5
@@ -99,23 +99,17 @@ class RecordedDrive:
     ) -> RecordedDrive:
         """Return the drive of a CSV file with a header; other columns are ignored.
 
-        ============  =============================================================  =============
-        quantity      columns                                                        needed
-        ============  =============================================================  =============
-        time          ``time`` [s], ``time_ms``, ``time_us`` or ``time_ns``          yes
-        position      ``x``, ``y`` in the map frame [m]; or ``lat_deg``,             yes
-                      ``lon_deg`` of WGS84
-        heading       ``heading`` [rad] or ``heading_deg``, counter-clockwise from   yes
-                      the x axis of the map; or, with latitude and longitude,
-                      ``bearing`` [rad] or ``bearing_deg``, clockwise from north
-        speed         ``speed`` [m/s], ``speed_kmh`` or ``speed_mph``                no
-        yaw rate      ``yaw_rate`` [rad/s] or ``yaw_rate_deg_s``                     no
-        covariance    ``sigma_x``, ``sigma_y`` [m] and ``sigma_heading`` [rad] or    no
-                      ``sigma_heading_deg``; or ``sigma_along``, ``sigma_across``
-                      and ``sigma_heading`` in the ego frame; or ``cov_xx``,
-                      ``cov_xy``, ``cov_yy``, ``cov_xh``, ``cov_yh`` and ``cov_hh``
-                      in the map frame
-        ============  =============================================================  =============
+        Time, position and heading are needed:
+
+        - ``time`` [s], ``time_ms``, ``time_us`` or ``time_ns``
+        - ``x``, ``y`` in the map frame [m]; or ``lat_deg``, ``lon_deg`` of WGS84
+        - ``heading`` [rad] or ``heading_deg``, counter-clockwise from the x axis of the map; or,
+          with latitude and longitude, ``bearing`` [rad] or ``bearing_deg``, clockwise from north
+        - ``speed`` [m/s], ``speed_kmh`` or ``speed_mph``
+        - ``yaw_rate`` [rad/s] or ``yaw_rate_deg_s``
+        - ``sigma_x``, ``sigma_y`` [m], ``sigma_heading`` [rad] or ``sigma_heading_deg``; or
+          ``sigma_along``, ``sigma_across``, ``sigma_heading`` in the ego frame; or ``cov_xx``,
+          ``cov_xy``, ``cov_yy``, ``cov_xh``, ``cov_yh``, ``cov_hh`` in the map frame
 
         A row with an empty or non-finite value in one of these columns is skipped and counted.
 
@@ -215,9 +209,9 @@ class RecordedDrive:
         speed = (
             rate[..., 0] * np.cos(heading) + rate[..., 1] * np.sin(heading)
             if self.speed is None
-            else np.interp(t, self.t, self.speed)
+            else linear(self.t, self.speed, t)
         )
-        yaw_rate = rate[..., 2] if self.yaw_rate is None else np.interp(t, self.t, self.yaw_rate)
+        yaw_rate = rate[..., 2] if self.yaw_rate is None else linear(self.t, self.yaw_rate, t)
         return State(t, pose, np.asarray(speed), np.asarray(yaw_rate))
 
     def stated(self, t: float) -> Gaussian:
@@ -231,10 +225,7 @@ class RecordedDrive:
                 "the drive has no covariances; record them (see from_csv), or use a PoseSource"
             )
         pose = self.at(t).pose
-        i = int(self.t.searchsorted(t, side="right").clip(1, max(1, len(self.t) - 1)))
-        before, after = i - 1, min(i, len(self.t) - 1)
-        share = float(np.interp(t, self.t[[before, after]], [0.0, 1.0])) if after > before else 0.0
-        return Gaussian(pose, (1 - share) * self.cov[before] + share * self.cov[after])
+        return Gaussian(pose, linear(self.t, self.cov, floats(t, "t")))
 
     @property
     def _is_gap(self) -> NDArray[np.bool_]:

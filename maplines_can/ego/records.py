@@ -29,6 +29,23 @@ def covered(
     return (times[0] <= t) & (t <= times[-1]) & (times[after] - times[before] <= max_gap)
 
 
+def linear(
+    times: NDArray[np.float64], values: NDArray[np.float64], t: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return values at (...,) times between the first and the last of (n,) times.
+
+    ``numpy.interp`` copies read-only arrays in each call, which takes 1 ms for an hour of records.
+
+    >>> linear(np.array([0.0, 2.0]), np.array([1.0, 5.0]), np.array(0.5))
+    np.float64(2.0)
+    """
+    before = (times.searchsorted(t, side="right") - 1).clip(0, max(len(times) - 2, 0))
+    after = np.minimum(before + 1, len(times) - 1)
+    share = (t - times[before]) / np.where(after > before, times[after] - times[before], 1.0)
+    share = share.reshape(share.shape + (1,) * (values.ndim - 1))
+    return values[before] + share * (values[after] - values[before])
+
+
 def valid_series(
     series: tuple[ArrayLike, ArrayLike], name: str, factor: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -87,7 +104,7 @@ def first_problem(
         ),
     ]
     if cov is not None:
-        finite = (np.abs(cov) <= MOST_COV).all(axis=(1, 2))
+        finite = np.asarray((np.abs(cov) <= MOST_COV).all(axis=(1, 2)))
         safe = np.where(finite[:, None, None], cov, np.eye(3))
         variance = np.diagonal(safe, axis1=1, axis2=2)
         zero = ((variance == 0)[:, :, None] & (safe != 0)).any(axis=(1, 2))

@@ -85,7 +85,7 @@ def test_pyproj_is_an_extra(gnss: Path, monkeypatch: pytest.MonkeyPatch) -> None
         RecordedDrive.from_csv(gnss, UTM)
 
 
-MAP = [Polyline([[477_000, 5_529_000], [479_000, 5_529_500]])]
+MAP = [Polyline(np.array([[477_000, 5_529_000], [479_000, 5_529_500]], float))]
 ON_MAP = np.array([[477_100.0, 5_529_050.0], [478_000.0, 5_529_300.0]])
 
 

@@ -4,14 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from maplines_can import PoseSource
 
 SIGMA = np.array([0.3, 0.1, 0.01])
 
 
-def errors(source: PoseSource, t: NDArray[np.float64], heading: float = 0.0) -> Any:
+def errors(source: PoseSource, t: Any, heading: float = 0.0) -> Any:
     """(n, 3) errors along, across and of the heading at a true pose."""
     true = np.array([1000.0, -500.0, heading])
     stated = np.array([source.pose(float(now), true).mean for now in t]) - true

@@ -10,7 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from maplines_can import Motion, Polyline, SimulatedDrive
 
-STRAIGHT = Polyline([[0, 0], [400, 0]])
+STRAIGHT = Polyline(np.array([[0, 0], [400, 0]], float))
 
 
 def winding(seed: int) -> Polyline:
@@ -49,7 +49,7 @@ def test_straight_road_in_closed_form(
 
 def test_short_road_is_driven_without_reaching_the_limit() -> None:
     """Accelerate for half of the way, brake for the other half."""
-    drive = SimulatedDrive(Polyline([[0, 0], [20, 0]]), 30.0)
+    drive = SimulatedDrive(Polyline(np.array([[0, 0], [20, 0]], float)), 30.0)
     assert drive.duration == pytest.approx(2 * np.sqrt(2 * 10 / 2.0), abs=1e-6)
     assert drive.at(drive.duration / 2).speed == pytest.approx(np.sqrt(2 * 2.0 * 10), abs=1e-6)
 
@@ -131,6 +131,23 @@ def test_stops() -> None:
     assert standing.sum() / 1000 == pytest.approx(7.0, abs=0.02)
     without = SimulatedDrive(STRAIGHT, 10.0, stops=[(s, 0.0) for s, _ in stops])
     assert drive.duration == pytest.approx(without.duration + 7.0)
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-6, 1e-3, 0.01])
+def test_stops_that_are_close_together(gap: float) -> None:
+    """The times of the stops add up, and the car gets from one to the next."""
+    stops = [(300.0, 1.0), (300.0 + gap, 1.0), (400.0 - gap, 1.0), (400.0, 1.0)]
+    drive = SimulatedDrive(STRAIGHT, [(0, 9.0), (300.0 + gap / 2, 8.0)], stops=stops)
+    state = track(drive)
+    assert np.isfinite(state.pose).all()
+    assert (state.speed < 1e-9).sum() / 200 == pytest.approx(4.0, abs=0.1)
+    assert state.pose[-1, 0] == pytest.approx(400.0, abs=1e-3)
+
+
+@given(st.floats(1.0, 300.0), st.floats(0.5, 100.0))
+def test_all_times_of_a_rate_are_in_the_drive(length: float, rate: float) -> None:
+    drive = SimulatedDrive(Polyline(np.array([[0, 0], [length, 0]])))
+    assert len(track(drive, rate).t) == pytest.approx(drive.duration * rate, abs=1.001)
 
 
 def test_speed_limits_apply_from_their_distance() -> None:

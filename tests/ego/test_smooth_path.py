@@ -51,12 +51,13 @@ def test_long_straights_beside_an_arc_stay_straight(radius: float) -> None:
         pytest.param([[0, 0], [50, 0], [50.001, 0.05], [100, 0.05]], id="step-to-the-side"),
         pytest.param([[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]], id="square"),
         pytest.param([[0, 0], [50, 0], [50, 0], [50.002, 0], [99, 1]], id="same-point-twice"),
+        pytest.param([[0, 0], [50, 0], [49.9, 0.01], [99, 0]], id="overlap"),
         pytest.param([[0, 0], [0.5, 0]], id="half-a-metre"),
     ],
 )
 def test_heading_has_no_step(points: list[list[float]]) -> None:
     """Corners are rounded within 2 m, and the path stays within 0.35 m of the polyline."""
-    line = Polyline(points)
+    line = Polyline(np.array(points))
     path = SmoothPath(line)
     s = np.linspace(0, path.length, 20001)
     pose, curvature = path.pose(s), path.curvature(s)
@@ -70,7 +71,7 @@ def test_heading_has_no_step(points: list[list[float]]) -> None:
 
 def test_arc_length_is_the_integral_of_the_speed() -> None:
     """Positions at even arc lengths are evenly spaced, also in a corner."""
-    path = SmoothPath(Polyline([[0, 0], [30, 0], [30, 30]]))
+    path = SmoothPath(Polyline(np.array([[0, 0], [30, 0], [30, 30]], float)))
     s = np.linspace(0, path.length, 60001)
     step = np.hypot(*np.diff(path.pose(s)[:, :2], axis=0).T)
     np.testing.assert_allclose(step, s[1], rtol=2e-3)
@@ -80,7 +81,7 @@ def test_arc_length_is_the_integral_of_the_speed() -> None:
 def test_position_does_not_depend_on_the_origin() -> None:
     """Coordinates as large as those of UTM lose nothing."""
     points, origin = arc(50.0, 2.0), np.array([477_000.0, 5_529_000.0])
-    here, there = SmoothPath(Polyline(points)), SmoothPath(Polyline(points + origin))
+    here, there = SmoothPath(Polyline(np.array(points))), SmoothPath(Polyline(points + origin))
     s = np.linspace(0, here.length, 300)
     np.testing.assert_allclose(there.pose(s)[:, :2] - origin, here.pose(s)[:, :2], atol=1e-6)
     np.testing.assert_allclose(there.curvature(s), here.curvature(s), atol=1e-6)
@@ -97,4 +98,4 @@ def test_position_does_not_depend_on_the_origin() -> None:
 def test_unusable_paths(points: list[list[float]], text: str) -> None:
     """The message says why."""
     with pytest.raises(ValueError, match=text):
-        SmoothPath(Polyline(points))
+        SmoothPath(Polyline(np.array(points)))
