@@ -54,6 +54,15 @@ def test_recorded_motion_is_preferred_and_linear() -> None:
     assert float(state.yaw_rate) == pytest.approx(0.05)
 
 
+def test_parabola_of_three_records() -> None:
+    """Constant acceleration is exact, also in the first and the last interval."""
+    t = np.array([0.0, 1.0, 1.5, 2.5])
+    drive = recorded(t, np.column_stack([t**2, 0 * t, 0 * t]))
+    fine = np.linspace(0, 2.5, 30)
+    np.testing.assert_allclose(drive.at(fine).pose[:, 0], fine**2, atol=1e-12)
+    np.testing.assert_allclose(drive.at(fine).speed, 2 * fine, atol=1e-12)
+
+
 def test_speed_in_reverse_is_negative() -> None:
     drive = recorded([0, 1, 2], [[0, 0, np.pi], [5, 0, np.pi], [10, 0, np.pi]])
     assert drive.at(0.7).speed == pytest.approx(-5.0)
