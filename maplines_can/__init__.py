@@ -32,8 +32,17 @@ if TYPE_CHECKING:
         key_from_env,
         key_from_file,
         read_log,
+        read_signals,
     )
-    from .errors import EncodeError, IllPosedError, LayoutError, MapFileError, MaplinesError
+    from .ego import PoseSource, RecordedDrive, SimulatedDrive
+    from .errors import (
+        DriveFileError,
+        EncodeError,
+        IllPosedError,
+        LayoutError,
+        MapFileError,
+        MaplinesError,
+    )
     from .gaussian import Gaussian, nearest_covariance
     from .line import (
         Kind,
@@ -86,6 +95,7 @@ __all__ = [
     "Batch",
     "Codec",
     "Decoder",
+    "DriveFileError",
     "E2EConfig",
     "E2EState",
     "EncodeError",
@@ -110,13 +120,16 @@ __all__ = [
     "MonteCarlo",
     "Motion",
     "Polyline",
+    "PoseSource",
     "ProfileStatus",
     "Quadrature",
     "Reason",
     "Receiver",
+    "RecordedDrive",
     "Refit",
     "Scenario",
     "SigmaPoints",
+    "SimulatedDrive",
     "Slot",
     "SlotView",
     "Status",
@@ -133,6 +146,7 @@ __all__ = [
     "predict",
     "predict_to",
     "read_log",
+    "read_signals",
     "scenario",
     "transform_line",
 ]
@@ -141,8 +155,10 @@ __version__ = "0.1.0"
 
 #: Names by the module that defines them.
 _EXPORTS = {
-    "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log",
-    "errors": "EncodeError IllPosedError LayoutError MapFileError MaplinesError",
+    "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log "
+    "read_signals",
+    "ego": "PoseSource RecordedDrive SimulatedDrive",
+    "errors": "DriveFileError EncodeError IllPosedError LayoutError MapFileError MaplinesError",
     "gaussian": "Gaussian nearest_covariance",
     "line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian transform_line",
     "mixture": "GaussianMixture",

@@ -37,6 +37,10 @@ class MapFileError(MaplinesError, ValueError):
     """A map file cannot be read, or contains nothing that can be used."""
 
 
+class DriveFileError(MaplinesError, ValueError):
+    """A recorded drive cannot be used: a file, a column, a value, or positions off the map."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 

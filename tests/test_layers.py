@@ -42,8 +42,9 @@ wire.reception.mixtures wire.reception.reassembly wire.reception.sequence wire.r
 wire.reception.monitor wire.reception.settings
 wire.codec
 wire
-bus.background bus.driver_errors bus.keys bus.load bus.logs bus.schedule bus.socketcan
+bus.background bus.driver_errors bus.keys bus.load bus.logs bus.schedule bus.signals bus.socketcan
 bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue bus.transmitter bus
+ego.smooth_path ego.drive ego.pose_source ego.map_frame ego.columns ego.records ego.recorded ego
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.sending cli.stderr
 cli cli.__main__ cli.accuracy cli.decode cli.demo cli.design cli.figures cli.receive cli.send
 cli.study

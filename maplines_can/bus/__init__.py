@@ -7,6 +7,7 @@ from .load import bus_load, frame_bits, frame_time, transfers_within
 from .logs import LogFrame, read_log
 from .receiver import Receiver
 from .schedule import Lateness
+from .signals import SignalLog, read_signals
 from .transmitter import Transmitter, TransmitterStats
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "Receiver",
     "ReceiverStats",
     "Sent",
+    "SignalLog",
     "Transmitter",
     "TransmitterStats",
     "bus_load",
@@ -25,5 +27,6 @@ __all__ = [
     "key_from_env",
     "key_from_file",
     "read_log",
+    "read_signals",
     "transfers_within",
 ]

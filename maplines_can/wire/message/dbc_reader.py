@@ -22,7 +22,15 @@ from .requirements import LEAST_FRESHNESS_BYTES, REQUIREMENTS, bits_of, check, p
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import FD_LENGTHS, LONGEST_MS, SecuredLayout, SlotMessages
 
-__all__ = ["Database", "DbcContent", "content_of", "default_dbc_path", "parse_dbc", "read_text"]
+__all__ = [
+    "Database",
+    "DbcContent",
+    "content_of",
+    "default_dbc_path",
+    "parse_database",
+    "parse_dbc",
+    "read_text",
+]
 
 #: Covariance code of a DBC without the attribute CovarianceCode.
 DEFAULT_CODE = "Cholesky"
@@ -78,15 +86,29 @@ def parse_dbc(text: str, source: str) -> DbcContent:
     Raises:
         LayoutError: the text is not a DBC, or does not describe a map line.
     """
+    return content_of(parse_database(text, source), source)
+
+
+def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
+    """Return the database of the text of a DBC.
+
+    Args:
+        text: of the DBC.
+        source: its name, for messages.
+        strict: whether signals that overlap, or do not fit into their message, are an error.
+
+    Raises:
+        LayoutError: the text is not a DBC.
+    """
     check_numbers(text, source)
     try:
-        database = cantools.database.load_string(text, database_format="dbc", strict=True)
+        database = cantools.database.load_string(text, database_format="dbc", strict=strict)
     except Exception as error:  # the parser raises many types, all for a text that is not a DBC
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LayoutError(f"{source}: is not a valid DBC: {reason}") from error
     if not isinstance(database, Database):
         raise LayoutError(f"{source}: is not a DBC of CAN messages")
-    return content_of(database, source)
+    return database
 
 
 def content_of(database: Database, source: str) -> DbcContent:

@@ -1,0 +1,180 @@
+"""Read signals of any DBC from log files, as time series."""
+
+from __future__ import annotations
+
+import csv
+import tomllib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from os import PathLike, fspath
+from pathlib import Path
+from types import MappingProxyType
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import DriveFileError, LogError
+from ..wire.message.dbc_reader import Database, parse_database, read_text
+from .logs import read_log
+
+#: Largest table of signal names [B].
+LARGEST_TABLE = 10**6
+
+Series = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, eq=False)
+class SignalLog(Mapping[str, Series]):
+    """Time series of signals: (n,) times [s] and (n,) physical values, by name.
+
+    Args:
+        series: by name.
+        skipped: numbers of frames that are not used, and of damage of the log, by reason.
+    """
+
+    series: Mapping[str, Series]
+    skipped: Mapping[str, int] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("series", "skipped"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    def __getitem__(self, name: str) -> Series:
+        return self.series[name]
+
+    def __iter__(self) -> Any:
+        return iter(self.series)
+
+    def __len__(self) -> int:
+        return len(self.series)
+
+
+def read_signals(
+    log: str | PathLike[str] | IO[bytes],
+    dbc: str | PathLike[str],
+    signals: Mapping[str, str] | str | PathLike[str],
+    channel: str | None = None,
+) -> SignalLog:
+    """Return signals of a log as time series, such as those of a drive for ``RecordedDrive``.
+
+    A frame that its message does not fit is skipped and counted. The good part of a damaged log is
+    used, and the damage is listed in ``skipped``.
+
+    Args:
+        log: see ``read_log``.
+        dbc: of the messages in the log.
+        signals: name of the signal by the name of its series, as "Message.Signal", or as "Signal"
+            if only one message has it; or the path of such a table. A table in TOML has lines such
+            as ``speed_kmh = "ESP.VehicleSpeed"``; one in CSV has the header ``column,signal``.
+        channel: of the interface, if the log has frames of several; None for all.
+
+    Raises:
+        LogError: the log cannot be read, or has none of the frames of a signal.
+        LayoutError: the DBC cannot be read.
+        DriveFileError: the table cannot be read, or a signal is not in the DBC.
+    """
+    source = "signals" if isinstance(signals, Mapping) else fspath(signals)
+    table = signals if isinstance(signals, Mapping) else read_table(signals)
+    database = parse_database(read_text(Path(dbc)), fspath(dbc), strict=False)
+    wanted: dict[tuple[int, bool], list[tuple[str, str]]] = {}
+    for column, name in table.items():
+        message, signal = _find(database, name, f"{source}: {column}", fspath(dbc))
+        key = message.frame_id, message.is_extended_frame
+        wanted.setdefault(key, []).append((column, signal))
+    messages: dict[tuple[int, bool], Any] = {
+        (m.frame_id, m.is_extended_frame): m for m in database.messages
+    }
+    times: dict[str, list[float]] = {column: [] for column in table}
+    values: dict[str, list[float]] = {column: [] for column in table}
+    skipped: Counter[str] = Counter()
+    try:
+        for frame in read_log(log):
+            key = frame.can_id, frame.is_extended
+            if key not in wanted or (channel is not None and frame.channel != channel):
+                continue
+            try:
+                decoded = messages[key].decode(frame.data, decode_choices=False)
+            except Exception:  # noqa: BLE001 - cantools raises many types, all for data that do not fit
+                skipped[f"the data do not fit the message {messages[key].name}"] += 1
+                continue
+            for column, signal in wanted[key]:
+                if signal in decoded:  # else it is multiplexed, and not in this frame
+                    times[column].append(frame.t_ns * 1e-9)
+                    values[column].append(float(decoded[signal]))
+    except LogError as error:
+        if not all(times.values()):
+            raise
+        skipped[str(error)] += 1
+    for column, name in table.items():
+        if not times[column]:
+            why = "; ".join(f"{count} times: {reason}" for reason, count in skipped.items())
+            raise LogError(
+                f"{log}: has no value of {column} = {name}; correct the name, the DBC or the "
+                f"channel{f' ({why})' if why else ''}"
+            )
+    return SignalLog(
+        {column: (np.array(times[column]), np.array(values[column])) for column in table}, skipped
+    )
+
+
+def read_table(path: str | PathLike[str]) -> dict[str, str]:
+    """Return the names of signals by the names of their series, from a file in TOML or CSV.
+
+    Raises:
+        DriveFileError: the file cannot be read, or is not such a table.
+    """
+    source = Path(path)
+    try:
+        with source.open("rb") as file:
+            data = file.read(LARGEST_TABLE + 1)
+        text = data.decode("utf-8-sig")
+    except OSError as error:
+        raise DriveFileError(f"{source}: cannot be read: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise DriveFileError(f"{source}: is not a text in UTF-8: {error}") from error
+    if len(data) > LARGEST_TABLE:
+        raise DriveFileError(f"{source}: is too large for a table of signals")
+    if source.suffix.lower() == ".csv":
+        rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]
+        if not rows or rows[0] != ["column", "signal"]:
+            raise DriveFileError(f"{source}: line 1: the header must be column,signal")
+        table: dict[Any, Any] = {}
+        for row in rows[1:]:
+            if len(row) != 2 or row[0] in table:
+                raise DriveFileError(
+                    f"{source}: {','.join(row)!r} must be a column and a signal, each column once"
+                )
+            table[row[0]] = row[1]
+    else:
+        try:
+            table = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise DriveFileError(f"{source}: is not valid TOML: {error}") from error
+    for column, name in table.items():
+        if not isinstance(name, str) or not name:
+            raise DriveFileError(
+                f'{source}: {column} must be the name of a signal, such as "ESP.VehicleSpeed", '
+                f"got {name!r}"
+            )
+    if not table:
+        raise DriveFileError(f"{source}: has no signal; see read_signals for the format")
+    return table
+
+
+def _find(database: Database, name: str, where: str, dbc: str) -> tuple[Any, str]:
+    """Return the message of a signal, and the name of the signal."""
+    message_name, _, signal = name.rpartition(".")
+    found = [
+        message
+        for message in database.messages
+        if message_name in {"", message.name} and signal in {s.name for s in message.signals}
+    ]
+    if len(found) != 1:
+        which = ", ".join(f"{message.name}.{signal}" for message in found)
+        raise DriveFileError(
+            f"{where} = {name!r}: "
+            + (f"is ambiguous in {dbc}; use one of {which}" if found else f"is not in {dbc}")
+        )
+    return found[0], signal

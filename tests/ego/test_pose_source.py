@@ -1,0 +1,106 @@
+"""The errors of the pose source have the stated covariance and correlation time."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can import PoseSource
+
+SIGMA = np.array([0.3, 0.1, 0.01])
+
+
+def errors(source: PoseSource, t: Any, heading: float = 0.0) -> Any:
+    """(n, 3) errors along, across and of the heading at a true pose."""
+    true = np.array([1000.0, -500.0, heading])
+    stated = np.array([source.pose(float(now), true).mean for now in t]) - true
+    c, s = np.cos(heading), np.sin(heading)
+    return stated @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize("dt", [0.02, 0.5])
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_autocorrelation_is_exponential(dt: float, heading: float) -> None:
+    """It is exp(-lag / tau), for each of the errors with its own tau."""
+    tau, n = np.array([2.0, 0.5, 5.0]), 20_000
+    e = errors(PoseSource(SIGMA, tau, seed=3), np.arange(n) * dt, heading) / SIGMA
+    for lag in (1, 3, 10, 30):
+        expected = np.exp(-lag * dt / tau)
+        found = (e[lag:] * e[:-lag]).mean(axis=0)
+        # Bartlett: the variance of an autocovariance of a Gaussian process with the sum over all
+        # shifts k of rho(k)^2 + rho(k + lag) rho(k - lag), which is at most 2 rho(k)^2.
+        phi = np.exp(-dt / tau)
+        sigma = np.sqrt(2 * (1 + phi**2) / (1 - phi**2) / n)
+        assert (np.abs(found - expected) < 4 * sigma).all(), (lag, found, expected, sigma)
+
+
+def test_discretisation_is_exact_for_uneven_steps() -> None:
+    """Of many sources, the covariance of two times is exp(-dt / tau) whatever the steps between."""
+    times = np.array([0.0, 0.001, 0.8, 0.9, 3.0])
+    runs = np.array([errors(PoseSource(SIGMA, 1.5, seed=s), times) for s in range(3000)]) / SIGMA
+    found = np.einsum("rak,rbk->kab", runs, runs) / len(runs)
+    expected = np.exp(-np.abs(times[:, None] - times) / 1.5)
+    tolerance = 4 * np.sqrt((1 + expected**2) / len(runs))
+    assert (np.abs(found - expected) < tolerance).all()
+
+
+def test_covariance_is_that_of_the_errors() -> None:
+    """The squared Mahalanobis distances have the mean of chi squared with 3 degrees of freedom."""
+    true = np.array([5.0, 6.0, 0.7])
+    squared = [
+        PoseSource(SIGMA, seed=seed).pose(1.0, true).mahalanobis(true) ** 2 for seed in range(4000)
+    ]
+    assert np.mean(squared) == pytest.approx(3.0, abs=4 * np.sqrt(6 / 4000))
+
+
+def test_covariance_turns_with_the_car() -> None:
+    """sigma is along and across; the covariance is in the map frame."""
+    stated = PoseSource((0.4, 0.1, 0.02)).pose(0.0, [0, 0, np.pi / 6])
+    c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    R = np.array([[c, -s], [s, c]])
+    np.testing.assert_allclose(stated.cov[:2, :2], R @ np.diag([0.16, 0.01]) @ R.T, atol=1e-15)
+    np.testing.assert_allclose(stated.cov[2], [0, 0, 0.0004], atol=1e-15)
+
+
+def test_ends_of_the_correlation_time() -> None:
+    """0 is white noise and infinity a constant error; sigma 0 is no error."""
+    e = errors(PoseSource((1.0, 1.0, 0.0), (0.0, np.inf, 1.0), seed=5), np.arange(5000) * 0.01)
+    assert (e[1:, 0] * e[:-1, 0]).mean() == pytest.approx(0.0, abs=4 / np.sqrt(5000))
+    assert e[:, 0].std() == pytest.approx(1.0, abs=0.05)
+    assert np.ptp(e[:, 1]) < 1e-9
+    assert (e[:, 2] == 0).all()
+
+
+def test_the_seed_determines_the_errors() -> None:
+    t = np.arange(20) * 0.05
+    first, again, other = (errors(PoseSource(SIGMA, seed=seed), t) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).all()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (((0.1, 0.1), 1.0), "sigma must be \\(along, across, heading\\)"),
+        (((0.1, -0.1, 0.1), 1.0), "sigma must be 0 or more"),
+        (((0.1, 0.1, 0.1), -1.0), "correlation_time must be"),
+        (((0.1, 0.1, 0.1), float("nan")), "correlation_time must be"),
+        (((0.1, 0.1, 0.1), (1.0, 2.0)), "correlation_time must be"),
+    ],
+)
+def test_wrong_arguments(arguments: Any, text: str) -> None:
+    with pytest.raises(ValueError, match=text):
+        PoseSource(*arguments)
+
+
+@pytest.mark.parametrize("t", [1.0, 0.5, float("nan"), float("inf")])
+def test_times_must_increase(t: float) -> None:
+    """A time that is not later raises, and does not advance the errors."""
+    source, other = PoseSource(SIGMA, seed=1), PoseSource(SIGMA, seed=1)
+    for each in (source, other):
+        each.pose(1.0, [0, 0, 0])
+    with pytest.raises(ValueError, match="t must be finite and later than 1 s"):
+        source.pose(t, [0, 0, 0])
+    with pytest.raises(ValueError, match="true_pose must be finite"):
+        source.pose(2.0, [0, 0, float("nan")])
+    np.testing.assert_array_equal(source.pose(2.0, [0] * 3).mean, other.pose(2.0, [0] * 3).mean)

@@ -1,0 +1,223 @@
+"""The simulated car keeps its limits, and its pose is the integral of its motion."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import cumulative_trapezoid
+
+from maplines_can import Motion, Polyline, SimulatedDrive
+
+STRAIGHT = Polyline(np.array([[0, 0], [400, 0]], float))
+
+
+def winding(seed: int) -> Polyline:
+    """A road with random bends."""
+    random = np.random.default_rng(seed)
+    turns = random.normal(0, 0.06, 12).repeat(20)
+    heading = turns.cumsum() / 2
+    return Polyline(np.column_stack([np.cos(heading), np.sin(heading)]).cumsum(axis=0) * 1.5)
+
+
+def track(drive: SimulatedDrive, rate: float = 200.0) -> Any:
+    """The states of a drive, at a rate [Hz]."""
+    return drive.at(drive.times(rate))
+
+
+@pytest.mark.parametrize(
+    ("acceleration", "deceleration", "limit"),
+    [(2.0, 2.0, 10.0), (1.0, 3.0, 13.9), (4.0, 0.7, 8.0)],
+)
+def test_straight_road_in_closed_form(
+    acceleration: float, deceleration: float, limit: float
+) -> None:
+    """Constant acceleration, constant speed, constant deceleration."""
+    drive = SimulatedDrive(STRAIGHT, limit, acceleration=acceleration, deceleration=deceleration)
+    rise, fall = limit / acceleration, limit / deceleration
+    cruise = 400 / limit - (rise + fall) / 2
+    assert drive.duration == pytest.approx(rise + cruise + fall, abs=2e-3)
+    t = np.linspace(0, rise * 0.98, 50)
+    state = drive.at(t)
+    np.testing.assert_allclose(state.pose[:, 0], acceleration * t**2 / 2, atol=1e-6)
+    np.testing.assert_allclose(state.speed, acceleration * t, atol=1e-6)
+    state = drive.at(drive.duration - np.linspace(0, fall * 0.98, 50))
+    left = np.linspace(0, fall * 0.98, 50)
+    np.testing.assert_allclose(400 - state.pose[:, 0], deceleration * left**2 / 2, atol=1e-4)
+
+
+def test_short_road_is_driven_without_reaching_the_limit() -> None:
+    """Accelerate for half of the way, brake for the other half."""
+    drive = SimulatedDrive(Polyline(np.array([[0, 0], [20, 0]], float)), 30.0)
+    assert drive.duration == pytest.approx(2 * np.sqrt(2 * 10 / 2.0), abs=1e-6)
+    assert drive.at(drive.duration / 2).speed == pytest.approx(np.sqrt(2 * 2.0 * 10), abs=1e-6)
+
+
+def test_circle_in_closed_form() -> None:
+    """The lateral acceleration limits the speed to sqrt(a R), and the yaw rate is v / R."""
+    radius, lateral = 40.0, 2.5
+    a = np.linspace(0, 3 * np.pi, 1200)
+    circle = Polyline(np.column_stack([radius * np.sin(a), radius * (1 - np.cos(a))]))
+    drive = SimulatedDrive(
+        circle, 50.0, lateral_acceleration=lateral, start_speed=9.0, end_speed=50.0
+    )
+    state = track(drive, 20.0)
+    middle = (state.t > 5) & (state.t < drive.duration - 2)
+    speed = np.sqrt(lateral * radius)
+    np.testing.assert_allclose(state.speed[middle], speed, rtol=2e-3)
+    np.testing.assert_allclose(state.yaw_rate[middle], speed / radius, rtol=2e-3)
+    np.testing.assert_allclose(np.hypot(state.pose[:, 0], state.pose[:, 1] - 40), 40, atol=1e-3)
+    assert state.pose[-1, 2] == pytest.approx(3 * np.pi, abs=1e-2)  # continuous beyond pi
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_pose_is_the_integral_of_the_motion(seed: int) -> None:
+    """Speed and yaw rate, integrated by scipy, give the pose within 0.1 mm."""
+    drive = SimulatedDrive(winding(seed), 15.0, stops=[(120.0, 2.0)])
+    state = drive.at(np.linspace(0, drive.duration, 100_001))
+    turn = cumulative_trapezoid(state.yaw_rate, state.t, initial=0.0)
+    heading = state.pose[0, 2] + turn
+    velocity = state.speed * np.array([np.cos(heading), np.sin(heading)])
+    integral = np.column_stack([*cumulative_trapezoid(velocity, state.t, initial=0.0), heading])
+    np.testing.assert_allclose(integral + np.append(state.pose[0, :2], 0.0), state.pose, atol=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.floats(0.5, 4.0),
+    st.floats(0.5, 4.0),
+    st.floats(0.5, 4.0),
+    st.lists(st.tuples(st.integers(1, 350), st.floats(0, 5)), max_size=4),
+)
+def test_all_limits_are_kept(
+    seed: int, rise: float, fall: float, lateral: float, stops: list[tuple[int, float]]
+) -> None:
+    """Speed, and acceleration along and across, at all times on random roads with stops."""
+    road = winding(seed)
+    stops = sorted(dict(stops).items())
+    half = road.length / 2
+    drive = SimulatedDrive(
+        road,
+        [(0.0, 14.0), (half, 7.0)],
+        stops=stops,
+        acceleration=rise,
+        deceleration=fall,
+        lateral_acceleration=lateral,
+    )
+    state = track(drive, 100.0)
+    s = np.append(0, np.hypot(*np.diff(state.pose[:, :2], axis=0).T).cumsum())
+    slack = 1.005
+    assert state.speed.max() <= 14.0 * slack
+    assert state.speed[s > half + 1].max() <= 7.0 * slack
+    along = np.diff(state.speed) * 100
+    assert -fall * slack - 1e-6 <= along.min()
+    assert along.max() <= rise * slack + 1e-6
+    assert np.abs(state.speed * state.yaw_rate).max() <= lateral * slack
+    assert (state.speed >= 0).all()
+    assert state.speed[0] == 0
+
+
+def test_stops() -> None:
+    """The car stands at each stop for its time, and nowhere else."""
+    stops = [(0.0, 1.5), (100.0, 3.0), (100.4, 0.5), (400.0, 2.0)]
+    drive = SimulatedDrive(STRAIGHT, 10.0, stops=stops)
+    state = track(drive, 1000.0)
+    standing = state.speed < 1e-9
+    for s, dwell in stops:
+        here = standing & (np.abs(state.pose[:, 0] - s) < 1e-6)
+        assert here.sum() / 1000 == pytest.approx(dwell, abs=0.01)
+    assert standing.sum() / 1000 == pytest.approx(7.0, abs=0.02)
+    without = SimulatedDrive(STRAIGHT, 10.0, stops=[(s, 0.0) for s, _ in stops])
+    assert drive.duration == pytest.approx(without.duration + 7.0)
+
+
+@pytest.mark.parametrize("gap", [1e-12, 1e-6, 1e-3, 0.01])
+def test_stops_that_are_close_together(gap: float) -> None:
+    """The times of the stops add up, and the car gets from one to the next."""
+    stops = [(300.0, 1.0), (300.0 + gap, 1.0), (400.0 - gap, 1.0), (400.0, 1.0)]
+    drive = SimulatedDrive(STRAIGHT, [(0, 9.0), (300.0 + gap / 2, 8.0)], stops=stops)
+    state = track(drive)
+    assert np.isfinite(state.pose).all()
+    assert (state.speed < 1e-9).sum() / 200 == pytest.approx(4.0, abs=0.1)
+    assert state.pose[-1, 0] == pytest.approx(400.0, abs=1e-3)
+
+
+@given(st.floats(1.0, 300.0), st.floats(0.5, 100.0))
+def test_all_times_of_a_rate_are_in_the_drive(length: float, rate: float) -> None:
+    drive = SimulatedDrive(Polyline(np.array([[0, 0], [length, 0]])))
+    assert len(track(drive, rate).t) == pytest.approx(drive.duration * rate, abs=1.001)
+
+
+def test_speed_limits_apply_from_their_distance() -> None:
+    """The car brakes before a lower limit, and accelerates after its end."""
+    drive = SimulatedDrive(STRAIGHT, [(0, 15.0), (150, 8.0), (250, 15.0)], start_speed=15.0)
+    state = track(drive)
+    x, speed = state.pose[:, 0], state.speed
+    assert speed[x < 100] == pytest.approx(15.0)
+    assert speed[(x >= 150) & (x <= 250)] == pytest.approx(8.0)
+    assert 9 < float(np.interp(260.0, x, speed)) < 15  # sqrt(8^2 + 2 * 2 * 10) = 10.2
+
+
+def test_displacement_agrees_with_the_motion_model() -> None:
+    """Over 50 ms, constant speed and yaw rate predict the next pose within 5 mm."""
+    drive = SimulatedDrive(winding(7), 12.0)
+    t = drive.times(20.0)
+    state = drive.at(t)
+    for i in range(0, len(t) - 1, 37):
+        x, y, turn = Motion(float(state.speed[i]), float(state.yaw_rate[i])).over(0.05).mean
+        c, s = np.cos(state.pose[i, 2]), np.sin(state.pose[i, 2])
+        predicted = state.pose[i] + [c * x - s * y, s * x + c * y, turn]
+        np.testing.assert_allclose(predicted, state.pose[i + 1], atol=5e-3)
+
+
+def test_scalar_and_vector_times_agree() -> None:
+    """Shapes follow t."""
+    drive = SimulatedDrive(STRAIGHT)
+    t = drive.times(2.0)
+    many = drive.at(t)
+    assert many.pose.shape == (len(t), 3)
+    one = drive.at(t[5])
+    assert one.pose.shape == (3,)
+    np.testing.assert_array_equal(one.pose, many.pose[5])
+    assert one.speed == many.speed[5]
+    assert t[0] == drive.start == 0
+    assert drive.end - 0.5 < t[-1] <= drive.end
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"speed_limits": 0.0}, "speed_limits must be more than 0"),
+        ({"speed_limits": [(10.0, 5.0)]}, "must apply from s = 0"),
+        ({"speed_limits": []}, "must apply from s = 0"),
+        ({"speed_limits": [(0, 5.0), (500, 5.0)]}, "from 0 to 400 m"),
+        ({"speed_limits": [(0, 5.0), (0, 6.0)]}, "increasing distances"),
+        ({"speed_limits": float("nan")}, "finite"),
+        ({"stops": [(10.0, -1.0)]}, "0 s or more"),
+        ({"stops": [(10.0,)]}, "pairs"),
+        ({"acceleration": 0.0}, "acceleration must be finite and more than 0 m/s"),
+        ({"deceleration": float("inf")}, "deceleration must be finite"),
+        ({"lateral_acceleration": -1.0}, "lateral_acceleration"),
+        ({"end_speed": -1.0}, "end_speed must be finite and 0 or more"),
+        ({"start_speed": 20.0}, "start_speed must be at most 13.9"),
+        ({"start_speed": 13.0, "stops": [(10.0, 1.0)]}, "start_speed must be at most 6.32"),
+    ],
+)
+def test_wrong_arguments(arguments: dict[str, Any], text: str) -> None:
+    """The message has the name and the allowed range."""
+    with pytest.raises(ValueError, match=text):
+        SimulatedDrive(STRAIGHT, **arguments)
+
+
+@pytest.mark.parametrize("t", [-0.1, 1e9, float("nan"), [0.0, -1.0]])
+def test_times_outside_the_drive(t: Any) -> None:
+    """There is no pose before the start and after the end."""
+    with pytest.raises(ValueError, match="t must be from 0 to"):
+        SimulatedDrive(STRAIGHT).at(t)
+
+
+def test_rate_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="rate must be finite and more than 0 Hz"):
+        SimulatedDrive(STRAIGHT).times(0.0)
