@@ -23,6 +23,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from . import maps
     from .bus import (
         LineListener,
         Link,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
         key_from_file,
         read_log,
     )
-    from .errors import EncodeError, IllPosedError, LayoutError, MaplinesError
+    from .errors import EncodeError, IllPosedError, LayoutError, MapFileError, MaplinesError
     from .gaussian import Gaussian, nearest_covariance
     from .line import (
         Kind,
@@ -100,6 +101,7 @@ __all__ = [
     "Linear",
     "Link",
     "MapError",
+    "MapFileError",
     "MapLine",
     "MapLineList",
     "MaplinesError",
@@ -125,6 +127,7 @@ __all__ = [
     "lateral",
     "lateral_jacobian",
     "map_lines",
+    "maps",
     "nearest_covariance",
     "pose_time_ns",
     "predict",
@@ -139,7 +142,7 @@ __version__ = "0.1.0"
 #: Names by the module that defines them.
 _EXPORTS = {
     "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log",
-    "errors": "EncodeError IllPosedError LayoutError MaplinesError",
+    "errors": "EncodeError IllPosedError LayoutError MapFileError MaplinesError",
     "gaussian": "Gaussian nearest_covariance",
     "line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian transform_line",
     "mixture": "GaussianMixture",
@@ -150,11 +153,15 @@ _EXPORTS = {
     "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
     "Reason SlotView",
 }
+#: Modules that are names of the package as a whole.
+_SUBMODULES = ("maps",)
 _MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     """Import a name from its module (PEP 562)."""
+    if name in _SUBMODULES:
+        return import_module(f".{name}", __name__)
     if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)

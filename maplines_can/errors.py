@@ -33,6 +33,10 @@ class LogError(MaplinesError, OSError):
     """A log file cannot be read, or only in part; its good records were returned before."""
 
 
+class MapFileError(MaplinesError, ValueError):
+    """A map file cannot be read, or contains nothing that can be used."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 

@@ -22,6 +22,11 @@ propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation
+maps.model maps.xml_tree
+maps.opendrive.profiles maps.opendrive.reference_line maps.opendrive.attributes
+maps.opendrive.lane_section maps.opendrive.road maps.opendrive.boundaries maps.opendrive.links
+maps.opendrive.reader maps.opendrive
+maps.load maps
 wire.reasons
 wire.message wire.message.attributes wire.message.dbc_limits wire.message.signals
 wire.message.packing wire.message.requirements wire.message.slot_messages

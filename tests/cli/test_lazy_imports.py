@@ -137,7 +137,8 @@ def test_the_lists_of_exported_names_are_the_same() -> None:
         if isinstance(node, ast.If)
     )
     typed = {node.module: [alias.name for alias in node.names] for node in block.body}  # type: ignore[attr-defined]
-    exports = {module: names.split() for module, names in maplines_can._EXPORTS.items()}
+    exports: dict[str | None, list[str]] = {None: list(maplines_can._SUBMODULES)}
+    exports |= {module: names.split() for module, names in maplines_can._EXPORTS.items()}
     assert typed == exports
     assert sorted(chain(*typed.values())) == sorted(maplines_can.__all__)
 

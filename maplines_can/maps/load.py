@@ -1,0 +1,133 @@
+"""Loading of a map file of any format."""
+
+from __future__ import annotations
+
+import gzip
+import io
+import os
+import re
+import zlib
+from importlib import import_module
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from ..errors import MapFileError
+from .model import Map
+
+#: Largest map file, after decompression [bytes].
+MAX_BYTES = 1 << 30
+#: Bytes that show the format.
+HEAD = 1 << 16
+
+_GZIP_MAGIC = b"\x1f\x8b"
+_ENCODINGS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "utf-8-sig"}
+#: Possessive, so that no file makes it search for long.
+_ROOT = re.compile(
+    r"(?>\s|<\?.*?\?>|<!--.*?-->|<!DOCTYPE[^>\[]*(?>\[.*?\]\s*)?>)*+<([^\s/>!?]+)", re.S
+)
+
+
+class Format(NamedTuple):
+    """A format of map files.
+
+    Args:
+        name: for messages.
+        module: of this package, with ``read(stream, name) -> Map``; loaded when it is used.
+        root: tag of the root element, if the format is XML.
+        suffixes: of file names, for formats that are not XML.
+    """
+
+    name: str
+    module: str
+    root: str = ""
+    suffixes: tuple[str, ...] = ()
+
+
+FORMATS = (Format("OpenDRIVE", "opendrive", root="OpenDRIVE"),)
+
+
+def load(path: str | os.PathLike[str]) -> Map:
+    """Load a map file. The content shows its format; it may be compressed by gzip.
+
+    Args:
+        path: of a map in one of the formats ``FORMATS``.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        MapFileError: the file cannot be read, or contains nothing that can be used. What cannot be
+            used of a map that can is listed in ``Map.skipped``.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file, _decompressed(file) as stream:
+            bounded = _Bounded(stream, path.name)
+            buffered = io.BufferedReader(bounded, HEAD)
+            head = _head(buffered, path.name)
+            reader = import_module(f".{_format(head, path).module}", __package__)
+            found: Map = reader.read(buffered, path.name)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise MapFileError(f"{path.name} cannot be read: {why}") from None
+    return found
+
+
+def _decompressed(file: BinaryIO) -> BinaryIO:
+    is_gzip = file.read(2) == _GZIP_MAGIC
+    file.seek(0)
+    return gzip.GzipFile(fileobj=file) if is_gzip else file  # type: ignore[return-value]
+
+
+class _Bounded(io.RawIOBase):
+    """A stream that refuses to yield more than ``MAX_BYTES``."""
+
+    def __init__(self, stream: BinaryIO, name: str) -> None:
+        self._stream, self._name, self._count = stream, name, 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: memoryview) -> int:  # type: ignore[override]
+        data = self._stream.read(len(buffer))
+        self._count += len(data)
+        if self._count > MAX_BYTES:
+            raise MapFileError(
+                f"{self._name} has more than {MAX_BYTES >> 20} MB; divide the map into several"
+            )
+        buffer[: len(data)] = data
+        return len(data)
+
+
+def _head(stream: io.BufferedReader[Any], name: str) -> str:
+    """Return the beginning of the file as text."""
+    try:
+        data = stream.peek(HEAD)
+    except (EOFError, zlib.error) as error:
+        raise MapFileError(f"{name} cannot be decompressed: {error}") from None
+    encoding = next((e for mark, e in _ENCODINGS.items() if data.startswith(mark)), "utf-8")
+    return data.decode(encoding, "replace")
+
+
+def _format(head: str, path: Path) -> Format:
+    """Return the format that the content shows, or else the suffix.
+
+    Raises:
+        MapFileError: neither does.
+    """
+    known = ", ".join(form.name for form in FORMATS)
+    if not head.strip():
+        raise MapFileError(f"{path.name} is empty; a map is one of: {known}")
+    if root := _ROOT.match(head):
+        tag = root[1].rpartition(":")[2]
+        for form in FORMATS:
+            if form.root == tag:
+                return form
+        raise MapFileError(
+            f"{path.name} is XML with the root element <{tag[:40]}>; a map is one of: {known}"
+        )
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    for form in FORMATS:
+        if set(form.suffixes) & set(suffixes):
+            return form
+    raise MapFileError(f"{path.name} is of no known format; a map is one of: {known}")

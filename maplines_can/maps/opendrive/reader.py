@@ -1,0 +1,275 @@
+"""Reader of OpenDRIVE 1.4 to 1.8: from the elements of a file to the lanes of a map."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from operator import itemgetter
+from typing import BinaryIO, TypeVar
+
+import numpy as np
+
+from ...errors import MapFileError
+from ...line import Kind
+from ...polyline import Polyline
+from ..model import Lane, Map, Road, Skipped
+from ..xml_tree import Document, Element
+from .attributes import UnusableError, where
+from .boundaries import SAME, SHORTEST, Boundaries, SamplingError
+from .lane_section import LaneRecord
+from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
+from .reference_line import Complex
+from .road import RoadRecord, read_road
+
+#: Elements that say nothing of lanes.
+_IGNORED = {"elevationProfile", "objects", "railroad", "signals", "surface", "userData"}
+
+T = TypeVar("T")
+
+
+@np.errstate(all="ignore")  # what overflows is not finite, and its road is not used
+def read(stream: BinaryIO, name: str) -> Map:
+    """Read a map from the bytes of an OpenDRIVE file.
+
+    Lanes have the ids "road:section:lane", with the index of the lane section.
+
+    Args:
+        stream: of the XML document.
+        name: of the file, for messages.
+
+    Raises:
+        MapFileError: it is not XML, is not OpenDRIVE, or has no usable road.
+    """
+    reader = _Reader()
+    document = Document(stream, name, ignored=_IGNORED, text_in={"geoReference"})
+    for element in document.elements():
+        reader.add(element)
+    if document.root is None or document.root.tag != "OpenDRIVE":
+        why = (
+            document.error or f"the root element is <{document.root.tag if document.root else ''}>"
+        )
+        raise MapFileError(f"{name} is not an OpenDRIVE file: {why}")
+    if document.error:
+        why = f"{document.error}; the rest of the file is not used"
+        reader.skipped.append(Skipped(document.error.partition(":")[0], why.partition(": ")[2]))
+    if not reader.lanes:
+        why = f"; first reason: {reader.skipped[0]}" if reader.skipped else ""
+        raise MapFileError(f"{name} contains no usable road{why}")
+    return reader.map(name)
+
+
+class _Reader:
+    """State of the reading: lanes so far, and links to resolve at the end."""
+
+    def __init__(self) -> None:
+        self.skipped: list[Skipped] = []
+        self.lanes: dict[LaneKey, Lane] = {}
+        self._roads: dict[str, Road] = {}
+        self._topology: dict[str, RoadTopology] = {}
+        self._connections: list[Connection] = []
+        self._left_hand = 0
+        self._projection: str | None = None
+
+    def add(self, element: Element) -> None:
+        """Read a child of the root."""
+        if element.tag == "header":
+            self._add_header(element)
+        elif element.tag == "junction":
+            self._connections += read_connections(element, self.skipped)
+        elif element.tag == "road":
+            try:
+                self._add_road(element)
+            except UnusableError as error:
+                why = f"the road {element.get('id')[:40]!r} is not used: {error.skipped.why}"
+                self.skipped.append(Skipped(error.skipped.where, why))
+
+    def _add_header(self, header: Element) -> None:
+        if reference := header.first("geoReference"):
+            self._projection = reference.text.strip() or None
+        offset = header.first("offset")
+        if offset and any(offset.get(axis, "0").strip("+-.0") for axis in ("x", "y", "hdg")):
+            why = "the offset is not applied: add it to positions before they are projected"
+            self.skipped.append(Skipped(where(offset), why))
+
+    def _add_road(self, element: Element) -> None:
+        road = read_road(element, self.skipped)
+        if road.id in self._roads:
+            raise UnusableError(element, "another road has the same id")
+        lanes: dict[LaneKey, Lane] = {}
+        sections = []
+        for index in range(len(road.sections)):
+            start, end = road.extent(index)
+            is_point = end - start < SHORTEST
+            if not is_point:
+                try:
+                    lanes |= self._section_lanes(road, index)
+                except SamplingError as error:
+                    raise UnusableError(element, f"lane section {index}: {error}") from None
+            sections.append(_topology(road, index, is_point))
+        if not lanes:
+            raise UnusableError(element, "it has no lanes with a length")
+        self.lanes |= lanes
+        self._left_hand += road.is_left_hand
+        ends = np.array([road.sections[0].s, road.reference.end])
+        (first, last), _ = road.reference(ends, ends)
+        self._topology[road.id] = RoadTopology(
+            tuple(sections), first, last, road.predecessor, road.successor
+        )
+        ids = tuple(map(str, lanes))
+        self._roads[road.id] = Road(road.id, road.name, road.reference.end, ids, road.junction)
+
+    def _section_lanes(self, road: RoadRecord, index: int) -> Iterator[tuple[LaneKey, Lane]]:
+        """Yield the lanes of a lane section without their links."""
+        section, extent = road.sections[index], road.extent(index)
+        boundaries = Boundaries(road, index)
+        lines = _Lines(boundaries.sampled())
+        records = sorted(section.lanes.values(), key=lambda record: -record.id)
+        kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
+        for record in records:
+            kinds[boundaries.rows[record.id][1]] = _longest(record.marks, extent, Kind.UNKNOWN)
+        if not road.junction:  # roads overlap in a junction
+            for row in boundaries.outermost:
+                if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
+                    kinds[row] = Kind.ROAD_EDGE
+        negative = set(boundaries.negative)
+        padded = [None, *records, None]
+        for record, on_left, on_right in zip(records, padded, padded[2:], strict=False):
+            key = LaneKey(road.id, index, record.id)
+            if record.id in negative:
+                place = f"line {record.line}, lane {key}"
+                self.skipped.append(Skipped(place, "its width is negative in part; 0 is used"))
+            is_forward = _is_forward(road, record)
+            inner, outer = boundaries.rows[record.id]
+            left, right = (outer, inner) if (record.id > 0) == is_forward else (inner, outer)
+            beside = [on_left, on_right]
+            if not is_forward:
+                beside.reverse()
+            same, opposite = _neighbours(road, index, record, beside)
+            yield (
+                key,
+                Lane(
+                    id=str(key),
+                    left=lines.between(left, left, is_forward),
+                    right=lines.between(right, right, is_forward),
+                    centre=lines.between(left, right, is_forward),
+                    type=record.type,
+                    left_kind=kinds[left],
+                    right_kind=kinds[right],
+                    speed_limit=_longest(record.speeds or road.speeds, extent, None),
+                    left_neighbour=same[0],
+                    right_neighbour=same[1],
+                    opposite_left=opposite,
+                    road=road.id,
+                    junction=road.junction,
+                ),
+            )
+
+    def map(self, name: str) -> Map:
+        """Return the map."""
+        successors: defaultdict[LaneKey, dict[str, None]] = defaultdict(dict)
+        predecessors: defaultdict[LaneKey, dict[str, None]] = defaultdict(dict)
+        after: defaultdict[str, dict[str, None]] = defaultdict(dict)
+        before: defaultdict[str, dict[str, None]] = defaultdict(dict)
+        for one, other in lane_links(self._topology, self._connections, self.skipped):
+            successors[one][str(other)] = predecessors[other][str(one)] = None
+            if one.road != other.road:
+                after[one.road][other.road] = before[other.road][one.road] = None
+        return Map(
+            lanes={
+                lane.id: replace(
+                    lane, successors=tuple(successors[key]), predecessors=tuple(predecessors[key])
+                )
+                for key, lane in self.lanes.items()
+            },
+            roads={
+                key: replace(road, successors=tuple(after[key]), predecessors=tuple(before[key]))
+                for key, road in self._roads.items()
+            },
+            skipped=tuple(self.skipped),
+            projection=self._projection,
+            name=name,
+            left_hand_traffic=2 * self._left_hand > len(self._roads),
+        )
+
+
+class _Lines:
+    """Polylines of the boundaries of a lane section; neighbouring lanes share theirs."""
+
+    def __init__(self, points: Complex) -> None:
+        self._points = points
+        self._has_repeats = bool((np.abs(points[:, 1:] - points[:, :-1]) <= SAME).any())
+        self._known: dict[tuple[int, int, bool], Polyline] = {}
+
+    def between(self, one: int, other: int, is_forward: bool) -> Polyline:
+        """Return the line halfway between two rows, in the direction of s or against it."""
+        key = (one, other, is_forward)
+        if key not in self._known:
+            points = self._points[one]
+            if one != other:
+                points = (points + self._points[other]) / 2
+            if one != other or self._has_repeats:
+                points = _distinct(points)
+            points = points[:: 1 if is_forward else -1]
+            self._known[key] = Polyline(np.array([points.real, points.imag]).T)
+        return self._known[key]
+
+
+def _distinct(points: Complex) -> Complex:
+    """Return the points without those that repeat the one before, but with both ends."""
+    near = np.abs(points[1:] - points[:-1]) <= SAME
+    if len(points) == 2 or not near.any():
+        return points
+    keep = np.append(True, ~near)
+    keep[-1] = True
+    if near[-1] and keep.sum() > 2:
+        keep[np.flatnonzero(keep)[-2]] = False
+    return points[keep]
+
+
+def _is_forward(road: RoadRecord, record: LaneRecord) -> bool:
+    """Return whether a lane is driven in the direction of s."""
+    return ((record.id < 0) != road.is_left_hand) != record.is_reversed
+
+
+def _longest(records: Sequence[tuple[float, T]], extent: tuple[float, float], default: T) -> T:
+    """Return the value that applies to the longest part of a stretch of s."""
+    if len(records) < 2:
+        return records[0][1] if records else default
+    start, end = extent
+    lengths: defaultdict[T, float] = defaultdict(float)
+    ordered = sorted(records, key=itemgetter(0))
+    stops = [*(s for s, _ in ordered[1:]), end]
+    for (s, value), stop in zip(ordered, stops, strict=False):
+        lengths[value] += max(0.0, min(stop, end) - max(s, start))
+    return max(lengths, key=lengths.__getitem__, default=default)
+
+
+def _neighbours(
+    road: RoadRecord, index: int, record: LaneRecord, beside: Sequence[LaneRecord | None]
+) -> tuple[list[str | None], str | None]:
+    """Return the ids on the left and on the right with the same direction, and an opposite one."""
+    same: list[str | None] = [None, None]
+    opposite = None
+    for side, other in enumerate(beside):
+        if other is not None and other.type.is_drivable:
+            key = str(LaneKey(road.id, index, other.id))
+            if _is_forward(road, other) == _is_forward(road, record):
+                same[side] = key
+            else:
+                opposite = key
+    return same, opposite
+
+
+def _topology(road: RoadRecord, index: int, is_point: bool) -> dict[int, LaneTopology]:
+    return {
+        record.id: LaneTopology(
+            record.line,
+            _is_forward(road, record),
+            record.type.is_drivable,
+            is_point,
+            record.predecessors,
+            record.successors,
+        )
+        for record in road.sections[index].lanes.values()
+    }

@@ -1,0 +1,154 @@
+"""XML of a map file, element by element, with the lines of the file.
+
+Map files come from anywhere. A document type is refused, since entities can grow without limit or
+name other files, and so is deep nesting. A document that ends early yields the elements before.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Container, Iterator
+from typing import BinaryIO, NoReturn
+from xml.parsers import expat
+
+from ..errors import MapFileError
+
+#: Bytes that are read at once.
+CHUNK = 1 << 16
+#: Deepest nesting; OpenDRIVE uses 9 levels.
+MAX_DEPTH = 64
+#: Longest text of an element [characters].
+MAX_TEXT = 1 << 16
+
+
+class Element:
+    """An element of an XML document.
+
+    Args:
+        tag: name without its namespace.
+        attributes: values as they are in the file.
+        line: line of the file where it begins.
+
+    Attributes:
+        children: elements in it.
+        text: text in it.
+    """
+
+    __slots__ = ("attributes", "children", "line", "tag", "text")
+
+    def __init__(self, tag: str, attributes: dict[str, str], line: int) -> None:
+        self.tag, self.attributes, self.line = tag, attributes, line
+        self.children: list[Element] = []
+        self.text = ""
+
+    def get(self, name: str, default: str = "") -> str:
+        """Return the value of an attribute."""
+        return self.attributes.get(name, default)
+
+    def all(self, tag: str) -> list[Element]:
+        """Return the children with a tag."""
+        return [child for child in self.children if child.tag == tag]
+
+    def first(self, tag: str) -> Element | None:
+        """Return the first child with a tag, or None."""
+        return next((child for child in self.children if child.tag == tag), None)
+
+
+class Document:
+    """An XML document, read in one pass.
+
+    ``error`` tells after the iteration why the rest of the document is not read, or is None.
+
+    Args:
+        stream: bytes of the document.
+        name: of the file, for messages.
+        ignored: tags of elements that are left out.
+        text_in: tags of elements whose text is kept; by default, of all.
+
+    Raises:
+        MapFileError: the document has a document type, an unknown encoding, too deep a nesting, or
+            too long a text; during the iteration.
+    """
+
+    def __init__(
+        self,
+        stream: BinaryIO,
+        name: str,
+        ignored: Container[str] = (),
+        text_in: Container[str] | None = None,
+    ) -> None:
+        self._stream, self._name = stream, name
+        self._ignored, self._text_in = ignored, text_in
+        self._stack: list[Element] = []
+        self._complete: list[Element] = []
+        self._ignored_depth = 0
+        self._expat = expat.ParserCreate()
+        self._expat.buffer_text = True
+        self._expat.StartElementHandler = self._start
+        self._expat.EndElementHandler = self._end
+        self._expat.StartDoctypeDeclHandler = self._doctype
+        if text_in is None:
+            self._expat.CharacterDataHandler = self._text
+        self.root: Element | None = None
+        self.error: str | None = None
+
+    def elements(self) -> Iterator[Element]:
+        """Yield the children of the root, each when it is complete."""
+        try:
+            while chunk := self._stream.read(CHUNK):
+                self._expat.Parse(chunk)
+                yield from self._take()
+            self._expat.Parse(b"", True)
+        except expat.ExpatError as error:
+            self.error = f"line {error.lineno}: {expat.ErrorString(error.code)}"
+        except MapFileError:
+            raise
+        except (LookupError, ValueError) as error:  # of the encoding that the document names
+            raise MapFileError(f"{self._name}: {error}; save it as UTF-8") from None
+        except (EOFError, OSError, zlib.error) as error:  # of a compressed file
+            self.error = f"line {self._expat.CurrentLineNumber}: {error}"
+        yield from self._take()
+
+    def _take(self) -> list[Element]:
+        complete, self._complete = self._complete, []
+        return complete
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        stack = self._stack
+        if ":" in tag:
+            tag = tag.rpartition(":")[2]
+        if self._ignored_depth or tag in self._ignored:
+            self._ignored_depth += 1
+            return
+        element = Element(tag, attributes, self._expat.CurrentLineNumber)
+        if len(stack) > 1:  # the root keeps no children: they are taken one by one
+            stack[-1].children.append(element)
+            if len(stack) >= MAX_DEPTH:
+                self._refuse(f"elements are nested more than {MAX_DEPTH} deep")
+        elif not stack:
+            self.root = element
+        stack.append(element)
+        if self._text_in is not None and tag in self._text_in:
+            self._expat.CharacterDataHandler = self._text
+
+    def _end(self, _tag: str) -> None:
+        if self._ignored_depth:
+            self._ignored_depth -= 1
+            return
+        element = self._stack.pop()
+        if len(self._stack) == 1:
+            self._complete.append(element)
+        if self._text_in is not None and element.tag in self._text_in:
+            self._expat.CharacterDataHandler = None
+
+    def _text(self, text: str) -> None:
+        if self._stack and not self._ignored_depth:
+            self._stack[-1].text += text
+            if len(self._stack[-1].text) > MAX_TEXT:
+                self._refuse(f"<{self._stack[-1].tag}> has more than {MAX_TEXT} characters of text")
+
+    def _doctype(self, *_: object) -> NoReturn:
+        self._refuse("a document type (<!DOCTYPE ...>) is not allowed in a map; remove it")
+
+    def _refuse(self, why: str) -> NoReturn:
+        raise MapFileError(f"{self._name}, line {self._expat.CurrentLineNumber}: {why}")

@@ -1,0 +1,101 @@
+"""Loading: the content shows the format, and what cannot be loaded is one clear error."""
+
+import gzip
+import sys
+from pathlib import Path
+
+import pytest
+from xodr_files import document, road
+
+import maplines_can as ml
+from maplines_can.maps.load import FORMATS
+
+TEXT = document(road())
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "town.xodr"
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        pytest.param(TEXT.encode(), id="plain"),
+        pytest.param(b"\xef\xbb\xbf" + TEXT.encode(), id="byte-order-mark"),
+        pytest.param(TEXT.replace("UTF-8", "UTF-16").encode("utf-16"), id="UTF-16"),
+        pytest.param(
+            TEXT.replace("UTF-8", "ISO-8859-1").replace("Main", "Maßweg").encode("latin-1"),
+            id="Latin-1",
+        ),
+        pytest.param(TEXT.partition("\n")[2].encode(), id="no-declaration"),
+        pytest.param(b"\n<!-- <a> --><!-- b -->" + TEXT.partition("\n")[2].encode(), id="comments"),
+        pytest.param(gzip.compress(TEXT.encode()), id="gzip"),
+        pytest.param(gzip.compress(b"\xef\xbb\xbf" + TEXT.encode()), id="gzip-byte-order-mark"),
+    ],
+)
+@pytest.mark.parametrize("name", ["town.xodr", "town.xml", "town.xodr.gz", "town"])
+def test_load_reads_an_encoding(tmp_path: Path, data: bytes, name: str) -> None:
+    """Whatever the name of the file."""
+    path = tmp_path / name
+    path.write_bytes(data)
+    found = ml.maps.load(path)
+    assert (len(found.lanes), found.name, found.skipped) == (2, name, ())
+    assert len(ml.maps.load(str(path)).lanes) == 2
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        pytest.param(b"", "town.xodr is empty", id="empty"),
+        pytest.param(b" \n ", "town.xodr is empty", id="blank"),
+        pytest.param(b"\x1f\x8b", "town.xodr cannot be decompressed", id="cut-gzip-header"),
+        pytest.param(b"\x1f\x8bnonsense", "town.xodr cannot be read", id="not-gzip"),
+        pytest.param(b"<html></html>", "XML with the root element <html>", id="another-root"),
+        pytest.param(b"hello", "no known format", id="text"),
+        pytest.param(bytes(range(256)), "no known format", id="binary"),
+        pytest.param(b"<OpenDRIVE", "not an OpenDRIVE file: line 1", id="cut-root"),
+        pytest.param(b"<OpenDRIVE/>", "contains no usable road", id="no-road"),
+        pytest.param(b"<OpenDRIVE>" + b"<!-- -->" * 9000, "no usable road", id="only-comments"),
+        pytest.param(b"<!-- -->" * 9000, "no known format", id="comments-without-root"),
+        pytest.param(b"<?x ?>" * 9000 + b"<", "no known format", id="instructions"),
+    ],
+)
+def test_what_cannot_be_loaded_is_an_error(path: Path, data: bytes, message: str) -> None:
+    path.write_bytes(data)
+    with pytest.raises(ml.MapFileError, match=message):
+        ml.maps.load(path)
+
+
+def test_a_cut_gzip_file_gives_what_is_before(path: Path) -> None:
+    """As a file that is not compressed."""
+    roads = "".join(road(road_id=str(i)) for i in range(1000))
+    data = gzip.compress(document(roads).encode())
+    path.write_bytes(data[: len(data) // 2])
+    found = ml.maps.load(path)
+    assert 0 < len(found.roads) < 1000
+    assert "the rest of the file is not used" in found.skipped[-1].why
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        ml.maps.load(tmp_path / "nothing.xodr")
+
+
+def test_a_folder_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ml.MapFileError, match="cannot be read"):
+        ml.maps.load(tmp_path)
+
+
+def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The size after decompression counts."""
+    monkeypatch.setattr(sys.modules["maplines_can.maps.load"], "MAX_BYTES", 1 << 20)
+    text = TEXT.replace("</OpenDRIVE>", "<userData>" + " " * (2 << 20) + "</userData></OpenDRIVE>")
+    path.write_bytes(gzip.compress(text.encode()))
+    with pytest.raises(ml.MapFileError, match="more than 1 MB; divide the map"):
+        ml.maps.load(path)
+
+
+def test_formats_are_modules_with_a_reader() -> None:
+    assert "OpenDRIVE" in [form.name for form in FORMATS]
+    assert len({form.name for form in FORMATS}) == len(FORMATS)

@@ -1,0 +1,249 @@
+"""Lanes and roads that the reader of OpenDRIVE returns."""
+
+import numpy as np
+import pytest
+from xodr_files import WIDTH, geometry, lane, linked, read_map, reasons, road, section
+
+from maplines_can import Kind
+from maplines_can.maps import Lane, LaneType
+
+#: A road with all that a reader tends to mix up: two lanes each way, and shoulders.
+WIDE = section(
+    lane(3, kind="shoulder"),
+    lane(2),
+    lane(1),
+    lane(-1),
+    lane(-2),
+    lane(-3, kind="shoulder"),
+)
+
+
+def lane_of(*elements: str, lane_id: str = "1:0:-1") -> Lane:
+    return read_map(*elements).lanes[lane_id]
+
+
+def left_to_right(found: Lane) -> list[list[float]]:
+    """Return the first point of the left and of the right boundary."""
+    return [line.points[0].tolist() for line in (found.left, found.centre, found.right)]
+
+
+@pytest.mark.parametrize(
+    ("rule", "lane_id", "expected"),
+    [
+        ("RHT", -1, [[0, 0], [0, -1.75], [0, -3.5]]),
+        ("RHT", 1, [[100, 0], [100, 1.75], [100, 3.5]]),
+        ("LHT", 1, [[0, 3.5], [0, 1.75], [0, 0]]),
+        ("LHT", -1, [[100, -3.5], [100, -1.75], [100, 0]]),
+    ],
+)
+def test_lines_run_in_the_driving_direction(
+    rule: str, lane_id: int, expected: list[list[float]]
+) -> None:
+    """Left and right are as seen by the driver."""
+    found = read_map(road(attributes=f'rule="{rule}"'))
+    assert left_to_right(found.lanes[f"1:0:{lane_id}"]) == expected
+    assert found.left_hand_traffic == (rule == "LHT")
+
+
+def test_a_lane_can_be_reversed() -> None:
+    """By its attribute direction (OpenDRIVE 1.8)."""
+    found = lane_of(road(section(lane(-1, attributes='direction="reversed"'))))
+    assert left_to_right(found) == [[100, -3.5], [100, -1.75], [100, 0]]
+
+
+def test_lanes_that_share_a_boundary_share_its_polyline() -> None:
+    found = read_map(road(WIDE)).lanes
+    assert found["1:0:-1"].right is found["1:0:-2"].left
+    assert found["1:0:1"].left is not found["1:0:-1"].left  # the other way round
+
+
+@pytest.mark.parametrize(
+    ("lane_id", "left", "right", "opposite"),
+    [
+        (-1, None, "1:0:-2", "1:0:1"),
+        (-2, "1:0:-1", None, None),
+        (-3, "1:0:-2", None, None),
+        (1, None, "1:0:2", "1:0:-1"),
+        (2, "1:0:1", None, None),
+    ],
+)
+def test_neighbours(
+    lane_id: int, left: str | None, right: str | None, opposite: str | None
+) -> None:
+    """A shoulder is no neighbour; the lane beside it is one of the shoulder."""
+    found = lane_of(road(WIDE), lane_id=f"1:0:{lane_id}")
+    assert (found.left_neighbour, found.right_neighbour) == (left, right)
+    assert found.opposite_left == opposite
+
+
+def test_neighbours_with_left_hand_traffic() -> None:
+    """The lane across the centre line is on the right."""
+    found = read_map(road(WIDE, attributes='rule="LHT"')).lanes
+    assert found["1:0:1"].left_neighbour == "1:0:2"
+    assert found["1:0:1"].right_neighbour is None
+    assert found["1:0:1"].opposite_left == "1:0:-1"
+    assert found["1:0:-1"].left_neighbour == "1:0:-2"
+
+
+@pytest.mark.parametrize(
+    ("mark", "kind"),
+    [
+        ("solid", Kind.SOLID),
+        ("broken", Kind.DASHED),
+        ("solid solid", Kind.DOUBLE),
+        ("solid broken", Kind.DOUBLE),
+        ("broken solid", Kind.DOUBLE),
+        ("broken broken", Kind.DOUBLE),
+        ("botts dots", Kind.DASHED),
+        ("curb", Kind.KERB),
+        ("grass", Kind.ROAD_EDGE),
+        ("edge", Kind.ROAD_EDGE),
+        ("none", Kind.VIRTUAL),
+        ("custom", Kind.UNKNOWN),
+        ("", Kind.UNKNOWN),
+    ],
+)
+def test_kinds_of_markings(mark: str, kind: Kind) -> None:
+    marked = WIDTH + f'<roadMark sOffset="0" type="{mark}"/>'
+    found = read_map(road(section(lane(1), lane(-1, marked), lane(-2)))).lanes
+    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == kind
+
+
+def test_the_marking_of_lane_0_is_between_the_directions() -> None:
+    found = read_map(
+        road(section(lane(1), lane(-1), centre='<roadMark sOffset="0" type="solid solid"/>'))
+    ).lanes
+    assert found["1:0:-1"].left_kind == found["1:0:1"].left_kind == Kind.DOUBLE
+
+
+def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
+    found = read_map(road()).lanes
+    assert found["1:0:-1"].right_kind == found["1:0:1"].right_kind == Kind.ROAD_EDGE
+    kerb = WIDTH + '<roadMark sOffset="0" type="curb"/>'
+    assert lane_of(road(section(lane(-1, kerb)))).right_kind == Kind.KERB
+
+
+def test_the_edges_of_a_one_way_road() -> None:
+    """The boundary between its lanes is none."""
+    found = read_map(road(section(lane(-1), lane(-2)))).lanes
+    assert found["1:0:-1"].left_kind == found["1:0:-2"].right_kind == Kind.ROAD_EDGE
+    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == Kind.UNKNOWN
+
+
+def test_roads_in_a_junction_have_no_edges() -> None:
+    """They overlap."""
+    found = lane_of(road(section(lane(-1)), attributes='junction="9"'))
+    assert found.left_kind == found.right_kind == Kind.UNKNOWN
+
+
+@pytest.mark.parametrize(
+    ("first", "expected"), [(30.0, Kind.SOLID), (49.9, Kind.SOLID), (50.1, Kind.DASHED)]
+)
+def test_of_several_markings_the_longest_counts(first: float, expected: Kind) -> None:
+    marks = f'<roadMark sOffset="0" type="broken"/><roadMark sOffset="{first}" type="solid"/>'
+    assert lane_of(road(section(lane(-1, WIDTH + marks)))).right_kind == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "is_drivable"),
+    [
+        ("driving", LaneType.DRIVING, True),
+        ("entry", LaneType.ENTRY, True),
+        ("mwyExit", LaneType.EXIT, True),
+        ("onRamp", LaneType.ON_RAMP, True),
+        ("offRamp", LaneType.OFF_RAMP, True),
+        ("connectingRamp", LaneType.CONNECTING_RAMP, True),
+        ("bidirectional", LaneType.BIDIRECTIONAL, True),
+        ("bus", LaneType.BUS, False),
+        ("HOV", LaneType.HOV, False),
+        ("stop", LaneType.STOP, False),
+        ("shoulder", LaneType.SHOULDER, False),
+        ("biking", LaneType.BIKING, False),
+        ("walking", LaneType.SIDEWALK, False),
+        ("special1", LaneType.OTHER, False),
+        ("none", LaneType.NONE, False),
+    ],
+)
+def test_types_of_lanes(name: str, kind: LaneType, is_drivable: bool) -> None:
+    found = lane_of(road(section(lane(-1, kind=name))))
+    assert found.type == kind
+    assert found.type.is_drivable == is_drivable
+
+
+@pytest.mark.parametrize(
+    ("speed", "limit"),
+    [
+        ('max="50" unit="km/h"', 50 / 3.6),
+        ('max="55" unit="mph"', 55 * 0.44704),
+        ('max="13.9" unit="m/s"', 13.9),
+        ('max="13.9"', 13.9),
+        ('max="no limit"', None),
+        ('max="undefined"', None),
+    ],
+)
+def test_speed_limits(speed: str, limit: float | None) -> None:
+    """Of the road, and of a lane that has its own."""
+    expected = None if limit is None else pytest.approx(limit)
+    of_road = f'<type s="0" type="town"><speed {speed}/></type>'
+    assert lane_of(road(before=of_road)).speed_limit == expected
+    slow = '<type s="0" type="town"><speed max="1"/></type>'
+    own = section(lane(-1, WIDTH + f'<speed sOffset="0" {speed}/>'))
+    assert lane_of(road(own, before=slow)).speed_limit == expected
+
+
+def test_roads() -> None:
+    found = read_map(road(link=linked("successor", "2")), road(road_id="2", plan=geometry(x=100.0)))
+    assert found.roads["1"].name == "Main Street"
+    assert found.roads["1"].length == 100
+    assert found.roads["1"].lanes == ("1:0:1", "1:0:-1")
+    assert repr(found) == "<Map 'map.xodr': 2 roads, 4 lanes>"
+
+
+@pytest.mark.parametrize(
+    ("header", "projection"),
+    [
+        ("<geoReference><![CDATA[ +proj=utm +zone=32 ]]></geoReference>", "+proj=utm +zone=32"),
+        ("<geoReference>+proj=utm\n+zone=32</geoReference>", "+proj=utm\n+zone=32"),
+        ("<geoReference/>", None),
+        ("", None),
+    ],
+)
+def test_the_projection_is_kept(header: str, projection: str | None) -> None:
+    assert read_map(road(), header=header).projection == projection
+
+
+def test_an_offset_of_the_header_is_listed() -> None:
+    """It is not applied, so that positions are those of the file."""
+    found = read_map(road(), header='<offset x="100.5" y="0.0" z="0" hdg="0"/>')
+    assert "the offset is not applied" in reasons(found)[0]
+    assert not read_map(road(), header='<offset x="0.0" y="-0.00" z="3" hdg="0"/>').skipped
+
+
+def test_a_namespace_changes_nothing() -> None:
+    text = road().replace("<road ", '<road xmlns="http://asam.net" xmlns:o="http://o" ')
+    prefixed = text.replace("<planView>", "<o:planView>").replace("</planView>", "</o:planView>")
+    assert len(read_map(prefixed).lanes) == 2
+
+
+def test_the_length_of_the_geometry_counts() -> None:
+    found = read_map(road(length=120.0))
+    assert reasons(found) == ["length is '120.0'; that of the geometry is used, 100.000 m"]
+    assert found.lanes["1:0:-1"].length == pytest.approx(100)
+
+
+def test_a_gap_between_geometries_is_listed() -> None:
+    """The geometry before it continues."""
+    plan = geometry(length=40.0) + geometry(s=50.0, x=50.0, length=50.0)
+    found = read_map(road(plan=plan))
+    assert reasons(found) == [
+        "the geometry at s = 0 m ends at 40 m; it is used up to the next one at 50 m"
+    ]
+    assert np.diff(found.lanes["1:0:-1"].left.points[:, 0]).max() <= 50
+    assert found.lanes["1:0:-1"].length == pytest.approx(100)
+
+
+def test_the_order_of_geometries_and_sections_in_the_file_does_not_matter() -> None:
+    plan = geometry(s=50.0, x=50.0, length=50.0) + geometry(length=50.0)
+    found = read_map(road(section(lane(-1), s=60.0), section(lane(-1, successor=-1)), plan=plan))
+    assert found.lanes["1:0:-1"].length == pytest.approx(60)
+    assert found.lanes["1:0:-1"].successors == ("1:1:-1",)
