@@ -43,7 +43,13 @@ class Format(NamedTuple):
     suffixes: tuple[str, ...] = ()
 
 
-FORMATS = (Format("OpenDRIVE", "opendrive", root="OpenDRIVE"),)
+FORMATS = (
+    Format("OpenDRIVE", "opendrive", root="OpenDRIVE"),
+    Format("Lanelet2", "osm", root="osm"),
+    Format("CommonRoad", "commonroad", root="commonRoad"),
+    Format("GeoJSON", "points", suffixes=(".geojson", ".json")),
+    Format("CSV", "points", suffixes=(".csv",)),
+)
 
 
 def load(path: str | os.PathLike[str]) -> Map:
