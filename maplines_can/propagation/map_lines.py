@@ -81,8 +81,11 @@ def map_lines(
     counts = _checked(lines, ego, components)
     x_min, x_max = (floats(end, "window").item() for end in window)
     P = _ego_cov(ego)
-    room = MARGIN * float(_along_sigma(P, np.array([-ASIDE, ASIDE])).max())
     turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(P[2, 2])), MIN_TURN)
+    if map_error is not None:  # moves the ends of a line as the pose error does
+        shift = map_error.offset_sigma**2 + map_error.point_sigma**2
+        P = P + np.diag([shift, shift, map_error.heading_sigma**2])
+    room = MARGIN * float(_along_sigma(P, np.array([-ASIDE, ASIDE])).max())
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
     singles = [slot for slot, k in counts.items() if k == 1]
     groups = [singles] * bool(singles) + [[slot] for slot, k in counts.items() if k > 1]
@@ -94,7 +97,7 @@ def map_lines(
         found |= {slots[i]: reason for i, reason in seen.left_out.items()}
         if not len(seen.given):
             continue
-        refit = Refit.of_stretches(seen, ego.mean, map_error, max_misfit)
+        refit = Refit(seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=room)
         margin = MARGIN * _along_sigma(P, refit.points[:, [0, -1], 1])  # (L, 2)
         x_range = (refit.x_range + margin * [1, -1]).clip(x_min, x_max)
         wide = (x_range[:, 1] - x_range[:, 0] >= MIN_RANGE) & ~refit.is_across

@@ -74,7 +74,8 @@ class Refit:
     once: the cost per pose does not depend on the number of points.
 
     Args:
-        polyline: the line, or several lines for which each call returns parameters.
+        polyline: the line; several lines, for which each call returns parameters; or stretches
+            of lines that were selected before, for which ``window`` and ``max_turn`` are ignored.
         pose: (3,) mean pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
         window: (x_min, x_max) in the ego frame of ``pose``; the line in it is used [m].
         map_error: error of the map points; transforms add its effect to the covariance.
@@ -83,6 +84,7 @@ class Refit:
             without that cover, as in the paper.
         max_turn: largest angle between a line and the x axis of ``pose`` [rad]; the line is not
             used farther along.
+        room: distance behind the car at which a range begins at least, if the line does [m].
 
     Raises:
         ValueError: ``pose``, ``window`` or ``max_misfit`` is wrong, or there is no line.
@@ -101,50 +103,25 @@ class Refit:
 
     def __init__(
         self,
-        polyline: Polyline | Sequence[Polyline],
+        polyline: Polyline | Sequence[Polyline] | Stretches,
         pose: ArrayLike,
-        window: tuple[float, float],
+        window: tuple[float, float] = (-20.0, 80.0),
         map_error: MapError | None = None,
         *,
         max_misfit: float = MAX_MISFIT,
         max_turn: float = MAX_TURN,
-    ) -> None:
-        single = isinstance(polyline, Polyline)
-        lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
-        if not lines:
-            raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
-        seen = stretches(lines, pose, window, max_turn)
-        for i, reason in sorted(seen.left_out.items()):
-            which = "the line" if single else f"line {i} of {len(lines)}"
-            raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
-        self._trailing = () if single else (len(lines),)
-        self._set(seen, floats(pose, "pose"), map_error, max_misfit)
-
-    @classmethod
-    def of_stretches(
-        cls,
-        seen: Stretches,
-        pose: ArrayLike,
-        map_error: MapError | None = None,
-        max_misfit: float = MAX_MISFIT,
-    ) -> Refit:
-        """Return the function for stretches that were selected, as for several lines."""
-        refit = cls.__new__(cls)
-        refit._trailing = (len(seen.given),)
-        refit._set(seen, floats(pose, "pose"), map_error, max_misfit)
-        return refit
-
-    def _set(
-        self,
-        seen: Stretches,
-        pose: NDArray[np.float64],
-        map_error: MapError | None,
-        max_misfit: float,
+        room: float = 0.0,
     ) -> None:
         if not max_misfit > 0:
             raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
+        pose = floats(pose, "pose")
+        if isinstance(polyline, Stretches):
+            seen = polyline
+        else:
+            seen = _seen(polyline, pose, window, max_turn)
+        self._trailing = () if isinstance(polyline, Polyline) else (len(seen.given),)
         self.pose = np.array(pose)
-        fitted = longest_ranges(seen, max_misfit)
+        fitted = longest_ranges(seen, max_misfit, room)
         self._x_range, self._misfit = fitted.x_range, fitted.misfit
         x, y = fitted.x, fitted.y
         if max_misfit < np.inf:
@@ -305,6 +282,23 @@ def _moments_to_harmonics() -> NDArray[np.float64]:
 _MOMENTS_TO_HARMONICS = _moments_to_harmonics()
 #: (K, DEGREE + 1) powers of the nodes, with the factor of a mean.
 _POWERS = np.vander(NODES, DEGREE + 1, increasing=True) / len(NODES)
+
+
+def _seen(
+    polyline: Polyline | Sequence[Polyline],
+    pose: NDArray[np.float64],
+    window: tuple[float, float],
+    max_turn: float,
+) -> Stretches:
+    """Return the stretches of the lines, all of which must have one."""
+    lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
+    if not lines:
+        raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
+    seen = stretches(lines, pose, window, max_turn)
+    for i, reason in sorted(seen.left_out.items()):
+        which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
+        raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
+    return seen
 
 
 def _harmonics_of_sums(b: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -86,8 +86,10 @@ def fit(stretches: Stretches, x_range: NDArray[np.float64]) -> Fitted:
     return Fitted(x_range, x, y, least, greatest)
 
 
-def longest_ranges(stretches: Stretches, max_misfit: float) -> Fitted:
+def longest_ranges(stretches: Stretches, max_misfit: float, room: float = 0.0) -> Fitted:
     """Return the fits in the longest ranges of the stretches with a misfit of at most a limit.
+
+    The ranges begin at least ``room`` [m] behind the car, if the line does.
 
     The least-squares fit is shifted to halve the span of its deviations. This matters for points
     that are far apart in a bend: the line between them is all on one side of the bend.
@@ -96,7 +98,7 @@ def longest_ranges(stretches: Stretches, max_misfit: float) -> Fitted:
     bad = np.flatnonzero(fits.misfit > max_misfit)
     if len(bad):
         x_range = stretches.x_range.copy()
-        x_range[bad] = _search(stretches, bad, max_misfit)
+        x_range[bad] = _search(stretches, bad, max_misfit, room)
         while len(bad := np.flatnonzero((fits := fit(stretches, x_range)).misfit > max_misfit)):
             car = np.clip(0.0, *x_range[bad].T)[:, None]
             x_range[bad] = car + 0.97 * (x_range[bad] - car)
@@ -104,15 +106,15 @@ def longest_ranges(stretches: Stretches, max_misfit: float) -> Fitted:
 
 
 def _search(
-    stretches: Stretches, lines: NDArray[np.intp], max_misfit: float
+    stretches: Stretches, lines: NDArray[np.intp], max_misfit: float, room: float
 ) -> NDArray[np.float64]:
-    """Return the (B, 2) ranges with the longest reach of B lines, about the car's place.
+    """Return the (B, 2) ranges with the longest reach of B lines, about ``room`` behind the car.
 
     Each start that is tried is a candidate. The interval that contains the end of its longest
     range is narrowed in rounds. Candidates that cannot become the best of their line are dropped.
     """
     low, high = stretches.x_range[lines].T[:, :, None]  # (B, 1)
-    car = np.clip(0.0, low, high)
+    car = np.clip(-room, low, high)
     begin = (car + (low - car) * _STARTS).ravel()
     which = np.arange(len(lines)).repeat(len(_STARTS))
     inner, outer = car[which, 0], high[which, 0]

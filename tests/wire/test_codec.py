@@ -62,6 +62,17 @@ def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
 
 
+@given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
+def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
+    """By the first-order sigma of the lateral position, or the line is OUT_OF_RANGE."""
+    cov = np.diag([1e-2, 1e-6, 1e-10, 1e-14])
+    line = MapLine(0, Gaussian([0.0, sign * beta, 0.0, 0.0], cov), x_min=-20, x_max=20)  # type: ignore[arg-type]
+    decoder = codec.decoder()
+    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]
+    if received.is_usable:
+        assert abs(line.y(x) - received.y(x)) <= received.y_sigma(x) + 1e-9
+
+
 def test_age_is_rounded_up(codec: Any) -> None:
     """To the next step; the greatest raw value means "too old"."""
     ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.239, 0.24, 0.2401, 0.248, 9.0, np.inf])
