@@ -196,7 +196,7 @@ def lanelet_map(
     by_id, skipped = {lane.id: lane for lane in lanes}, list(skipped)
     if not by_id and not polylines:
         why = f"; first reason: {skipped[0]}" if skipped else ""
-        raise MapFileError(f"{name} contains no usable lane{why}")
+        raise MapFileError(f"{name} contains no usable lane or line{why}")
     by_id = {lane.id: _without_dead_links(lane, by_id, skipped) for lane in by_id.values()}
     road_of: dict[str, str] = {}
     groups: list[list[Lane]] = []
