@@ -52,24 +52,25 @@ class _Line(NamedTuple):
     kind: str
 
 
-def read(stream: BinaryIO, name: str) -> Map:
+def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
     """Read a map from the bytes of a GeoJSON or a CSV file; the first character shows which.
 
     Args:
         stream: of the text in UTF-8.
         name: of the file, for messages.
+        projection: PROJ string of the frame of a GeoJSON map, as of ``maps.projection``.
 
     Raises:
         MapFileError: it is neither, or has no usable line.
+        ValueError: the projection is not one of ``maps.projection``.
     """
     try:
         text = stream.read().decode("utf-8-sig")
     except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
         raise MapFileError(f"{name} cannot be read as text in UTF-8: {error}") from None
     skipped: list[Skipped] = []
-    projection = None
     if text.lstrip().startswith(("{", "[")):
-        lines, projection = _geojson(text, name, skipped)
+        lines, projection = _geojson(text, name, projection, skipped)
     else:
         lines = list(_csv(text, name, skipped))
     return _map(lines, name, skipped, projection)
@@ -173,7 +174,9 @@ def _csv(text: str, name: str, skipped: list[Skipped]) -> Iterator[_Line]:
         raise MapFileError(f"{name}, line {rows.line_num}: {error}") from None
 
 
-def _geojson(text: str, name: str, skipped: list[Skipped]) -> tuple[list[_Line], str | None]:
+def _geojson(
+    text: str, name: str, projection: str | None, skipped: list[Skipped]
+) -> tuple[list[_Line], str | None]:
     """Return the lines in the frame of the map, and its projection."""
     try:
         document = json.loads(text)
@@ -192,7 +195,7 @@ def _geojson(text: str, name: str, skipped: list[Skipped]) -> tuple[list[_Line],
         named = str(properties.get("name", "")) if isinstance(properties, dict) else ""
         if not named.endswith(_WGS84):
             return lines, named or None
-    return _projected(lines, skipped)
+    return _projected(lines, projection, skipped)
 
 
 def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line]:
@@ -223,7 +226,9 @@ def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line
             yield _Line(named, where, points, lane.strip(), side.strip().lower(), kind)
 
 
-def _projected(lines: Iterable[_Line], skipped: list[Skipped]) -> tuple[list[_Line], str | None]:
+def _projected(
+    lines: Iterable[_Line], projection: str | None, skipped: list[Skipped]
+) -> tuple[list[_Line], str | None]:
     """Return the lines around the middle of the map, and their projection."""
     usable = []
     for line in lines:
@@ -241,7 +246,8 @@ def _projected(lines: Iterable[_Line], skipped: list[Skipped]) -> tuple[list[_Li
     first = points[0, 0]  # the map may cross the 180th meridian
     points[:, 0] = first + (points[:, 0] - first + 180) % 360 - 180
     longitude, latitude = ((points.min(axis=0) + points.max(axis=0)) / 2).tolist()
-    projection = tangent(round(latitude, 7), round(math.remainder(longitude, 360), 7))
+    around = round(latitude, 7), round(math.remainder(longitude, 360), 7)
+    projection = projection or tangent(*around)
     plane = iter(project(projection, points[:, 1], points[:, 0]).tolist())
     return [
         line._replace(points=[tuple(next(plane)) for _ in line.points]) for line in usable

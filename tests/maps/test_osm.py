@@ -262,6 +262,8 @@ def test_load(tmp_path: Path, suffix: str) -> None:
     assert (len(found.lanes), found.name) == (1, path.name)
     (lane,) = found.lanes.values()
     assert lane.road == lane.id
+    (lane,) = ml.maps.load(path, projection=tangent(49.0, 8.4)).lanes.values()
+    assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 def test_a_street_map_is_an_error() -> None:

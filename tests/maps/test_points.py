@@ -13,7 +13,7 @@ from maplines_can import MapFileError
 from maplines_can.line import Kind
 from maplines_can.maps import Map
 from maplines_can.maps.points import read
-from maplines_can.maps.projection import project
+from maplines_can.maps.projection import project, utm
 
 TWO_LANES = """line,x,y,lane,side,kind
 a,0,6,1,left,solid
@@ -213,6 +213,10 @@ def test_load(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(b"\xef\xbb\xbf" + geojson(feature((8.0, 49.0), (8.1, 49.0))).encode())
     assert len(ml.maps.load(path).polylines) == 1
+    found = ml.maps.load(path, projection=utm(49.0, 8.0))
+    assert found.polylines["0"].points[0] == pytest.approx((426857.99, 5427937.52), abs=0.01)
     path = tmp_path / "map.csv"
     path.write_text(TWO_LANES)
     assert len(ml.maps.load(path).lanes) == 3
+    with pytest.raises(ValueError, match="is CSV, whose positions are in metres"):
+        ml.maps.load(path, projection=utm(49.0, 8.0))
