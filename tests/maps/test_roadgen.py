@@ -47,7 +47,8 @@ def crossing() -> Any:
     """Four roads of two lanes that meet in a junction."""
     network = roadgen.Map(sampling=SAMPLING)
     junction = network.add_junction()
-    into, out = [], []
+    into: list[Any] = []
+    out: list[Any] = []
     for i in range(4):
         c, s = math.cos(i * math.pi / 2), math.sin(i * math.pi / 2)
         for roads, near, side in ((into, "end", 1.0), (out, "start", -1.0)):
