@@ -82,7 +82,7 @@ def tangent(latitude: float, longitude: float) -> str:
     >>> tangent(49.0, 8.4)
     '+proj=tmerc +lat_0=49.0 +lon_0=8.4 +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs'
     """
-    origin = f"+lat_0={float(latitude)!r} +lon_0={float(longitude)!r}"
+    origin = f"+lat_0={_fixed(latitude)} +lon_0={_fixed(longitude)}"
     return f"+proj=tmerc {origin} +k=1 +x_0=0 +y_0=0 +datum=WGS84 +units=m +no_defs"
 
 
@@ -94,8 +94,8 @@ def local_cartesian(latitude: float, longitude: float, height: float = 0.0) -> s
     """
     return (
         "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart "
-        f"+ellps=WGS84 +step +proj=topocentric +ellps=WGS84 +lat_0={float(latitude)!r} "
-        f"+lon_0={float(longitude)!r} +h_0={float(height)!r}"
+        f"+ellps=WGS84 +step +proj=topocentric +ellps=WGS84 +lat_0={_fixed(latitude)} "
+        f"+lon_0={_fixed(longitude)} +h_0={_fixed(height)}"
     )
 
 
@@ -175,6 +175,11 @@ def _geocentric(phi: Array, lam: Array, height: Array) -> Array:
     across = (normal + height) * np.cos(phi)
     up = (normal * (1 - _E2) + height) * np.sin(phi)
     return np.stack([across * np.cos(lam), across * np.sin(lam), up], axis=-1)
+
+
+def _fixed(number: float) -> str:
+    """Return all digits without an exponent, which PROJ would take for "east"."""
+    return np.format_float_positional(float(number), trim="0")
 
 
 def _parameters(projection: str) -> Mapping[str, str]:
