@@ -35,24 +35,37 @@ class Format(NamedTuple):
         module: of this package, with ``read(stream, name) -> Map``; loaded when it is used.
         root: tag of the root element, if the format is XML.
         suffixes: of file names, for formats that are not XML.
+        is_projected: whether positions are in WGS84, and ``read`` takes a projection.
     """
 
     name: str
     module: str
     root: str = ""
     suffixes: tuple[str, ...] = ()
+    is_projected: bool = False
 
 
-FORMATS = (Format("OpenDRIVE", "opendrive", root="OpenDRIVE"),)
+FORMATS = (
+    Format("OpenDRIVE", "opendrive", root="OpenDRIVE"),
+    Format("Lanelet2", "osm", root="osm", is_projected=True),
+    Format("CommonRoad", "commonroad", root="commonRoad"),
+    Format("GeoJSON", "points", suffixes=(".geojson", ".json"), is_projected=True),
+    Format("CSV", "points", suffixes=(".csv",)),
+)
 
 
-def load(path: str | os.PathLike[str]) -> Map:
+def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
     """Load a map file. The content shows its format; it may be compressed by gzip.
 
     Args:
         path: of a map in one of the formats ``FORMATS``.
+        projection: PROJ string of the frame for positions in WGS84, as ``maps.projection`` returns
+            it. By default it is the UTM zone of a Lanelet2 map, or its ``local_x`` and ``local_y``,
+            and a transverse Mercator projection around the middle of a GeoJSON map.
 
     Raises:
+        ValueError: the projection is not one of ``maps.projection``, or the positions of the format
+            are in metres.
         FileNotFoundError: there is no such file.
         MapFileError: the file cannot be read, or contains nothing that can be used. What cannot be
             used of a map that can is listed in ``Map.skipped``.
@@ -63,8 +76,15 @@ def load(path: str | os.PathLike[str]) -> Map:
             bounded = _Bounded(stream, path.name)
             buffered = io.BufferedReader(bounded, HEAD)
             head = _head(buffered, path.name)
-            reader = import_module(f".{_format(head, path).module}", __package__)
-            found: Map = reader.read(buffered, path.name)
+            form = _format(head, path)
+            if projection is not None and not form.is_projected:
+                raise ValueError(
+                    f"{path.name} is {form.name}, whose positions are in metres; "
+                    f"leave out the projection, got {projection[:80]!r}"
+                )
+            reader = import_module(f".{form.module}", __package__)
+            options = {} if projection is None else {"projection": projection}
+            found: Map = reader.read(buffered, path.name, **options)
     except FileNotFoundError:
         raise
     except OSError as error:

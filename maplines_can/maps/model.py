@@ -7,7 +7,7 @@ x and y in metres, angles counter-clockwise.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
 
@@ -197,6 +197,7 @@ class Map:
         projection: PROJ string (or WKT) of the map frame as in the file; None if it has none.
         name: name of the file or of the map.
         left_hand_traffic: whether most roads have left-hand traffic.
+        polylines: lines of the file that belong to no lane, by their ids.
 
     Raises:
         ValueError: a key differs from the id of its value, or an id leads nowhere.
@@ -208,8 +209,10 @@ class Map:
     projection: str | None = None
     name: str = ""
     left_hand_traffic: bool = False
+    polylines: Mapping[str, Polyline] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "polylines", MappingProxyType(dict(self.polylines)))
         for name in ("lanes", "roads"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
             for key, value in getattr(self, name).items():

@@ -10,13 +10,12 @@ e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 
 Tables are read in blocks, the arrays of an ``.npz`` as a whole.
 
-The lines of a map are a CSV with the columns ``line``, ``x`` and ``y`` [m]: points in their order,
-those of a line next to each other.
+The lines of a map are a file that ``maps.load`` reads, such as a CSV with the columns ``line``,
+``x`` and ``y`` [m]: points in their order, those of a line next to each other.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -28,8 +27,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import StudyError, missing_extra
+from ..errors import MapFileError, StudyError, missing_extra
 from ..gaussian import asymmetric, indefinite, nearest_covariance
+from ..maps import load
 from ..polyline import Polyline
 
 Array = NDArray[np.float64]
@@ -95,48 +95,20 @@ class GaussianFile:
 def read_map(path: Path) -> tuple[tuple[Polyline, ...], str]:
     """Return the lines of a map and the SHA-256 of its file.
 
+    They are the boundaries of the lanes, or the lines of a file without lanes.
+
     Raises:
-        StudyError: the file is not such a map.
+        StudyError: the file is not a map, or a line of a file without lanes cannot be used.
     """
-    lines: dict[str, list[tuple[float, float]]] = {}
-    last = None
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = csv.DictReader(file, skipinitialspace=True)
-            columns = [name.strip() for name in rows.fieldnames or ()]
-            if missing := {"line", "x", "y"} - set(columns):
-                raise StudyError(
-                    f"{path}: a map has the columns line, x and y; "
-                    f"there is no {', '.join(sorted(missing))}"
-                )
-            rows.fieldnames = columns
-            for row in rows:
-                if not any(row.values()):
-                    continue  # a blank line
-                where = f"{path}: line {rows.line_num}"
-                try:
-                    name, point = row["line"].strip(), (float(row["x"]), float(row["y"]))
-                except (AttributeError, TypeError, ValueError):
-                    values = ",".join(str(value) for value in row.values() if value is not None)
-                    raise StudyError(f"{where}: {values!r} is not a point of a map") from None
-                if name != last and name in lines:
-                    raise StudyError(
-                        f"{where}: {name!r} has points at two places; put the points of a line "
-                        "next to each other"
-                    )
-                lines.setdefault(name, []).append(point)
-                last = name
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        found = load(path)
+    except (OSError, MapFileError) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
-    if not lines:
-        raise StudyError(f"{path}: has no points")
-    polylines = []
-    for name, points in lines.items():
-        try:
-            polylines.append(Polyline(np.array(points)))
-        except ValueError as error:
-            raise StudyError(f"{path}: line {name!r}: {error}") from None
-    return tuple(polylines), _sha256(path)
+    if found.skipped and not found.lanes:
+        raise StudyError(f"{path}: {found.skipped[0]}")
+    sides = (line for lane in found.lanes.values() for line in (lane.left, lane.right))
+    lines = {id(line): line for line in (*found.polylines.values(), *sides)}
+    return tuple(lines.values()), _sha256(path)
 
 
 def _sha256(path: Path) -> str:

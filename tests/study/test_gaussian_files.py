@@ -142,7 +142,7 @@ def test_arrays_of_other_shapes_are_refused(arrays: Any, message: str, tmp_path:
     ("text", "message"),
     [
         ("x,y\n1,2", "there is no line"),
-        ("line,x,y\n", "has no points"),
+        ("line,x,y\n", "no usable lane or line"),
         ("line,x,y\na,1,2\na,b,2", "line 3"),
         ("line,x,y\na,1,2\na,1", "line 3"),
         ("line,x,y\na,1,2\nb,1,2", "line 'a'"),
