@@ -1,10 +1,10 @@
 """Lines of a digital map on a CAN bus, with their uncertainty.
 
 >>> import numpy as np, maplines_can as ml
->>> road = ml.Polyline([[x, 1.75 + x**2 / 4000] for x in range(-30, 100, 2)])
+>>> points = [[x, 1.75 + x**2 / 4000] for x in range(-30, 100, 2)]
+>>> road = ml.Polyline(points, ml.Kind.DASHED)
 >>> ego = ml.Gaussian([0, 0, 0], np.diag([0.3, 0.1, 0.01]) ** 2)
->>> left = (ml.Slot.EGO_LEFT, ml.Kind.DASHED, road)
->>> (line,) = ml.map_lines([left], ego, window=(-20.0, 80.0))
+>>> (line,) = ml.map_lines({ml.Slot.EGO_LEFT: road}, ego)
 >>> line.gaussian.mean.round(3)[0]  # Gaussian over (y_off, beta, c0, c1)
 np.float64(1.75)
 >>> frames = ml.Codec.from_dbc().encode(line)  # 4 frames of classic CAN
@@ -35,7 +35,17 @@ if TYPE_CHECKING:
     )
     from .errors import EncodeError, IllPosedError, LayoutError, MapFileError, MaplinesError
     from .gaussian import Gaussian, nearest_covariance
-    from .line import Kind, MapLine, Slot, Status, lateral, lateral_jacobian, transform_line
+    from .line import (
+        Kind,
+        LeftOut,
+        MapLine,
+        MapLineList,
+        Slot,
+        Status,
+        lateral,
+        lateral_jacobian,
+        transform_line,
+    )
     from .mixture import GaussianMixture
     from .polyline import Polyline
     from .propagation import (
@@ -53,7 +63,7 @@ if TYPE_CHECKING:
         predict,
         predict_to,
     )
-    from .scenarios import SCENARIOS, Scenario, scenario
+    from .scenarios import SCENARIOS, STREETS, Scenario, scenario
     from .wire import (
         Authenticator,
         Batch,
@@ -71,6 +81,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "SCENARIOS",
+    "STREETS",
     "Authenticator",
     "Batch",
     "Codec",
@@ -85,12 +96,14 @@ __all__ = [
     "Key",
     "Kind",
     "LayoutError",
+    "LeftOut",
     "LineListener",
     "Linear",
     "Link",
     "MapError",
     "MapFileError",
     "MapLine",
+    "MapLineList",
     "MaplinesError",
     "Mixture",
     "Monitor",
@@ -131,12 +144,12 @@ _EXPORTS = {
     "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log",
     "errors": "EncodeError IllPosedError LayoutError MapFileError MaplinesError",
     "gaussian": "Gaussian nearest_covariance",
-    "line": "Kind MapLine Slot Status lateral lateral_jacobian transform_line",
+    "line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian transform_line",
     "mixture": "GaussianMixture",
     "polyline": "Polyline",
     "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
     "Transform map_lines pose_time_ns predict predict_to",
-    "scenarios": "SCENARIOS Scenario scenario",
+    "scenarios": "SCENARIOS STREETS Scenario scenario",
     "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
     "Reason SlotView",
 }

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,14 @@ class Status(IntEnum):
     REPAIRED = 3  #: as FULL; an indefinite matrix was replaced by one that covers it (upper bound)
     SATURATED = 4  #: as FULL, but wider than necessary: a value reached the end of its range
     OUT_OF_RANGE = 5  #: the line does not fit the message: use neither mean nor covariance
+
+
+class LeftOut(StrEnum):
+    """Reason for which a line of the map is not given."""
+
+    NOT_IN_WINDOW = "the line is not in the window"
+    ACROSS = "the line is across the car's x axis"
+    TOO_SHORT = "the range of the line is shorter than the pose error"
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,6 +192,21 @@ class MapLine:
             return np.sqrt(np.einsum("...i,ij,...j->...", J, self.gaussian.cov, J).clip(0))
 
 
+class MapLineList(list[MapLine]):
+    """Result of ``map_lines``: lines, and the reasons of those that are left out.
+
+    Args:
+        lines: the lines.
+        left_out: reason of each line that is left out, by its slot.
+    """
+
+    def __init__(
+        self, lines: Iterable[MapLine] = (), left_out: Mapping[Slot, LeftOut] | None = None
+    ) -> None:
+        super().__init__(lines)
+        self.left_out = dict(left_out or {})
+
+
 def _class_name(value: object) -> str:
     return type(value).__name__
 
@@ -222,7 +246,7 @@ def _rows(parameters: ArrayLike) -> NDArray[np.float64]:
 
 
 def line_of_cubic(
-    q: NDArray[np.float64], centre: ArrayLike, half: ArrayLike
+    q: NDArray[np.float64], centre: NDArray[np.float64], half: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the (..., 4) lines of cubics in the normalised variable ``w = (u - centre) / half``.
 
@@ -230,15 +254,20 @@ def line_of_cubic(
     the first derivative as an angle.
     """
     q0, q1, q2, q3 = q
-    r = 1 / np.asarray(half, dtype=float)
-    w = -np.asarray(centre, dtype=float) * r
-    lines = np.empty((4, *np.broadcast_shapes(np.shape(q0), np.shape(w))))
+    r = 1 / half
+    w = -centre * r
+    lines = np.empty((4, *np.broadcast_shapes(q0.shape, w.shape)))
+    # Horner's scheme, repeated, gives the Taylor coefficients at w.
     q3_w = q3 * w
-    lines[0] = q0 + w * (q1 + w * (q2 + q3_w))
-    lines[1] = np.arctan((q1 + w * (2 * q2 + 3 * q3_w)) * r)
-    lines[2] = (2 * q2 + 6 * q3_w) * (r * r)
-    lines[3] = 6 * q3 * (r * r * r)
-    return np.moveaxis(lines, 0, -1)
+    value2 = q2 + q3_w
+    value1 = q1 + w * value2
+    slope2 = value2 + q3_w
+    lines[0] = q0 + w * value1
+    lines[1] = np.arctan((value1 + w * slope2) * r)
+    r2 = 2 * r * r
+    lines[2] = (slope2 + q3_w) * r2
+    lines[3] = q3 * (3 * r2 * r)
+    return lines.transpose(*range(1, lines.ndim), 0)
 
 
 def transform_line(
@@ -247,9 +276,9 @@ def transform_line(
     """Transform lines to the ego frame of another pose (Map Line Interface, section III-A-1).
 
     Points of the line are transformed to the new frame, and a cubic is fitted to them. With 4
-    points these are Chebyshev points, and the cubic interpolates them. More points are evenly
-    spaced, like those of a map, and fitted by least squares. The result then agrees with a refit of
-    the map points from the new pose within 1 mm over the same window, for displacements up to 5 m
+    points these are Chebyshev points, and the cubic interpolates them. More points are spaced
+    like those of ``Refit`` and fitted by least squares. The result then agrees with a refit of the
+    line of the map from the new pose within 1 mm over the same window, for displacements up to 5 m
     and 10 deg, on 100 m of road with radius >= 200 m. It does not hold in a street turn.
 
     Args:
@@ -297,7 +326,7 @@ def transform_line_or_nan(
         raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
-        nodes = np.linspace(1, -1, points)
+        nodes = np.cos(np.pi * np.arange(points) / (points - 1))
     x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
     lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
     if poses.shape[-1:] != (3,):

@@ -1,10 +1,9 @@
-"""Example scenes: those of the paper, and a production car."""
+"""Example scenes: those of the paper, a production car, and streets of typical shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,14 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .gaussian import Gaussian
 from .line import Kind, Slot
 from .polyline import Polyline
-
-
-class SceneLine(NamedTuple):
-    """Line of a scene: its slot, its kind and its map points."""
-
-    slot: Slot
-    kind: Kind
-    polyline: Polyline
+from .street_shapes import street_scenes
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,25 +22,21 @@ class Scenario:
         name: name of the scene, as on the command line.
         about: description in one sentence.
         ego: Gaussian over (e_x [m], e_y [m], e_h [rad]) in the map frame.
-        lines: lines of the scene.
-        window: (x_min, x_max) ahead of the car from which the points are taken [m].
+        lines: the line of the map for each slot.
+        window: (x_min, x_max) ahead of the car in which the lines are seen [m].
 
     >>> from maplines_can import map_lines
     >>> scene = scenario("production")
-    >>> [line.slot.name for line in map_lines(scene.lines[:2], scene.ego, scene.window)]
+    >>> lines = map_lines(scene.lines, scene.ego, window=scene.window)
+    >>> [line.slot.name for line in lines[:2]]
     ['EGO_LEFT', 'EGO_RIGHT']
     """
 
     name: str
     about: str
     ego: Gaussian
-    lines: tuple[SceneLine, ...]
+    lines: Mapping[Slot, Polyline]
     window: tuple[float, float]
-
-    @property
-    def polylines(self) -> list[Polyline]:
-        """Map points of each line, in the order of ``lines``."""
-        return [line.polyline for line in self.lines]
 
 
 def pose(
@@ -72,7 +60,7 @@ def parallel(points: ArrayLike, offset: float) -> NDArray[np.float64]:
     return points + offset * tangent[:, ::-1] * [-1.0, 1.0]
 
 
-def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> tuple[SceneLine, ...]:
+def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> dict[Slot, Polyline]:
     """Return all lines of a road with three lanes: the car in the middle, the route on the left."""
     plan = (
         (Slot.EGO_LEFT, Kind.DASHED, width),
@@ -84,18 +72,15 @@ def _lanes(right_boundary: NDArray[np.float64], width: float = 3.5) -> tuple[Sce
         (Slot.EDGE_RIGHT, Kind.KERB, -width - 0.5),
         (Slot.ROUTE, Kind.VIRTUAL, width * 3 / 2),
     )
-    return tuple(
-        SceneLine(slot, kind, Polyline(parallel(right_boundary, offset)))
-        for slot, kind, offset in plan
-    )
+    return {slot: Polyline(parallel(right_boundary, offset), kind) for slot, kind, offset in plan}
 
 
-def _highway() -> tuple[SceneLine, ...]:
+def _highway() -> dict[Slot, Polyline]:
     x = np.linspace(-20.0, 80.0, 51)
     return _lanes(np.column_stack([x, -1.75 + x**2 / (2 * 2000.0) + 1e-6 * x**3 / 6]))
 
 
-def _street_turn() -> tuple[SceneLine, ...]:
+def _street_turn() -> dict[Slot, Polyline]:
     s = np.linspace(-10.0, 40.0, 51)
     arc = (s - 5.0).clip(0) / 20.0
     return _lanes(
@@ -145,6 +130,11 @@ def _scenarios() -> Iterator[Scenario]:
 
 #: The scenarios by name. The paper states the heading sigmas; the other values are our choice.
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _scenarios()}
+#: Streets of typical shapes, seen by a car with sigmas of 0.1 m along, 0.2 m across and 0.2 deg.
+STREETS: dict[str, Scenario] = {
+    name: Scenario(name, about, pose(0.1, 0.2, 0.2), lines, (-20.0, 80.0))
+    for name, about, lines in street_scenes()
+}
 
 
 def scenario(name: str) -> Scenario:
@@ -159,9 +149,11 @@ def scenario(name: str) -> Scenario:
     Traceback (most recent call last):
     ...
     ValueError: no scenario 'moon'; there are highway, highway-correlated, highway-10deg, \
-street-turn, street-turn-10deg, production
+street-turn, street-turn-10deg, production, corner, roundabout-12m, roundabout-50m, exit, s-bend, \
+lane-ends, lane-widens, motorway-coarse
     """
+    scenes = SCENARIOS | STREETS
     try:
-        return SCENARIOS[name]
+        return scenes[name]
     except KeyError:
-        raise ValueError(f"no scenario {name!r}; there are {', '.join(SCENARIOS)}") from None
+        raise ValueError(f"no scenario {name!r}; there are {', '.join(scenes)}") from None

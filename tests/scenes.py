@@ -1,6 +1,7 @@
 """Lines of example scenes, for tests."""
 
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any
 
 from maplines_can import map_lines
@@ -8,7 +9,8 @@ from maplines_can import map_lines
 
 def scene_lines(scene: Any, lines: int = 4, **settings: Any) -> Any:
     """Return the first lines of a scene as ``map_lines`` does, with its settings."""
-    return map_lines(scene.lines[:lines], scene.ego, scene.window, **settings)
+    first = dict(islice(scene.lines.items(), lines))
+    return map_lines(first, scene.ego, window=scene.window, **settings)
 
 
 def lines_timed_out(counts: Mapping[str, int], pending: int, frames: int) -> int:

@@ -16,8 +16,9 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 ORDER = """
 arrays errors
 gaussian mixture line polyline
-scenarios
-propagation.refit propagation.transform propagation.linear propagation.monte_carlo
+street_shapes scenarios
+propagation.valid_range propagation.refit propagation.transform propagation.linear
+propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation

@@ -144,8 +144,8 @@ def test_four_points_are_interpolated(line: Any, motion: Any) -> None:
 
 @given(mild_lines(), motions(), st.integers(5, 20))
 def test_more_points_are_fitted_by_least_squares(line: Any, motion: Any, points: int) -> None:
-    """numpy's polynomial fit to the same points is the same line."""
-    x = np.linspace(0, 80, points)
+    """numpy's polynomial fit at the extrema of a Chebyshev polynomial is the same line."""
+    x = 40 + 40 * np.cos(np.pi * np.arange(points) / (points - 1))
     u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
     fitted = line_of(Polynomial.fit(u, v, 3).convert())
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can.line import Slot
-from maplines_can.propagation import Refit
 from maplines_can.scenarios import SCENARIOS, parallel, scenario
+from maplines_can.study.paper_refit import paper_refit
 from maplines_can.study.random_scenarios import curve, random_scenarios
 
 ROADS = list(random_scenarios(300, seed=1))
@@ -49,9 +49,9 @@ def test_the_table_is_complete() -> None:
 @pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
 def test_every_line_of_a_scenario_matches_its_description(scene: Any) -> None:
     """All slots are there, the car is in its lane of 3.5 m, and the radius is the stated one."""
-    refit = Refit(scene.polylines, scene.ego.mean, scene.window)
-    at_car = {line.slot: np.interp(0, *line.polyline.points.T) for line in scene.lines}
-    right = scene.lines[1].polyline.points
+    refit = paper_refit(scene)
+    at_car = {slot: np.interp(0, *line.points.T) for slot, line in scene.lines.items()}
+    right = scene.lines[Slot.EGO_RIGHT].points
     stated = re.search(r"radius (\d+) m", scene.about)
 
     assert np.isfinite(refit(scene.ego.mean)).all()
@@ -69,7 +69,7 @@ def test_random_roads_repeat() -> None:
     again, other = list(random_scenarios(2, seed=1)), next(random_scenarios(1, seed=2))
 
     for a, b in zip(ROADS, again, strict=False):
-        assert np.array_equal(a.polylines[0].points, b.polylines[0].points)
+        assert np.array_equal(a.lines[Slot.EGO_LEFT].points, b.lines[Slot.EGO_LEFT].points)
         assert np.array_equal(a.ego.cov, b.ego.cov)
     assert not np.array_equal(other.ego.cov, ROADS[0].ego.cov)
     assert len({road.name for road in ROADS}) == len(ROADS)
@@ -78,7 +78,7 @@ def test_random_roads_repeat() -> None:
 def test_random_roads_stay_within_their_ranges() -> None:
     """Curvature within 1/15, turn within 70 deg, offset, heading and sigmas as documented."""
     for road in ROADS:
-        points = road.polylines[0].points
+        points = road.lines[Slot.EGO_LEFT].points
         step = np.diff(points, axis=0) @ [1, 1j]
         turn, spacing = np.angle(step[1:] / step[:-1]), np.abs(step).mean()
         at_car = np.searchsorted(points[:, 0], 0) - 1  # the step in which the car stands
@@ -91,12 +91,12 @@ def test_random_roads_stay_within_their_ranges() -> None:
         assert 0.03 <= road.ego.sigma[:2].min() <= road.ego.sigma[:2].max() <= 1
         assert 0.05 <= np.degrees(road.ego.sigma[2]) <= 10
         assert np.abs(road.ego.correlation[0, 1]) <= 0.9
-        assert np.isfinite(Refit(road.polylines, road.ego.mean, road.window)(road.ego.mean)).all()
+        assert np.isfinite(paper_refit(road)(road.ego.mean)).all()
 
 
 def test_random_roads_use_their_ranges() -> None:
     """They are from motorway to street turn, to the left and to the right."""
-    refits = [Refit(road.polylines, road.ego.mean, road.window) for road in ROADS]
+    refits = [paper_refit(road) for road in ROADS]
     c0 = np.array([refit(road.ego.mean)[0, 2] for refit, road in zip(refits, ROADS, strict=True)])
 
     assert c0.min() < -0.02 < 0.02 < c0.max()

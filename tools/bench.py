@@ -20,9 +20,12 @@ report to tracemalloc; scratch space inside LAPACK and C extensions may not.
 
 The parts:
   refit     poses to lines, against one least-squares call per pose
-  scene     eight lines by sigma points, against filterpy with np.polyfit per point
-            and line; "new" makes the Refit in each cycle, window included, as a
-            car does; "kept" reuses it and the points
+  scene     eight lines by sigma points, against filterpy with np.polyfit per sigma
+            point and line on given points; "new" makes the Refit in each cycle, as
+            a car does: window, range, fit; "kept" reuses it. Of the city lines a
+            cubic follows only a part of the window, and the range is searched
+  window    what a car sees of a line of a million points, against one of a
+            thousand; the car moves on by 1.5 m from query to query
   signals   packing and unpacking alone, against four calls of cantools per line;
             the target is for its default, strict
   batch     Gaussian to payload and back, against packing alone by cantools
@@ -58,7 +61,7 @@ from filterpy.kalman import unscented_transform
 
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import MapLine, Slot
-from maplines_can.polyline import Polyline, to_ego
+from maplines_can.polyline import Polyline, to_ego, to_map
 from maplines_can.propagation import Refit, SigmaPoints
 from maplines_can.scenarios import parallel, scenario
 from maplines_can.study.sets import road
@@ -129,7 +132,7 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         return [np.linalg.lstsq(A, v, rcond=None) for A, v in systems]
 
     few, many = (Refit(curve(count), scene.ego.mean, scene.window) for count in (50, 10_000))
-    points = curve(50).points
+    points = to_map(few.points[0], scene.ego.mean)
     systems = [system(pose) for pose in poses]
     theirs = least_squares()
     difference = np.abs((few(poses) - theirs) / theirs.std(axis=0)).max()
@@ -141,41 +144,102 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     yield Pair("refit, 10000 points", "refit, 50 points", n, ours_many, ours, 1.3, growth=True)
 
 
+def highway_lines() -> list[Polyline]:
+    """Return eight parallel lines, longer than the window at both ends."""
+    inner = scenario("highway").lines[Slot.EGO_RIGHT].points
+    beyond = np.arange(1, 6)[:, None]
+    before = inner[0] + (inner[0] - inner[1]) * beyond[::-1]
+    after = inner[-1] + (inner[-1] - inner[-2]) * beyond
+    points = np.concatenate([before, inner, after])
+    return [Polyline(parallel(points, offset)) for offset in OFFSETS]
+
+
+def city_lines() -> list[Polyline]:
+    """Return eight parallel lines that turn left 20 m ahead, with radii of 1.5 to 19 m."""
+    angle = np.linspace(0, np.pi / 2, 14)[1:]
+    ahead, arc = np.arange(-60, 20.5), np.array([np.sin(angle), 1 - np.cos(angle)]).T
+    lines = []
+    for offset in OFFSETS:
+        radius = 12.0 - offset
+        straight = np.column_stack([ahead, np.full(len(ahead), offset)])
+        turn = [20.0, offset] + radius * arc
+        left = turn[-1] + np.column_stack([np.zeros(60), np.arange(1, 61)])
+        lines.append(Polyline(np.concatenate([straight, turn, left])))
+    return lines
+
+
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Compare sigma points over all lines of a scene with filterpy."""
     del sizes, seed  # a scene has a fixed size
     highway = scenario("highway")
-    mean, cov, window = highway.ego.mean, highway.ego.cov, highway.window
-    lines = [Polyline(parallel(highway.polylines[1].points, offset)) for offset in OFFSETS]
     transform, merwe = SigmaPoints(), MerwePoints(3, alpha=1.0, beta=2.0, kappa=0.0)
-    kept = Refit(lines, mean, window)
-    kept_points = [line.window(mean, *window) for line in lines]
+    window = highway.window
+    production = np.diag(np.square([0.1, 0.2, np.radians(0.2)]))
 
-    def ours(refit: Refit | None = None) -> Any:
-        ego = Gaussian.trusted(mean, cov)  # new: it caches the root of its covariance
-        return transform.moments(refit or Refit(lines, mean, window), ego)
+    def pairs(lines: list[Polyline], mean: Any, cov: Any) -> tuple[float, list[Callable[[], Any]]]:
+        """Return how much the moments differ, and the calls: new, kept, and the peer."""
+        kept = Refit(lines, mean, window)
+        points_of_lines = [to_map(points, mean) for points in kept.points]
 
-    def peer(points_of_lines: list[Any] | None = None) -> list[Any]:
-        poses = merwe.sigma_points(mean, cov)
-        moments = []
-        for points in points_of_lines or [line.window(mean, *window) for line in lines]:
-            values = np.empty((len(poses), 4))
-            for value, pose in zip(values, poses, strict=True):
-                u, v = to_ego(points, pose).T
-                p3, p2, p1, p0 = np.polyfit(u, v, 3)
-                value[:] = p0, np.arctan(p1), 2 * p2, 6 * p3
-            moments.append(unscented_transform(values, merwe.Wm, merwe.Wc))
-        return moments
+        def ours(refit: Refit | None = None) -> Any:
+            ego = Gaussian.trusted(mean, cov)  # new: it caches the root of its covariance
+            return transform.moments(refit or Refit(lines, mean, window), ego)
 
-    own, (means, covs) = ours(), zip(*peer(), strict=True)
-    sigma = np.sqrt(np.einsum("lii->li", own.cov))
-    d_cov = (own.cov - covs) / (sigma[:, :, None] * sigma[:, None])
-    difference = max(np.abs((own.mean - means) / sigma).max(), np.abs(d_cov).max())
+        def peer() -> list[Any]:
+            poses = merwe.sigma_points(mean, cov)
+            moments = []
+            for points in points_of_lines:
+                values = np.empty((len(poses), 4))
+                for value, pose in zip(values, poses, strict=True):
+                    u, v = to_ego(points, pose).T
+                    p3, p2, p1, p0 = np.polyfit(u, v, 3)
+                    value[:] = p0, np.arctan(p1), 2 * p2, 6 * p3
+                moments.append(unscented_transform(values, merwe.Wm, merwe.Wc))
+            return moments
+
+        own, (means, covs) = ours(), zip(*peer(), strict=True)
+        expected = np.array(covs) + np.asarray(kept.noise_cov)  # filterpy does not know the misfit
+        sigma = np.sqrt(np.einsum("lii->li", expected))
+        d_cov = (own.cov - expected) / (sigma[:, :, None] * sigma[:, None])
+        difference = max(np.abs((own.mean - means) / sigma).max(), np.abs(d_cov).max())
+        return difference, [ours, partial(ours, kept), peer]
+
+    peer = "filterpy with np.polyfit"
+    difference, (new, kept, theirs) = pairs(highway_lines(), highway.ego.mean, highway.ego.cov)
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
-    both_kept = partial(ours, kept), partial(peer, kept_points)
-    yield Pair("8 lines, Refit new", "filterpy with np.polyfit", 1, ours, peer, 10)
-    yield Pair("8 lines, Refit kept", "filterpy with np.polyfit", 1, *both_kept, 10)
+    yield Pair("8 lines, Refit new", peer, 1, new, theirs, 10)
+    yield Pair("8 lines, Refit kept", peer, 1, kept, theirs, 10)
+    difference, (new, kept, theirs) = pairs(city_lines(), np.zeros(3), production)
+    agree("moments in standard deviations", difference, 1e-6)
+    yield f"the same moments to {difference:.0e} standard deviations"
+    yield Pair("8 city lines, Refit new", peer, 1, new, theirs)
+
+
+def window(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
+    """Compare windows of a long line with those of a short one."""
+    del sizes, seed  # the lines have fixed sizes
+
+    def line(points: int, spacing: float) -> Polyline:
+        x = np.arange(points) * spacing
+        return Polyline(np.column_stack([x, 10 * np.sin(x / 50)]))
+
+    def drive(line: Polyline) -> Any:
+        """Return the windows of a drive of 300 m about the middle of a line."""
+        x = line.points[len(line.points) // 2, 0] + np.arange(-150, 150, 1.5)
+        poses = np.column_stack([x, 10 * np.sin(x / 50), np.arctan(np.cos(x / 50) / 5)])
+        return [line.window(pose, -20.0, 80.0) for pose in poses]
+
+    for spacing, text in ((1.0, "1 m"), (0.001, "1 mm")):
+        few, many = line(1000, 1.0), line(10**6, spacing)
+        short, long = partial(drive, few), partial(drive, many)
+        farthest = max(
+            np.abs(points[:, 1] - 10 * np.sin(points[:, 0] / 50)).max() for points in long()
+        )
+        agree("lateral positions", farthest, 0.01)
+        yield f"the windows are on the line to {1e3 * farthest:.1g} mm"
+        what = f"million points, {text}"
+        yield Pair(what, "thousand points, 1 m", 200, long, short, 1.5, growth=True)
 
 
 def each(call: Callable[..., Any], arguments: list[Any]) -> list[Any]:
@@ -288,9 +352,10 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 PARTS = {
     "refit": (refit, "1  From poses to lines; times per pose"),
     "scene": (scene, "2  All lines of a scene by sigma points; times per cycle"),
-    "signals": (signals, "3  Signals alone, four pages per line; times per line"),
-    "batch": (batch, "4  Whole batches, against packing alone by cantools; times per line"),
-    "one": (one, "5  Single lines, against packing alone by cantools; times per line"),
+    "window": (window, "3  What a car sees of a line; times per window"),
+    "signals": (signals, "4  Signals alone, four pages per line; times per line"),
+    "batch": (batch, "5  Whole batches, against packing alone by cantools; times per line"),
+    "one": (one, "6  Single lines, against packing alone by cantools; times per line"),
 }
 
 

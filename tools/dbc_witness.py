@@ -18,7 +18,7 @@ from maplines_can.wire.message.layout import PARAMETER_SIGNALS
 SECRET = bytes(range(16))
 #: Time between lines, and between the frames of one [ns].
 CYCLE_NS, FRAME_NS = 50_000_000, 100_000
-RANGES = ((0, 80), (-30.5, 50.3), (50, 80), (300, 400), (-100, -50), (3.1, 3.2), (-32, 248))
+RANGES = ((0, 80), (-30.5, 50.3), (50, 80), (300, 400), (-100, -50), (3.1, 3.2), (-20, 124))
 AGES = (0.0, 1e-4, 0.04, 0.2399, 0.24, 0.2401, 5.0, np.inf)
 
 

@@ -21,8 +21,9 @@ from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 from reporting import bar, parser_of
 
 from maplines_can.line import PARAMETERS
-from maplines_can.propagation import Mixture, MonteCarlo, Quadrature, Refit, SigmaPoints
+from maplines_can.propagation import Mixture, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import paper_refit
 
 CHUNK, POSES = 50_000, 2000
 #: Bounds of the differences: two in standard deviations, then two in standard errors. The others
@@ -51,11 +52,18 @@ def qr_refit(points: Any, poses: Any) -> Any:
 
 
 def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
-    """Return the (4,) largest differences from QR, in standard deviations of the parameters."""
+    """Return the (4,) largest differences from QR, in standard deviations of the parameters.
+
+    QR fits the points of the lines at 64 Chebyshev nodes of their ranges. The frame of the mean
+    pose is that of the map, in which all lines of the scenes are functions of x.
+    """
     lines = refit(poses)  # (N, L, 4)
-    windows = [line.window(scene.ego.mean, *scene.window) for line in scene.polylines]
-    reference = np.stack([qr_refit(points, poses) for points in windows], axis=1)
-    difference = np.nanmax(np.abs(lines - reference), axis=0)
+    nodes, reference = np.cos(np.pi * np.arange(64) / 63), []
+    for line, (low, high) in zip(scene.lines.values(), refit.x_range, strict=True):
+        x = (low + high) / 2 + (high - low) / 2 * nodes
+        points = np.column_stack([x, np.interp(x, *line.points.T)])
+        reference.append(qr_refit(points, poses))
+    difference = np.nanmax(np.abs(lines - np.stack(reference, axis=1)), axis=0)
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
 
 
@@ -122,7 +130,7 @@ def evidence(order: Any, samples: Any, seed: Any) -> Any:
     with bar(samples * len(SCENARIOS), unit=" draws", leave=False) as progress:
         for name, scene in SCENARIOS.items():
             progress.set_description(name)
-            refit = Refit(scene.polylines, scene.ego.mean, scene.window)
+            refit = paper_refit(scene)
             mean, sigma, true_cov, excluded = compare_quadrature(
                 scene, refit, order, samples, seed, progress
             )

@@ -61,7 +61,7 @@ RFC_MESSAGE = bytes.fromhex(
 def scene_lines() -> list[MapLine]:
     """Return the eight lines of the scene "production"."""
     scene = scenario("production")
-    return map_lines(scene.lines, scene.ego, scene.window)
+    return map_lines(scene.lines, scene.ego, window=scene.window)
 
 
 @cache

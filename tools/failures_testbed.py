@@ -355,7 +355,8 @@ def expected(name: Any) -> Any:
     """Return the contents that may be received of the lines of a scene."""
     codec, scene = Codec.from_dbc(), scenario(name)
     decoder, lines = codec.decoder(), set()
-    for line in map_lines(scene.lines[:4], scene.ego, scene.window):
+    first = {slot: scene.lines[slot] for slot in list(scene.lines)[:4]}
+    for line in map_lines(first, scene.ego, window=scene.window):
         for frame in codec.encode(line):
             result = decoder.feed(frame.can_id, frame.data, 0)
             if isinstance(result, MapLine):

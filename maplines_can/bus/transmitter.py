@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
-from typing import NamedTuple, Self
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
 
 import can
 
 from ..errors import BusError
-from ..line import MapLine, Slot
+from ..line import LeftOut, MapLine, MapLineList, Slot
 from ..wire import Codec, Frame
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
@@ -30,7 +32,14 @@ class TransmitterStats(NamedTuple):
     frames: int = 0  #: frames handed to the interface, those of unfinished transfers included
     retries: int = 0  #: attempts that met a full transmit queue and were repeated
     expired: int = 0  #: lines sent as too old, because they were not published again in time
+    #: lines left out of the published lists of ``map_lines`` and so retracted, by reason
+    left_out: Mapping[LeftOut, int] = MappingProxyType({})
     lateness: Lateness = Lateness()  #: of the first frame of each transfer, after its deadline
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the counters, for JSON."""
+        left_out = {reason.name: n for reason, n in self.left_out.items()}
+        return self._asdict() | {"left_out": left_out, "lateness": self.lateness._asdict()}
 
 
 class Transmitter(BackgroundThread):
@@ -111,14 +120,18 @@ class Transmitter(BackgroundThread):
         max_age = stated if max_age is None else max_age
         self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
         self._counts = TransmitterStats()
+        self._left_out: Counter[LeftOut] = Counter()
         self._lateness = LatenessHistogram()
 
     def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
         """Send this line from now on, instead of the previous one of its slot.
 
+        A line that ``map_lines`` left out is retracted: its slot does not go on with the previous
+        one. ``TransmitterStats.left_out`` counts such lines by reason.
+
         Args:
-            line: the line, or several lines that take effect at the same moment.
-                Their ages grow from this call on.
+            line: the line, or several lines that take effect at the same moment, such as the
+                result of ``map_lines``. Their ages grow from this call on.
             t_pose_ns: time of the vehicle pose that the lines belong to, on the clock of
                 ``time.time_ns()`` [ns]. If it is given, ages are computed from it, and
                 ``line.age`` is ignored.
@@ -139,12 +152,16 @@ class Transmitter(BackgroundThread):
                     f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
                 )
         lines = [line] if isinstance(line, MapLine) else list(line)
+        left_out = line.left_out if isinstance(line, MapLineList) else {}
         with self._changed:
             if self._is_stopped:
                 raise RuntimeError(
                     "publish must come before stop, and in the process that called start: this "
                     "transmitter sends nothing; make a new Transmitter"
                 )
+            for slot in left_out:
+                self._tx_queue.drop(slot)
+            self._left_out.update(left_out.values())
             self._tx_queue.put(lines, self._clock(), age)
             self._changed.notify_all()
 
@@ -160,7 +177,9 @@ class Transmitter(BackgroundThread):
     def stats(self) -> TransmitterStats:
         """Return a consistent copy of all counters."""
         with self._changed:
-            return self._counts._replace(lateness=self._lateness.summary())
+            return self._counts._replace(
+                left_out=dict(self._left_out), lateness=self._lateness.summary()
+            )
 
     def start(self) -> Self:
         """Start the thread; ``with`` calls this.  The first period starts with the first line."""

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..line import Status
+from ..line import MapLineList, Slot, Status
 from ..propagation.component_counts import TOLERANCE
 from ..scenarios import Scenario, scenario
 from ..study.figures.picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
 from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
-from .output import counts_text, faults_text, slot_text
+from .output import counts_text, faults_text, left_out_text, slot_text
 from .parsing import add_command, seconds
 from .sending import (
     LineComponents,
     add_sending,
     bitrates,
+    components_dict,
     components_of,
     components_text,
     lines_of,
@@ -98,24 +98,33 @@ def _demo(arguments: argparse.Namespace) -> int:
     if arguments.plot:
         draw_round_trip(trip, scene, arguments.plot)
     if arguments.json:
-        scene_figures = {"components": [asdict(line) for line in components]}
+        scene_figures = {
+            "components": components_dict(components),
+            "left_out": {slot.name: reason.name for slot, reason in lines.left_out.items()},
+        }
         print(json.dumps({"scenario": scene.name} | trip.as_dict() | scene_figures, indent=2))
     else:
-        print(_text(trip, scene, components if arguments.components != 1 else None))
+        print(_text(trip, scene, lines, components if arguments.components != 1 else {}))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
     return 0 if all(line.mean is not None for line in trip.lines) else 1
 
 
-def _text(trip: RoundTrip, scene: Scenario, components: Sequence[LineComponents] | None) -> str:
+def _text(
+    trip: RoundTrip,
+    scene: Scenario,
+    lines: MapLineList,
+    components: Mapping[Slot, LineComponents],
+) -> str:
     """Return the results as text: the lines, the counters and a legend."""
-    texts = [components_text(line) for line in components or ()]
+    texts = [components_text(components[line.slot]) for line in lines if components]
     out = [
         f"{scene.name}: {scene.about}",
         f"{len(trip.lines)} lines over {trip.frame_format}, {trip.bus.rate:g} Hz, "
         f"{trip.seconds:.1f} s",
         "",
         *_table(trip.lines, texts),
+        *([left_out_text(lines.left_out)] if lines.left_out else []),
         "",
         *_counters(trip),
         "",

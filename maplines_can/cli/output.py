@@ -9,7 +9,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from ..line import PARAMETERS, MapLine, Status
+from ..line import PARAMETERS, LeftOut, MapLine, Slot, Status
 from ..wire import E2EState, ProfileStatus, SlotStats
 
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
@@ -22,6 +22,16 @@ def slot_text(slot: str) -> str:
     'ego left'
     """
     return slot.replace("_", " ").lower()
+
+
+def left_out_text(left_out: Mapping[Slot, LeftOut]) -> str:
+    """Return the lines that are left out, with their reasons, as text.
+
+    >>> left_out_text({Slot.EGO_LEFT: LeftOut.ACROSS})
+    "left out: ego left (the line is across the car's x axis)"
+    """
+    each = [f"{slot_text(slot.name)} ({reason})" for slot, reason in left_out.items()]
+    return f"left out: {', '.join(each)}"
 
 
 def line_text(line: MapLine) -> str:

@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..scenarios import SCENARIOS
+from ..scenarios import SCENARIOS, STREETS
 from .options import add_json
 from .parsing import add_command
 
@@ -28,12 +28,12 @@ def _scenarios(arguments: argparse.Namespace) -> int:
                 "about": scene.about,
                 "ego_sigma": scene.ego.sigma.tolist(),
                 "window": scene.window,
-                "lines": [line.slot.name for line in scene.lines],
+                "lines": [slot.name for slot in scene.lines],
             }
-            for scene in SCENARIOS.values()
+            for scene in (SCENARIOS | STREETS).values()
         ]
         print(json.dumps(rows, indent=2))
     else:
-        for scene in SCENARIOS.values():
+        for scene in (SCENARIOS | STREETS).values():
             print(f"{scene.name:<20}{scene.about}")
     return 0

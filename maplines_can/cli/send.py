@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from typing import Any
 
 from ..bus import Link, Transmitter
 from ..bus.schedule import Schedule
+from ..line import MapLineList, Slot
 from ..scenarios import Scenario, scenario
 from .options import (
     add_bus,
@@ -22,7 +22,7 @@ from .options import (
     fault_opener,
     keyed_codec,
 )
-from .output import faults_text, slot_text
+from .output import faults_text, left_out_text, slot_text
 from .parsing import add_command, natural
 from .sending import (
     AMPLITUDE,
@@ -30,6 +30,7 @@ from .sending import (
     SPEED,
     LineComponents,
     add_sending,
+    components_dict,
     components_of,
     components_text,
     frame_format_text,
@@ -80,6 +81,7 @@ def _send(arguments: argparse.Namespace) -> int:
     scene = scenario(arguments.scenario)
     rate = rate_of(scene, codec, arguments)
     components = components_of(scene, codec, arguments, rate)
+    lines = lines_of(scene, components, arguments)
     opener = fault_opener(arguments)
     with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
@@ -91,27 +93,32 @@ def _send(arguments: argparse.Namespace) -> int:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
                     frame_format = frame_format_text(codec, fd=arguments.fd)
                     note(
-                        f"{len(components)} lines of {arguments.scenario} on {link.name}, "
+                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, "
                         f"{frame_format}, {rate:g} Hz, {until}"
                     )
                     if arguments.components != 1:
-                        for line in components:
-                            note(f"{slot_text(line.slot)}: {components_text(line)}")
-                _publish(transmitter, scene, components, arguments, rate)
+                        for line in lines:
+                            text = components_text(components[line.slot])
+                            note(f"{slot_text(line.slot.name)}: {text}")
+                    if lines.left_out:
+                        note(left_out_text(lines.left_out))
+                _publish(transmitter, lines, scene, components, arguments, rate)
         except KeyboardInterrupt:
             pass
         stats, faults = transmitter.stats(), fault_counts(opener)
         if arguments.json:
-            rest = {"lateness": stats.lateness._asdict(), "outages": link.outages}
-            rest["components"] = [asdict(line) for line in components]
+            rest = {"outages": link.outages, "components": components_dict(components)}
             rest |= {"faults": faults} if faults else {}
-            print(json.dumps(stats._asdict() | rest))
+            print(json.dumps(stats.as_dict() | rest))
         else:
             print(
                 f"sent {stats.lines} lines in {stats.frames} frames; {stats.down} lines given up "
                 f"while the interface was down, {stats.full} with a full queue; "
                 f"{stats.overruns} periods skipped because the sender was late"
             )
+            if stats.left_out:
+                reasons = "; ".join(f"{n} times, {reason}" for reason, n in stats.left_out.items())
+                print(f"lines left out of those published: {reasons}")
             if faults:
                 print(f"faults: {faults_text(faults)}")
             lateness = ", ".join(f"{1e3 * value:.2f}" for value in stats.lateness)
@@ -121,13 +128,13 @@ def _send(arguments: argparse.Namespace) -> int:
 
 def _publish(
     transmitter: Transmitter,
+    lines: MapLineList,
     scene: Scenario,
-    components: Sequence[LineComponents],
+    components: Mapping[Slot, LineComponents],
     arguments: argparse.Namespace,
     rate: float,
 ) -> None:
     """Publish the lines of the moving car until the transmitter ends."""
-    lines = lines_of(scene, components, arguments)
     start = time.monotonic()
     schedule: Schedule[str] = Schedule(1 / min(max(rate, LEAST_RATE), MOST_RATE))
     schedule.add("pose", 0.0, start)

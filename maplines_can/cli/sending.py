@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import Any, Literal
 
 import numpy as np
 
 from ..bus import bus_load, transfers_within
+from ..errors import IllPosedError
 from ..gaussian import Gaussian
-from ..line import MapLine
+from ..line import MapLineList, Slot
+from ..polyline import Polyline
 from ..propagation import MapError, Refit, component_counts, map_lines, nonlinearity
 from ..propagation.component_counts import remaining_nonlinearity
-from ..scenarios import SCENARIOS, Scenario
+from ..scenarios import SCENARIOS, STREETS, Scenario
 from ..wire import Codec
+from .output import left_out_text
 from .parsing import number
 
 #: Default bus-load limit for --components auto.
@@ -31,7 +35,6 @@ SPEED, AMPLITUDE, SINE_PERIOD = 10.0, 0.3, 10.0
 class LineComponents:
     """Number of mixture components of a line, and its nonlinearity."""
 
-    slot: str
     components: int
     nonlinearity: float  #: of the line as a single Gaussian; see ``Nonlinearity.amount``
     remaining_nonlinearity: float  #: within each component
@@ -43,9 +46,9 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     add(
         "--scenario",
         default="production",
-        choices=list(SCENARIOS),
+        choices=list(SCENARIOS | STREETS),
         metavar="NAME",
-        help=f"scene to send: {', '.join(SCENARIOS)} (default: production)",
+        help=f"scene to send: {', '.join(SCENARIOS | STREETS)} (default: production)",
     )
     add(
         "--lines",
@@ -85,19 +88,24 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def first_lines(scenario: Scenario, lines: int) -> dict[Slot, Polyline]:
+    """Return the first lines of a scene."""
+    return dict(islice(scenario.lines.items(), lines))
+
+
 def rate_of(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> float:
     """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
     if arguments.rate is not None:
         return float(arguments.rate)
     messages = codec.layout.messages
-    slots = [line.slot for line in scenario.lines[: arguments.lines] if line.slot in messages]
+    slots = [slot for slot in first_lines(scenario, arguments.lines) if slot in messages]
     cycles = [messages[slot].cycle_ms for slot in slots if messages[slot].cycle_ms]
     return 1000 / min(cycles) if cycles else DEFAULT_RATE
 
 
 def components_of(
     scenario: Scenario, codec: Codec, arguments: argparse.Namespace, rate: float
-) -> list[LineComponents]:
+) -> dict[Slot, LineComponents]:
     """Return the number of components of each line, from the options.
 
     Raises:
@@ -117,21 +125,31 @@ def components_of(
 
 def lines_of(
     scenario: Scenario,
-    components: Sequence[LineComponents],
+    components: Mapping[Slot, LineComponents],
     arguments: argparse.Namespace,
     ego: Gaussian | None = None,
-) -> list[MapLine]:
-    """Return the lines as seen from a pose; by default, the pose of the scene."""
+) -> MapLineList:
+    """Return the lines as seen from a pose; by default, the pose of the scene.
+
+    Raises:
+        ValueError: all lines are left out as seen from the pose of the scene.
+    """
     map_error = None
     if arguments.map_error:
         map_error = MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
-    return map_lines(
-        scenario.lines[: arguments.lines],
+    lines = map_lines(
+        first_lines(scenario, arguments.lines),
         scenario.ego if ego is None else ego,
-        scenario.window,
-        components=[line.components for line in components],
+        window=scenario.window,
+        components={slot: line.components for slot, line in components.items()},
         map_error=map_error,
     )
+    if ego is None and not lines:
+        raise ValueError(
+            f"no line of the scenario {scenario.name!r} can be sent; "
+            f"{left_out_text(lines.left_out)}"
+        )
+    return lines
 
 
 def weaving_ego(scenario: Scenario, t: float) -> Gaussian:
@@ -165,7 +183,7 @@ def choose_components(
     fd: bool = False,
     bitrate: int = 500_000,
     max_load: float | None = None,
-) -> list[LineComponents]:
+) -> dict[Slot, LineComponents]:
     """Choose the number of mixture components of each line within a bus load.
 
     Args:
@@ -182,7 +200,7 @@ def choose_components(
     Raises:
         ValueError: the lines exceed the limit, for "auto" even with one component each.
     """
-    scene, auto = scenario.lines[:lines], components == "auto"
+    scene, auto = first_lines(scenario, lines), components == "auto"
     least = [1 if components == "auto" else components] * len(scene)
     if auto and max_load is None:
         max_load = MAX_LOAD
@@ -190,7 +208,7 @@ def choose_components(
     if max_load is not None:
         bus = (1 / rate, bitrate, 4 * bitrate if fd else None)
         blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
-        transfers = [codec.frames(blank, line.slot, fd=fd) for line in scene]
+        transfers = [codec.frames(blank, slot, fd=fd) for slot in scene]
         budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
         if budget < sum(least):
             load = sum(least) * max(bus_load(transfer, *bus) for transfer in transfers)
@@ -200,15 +218,24 @@ def choose_components(
                 "allowed; use fewer --lines or --components, a lower --rate, --fd, a higher "
                 "--bitrate or a higher --max-load"
             )
-    amounts = [
-        nonlinearity(Refit(line.polyline, scenario.ego.mean, scenario.window), scenario.ego).amount
-        for line in scene
-    ]
+    amounts = [_nonlinearity(line, scenario) for line in scene.values()]
     counts = component_counts(amounts, budget=budget) if auto else least
-    return [
-        LineComponents(line.slot.name, k, amount, remaining_nonlinearity(amount, k))
-        for line, k, amount in zip(scene, counts, amounts, strict=True)
-    ]
+    return {
+        slot: LineComponents(k, amount, remaining_nonlinearity(amount, k))
+        for slot, k, amount in zip(scene, counts, amounts, strict=True)
+    }
+
+
+def _nonlinearity(line: Polyline, scenario: Scenario) -> float:
+    """Return the nonlinearity of a line: 0 if it is not seen, 1 if some poses do not see it."""
+    amount = 0.0
+    try:
+        refit = Refit(line, scenario.ego.mean, scenario.window)
+        amount = 1.0
+        amount = nonlinearity(refit, scenario.ego).amount
+    except IllPosedError:
+        pass
+    return amount
 
 
 def components_text(line: LineComponents) -> str:
@@ -218,6 +245,11 @@ def components_text(line: LineComponents) -> str:
         return f"1 component, {text}"
     within = f"{line.remaining_nonlinearity:.2f} within each of them"
     return f"{line.components} components, {text}, {within}"
+
+
+def components_dict(components: Mapping[Slot, LineComponents]) -> list[dict[str, Any]]:
+    """Return the number of components of each line and its nonlinearity, for JSON."""
+    return [{"slot": slot.name} | asdict(line) for slot, line in components.items()]
 
 
 def frame_format_text(codec: Codec, *, fd: bool) -> str:

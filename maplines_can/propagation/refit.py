@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NoReturn
@@ -11,16 +12,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import floats
 from ..errors import IllPosedError
-from ..line import LEAST_ADVANCE, PARAMETERS, lateral, line_of_cubic
-from ..polyline import Polyline, near_stretch, to_ego
+from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
+from ..polyline import MAX_TURN, Polyline, Stretches, stretches
+from .valid_range import NODES, longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6
 #: Poses per block: the arrays of one block fit in the processor's cache.
 BLOCK = 2048
-#: Number of chords by which the shape of a line is checked.
-CHORDS = 16
+#: The shape of a line is checked by chords from each CHORD-th of the fitted points to the next.
+CHORD = (len(NODES) - 1) // 16
+#: Default of the largest deviation of a cubic from its line [m].
+MAX_MISFIT = 0.1
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
 #: in addition to LEAST_ADVANCE.
 LEAST_PROGRESS = 1 / 3
@@ -57,28 +61,39 @@ class MapError:
 
 
 class Refit:
-    """Function from a pose to the least-squares cubics through the points of map lines.
+    """Function from a pose to the cubics that map lines are, seen from there.
 
-    The points are selected once, in a window relative to ``pose``, so that the
-    function is smooth. For each pose the points are transformed to the ego frame (u, v),
-    and a cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted (Map Line Interface,
-    section III-A). A rotation mixes u and v linearly. Each sum of the normal equations is
-    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are
-    computed once: the cost per pose does not depend on the number of points.
+    The stretch of each line is selected once, in a window relative to ``pose``, so that the
+    function is smooth (see ``Polyline.window``), and shortened to the range that a cubic follows
+    within ``max_misfit``. For each pose the stretch is transformed to the ego frame (u, v), and a
+    cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
+    section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result
+    therefore depends on the line and not on the spacing of its points, and deviates little more
+    than the best cubic. A rotation mixes u and v linearly. Each sum of the normal equations is
+    therefore a polynomial in the cosine and sine of the rotation, whose coefficients are computed
+    once: the cost per pose does not depend on the number of points.
 
     Args:
-        polyline: the line, or several lines for which each call returns parameters.
+        polyline: the line; several lines, for which each call returns parameters; or stretches
+            of lines that were selected before, for which ``window`` and ``max_turn`` are ignored.
         pose: (3,) mean pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
-        window: (x_min, x_max) in the ego frame of ``pose``; points in it are used [m].
+        window: (x_min, x_max) in the ego frame of ``pose``; the line in it is used [m].
         map_error: error of the map points; transforms add its effect to the covariance.
+        max_misfit: largest deviation of the cubic from the line within ``x_range`` [m]. What
+            remains of it is covered by ``noise_cov``. Infinite for a fit to all of the window
+            without that cover, as in the paper.
+        max_turn: largest angle between a line and the x axis of ``pose`` [rad]; the line is not
+            used farther along.
+        room: distance behind the car at which a range begins at least, if the line does [m].
 
     Raises:
-        ValueError: ``pose`` or ``window`` is wrong, or there is no line.
-        IllPosedError: there are fewer than 4 points in the window, or seen from ``pose``
-            they are not a function of x or nearly perpendicular to the x axis.
+        ValueError: ``pose``, ``window`` or ``max_misfit`` is wrong, or there is no line.
+        IllPosedError: a line is not in the window, or is nearly perpendicular to the x axis.
 
     >>> road = Polyline([[x, 2.0] for x in range(0, 100, 5)])
     >>> refit = Refit(road, [0.0, 0.0, 0.0], window=(-20.0, 80.0))
+    >>> refit.x_range
+    array([ 0., 80.])
     >>> refit([10.0, 0.5, 0.0]).round(9) + 0.0
     array([1.5, 0. , 0. , 0. ])
     >>> refit([[0.0, 0.0, 0.1], [0.0, 0.0, 1.57]]).round(3) + 0.0  # the second is perpendicular
@@ -88,56 +103,64 @@ class Refit:
 
     def __init__(
         self,
-        polyline: Polyline | Sequence[Polyline],
+        polyline: Polyline | Sequence[Polyline] | Stretches,
         pose: ArrayLike,
-        window: tuple[float, float],
+        window: tuple[float, float] = (-20.0, 80.0),
         map_error: MapError | None = None,
+        *,
+        max_misfit: float = MAX_MISFIT,
+        max_turn: float = MAX_TURN,
+        room: float = 0.0,
     ) -> None:
-        self.pose = np.array(floats(pose, "pose"))
-        if self.pose.shape != (3,) or not np.isfinite(self.pose).all():
-            raise ValueError(f"pose must be finite with shape (3,), got {self.pose!r}")
-        x_min, x_max = window
-        if not x_min < x_max:
-            raise ValueError(f"window must have x_min < x_max [m], got {window}")
-        single = isinstance(polyline, Polyline)
-        lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
-        if not lines:
-            raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
-        points = to_ego(np.concatenate([line.points for line in lines]), self.pose)
-        lengths = [len(line.points) for line in lines]
-        near = near_stretch(points, lengths, x_min, x_max)
-        points = points[near]
-        count = np.add.reduceat(near, _starts(np.array(lengths)), dtype=int)
-        if (count < len(PARAMETERS)).any():
-            raise IllPosedError(
-                f"a cubic needs 4 points, but the line has {count.min()} in the window "
-                f"[{x_min:g}, {x_max:g}] m of the pose; widen the window or resample the line"
-            )
-        start = _starts(count)
-        #: (n, 2) points of each line in the window, in the frame of the mean pose [m].
-        self.points = [points[i : i + n] for i, n in zip(start, count, strict=True)]
-        self._trailing = () if single else (len(lines),)
-        low, high = np.minimum.reduceat(points, start), np.maximum.reduceat(points, start)
-        self._centre = (low + high) / 2  # (L, 2)
-        self._half = (high[:, 0] - low[:, 0]) / 2  # (L,)
-        if not self._half.all():
-            self._raise_ill_posed(self.pose, window)
-        self._chords = _chords(points, start, count)  # (L, CHORDS, 2)
-        self._span = self._chords.sum(axis=1)  # (L, 2)
-        self._least_advance = LEAST_ADVANCE * np.hypot(*self._chords.T).sum(axis=0)[:, None]
-        scaled = (points - self._centre.repeat(count, axis=0)) / self._half.repeat(count)[:, None]
-        self._coefficients = (_moments(scaled, start, count) @ _MOMENTS_TO_MONOMIALS).reshape(
-            -1, 2 * DEGREE + 1
-        )  # (11 L, 2 DEGREE + 1)
-        if np.isnan(self._cubics(np.array([[1.0], [0.0]]))).any():
-            self._raise_ill_posed(self.pose, window)
-        self.noise_cov = None if map_error is None else self._noise_cov(map_error)
+        if not max_misfit > 0:
+            raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
+        pose = floats(pose, "pose")
+        if isinstance(polyline, Stretches):
+            seen = polyline
+        else:
+            seen = _seen(polyline, pose, window, max_turn)
+        self._trailing = () if isinstance(polyline, Polyline) else (len(seen.given),)
+        self.pose = np.array(pose)
+        fitted = longest_ranges(seen, max_misfit, room)
+        self._x_range, self._misfit = fitted.x_range, fitted.misfit
+        x, y = fitted.x, fitted.y
+        if max_misfit < np.inf:
+            y = y + fitted.shift[:, None]
+        #: (L, K, 2) points of each line to which the cubics are fitted, in the frame of ``pose``.
+        self.points = np.stack([x, y], axis=-1)
+        self._half = (x[:, -1:] - x[:, :1]) / 2  # (L, 1)
+        low, high = y.min(axis=1), y.max(axis=1)
+        self._centre = np.array([(x[:, 0] + x[:, -1]) / 2, (low + high) / 2])  # (2, L)
+        scaled = (y - self._centre[1][:, None]) / self._half
+        self._harmonics = _harmonics_of_sums(scaled)  # (11 L, 2 DEGREE + 1)
+        chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
+        self._chords = chords.reshape(-1, 2)
+        self._least_advance = LEAST_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        self._to_ego = np.array([[c, -s], [s, c]])
+        noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
+        if map_error is not None:
+            noise_cov += self._noise_cov(map_error, seen.position(x))
+        if max_misfit < np.inf:
+            noise_cov[:, 0, 0] += self._misfit**2
+        is_exact = map_error is None and max_misfit == np.inf
+        #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
+        self.noise_cov = None if is_exact else noise_cov.reshape(*self._trailing, 4, 4)
 
     @property
     def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): range of the points along the x axis of the mean pose [m]."""
-        x_range = self._centre[:, :1] + self._half[:, None] * [-1.0, 1.0]
-        return x_range.reshape(*self._trailing, 2)
+        """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
+        return self._x_range.reshape(*self._trailing, 2)
+
+    @property
+    def is_across(self) -> NDArray[np.bool_]:
+        """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
+        return (2 * self._half < self._least_advance).reshape(self._trailing)
+
+    @property
+    def misfit(self) -> NDArray[np.float64]:
+        """(), or (L,): largest deviation of the cubic from the line in its range [m]."""
+        return self._misfit.reshape(self._trailing)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -167,13 +190,13 @@ class Refit:
         """Return the (N, L, 4) lines for a block of (N, 3) poses."""
         d = poses - self.pose
         turn = np.array([np.cos(d[:, 2]), np.sin(d[:, 2])])  # (2, N)
+        q = self._cubics(turn)
+        q *= self._half
         # Centre of the points as seen from each pose.
-        x, y = self._centre.T[:, :, None] - to_ego(d[:, :2], [0.0, 0.0, self.pose[2]]).T[:, None]
+        x, y = self._centre[:, :, None] - (d[:, :2] @ self._to_ego).T[:, None]
         c, s = turn
-        centre_u, centre_v = c * x + s * y, c * y - s * x  # (L, N)
-        q = self._half[:, None] * self._cubics(turn)
-        q[0] += centre_v
-        return line_of_cubic(q, centre_u, self._half[:, None]).swapaxes(0, 1)  # (N, L, 4)
+        q[0] += c * y - s * x
+        return line_of_cubic(q, c * x + s * y, self._half).swapaxes(0, 1)  # (N, L, 4)
 
     def _cubics(self, turn: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4, L, N) cubics through the centred and scaled points after rotations.
@@ -181,28 +204,37 @@ class Refit:
         They are NaN if the points are ill-posed. ``turn`` is the (2, N) cosine and sine.
         """
         lines, poses = len(self._half), turn.shape[1]
-        sums = (self._coefficients @ _monomials(turn)).reshape(lines, -1, poses)  # (L, 11, N)
-        q, solved = _solve_normal(sums.swapaxes(0, 1))
-        net = np.abs(self._span @ turn)  # (L, N)
-        total = np.abs(self._chords @ turn).sum(axis=1)
+        sums = (self._harmonics @ _harmonics(turn)).reshape(lines, -1, poses)  # (L, 11, N)
+        q, least_pivot = _solve_normal(sums.swapaxes(0, 1))
+        advance = (self._chords @ turn).reshape(lines, -1, poses)  # (L, CHORDS, N)
+        net, total = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)
         well_posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * total)
-        q[:, ~(well_posed & solved)] = np.nan
+        well_posed &= least_pivot > LEAST_PIVOT
+        if not well_posed.all():
+            q[:, ~well_posed] = np.nan
         return q
 
-    def _noise_cov(self, error: MapError) -> NDArray[np.float64]:
-        """Return the covariance of the lines due to the map error, to first order."""
+    def _noise_cov(self, error: MapError, position: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.
+
+        ``position`` are (L, K) fractional indices of the fitted points among those of the map.
+        """
         step = 1e-4
         poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
-        ahead, behind = self(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
+        ahead, behind = self._block(poses.reshape(6, 3)).reshape(2, 3, -1, len(PARAMETERS))
         J_line_pose = (ahead - behind) / (2 * step)  # (3, L, 4)
         pose_sigma = np.array([error.offset_sigma, error.offset_sigma, error.heading_sigma])
         J = J_line_pose * pose_sigma[:, None, None]
         cov = np.einsum("klm,kln->lmn", J, J)
-        mean = self(self.pose[None]).reshape(-1, len(PARAMETERS))
+        mean = self._block(self.pose[None])[0]
         for i, points in enumerate(self.points):
-            unit_cov = _fit_cov(points, mean[i], self._centre[i, 0], self._half[i])
+            unit_cov = _fit_cov(points, position[i], mean[i], self._centre[0, i], self._half[i, 0])
+            # The fit averages the point errors, but the line itself has them in full.
+            J = lateral_jacobian(mean[i], points[:, 0])
+            averaged = np.einsum("ki,ij,kj->k", J, unit_cov, J).min()
+            unit_cov[0, 0] += max(0.0, 1 - averaged)
             cov[i] += error.point_sigma**2 * unit_cov
-        return cov.reshape(*self._trailing, len(PARAMETERS), len(PARAMETERS))
+        return cov
 
     def _raise_ill_posed(
         self, pose: NDArray[np.float64], window: tuple[float, float] | None
@@ -216,106 +248,110 @@ class Refit:
         )
 
 
-def _starts(count: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the index of the first point of each line in the concatenated points."""
-    return count.cumsum() - count
+def _harmonics(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (2 DEGREE + 1, N): 1, cos(k h) and sin(k h), k = 1 .. 6, of (2, N) cos h and sin h."""
+    z = turn[0] + 1j * turn[1]
+    powers = np.multiply.accumulate(z[None].repeat(DEGREE, axis=0))
+    return np.concatenate([np.ones_like(turn[:1]), powers.real, powers.imag])
 
 
-def _chords(
-    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return the (L, CHORDS, 2) differences between points at equal distances on each line."""
-    x, y = (points[1:] - points[:-1]).T
-    distance = np.zeros(len(points))
-    np.hypot(x, y).cumsum(out=distance[1:])  # includes the steps from one line to the next
-    stop = start + count - 1
-    marks = distance[start] + _MARKS * (distance[stop] - distance[start])  # (CHORDS + 1, L)
-    knots = points[distance.searchsorted(marks).clip(start, stop)]
-    return (knots[1:] - knots[:-1]).swapaxes(0, 1)
-
-
-def _moments(
-    points: NDArray[np.float64], start: NDArray[np.intp], count: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return (L, 49) moments mean(a^i b^j), i and j = 0 .. DEGREE, of the points (a, b)."""
-    points = np.ascontiguousarray(points.T)
-    powers = np.ones((DEGREE + 1, *points.shape))
-    for k in range(DEGREE):
-        np.multiply(powers[k], points, out=powers[k + 1])
-    a, b = powers[:, 0], powers[:, 1]
-    sums = [a[:, i : i + n] @ b[:, i : i + n].T for i, n in zip(start, count, strict=True)]
-    return np.array(sums).reshape(len(count), -1) / count[:, None]
-
-
-def _monomials(turn: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (2 DEGREE + 1, N): c^(6-j) s^j, j = 0 .. 6, and c^(5-j) s^j, j = 0 .. 5, of (c, s)."""
-    powers = np.ones((DEGREE + 1, *turn.shape))
-    for k in range(DEGREE):
-        np.multiply(powers[k], turn, out=powers[k + 1])
-    c, s = powers[:, 0], powers[:, 1]
-    return np.concatenate([c[::-1] * s, c[-2::-1] * s[:-1]])
-
-
-def _moments_to_monomials() -> NDArray[np.float64]:
+def _moments_to_harmonics() -> NDArray[np.float64]:
     """Return the (49, 11 (2 DEGREE + 1)) matrix from moments to the sums of rotated points.
 
-    The sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b
-    - s a. Homogenised to degree 5 or 6 in (c, s) with c^2 + s^2 = 1, all are linear combinations of
-    13 monomials with integer coefficients. Small rotations cause no cancellation.
+    The moments are mean(b^j a^i), i and j = 0 .. 6. The sums are mean(u^k), k = 0 .. 6, and
+    mean(v u^k), k = 0 .. 3, with u = c a + s b and v = c b - s a. They are trigonometric
+    polynomials, which their values at 13 angles determine.
     """
-
-    def times(p: NDArray[np.float64], s: int, a: int, b: int) -> NDArray[np.float64]:
-        return np.roll(p, (s, a, b), axis=(0, 1, 2))  # p[j, m, n]: coefficient of s^j a^m b^n
-
-    one = np.zeros((DEGREE + 1,) * 3)
-    one[0, 0, 0] = 1
-    u = [one]
-    for _ in range(DEGREE):
-        u.append(times(u[-1], 0, 1, 0) + times(u[-1], 1, 0, 1))
-    v = [times(p, 0, 0, 1) - times(p, 1, 1, 0) for p in u[:4]]
-    matrix = np.zeros(((DEGREE + 1) ** 2, 11, 2 * DEGREE + 1))
-    for i, (p, degree) in enumerate(zip(u + v, [*range(7), *range(1, 5)], strict=True)):
-        for _ in range((DEGREE - degree) // 2):
-            p = p + times(p, 2, 0, 0)
-        even, odd = slice(0, DEGREE + 1), slice(DEGREE + 1, None)
-        columns = p.reshape(DEGREE + 1, -1).T
-        if degree % 2:
-            matrix[:, i, odd] = columns[:, :-1]
-        else:
-            matrix[:, i, even] = columns
-    return matrix.reshape(len(matrix), -1)
+    angles = 2 * np.pi * np.arange(2 * DEGREE + 1) / (2 * DEGREE + 1)
+    c, s = np.cos(angles), np.sin(angles)
+    u = np.zeros((DEGREE + 1, len(angles), DEGREE + 1, DEGREE + 1))  # powers, coefficients [j, i]
+    u[0, :, 0, 0] = 1
+    for k in range(DEGREE):
+        u[k + 1, :, :, 1:] = c[:, None, None] * u[k, :, :, :-1]
+        u[k + 1, :, 1:] += s[:, None, None] * u[k, :, :-1]
+    v_u = np.zeros_like(u[:4])
+    v_u[:, :, 1:] = c[:, None, None] * u[:4, :, :-1]
+    v_u[:, :, :, 1:] -= s[:, None, None] * u[:4, :, :, :-1]
+    values = np.concatenate([u, v_u]).swapaxes(0, 1).reshape(len(angles), -1)
+    coefficients = np.linalg.solve(_harmonics(np.array([c, s])).T, values)
+    shape = (len(angles), 11, (DEGREE + 1) ** 2)
+    return coefficients.reshape(shape).T.reshape((DEGREE + 1) ** 2, -1)
 
 
 #: The same for all lines, so computed once.
-_MOMENTS_TO_MONOMIALS = _moments_to_monomials()
-#: Ends of the chords as shares of the length of a line.
-_MARKS = np.linspace(0, 1, CHORDS + 1)[:, None]
-#: Rows of the normal equations with their right-hand sides, as indices into the sums.
-_NORMAL = np.column_stack([np.add.outer(np.arange(4), np.arange(4)), np.arange(7, 11)])
+_MOMENTS_TO_HARMONICS = _moments_to_harmonics()
+#: (K, DEGREE + 1) powers of the nodes, with the factor of a mean.
+_POWERS = np.vander(NODES, DEGREE + 1, increasing=True) / len(NODES)
 
 
-def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the (4, ...) solutions of the normal equations, and a mask of the solvable ones.
+def _seen(
+    polyline: Polyline | Sequence[Polyline],
+    pose: NDArray[np.float64],
+    window: tuple[float, float],
+    max_turn: float,
+) -> Stretches:
+    """Return the stretches of the lines, all of which must have one."""
+    lines = [polyline] if isinstance(polyline, Polyline) else list(polyline)
+    if not lines:
+        raise ValueError("polyline must be a Polyline or a sequence of at least one, got none")
+    seen = stretches(lines, pose, window, max_turn)
+    for i, reason in sorted(seen.left_out.items()):
+        which = "the line" if len(lines) == 1 else f"line {i} of {len(lines)}"
+        raise IllPosedError(f"{which} cannot be given: {reason}; the window is {window} m")
+    return seen
 
-    The (11, ...) sums are mean(u^k), k = 0 .. 6, and mean(v u^k), k = 0 .. 3. Gaussian elimination
-    without pivoting: the matrix is positive definite.
+
+def _harmonics_of_sums(b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (11 L, 2 DEGREE + 1) coefficients of the sums of points (a, b) after rotations.
+
+    Of each line, a are the nodes and b is (L, K).
     """
-    M = sums[_NORMAL]  # (4, 5, ...)
-    q = M[:, 4]
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for i in range(3):
-            M[i, i + 1 :] /= M[i, i]
-            M[i + 1 :, i + 1 :] -= M[i + 1 :, i, None] * M[i, i + 1 :]
-        q[3] /= M[3, 3]
-        for i in (3, 2, 1):
-            q[:i] -= M[:i, i] * q[i]
-        return q, (M.diagonal() > LEAST_PIVOT).all(axis=-1)
+    powers = np.ones((DEGREE + 1, *b.shape))
+    for k in range(DEGREE):
+        np.multiply(powers[k], b, out=powers[k + 1])
+    moments = (powers @ _POWERS).swapaxes(0, 1).reshape(len(b), -1)  # (L, 49)
+    return (moments @ _MOMENTS_TO_HARMONICS).reshape(-1, 2 * DEGREE + 1)
+
+
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _solve_normal(sums: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (4, ...) solutions of the normal equations, and their least pivots.
+
+    The (11, ...) sums are mean(u^k), k = 0 .. 6, the first of which is 1, and mean(v u^k), k = 0
+    .. 3. The elimination needs no pivoting, as the matrix is positive definite.
+    """
+    m1, m2, m3, m6 = sums[1], sums[2], sums[3], sums[6]
+    rhs = sums[7:]
+    # Row i of the symmetric matrix from its diagonal on, after i steps of the elimination.
+    row1 = sums[2:5] - m1 * sums[1:4]
+    row2 = sums[4:6] - m2 * sums[2:4]
+    factor = row1[1:] / row1[0]
+    row2 -= factor[0] * row1[1:]
+    factor3 = row2[1] / row2[0]
+    last = m6 - m3 * m3 - factor[1] * row1[2] - factor3 * row2[1]
+    q = np.empty((4, *m1.shape))
+    q[0] = rhs[0]
+    q[1:] = rhs[1:] - rhs[0] * sums[1:4]
+    q[2:] -= factor * q[1]
+    q[3] -= factor3 * q[2]
+    q[3] /= last
+    q[2] = q[2] / row2[0] - factor3 * q[3]
+    q[1] = q[1] / row1[0] - factor[0] * q[2] - factor[1] * q[3]
+    q[0] -= m1 * q[1] + m2 * q[2] + m3 * q[3]
+    return q, np.minimum(np.minimum(row1[0], row2[0]), last)
 
 
 def _fit_cov(
-    points: NDArray[np.float64], line: NDArray[np.float64], centre: float, half: float
+    points: NDArray[np.float64],
+    position: NDArray[np.float64],
+    line: NDArray[np.float64],
+    centre: float,
+    half: float,
 ) -> NDArray[np.float64]:
-    """Return the (4, 4) covariance of a fitted line for unit errors of its points."""
+    """Return the (4, 4) covariance of a fitted line for unit errors of the points of the map.
+
+    The fitted points are interpolated between those of the map, at ``position``.
+    """
     u, v = points.T
     A = np.vander((u - centre) / half, 4, increasing=True)
     dA = np.column_stack([np.zeros_like(u), A[:, :3] * [1, 2, 3]]) / half
@@ -325,7 +361,15 @@ def _fit_cov(
     residual = v - lateral(line, u)
     # An error in u acts twice: via the slope of l, and via the change of A's row.
     V = np.linalg.solve(R.T @ R, np.hstack([A.T, dA.T * residual - A.T * slope]))
+    # The error of a fitted point is the weighted mean of those of its two neighbours.
+    below = np.floor(position).astype(int)
+    share = position - below
+    below -= below[0]
+    W = np.zeros((len(u), below[-1] + 2))
+    W[np.arange(len(u)), below] = 1 - share
+    W[np.arange(len(u)), below + 1] = share
+    V = np.hstack([V[:, : len(u)] @ W, V[:, len(u) :] @ W])
     # J: derivative of line_of_cubic at the fit; only beta is nonlinear in q, by its arctangent.
     J = line_of_cubic(np.eye(4), np.full(4, centre), np.full(4, half)).T
     J[1] = np.tan(J[1]) * np.cos(beta) ** 2
-    return J @ (V @ V.T) @ J.T
+    return np.asarray(J @ (V @ V.T) @ J.T)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -50,8 +51,13 @@ class SigmaPoints(Transform):
 
     def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
         """Return the (2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
-        spread = np.sqrt(self._scale(gaussian.dimension)) * gaussian.root.T
-        return gaussian.mean + np.vstack([np.zeros_like(spread[:1]), spread, -spread])
+        n = gaussian.dimension
+        spread = math.sqrt(self._scale(n)) * gaussian.root.T
+        points = np.empty((2 * n + 1, n))
+        points[0] = gaussian.mean
+        points[1 : n + 1] = gaussian.mean + spread
+        points[n + 1 :] = gaussian.mean - spread
+        return points
 
     def weights(self, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the (2n + 1,) weights of the mean and of the covariance (eq. 4 to 7)."""

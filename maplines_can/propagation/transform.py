@@ -55,7 +55,7 @@ class Transform(ABC):
         noise_cov = getattr(function, "noise_cov", None)
         if noise_cov is not None:
             cov = cov + noise_cov
-        return Moments(mean, (cov + np.swapaxes(cov, -1, -2)) / 2)
+        return Moments(mean, (cov + cov.swapaxes(-1, -2)) / 2)
 
     @abstractmethod
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
@@ -97,7 +97,7 @@ def weighted_moments(
     d = values[1:] - values[0]
     shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])
     d -= shift
-    d = np.moveaxis(d, 0, -1)  # (..., m, N - 1)
+    d = d.transpose(*range(1, d.ndim), 0)  # (..., m, N - 1)
     cov = (d * cov_weights[1:]) @ d.swapaxes(-1, -2)
     cov += cov_weights[0] * shift[..., :, None] * shift[..., None, :]
     return Moments(values[0] + shift, cov)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..line import Kind, Slot
 from ..polyline import Polyline
-from ..scenarios import Scenario, SceneLine, pose
+from ..scenarios import Scenario, pose
 
 
 def curve(
@@ -69,7 +69,5 @@ def random_scenarios(n: int, seed: int = 0) -> Iterator[Scenario]:
         sigma_x, sigma_y = 10 ** rng.uniform(np.log10(0.03), 0.0, size=2)
         heading_sigma_deg = 10 ** rng.uniform(np.log10(0.05), 1.0)
         ego = pose(sigma_x, sigma_y, heading_sigma_deg, correlation=rng.uniform(-0.9, 0.9))
-        line = SceneLine(Slot.EGO_LEFT, Kind.SOLID, Polyline(points))
-        yield Scenario(
-            f"random-{seed}-{i}", "a random road", ego, (line,), (-behind - 1, ahead + 1)
-        )
+        lines = {Slot.EGO_LEFT: Polyline(points, Kind.SOLID)}
+        yield Scenario(f"random-{seed}-{i}", "a random road", ego, lines, (-behind - 1, ahead + 1))

@@ -1,9 +1,7 @@
-"""Gaussians of the lines of random roads, for many roads at once.
+"""Gaussians of the lines of random roads.
 
-The roads have the distributions of ``random_scenarios``, but other draws. The Gaussians
-are those of ``SigmaPoints`` over ``Refit``, up to rounding. This is a hundred times faster for two
-reasons: the arrays run over roads, and a fitted cubic can be shifted without another fit, so that
-only the sigma points of the heading need a fit of their own.
+The roads have the distributions of ``random_scenarios``, but other draws, and are drawn many at a
+time.
 """
 
 from __future__ import annotations
@@ -13,19 +11,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import LEAST_ADVANCE, lateral, line_of_cubic
-from ..propagation import SigmaPoints
-from ..propagation.refit import LEAST_PROGRESS
-from ..propagation.transform import weighted_moments
+from ..errors import IllPosedError
+from ..gaussian import Gaussian
+from ..polyline import MAX_TURN, Polyline
+from ..propagation import MapError, Refit, SigmaPoints
+from ..propagation.refit import MAX_MISFIT
 
 Array = NDArray[np.float64]
 
 #: Largest number of points of a road.
 POINTS = 60
-#: Roads computed at a time, so that their arrays stay in the processor's cache.
-BLOCK = 256
-#: Step of the derivative with respect to the pose, as in ``Refit`` [m, rad].
-STEP = 1e-4
+#: Window that contains each road as a whole [m].
+WINDOW = (-1e3, 1e3)
 
 
 class Roads(NamedTuple):
@@ -97,105 +94,31 @@ def _curves(y_off: Array, heading: Array, curvature: Array, spacing: Array, plac
     return np.stack([c * x - d * y, d * x + c * y + y_off[:, None]], axis=-1)
 
 
-def lines_of_roads(roads: Roads) -> tuple[Array, Array]:
+def lines_of_roads(
+    roads: Roads, *, max_misfit: float = MAX_MISFIT, max_turn: float = MAX_TURN
+) -> tuple[Array, Array]:
     """Propagate the pose through the refit of each road, with sigma points.
 
+    Args:
+        roads: the roads.
+        max_misfit: see ``Refit``.
+        max_turn: see ``Refit``.
+
     Returns:
-        (N, 4) means and (N, 4, 4) covariances; NaN where the points double back or run across the
-        car at a sigma point.
+        (N, 4) means and (N, 4, 4) covariances; NaN where a road is across the car at the mean pose
+        or at a sigma point.
     """
     n = len(roads.number)
-    mean, cov = np.empty((n, 4)), np.empty((n, 4, 4))
-    for start in range(0, n, BLOCK):
-        rows = slice(start, start + BLOCK)
-        block = Roads(*(None if field is None else field[rows] for field in roads))  # type: ignore[arg-type]
-        mean[rows], cov[rows] = _lines_of_block(block)
+    mean, cov = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
+    transform, at_origin = SigmaPoints(), np.zeros(3)
+    poses = np.einsum("ni,nj->nij", roads.sigma, roads.sigma) * np.eye(3)
+    poses[:, 0, 1] = poses[:, 1, 0] = roads.correlation * roads.sigma[:, 0] * roads.sigma[:, 1]
+    for i in range(n):
+        error = None if roads.map_error is None else MapError(*roads.map_error[i])
+        line = Polyline(roads.points[i, : roads.number[i]])
+        try:
+            refit = Refit(line, at_origin, WINDOW, error, max_misfit=max_misfit, max_turn=max_turn)
+            mean[i], cov[i] = transform.moments(refit, Gaussian.trusted(at_origin, poses[i]))
+        except IllPosedError:
+            continue
     return mean, cov
-
-
-def _lines_of_block(roads: Roads) -> tuple[Array, Array]:
-    zero = np.zeros(len(roads.number))
-    s_x, s_y, s_h = np.sqrt(3) * roads.sigma.T
-    rho = roads.correlation
-    e_x = np.stack([zero, s_x, zero, -s_x, zero])  # sigma points with no change of heading
-    e_y = np.stack([zero, rho * s_y, np.sqrt(1 - rho**2) * s_y])
-    e_y = np.concatenate([e_y, -e_y[1:]])
-    straight = _Fit(roads, zero)
-    left, right = _Fit(roads, s_h), _Fit(roads, -s_h)
-    shifted = [straight.seen_from(x, y) for x, y in zip(e_x, e_y, strict=True)]
-    values = np.stack([*shifted[:3], left.line, *shifted[3:], right.line])  # (7, N, 4)
-    mean, cov = weighted_moments(values, *SigmaPoints().weights(3))
-    if roads.map_error is not None:
-        cov = cov + _noise_cov(straight, roads, roads.map_error)
-    for fit in (straight, left, right):
-        mean[~fit.posed], cov[~fit.posed] = np.nan, np.nan
-    return mean, (cov + cov.transpose(0, 2, 1)) / 2
-
-
-class _Fit:
-    """Cubics fitted to the points of N roads, after a turn of each car by (N,) ``turn`` [rad]."""
-
-    def __init__(self, roads: Roads, turn: Array) -> None:
-        self.valid = np.arange(POINTS) < roads.number[:, None]  # (N, P)
-        x, y = np.moveaxis(roads.points, -1, 0)
-        c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
-        self.u, self.v = c * x + s * y, c * y - s * x
-        low = np.where(self.valid, self.u, np.inf).min(axis=1)
-        high = np.where(self.valid, self.u, -np.inf).max(axis=1)
-        self.centre, self.half = (low + high) / 2, (high - low) / 2
-        self.posed = self._posed()
-        w = (self.u - self.centre[:, None]) / self.half[:, None]
-        powers = np.ones((4, *w.shape))
-        for k in range(3):
-            np.multiply(powers[k], w, out=powers[k + 1])
-        powers *= self.valid
-        self.A = powers.transpose(1, 2, 0)  # (N, P, 4)
-        self.normal = self.A.transpose(0, 2, 1) @ self.A
-        middle = (self.v * self.valid).sum(axis=1) / roads.number
-        right = self.A.transpose(0, 2, 1) @ (self.v - middle[:, None])[..., None]
-        self.q = np.linalg.solve(self.normal, right)[..., 0].T  # (4, N)
-        self.q[0] += middle
-        self.line = line_of_cubic(self.q, self.centre, self.half)  # (N, 4)
-
-    def seen_from(self, e_x: Array, e_y: Array) -> Array:
-        """Return (N, 4) lines as seen from cars that are also shifted [m]."""
-        return line_of_cubic(self.q - [[1], [0], [0], [0]] * e_y, self.centre - e_x, self.half)
-
-    def _posed(self) -> NDArray[np.bool_]:
-        """Return (N,) whether a cubic follows the points, by the criteria of ``Refit``."""
-        along, across = (np.diff(a, axis=1) * self.valid[:, 1:] for a in (self.u, self.v))
-        net, way = np.abs(along.sum(axis=1)), np.abs(along).sum(axis=1)
-        length = np.hypot(along, across).sum(axis=1)
-        return (net >= LEAST_ADVANCE * length) & (net >= LEAST_PROGRESS * way)
-
-
-def _noise_cov(fit: _Fit, roads: Roads, map_error: Array) -> Array:
-    """Propagate the map error through the fit, to first order at the mean pose: (N, 4, 4)."""
-    point_sigma, offset_sigma, heading_sigma = map_error.T
-    zero = np.zeros(len(roads.number))
-    J = np.stack(
-        [
-            fit.seen_from(zero + STEP, zero) - fit.seen_from(zero - STEP, zero),
-            fit.seen_from(zero, zero + STEP) - fit.seen_from(zero, zero - STEP),
-            _Fit(roads, zero + STEP).line - _Fit(roads, zero - STEP).line,
-        ]
-    ) / (2 * STEP)  # (3, N, 4), of the line with respect to the pose
-    J *= np.stack([offset_sigma, offset_sigma, heading_sigma])[..., None]
-    return np.einsum("knm,knl->nml", J, J) + _fit_cov(fit) * point_sigma[:, None, None] ** 2
-
-
-def _fit_cov(fit: _Fit) -> Array:
-    """Return the (N, 4, 4) covariance of fitted lines whose points have unit variance."""
-    _, beta, c0, c1 = fit.line.T[..., None]
-    slope = np.tan(beta) + fit.u * (c0 + fit.u * c1 / 2)
-    residual = fit.v - lateral(fit.line[:, None, :], fit.u)
-    # An error of u acts as an error of v times the slope, and moves the residual along the line.
-    moved = -fit.A * slope[..., None]
-    moved[..., 1:] += fit.A[..., :3] * [1, 2, 3] * (residual / fit.half[:, None])[..., None]
-    error = fit.normal + moved.transpose(0, 2, 1) @ moved
-    # The derivative of line_of_cubic; linear in q but for the arctangent of beta.
-    unit = np.eye(4)[:, :, None] + np.zeros_like(fit.half)  # (4, 4, N)
-    J = line_of_cubic(unit, fit.centre, fit.half).transpose(1, 2, 0).copy()  # (N, 4 of line, 4)
-    J[:, 1] = np.tan(J[:, 1]) * np.cos(beta) ** 2
-    B = np.linalg.solve(fit.normal, J.transpose(0, 2, 1))  # (N, 4, 4 of line)
-    return B.transpose(0, 2, 1) @ error @ B

@@ -112,7 +112,7 @@ class RoundTrip:
             "seconds": self.seconds,
             "rate": self.bus.rate,
             "lines": [asdict(line) for line in self.lines],
-            "sent": self.sent._asdict() | {"lateness": self.sent.lateness._asdict()},
+            "sent": self.sent.as_dict(),
             "received": self.received._asdict() | {"counts": dropped},
             "lines_lost": self.lines_lost,
             "frames_lost": self.frames_lost,

@@ -22,6 +22,7 @@ from ..polyline import Polyline
 from ..propagation import MapError, Quadrature, Refit, SigmaPoints, Transform
 from ..scenarios import SCENARIOS, Scenario
 from .files import GaussianFile, read_map
+from .paper_refit import PAPER, paper_refit
 from .random_scenarios import random_scenarios
 from .roads import lines_of_roads, random_roads
 
@@ -42,15 +43,16 @@ Chunk = Callable[[], Gaussians]
 def paper(n: int, seed: int = 0) -> Gaussians:
     """Return n lines of the fixed scenarios and random roads, with pose error only.
 
-    Their covariances are nearly singular.
+    They are fitted as in the paper (see ``paper_refit``). Their covariances are nearly singular.
     """
     return _small_set(n, seed, with_map_error=False)
 
 
 def road(n: int, seed: int = 0) -> Gaussians:
-    """Return n lines like those of ``paper``, with pose and map error.
+    """Return n lines of the same roads with pose and map error, as far as a cubic follows them.
 
-    Point errors and offsets of the map are 2 to 20 cm, its heading error is 0.05 deg.
+    Their covariances cover what the cubic misses (see ``Refit``). Point errors and offsets of the
+    map are 2 to 20 cm, its heading error is 0.05 deg.
     """
     return _small_set(n, seed, with_map_error=True)
 
@@ -97,12 +99,14 @@ def _lines_of_scenes(
     for scene in scenes:
         if len(means) >= n:
             break
-        error = None
-        if with_map_error:
-            point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
-            error = MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
         try:
-            refit = Refit(scene.polylines, scene.ego.mean, scene.window, error)
+            if with_map_error:
+                point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
+                error = MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
+                lines = list(scene.lines.values())
+                refit = Refit(lines, scene.ego.mean, scene.window, error)
+            else:
+                refit = paper_refit(scene)
             mean, cov = SigmaPoints().moments(refit, scene.ego)
         except IllPosedError:
             continue
@@ -136,7 +140,8 @@ def drawn_chunk(name: str, seed: int, index: int, size: int) -> Gaussians:
     means, covs = _lines_of_scenes(fixed, size, rng, with_map_error)
     while len(means) < size:
         missing = size - len(means)
-        mean, cov = lines_of_roads(random_roads(missing, rng, with_map_error=with_map_error))
+        roads = random_roads(missing, rng, with_map_error=with_map_error)
+        mean, cov = lines_of_roads(roads, **({} if with_map_error else PAPER))
         good = np.isfinite(mean).all(axis=1)
         means, covs = np.concatenate([means, mean[good]]), np.concatenate([covs, cov[good]])
     return Gaussians(means, covs)

@@ -153,8 +153,8 @@ class Codec:
         Args:
             means: (N, 4) lines [m, rad, 1/m, 1/m^2].
             covs: (N, 4, 4), which may be singular; None to send means only.
-            **attributes: (N,) or one for all; see ``RecordAttributes``. Without covs the status
-                is UNKNOWN.
+            **attributes: (N,) or one for all; see ``RecordAttributes``. Without ``x_min`` and
+                ``x_max`` the lines are valid at x = 0 only; without covs the status is UNKNOWN.
 
         Returns:
             (N, record bytes) uint8.
@@ -166,7 +166,7 @@ class Codec:
             TypeError: there is no such attribute.
 
         >>> codec = Codec.from_dbc()
-        >>> codec.encode_batch([[1.75, 0, 0, 0]], slot=Slot.EGO_RIGHT, age=0.04).shape
+        >>> codec.encode_batch([[1.75, 0, 0, 0]], x_min=-8.0, x_max=64.0, age=0.04).shape
         (1, 32)
         """
         gaussians = checked_gaussians(means, covs)

@@ -28,7 +28,7 @@ from maplines_can.bus import (
 )
 from maplines_can.bus.tx_queue import ALLOWANCE
 from maplines_can.errors import BusError
-from maplines_can.line import Slot
+from maplines_can.line import LeftOut, MapLineList, Slot
 from maplines_can.wire import Codec, Frame
 
 
@@ -323,3 +323,31 @@ def test_the_allowed_times_of_a_pose(
         else:
             with pytest.raises(ValueError, match="at most 1 s ahead and 1 h ago"):
                 transmitter.publish(map_line(), t_pose_ns)
+
+
+def first_pages(opener: Any) -> Any:
+    """(counter, slot) of the lines that were sent since the last call."""
+    pages = [opener.sent.get(timeout=0).data for _ in range(opener.sent.qsize())]
+    return [tuple(page[1:3]) for page in pages if page[0] == 0]
+
+
+def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
+    """A slot that ``map_lines`` left out does not go on with its previous line."""
+    opener, clock = FakeOpener(), Clock()
+    reasons = {Slot.EGO_RIGHT: LeftOut.ACROSS, Slot.CENTRE: LeftOut.NOT_IN_WINDOW}
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=0.4, clock=clock)  # type: ignore[arg-type]
+        transmitter.publish([map_line(Slot.EGO_LEFT), map_line(Slot.EGO_RIGHT)])
+        drive(transmitter, clock, clock.now + 0.4)
+        assert {slot for _, slot in first_pages(opener)} == {Slot.EGO_LEFT, Slot.EGO_RIGHT}
+        transmitter.publish(MapLineList([map_line(Slot.EGO_LEFT)], reasons))
+        drive(transmitter, clock, clock.now + 4.0)
+        assert {slot for _, slot in first_pages(opener)} == {Slot.EGO_LEFT}
+        transmitter.publish(MapLineList([map_line(Slot.EGO_RIGHT)], {Slot.CENTRE: LeftOut.ACROSS}))
+        drive(transmitter, clock, clock.now + 0.4)
+        counters = first_pages(opener)
+    assert {slot for _, slot in counters} == {Slot.EGO_LEFT, Slot.EGO_RIGHT}
+    assert (2, Slot.EGO_RIGHT) in counters  # the counter continues without a gap
+    stats = transmitter.stats()
+    assert stats.left_out == {LeftOut.ACROSS: 2, LeftOut.NOT_IN_WINDOW: 1}
+    assert stats.as_dict()["left_out"] == {"ACROSS": 2, "NOT_IN_WINDOW": 1}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from maplines_can.cli import main
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.scenarios import SCENARIOS, STREETS
 
 
 def test_figures_are_written_to_the_folder(
@@ -34,6 +34,6 @@ def test_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     """By name, as text and as JSON."""
     assert main(["scenarios"]) == 0
     text = capsys.readouterr().out
-    assert all(name in text for name in SCENARIOS)
+    assert all(name in text for name in SCENARIOS | STREETS)
     assert main(["scenarios", "--json"]) == 0
-    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == list(SCENARIOS)
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == list(SCENARIOS | STREETS)

@@ -7,12 +7,13 @@ import pytest
 from closed_forms import CLOSED
 
 from maplines_can.gaussian import Gaussian
-from maplines_can.propagation import MapError, MonteCarlo, Refit
+from maplines_can.propagation import MapError, MonteCarlo
 from maplines_can.scenarios import scenario
+from maplines_can.study.paper_refit import paper_refit
 
 N = 20_000
 TURN = scenario("street-turn")
-REFIT = Refit(TURN.polylines, TURN.ego.mean, TURN.window)
+REFIT = paper_refit(TURN)
 
 
 def test_moments_are_those_of_the_samples() -> None:
@@ -46,7 +47,7 @@ def test_monte_carlo_agrees_with_closed_forms(
 def test_samples_include_errors_of_noise_cov() -> None:
     """Independent of the draws, with the covariance of each line within 5 standard errors."""
     error = MapError(0.5, 0.5, 0.01)
-    noisy, exact = Refit(TURN.polylines, TURN.ego.mean, TURN.window, error), MonteCarlo(N, seed=3)
+    noisy, exact = paper_refit(TURN, map_error=error), MonteCarlo(N, seed=3)
     samples, plain = exact.samples(noisy, TURN.ego), exact.samples(REFIT, TURN.ego)
     added = samples.values - plain.values  # the same poses
 
@@ -60,7 +61,7 @@ def test_samples_include_errors_of_noise_cov() -> None:
 
 def test_the_seed_determines_the_errors() -> None:
     """The same seed repeats them, and another seed gives others."""
-    noisy = Refit(TURN.polylines, TURN.ego.mean, TURN.window, MapError(0.5))
+    noisy = paper_refit(TURN, map_error=MapError(0.5))
     known = Gaussian(TURN.ego.mean, np.zeros((3, 3)))
     first, again, other = (MonteCarlo(9, seed).samples(noisy, known).values for seed in (1, 1, 2))
 

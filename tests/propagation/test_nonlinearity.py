@@ -3,14 +3,16 @@
 import numpy as np
 import pytest
 
-from maplines_can.propagation import Refit, nonlinearity
+from maplines_can.line import Slot
+from maplines_can.propagation import nonlinearity
 from maplines_can.scenarios import scenario
+from maplines_can.study.paper_refit import paper_refit
 
 
 def test_a_refit_is_nonlinear_in_the_heading() -> None:
     """On the highway the direction is that of the heading, within a degree."""
     scene = scenario("highway-10deg")
-    refit = Refit(scene.polylines[0], scene.ego.mean, scene.window)
+    refit = paper_refit(scene, Slot.EGO_LEFT)
     direction, amount = nonlinearity(refit, scene.ego)
     assert abs(direction[2]) > np.cos(np.radians(1))
     assert amount > 0.9  # c0 depends on the heading mainly in second order

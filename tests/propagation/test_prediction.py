@@ -29,13 +29,13 @@ from maplines_can.propagation import (
     Mixture,
     MonteCarlo,
     Motion,
-    Refit,
     SigmaPoints,
     pose_time_ns,
     predict,
     predict_to,
 )
 from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import paper_refit
 
 N = 200_000
 WINDOW = (0.0, 80.0)
@@ -68,7 +68,7 @@ def y_sigma(gaussian: Any, x: Any = X) -> Any:
 def line_of_scene(name: Any, i: int = 0) -> Any:
     """Window, refit and Gaussian of a line of a scene."""
     scene = SCENARIOS[name]
-    refit = Refit(scene.polylines[i], scene.ego.mean, scene.window)
+    refit = paper_refit(scene, Slot(i))
     return tuple(refit.x_range), refit, SigmaPoints()(refit, scene.ego)
 
 

@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from maplines_can.errors import IllPosedError
 from maplines_can.gaussian import Gaussian
+from maplines_can.line import Slot
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit
 from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import PAPER
 
 
 def without_warnings(call: Any, *arguments: Any) -> Any:
@@ -97,7 +99,8 @@ def test_points_of_small_weight_without_a_value_are_excluded() -> None:
 def test_quadrature_agrees_with_a_million_draws(name: Any) -> None:
     """Mean and variance of two lines within 5 standard errors, from the fourth moment."""
     scene = SCENARIOS[name]
-    refit = Refit(scene.polylines[1:3], scene.ego.mean, scene.window)
+    lines = [scene.lines[slot] for slot in (Slot.EGO_RIGHT, Slot.NEXT_LEFT)]
+    refit = Refit(lines, scene.ego.mean, scene.window, **PAPER)
     samples = without_warnings(MonteCarlo(1_000_000, seed=7).samples, refit, scene.ego)
     mean, cov = without_warnings(Quadrature().moments, refit, scene.ego)
     off = samples.values - mean

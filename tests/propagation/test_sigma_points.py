@@ -9,8 +9,10 @@ from closed_forms import square
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 
 from maplines_can.gaussian import Gaussian
-from maplines_can.propagation import Refit, SigmaPoints
+from maplines_can.line import Slot
+from maplines_can.propagation import SigmaPoints
 from maplines_can.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import paper_refit
 
 
 @pytest.mark.parametrize("alpha", [1.0, 0.3, 1e-2, 1e-3])
@@ -31,7 +33,7 @@ def test_sigma_points_agree_with_filterpy(name: Any, alpha: float, kappa: float)
     To 1e-10 of the standard deviations; filterpy's sums lose a factor 1 / alpha^2 of that.
     """
     scene, transform = SCENARIOS[name], SigmaPoints(alpha, kappa)
-    refit = Refit(scene.polylines, scene.ego.mean, scene.window)
+    refit = paper_refit(scene)
     reference = MerweScaledSigmaPoints(3, alpha=alpha, beta=2.0, kappa=kappa)
     points = reference.sigma_points(scene.ego.mean, scene.ego.cov)
     mean, cov = transform.moments(refit, scene.ego)
@@ -72,7 +74,7 @@ def exact_moments(values: Any, alpha: Any, n: Any, beta: int = 2) -> Any:
 def test_a_small_alpha_loses_no_digits(name: str, alpha: float) -> None:
     """Exact fractions give the same sums, though weights of a million cancel."""
     scene, transform = SCENARIOS[name], SigmaPoints(alpha)
-    refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
+    refit = paper_refit(scene, Slot.EGO_RIGHT)
     mean, cov = transform.moments(refit, scene.ego)
     expected_mean, expected = exact_moments(refit(transform.points(scene.ego)), alpha, 3)
     sigma = np.sqrt(expected.diagonal())

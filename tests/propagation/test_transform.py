@@ -10,16 +10,17 @@ from strategies import covariances
 
 from maplines_can.errors import IllPosedError
 from maplines_can.gaussian import Gaussian
+from maplines_can.line import Slot
 from maplines_can.propagation import (
     Linear,
     MapError,
     MonteCarlo,
     Quadrature,
-    Refit,
     SigmaPoints,
     Transform,
 )
 from maplines_can.scenarios import scenario
+from maplines_can.study.paper_refit import paper_refit
 
 N = 20_000
 EXACT = [
@@ -37,7 +38,7 @@ MEAN, A, OFFSET = np.array([1.0, -2.0, 0.3]), np.arange(12.0).reshape(4, 3) % 5 
 SIGMA = np.array([0.5, 0.3, 0.1])
 R = np.array([[1.0, 0.8, -0.2], [0.8, 1.0, 0.1], [-0.2, 0.1, 1.0]])
 TURN = scenario("street-turn")
-REFIT = Refit(TURN.polylines, TURN.ego.mean, TURN.window)
+REFIT = paper_refit(TURN)
 
 
 def affine(x: Any) -> Any:
@@ -82,7 +83,7 @@ def test_the_identity_does_not_change_a_covariance(cov: Any, transform: Any) -> 
 @pytest.mark.parametrize("transform", ALL, ids=str)
 def test_noise_cov_is_added(transform: Any) -> None:
     """The error of a map adds its covariance to that of each line, and changes nothing else."""
-    noisy = Refit(TURN.polylines, TURN.ego.mean, TURN.window, MapError(0.1, 0.1, 0.001))
+    noisy = paper_refit(TURN, map_error=MapError(0.1, 0.1, 0.001))
     mean, cov = transform.moments(REFIT, TURN.ego)
     noisy_mean, noisy_cov = transform.moments(noisy, TURN.ego)
 
@@ -94,7 +95,7 @@ def test_noise_cov_is_added(transform: Any) -> None:
 def test_moments_of_several_outputs(transform: Any) -> None:
     """Each output is as it would be alone; a single Gaussian of several outputs raises."""
     mean, cov = transform.moments(REFIT, TURN.ego)
-    alone = transform(Refit(TURN.polylines[2], TURN.ego.mean, TURN.window), TURN.ego)
+    alone = transform(paper_refit(TURN, Slot.NEXT_LEFT), TURN.ego)
 
     assert (mean.shape, cov.shape) == ((8, 4), (8, 4, 4))
     assert np.allclose(mean[2], alone.mean, rtol=1e-9)

@@ -4,10 +4,12 @@ from typing import Any
 
 import pytest
 
-from maplines_can import MonteCarlo, Refit, scenario
+from maplines_can import MonteCarlo, scenario
+from maplines_can.line import Slot
 from maplines_can.propagation import Mixture, component_counts, nonlinearity
 from maplines_can.study.accuracy.approximations import Approximation
 from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
+from maplines_can.study.paper_refit import paper_refit
 
 
 @pytest.mark.filterwarnings("ignore:.* draws are ill-posed")
@@ -26,7 +28,7 @@ def test_false_positives_of_the_chosen_components(
 ) -> None:
     """One component stays where it is good enough; in the other scenes most false positives go."""
     scene = scenario(name)
-    refit = Refit(scene.polylines[1], scene.ego.mean, scene.window)
+    refit = paper_refit(scene, Slot.EGO_RIGHT)
     truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
 
     def false_positives(k: Any) -> Any:

@@ -1,4 +1,6 @@
-"""Lines of random roads in bulk: the same as those of ``Refit`` and ``SigmaPoints``."""
+"""Lines of random roads: each with its own pose and map error."""
+
+from typing import Any
 
 import numpy as np
 import pytest
@@ -6,20 +8,24 @@ import pytest
 from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, Refit, SigmaPoints
 from maplines_can.scenarios import pose
+from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.roads import lines_of_roads, random_roads
 
 
+@pytest.mark.parametrize("settings", [{}, PAPER], ids=["honest", "paper"])
 @pytest.mark.parametrize("with_map_error", [False, True])
-def test_roads_in_bulk_are_those_of_refit_and_sigma_points(with_map_error: bool) -> None:
-    """Means and covariances agree within 1e-6 sigma, nearly singular ones too."""
-    roads = random_roads(300, np.random.default_rng(6), with_map_error=with_map_error)
-    means, covs = lines_of_roads(roads)
+def test_each_road_has_the_pose_and_the_map_error_of_its_row(
+    settings: Any, with_map_error: bool
+) -> None:
+    """Its line is that of ``Refit`` and ``SigmaPoints`` for the ``scenarios.pose`` of the row."""
+    roads = random_roads(30, np.random.default_rng(6), with_map_error=with_map_error)
+    means, covs = lines_of_roads(roads, **settings)
 
     for i, n in enumerate(roads.number):
         error = MapError(*roads.map_error[i]) if with_map_error else None  # type: ignore[index]
         s_x, s_y, s_h = roads.sigma[i]
         ego = pose(s_x, s_y, np.degrees(s_h), roads.correlation[i])
-        refit = Refit(Polyline(roads.points[i, :n]), ego.mean, (-1e3, 1e3), error)
+        refit = Refit(Polyline(roads.points[i, :n]), ego.mean, (-1e3, 1e3), error, **settings)
         mean, cov = SigmaPoints().moments(refit, ego)
         sigma = np.sqrt(cov.diagonal())
         assert np.abs((means[i] - mean) / sigma).max() < 1e-6

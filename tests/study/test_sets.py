@@ -10,6 +10,7 @@ from maplines_can.gaussian import Gaussian
 from maplines_can.propagation import Quadrature, Refit, SigmaPoints
 from maplines_can.scenarios import SCENARIOS
 from maplines_can.study.files import read_map
+from maplines_can.study.paper_refit import paper_refit
 from maplines_can.study.sets import DrawnSet, MapView, drawn_chunk, line_set
 
 
@@ -33,8 +34,7 @@ def test_a_chunk_depends_only_on_set_seed_index_and_size(name: str) -> None:
 def test_the_first_chunk_begins_with_the_fixed_scenarios() -> None:
     """It has all their lines in their order."""
     scene = SCENARIOS["highway"]
-    refit = Refit(scene.polylines, scene.ego.mean, scene.window)
-    means, covs = SigmaPoints().moments(refit, scene.ego)
+    means, covs = SigmaPoints().moments(paper_refit(scene), scene.ego)
     chunk = drawn_chunk("paper", 0, 0, 100)
 
     assert np.array_equal(chunk.mean[: len(means)], means)

@@ -56,8 +56,21 @@ def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
 def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
-    payload = codec.encode_batch([[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=20.0)
+    payload = codec.encode_batch(
+        [[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=5.0, x_max=80.0
+    )
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
+
+
+@given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
+def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
+    """By the first-order sigma of the lateral position, or the line is OUT_OF_RANGE."""
+    cov = np.diag([1e-2, 1e-6, 1e-10, 1e-14])
+    line = MapLine(0, Gaussian([0.0, sign * beta, 0.0, 0.0], cov), x_min=-20, x_max=20)  # type: ignore[arg-type]
+    decoder = codec.decoder()
+    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]
+    if received.is_usable:
+        assert abs(line.y(x) - received.y(x)) <= received.y_sigma(x) + 1e-9
 
 
 def test_age_is_rounded_up(codec: Any) -> None:
@@ -210,7 +223,7 @@ def test_all_writers_agree(codec: Any) -> None:
 def test_the_valid_range_is_rounded_inwards(codec: Any) -> None:
     """x_min is rounded up and x_max down."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
-    ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [24.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
+    ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [8.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
     for x_min, x_max in ends:
         batch = codec.decode_batch(
             codec.encode_batch(np.zeros((1, 4)), cov, x_min=x_min, x_max=x_max)

@@ -14,11 +14,11 @@ from maplines_can.line import Status
 from maplines_can.wire import Reason
 
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
-X_MIN, X_MAX = r"(SG_ XMin\b.*?)\(8,-32\) \[-32\|24\]", r"(SG_ XMax\b.*?)\(8,0\) \[0\|248\]"
+X_MIN, X_MAX = r"(SG_ XMin\b.*?)\(4,-20\) \[-20\|8\]", r"(SG_ XMax\b.*?)\(4,0\) \[0\|124\]"
 #: Conversions of XMin and XMax; the last ones leave most ranges without a step inside.
 DBCS = {
     "default": (),
-    "finer": ((X_MIN, r"\1(4,-16) [-16|12]"), (X_MAX, r"\1(2,10) [10|72]")),
+    "finer": ((X_MIN, r"\1(2,-8) [-8|6]"), (X_MAX, r"\1(2,10) [10|72]")),
     "tenths": ((X_MIN, r"\1(0.1,0) [0|0.7]"), (X_MAX, r"\1(0.3,0) [0|9.3]")),
     "less-than-its-bits": ((X_MIN, r"\1(8,-32) [-16|8]"), (X_MAX, r"\1(8,0) [16|80]")),
     "far": ((X_MIN, r"\1(8,40) [40|96]"), (X_MAX, r"\1(30,-500) [-500|430]")),
@@ -26,7 +26,7 @@ DBCS = {
 STATUSES = [None, *Status]
 ENDS = st.one_of(
     st.floats(-1000, 1000),
-    st.integers(-125, 125).map(lambda k: 8.0 * k),
+    st.integers(-250, 250).map(lambda k: 4.0 * k),
     st.integers(-100, 100).map(lambda k: k / 10),
 )
 
@@ -68,7 +68,7 @@ def test_item_4_a_decoded_range_is_inside_the_given_one(
 
 
 @pytest.mark.parametrize("status", STATUSES)
-@pytest.mark.parametrize("ends", [(50, 80), (300, 400), (-400, -300), (9, 15), (24.5, 100)])
+@pytest.mark.parametrize("ends", [(50, 80), (300, 400), (-400, -300), (4.5, 7.5), (8.5, 100)])
 def test_item_4_a_range_that_cannot_be_stated_is_out_of_range(
     codec: Any, ends: Any, status: Any
 ) -> None:
@@ -98,15 +98,15 @@ def test_item_4_a_received_range_that_ends_before_it_starts_is_rejected(
     codec: Any, status: Any
 ) -> None:
     """By the batch and by one record alike, unless the status is OUT_OF_RANGE."""
-    record = codec.encode_batch([[0.0] * 4], [COV], x_min=24, x_max=24, status=status)[0]
+    record = codec.encode_batch([[0.0] * 4], [COV], x_min=8, x_max=8, status=status)[0]
     raw = codec._writer._packing.unpack_one(record.tobytes())
-    raw["XMax"] = 2  # 16 m
+    raw["XMax"] = 1  # 4 m
     payload = codec._writer.protect_one(raw, codec.layout.messages[Slot.EGO_LEFT].data_id)
     batch = codec.decode_batch(np.frombuffer(payload, np.uint8)[None])
     one = codec.decode_one(payload, Slot.EGO_LEFT)
     if status is Status.OUT_OF_RANGE:
         assert batch.accepted[0]
-        assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0]) == (16, 16)
+        assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0]) == (4, 4)
     else:
         assert batch.rejects == {Reason.CONTENT: 1}
         assert one is Reason.CONTENT

@@ -30,9 +30,10 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from ...line import Slot
-from ...propagation import MonteCarlo, Refit
+from ...propagation import MonteCarlo
 from ...scenarios import SCENARIOS, Scenario
 from ...wire import Codec
+from ..paper_refit import paper_refit
 from .approximations import representations, through_the_wire
 from .evaluation import Row, evaluate_approximation, true_distribution
 
@@ -69,7 +70,7 @@ def accuracy_table(
     codec = codec or Codec.from_dbc()
     rows: list[Row] = []
     for scene in scenes:
-        refit = refit_of(scene, slot)
+        refit = paper_refit(scene, slot)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ill-posed draws, which are left out
             true = true_distribution(MonteCarlo(n, seed).samples(refit, scene.ego).values)
@@ -87,18 +88,3 @@ def accuracy_table(
                 if progress is not None:
                     progress(len(rows), len(jobs) * len(scenes))
     return rows
-
-
-def refit_of(scene: Scenario, slot: Slot) -> Refit:
-    """Return the map from pose to line parameters for one line of a scene.
-
-    Raises:
-        ValueError: the scene has no such line.
-    """
-    for line in scene.lines:
-        if line.slot == slot:
-            return Refit(line.polyline, scene.ego.mean, scene.window)
-    raise ValueError(
-        f"scenario {scene.name!r} has no line {slot.name}; "
-        f"there are {', '.join(line.slot.name for line in scene.lines)}"
-    )

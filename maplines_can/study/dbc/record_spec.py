@@ -51,13 +51,14 @@ _KIND = SignalSpec(
     about="Kind of line on the road.", why="eight values")
 _EXTENT = (
     SignalSpec(
-        name="XMin", bits=3, factor=8, offset=-32, unit="m",
+        name="XMin", bits=3, factor=4, offset=-20, unit="m",
         about="Start of the range where the cubic is valid, rounded up: never too wide.",
-        why="-32 to 24 m: from behind the car to where a merging line begins"),
+        why="-20 to 8 m: from behind the car to where a line begins beside it"),
     SignalSpec(
-        name="XMax", bits=5, factor=8, unit="m",
+        name="XMax", bits=5, factor=4, unit="m",
         about="End of the range where the cubic is valid, rounded down: never too wide.",
-        why="0 to 248 m, beyond the range of any camera"),
+        why="0 to 124 m; in a roundabout a cubic holds for 15 m, of which steps of 8 m would "
+            "leave a point"),
     SignalSpec(
         name="Age", bits=5, factor=8, unit="ms", choices={31: "TOO_OLD"},
         about="Time from the pose to the transmission, rounded up. The greatest raw value means "

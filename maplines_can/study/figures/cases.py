@@ -13,7 +13,7 @@ from ...line import Slot, lateral
 from ...polyline import to_ego
 from ...propagation import MonteCarlo, Refit, SigmaPoints
 from ...scenarios import Scenario
-from ..accuracy.table import refit_of
+from ..paper_refit import paper_refit
 from .panels import View
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ class Case:
 
 def case_of(scenario: Scenario, samples: int, seed: int) -> Case:
     """Return the distribution of a scene's line ``SLOT``, by sampling and by sigma points."""
-    ego, refit = scenario.ego, refit_of(scenario, SLOT)
+    ego, refit = scenario.ego, paper_refit(scenario, SLOT)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the figure prints the number of draws left out
         draws = MonteCarlo(samples, seed).samples(refit, ego)

@@ -25,8 +25,9 @@ class RecordAttributes:
         slot: line slot.
         counter: E2E counter, of which the record holds the low bits; None: 0, 1, ...
         kind: kind of the line.
-        x_min: start of the valid range of the cubic [m].
-        x_max: end of the valid range of the cubic [m].
+        x_min: start of the valid range of the cubic [m], such as ``Refit.x_range`` has it.
+        x_max: end of the valid range of the cubic [m]; by default, nothing is claimed ahead of
+            the car.
         age: time from the pose to the sending [s]; infinite if too old or unknown.
         status: requested status; None: FULL. DIAGONAL requests the variances only.
         component_index: index of the component in its mixture, from 0.
@@ -42,7 +43,7 @@ class RecordAttributes:
     counter: ArrayLike | None = None
     kind: ArrayLike = Kind.UNKNOWN
     x_min: ArrayLike = 0.0
-    x_max: ArrayLike = 80.0
+    x_max: ArrayLike = 0.0
     age: ArrayLike = 0.0
     status: ArrayLike | None = None
     component_index: ArrayLike = 0

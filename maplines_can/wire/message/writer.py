@@ -111,6 +111,10 @@ class RecordWriter:
             variances = np.einsum("nii->ni", cov[diagonal])
             error[diagonal] += np.einsum("ni,ij->nij", variances, np.eye(4)) - cov[diagonal]
             indefinite = indefinite & ~diagonal
+        # For a clipped beta, the first-order sigma of the lateral position has to cover the
+        # difference of the tangents, which grows faster than that of the angles.
+        d_beta = (np.tan(mean[:, 1]) - np.tan(decoded[:, 1])) * np.cos(decoded[:, 1]) ** 2
+        error[:, 1, 1] += np.where(clipped, (d_beta**2 - d[:, 1] ** 2).clip(0), 0.0)
         if cover is not None:
             error += cover
         coded = self._covariance.encode(error, self.layout.resolution)

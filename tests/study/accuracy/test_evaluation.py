@@ -19,8 +19,9 @@ from maplines_can.study.accuracy.approximations import (
     through_the_wire,
 )
 from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
-from maplines_can.study.accuracy.table import accuracy_table, refit_of
+from maplines_can.study.accuracy.table import accuracy_table
 from maplines_can.study.accuracy.text import as_csv, as_markdown, as_text
+from maplines_can.study.paper_refit import paper_refit
 from maplines_can.study.random_scenarios import random_scenarios
 
 SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
@@ -285,7 +286,7 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows: Any) -
     """They grow on the highway and fall in the turn; false positives grow in both."""
     correlation = {}
     for name in SCENARIOS:
-        refit = refit_of(scenario(name), Slot.EGO_RIGHT)
+        refit = paper_refit(scenario(name), Slot.EGO_RIGHT)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             R = representations(refit, scenario(name).ego, n=CLAIMS_N)["MonteCarlo"].covs[0]  # type: ignore[index]

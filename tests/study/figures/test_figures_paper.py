@@ -20,6 +20,7 @@ from maplines_can.line import lateral
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
 from maplines_can.study.figures import cases, panels
 from maplines_can.study.figures import paper as figures
+from maplines_can.study.paper_refit import PAPER
 
 SAMPLES = 1500
 PLANS = {plan.number: plan for plan in figures.FIGURES}
@@ -133,9 +134,7 @@ def test_files_do_not_depend_on_the_user_s_settings(
 def test_a_case_has_the_results_of_the_transforms(case_of: Any) -> None:
     """A case has the results of MonteCarlo and SigmaPoints for the line EGO_RIGHT."""
     case, scene = case_of(PLANS[10]), scenario("street-turn")
-    line = scene.lines[1]
-    assert line.slot == cases.SLOT
-    refit = Refit(line.polyline, scene.ego.mean, scene.window)
+    refit = Refit(scene.lines[cases.SLOT], scene.ego.mean, scene.window, **PAPER)
     draws = MonteCarlo(SAMPLES, 0).samples(refit, scene.ego)
     np.testing.assert_array_equal(draws.values, case.lines)
     np.testing.assert_allclose(draws.inputs, case.poses, atol=1e-12)

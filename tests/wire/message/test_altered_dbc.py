@@ -101,8 +101,8 @@ def refusal(*edits: tuple[str, str]) -> str:
     [
         pytest.param((r"(Status .*: \d+)\|3@1", r"\1|2@1"), "holds 0 to 5", id="status-of-2-bits"),
         pytest.param((r"(Status .*\|3@1)\+", r"\1-"), "an unsigned type", id="status-signed"),
-        pytest.param((r"(XMin .*)\(8,-32\)", r"\1(-8,24)"), "positive factor", id="x-min-negative"),
-        pytest.param((r"(XMax .*)\(8,0\)", r"\1(-8,248)"), "positive factor", id="x-max-negative"),
+        pytest.param((r"(XMin .*)\(4,-20\)", r"\1(-4,8)"), "positive factor", id="x-min-negative"),
+        pytest.param((r"(XMax .*)\(4,0\)", r"\1(-4,124)"), "positive factor", id="x-max-negative"),
         pytest.param((r"(Age .*)\(8,0\)", r"\1(-8,248)"), "a positive factor", id="age-negative"),
         pytest.param((r"(Age .*)\"ms\"", r'\1"s"'), 'the unit "ms"', id="age-in-seconds"),
         pytest.param((r"(Beta .*)\"rad\"", r'\1"deg"'), 'the unit "rad"', id="beta-in-degrees"),
@@ -117,7 +117,7 @@ def refusal(*edits: tuple[str, str]) -> str:
         pytest.param((r"(YOff .*)\(0.0009765625,0\)", r"\1(0,0)"), "other than 0", id="factor-0"),
         pytest.param((r"(YOff .*)\[[^]]*\]", r"\1[5|-5]"), "[min|max]", id="min-above-max"),
         pytest.param(
-            (r"(XMax .*)\(8,0\) \[[^]]*\]", r"\1(8,-400) [0|0]"), "no valid range", id="x-max-low"
+            (r"(XMax .*)\(4,0\) \[[^]]*\]", r"\1(4,-400) [0|0]"), "no valid range", id="x-max-low"
         ),
         pytest.param((r"(PivotC1 .*)\(0.054,-32\)", r"\1(-0.054,-4)"), "positive", id="pivot"),
         pytest.param(

@@ -1,0 +1,41 @@
+"""The fit of the paper, for the scenes of the paper."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from ..line import Slot
+from ..propagation import MapError, Refit
+from ..scenarios import Scenario
+
+#: Settings with which ``Refit`` fits all of a window, as the paper does: up to 80 deg from the x
+#: axis, and without regard to the deviation of the cubic from the line.
+PAPER: dict[str, Any] = {"max_misfit": math.inf, "max_turn": math.radians(80.0)}
+
+
+def paper_refit(
+    scene: Scenario, slot: Slot | None = None, map_error: MapError | None = None
+) -> Refit:
+    """Return the function from a pose to the lines of a scene, as the paper fits them.
+
+    Its covariance has the error of the pose (and of the map), as in the paper's figures, but not
+    the deviation of the cubic from the line. Lines that are sent are those of ``map_lines``.
+
+    Args:
+        scene: the scene.
+        slot: the line; None for all lines of the scene.
+        map_error: error of the map.
+
+    Raises:
+        ValueError: the scene has no such line.
+        IllPosedError: a line is not in the window, or is nearly perpendicular to the x axis.
+    """
+    if slot is None:
+        return Refit(list(scene.lines.values()), scene.ego.mean, scene.window, map_error, **PAPER)
+    if slot not in scene.lines:
+        raise ValueError(
+            f"scenario {scene.name!r} has no line {slot.name}; "
+            f"there are {', '.join(each.name for each in scene.lines)}"
+        )
+    return Refit(scene.lines[slot], scene.ego.mean, scene.window, map_error, **PAPER)

@@ -1,0 +1,181 @@
+"""Range of a refit: as far as a cubic follows the line, whatever the spacing of its points."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from maplines_can import Gaussian, MapError, Polyline, Refit, SigmaPoints, Slot, lateral
+from maplines_can.study.paper_refit import PAPER
+from maplines_can.study.random_scenarios import curve, random_scenarios
+
+ORIGIN = np.zeros(3)
+WINDOW = (-20.0, 80.0)
+
+
+def bend(radius: float, spacing: float = 0.5, start: float = 0.0) -> Any:
+    """A line that is straight up to ``start`` [m] and then an arc to the left."""
+    s = np.arange(-40.0, 120.0 + spacing / 2, spacing)
+    curvature = np.where(s >= start, 1 / radius, 0.0)
+    return Polyline(curve(1.75, 0.0, curvature, spacing, -40.0))
+
+
+def s_bend(radius: float) -> Any:
+    """Alternating arcs of 30 m."""
+    s = np.arange(-40.0, 120.5, 0.5)
+    return Polyline(curve(1.75, 0.0, np.sign(np.sin(np.pi * s / 30)) / radius, 0.5, -40.0))
+
+
+def deviation(polyline: Any, x_range: Any, line: Any = None) -> float:
+    """Largest deviation of a cubic from a line, by default of the best one (Chebyshev)."""
+    points = polyline.window(ORIGIN, *x_range)
+    x = np.linspace(*x_range, 150)
+    y = np.interp(x, *points.T)
+    if line is not None:
+        return float(np.abs(y - lateral(line, x)).max())
+    w = 2 * (x - x_range[0]) / (x_range[1] - x_range[0]) - 1
+    V = np.polynomial.chebyshev.chebvander(w, 3)
+    ones = np.ones((len(x), 1))
+    A = np.block([[V, -ones], [-V, -ones]])
+    best = linprog([0, 0, 0, 0, 1], A, np.concatenate([y, -y]), bounds=[(None, None)] * 5)
+    assert best.success
+    return float(best.fun)
+
+
+def limit(polyline: Any, x_min: float, x_max: float, max_misfit: float) -> float:
+    """Largest end of a range from ``x_min`` in which a cubic holds the misfit, at most x_max."""
+    low, high = x_min + 1.0, x_max
+    if deviation(polyline, (x_min, high)) <= max_misfit:
+        return high
+    for _ in range(9):
+        middle = (low + high) / 2
+        held = deviation(polyline, (x_min, middle)) <= max_misfit
+        low, high = (middle, high) if held else (low, middle)
+    return low
+
+
+SHAPES = {
+    **{f"arc-{radius}": bend(radius) for radius in (12.0, 25.0, 50.0, 100.0, 200.0)},
+    **{f"bend-{radius}": bend(radius, start=20.0) for radius in (8.0, 30.0, 60.0)},
+    **{f"s-bend-{radius}": s_bend(radius) for radius in (60.0, 120.0)},
+}
+
+
+@pytest.mark.parametrize("max_misfit", [0.03, 0.1, 0.3])
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_misfit_is_as_stated_and_within_its_limit(name: str, max_misfit: float) -> None:
+    """It is the largest deviation on dense points, and its square is the variance of y_off."""
+    refit = Refit(SHAPES[name], ORIGIN, WINDOW, max_misfit=max_misfit)
+    found = deviation(SHAPES[name], refit.x_range, refit(ORIGIN))
+
+    assert refit.misfit <= max_misfit
+    assert found == pytest.approx(float(refit.misfit), abs=0.02 * max_misfit)
+    assert np.array_equal(refit.noise_cov, np.diag([float(refit.misfit) ** 2, 0, 0, 0]))
+
+
+def test_item_2_the_range_is_near_the_chebyshev_limit() -> None:
+    """Of the longest range from the same start that any cubic could hold: median and least."""
+    shares = []
+    for line in (*SHAPES.values(), *(road.lines[Slot.EGO_LEFT] for road in tight_roads(20))):
+        x_min, x_max = Refit(line, ORIGIN, WINDOW).x_range
+        end = Refit(line, ORIGIN, WINDOW, max_misfit=1e9).x_range[1]
+        shares.append((x_max - x_min) / (limit(line, x_min, end, 0.1) - x_min))
+
+    assert len(shares) == 30
+    assert np.median(shares) >= 0.85
+    assert min(shares) >= 0.6
+    assert max(shares) <= 1 + 1e-2  # no range holds more than the limit, to its own accuracy
+
+
+def tight_roads(n: int) -> Any:
+    """Random roads that no cubic follows to their end."""
+    roads = []
+    for road in random_scenarios(400, seed=3):
+        if Refit(road.lines[Slot.EGO_LEFT], ORIGIN, WINDOW, max_misfit=1e9).misfit > 0.15:
+            roads.append(road)
+        if len(roads) == n:
+            return roads
+    raise AssertionError(f"only {len(roads)} of {n} tight roads")
+
+
+def test_a_smaller_misfit_gives_a_shorter_range() -> None:
+    """An infinite one gives all of the window, without a cover."""
+    line = bend(100.0)
+    lengths = [
+        np.ptp(Refit(line, ORIGIN, WINDOW, max_misfit=each).x_range) for each in (0.01, 0.1, 1.0)
+    ]
+    paper = Refit(line, ORIGIN, WINDOW, max_misfit=np.inf)
+
+    assert lengths == sorted(lengths)
+    assert lengths[0] < lengths[1] < 100.0
+    assert paper.x_range == pytest.approx(WINDOW)
+    assert paper.noise_cov is None
+
+
+@pytest.mark.parametrize("max_misfit", [0.0, -0.1, np.nan])
+def test_a_misfit_of_zero_is_refused(max_misfit: float) -> None:
+    """The message has the unit."""
+    with pytest.raises(ValueError, match="max_misfit must be more than 0 m, got"):
+        Refit(bend(100.0), ORIGIN, WINDOW, max_misfit=max_misfit)
+
+
+def with_points(line: Any, s: Any) -> Any:
+    """The same line with more points at arc lengths s [m]."""
+    s = np.unique(np.round(np.concatenate([line.distance, s]), 9))
+    return Polyline(np.column_stack([np.interp(s, line.distance, p) for p in line.points.T]))
+
+
+@given(
+    st.lists(st.tuples(st.floats(0.3, 30.0), st.floats(-0.12, 0.12)), min_size=3, max_size=12),
+    st.integers(0, 1000),
+)
+@settings(max_examples=50)
+def test_the_result_depends_on_the_line_and_not_on_its_points(steps: Any, seed: int) -> None:
+    """More points on the same segments, anywhere, give the same cubic.
+
+    The deviations are also taken at the points, so that a range may differ by the accuracy of its
+    search, 0.5 % of the window, and a shift by a hundredth of the largest misfit.
+    """
+    length, turn = np.array(steps).T
+    heading = np.cumsum(turn)
+    chords = length[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    few = Polyline(np.cumsum(np.vstack([[-5.0, 1.0], chords]), axis=0))
+    many = with_points(few, np.random.default_rng(seed).uniform(0, few.length, 40))
+    one, other = (Refit(line, ORIGIN, WINDOW, max_misfit=0.1) for line in (few, many))
+    x = np.linspace(max(one.x_range[0], other.x_range[0]), min(one.x_range[1], other.x_range[1]), 9)
+
+    pose = [0.3, -0.2, 0.02]
+    if np.allclose(other.x_range, one.x_range, atol=0.5):
+        assert np.allclose(lateral(other(pose), x), lateral(one(pose), x), rtol=0, atol=0.02)
+    assert np.abs(lateral(other(pose), x) - lateral(one(pose), x)).max() <= 0.2
+    same = [Refit(line, ORIGIN, WINDOW, **PAPER)(pose) for line in (few, many)]
+    assert np.allclose(lateral(same[0], x), lateral(same[1], x), rtol=0, atol=1e-6)
+
+
+def test_item_2_vertices_10_m_or_20_cm_apart_give_the_same_line() -> None:
+    """A bend of radius 40 m with vertices at 10 m; with more each 20 cm, in part and everywhere.
+
+    Within a fifth of the largest misfit, as the ranges differ by the accuracy of their search.
+    """
+    coarse = bend(40.0, spacing=10.0)
+    end = coarse.length
+    fine = [with_points(coarse, np.arange(0, each, 0.2)) for each in (end, end / 2)]
+    lines = [Refit(each, ORIGIN, WINDOW)(ORIGIN) for each in (coarse, *fine)]
+
+    assert np.ptp([lateral(line, np.linspace(0, 10, 5)) for line in lines], axis=0).max() < 0.02
+
+
+def test_the_point_errors_do_not_depend_on_the_fitted_points() -> None:
+    """A map with a point each metre averages its errors more than one with a point each 10 m."""
+    ego = Gaussian(ORIGIN, np.zeros((3, 3)))
+    error = MapError(point_sigma=0.1)
+    sigmas = []
+    for spacing in (1.0, 10.0):
+        x = np.arange(-40.0, 120.0, spacing)
+        line = Polyline(np.column_stack([x, 0 * x]))
+        sigmas.append(SigmaPoints()(Refit(line, ORIGIN, WINDOW, error), ego).sigma)
+
+    assert (sigmas[0][1:] < 0.6 * sigmas[1][1:]).all()

@@ -1,0 +1,391 @@
+#!/usr/bin/env python3
+"""Measure how honest and how long the lines are that ``map_lines`` gives on random roads.
+
+    evidence_lines.py                     all shapes of roads, production pose and poor pose
+    evidence_lines.py --shape city -n 50  50 lines of one shape
+    evidence_lines.py --map-error         the true line deviates from the map as ``MapError`` says
+    evidence_lines.py --wire              the decoded band and the decoded range
+
+Run it in the environment of the project: python3 tools/run.py python tools/evidence_lines.py
+
+z is the lateral position of the line at x, seen from a pose drawn from the Gaussian, less the mean
+y(x), in units of the standard deviation of y(x). The lateral position is where the points of the
+map, transformed to the drawn pose, cross x; a line that does not is counted as |z| > 3. Roads have
+random curvatures, lane widths and distances of their points, which are in random order, direction
+and place (UTM). The limit of a range is the longest one in which any cubic deviates from the line
+by at most ``max_misfit`` (Chebyshev fit, by linear programming).
+
+The exit status is 1 if a bound is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from random_roads import SHAPES, random_case
+from reporting import bar, parser_of
+from scipy.optimize import linprog
+
+from maplines_can import Codec, Gaussian, MapError, MapLine, Polyline, Slot, map_lines
+
+Array = NDArray[np.float64]
+
+#: Standard deviations of the pose: along [m], across [m], heading [deg].
+POSES = {"production": (0.1, 0.2, 0.2), "poor": (0.5, 1.0, 2.0)}
+WINDOW = (-20.0, 80.0)
+MAX_MISFIT = 0.1
+#: Of --map-error.
+MAP_ERROR = MapError(point_sigma=0.05, offset_sigma=0.1, heading_sigma=np.radians(0.1))
+#: Where z is evaluated: x [m] for the range of the line.
+PLACES: dict[str, Callable[[float, float], float]] = {
+    "x_min": lambda x_min, _: x_min,
+    "0": lambda *_: 0.0,
+    "20": lambda *_: 20.0,
+    "40": lambda *_: 40.0,
+    "x_max": lambda _, x_max: x_max,
+}
+#: Bounds: largest share of |z| > 3, rms of z, largest share of refused lines, and least ratio of
+#: the range to its limit (median, 5 % quantile).
+BEYOND, RMS, REFUSED, RATIO = 0.005, (0.85, 1.08), 0.02, (0.85, 0.6)
+#: Fewer values at a place are too few to compare their share of |z| > 3 with its bound.
+LEAST_VALUES = 4000
+#: Lines of which the map has more within the window ahead of the car must not be refused [m].
+AHEAD = 15.0
+#: A line that reaches farther both ways from x = 0 could be given there [m].
+AT_CAR = 2.0
+#: A line is a function y(x) while it deviates by less from the car's x axis [rad].
+TURN = np.radians(65.0)
+#: Points of the map farther away along the line are not used [m].
+NEAR = 160.0
+
+
+def seen_from(points: Array, poses: Array) -> Array:
+    """Return (D, n, 2) points in the frames of (D, 3) poses; points are (n, 2) or (D, n, 2)."""
+    c, d = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    R = np.array([[c, -d], [d, c]]).transpose(2, 0, 1)
+    return np.asarray((points - poses[:, None, :2]) @ R)
+
+
+def place_of(points: Array) -> tuple[int, Array]:
+    """Return the step of (n, 2) points that is nearest to the origin, and arc lengths from there.
+
+    The arc lengths are (n,), 0 at the place nearest to the origin [m].
+    """
+    begin, step = points[:-1], np.diff(points, axis=0)
+    share = (-(begin * step).sum(1) / np.maximum((step * step).sum(1), 1e-18)).clip(0, 1)
+    nearest = int(np.hypot(*(begin + share[:, None] * step).T).argmin())
+    s = np.append(0.0, np.hypot(*step.T).cumsum())
+    return nearest, s - s[nearest] - share[nearest] * (s[nearest + 1] - s[nearest])
+
+
+def is_oncoming(local: Array) -> bool:
+    """Return whether the direction of a line is against the x axis where the car is."""
+    _, s = place_of(local)
+    behind, ahead = np.interp([-1.0, 1.0], s, local[:, 0])
+    return bool(ahead < behind)
+
+
+def crossings(local: Array, s: Array, x: float) -> Array:
+    """Return the (D,) lateral positions at x of (D, n, 2) lines, nearest along them to s = 0.
+
+    They are NaN if a line does not cross x in its direction, or only farther along than a line
+    that is followed can be: there it comes back, as in a hairpin, or another road begins.
+    """
+    u, v = np.moveaxis(local, -1, 0)
+    crossed = (u[:, :-1] <= x) & (u[:, 1:] > x)
+    du = np.diff(u, axis=1)
+    share = (x - u[:, :-1]) / np.where(crossed, du, 1.0)
+    along = np.where(crossed, np.abs(s[:-1] + share * np.diff(s)), np.inf)
+    rows, i = np.arange(len(u)), along.argmin(axis=1)
+    y = v[rows, i] + share[rows, i] * (v[rows, i + 1] - v[rows, i])
+    return np.where(along[rows, i] <= 4 * abs(x) + 20, y, np.nan)
+
+
+def chebyshev_misfit(x: Array, y: Array) -> float:
+    """Return the least possible largest deviation of a cubic from (n,) points [m]."""
+    w = (x - x.mean()) / max(np.ptp(x) / 2, 1e-9)
+    A, one = np.vander(w, 4), np.ones((len(x), 1))
+    solution = linprog(
+        [0, 0, 0, 0, 1],
+        A_ub=np.block([[A, -one], [-A, -one]]),
+        b_ub=np.append(y, -y),
+        bounds=[(None, None)] * 4 + [(0, None)],
+        method="highs",
+    )
+    return float(solution.x[4])
+
+
+class View:
+    """Line as a function y(x), as a car sees it from its mean pose."""
+
+    def __init__(self, local: Array, nearest: int) -> None:
+        steps = np.diff(local, axis=0)
+        along = steps[:, 0] >= np.cos(TURN) * np.hypot(*steps.T)
+        self.is_seen = bool(along[nearest])
+        across = np.flatnonzero(~along)
+        first = across[across < nearest].max(initial=-1) + 1
+        last = across[across > nearest].min(initial=len(steps))
+        self.x, self.y = local[first : last + 1].T
+        self.low, self.high = max(WINDOW[0], self.x[0]), min(WINDOW[1], self.x[-1])
+
+    def holds(self, low: float, high: float) -> bool:
+        """Return whether a cubic follows the line from low to high within ``MAX_MISFIT``."""
+        inside = self.x[(self.x > low) & (self.x < high)]
+        if len(inside) > 60:
+            inside = inside[np.linspace(0, len(inside) - 1, 60).astype(int)]
+        x = np.union1d(np.linspace(low, high, 61), inside)
+        y = np.interp(x, self.x, self.y)
+        squares = np.polynomial.Polynomial.fit(x, y, 3)
+        return np.abs(squares(x) - y).max() <= MAX_MISFIT or chebyshev_misfit(x, y) <= MAX_MISFIT
+
+    def farthest(self, low: float, least: float) -> float:
+        """Return how far a cubic follows the line from low, at least to ``least`` [m]."""
+        if self.holds(low, self.high):
+            return self.high
+        inner, outer = least, self.high
+        while outer - inner > 0.1:
+            middle = (inner + outer) / 2
+            inner, outer = (middle, outer) if self.holds(low, middle) else (inner, middle)
+        return inner
+
+    def longest(self, known: float) -> float:
+        """Return the longest range about the car that a cubic follows, at least ``known`` [m]."""
+        car, best = min(max(0.0, self.low), self.high), known
+        for begin in np.linspace(car, self.low, 11 if self.low < car else 1):
+            end = max(begin + best + 0.1, car)
+            if end < self.high and self.holds(begin, end):
+                best = self.farthest(begin, end) - begin
+            elif end >= self.high > begin + best and self.holds(begin, self.high):
+                best = self.high - begin
+        return float(best)
+
+
+def over_the_wire(codec: Codec, line: MapLine) -> MapLine | None:
+    """Return a line as a receiver gets it; None if it is not usable."""
+    decoder, received = codec.decoder(), None
+    for frame in codec.encode(line):
+        received = decoder.feed(frame.can_id, frame.data, t_ns=0)
+    return received if isinstance(received, MapLine) and received.is_usable else None
+
+
+class Settings(NamedTuple):
+    """What is measured."""
+
+    lines: int
+    draws: int
+    ranges: int  #: lines of which the limit of the range is computed
+    map_error: bool
+    codec: Codec | None
+
+
+def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callable[[], Any]) -> Any:
+    """Return the figures of one shape of road and one pose."""
+    z: dict[str, list[Array]] = {name: [] for name in PLACES}
+    reasons, lengths, reach, same, longest = Counter[str](), [], [], [], []
+    ahead = refused = visible = refused_visible = at_car = not_at_car = 0
+    for number in range(settings.lines):
+        step()
+        rng = np.random.default_rng([seed, list(SHAPES).index(shape), number])
+        points, pose, is_reversed = random_case(shape, rng)
+        local = seen_from(points, pose[None])[0]
+        if is_oncoming(local):  # a road that crosses itself
+            points, local, is_reversed = points[::-1], local[::-1], not is_reversed
+        nearest, s = place_of(local)
+        view = View(local, nearest)
+        is_ahead = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0) >= AHEAD
+        root = turned(pose[2]) * [sigma[0], sigma[1], np.radians(sigma[2])]
+        ego = Gaussian(pose, root @ root.T)
+        line = given(points[:: -1 if is_reversed else 1], ego, settings)
+        is_given = isinstance(line, MapLine)
+        reasons[line if isinstance(line, str) else "given"] += 1
+        ahead += is_ahead
+        refused += is_ahead and not is_given
+        is_visible = view.is_seen and view.low <= 0 and view.high >= AHEAD
+        visible += is_visible
+        refused_visible += is_visible and not is_given
+        if not isinstance(line, MapLine):
+            continue
+        is_at_car = view.is_seen and view.low <= -AT_CAR and view.high >= AT_CAR
+        at_car += is_at_car
+        not_at_car += is_at_car and not line.x_min <= 0 <= line.x_max
+        lengths.append(line.x_max - line.x_min)
+        reach.append(line.x_max)
+        if view.is_seen and number < settings.ranges:
+            length = lengths[-1]
+            begin = max(line.x_min, view.low)
+            same.append(length / max(view.farthest(begin, begin + 0.5 * length) - begin, length))
+            longest.append(length / max(view.longest(length / same[-1]), length))
+        for name, values in z.items():
+            x = PLACES[name](line.x_min, line.x_max)
+            if line.x_min <= x <= line.x_max:
+                near = np.abs(s) <= NEAR + np.diff(s).max()
+                true = drawn(points[near], pose, settings, rng)
+                poses = pose + rng.standard_normal((settings.draws, 3)) @ root.T
+                y = crossings(seen_from(true, poses), s[near], x)
+                values.append((y - line.y(x)) / line.y_sigma(x))
+    return {
+        "lines": settings.lines,
+        "left out": dict(sorted(reasons.items())),
+        "refused": refused / max(ahead, 1),
+        "refused in view": refused_visible / max(visible, 1),
+        "not at the car": not_at_car / max(at_car, 1),
+        "beyond 3 sigma": {name: beyond(values) for name, values in z.items()},
+        "rms": {name: rms(values) for name, values in z.items()},
+        "values": {name: sum(map(len, values)) for name, values in z.items()},
+        "range": quantiles(lengths),
+        "x_max": quantiles(reach),
+        "ratio, same x_min": quantiles(same),
+        "ratio, any x_min": quantiles(longest),
+    }
+
+
+def turned(heading: float) -> Array:
+    """Return the (3, 3) rotation of errors of a pose from the car's frame to that of the map."""
+    c, d = np.cos(heading), np.sin(heading)
+    return np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]])
+
+
+def given(points: Array, ego: Gaussian, settings: Settings) -> MapLine | str:
+    """Return the line that is sent, or the reason for which it is not."""
+    slot = Slot.EGO_LEFT
+    error = MAP_ERROR if settings.map_error else None
+    lines = map_lines({slot: Polyline(points)}, ego, window=WINDOW, map_error=error)
+    if not lines:
+        return lines.left_out[slot].name
+    if settings.codec is None:
+        return lines[0]
+    return over_the_wire(settings.codec, lines[0]) or "OUT_OF_RANGE"
+
+
+def drawn(points: Array, pose: Array, settings: Settings, rng: Any) -> Array:
+    """Return the (n, 2) points, or with a map error (D, n, 2) draws of the true ones."""
+    if not settings.map_error:
+        return points
+    draws = settings.draws
+    turn = MAP_ERROR.heading_sigma * rng.standard_normal(draws)
+    about_car = seen_from(points, np.column_stack([np.tile(pose[:2], (draws, 1)), turn]))
+    common = MAP_ERROR.offset_sigma * rng.standard_normal((draws, 1, 2))
+    local = MAP_ERROR.point_sigma * rng.standard_normal(about_car.shape)
+    return about_car + pose[:2] + common + local
+
+
+def beyond(values: list[Array]) -> float:
+    """Return the share of |z| > 3; a line that does not cross x counts as such."""
+    z = np.concatenate(values) if values else np.empty(0)
+    return float((~(np.abs(z) <= 3)).mean()) if len(z) else 0.0
+
+
+def rms(values: list[Array]) -> float | None:
+    """Return the root mean square of z."""
+    z = np.concatenate(values) if values else np.empty(0)
+    return float(np.sqrt(np.nanmean(z**2))) if np.isfinite(z).any() else None
+
+
+def quantiles(values: list[float]) -> list[float]:
+    """Return the median and the 5 % quantile; empty without values."""
+    return np.quantile(values, [0.5, 0.05]).tolist() if values else []
+
+
+def missed(name: str, row: Any, is_production: bool) -> Iterator[str]:
+    """Yield the bounds that the figures of a shape miss."""
+    for place, n in row["values"].items():
+        if n >= LEAST_VALUES:
+            if row["beyond 3 sigma"][place] > BEYOND:
+                yield f"{name}: {row['beyond 3 sigma'][place]:.2%} beyond 3 sigma at x = {place}"
+            if is_production and not RMS[0] <= row["rms"][place] <= RMS[1]:
+                yield f"{name}: rms of z is {row['rms'][place]:.2f} at x = {place}"
+    if row["refused"] > REFUSED:
+        yield f"{name}: {row['refused']:.1%} of the lines with 15 m ahead are refused"
+    if is_production:
+        for which in ("ratio, same x_min", "ratio, any x_min"):
+            for value, bound, what in zip(row[which], RATIO, ("median", "5 %"), strict=False):
+                if value < bound:
+                    yield f"{name}: {which}: the {what} is {value:.2f}"
+
+
+def show(title: str, rows: Any) -> None:
+    """Print the figures of a pose as a table."""
+    places = "".join(f"{'x = ' + name:>14}" for name in PLACES)
+    print(
+        f"\n{title}\n{'':16} refused in view  no x=0  {places}"
+        "   range  x_max  ratio, same   any x_min\n"
+        f"{'':42}{'  |z| > 3  rms' * len(PLACES)}"
+        "       m      m   50 %  5 %   50 %  5 %"
+    )
+    for name, row in rows.items():
+        figures = "".join(
+            f"{row['beyond 3 sigma'][place]:9.2%}{row['rms'][place] or np.nan:5.2f}"
+            if row["values"][place]
+            else f"{'-':>14}"
+            for place in PLACES
+        )
+        ratios = " ".join(
+            f"{row[which][0]:6.2f}{row[which][1]:5.2f}" if row[which] else f"{'-':>11}"
+            for which in ("ratio, same x_min", "ratio, any x_min")
+        )
+        lengths = "".join(f"{(row[key] or [0])[0]:7.1f}" for key in ("range", "x_max"))
+        lost = "".join(
+            f"{row[key]:8.1%}" for key in ("refused", "refused in view", "not at the car")
+        )
+        print(f"{name:16}{lost}  {figures} {lengths} {ratios}")
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the roads and of the draws")
+    parser.add_argument("-n", "--lines", type=int, default=1000, help="lines of each shape")
+    parser.add_argument("--draws", type=int, default=10, help="poses drawn for each line and x")
+    parser.add_argument(
+        "--ranges", type=int, default=100, help="lines of each shape whose limit is computed"
+    )
+    parser.add_argument("--quick", action="store_true", help="20 lines of each shape")
+    parser.add_argument("--shape", action="append", choices=SHAPES, help="can be repeated")
+    parser.add_argument("--pose", action="append", choices=POSES, help="can be repeated")
+    parser.add_argument("--map-error", action="store_true", help="with a map error")
+    parser.add_argument("--wire", action="store_true", help="encoded and decoded")
+    arguments = parser.parse_args(argv)
+    result, misses = evidence(arguments)
+    if arguments.json:
+        print(json.dumps(result | {"missed": misses}, indent=2))
+    else:
+        for name, rows in result.items():
+            show(f"{name} pose: sigma {POSES[name]} (m, m, deg)", rows)
+        print("", *(misses or ["All bounds are met."]), sep="\n")
+    return 1 if misses else 0
+
+
+def evidence(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
+    """Return the figures by pose and shape, and the bounds that they miss."""
+    settings = Settings(
+        20 if arguments.quick else arguments.lines,
+        arguments.draws,
+        3 if arguments.quick else arguments.ranges,
+        arguments.map_error,
+        Codec.from_dbc() if arguments.wire else None,
+    )
+    shapes, poses = arguments.shape or SHAPES, arguments.pose or POSES
+    result: dict[str, Any] = {}
+    misses: list[str] = []
+    with bar(settings.lines * len(shapes) * len(poses), unit=" lines", leave=False) as progress:
+        for pose_name in poses:
+            result[pose_name] = {}
+            for shape in shapes:
+                progress.set_description(f"{pose_name}, {shape}")
+                sigma = POSES[pose_name]
+                row = measure(shape, sigma, settings, arguments.seed, progress.update)
+                result[pose_name][shape] = row
+                name = f"MISSED  {pose_name}, {shape}"
+                misses += missed(name, row, pose_name == "production")
+    return result, misses
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,170 @@
+"""Lines of random roads: motorway, rural road, city, and shapes that are hard for a cubic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maplines_can.street_shapes import Piece, Street, widening
+
+Array = NDArray[np.float64]
+
+#: Standard deviations of the car's place across its lane [m], and of its heading from it [rad].
+ACROSS_SIGMA, HEADING_SIGMA = 0.3, 0.05
+
+
+def bend(rng: Any, radius: Any, turn: Any, clothoid: float = 0.0, side: int = 0) -> list[Piece]:
+    """Return an arc with random radius [m] and turn [rad], between two clothoids."""
+    k = (side or rng.choice([-1, 1])) / rng.uniform(*radius)
+    arc = Piece(max(1.0, rng.uniform(*turn) / abs(k) - clothoid), k, k)
+    return [Piece(clothoid, 0, k), arc, Piece(clothoid, k, 0)] if clothoid else [arc]
+
+
+def motorway(rng: Any) -> list[Piece]:
+    """Return straight pieces and bends of radius 700 m to 3000 m."""
+    pieces = []
+    for _ in range(4):
+        pieces += [Piece(rng.uniform(20, 300)), *bend(rng, (700, 3000), (0.1, 0.4), 80.0)]
+    return pieces
+
+
+def motorway_exit(rng: Any) -> list[Piece]:
+    """Return an exit of radius 40 m to 120 m."""
+    ramp = bend(rng, (40, 120), (1.0, 4.0), rng.uniform(30, 80))
+    return [Piece(rng.uniform(60, 150)), *ramp, Piece(rng.uniform(60, 150))]
+
+
+def rural(rng: Any) -> list[Piece]:
+    """Return straight pieces and bends of radius 60 m to 400 m."""
+    pieces = []
+    for _ in range(5):
+        pieces += [Piece(rng.uniform(5, 150)), *bend(rng, (60, 400), (0.2, 1.5), 20.0)]
+    return pieces
+
+
+def s_bend(rng: Any) -> list[Piece]:
+    """Return two bends of radius 30 m to 80 m to opposite sides."""
+    side = rng.choice([-1, 1])
+    first, second = (bend(rng, (30, 80), (0.5, 1.2), 10.0, s) for s in (side, -side))
+    return [Piece(rng.uniform(20, 60)), *first, *second, Piece(rng.uniform(20, 60))]
+
+
+def corner(rng: Any) -> list[Piece]:
+    """Return a corner of 90 deg and of radius 8 m."""
+    turn = (np.pi / 2, np.pi / 2)
+    return [Piece(rng.uniform(40, 80)), *bend(rng, (8, 8), turn), Piece(rng.uniform(40, 80))]
+
+
+def hairpin(rng: Any) -> list[Piece]:
+    """Return a turn of 180 deg and of radius 7 m to 15 m."""
+    turn = (np.pi, np.pi)
+    return [Piece(rng.uniform(40, 80)), *bend(rng, (7, 15), turn), Piece(rng.uniform(40, 80))]
+
+
+def roundabout(rng: Any, radius: float) -> list[Piece]:
+    """Return most of a circle."""
+    return bend(rng, (radius, radius), (1.9 * np.pi, 1.9 * np.pi))
+
+
+def city(rng: Any) -> list[Piece]:
+    """Return corners, bends, S-bends and roundabouts, in random order."""
+    pieces = [Piece(rng.uniform(20, 60))]
+    for _ in range(5):
+        kind = rng.integers(4)
+        if kind == 0:
+            pieces += bend(rng, (8, 40), (0.3, 1.57))
+        elif kind == 1:
+            pieces += s_bend(rng)
+        elif kind == 2:
+            side = rng.choice([-1, 1])
+            pieces += bend(rng, (8, 12), (0.6, 0.9), side=-side)
+            pieces += bend(rng, (12, 25), (1.6, 4.5), side=side)
+            pieces += bend(rng, (8, 12), (0.6, 0.9), side=-side)
+        else:
+            pieces += bend(rng, (15, 120), (0.3, 1.5), 8.0)
+        pieces.append(Piece(rng.uniform(10, 80)))
+    return pieces
+
+
+def boundary(rng: Any) -> Callable[[Array, float], Array]:
+    """Return the offset of one of the boundaries of three lanes."""
+    lane = rng.choice([-1.5, -0.5, 0.5, 1.5])
+    return lambda s, width: np.full(len(s), lane * width)
+
+
+def widened(rng: Any) -> Callable[[Array, float], Array]:
+    """Return the offset of a boundary that moves by 3.5 m along 15 m to 60 m."""
+    side, begin, length = rng.choice([-1, 1]), rng.uniform(-15, 60), rng.uniform(15, 60)
+    return lambda s, width: side * (width / 2 + 3.5 * widening(s, begin, length))
+
+
+def ended(rng: Any) -> Callable[[Array, float], Array]:
+    """Return the offset of a boundary that ends, or begins, from 5 m behind to 90 m ahead."""
+    side, end, sign = rng.choice([-1, 1]), rng.uniform(-5, 90), rng.choice([-1, 1, 1])
+    return lambda s, width: np.where(sign * (s - end) <= 0, side * width / 2, np.nan)
+
+
+def jumped(rng: Any) -> Callable[[Array, float], Array]:
+    """Return the offset of a boundary that jumps by up to 3.5 m, from 10 m behind to 80 m ahead."""
+    side, place, jump = rng.choice([-1, 1]), rng.uniform(-10, 80), rng.uniform(-3.5, 3.5)
+    return lambda s, width: side * width / 2 + np.where(s > place, jump, 0.0)
+
+
+def imprecise(rng: Any) -> Callable[[Array, float], Array]:
+    """Return the offset of a boundary whose points are up to 0.15 m off the road's shape."""
+    lane, sigma = rng.choice([-1.5, -0.5, 0.5, 1.5]), rng.uniform(0.02, 0.15)
+    return lambda s, width: lane * width + sigma * rng.uniform(-1, 1, len(s))
+
+
+#: Shapes of road by name: pieces, distances of the points [m] and offset of the line. In the
+#: lines that end, widen or jump, this is near the car, at s = 0.
+SHAPES: dict[str, tuple[Callable[[Any], list[Piece]], tuple[float, float], Any]] = {
+    "motorway": (motorway, (0.2, 20), boundary),
+    "motorway-coarse": (motorway, (45, 90), boundary),
+    "exit": (motorway_exit, (0.2, 5), boundary),
+    "rural": (rural, (0.2, 10), boundary),
+    "s-bend": (s_bend, (0.2, 2), boundary),
+    "city": (city, (0.2, 2), boundary),
+    "corner": (corner, (0.2, 1), boundary),
+    "roundabout-12m": (lambda rng: roundabout(rng, 12.0), (0.2, 1), boundary),
+    "roundabout-50m": (lambda rng: roundabout(rng, 50.0), (0.2, 2), boundary),
+    "lane-ends": (rural, (0.2, 5), ended),
+    "lane-widens": (motorway, (0.2, 5), widened),
+    "jump": (rural, (0.2, 5), jumped),
+    "hairpin": (hairpin, (0.2, 1), boundary),
+    "imprecise": (city, (1, 10), imprecise),
+}
+
+
+class Case(NamedTuple):
+    """A line of the map and the mean pose of a car beside it."""
+
+    points: Array  #: (n, 2) in the map frame, in the direction of the car
+    pose: Array  #: (3,)
+    is_reversed: bool
+
+
+def random_case(shape: str, rng: Any) -> Case:
+    """Return a random line of a shape of road, near a car in its middle lane."""
+    pieces_of, spacing, offset_of = SHAPES[shape]
+    pieces = [Piece(*map(float, piece)) for piece in pieces_of(rng)]
+    street = Street(pieces, rng.uniform(0.05, 0.9) * sum(piece.length for piece in pieces))
+    distance = np.exp(rng.uniform(*np.log(spacing)))
+    least, most = max(spacing[0], 0.7 * distance), min(spacing[1], 1.4 * distance)
+    count = int((street.end - street.begin) / least) + 1
+    s = street.begin + np.append(0.0, rng.uniform(least, most, count).cumsum())
+    s = np.append(s[s < street.end - least / 2], street.end)
+    across = offset_of(rng)(s, rng.uniform(2.75, 3.75))
+    there = np.isfinite(across)
+    if there.sum() < 2:
+        return random_case(shape, rng)
+    points = street.line(s[there], across[there])
+    turn, place = rng.uniform(-np.pi, np.pi), rng.uniform([3e5, 4e6], [7e5, 7e6])
+    c, d = np.cos(turn), np.sin(turn)
+    beside = np.array([0.0, rng.normal(0, ACROSS_SIGMA)])
+    R = np.array([[c, d], [-d, c]])
+    pose = np.append(beside @ R + place, turn + rng.normal(0, HEADING_SIGMA))
+    return Case(points @ R + place, pose, bool(rng.random() < 0.5))
