@@ -37,6 +37,10 @@ class MapFileError(MaplinesError, ValueError):
     """A map file cannot be read, or contains nothing that can be used."""
 
 
+class RouteError(MaplinesError, ValueError):
+    """A map has no route between two lanes, or no such lane."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 
