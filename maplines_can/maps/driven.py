@@ -98,6 +98,8 @@ class LaneGraph:
 
     def row(self, key: Key) -> tuple[Key, ...]:
         """Return the lanes beside each other, from left to right, as seen from one of them."""
+        if key.is_against:
+            return tuple(other.back for other in reversed(self.row(key.back)))
         if key not in self._rows:
             row = [key]
             while (other := self[row[0]].on_left) and other not in row:

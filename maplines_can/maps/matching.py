@@ -34,6 +34,8 @@ LEAST_PROBABILITY = 1e-6
 #: Least standard deviation of a position [m], so that a covariance may be 0.
 LEAST_SIGMA = 1e-3
 
+#: Positions farther away are as far as this [m], so that their squares do not overflow.
+_FAR = 1e100
 #: Distance of the samples of centre lines in the search tree [m].
 _SPACING = 2.0
 #: Distance beyond the widest lane at which lanes are candidates [m].
@@ -135,7 +137,7 @@ class LaneIndex:
         pose = floats(pose, "pose")
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
-        point, heading = pose[:2], float(pose[2])
+        point, heading = pose[:2].clip(-_FAR, _FAR), float(pose[2])
         rows = np.array(self._tree.query_ball_point(point, self._farthest + margin), dtype=int)
         away = np.hypot(*(self._tree.data[rows] - point).T)
         rows = rows[away <= self._reach[rows] + margin]

@@ -25,6 +25,8 @@ CHANGE_COST = 50.0
 #: ``SHORT_COST`` metres of driving.
 CHANGE_LENGTH = 60.0
 SHORT_COST = 5.0
+#: Share of the way to a lane change that it costs in addition, so that it is done early.
+LATE_COST = 1e-6
 #: Driving that costs as much as to cross a solid line [m].
 SOLID_COST = 1000.0
 #: Boundaries that no lane change crosses.
@@ -164,6 +166,7 @@ def _dijkstra(
             if beside is not None and boundary.kind not in CLOSED:
                 extra = SOLID_COST if boundary.kind in {Kind.SOLID, Kind.DOUBLE} else 0.0
                 extra += SHORT_COST * max(0.0, CHANGE_LENGTH - room) + CHANGE_COST
+                extra += LATE_COST * cost
                 state_beside = (beside, is_beside_start)
                 heapq.heappush(heap, (cost + extra, next(order), state_beside, state))
     reached = len({lane_id for lane_id, _ in came_from})

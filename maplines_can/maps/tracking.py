@@ -159,6 +159,7 @@ class LaneTracker:
         index = None
         if route is not None:
             index = view.index(key, route, self._progress)
+            index = view.index(key, route) if index is None else index  # it has turned back
             self._progress = self._progress if index is None else index
         behind, ahead = view.paths(route, index)
         if last is not None:
