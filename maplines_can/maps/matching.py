@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import floats
-from ..polyline import Polyline, nearest_share
+from ..polyline import Polyline
 from .lane import Lane
 
 #: Lanes farther from the pose are no match [m].
@@ -34,6 +35,11 @@ LEAST_PROBABILITY = 1e-6
 #: Least standard deviation of a position [m], so that a covariance may be 0.
 LEAST_SIGMA = 1e-3
 
+#: Lines of more points are searched by boxes around so many steps.
+_LARGE = 512
+_BLOCK = 64
+#: Large lines whose boxes are kept.
+_LINES_KEPT = 256
 #: Positions farther away are as far as this [m], so that their squares do not overflow.
 _FAR = 1e100
 #: Distance of the samples of centre lines in the search tree [m].
@@ -253,28 +259,55 @@ class Place:
 
 def locate(lines: Iterable[Polyline], point: NDArray[np.float64]) -> Iterator[Place]:
     """Yield the place of each line that is nearest to a point."""
-    parts = [line.part_near(point, _WIDEST + MAX_DISTANCE) for line in lines]
-    points = np.concatenate([part for part, _ in parts]) - point
-    _, squared = nearest_share(points[:-1], points[1:], np.zeros(2))
+    parts = [_near(line, point) for line in lines]
+    x, y = (np.concatenate([part for part, _, _ in parts]) - point).T
+    dx, dy = x[1:] - x[:-1], y[1:] - y[:-1]
+    x, y = x[:-1], y[:-1]
+    squared_length = dx * dx + dy * dy
+    share = -(x * dx + y * dy) / np.where(squared_length > 0, squared_length, 1.0)
+    clipped = share.clip(0.0, 1.0)
+    squared = (x + clipped * dx) ** 2 + (y + clipped * dy) ** 2
     first = 0
-    for part, distance in parts:
+    for part, distance, length in parts:
         last = first + len(part) - 1
         k = first + int(squared[first:last].argmin())
-        (x, y), (x1, y1) = points[k : k + 2].tolist()
-        dx, dy = x1 - x, y1 - y
-        length = math.hypot(dx, dy) or 1.0
-        along = -(x * dx + y * dy) / length
-        t = (dy * x - dx * y) / length
+        s0, s1 = distance[k - first : k - first + 2].tolist()
+        step, along = s1 - s0, float(share[k]) * (s1 - s0)
         overshoot = 0.0
-        if k == first and along < 0:
+        if s0 == 0 and along < 0:
             overshoot = along
-        elif k == last - 1 and along > length:
-            overshoot = along - length
-        else:
-            t = math.copysign(math.sqrt(squared[k]), t)
-        s = float(distance[k - first]) + min(max(along, 0.0), length)
-        yield Place(s, t, math.atan2(dy, dx), overshoot)
+        elif s1 == length and along > step:
+            overshoot = along - step
+        cross = float(dy[k] * x[k] - dx[k] * y[k])
+        # Beyond an end, the distance from the line extended, else from the line itself.
+        t = cross / (step or 1.0) if overshoot else math.copysign(math.sqrt(squared[k]), cross)
+        s = s0 + min(max(along, 0.0), step)
+        yield Place(s, t, math.atan2(dy[k], dx[k]), overshoot)
         first = last + 1
+
+
+def _near(
+    line: Polyline, point: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return points of a line around that nearest to a point, arc lengths, and its length."""
+    points, distance = line.points, line.distance
+    if len(points) > _LARGE:
+        low, high = _boxes(line)
+        outside = np.maximum(low - point, point - high).clip(min=0.0)
+        farthest = np.hypot(*(points[:-1:_BLOCK] - point).T).min()
+        blocks = np.flatnonzero(np.hypot(*outside.T) <= farthest)
+        part = slice(int(blocks[0]) * _BLOCK, (int(blocks[-1]) + 1) * _BLOCK + 1)
+        points, distance = points[part], distance[part]
+    return points, distance, line.length
+
+
+@lru_cache(_LINES_KEPT)
+def _boxes(line: Polyline) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lower and the upper corners of boxes around each ``_BLOCK`` steps of a line."""
+    starts = np.arange(0, len(line.points) - 1, _BLOCK)
+    ends = line.points[np.minimum(starts + _BLOCK, len(line.points) - 1)]
+    low, high = (f.reduceat(line.points, starts) for f in (np.minimum, np.maximum))
+    return np.minimum(low, ends), np.maximum(high, ends)
 
 
 def _at_fractions(line: Polyline, count: int) -> NDArray[np.float64]:

@@ -126,14 +126,14 @@ def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
 def test_the_edges_of_a_one_way_road() -> None:
     """The boundary between its lanes is none."""
     found = read_map(road(section(lane(-1), lane(-2)))).lanes
-    assert found["1:0:-1"].left_kind == found["1:0:-2"].right_kind == Kind.ROAD_EDGE
-    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == Kind.UNKNOWN
+    assert found["1:0:-1"].left.kind == found["1:0:-2"].right.kind == Kind.ROAD_EDGE
+    assert found["1:0:-1"].right.kind == found["1:0:-2"].left.kind == Kind.UNKNOWN
 
 
 def test_roads_in_a_junction_have_no_edges() -> None:
     """They overlap."""
     found = lane_of(road(section(lane(-1)), attributes='junction="9"'))
-    assert found.left_kind == found.right_kind == Kind.UNKNOWN
+    assert found.left.kind == found.right.kind == Kind.UNKNOWN
 
 
 @pytest.mark.parametrize(

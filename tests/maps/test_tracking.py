@@ -1,7 +1,7 @@
 """Tracking of a car: slots remain until it changes lanes, and then all change in one cycle."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import pairwise
 
 import numpy as np
@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
+from numpy.typing import ArrayLike
 
 from maplines_can.line import Slot
 from maplines_can.maps import LaneTracker, Map, Route, Scene
@@ -32,10 +33,10 @@ def two_lanes(sections: int = 5) -> Map:
 ROAD = two_lanes()
 
 
-def drive(found: Map, poses: Iterable[Sequence[float]], route: Route | None = None) -> list[Scene]:
+def drive(found: Map, poses: Iterable[ArrayLike], route: Route | None = None) -> list[Scene]:
     """Return the scenes along a drive."""
     tracker = LaneTracker(found, route)
-    return [tracker.lines(np.array(pose)) for pose in poses]
+    return [tracker.lines(pose) for pose in poses]
 
 
 def along(line: Polyline, step: float = 1.0) -> list[np.ndarray]:
