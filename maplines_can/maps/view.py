@@ -31,6 +31,8 @@ PARALLEL = math.radians(45.0)
 #: A car sees a line as far as it turns ``MAX_TURN`` to either side, so from a part of a line at
 #: most twice as much.
 LEAST_COSINE = math.cos(2 * MAX_TURN)
+#: Margin of that cosine for a direction that is taken over a single step.
+MARGIN = 0.2
 #: Length over which the direction of a line is taken for that [m].
 CHORD = 1.0
 
@@ -96,6 +98,8 @@ class View:
         self.graph = LaneGraph(lanes)
         self.around = lru_cache(KEPT)(self._around)
         self._route_line = lru_cache(KEPT)(_route_line)
+        self._sources = lru_cache(KEPT * 8)(self._find_sources)
+        self._continuation = lru_cache(KEPT * 64)(self._find_continuation)
 
     def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
@@ -161,7 +165,7 @@ class View:
             lines[slot], parts[slot] = known[whole], frozenset(whole)
         return Surroundings(lines, bases, parts, frozenset((key, *lanes_ahead, *lanes_behind)))
 
-    def _sources(self, key: Key) -> dict[Slot, Source]:
+    def _find_sources(self, key: Key) -> dict[Slot, Source]:
         """Return where the line of each slot is from, at a lane."""
         row = self.graph.row(key)
         i = row.index(key)
@@ -188,25 +192,23 @@ class View:
         parts: dict[Slot, list[Part]] = {slot: [] for slot in last}
         lanes = []
         for following in self.graph.way(key, path, reach):
-            designated = self._sources(following)
-            continued = (
-                (slot, self._continuation(slot, source, following, designated.get(slot)))
-                for slot, source in last.items()
-            )
-            last = {slot: source for slot, source in continued if source is not None}
+            continued = {
+                slot: self._continuation(slot, source, following) for slot, source in last.items()
+            }
+            last = {slot: source for slot, source in continued.items() if source is not None}
             if not last:
                 break
             for slot, source in last.items():
                 line = self.line(source)
-                end = int(line.distance.searchsorted(reach)) + 1
-                parts[slot].append(Part(source, line.points[: max(2, end)]))
+                points = line.points
+                if line.length > reach:
+                    points = points[: max(2, int(line.distance.searchsorted(reach)) + 1)]
+                parts[slot].append(Part(source, points))
             lanes.append(following)
             reach -= self.graph[following].centre.length
         return parts, lanes
 
-    def _continuation(
-        self, slot: Slot, source: Source, following: Key, designated: Source | None
-    ) -> Source | None:
+    def _find_continuation(self, slot: Slot, source: Source, following: Key) -> Source | None:
         """Return the line that continues one, where the next lane begins.
 
         It is the line of the slot at the next lane, if it begins where this one ends. If another
@@ -217,9 +219,9 @@ class View:
             slot: of the line.
             source: the line.
             following: lane ahead that the car drives on.
-            designated: line of the slot at that lane.
         """
         line = self.line(source)
+        designated = self._sources(following).get(slot)
         if designated is not None and gap(line, self.line(designated)) <= MAX_GAP:
             return designated
         if slot in _OF_EGO_LANE:
@@ -258,6 +260,8 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
         start: arc length of the start of the part [m].
         end: arc length of its end [m].
     """
+    if not _turns(line, start, end):
+        return line
     s = np.linspace(0.0, line.length, max(1, math.ceil(line.length / CHORD)) + 1)
     x, y = (np.interp(s, line.distance, values) for values in line.points.T)
     chord = np.diff(x + 1j * y)
@@ -271,6 +275,17 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
     high = s[last + ahead.argmax()] if ahead.any() else line.length
     rows = line.distance.searchsorted([min(low, start), max(high, end)])
     return Polyline(line.points[rows[0] : rows[1] + 1], line.kind)
+
+
+def _turns(line: Polyline, start: float, end: float) -> bool:
+    """Return whether a step of a line may turn too far from the part: quickly, and too often."""
+    step, length = np.diff(line.points, axis=0), np.diff(line.distance)
+    k0, k1 = line.distance[1:-1].searchsorted([start + CHORD / 2, end - CHORD / 2])
+    for k, part in ((k1, slice(k1, None)), (k0, slice(None, k0 + 1))):
+        advance = step[part] @ step[k]
+        if (advance < (LEAST_COSINE + MARGIN) * length[k] * length[part]).any():
+            return True
+    return False
 
 
 def _route_line(route: Route, index: int) -> Polyline:
