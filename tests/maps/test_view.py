@@ -72,7 +72,7 @@ def carriageway(
     curvature=st.floats(-0.005, 0.005),
     section_of=st.integers(0, 2),
     lane_of=st.integers(0, 6),
-    s=st.floats(1.0, 95.0),
+    s=st.floats(5.0, 95.0),
     t=st.floats(-1.6, 1.6),
     turn=st.floats(-0.1, 0.1),
 )
