@@ -41,6 +41,10 @@ class DriveFileError(MaplinesError, ValueError):
     """A recorded drive cannot be used: a file, a column, a value, or positions off the map."""
 
 
+class RouteError(MaplinesError, ValueError):
+    """A map has no route between two lanes, or no such lane."""
+
+
 class StudyError(MaplinesError, ValueError):
     """A study cannot run with the given file, output directory or workers."""
 

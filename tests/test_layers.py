@@ -22,7 +22,8 @@ propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation
-maps.model maps.xml_tree maps.projection
+maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model maps.tracking
+maps.xml_tree maps.projection
 maps.lanelets maps.lanelet_tags maps.osm maps.lanelet2 maps.commonroad maps.points
 maps.opendrive.profiles maps.opendrive.reference_line maps.opendrive.attributes
 maps.opendrive.lane_section maps.opendrive.road maps.opendrive.boundaries maps.opendrive.links

@@ -1,6 +1,23 @@
 """Maps: lanes with their boundary lines, from files of several formats."""
 
 from .load import load
+from .matching import LaneMatch
 from .model import Lane, LaneType, Map, Road, Skipped
+from .routing import LaneChange, Route
+from .tracking import LaneTracker, Scene
+from .view import link_gaps
 
-__all__ = ["Lane", "LaneType", "Map", "Road", "Skipped", "load"]
+__all__ = [
+    "Lane",
+    "LaneChange",
+    "LaneMatch",
+    "LaneTracker",
+    "LaneType",
+    "Map",
+    "Road",
+    "Route",
+    "Scene",
+    "Skipped",
+    "link_gaps",
+    "load",
+]

@@ -1,189 +1,24 @@
-"""The map: lanes with their boundary lines, and the roads that they belong to.
-
-The values are the same whatever the format of the file. Positions are in the frame of the map,
-x and y in metres, angles counter-clockwise.
-"""
+"""The map: lanes and roads, and what a car asks of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from enum import StrEnum
+from functools import cached_property
 from types import MappingProxyType
+from typing import overload
 
-import numpy as np
+from numpy.typing import ArrayLike
 
-from ..line import Kind
+from ..errors import RouteError
+from ..line import Slot
 from ..polyline import Polyline
+from .lane import Lane, LaneType, Road, Skipped
+from .matching import LaneIndex, LaneMatch
+from .routing import Route, shortest_route
+from .view import View
 
-#: Points at which ``Lane.width`` measures.
-WIDTH_SAMPLES = 33
-
-
-class LaneType(StrEnum):
-    """Use of a lane, in the terms of OpenDRIVE."""
-
-    DRIVING = "driving"
-    ENTRY = "entry"  #: acceleration lane
-    EXIT = "exit"  #: deceleration lane
-    ON_RAMP = "onRamp"
-    OFF_RAMP = "offRamp"
-    CONNECTING_RAMP = "connectingRamp"
-    SLIP_LANE = "slipLane"
-    BIDIRECTIONAL = "bidirectional"  #: used in both directions, as a turning lane in the middle
-    BUS = "bus"
-    TAXI = "taxi"
-    HOV = "HOV"  #: for cars with several occupants
-    STOP = "stop"  #: hard shoulder for emergency stops
-    SHOULDER = "shoulder"
-    PARKING = "parking"
-    BIKING = "biking"
-    SIDEWALK = "sidewalk"
-    CROSSWALK = "crosswalk"
-    SHARED = "shared"  #: for pedestrians and cyclists
-    BORDER = "border"
-    CURB = "curb"
-    MEDIAN = "median"
-    RESTRICTED = "restricted"
-    ROAD_WORKS = "roadWorks"
-    TRAM = "tram"
-    RAIL = "rail"
-    NONE = "none"  #: surface without a use
-    OTHER = "other"
-
-    @property
-    def is_drivable(self) -> bool:
-        """Whether cars drive on it.
-
-        >>> LaneType.EXIT.is_drivable, LaneType.BUS.is_drivable
-        (True, False)
-        """
-        return self in _DRIVABLE
-
-
-_DRIVABLE = frozenset(
-    {
-        LaneType.DRIVING,
-        LaneType.ENTRY,
-        LaneType.EXIT,
-        LaneType.ON_RAMP,
-        LaneType.OFF_RAMP,
-        LaneType.CONNECTING_RAMP,
-        LaneType.SLIP_LANE,
-        LaneType.BIDIRECTIONAL,
-    }
-)
-
-
-@dataclass(frozen=True, eq=False)
-class Lane:
-    """One lane of one lane section, or one lanelet.
-
-    Its lines run in the driving direction, and left and right are as seen by its driver.
-
-    Args:
-        id: unique in the map; "road:section:lane" from OpenDRIVE.
-        left: left boundary.
-        right: right boundary.
-        centre: line halfway between them.
-        type: use of the lane.
-        left_kind: marking of the left boundary.
-        right_kind: marking of the right boundary.
-        speed_limit: [m/s]; None if the map states none.
-        left_neighbour: id of the drivable lane on the left with the same driving direction; the
-            marking between them is ``left_kind``.
-        right_neighbour: as ``left_neighbour``, on the right.
-        opposite_left: id of the drivable lane beside it with the opposite driving direction. It is
-            on the left, or on the right in left-hand traffic.
-        successors: ids of the lanes that continue it.
-        predecessors: ids of the lanes that it continues.
-        road: id of its road.
-        junction: id of the junction that it is in.
-    """
-
-    id: str
-    left: Polyline
-    right: Polyline
-    centre: Polyline
-    type: LaneType = LaneType.DRIVING
-    left_kind: Kind = Kind.UNKNOWN
-    right_kind: Kind = Kind.UNKNOWN
-    speed_limit: float | None = None
-    left_neighbour: str | None = None
-    right_neighbour: str | None = None
-    opposite_left: str | None = None
-    successors: tuple[str, ...] = ()
-    predecessors: tuple[str, ...] = ()
-    road: str = ""
-    junction: str | None = None
-
-    @property
-    def length(self) -> float:
-        """Length of the centre line [m]."""
-        return self.centre.length
-
-    @property
-    def width(self) -> float:
-        """Mean distance of the left and the right boundary [m].
-
-        >>> left, right = Polyline([[0, 3], [9, 3]]), Polyline([[0, 0], [9, 0]])
-        >>> Lane("1", left, right, centre=Polyline([[0, 1.5], [9, 1.5]])).width
-        3.0
-        """
-        left, right = (_at_fractions(line) for line in (self.left, self.right))
-        return float(np.hypot(*(left - right)).mean())
-
-    @property
-    def linked(self) -> tuple[str, ...]:
-        """Ids of all lanes that it names."""
-        beside = (self.left_neighbour, self.right_neighbour, self.opposite_left)
-        return (*filter(None, beside), *self.successors, *self.predecessors)
-
-
-def _at_fractions(line: Polyline) -> np.ndarray:
-    """Return (2, WIDTH_SAMPLES) points at even fractions of the length."""
-    distance = line.distance
-    at = np.linspace(0.0, distance[-1], WIDTH_SAMPLES)
-    return np.array([np.interp(at, distance, values) for values in line.points.T])
-
-
-@dataclass(frozen=True)
-class Road:
-    """Lanes that belong together: the coarse layer of the map.
-
-    Args:
-        id: unique in the map.
-        name: as in the file, or empty.
-        length: [m].
-        lanes: ids of its lanes.
-        junction: id of the junction that it is in.
-        successors: ids of the roads that its lanes lead to.
-        predecessors: ids of the roads that lead to its lanes.
-    """
-
-    id: str
-    name: str
-    length: float
-    lanes: tuple[str, ...]
-    junction: str | None = None
-    successors: tuple[str, ...] = ()
-    predecessors: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """Something in a map file that is not used.
-
-    Args:
-        where: line or element of the file.
-        why: reason, and what happens instead.
-    """
-
-    where: str
-    why: str
-
-    def __str__(self) -> str:
-        return f"{self.where}: {self.why}"
+__all__ = ["Lane", "LaneType", "Map", "Road", "Skipped"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +60,106 @@ class Map:
         for road in self.roads.values():
             _require(road.lanes, self.lanes, f"road {road.id!r}")
             _require((*road.successors, *road.predecessors), self.roads, f"road {road.id!r}")
+
+    @cached_property
+    def index(self) -> LaneIndex:
+        """Search tree over the drivable lanes; built once, when it is used."""
+        return LaneIndex(self.lanes)
+
+    @cached_property
+    def view(self) -> View:
+        """Lines around the lanes; it keeps those of the lanes used last."""
+        return View(self.lanes)
+
+    @overload
+    def match(self, pose: ArrayLike) -> LaneMatch | None: ...
+
+    @overload
+    def match(self, pose: ArrayLike, cov: ArrayLike) -> tuple[LaneMatch, ...]: ...
+
+    def match(
+        self, pose: ArrayLike, cov: ArrayLike | None = None
+    ) -> LaneMatch | tuple[LaneMatch, ...] | None:
+        """Return the lane that a car is on, or with a covariance those that it may be on.
+
+        Without a covariance, it is the drivable lane with the least cost: the distance to the
+        lane [m], 2 m per rad of angle between the car and the lane, and 1 m if the car drives
+        against its direction. So where lanes overlap, as in a junction, the direction decides.
+
+        With a covariance, the probability of a lane is proportional to that of the pose in it: the
+        integral of the Gaussian of the lateral position over the width of the lane, given that
+        the heading of the car is that of the lane up to 5 deg (standard deviation), times the
+        integral of the longitudinal position over its length, times the likelihood of the heading.
+        All positions in a lane are as probable before, so a wide lane has the larger prior. To
+        drive against the direction of a lane has the prior probability 0.01.
+
+        Args:
+            pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
+            cov: (3, 3) covariance of the pose.
+
+        Returns:
+            The best match, or None if no drivable lane is within 30 m. With ``cov``, all
+            candidates, most probable first; their probabilities sum to 1, or there is none.
+
+        Raises:
+            ValueError: ``pose`` or ``cov`` is not finite or has another shape.
+        """
+        return self.index.match(pose) if cov is None else self.index.candidates(pose, cov)
+
+    def route(self, start: str | ArrayLike, goal: str | ArrayLike) -> Route:
+        """Return the shortest route through successors and lane changes.
+
+        A lane change costs as much as 50 m of driving, and 5 m for each metre by which the lanes
+        are shorter than 60 m. To cross a solid line costs as much as 1 km. No route crosses the
+        edge of the road, a kerb or a barrier.
+
+        Args:
+            start: id of a lane, from whose start, or pose (3,) from which the route starts.
+            goal: id of a lane, to whose end, or pose (3,) at which the route ends.
+
+        Raises:
+            RouteError: there is no route, no such lane, or no lane at a pose.
+        """
+        ends = {"start": start, "goal": goal}
+        return shortest_route(self.lanes, *(self._route_end(k, end) for k, end in ends.items()))
+
+    def _route_end(self, name: str, end: str | ArrayLike) -> tuple[str, float | None]:
+        if isinstance(end, str):
+            return end, None
+        match = self.match(end)
+        if match is None:
+            raise RouteError(f"no lane is near the {name} {end!r}; give a pose in the map frame")
+        return match.lane, match.s
+
+    def lines(self, pose: ArrayLike, route: Route | None = None) -> dict[Slot, Polyline]:
+        """Return the lines around a car by slot.
+
+        EGO_LEFT and EGO_RIGHT are the boundaries of the lane that the car is on (see ``match``),
+        and CENTRE is its centre line. NEXT_LEFT and NEXT_RIGHT are the outer boundaries of the
+        drivable lanes beside it, whatever their direction. EDGE_LEFT and EDGE_RIGHT are the
+        outermost boundaries of all drivable lanes beside each other. ROUTE is the centre line of
+        the route's lanes. So the two slots of a side have the same line where there are no
+        further lanes.
+
+        The lines run in the driving direction of the car and have the kind of the boundary where
+        it is. They continue at least 150 m ahead and 60 m behind where the map does: along the
+        route, else along the straightest lane. A line ends where a lane link has a gap of more
+        than 0.3 m (see ``link_gaps``), and before it returns. ``LaneTracker`` keeps slots stable
+        along a drive.
+
+        Args:
+            pose: (3,) e_x [m], e_y [m], e_h [rad] of the car in the map frame.
+            route: that the car follows. Where lanes overlap, its lanes are preferred.
+
+        Returns:
+            The lines that there are; empty if no drivable lane is within 30 m.
+
+        Raises:
+            ValueError: ``pose`` is not finite or not of shape (3,).
+        """
+        preferred = frozenset() if route is None else route.lane_set
+        match = self.index.match(pose, preferred)
+        return {} if match is None else self.view.lines(match, route)
 
     def __repr__(self) -> str:
         return f"<Map {self.name!r}: {len(self.roads)} roads, {len(self.lanes)} lanes>"

@@ -106,34 +106,34 @@ def test_neighbours_with_left_hand_traffic() -> None:
 def test_kinds_of_markings(mark: str, kind: Kind) -> None:
     marked = WIDTH + f'<roadMark sOffset="0" type="{mark}"/>'
     found = read_map(road(section(lane(1), lane(-1, marked), lane(-2)))).lanes
-    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == kind
+    assert found["1:0:-1"].right.kind == found["1:0:-2"].left.kind == kind
 
 
 def test_the_marking_of_lane_0_is_between_the_directions() -> None:
     found = read_map(
         road(section(lane(1), lane(-1), centre='<roadMark sOffset="0" type="solid solid"/>'))
     ).lanes
-    assert found["1:0:-1"].left_kind == found["1:0:1"].left_kind == Kind.DOUBLE
+    assert found["1:0:-1"].left.kind == found["1:0:1"].left.kind == Kind.DOUBLE
 
 
 def test_an_outermost_boundary_without_marking_is_a_road_edge() -> None:
     found = read_map(road()).lanes
-    assert found["1:0:-1"].right_kind == found["1:0:1"].right_kind == Kind.ROAD_EDGE
+    assert found["1:0:-1"].right.kind == found["1:0:1"].right.kind == Kind.ROAD_EDGE
     kerb = WIDTH + '<roadMark sOffset="0" type="curb"/>'
-    assert lane_of(road(section(lane(-1, kerb)))).right_kind == Kind.KERB
+    assert lane_of(road(section(lane(-1, kerb)))).right.kind == Kind.KERB
 
 
 def test_the_edges_of_a_one_way_road() -> None:
     """The boundary between its lanes is none."""
     found = read_map(road(section(lane(-1), lane(-2)))).lanes
-    assert found["1:0:-1"].left_kind == found["1:0:-2"].right_kind == Kind.ROAD_EDGE
-    assert found["1:0:-1"].right_kind == found["1:0:-2"].left_kind == Kind.UNKNOWN
+    assert found["1:0:-1"].left.kind == found["1:0:-2"].right.kind == Kind.ROAD_EDGE
+    assert found["1:0:-1"].right.kind == found["1:0:-2"].left.kind == Kind.UNKNOWN
 
 
 def test_roads_in_a_junction_have_no_edges() -> None:
     """They overlap."""
     found = lane_of(road(section(lane(-1)), attributes='junction="9"'))
-    assert found.left_kind == found.right_kind == Kind.UNKNOWN
+    assert found.left.kind == found.right.kind == Kind.UNKNOWN
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_roads_in_a_junction_have_no_edges() -> None:
 )
 def test_of_several_markings_the_longest_counts(first: float, expected: Kind) -> None:
     marks = f'<roadMark sOffset="0" type="broken"/><roadMark sOffset="{first}" type="solid"/>'
-    assert lane_of(road(section(lane(-1, WIDTH + marks)))).right_kind == expected
+    assert lane_of(road(section(lane(-1, WIDTH + marks)))).right.kind == expected
 
 
 @pytest.mark.parametrize(

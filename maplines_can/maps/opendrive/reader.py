@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import BinaryIO, TypeVar
@@ -123,7 +123,6 @@ class _Reader:
         """Yield the lanes of a lane section without their links."""
         section, extent = road.sections[index], road.extent(index)
         boundaries = Boundaries(road, index)
-        lines = _Lines(boundaries.sampled())
         records = sorted(section.lanes.values(), key=lambda record: -record.id)
         kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
         for record in records:
@@ -132,6 +131,7 @@ class _Reader:
             for row in boundaries.outermost:
                 if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
                     kinds[row] = Kind.ROAD_EDGE
+        lines = _Lines(boundaries.sampled(), kinds)
         negative = set(boundaries.negative)
         padded = [None, *records, None]
         for record, on_left, on_right in zip(records, padded, padded[2:], strict=False):
@@ -154,8 +154,6 @@ class _Reader:
                     right=lines.between(right, right, is_forward),
                     centre=lines.between(left, right, is_forward),
                     type=record.type,
-                    left_kind=kinds[left],
-                    right_kind=kinds[right],
                     speed_limit=_longest(record.speeds or road.speeds, extent, None),
                     left_neighbour=same[0],
                     right_neighbour=same[1],
@@ -196,8 +194,8 @@ class _Reader:
 class _Lines:
     """Polylines of the boundaries of a lane section; neighbouring lanes share theirs."""
 
-    def __init__(self, points: Complex) -> None:
-        self._points = points
+    def __init__(self, points: Complex, kinds: Mapping[int, Kind]) -> None:
+        self._points, self._kinds = points, kinds
         self._has_repeats = bool((np.abs(points[:, 1:] - points[:, :-1]) <= SAME).any())
         self._known: dict[tuple[int, int, bool], Polyline] = {}
 
@@ -211,7 +209,8 @@ class _Lines:
             if one != other or self._has_repeats:
                 points = _distinct(points)
             points = points[:: 1 if is_forward else -1]
-            self._known[key] = Polyline(np.array([points.real, points.imag]).T)
+            kind = self._kinds[one] if one == other else Kind.VIRTUAL
+            self._known[key] = Polyline(np.array([points.real, points.imag]).T, kind)
         return self._known[key]
 
 

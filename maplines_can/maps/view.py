@@ -1,0 +1,322 @@
+"""Lines of the map around a lane, each continued ahead and behind, by the slots of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..line import Slot
+from ..polyline import MAX_TURN, Polyline
+from .driven import DrivenLane, Key, LaneGraph
+from .joints import MAX_GAP, SNAP, gap, joined
+from .lane import Lane, Skipped
+from .matching import LaneMatch, locate, wrapped
+from .routing import Route
+
+#: Length of the lines ahead of the end of a lane, if the map has it [m].
+AHEAD = 150.0
+#: Length of the lines behind the start of a lane, if the map has it [m].
+BEHIND = 60.0
+#: Lanes whose lines are kept, so that the next pose on one of them finds them.
+KEPT = 1024
+#: Largest angle between lines that lead through a junction beside each other [rad].
+PARALLEL = math.radians(45.0)
+
+#: A car sees a line as far as it turns ``MAX_TURN`` to either side, so from a part of a line at
+#: most twice as much.
+LEAST_COSINE = math.cos(2 * MAX_TURN)
+#: Margin of that cosine for a direction that is taken over a single step.
+MARGIN = 0.2
+#: Length over which the direction of a line is taken for that [m].
+CHORD = 1.0
+
+#: The same line as seen in the other direction.
+_MIRRORED = {
+    Slot.EGO_LEFT: Slot.EGO_RIGHT,
+    Slot.EGO_RIGHT: Slot.EGO_LEFT,
+    Slot.NEXT_LEFT: Slot.NEXT_RIGHT,
+    Slot.NEXT_RIGHT: Slot.NEXT_LEFT,
+    Slot.CENTRE: Slot.CENTRE,
+    Slot.EDGE_LEFT: Slot.EDGE_RIGHT,
+    Slot.EDGE_RIGHT: Slot.EDGE_LEFT,
+}
+_OTHER_SIDE = {"left": "right", "right": "left", "centre": "centre"}
+_OF_EGO_LANE = frozenset({Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.CENTRE})
+_EDGES = frozenset({Slot.EDGE_LEFT, Slot.EDGE_RIGHT})
+
+
+class Source(NamedTuple):
+    """A line of a lane."""
+
+    key: Key
+    side: str  #: "left", "right" or "centre", as driven
+
+    @property
+    def back(self) -> Source:
+        """The same line in the other direction."""
+        return Source(self.key.back, _OTHER_SIDE[self.side])
+
+
+class Part(NamedTuple):
+    """A line of a lane, and those of its points that are used."""
+
+    source: Source
+    points: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Surroundings:
+    """Lines around a lane.
+
+    Args:
+        lines: by slot.
+        base: by slot, the line of a lane beside the car that the line is.
+        parts: by slot, the lines of the lanes that the line is made of.
+        lanes: the lane, and those behind and ahead of it that the lines follow.
+    """
+
+    lines: Mapping[Slot, Polyline]
+    base: Mapping[Slot, Source]
+    parts: Mapping[Slot, frozenset[Source]]
+    lanes: frozenset[Key]
+
+
+class View:
+    """Lines of a map around a pose.
+
+    Args:
+        lanes: by their ids.
+    """
+
+    def __init__(self, lanes: Mapping[str, Lane]) -> None:
+        self.graph = LaneGraph(lanes)
+        self.around = lru_cache(KEPT)(self._around)
+        self._route_line = lru_cache(KEPT)(_route_line)
+        self._sources = lru_cache(KEPT * 8)(self._find_sources)
+        self._continuation = lru_cache(KEPT * 64)(self._find_continuation)
+
+    def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
+        """Return the lines around a pose: see ``Map.lines``."""
+        key = Key(match.lane, match.is_against)
+        index = None if route is None else self.index(key, route)
+        behind, ahead = self.paths(route, index)
+        return self.with_route(self.around(key, ahead, behind), route, index)
+
+    def index(self, key: Key, route: Route, first: int = 0) -> int | None:
+        """Return which lane of a route a lane is, or else which one is beside it."""
+        try:
+            return route.lanes.index(key.lane, first)
+        except ValueError:
+            row = {other.lane for other in self.graph.row(key) if not other.is_against}
+            lanes = enumerate(route.lanes[first:], first)
+            return next((i for i, lane in lanes if lane in row), None)
+
+    def paths(
+        self, route: Route | None, index: int | None
+    ) -> tuple[tuple[Key, ...], tuple[Key, ...]]:
+        """Return the lanes of a route behind a lane, as driven backward, and ahead of it."""
+        if route is None or index is None:
+            return (), ()
+        near = route.around(index, BEHIND, AHEAD)
+        behind = tuple(Key(lane, True) for lane in reversed(route.lanes[near.start : index]))
+        return behind, tuple(map(Key, route.lanes[index : near.stop]))
+
+    def with_route(
+        self, around: Surroundings, route: Route | None, index: int | None
+    ) -> dict[Slot, Polyline]:
+        """Return the lines, and that of the route."""
+        lines = dict(around.lines)
+        if route is not None and index is not None:
+            lines[Slot.ROUTE] = self._route_line(route, index)
+        return lines
+
+    def _around(self, key: Key, ahead: tuple[Key, ...], behind: tuple[Key, ...]) -> Surroundings:
+        """Return the lines around a lane that follow the paths ahead and behind.
+
+        Args:
+            key: the lane.
+            ahead: lanes to follow ahead.
+            behind: lanes to follow behind, as driven backward, from the nearest one on.
+        """
+        after, lanes_ahead = self._continued(key, ahead, AHEAD)
+        before, lanes_behind = self._continued(key.back, behind, BEHIND)
+        known: dict[tuple[Source, ...], Polyline] = {}
+        lines: dict[Slot, Polyline] = {}
+        parts: dict[Slot, frozenset[Source]] = {}
+        bases = self._sources(key)
+        for slot, source in bases.items():
+            base = self.line(source)
+            back, front = before[_MIRRORED[slot]], after[slot]
+            sources = [part.source.back for part in reversed(back)]
+            sources += [source, *(part.source for part in front)]
+            whole = tuple(sources)
+            if whole not in known:
+                points = [part.points[::-1] for part in reversed(back)]
+                points += [base.points, *(part.points for part in front)]
+                line, starts = joined(points, base.kind)
+                end = [*starts, line.length][len(back) + 1]
+                known[whole] = _visible(line, starts[len(back)], end)
+            lines[slot], parts[slot] = known[whole], frozenset(whole)
+        return Surroundings(lines, bases, parts, frozenset((key, *lanes_ahead, *lanes_behind)))
+
+    def _find_sources(self, key: Key) -> dict[Slot, Source]:
+        """Return where the line of each slot is from, at a lane."""
+        row = self.graph.row(key)
+        i = row.index(key)
+        sources = {Slot.EGO_LEFT: Source(key, "left"), Slot.EGO_RIGHT: Source(key, "right")}
+        if i > 0:
+            sources[Slot.NEXT_LEFT] = Source(row[i - 1], "left")
+        if i + 1 < len(row):
+            sources[Slot.NEXT_RIGHT] = Source(row[i + 1], "right")
+        sources[Slot.CENTRE] = Source(key, "centre")
+        sources[Slot.EDGE_LEFT] = Source(row[0], "left")
+        sources[Slot.EDGE_RIGHT] = Source(row[-1], "right")
+        return sources
+
+    def line(self, source: Source) -> Polyline:
+        """Return the line of a lane."""
+        line: Polyline = getattr(self.graph[source.key], source.side)
+        return line
+
+    def _continued(
+        self, key: Key, path: Sequence[Key], reach: float
+    ) -> tuple[dict[Slot, list[Part]], list[Key]]:
+        """Return the parts that continue the line of each slot ahead of a lane, and the lanes."""
+        last = self._sources(key)
+        parts: dict[Slot, list[Part]] = {slot: [] for slot in last}
+        lanes = []
+        for following in self.graph.way(key, path, reach):
+            continued = {
+                slot: self._continuation(slot, source, following) for slot, source in last.items()
+            }
+            last = {slot: source for slot, source in continued.items() if source is not None}
+            if not last:
+                break
+            for slot, source in last.items():
+                line = self.line(source)
+                points = line.points
+                if line.length > reach:
+                    points = points[: max(2, int(line.distance.searchsorted(reach)) + 1)]
+                parts[slot].append(Part(source, points))
+            lanes.append(following)
+            reach -= self.graph[following].centre.length
+        return parts, lanes
+
+    def _find_continuation(self, slot: Slot, source: Source, following: Key) -> Source | None:
+        """Return the line that continues one, where the next lane begins.
+
+        It is the line of the slot at the next lane, if it begins where this one ends. If another
+        lane has opened between, or if the lanes beside each other have no common road in a
+        junction, it is the line of a successor of the lane beside.
+
+        Args:
+            slot: of the line.
+            source: the line.
+            following: lane ahead that the car drives on.
+        """
+        line = self.line(source)
+        designated = self._sources(following).get(slot)
+        if designated is not None and gap(line, self.line(designated)) <= MAX_GAP:
+            return designated
+        if slot in _OF_EGO_LANE:
+            return None
+        row = self.graph.row(following)
+        lane = self.graph[following]
+        for key in self.graph[source.key].successors:
+            other = Source(key, source.side)
+            if gap(line, self.line(other)) > MAX_GAP:
+                continue
+            if key in row:
+                if slot not in _EDGES:  # an edge ends where a lane opens beyond it
+                    return other
+            elif _leads_beside(self.line(other), lane, source.side):
+                return other
+        return None
+
+
+def _leads_beside(line: Polyline, lane: DrivenLane, side: str) -> bool:
+    """Return whether a line ends on one side of a lane and in about its direction."""
+    boundary = lane.left if side == "left" else lane.right
+    (place,) = locate([boundary], line.points[-1])
+    (x0, y0), (x1, y1) = line.points[-2:].tolist()
+    turn = wrapped(math.atan2(y1 - y0, x1 - x0) - place.direction)
+    outward = place.t if side == "left" else -place.t
+    return outward > -MAX_GAP and abs(turn) < PARALLEL
+
+
+def _visible(line: Polyline, start: float, end: float) -> Polyline:
+    """Return a line without what no car beside a part of it can see, as it turns too far.
+
+    So a line that returns, as that of a loop does, does not come near the car again.
+
+    Args:
+        line: the line.
+        start: arc length of the start of the part [m].
+        end: arc length of its end [m].
+    """
+    if not _turns(line, start, end):
+        return line
+    s = np.linspace(0.0, line.length, max(1, math.ceil(line.length / CHORD)) + 1)
+    x, y = (np.interp(s, line.distance, values) for values in line.points.T)
+    chord = np.diff(x + 1j * y)
+    chord /= np.maximum(np.abs(chord), 1e-12)
+    first, last = (s[1:-1].searchsorted(at) for at in (start, end))
+    ahead = (chord[last:] * chord[last].conj()).real < LEAST_COSINE
+    behind = (chord[first::-1] * chord[first].conj()).real < LEAST_COSINE
+    if not (ahead.any() or behind.any()):
+        return line
+    low = s[first - behind.argmax() + 1] if behind.any() else 0.0
+    high = s[last + ahead.argmax()] if ahead.any() else line.length
+    rows = line.distance.searchsorted([min(low, start), max(high, end)])
+    return Polyline(line.points[rows[0] : rows[1] + 1], line.kind)
+
+
+def _turns(line: Polyline, start: float, end: float) -> bool:
+    """Return whether a step of a line may turn too far from the part: quickly, and too often."""
+    step, length = np.diff(line.points, axis=0), np.diff(line.distance)
+    k0, k1 = line.distance[1:-1].searchsorted([start + CHORD / 2, end - CHORD / 2])
+    for k, part in ((k1, slice(k1, None)), (k0, slice(None, k0 + 1))):
+        advance = step[part] @ step[k]
+        if (advance < (LEAST_COSINE + MARGIN) * length[k] * length[part]).any():
+            return True
+    return False
+
+
+def _route_line(route: Route, index: int) -> Polyline:
+    """Return the line of a route around one of its lanes."""
+    near = route.around(index, BEHIND, AHEAD)
+    begin = route.starts[near.start]
+    end = route.starts[near.stop] if near.stop < len(route.starts) else math.inf
+    distance = route.line.distance
+    rows = slice(int(distance.searchsorted(begin)), int(distance.searchsorted(end, "right")))
+    line = Polyline(route.line.points[rows], route.line.kind)
+    start, length = route.extent(index)
+    return _visible(line, start - begin, start - begin + length)
+
+
+def link_gaps(lanes: Mapping[str, Lane]) -> Iterator[Skipped]:
+    """Yield the links between drivable lanes whose boundaries do not meet.
+
+    Lines are joined across gaps of up to ``MAX_GAP``, and end at larger ones.
+
+    Args:
+        lanes: by their ids.
+    """
+    for lane in lanes.values():
+        for following in (lanes[i] for i in lane.successors):
+            if not (lane.type.is_drivable and following.type.is_drivable):
+                continue
+            pairs = ((lane.left, following.left), (lane.right, following.right))
+            largest = max(gap(line, other) for line, other in pairs)
+            if largest > SNAP:
+                what = "end there" if largest > MAX_GAP else "are joined across it"
+                yield Skipped(
+                    f"link of lane {lane.id} to lane {following.id}",
+                    f"the boundaries have a gap of {largest:.2f} m; lines {what}",
+                )

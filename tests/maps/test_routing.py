@@ -1,0 +1,160 @@
+"""Routes: the shortest way, lane changes, loops, and none."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
+
+from maplines_can.errors import RouteError
+from maplines_can.line import Kind
+from maplines_can.maps import Map
+
+CROSSING = crossing()
+RING = roundabout()
+
+
+def motorway(*, kinds: Kind = Kind.DASHED, lengths: tuple[float, ...] = (200.0, 200.0)) -> Map:
+    """Return sections "a", "b" ... of three lanes, "a1" on the left; "exit" leaves lane 3."""
+    lanes, links, rows = [], {}, []
+    x = 0.0
+    names = "abcdef"[: len(lengths)]
+    for name, after, length in zip(names, [*names[1:], ""], lengths, strict=True):
+        for i in (1, 2, 3):
+            one = lane(f"{name}{i}", (x, 0.0, 0.0), length, t=-i * WIDTH, kinds=(kinds, kinds))
+            lanes.append(one)
+            links[one.id] = f"{after}{i}" if after else ""
+        rows.append(f"{name}1 {name}2 {name}3")
+        x += length
+    lanes.append(lane("exit", (x, -3 * WIDTH, 0.0), 50.0, curvature=-0.01))
+    links[f"{names[-1]}3"] = "exit"
+    return network(*lanes, links=links, rows=rows)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "lanes"),
+    [
+        ("in0", "out2", "in0 0>2 out2"),
+        ("in0", "out3", "in0 0>3 out3"),
+        ("in3", "out2", "in3 3>2 out2"),
+        ("in1", "in1", "in1"),
+    ],
+)
+def test_a_route_through_a_crossing(start: str, goal: str, lanes: str) -> None:
+    """From lane to lane; the length is that of the centre lines."""
+    route = CROSSING.route(start, goal)
+
+    assert route.lanes == tuple(lanes.split())
+    assert route.length == pytest.approx(sum(CROSSING.lanes[i].length for i in route.lanes))
+    assert route.changes == ()
+
+
+def test_a_route_around_the_ring() -> None:
+    """The last exit takes the whole ring."""
+    lanes = " ".join(RING.route("in1", "out0").lanes)
+
+    assert lanes == "in1 ring1 ring2 ring3 ring0 out0"
+
+
+def test_a_route_between_poses_is_as_long_as_the_way() -> None:
+    """Start and goal are positions in lanes."""
+    start, goal = (CROSSING.lanes[i] for i in ("in0", "out2"))
+    route = CROSSING.route(pose_on(start, 30.0, 0.5), pose_on(goal, 25.0))
+
+    assert route.lanes == ("in0", "0>2", "out2")
+    assert route.length == pytest.approx(50.0 + 20.0 + 25.0)
+    assert (route.start, route.goal) == pytest.approx((30.0, 125.0))
+
+
+def test_a_goal_behind_the_start_takes_the_way_around() -> None:
+    """In the same lane of a ring."""
+    one = RING.lanes["ring0"]
+    route = RING.route(pose_on(one, 20.0), pose_on(one, 10.0))
+
+    assert route.lanes == ("ring0", "ring1", "ring2", "ring3", "ring0")
+    assert route.length == pytest.approx(2 * math.pi * 20.0 - 10.0, abs=0.05)
+
+
+def test_lane_changes_to_an_exit() -> None:
+    """Two changes to the right, one after the other, on the way to the exit."""
+    found = motorway()
+    route = found.route("a1", "exit")
+
+    assert route.lanes[0] == "a1"
+    assert route.lanes[-1] == "exit"
+    assert [(c.origin[-1], c.target[-1], c.is_left) for c in route.changes] == [
+        ("1", "2", False),
+        ("2", "3", False),
+    ]
+    first, second = route.changes
+    assert first.start < first.end <= second.start < second.end
+    assert first.end - first.start == pytest.approx(60.0)
+    assert all(change.end <= 400.0 for change in route.changes)
+
+
+def test_the_line_of_a_lane_change_is_smooth() -> None:
+    """From centre to centre, without a kink of more than a few degrees."""
+    route = motorway().route("a1", "exit")
+    points = route.line.resampled(2.0).points
+    heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
+
+    assert abs(np.diff(heading)).max() < math.radians(2.0)
+    assert points[0] == pytest.approx([0.0, -WIDTH])
+    assert points[-1] == pytest.approx(motorway().lanes["exit"].centre.points[-1])
+
+
+def test_a_lane_change_takes_a_long_section() -> None:
+    """Short sections are avoided."""
+    route = motorway(lengths=(20.0, 150.0, 20.0)).route("a2", "exit")
+
+    assert [change.origin for change in route.changes] == ["b2"]
+
+
+def test_a_solid_line_is_crossed_only_if_there_is_no_other_way() -> None:
+    """It costs a kilometre; a kerb is never crossed."""
+    solid = motorway(kinds=Kind.SOLID)
+
+    assert len(solid.route("a2", "exit").changes) == 1
+    with pytest.raises(RouteError, match="no route from lane 'a2' to lane 'exit'"):
+        motorway(kinds=Kind.KERB).route("a2", "exit")
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "message"),
+    [
+        pytest.param("out0", "in0", "1 of 20 lanes can be reached", id="no-way"),
+        pytest.param("in0", "x", "lane 'x' is not in the map", id="no-such-goal"),
+        pytest.param("x", "in0", "lane 'x' is not in the map", id="no-such-start"),
+        pytest.param([0, 900, 0], "in0", "no lane is near the start", id="off-the-map"),
+        pytest.param("in0", [0, 900, 0], "no lane is near the goal", id="goal-off-the-map"),
+    ],
+)
+def test_a_route_that_is_none(start: object, goal: object, message: str) -> None:
+    """The error says why and what to do."""
+    with pytest.raises(RouteError, match=message):
+        CROSSING.route(start, goal)  # type: ignore[arg-type]
+
+
+@given(st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), max_size=20), st.integers(0, 7))
+def test_the_route_is_the_shortest(pairs: list[tuple[int, int]], goal: int) -> None:
+    """On random graphs, against the distances by Bellman and Ford."""
+    lengths = [10.0 + 7 * i for i in range(8)]
+    links: dict[str, str] = {}
+    for one, other in dict.fromkeys(pairs):
+        links[str(one)] = f"{links.get(str(one), '')} {other}".strip()
+    found = network(
+        *(lane(str(i), (0.0, 100.0 * i, 0.0), lengths[i]) for i in range(8)), links=links
+    )
+    best = [0.0] + [math.inf] * 7
+    for _ in range(8):
+        for one, other in pairs:
+            best[other] = min(best[other], best[one] + lengths[one])
+    if math.isinf(best[goal]):
+        with pytest.raises(RouteError):
+            found.route("0", str(goal))
+        return
+    route = found.route("0", str(goal))
+
+    assert sum(lengths[int(i)] for i in route.lanes[:-1]) == pytest.approx(best[goal])

@@ -1,0 +1,408 @@
+"""Lines around a car: which slot each one has, and how far they continue."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lane_maps import WIDTH, crossing, end, lane, network, pose_on, roundabout
+from xodr_files import cubic, linked, read_map, road, section
+from xodr_files import lane as xodr_lane
+
+from maplines_can.line import Kind, Slot
+from maplines_can.maps import Map, link_gaps
+from maplines_can.polyline import Polyline, stretches
+
+ORDER = (
+    Slot.EDGE_LEFT,
+    Slot.NEXT_LEFT,
+    Slot.EGO_LEFT,
+    Slot.CENTRE,
+    Slot.EGO_RIGHT,
+    Slot.NEXT_RIGHT,
+    Slot.EDGE_RIGHT,
+)
+CROSSING = crossing()
+RING = roundabout()
+
+
+def lateral(lines: dict[Slot, Polyline], pose: np.ndarray, x: float = 0.0) -> dict[Slot, float]:
+    """Return the lateral positions of the lines at a distance ahead [m]."""
+    slots = list(lines)
+    seen = stretches(list(lines.values()), pose, (-40.0, 120.0))
+    low, high = seen.x_range.T
+    y = seen.lateral(np.clip(x, low, high)[:, None])[:, 0]
+    there = (low <= x) & (x <= high)
+    return {slots[i]: float(v) for i, v, ok in zip(seen.given, y, there, strict=True) if ok}
+
+
+def carriageway(
+    forward: int, backward: int, *, left_hand: bool = False, sections: int = 3, **rest: Any
+) -> Map:
+    """Return a road of sections "0", "1" ... with lanes "0:1" ... and "0:-1" ... of each direction.
+
+    Lanes are counted from the line between the directions; the sections are 100 m long.
+    """
+    side = 1 if left_hand else -1
+    lanes, links, rows, opposite = [], {}, [], []
+    start = (0.0, 0.0, 0.3)
+    for k in range(sections):
+        for i in range(1, forward + 1):
+            lanes.append(lane(f"{k}:{i}", start, 100.0, t=side * (i - 0.5) * WIDTH, **rest))
+            links[f"{k}:{i}"] = f"{k + 1}:{i}" if k + 1 < sections else ""
+        for i in range(1, backward + 1):
+            offset = -side * (i - 0.5) * WIDTH
+            lanes.append(lane(f"{k}:-{i}", start, 100.0, t=offset, backward=True, **rest))
+            links[f"{k}:-{i}"] = f"{k - 1}:-{i}" if k else ""
+        ahead = [f"{k}:{i}" for i in range(1, forward + 1)]
+        back = [f"{k}:-{i}" for i in range(1, backward + 1)]
+        rows += [" ".join(ids[::-1] if left_hand else ids) for ids in (ahead, back)]
+        if forward and backward:
+            opposite.append(f"{k}:1 {k}:-1")
+        start = end(start, 100.0, rest.get("curvature", 0.0))
+    return network(*lanes, links=links, rows=rows, opposite=opposite, left_hand_traffic=left_hand)
+
+
+@given(
+    forward=st.integers(1, 4),
+    backward=st.integers(0, 3),
+    left_hand=st.booleans(),
+    curvature=st.floats(-0.005, 0.005),
+    section_of=st.integers(0, 2),
+    lane_of=st.integers(0, 6),
+    s=st.floats(5.0, 95.0),
+    t=st.floats(-1.6, 1.6),
+    turn=st.floats(-0.1, 0.1),
+)
+def test_slots_are_in_order(
+    forward: int,
+    backward: int,
+    left_hand: bool,
+    curvature: float,
+    section_of: int,
+    lane_of: int,
+    s: float,
+    t: float,
+    turn: float,
+) -> None:
+    """Left is left, next is beyond ego, and the edges are outermost, by one lane width each."""
+    found = carriageway(forward, backward, left_hand=left_hand, curvature=curvature)
+    ids = [f"{section_of}:{i}" for i in range(-backward, forward + 1) if i]
+    one = found.lanes[ids[lane_of % len(ids)]]
+    pose = pose_on(one, s, t, turn)
+
+    lines = found.lines(pose)
+    y = lateral(lines, pose)
+
+    # Across all lanes from left to right, as this car sees them.
+    is_forward = ":-" not in one.id
+    count = forward + backward
+    i = int(one.id.split(":")[1])
+    from_left = backward + i - 1 if i > 0 else -i + forward - 1
+    if left_hand:
+        from_left = forward - i if i > 0 else backward + i
+    assert is_forward == (i > 0)
+    assert (Slot.NEXT_LEFT in lines) == (from_left > 0)
+    assert (Slot.NEXT_RIGHT in lines) == (from_left < count - 1)
+    expected = {
+        Slot.EGO_LEFT: 0.5,
+        Slot.EGO_RIGHT: -0.5,
+        Slot.CENTRE: 0.0,
+        Slot.NEXT_LEFT: 1.5,
+        Slot.NEXT_RIGHT: -1.5,
+        Slot.EDGE_LEFT: from_left + 0.5,
+        Slot.EDGE_RIGHT: from_left + 0.5 - count,
+    }
+    for slot in lines:
+        at = (expected[slot] * WIDTH - t) / math.cos(turn)
+        assert y[slot] == pytest.approx(at, abs=0.1 + abs(at) * 0.02)
+
+
+@pytest.mark.parametrize("lane_id", ["1:1", "1:2", "1:-1"])
+def test_lines_continue_across_sections(lane_id: str) -> None:
+    """At least 120 m ahead and 40 m behind, without a gap and without a double point."""
+    found = carriageway(2, 1, sections=4)
+    pose = pose_on(found.lanes[lane_id], 50.0)
+
+    lines = found.lines(pose)
+
+    seen = stretches(list(lines.values()), pose, (-40.0, 120.0))
+    assert not seen.left_out
+    assert seen.x_range == pytest.approx(np.tile([-40.0, 120.0], (len(lines), 1)))
+    for line in lines.values():
+        assert np.diff(line.distance).min() > 0.01
+
+
+def test_a_one_way_road_with_one_lane() -> None:
+    """The edges are the boundaries of the lane; there is nothing next to it."""
+    found = network(lane("1", kinds=(Kind.SOLID, Kind.KERB)))
+    lines = found.lines([50.0, 0.0, 0.0])
+
+    assert set(lines) == {*ORDER} - {Slot.NEXT_LEFT, Slot.NEXT_RIGHT}
+    assert lines[Slot.EDGE_LEFT] is lines[Slot.EGO_LEFT]
+    assert lines[Slot.EDGE_RIGHT] is lines[Slot.EGO_RIGHT]
+    assert [lines[slot].kind for slot in (Slot.EGO_LEFT, Slot.CENTRE, Slot.EGO_RIGHT)] == [
+        Kind.SOLID,
+        Kind.VIRTUAL,
+        Kind.KERB,
+    ]
+
+
+def test_the_kind_is_that_at_the_car() -> None:
+    """Where the marking changes, the line gets another kind."""
+    found = network(
+        lane("1", length=100.0, kinds=(Kind.DASHED, Kind.SOLID)),
+        lane("2", (100.0, 0.0, 0.0), 100.0, kinds=(Kind.SOLID, Kind.SOLID)),
+        links={"1": "2"},
+    )
+
+    kinds = [found.lines([x, 0.0, 0.0])[Slot.EGO_LEFT].kind for x in (50.0, 150.0)]
+    assert kinds == [Kind.DASHED, Kind.SOLID]
+
+
+@pytest.mark.parametrize("lane_id", ["0:1", "0:-1"])
+def test_a_car_against_the_direction_sees_left_on_its_left(lane_id: str) -> None:
+    """When it overtakes in the oncoming lane."""
+    found = carriageway(1, 1)
+    pose = pose_on(found.lanes[lane_id], 50.0, turn=math.pi)
+
+    y = lateral(found.lines(pose), pose)
+
+    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2)
+    assert y[Slot.EGO_RIGHT] == pytest.approx(-WIDTH / 2)
+    assert y[Slot.NEXT_RIGHT] == pytest.approx(-1.5 * WIDTH)
+    assert Slot.NEXT_LEFT not in y
+
+
+def lane_that_ends() -> Map:
+    """Return two lanes, of which the right one narrows to nothing in section b."""
+    return network(
+        lane("a1", length=100.0, t=WIDTH / 2),
+        lane("a2", length=100.0, t=-WIDTH / 2),
+        lane("b1", (100.0, 0.0, 0.0), 60.0, t=WIDTH / 2),
+        lane("b2", (100.0, 0.0, 0.0), 60.0, t=(-WIDTH / 2, 0.0), width=(WIDTH, 0.0)),
+        lane("c1", (160.0, 0.0, 0.0), 100.0, t=WIDTH / 2),
+        links={"a1": "b1", "a2": "b2", "b1": "c1"},
+        rows=["a1 a2", "b1 b2"],
+    )
+
+
+def test_a_lane_that_ends() -> None:
+    """The line next to it ends with the lane, and the edge of the road follows the taper."""
+    found = lane_that_ends()
+    pose = np.array([90.0, WIDTH / 2, 0.0])
+    lines = found.lines(pose)
+
+    assert lines[Slot.NEXT_RIGHT].points[-1] == pytest.approx([160.0, 0.0])
+    assert lines[Slot.EDGE_RIGHT].points[-1] == pytest.approx([260.0, 0.0])
+    assert lateral(lines, pose, 40.0)[Slot.EDGE_RIGHT] == pytest.approx(
+        -WIDTH / 2 - WIDTH / 2, abs=0.01
+    )
+    assert lateral(lines, pose, 100.0)[Slot.EDGE_RIGHT] == pytest.approx(-WIDTH / 2)
+
+
+def test_a_lane_that_opens_with_its_full_width() -> None:
+    """The edge ends there, because no line continues it; the boundary of the ego lane goes on."""
+    found = network(
+        lane("a", length=100.0),
+        lane("b1", (100.0, 0.0, 0.0), 100.0),
+        lane("b2", (100.0, 0.0, 0.0), 100.0, t=-WIDTH),
+        links={"a": "b1"},
+        rows=["b1 b2"],
+    )
+    lines = found.lines([50.0, 0.0, 0.0])
+
+    assert lines[Slot.EDGE_RIGHT].points[-1] == pytest.approx([100.0, -WIDTH / 2])
+    assert lines[Slot.EGO_RIGHT].points[-1] == pytest.approx([200.0, -WIDTH / 2])
+
+
+def test_a_lane_that_opens_between() -> None:
+    """The line next to it is the same one, also where another lane has opened before it."""
+    found = network(
+        lane("a", length=100.0, t=-WIDTH / 2),
+        lane("-a", length=100.0, t=WIDTH / 2, backward=True),
+        lane("b", (100.0, 0.0, 0.0), 100.0, t=-WIDTH / 2),
+        lane("turn", (100.0, 0.0, 0.0), 100.0, t=(0.0, WIDTH / 2), width=(0.0, WIDTH)),
+        lane("-b", (100.0, 0.0, 0.0), 100.0, t=(WIDTH / 2, 1.5 * WIDTH), backward=True),
+        links={"a": "b", "-b": "-a"},
+        rows=["turn b"],
+        opposite=["a -a", "turn -b"],
+    )
+    lines = found.lines([50.0, -WIDTH / 2, 0.0])
+
+    assert lines[Slot.NEXT_LEFT].points[-1] == pytest.approx([200.0, 2 * WIDTH])
+    assert lines[Slot.EDGE_LEFT].points[-1] == pytest.approx([200.0, 2 * WIDTH])
+
+
+@pytest.mark.parametrize("to", ["out1", "out2", "out3"])
+def test_a_crossing_is_crossed_along_the_route(to: str) -> None:
+    """The lines of the lane follow the route, and so does the centre line of the route."""
+    route = CROSSING.route("in0", to)
+    pose = pose_on(CROSSING.lanes["in0"], 75.0)
+    lines = CROSSING.lines(pose, route)
+
+    goal = CROSSING.lanes[to]
+    ends = {Slot.EGO_LEFT: goal.left, Slot.EGO_RIGHT: goal.right, Slot.ROUTE: goal.centre}
+    for slot, line in ends.items():
+        assert np.hypot(*(lines[slot].points - line.points[-1]).T).min() < 1e-6
+    assert Slot.ROUTE not in CROSSING.lines(pose)
+
+
+def test_without_a_route_the_lines_lead_straight_on() -> None:
+    """Through the crossing."""
+    lines = CROSSING.lines(pose_on(CROSSING.lanes["in0"], 75.0))
+
+    assert lines[Slot.EGO_LEFT].points[-1] == pytest.approx([90.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["0>1", "0>2", "0>3"])
+def test_in_a_crossing_the_route_decides(name: str) -> None:
+    """At its entry, where the lanes overlap and have the same direction."""
+    route = CROSSING.route("in0", f"out{name[-1]}")
+    pose = pose_on(CROSSING.lanes[name], 1.0)
+
+    lines = CROSSING.lines(pose, route)
+
+    boundary = CROSSING.lanes[name].left.points
+    assert np.hypot(*(lines[Slot.EGO_LEFT].points - boundary[-1]).T).min() < 1e-6
+
+
+def test_the_lane_beside_leads_through_the_crossing_too() -> None:
+    """Also where the connecting lanes have no common road: here with the oncoming lane."""
+    lines = CROSSING.lines(pose_on(CROSSING.lanes["in0"], 75.0))
+
+    assert lines[Slot.NEXT_LEFT].points[-1] == pytest.approx([90.0, WIDTH])
+
+
+def test_the_line_of_a_route_crosses_a_lane_change() -> None:
+    """The other lines remain with the lane of the car."""
+    found = carriageway(2, 0, sections=3)
+    route = found.route("0:1", "2:2")
+    pose = pose_on(found.lanes["0:1"], 5.0)
+
+    y = lateral(found.lines(pose, route), pose, 100.0)
+
+    assert y[Slot.ROUTE] == pytest.approx(-WIDTH, abs=0.02)
+    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2, abs=0.02)
+
+
+def test_a_car_beside_its_route_still_gets_it() -> None:
+    """The lines of its lane lead along the route."""
+    found = carriageway(2, 0, sections=3)
+    route = found.route("0:1", "2:1")
+    pose = pose_on(found.lanes["1:2"], 20.0)
+
+    y = lateral(found.lines(pose, route), pose)
+
+    assert y[Slot.ROUTE] == pytest.approx(WIDTH)
+    assert y[Slot.CENTRE] == pytest.approx(0.0, abs=1e-9)
+
+
+@given(k=st.integers(0, 3), s=st.floats(0.5, 30.9), t=st.floats(-1.5, 1.5))
+def test_lines_in_a_roundabout(k: int, s: float, t: float) -> None:
+    """The ring ends in itself; its lines end before they return to the car."""
+    route = RING.route(f"in{k}", f"out{(k + 2) % 4}")
+    pose = pose_on(RING.lanes[f"ring{k}"], s, t)
+    lines = RING.lines(pose, route)
+
+    y = lateral(lines, pose)
+
+    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2 - t, abs=0.02)
+    assert y[Slot.EGO_RIGHT] == pytest.approx(-WIDTH / 2 - t, abs=0.02)
+    for line in lines.values():
+        assert line.length < 2 * math.pi * 22.0
+
+
+@given(s=st.floats(1.0, 140.0), t=st.floats(-1.5, 1.5))
+def test_a_loop_that_returns_beside_itself(s: float, t: float) -> None:
+    """A turn by 180 deg between lanes of opposite directions."""
+    found = network(
+        lane("go", length=80.0, t=-WIDTH / 2),
+        lane("turn", (80.0, -WIDTH / 2, 0.0), math.pi * 4.0, curvature=0.25),
+        lane("back", length=80.0, t=8.0 - WIDTH / 2, backward=True),
+        links={"go": "turn", "turn": "back"},
+    )
+    route = found.route("go", "back")
+    one = "go" if s <= 80 else "turn" if s <= 92 else "back"
+    pose = pose_on(found.lanes[one], s - {"go": 0, "turn": 80, "back": 92}[one], t)
+
+    y = lateral(found.lines(pose, route), pose)
+
+    assert y[Slot.EGO_LEFT] == pytest.approx(WIDTH / 2 - t, abs=0.02)
+    assert y[Slot.EGO_RIGHT] == pytest.approx(-WIDTH / 2 - t, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("step", "is_joined", "reported"),
+    [
+        pytest.param(0.0, True, "", id="none"),
+        pytest.param(0.04, True, "", id="below-the-least"),
+        pytest.param(0.06, True, "0.06 m; lines are joined across it", id="reported"),
+        pytest.param(0.29, True, "0.29 m; lines are joined across it", id="largest-joined"),
+        pytest.param(0.31, False, "0.31 m; lines end there", id="too-large"),
+        pytest.param(WIDTH, False, "3.50 m; lines end there", id="another-lane"),
+    ],
+)
+def test_gaps_at_links(step: float, is_joined: bool, reported: str) -> None:
+    """Snapped up to 5 cm, joined up to 30 cm; reported from 5 cm on."""
+    found = network(lane("1", length=100.0), lane("2", (100.0, step, 0.0), 100.0), links={"1": "2"})
+    line = found.lines([50.0, 0.0, 0.0])[Slot.EGO_LEFT]
+
+    assert line.length == pytest.approx(200.0 if is_joined else 100.0, abs=0.4)
+    whys = [str(gap) for gap in link_gaps(found.lanes)]
+    assert len(whys) == bool(reported)
+    assert not reported or reported in whys[0]
+    assert not whys or whys[0].startswith("link of lane 1 to lane 2: ")
+
+
+def test_links_that_loop_end() -> None:
+    """A lane that follows itself, and two that follow each other."""
+    for links in ({"1": "1"}, {"1": "2", "2": "1"}):
+        found = network(lane("1"), lane("2", (200.0, 0.0, 0.0)), links=links)
+        assert found.lines([50.0, 0.0, 0.0])[Slot.CENTRE].length <= 400.0
+
+
+def test_lanes_that_are_their_own_neighbours_end() -> None:
+    """Wrong files have them."""
+    found = network(lane("1"), lane("2", t=WIDTH), rows=["1 2 1"])
+
+    assert Slot.EGO_LEFT in found.lines([50.0, 0.0, 0.0])
+
+
+def test_the_lines_of_a_lane_are_kept() -> None:
+    """The next pose on it gets the same objects, and a dict of its own."""
+    found = carriageway(2, 1)
+    first, second = (found.lines([x, -1.0, 0.3]) for x in (20.0, 21.0))
+
+    assert first[Slot.EGO_LEFT] is second[Slot.EGO_LEFT]
+    first.clear()
+    assert second
+
+
+def test_lines_of_an_opendrive_file() -> None:
+    """Two roads with a lane that opens, linked end to start; kinds from the road marks."""
+    mark = '<roadMark sOffset="0" type="broken"/>'
+    first = road(
+        section(xodr_lane(-1, cubic("width", 3.5, sOffset=0.0) + mark, successor=-1)),
+        link=linked("successor", "2"),
+    )
+    opening = cubic("width", 0.0, 0.0, 3 * 3.5 / 1e4, -2 * 3.5 / 1e6, sOffset=0.0)
+    second = road(
+        section(
+            xodr_lane(-1, cubic("width", 3.5, sOffset=0.0) + mark, predecessor=-1),
+            xodr_lane(-2, opening),
+        ),
+        road_id="2",
+        plan='<geometry s="0" x="100" y="0" hdg="0" length="100"><line/></geometry>',
+        link=linked("predecessor", "1", "end"),
+    )
+    found = read_map(first, second)
+    pose = np.array([20.0, -1.5, 0.0])
+    lines = found.lines(pose)
+
+    assert lines[Slot.EGO_RIGHT].kind == Kind.DASHED
+    assert lines[Slot.EGO_RIGHT].points[-1] == pytest.approx([200.0, -3.5])
+    assert lines[Slot.EDGE_RIGHT].points[-1] == pytest.approx([200.0, -7.0])
+    assert Slot.NEXT_RIGHT in found.lines([150.0, -1.5, 0.0])
