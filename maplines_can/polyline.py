@@ -6,13 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats, number_text
 from .line import Kind, LeftOut
+from .search_tree import SearchTree, nearest_share, squared_length
 
 #: Limit of ``Polyline.resampled``; 10^7 points take 160 MB.
 MAX_POINTS = 10**7
@@ -59,7 +60,7 @@ class Polyline:
     kind: Kind = Kind.UNKNOWN
     #: (n,) arc length from the first point to each point [m].
     distance: NDArray[np.float64] = field(init=False, repr=False)
-    _tree: Any = field(init=False, repr=False)
+    _tree: SearchTree | None = field(init=False, repr=False)
 
     if TYPE_CHECKING:  # the fields have the types after conversion
 
@@ -80,7 +81,7 @@ class Polyline:
             object.__setattr__(self, name, array)
         object.__setattr__(self, "kind", Kind(self.kind))
         object.__setattr__(
-            self, "_tree", _Tree(points, distance) if len(points) > INDEXED else None
+            self, "_tree", SearchTree(points, distance) if len(points) > INDEXED else None
         )
 
     @property
@@ -142,7 +143,7 @@ class Polyline:
         """
         if self._tree is None:
             return self
-        low, high = self._tree.around_nearest(point)
+        low, high = self._tree.around_nearest(point, BLOCK)
         return _part(self, math.floor((low - reach) / BLOCK), math.ceil((high + reach) / BLOCK))
 
 
@@ -156,48 +157,6 @@ def _part(line: Polyline, begin: int, end: int) -> Polyline:
         rows = distance.searchsorted(np.linspace(distance[0], distance[-1], MOST_NEAR))
         points = points[rows]
     return Polyline(points)
-
-
-class _Tree:
-    """Search tree over points of a line at most a few mean spacings apart."""
-
-    def __init__(self, points: NDArray[np.float64], distance: NDArray[np.float64]) -> None:
-        from scipy.spatial import KDTree  # loads scipy, which short lines do not need
-
-        spacing = 4 * distance[-1] / len(points)
-        count = np.ceil(np.diff(distance) / spacing).astype(int) if spacing > 0 else None
-        if count is not None and (count > 1).any():
-            long = np.flatnonzero(count > 1)
-            between = [
-                np.linspace(distance[i], distance[i + 1], int(count[i]) + 1)[1:-1] for i in long
-            ]
-            s = np.sort(np.concatenate([distance, *between]))
-            points = np.column_stack([np.interp(s, distance, p) for p in points.T])
-            distance = s
-        self._points, self._distance = points, distance
-        self._tree = KDTree(points, balanced_tree=False)
-        #: Farthest that any point of the line is from the nearest point in the tree.
-        self._gap = float(np.diff(distance).max()) / 2
-
-    def around_nearest(self, point: NDArray[np.float64]) -> tuple[float, float]:
-        """Return two arc lengths with the point of the line nearest to a point between them [m].
-
-        They differ by at most ``BLOCK``, or are equal.
-        """
-        bound, _ = self._tree.query(point)
-        rows = np.array(self._tree.query_ball_point(point, (bound + self._gap) * (1 + 1e-9)))
-        first, last = max(0, rows.min() - 1), min(rows.max() + 1, len(self._points) - 1)
-        low, high = self._distance[first], self._distance[last]
-        if high - low <= BLOCK:
-            return float(low), float(high)
-        first = np.concatenate([rows, rows - 1]).clip(0, len(self._points) - 2)
-        begin = self._points[first].T
-        step = self._points[first + 1].T - begin
-        share, squared = nearest_share(begin, step, squared_length(step), point[:, None])
-        best = squared.argmin()
-        i = first[best]
-        s = self._distance[i] + share[best] * (self._distance[i + 1] - self._distance[i])
-        return float(s), float(s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,31 +326,6 @@ def stretches(
     line = np.arange(len(given)).repeat(size)
     x_range = np.array([low, high]).T
     return Stretches(x[rows], y[rows], line, x_range, given, first, left_out)
-
-
-def nearest_share(
-    begin: NDArray[np.float64],
-    step: NDArray[np.float64],
-    squared: NDArray[np.float64],
-    point: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return where each of (2, n) segments is nearest to a point, and the squared distances.
-
-    The places are shares of the segments from 0 to 1. ``squared`` are the (n,) squared lengths of
-    the segments, and the point is (2, 1).
-    """
-    offset = point - begin
-    share = offset[0] * step[0] + offset[1] * step[1]
-    share /= squared
-    share = np.minimum(np.maximum(share, 0.0), 1.0)
-    offset -= share * step
-    offset *= offset
-    return share, offset[0] + offset[1]
-
-
-def squared_length(steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) squared lengths of (2, n) steps, a tiny number in place of 0."""
-    return np.maximum(steps[0] ** 2 + steps[1] ** 2, np.finfo(float).tiny)
 
 
 def to_ego(points: ArrayLike, pose: ArrayLike) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 #: All modules of the product. A module imports only modules that stand before it.
 ORDER = """
 arrays errors
-gaussian mixture line polyline
+gaussian mixture line search_tree polyline
 street_shapes scenarios
 propagation.valid_range propagation.refit propagation.transform propagation.linear
 propagation.monte_carlo

@@ -217,8 +217,8 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
         not_at_car += is_at_car and not line.x_min <= 0 <= line.x_max
         lengths.append(line.x_max - line.x_min)
         reach.append(line.x_max)
-        if view.is_seen and number < settings.ranges:
-            length = lengths[-1]
+        length = lengths[-1]
+        if view.is_seen and number < settings.ranges and length > 0:
             begin = max(line.x_min, view.low)
             same.append(length / max(view.farthest(begin, begin + 0.5 * length) - begin, length))
             longest.append(length / max(view.longest(length / same[-1]), length))

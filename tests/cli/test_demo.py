@@ -41,7 +41,7 @@ def test_json(capsys: pytest.CaptureFixture[str], fd: bool) -> None:
     assert [line["slot"] for line in result["lines"]] == [slot.name for slot in Slot]
     for line in result["lines"]:
         assert line["kl_covered"] < 0.02
-        assert line["x"] == 72  # XMax is a multiple of 8 m, and the lines end before 80 m
+        assert line["x"] == 76  # XMax is a multiple of 4 m, and the lines end before 80 m
         assert abs(line["y"] - line["true_y"]) < 0.005
         assert 1 <= line["y_sigma"] / line["true_y_sigma"] < 1.06
 
@@ -52,7 +52,7 @@ def test_text_and_picture(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
     picture = tmp_path / "demo.png"
     assert main(["demo", "--seconds", "0.2", "--map-error", "0.1", "--plot", str(picture)]) == 0
     text = capsys.readouterr().out
-    for words in ("ego left", "next right", "KL", "at 72 m", "bus load  8.6 % at 500 kbit/s"):
+    for words in ("ego left", "next right", "KL", "at 76 m", "bus load  8.6 % at 500 kbit/s"):
         assert words in text
     assert re.search(r"lost +\d+ lines, 0 frames", text)
     assert picture.read_bytes().startswith(b"\x89PNG")
@@ -227,7 +227,7 @@ def test_item_1_a_line_out_of_range_is_not_printed(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     """It has no values that could be compared."""
-    dbc = edited(tmp_path, (r"(SG_ XMin\b.*?)\(8,-32\) \[-32\|24\]", r"\1(8,-160) [-160|-104]"))
+    dbc = edited(tmp_path, (r"(SG_ XMin\b.*?)\(4,-20\) \[-20\|8\]", r"\1(8,-160) [-160|-104]"))
     assert main(["demo", "--dbc", str(dbc), "--seconds", "0.1", "--lines", "1"]) == 0
     text = capsys.readouterr().out
     assert "received  out of range: not usable" in text

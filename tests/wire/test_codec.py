@@ -7,7 +7,7 @@ import cantools
 import numpy as np
 import pytest
 from dbcs import DBC, default_codec, edited
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_lines import random_lines
 
@@ -62,6 +62,7 @@ def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
 
 
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
 def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
     """By the first-order sigma of the lateral position, or the line is OUT_OF_RANGE."""
