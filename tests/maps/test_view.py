@@ -261,7 +261,7 @@ def test_without_a_route_the_lines_lead_straight_on() -> None:
 def test_in_a_crossing_the_route_decides(name: str) -> None:
     """At its entry, where the lanes overlap and have the same direction."""
     route = CROSSING.route("in0", f"out{name[-1]}")
-    pose = pose_on(CROSSING.lanes[name], 1.0)
+    pose = pose_on(CROSSING.lanes["0>2"], 1.0)
 
     lines = CROSSING.lines(pose, route)
 
