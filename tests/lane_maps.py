@@ -130,6 +130,33 @@ def pose_on(lane: Lane, s: float, t: float = 0.0, turn: float = 0.0) -> NDArray[
     return np.array([x - t * math.sin(heading), y + t * math.cos(heading), heading + turn])
 
 
+def carriageway(
+    forward: int, backward: int, *, left_hand: bool = False, sections: int = 3, **rest: Any
+) -> Map:
+    """Return a road of sections "0", "1" ... with lanes "0:1" ... and "0:-1" ... of each direction.
+
+    Lanes are counted from the line between the directions; the sections are 100 m long.
+    """
+    side = 1 if left_hand else -1
+    lanes, links, rows, opposite = [], {}, [], []
+    start = (0.0, 0.0, 0.3)
+    for k in range(sections):
+        for i in range(1, forward + 1):
+            lanes.append(lane(f"{k}:{i}", start, 100.0, t=side * (i - 0.5) * WIDTH, **rest))
+            links[f"{k}:{i}"] = f"{k + 1}:{i}" if k + 1 < sections else ""
+        for i in range(1, backward + 1):
+            offset = -side * (i - 0.5) * WIDTH
+            lanes.append(lane(f"{k}:-{i}", start, 100.0, t=offset, backward=True, **rest))
+            links[f"{k}:-{i}"] = f"{k - 1}:-{i}" if k else ""
+        ahead = [f"{k}:{i}" for i in range(1, forward + 1)]
+        back = [f"{k}:-{i}" for i in range(1, backward + 1)]
+        rows += [" ".join(ids[::-1] if left_hand else ids) for ids in (ahead, back)]
+        if forward and backward:
+            opposite.append(f"{k}:1 {k}:-1")
+        start = end(start, 100.0, rest.get("curvature", 0.0))
+    return network(*lanes, links=links, rows=rows, opposite=opposite, left_hand_traffic=left_hand)
+
+
 def crossing(arm: float = 80.0, size: float = 20.0) -> Map:
     """Return a crossing of two two-way roads with right-hand traffic.
 

@@ -117,9 +117,10 @@ def test_the_direction_decides_where_lanes_overlap(name: str, share: float) -> N
     assert match.lane == name
 
 
-def test_the_straight_lane_is_preferred_where_the_direction_is_the_same() -> None:
-    """At the entry of the crossing all three lanes have the direction of the car."""
-    match = CROSSING.match(pose_on(CROSSING.lanes["0>2"], 0.05))
+@pytest.mark.parametrize("turn", [-0.008, 0.0, 0.008])
+def test_the_straight_lane_is_preferred_where_the_direction_is_the_same(turn: float) -> None:
+    """At the entry of the crossing all three lanes have about the direction of the car."""
+    match = CROSSING.match(pose_on(CROSSING.lanes["0>2"], 0.05, turn=turn))
 
     assert match is not None
     assert match.lane == "0>2"

@@ -1,13 +1,12 @@
 """Lines around a car: which slot each one has, and how far they continue."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lane_maps import WIDTH, crossing, end, lane, network, pose_on, roundabout
+from lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roundabout
 from xodr_files import cubic, linked, read_map, road, section
 from xodr_files import lane as xodr_lane
 
@@ -36,33 +35,6 @@ def lateral(lines: dict[Slot, Polyline], pose: np.ndarray, x: float = 0.0) -> di
     y = seen.lateral(np.clip(x, low, high)[:, None])[:, 0]
     there = (low <= x) & (x <= high)
     return {slots[i]: float(v) for i, v, ok in zip(seen.given, y, there, strict=True) if ok}
-
-
-def carriageway(
-    forward: int, backward: int, *, left_hand: bool = False, sections: int = 3, **rest: Any
-) -> Map:
-    """Return a road of sections "0", "1" ... with lanes "0:1" ... and "0:-1" ... of each direction.
-
-    Lanes are counted from the line between the directions; the sections are 100 m long.
-    """
-    side = 1 if left_hand else -1
-    lanes, links, rows, opposite = [], {}, [], []
-    start = (0.0, 0.0, 0.3)
-    for k in range(sections):
-        for i in range(1, forward + 1):
-            lanes.append(lane(f"{k}:{i}", start, 100.0, t=side * (i - 0.5) * WIDTH, **rest))
-            links[f"{k}:{i}"] = f"{k + 1}:{i}" if k + 1 < sections else ""
-        for i in range(1, backward + 1):
-            offset = -side * (i - 0.5) * WIDTH
-            lanes.append(lane(f"{k}:-{i}", start, 100.0, t=offset, backward=True, **rest))
-            links[f"{k}:-{i}"] = f"{k - 1}:-{i}" if k else ""
-        ahead = [f"{k}:{i}" for i in range(1, forward + 1)]
-        back = [f"{k}:-{i}" for i in range(1, backward + 1)]
-        rows += [" ".join(ids[::-1] if left_hand else ids) for ids in (ahead, back)]
-        if forward and backward:
-            opposite.append(f"{k}:1 {k}:-1")
-        start = end(start, 100.0, rest.get("curvature", 0.0))
-    return network(*lanes, links=links, rows=rows, opposite=opposite, left_hand_traffic=left_hand)
 
 
 @given(
@@ -97,13 +69,11 @@ def test_slots_are_in_order(
     y = lateral(lines, pose)
 
     # Across all lanes from left to right, as this car sees them.
-    is_forward = ":-" not in one.id
     count = forward + backward
     i = int(one.id.split(":")[1])
     from_left = backward + i - 1 if i > 0 else -i + forward - 1
     if left_hand:
         from_left = forward - i if i > 0 else backward + i
-    assert is_forward == (i > 0)
     assert (Slot.NEXT_LEFT in lines) == (from_left > 0)
     assert (Slot.NEXT_RIGHT in lines) == (from_left < count - 1)
     expected = {
@@ -261,7 +231,7 @@ def test_without_a_route_the_lines_lead_straight_on() -> None:
 def test_in_a_crossing_the_route_decides(name: str) -> None:
     """At its entry, where the lanes overlap and have the same direction."""
     route = CROSSING.route("in0", f"out{name[-1]}")
-    pose = pose_on(CROSSING.lanes[name], 1.0)
+    pose = pose_on(CROSSING.lanes["0>2"], 1.0)
 
     lines = CROSSING.lines(pose, route)
 
