@@ -178,7 +178,7 @@ def _geocentric(phi: Array, lam: Array, height: Array) -> Array:
 
 
 def _fixed(number: float) -> str:
-    """Return all digits without an exponent, which PROJ would take for "east"."""
+    """Return all digits without an exponent."""
     return np.format_float_positional(float(number), trim="0")
 
 
