@@ -10,7 +10,7 @@ from fake_bus import (
     map_line,
 )
 from fake_codec import FakeCodec, sent_values
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can.bus import (
@@ -116,6 +116,7 @@ def test_a_line_encoded_before_a_retract_is_not_sent_after_it() -> None:
         assert [y for _, y in sent_values(opener)] == [1000] * 7 + [2000]
 
 
+@settings(max_examples=30)
 @given(st.lists(st.sampled_from([0.2, 0.9, 1.1, 2.7]), min_size=1, max_size=30), st.integers(1, 3))
 def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps: Any, drop_every: int) -> None:
     """Lines that were encoded ahead and not sent do not count as lost."""

@@ -37,7 +37,7 @@ from maplines_can.propagation import (
 from maplines_can.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
 
-N = 200_000
+N = 100_000
 WINDOW = (0.0, 80.0)
 X = np.linspace(*WINDOW, 9)
 MEAN = np.array([1.75, 0.02, 1e-3, 1e-6])
