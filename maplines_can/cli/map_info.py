@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
-from .options import add_json
 from .parsing import add_command
 
 __all__ = ["add_map"]
@@ -42,7 +41,7 @@ def add_map(commands: Any) -> None:
         help="draw the lanes, boundaries and driving directions; the suffix is the format "
         "(needs matplotlib)",
     )
-    add_json(parser)
+    add("--json", action="store_true", help="print the result as JSON")
 
 
 def _map(arguments: argparse.Namespace) -> int:

@@ -1,8 +1,10 @@
 """The command ``maplines map``: what it prints, draws and refuses."""
 
 import json
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from xodr_files import cubic, document, lane, linked, road, section
 
@@ -99,6 +101,30 @@ def test_errors_are_one_clear_line(
     assert out == ""
     assert words in err
     assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_damaged_file_is_read_in_part_or_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
+) -> None:
+    """Cut, and with numbers that are none: what is lost is listed, or the error is one line."""
+    rng = np.random.default_rng(seed)
+    text = town_path().read_text()
+    if seed % 2:
+        text = text[: rng.integers(len(text))]
+    for number in rng.choice(re.findall(r'"-?[\d.]+"', text), 3) if text.count('"') > 99 else ():
+        text = text.replace(str(number), rng.choice(['"nan"', '"1e400"', '""', '"-"']))
+    path = tmp_path / "damaged.xodr"
+    path.write_text(text)
+
+    status = main(["map", str(path), "--json"])
+    out, err = capsys.readouterr()
+    assert status in (0, 1)
+    if status == 0:
+        assert json.loads(out)["skipped"]
+    else:
+        assert "damaged.xodr" in err
+        assert len(err.splitlines()) == 1
 
 
 def test_a_file_without_a_usable_road_is_an_error_with_its_line(

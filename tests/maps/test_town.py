@@ -1,14 +1,17 @@
 """The map of the package: what it contains, that its lines are continuous, and its tour."""
 
+import math
 import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 from lane_maps import crossing
 from numpy.typing import NDArray
+from scipy.integrate import quad
 
 from maplines_can import Slot
 from maplines_can.ego import SimulatedDrive
@@ -26,6 +29,7 @@ from maplines_can.maps import (
 from maplines_can.maps.joints import gap
 
 ROOT = Path(__file__).resolve().parents[2]
+Pose = tuple[float, float, float]
 #: Lanes that end: the acceleration lane, and the third lane of the motorway.
 ENDING = {"3:0:-4", "4:2:-4"}
 
@@ -65,6 +69,37 @@ def test_lines_are_continuous_to_1_mm(town: Map) -> None:
 
     assert len(gaps) > 400
     assert max(gaps) < 1e-3
+
+
+def test_geometries_begin_where_the_ones_before_end() -> None:
+    """By quadrature of the elements of the file, which needs nothing of the reader."""
+    count = 0
+    for road in ET.parse(town_path()).iterfind("road"):  # noqa: S314 - our own file
+        last = None
+        for geometry in road.iterfind("planView/geometry"):
+            x, y, heading = (float(geometry.attrib[name]) for name in ("x", "y", "hdg"))
+            if last is not None:
+                assert np.hypot(x - last[0], y - last[1]) < 1e-5
+                assert abs(math.remainder(heading - last[2], 2 * math.pi)) < 1e-6
+                count += 1
+            last = end_of(geometry, x, y, heading)
+
+    assert count > 50
+
+
+def end_of(geometry: ET.Element, x: float, y: float, heading: float) -> Pose:
+    """Return the pose at the end of a line, an arc or a spiral."""
+    (shape,) = geometry
+    length = float(geometry.attrib["length"])
+    first = float(shape.get("curvStart", shape.get("curvature", 0.0)))
+    rate = (float(shape.get("curvEnd", first)) - first) / length
+
+    def direction(s: float) -> float:
+        return heading + first * s + rate * s * s / 2
+
+    dx, _ = quad(lambda s: math.cos(direction(s)), 0, length, epsabs=1e-9)
+    dy, _ = quad(lambda s: math.sin(direction(s)), 0, length, epsabs=1e-9)
+    return x + dx, y + dy, direction(length)
 
 
 def test_every_drivable_lane_continues_or_narrows_to_nothing(town: Map) -> None:
