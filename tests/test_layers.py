@@ -23,6 +23,7 @@ propagation.nonlinearity propagation.quadrature propagation.sigma_points propaga
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation
 maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model maps.tracking
+maps.town
 maps.xml_tree maps.projection
 maps.lanelets maps.lanelet_tags maps.osm maps.lanelet2 maps.commonroad maps.points
 maps.opendrive.profiles maps.opendrive.reference_line maps.opendrive.attributes
@@ -48,7 +49,8 @@ bus.background bus.driver_errors bus.keys bus.load bus.logs bus.schedule bus.sig
 bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue bus.transmitter bus
 ego.smooth_path ego.drive ego.pose_source ego.map_frame ego.columns ego.records ego.recorded ego
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.sending cli.stderr
-cli cli.__main__ cli.accuracy cli.decode cli.demo cli.design cli.figures cli.receive cli.send
+cli cli.__main__ cli.accuracy cli.decode cli.demo cli.design cli.figures cli.map_info cli.receive
+cli.send
 cli.study
 __main__
 """.split()  # noqa: SIM905 - a list of so many would take a line each
@@ -57,7 +59,10 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
     "demo", "study", "report", "production", "design", "accuracy", "figures",
 )}  # fmt: skip
 #: Imports inside functions of the product: what and where from. They run when an option asks.
-LAZY = {("cli.options", "testing"), ("cli.options", "study.codes")}
+LAZY = {
+    ("cli.options", "testing"), ("cli.options", "study.codes"),
+    ("cli.map_info", "study.figures.map_picture"),
+}  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {
     "can": {"bus", "testing"},

@@ -83,10 +83,10 @@ def test_from_a_wheel(empty_python: Path, wheel: Path, tmp_path: Path) -> None:
 
 
 def test_the_wheel_has_the_package_and_nothing_else(wheel: Path) -> None:
-    """The wheel has py.typed, and no tests or tools."""
+    """The wheel has py.typed and the map, and no tests or tools."""
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
-    assert "maplines_can/py.typed" in names
+    assert {"maplines_can/py.typed", "maplines_can/maps/town.xodr"} <= set(names)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if not name.endswith(".dist-info")} == {"maplines_can"}
 

@@ -29,6 +29,7 @@ COMMANDS = {
     "send": ("send", "send the lines of a scene until Ctrl-C"),
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file"),
+    "map": ("map_info", "print what is in a map file, and draw it"),
     "scenarios": ("scenarios", "list the scenes that can be sent"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare each representation of a line with Monte Carlo samples"),
@@ -56,6 +57,8 @@ OPTIONS = {
     "sigmas must": "--sigma must",
     "finer_bits": "--finer",
     "window must": "--window must",
+    "leave out the projection": "leave out --projection",
+    "projection must": "--projection must",
 }
 
 

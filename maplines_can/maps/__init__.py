@@ -4,6 +4,7 @@ from .load import load
 from .matching import LaneMatch
 from .model import Lane, LaneType, Map, Road, Skipped
 from .routing import LaneChange, Route
+from .town import town_path, town_tour
 from .tracking import LaneTracker, Scene
 from .view import link_gaps
 
@@ -20,4 +21,6 @@ __all__ = [
     "Skipped",
     "link_gaps",
     "load",
+    "town_path",
+    "town_tour",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -106,7 +106,12 @@ class Map:
         """
         return self.index.match(pose) if cov is None else self.index.candidates(pose, cov)
 
-    def route(self, start: str | ArrayLike, goal: str | ArrayLike) -> Route:
+    def route(
+        self,
+        start: str | ArrayLike,
+        goal: str | ArrayLike,
+        via: Sequence[str | ArrayLike] = (),
+    ) -> Route:
         """Return the shortest route through successors and lane changes.
 
         A lane change costs as much as 50 m of driving, and 5 m for each metre by which the lanes
@@ -116,19 +121,22 @@ class Map:
         Args:
             start: id of a lane, from whose start, or pose (3,) from which the route starts.
             goal: id of a lane, to whose end, or pose (3,) at which the route ends.
+            via: ids of lanes, or poses, that the route passes in this order. From each to the next
+                one, it is the shortest.
 
         Raises:
             RouteError: there is no route, no such lane, or no lane at a pose.
         """
-        ends = {"start": start, "goal": goal}
-        return shortest_route(self.lanes, *(self._route_end(k, end) for k, end in ends.items()))
+        names = ["start", *("via",) * len(via), "goal"]
+        stops = zip(names, (start, *via, goal), strict=True)
+        return shortest_route(self.lanes, [self._stop(name, stop) for name, stop in stops])
 
-    def _route_end(self, name: str, end: str | ArrayLike) -> tuple[str, float | None]:
-        if isinstance(end, str):
-            return end, None
-        match = self.match(end)
+    def _stop(self, name: str, stop: str | ArrayLike) -> tuple[str, float | None]:
+        if isinstance(stop, str):
+            return stop, None
+        match = self.match(stop)
         if match is None:
-            raise RouteError(f"no lane is near the {name} {end!r}; give a pose in the map frame")
+            raise RouteError(f"no lane is near the {name} {stop!r}; give a pose in the map frame")
         return match.lane, match.s
 
     def lines(self, pose: ArrayLike, route: Route | None = None) -> dict[Slot, Polyline]:

@@ -106,28 +106,26 @@ class Route:
         return start, end - start
 
 
-def shortest_route(
-    lanes: Mapping[str, Lane],
-    start: tuple[str, float | None],
-    goal: tuple[str, float | None],
-) -> Route:
+def shortest_route(lanes: Mapping[str, Lane], stops: Sequence[tuple[str, float | None]]) -> Route:
     """Return the shortest route by Dijkstra's algorithm: see ``Map.route``.
 
     Args:
         lanes: by their ids.
-        start: id of the lane, and the arc length in it [m]; None for its start.
-        goal: id of the lane, and the arc length in it [m]; None for its end.
+        stops: start, places to pass and goal: the id of the lane, and the arc length in it [m].
+            None is the start of the lane for what follows, and its end for what precedes.
 
     Raises:
         RouteError: there is no route.
     """
-    for lane_id, _ in (start, goal):
+    for lane_id, _ in stops:
         if lane_id not in lanes:
             raise RouteError(f"lane {lane_id!r} is not in the map; see Map.lanes for the ids")
-    start_s = 0.0 if start[1] is None else start[1]
-    goal_s = lanes[goal[0]].length if goal[1] is None else goal[1]
-    path = _dijkstra(lanes, start[0], start_s, goal[0], goal_s)
-    return _route(lanes, path, start_s, goal_s)
+    starts = [(lane_id, 0.0 if s is None else s) for lane_id, s in stops]
+    goals = [(lane_id, lanes[lane_id].length if s is None else s) for lane_id, s in stops]
+    path = [starts[0][0]]
+    for start, goal in zip(starts, goals[1:], strict=False):
+        path += _dijkstra(lanes, *start, *goal)[1:]
+    return _route(lanes, path, starts[0][1], goals[-1][1])
 
 
 def _dijkstra(

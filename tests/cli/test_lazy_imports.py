@@ -114,6 +114,13 @@ def test_sending_loads_nothing_of_the_study() -> None:
     assert not among(modules_after(MAIN.format(["send", *bus])), *STUDY)
 
 
+def test_a_map_loads_neither_bus_nor_study() -> None:
+    """Only its picture needs matplotlib."""
+    modules = modules_after(MAIN.format(["map"]))
+    assert "maplines_can.maps.opendrive.reader" in modules
+    assert not among(modules, *STUDY, "can", "cantools", "maplines_can.wire", "maplines_can.bus")
+
+
 def test_only_faults_load_the_fault_injection() -> None:
     """The receiver of the test above loads none."""
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]

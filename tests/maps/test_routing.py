@@ -158,3 +158,32 @@ def test_the_route_is_the_shortest(pairs: list[tuple[int, int]], goal: int) -> N
     route = found.route("0", str(goal))
 
     assert sum(lengths[int(i)] for i in route.lanes[:-1]) == pytest.approx(best[goal])
+
+
+def test_a_route_passes_lanes_and_poses_in_order() -> None:
+    """Each part of it is the shortest; without them, it is the direct one."""
+    found = motorway(lengths=(200.0,) * 4)
+    pose = pose_on(found.lanes["c3"], 100.0)
+    passing = found.route("a1", "d1", via=["b2", pose])
+
+    assert found.route("a1", "d1").lanes == ("a1", "b1", "c1", "d1")
+    assert "b2" in passing.lanes
+    assert passing.lanes.index("b2") < passing.lanes.index("c3")
+    assert passing.lanes[-1] == "d1"
+    assert [change.is_left for change in passing.changes].count(False) == 2
+    assert passing.lanes[: passing.lanes.index("b2") + 1] == found.route("a1", "b2").lanes
+
+
+def test_a_route_goes_round_as_often_as_it_is_told() -> None:
+    """The same lane can be passed again."""
+    twice = RING.route("in1", "out0", via=["ring2", "ring1", "ring2"])
+
+    assert " ".join(twice.lanes) == "in1 ring1 ring2 ring3 ring0 ring1 ring2 ring3 ring0 out0"
+    assert twice.length == pytest.approx(sum(RING.lanes[i].length for i in twice.lanes))
+
+
+def test_a_place_to_pass_must_be_on_the_map() -> None:
+    with pytest.raises(RouteError, match="lane 'nowhere' is not in the map"):
+        CROSSING.route("in0", "out2", via=["nowhere"])
+    with pytest.raises(RouteError, match="no lane is near the via"):
+        CROSSING.route("in0", "out2", via=[np.array([1e4, 1e4, 0.0])])

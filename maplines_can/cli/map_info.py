@@ -1,0 +1,151 @@
+"""The command ``maplines map``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections import Counter
+from typing import Any
+
+import numpy as np
+
+from ..maps import Map, Skipped, link_gaps, load, town_path
+from .parsing import add_command
+
+__all__ = ["add_map"]
+
+DESCRIPTION = """\
+Print what is in a map: roads, lanes by type, extent, projection, and what is not used of the file
+and why. The map is OpenDRIVE, Lanelet2, CommonRoad, GeoJSON or CSV, also compressed by gzip."""
+#: What distinguishes reasons of the same kind: quoted text, and numbers with ids around them.
+_VALUES = re.compile(r"'[^']*'|[-+]?\b[\d.:e+-]*\d\b")
+
+
+def add_map(commands: Any) -> None:
+    """Add the command ``map``."""
+    parser = add_command(
+        commands, "map", _map, DESCRIPTION, "maplines map town.xodr --plot town.png"
+    )
+    add = parser.add_argument
+    add("file", nargs="?", metavar="FILE", help="map (default: the one of this package)")
+    add(
+        "--projection",
+        metavar="PROJ",
+        help="PROJ string of the frame for a map in WGS84, such as '+proj=utm +zone=32' "
+        "(default: that of the file, or else one around the map)",
+    )
+    add(
+        "--plot",
+        metavar="FILE.png",
+        help="draw the lanes, boundaries and driving directions; the suffix is the format "
+        "(needs matplotlib)",
+    )
+    add("--json", action="store_true", help="print the result as JSON")
+
+
+def _map(arguments: argparse.Namespace) -> int:
+    found = load(arguments.file or town_path(), arguments.projection)
+    summary = summary_of(found)
+    if arguments.plot:
+        from ..study.figures.map_picture import draw_map
+
+        draw_map(found, arguments.plot)
+    if arguments.json:
+        print(json.dumps(summary | {"plot": arguments.plot}, indent=2))
+    else:
+        print("\n".join(text_lines(summary)))
+        if arguments.plot:
+            print(f"\n{arguments.plot}: the picture")
+    return 0
+
+
+def summary_of(found: Map) -> dict[str, Any]:
+    """Return what is in a map, for JSON."""
+    lanes = list(found.lanes.values())
+    lines = [line for lane in lanes for line in (lane.left, lane.right)]
+    lines += found.polylines.values()
+    points = np.concatenate([line.points for line in lines])
+    low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    drivable = [lane for lane in lanes if lane.type.is_drivable]
+    limits = [lane.speed_limit for lane in drivable if lane.speed_limit is not None]
+    types = Counter(lane.type for lane in lanes)
+    return {
+        "name": found.name,
+        "roads": {"count": len(found.roads), "km": _km(found.roads.values())},
+        "junctions": len({lane.junction for lane in lanes} - {None}),
+        "lanes": {
+            kind.value: {"count": n, "km": _km(lane for lane in lanes if lane.type is kind)}
+            for kind, n in types.most_common()
+        },
+        "drivable": {
+            "count": len(drivable),
+            "km": _km(drivable),
+            "without_successor": sum(not lane.successors for lane in drivable),
+        },
+        "polylines": len(found.polylines),
+        "extent": {"x": [low[0], high[0]], "y": [low[1], high[1]]},
+        "projection": found.projection,
+        "traffic": "left-hand" if found.left_hand_traffic else "right-hand",
+        "speed_limits_kmh": [round(3.6 * v, 3) for v in (min(limits), max(limits))]
+        if limits
+        else None,
+        "skipped": _grouped(found.skipped),
+        "link_gaps": _grouped(link_gaps(found.lanes)),
+    }
+
+
+def _km(parts: Any) -> float:
+    """Return the length of lanes or roads [km]."""
+    return round(sum(part.length for part in parts) / 1000, 3)
+
+
+def _grouped(skipped: Any) -> list[dict[str, Any]]:
+    """Return the reasons with their numbers and their first examples, most frequent first.
+
+    >>> _grouped([Skipped("line 1", "it ends at 5 m"), Skipped("line 2", "it ends at 7.5 m")])
+    [{'count': 2, 'why': 'it ends at 5 m', 'where': 'line 1'}]
+    """
+    first: dict[str, Skipped] = {}
+    counts: Counter[str] = Counter()
+    for one in skipped:
+        kind = _VALUES.sub("#", one.why)
+        first.setdefault(kind, one)
+        counts[kind] += 1
+    return [
+        {"count": n, "why": first[kind].why, "where": first[kind].where}
+        for kind, n in counts.most_common()
+    ]
+
+
+def text_lines(summary: dict[str, Any]) -> list[str]:
+    """Return the summary as lines of text."""
+    (x0, x1), (y0, y1) = summary["extent"]["x"], summary["extent"]["y"]
+    size = f"{(x1 - x0) / 1000:.2f} x {(y1 - y0) / 1000:.2f} km"
+    roads, drivable, limits = (summary[key] for key in ("roads", "drivable", "speed_limits_kmh"))
+    rows = [
+        ("roads", f"{roads['count']}, {roads['km']:.2f} km"),
+        ("junctions", f"{summary['junctions']}"),
+        ("extent", f"x {x0:.1f} to {x1:.1f} m, y {y0:.1f} to {y1:.1f} m ({size})"),
+        ("projection", " ".join((summary["projection"] or "none").split())),
+        ("traffic", summary["traffic"]),
+        ("speed limits", f"{limits[0]:.0f} to {limits[1]:.0f} km/h" if limits else "none"),
+        (
+            "drivable",
+            f"{drivable['count']} lanes, {drivable['km']:.2f} km; "
+            f"{drivable['without_successor']} of them end without a successor",
+        ),
+    ]
+    if summary["polylines"]:
+        rows.append(("other lines", f"{summary['polylines']}"))
+    lines = [summary["name"], *(f"  {name:<14}{value}" for name, value in rows)]
+    if summary["lanes"]:
+        lines += ["", f"  {'type of lane':<18}{'lanes':>7}{'km':>10}"]
+    for kind, lanes in summary["lanes"].items():
+        lines.append(f"  {kind:<18}{lanes['count']:>7}{lanes['km']:>10.2f}")
+    for key, title in (("skipped", "not used"), ("link_gaps", "links with gaps")):
+        count = sum(group["count"] for group in summary[key])
+        lines += ["", f"  {title}: {count or 'none'}"]
+        for group in summary[key]:
+            lines.append(f"  {group['count']:>6} x {group['why']}\n{'':>11}first: {group['where']}")
+    return lines

@@ -1,0 +1,139 @@
+"""The command ``maplines map``: what it prints, draws and refuses."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from xodr_files import cubic, document, lane, linked, road, section
+
+from maplines_can.cli import main
+from maplines_can.maps import load, town_path
+
+BROKEN = cubic("width", float("nan"), sOffset=0.0)
+
+
+@pytest.fixture
+def partly(tmp_path: Path) -> Path:
+    """A map of a road of 100 m, with three lanes that cannot be used and a link to nowhere."""
+    bad = [lane(i, BROKEN) for i in (-2, -3)]
+    lanes = section(lane(1), lane(-1, successor=-7), *bad, lane(2, BROKEN, successor=1))
+    path = tmp_path / "partly.xodr"
+    path.write_text(document(road(lanes, link=linked("successor", "9"))))
+    return path
+
+
+def test_the_map_of_the_package_is_the_default(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["map"]) == 0
+    out = capsys.readouterr().out
+
+    assert out.startswith("town.xodr\n  roads         49, 10.63 km\n")
+    assert "x -1211.5 to 1211.5 m" in out
+    assert "right-hand" in out
+    assert "+proj=tmerc" in out
+    assert "not used: none" in out
+    assert "links with gaps: none" in out
+
+
+def test_json_agrees_with_the_map(capsys: pytest.CaptureFixture[str]) -> None:
+    """Counts and lengths are sums over the lanes."""
+    assert main(["map", "--json"]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    town = load(town_path())
+
+    assert summary["roads"]["count"] == len(town.roads)
+    assert sum(kind["count"] for kind in summary["lanes"].values()) == len(town.lanes)
+    length = sum(lane.length for lane in town.lanes.values() if lane.type == "driving")
+    assert summary["lanes"]["driving"]["km"] == pytest.approx(length / 1000, abs=1e-3)
+    assert summary["drivable"]["without_successor"] == 2
+    assert summary["speed_limits_kmh"] == [30.0, 120.0]
+    assert summary["projection"] == town.projection
+    assert summary["skipped"] == []
+    assert summary["plot"] is None
+
+
+def test_what_is_not_used_is_counted_by_reason_with_an_example(
+    partly: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["map", str(partly)]) == 0
+    text = capsys.readouterr().out
+    assert main(["map", str(partly), "--json"]) == 0
+    skipped = json.loads(capsys.readouterr().out)["skipped"]
+    listed = load(partly).skipped
+
+    assert sum(group["count"] for group in skipped) == len(listed)
+    assert len(skipped) < len(listed)
+    assert skipped[0]["count"] == 2
+    assert {group["where"] for group in skipped} <= {one.where for one in listed}
+    assert f"not used: {len(listed)}" in text
+    assert f"2 x {skipped[0]['why']}" in text
+    assert f"first: {skipped[0]['where']}" in text
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_the_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str) -> None:
+    """Of the format that the suffix says."""
+    path = tmp_path / f"town.{suffix}"
+    assert main(["map", "--plot", str(path)]) == 0
+
+    assert path.read_bytes().startswith({"png": b"\x89PNG", "svg": b"<?xml"}[suffix])
+    assert str(path) in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        pytest.param(["nowhere.xodr"], "nowhere.xodr", id="no-file"),
+        pytest.param(["pyproject.toml"], "a map is one of: OpenDRIVE", id="no-format"),
+        pytest.param(["."], "Is a directory", id="folder"),
+        pytest.param(["--projection", "x"], "leave out --projection", id="projection"),
+        pytest.param(["--plot", "/nowhere/a.png"], "/nowhere/a.png", id="no-folder"),
+        pytest.param(["--plot", "a.xyz"], "xyz", id="no-such-picture"),
+    ],
+)
+def test_errors_are_one_clear_line(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
+) -> None:
+    assert main(["map", *arguments]) == 1
+    out, err = capsys.readouterr()
+
+    assert out == ""
+    assert words in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_damaged_file_is_read_in_part_or_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], seed: int
+) -> None:
+    """Cut, and with numbers that are none: what is lost is listed, or the error is one line."""
+    rng = np.random.default_rng(seed)
+    text = town_path().read_text()
+    if seed % 2:
+        text = text[: rng.integers(len(text))]
+    for number in rng.choice(re.findall(r'"-?[\d.]+"', text), 3) if text.count('"') > 99 else ():
+        text = text.replace(str(number), rng.choice(['"nan"', '"1e400"', '""', '"-"']))
+    path = tmp_path / "damaged.xodr"
+    path.write_text(text)
+
+    status = main(["map", str(path), "--json"])
+    out, err = capsys.readouterr()
+    assert status in (0, 1)
+    if status == 0:
+        assert json.loads(out)["skipped"]
+    else:
+        assert "damaged.xodr" in err
+        assert len(err.splitlines()) == 1
+
+
+def test_a_file_without_a_usable_road_is_an_error_with_its_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "empty.xodr"
+    path.write_text(document(road(plan="")))
+
+    assert main(["map", str(path)]) == 1
+    err = capsys.readouterr().err
+    assert "contains no usable road" in err
+    assert "line 4" in err

@@ -1,0 +1,240 @@
+"""The map of the package: what it contains, that its lines are continuous, and its tour."""
+
+import math
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from lane_maps import crossing
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+from maplines_can import Slot
+from maplines_can.ego import SimulatedDrive
+from maplines_can.errors import RouteError
+from maplines_can.maps import (
+    Lane,
+    LaneTracker,
+    LaneType,
+    Map,
+    link_gaps,
+    load,
+    town_path,
+    town_tour,
+)
+from maplines_can.maps.joints import gap
+
+ROOT = Path(__file__).resolve().parents[2]
+Pose = tuple[float, float, float]
+#: Lanes that end: the acceleration lane, and the third lane of the motorway.
+ENDING = {"3:0:-4", "4:2:-4"}
+
+
+@pytest.fixture(scope="module")
+def town() -> Map:
+    return load(town_path())
+
+
+def width(lane: Lane, end: int) -> float:
+    """Return the distance of the boundaries at the start (0) or the end (-1)."""
+    return float(np.hypot(*(lane.left.points[end] - lane.right.points[end])))
+
+
+def test_the_map_is_up_to_date() -> None:
+    """The file is what the generator writes."""
+    check = [sys.executable, str(ROOT / "tools" / "make_town.py"), "--check"]
+    done = subprocess.run(check, capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_everything_in_the_file_is_used(town: Map) -> None:
+    assert town.skipped == ()
+    assert list(link_gaps(town.lanes)) == []
+    assert town.projection is not None
+
+
+def test_lines_are_continuous_to_1_mm(town: Map) -> None:
+    """Both boundaries and the centre line, at each of the links between drivable lanes."""
+    gaps = [
+        gap(getattr(lane, side), getattr(town.lanes[other], side))
+        for lane in town.lanes.values()
+        for other in lane.successors
+        for side in ("left", "right", "centre")
+    ]
+
+    assert len(gaps) > 400
+    assert max(gaps) < 1e-3
+
+
+def test_geometries_begin_where_the_ones_before_end() -> None:
+    """By quadrature of the elements of the file, which needs nothing of the reader."""
+    count = 0
+    for road in ET.parse(town_path()).iterfind("road"):  # noqa: S314 - our own file
+        last = None
+        for geometry in road.iterfind("planView/geometry"):
+            x, y, heading = (float(geometry.attrib[name]) for name in ("x", "y", "hdg"))
+            if last is not None:
+                assert np.hypot(x - last[0], y - last[1]) < 1e-5
+                assert abs(math.remainder(heading - last[2], 2 * math.pi)) < 1e-6
+                count += 1
+            last = end_of(geometry, x, y, heading)
+
+    assert count > 50
+
+
+def end_of(geometry: ET.Element, x: float, y: float, heading: float) -> Pose:
+    """Return the pose at the end of a line, an arc or a spiral."""
+    (shape,) = geometry
+    length = float(geometry.attrib["length"])
+    first = float(shape.get("curvStart", shape.get("curvature", 0.0)))
+    rate = (float(shape.get("curvEnd", first)) - first) / length
+
+    def direction(s: float) -> float:
+        return heading + first * s + rate * s * s / 2
+
+    dx, _ = quad(lambda s: math.cos(direction(s)), 0, length, epsabs=1e-9)
+    dy, _ = quad(lambda s: math.sin(direction(s)), 0, length, epsabs=1e-9)
+    return x + dx, y + dy, direction(length)
+
+
+def test_every_drivable_lane_continues_or_narrows_to_nothing(town: Map) -> None:
+    """Those that end have no width there, and a lane on the left to change to."""
+    drivable = {key: lane for key, lane in town.lanes.items() if lane.type.is_drivable}
+    ending = {key: lane for key, lane in drivable.items() if not lane.successors}
+    opening = {key: lane for key, lane in drivable.items() if not lane.predecessors}
+
+    assert set(ending) == ENDING
+    for lane in ending.values():
+        assert width(lane, -1) < 1e-6 < width(lane, 0)
+        assert lane.left_neighbour is not None
+    assert set(opening) == {"1:1:-4", "4:1:-4"}
+    for lane in opening.values():
+        assert width(lane, 0) < 1e-6 < width(lane, -1)
+
+
+def test_every_drivable_lane_of_the_town_can_be_reached(town: Map) -> None:
+    """From each street to each other one; the motorway only in the direction of its ramps."""
+    streets = [f"{road}:0:{side}" for road in range(11, 17) for side in (1, -1)]
+    for goal in [*streets, "5:0:-1", "6:0:-1", "430:0:-1", *ENDING]:
+        for start in streets:
+            assert town.route(start, goal).lanes[-1] == goal
+
+
+def circle(points: NDArray[np.float64]) -> float:
+    """Return the radius of the circle through three points."""
+    (a, b, c) = (complex(*p) for p in points)
+    area = abs(((b - a).conjugate() * (c - a)).imag)
+    return abs(b - a) * abs(c - b) * abs(a - c) / (2 * area)
+
+
+@pytest.mark.parametrize(
+    ("lane", "middle", "radius"),
+    [
+        pytest.param("456:0:-1", None, None, id="straight"),
+        pytest.param("457:0:-1", 0.5, 10 + 3.25 / 2, id="left-turn"),
+        pytest.param("454:0:-1", 0.5, 8.0, id="right-turn"),
+        pytest.param("500:0:-1", 0.5, 18 + 2.5, id="roundabout"),
+    ],
+)
+def test_corners_have_the_stated_radius(
+    town: Map, lane: str, middle: float | None, radius: float | None
+) -> None:
+    """Of the centre line, by three of its points."""
+    line = town.lanes[lane].centre
+    if middle is None or radius is None:
+        assert line.length == pytest.approx(np.hypot(*(line.points[-1] - line.points[0])))
+        return
+    s = line.length * middle + np.array([-2.0, 0.0, 2.0])
+    nearest = np.abs(line.distance[:, None] - s).argmin(axis=0)
+
+    assert circle(line.points[nearest]) == pytest.approx(radius, rel=0.02)
+
+
+def test_streets_turn_within_8_m(town: Map) -> None:
+    """The boundary between both directions of West Street is a corner of 8 m."""
+    line = town.lanes["13:0:-1"].left
+    x, y = line.points.T
+    at = np.array([-260 + 8.0, 240 - 8.0])
+    inside = (x < at[0]) & (y > at[1])
+
+    assert inside.sum() > 5
+    assert np.hypot(*(line.points[inside] - at).T) == pytest.approx(8.0, abs=1e-3)
+
+
+def test_the_map_has_what_a_drive_meets(town: Map) -> None:
+    """Ramps, lanes that widen, speed limits and several kinds of marking."""
+    types = Counter(lane.type for lane in town.lanes.values())
+    limits = {round(3.6 * lane.speed_limit) for lane in town.lanes.values() if lane.speed_limit}
+    kinds = {line.kind.name for lane in town.lanes.values() for line in (lane.left, lane.right)}
+    ramps = {LaneType.ENTRY, LaneType.EXIT, LaneType.ON_RAMP, LaneType.OFF_RAMP}
+    widened = town.lanes["15:0:-1"]
+    widest = np.abs(widened.right.points[:, 1] - 60).max()
+
+    assert ramps <= set(types)
+    assert {30, 50, 60, 70, 120} == limits
+    assert {"SOLID", "DASHED", "KERB", "ROAD_EDGE", "VIRTUAL"} <= kinds
+    assert width(widened, 0) == pytest.approx(3.25)
+    assert widest == pytest.approx(4.75)
+
+
+def test_a_tour_returns_after_more_than_10_km(town: Map) -> None:
+    """It passes both ramps, the lane that ends, the roundabout and each street."""
+    tour = town_tour(town)
+    roads = {town.lanes[key].road for key in tour.lanes}
+
+    assert tour.length > 10_000
+    assert np.hypot(*(tour.line.points[0] - tour.line.points[-1])) < 1e-3
+    assert {"1", "3", "4", "5", "6", "11", "12", "13", "14", "15", "16", "30"} <= roads
+    assert set(tour.lanes) >= ENDING
+    assert [(one.origin, one.target) for one in tour.changes] == [
+        ("3:0:-4", "3:0:-3"), ("4:1:-3", "4:1:-4"), ("4:2:-4", "4:2:-3"), ("1:1:-3", "1:1:-4"),
+    ]  # fmt: skip
+
+
+def test_a_tour_of_several_rounds(town: Map) -> None:
+    one, three = town_tour(town), town_tour(town, rounds=3)
+
+    assert three.lanes == one.lanes * 3
+    assert three.length == pytest.approx(3 * one.length)
+
+
+def test_a_tour_needs_a_round_and_the_town(town: Map) -> None:
+    with pytest.raises(ValueError, match="rounds must be 1 or more, got 0"):
+        town_tour(town, rounds=0)
+    with pytest.raises(RouteError, match="lane '15:0:-1' is not in the map"):
+        town_tour(crossing())
+
+
+def test_a_drive_has_left_lines_on_the_left_and_changes_lanes_where_the_route_does(
+    town: Map,
+) -> None:
+    """Around the whole tour, five times a second."""
+    tour = town_tour(town)
+    drive = SimulatedDrive(tour.line, speed_limits=20.0)
+    tracker = LaneTracker(town, tour)
+    changes = 0
+    for k, pose in enumerate(drive.at(drive.times(5.0)).pose):
+        scene = tracker.lines(pose)
+        assert scene.match is not None
+        assert scene.match.lane in tour.lane_set
+        changes += k > 0 and scene.lane_changed
+        for slot, side in ((Slot.EGO_LEFT, 1), (Slot.EGO_RIGHT, -1)):
+            assert side * offset(scene.lines[slot].points, pose) > -0.35, (pose, slot)
+
+    assert changes == len(tour.changes)
+
+
+def offset(points: NDArray[np.float64], pose: NDArray[np.float64]) -> float:
+    """Return the offset of a line from the car, to the left, where it is nearest [m]."""
+    direction = np.exp(-1j * pose[2])
+    ego = (points[:, 0] - pose[0] + 1j * (points[:, 1] - pose[1])) * direction
+    one, other = ego[:-1], ego[1:]
+    step = other - one
+    share = np.clip((-one * step.conj()).real / np.abs(step) ** 2, 0, 1)
+    nearest = one + share * step
+    return float(nearest[np.abs(nearest).argmin()].imag)
