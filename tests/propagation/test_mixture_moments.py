@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from dbcs import default_codec
+from evidence_lines import crossings, place_of, seen_from
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, SigmaPoints, map_lines
-from maplines_can.line import Slot
+from maplines_can.line import Slot, lateral, lateral_jacobian
 from maplines_can.propagation import Mixture
 from maplines_can.scenarios import SCENARIOS, pose
 from maplines_can.study.paper_refit import paper_refit
@@ -64,15 +65,6 @@ def worst_direction(cov: Any, true: Any) -> Any:
     return np.linalg.eigvalsh(inverse @ (true / scale) @ np.swapaxes(inverse, -1, -2))[..., -1]
 
 
-def in_tails(name: str, worst: float) -> float:
-    """The bound for transforms that see less of the tails.
-
-    In street-turn-10deg the road is followed until it is 80 deg from the x axis. From one draw in a
-    hundred a part of it is across the car, and these draws dominate the variance of c1.
-    """
-    return 1.5 * worst if name == "street-turn-10deg" else worst
-
-
 def assert_not_overconfident(cov: Any, truth: Truth, worst: float, least: float = 0.99) -> None:
     """Sigmas within 4 standard errors of the draws, and the variance in the worst direction."""
     ratio = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1)) / truth.sigma
@@ -91,49 +83,79 @@ def test_item_7_a_mixture_is_not_overconfident(name: str, k: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "worst", "least"), [(5, 1.15, 0.97), (7, 1.04, 0.99), (13, 1.03, 0.99)]
+    ("order", "k", "worst", "in_turn"),
+    [(5, 2, 1.08, 1.53), (5, 5, 1.03, 1.06), (5, 8, 1.03, 1.05)]
+    + [(order, k, 1.03, 1.04) for order in (7, 13) for k in (2, 5, 8)],
 )
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_item_7_with_any_quadrature(name: str, order: int, worst: float, least: float) -> None:
-    """No part of the whole is left out, whatever the order within the parts."""
-    worst = worst if order > 5 else in_tails(name, worst)
-    for k in (2, 5, 8):
-        _, cov = overall(
-            *Mixture(k, Quadrature(order)).moments(refit_of(name), SCENARIOS[name].ego)
-        )
-        assert_not_overconfident(cov, truth_of(name), worst, least)
+def test_item_7_with_any_quadrature(
+    name: str, order: int, k: int, worst: float, in_turn: float
+) -> None:
+    """No part of the whole is left out, whatever the order within the parts.
+
+    In street-turn-10deg the road is followed until it is 80 deg from the x axis: from one draw in
+    six its far end is across the car, which few nodes see. Draws alone are 3 % off there.
+    """
+    _, cov = overall(*Mixture(k, Quadrature(order)).moments(refit_of(name), SCENARIOS[name].ego))
+    worst = in_turn if name == "street-turn-10deg" else worst
+    assert_not_overconfident(cov, truth_of(name), worst)
 
 
 @pytest.mark.parametrize(
-    ("k", "worst", "least"), [(3, 2.2, 0.86), (5, 1.25, 0.96), (8, 1.15, 0.97)]
+    ("k", "worst", "in_turn", "least"),
+    [(3, 1.53, 2.02, 0.95), (5, 1.16, 1.75, 0.99), (8, 1.09, 1.55, 0.99)],
 )
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_item_7_with_sigma_points(name: str, k: int, worst: float, least: float) -> None:
-    """The documented error of the cheap transform."""
-    worst = in_tails(name, worst)
+def test_item_7_with_sigma_points(
+    name: str, k: int, worst: float, in_turn: float, least: float
+) -> None:
+    """The documented error of the cheap transform, largest in street-turn-10deg."""
     _, cov = overall(*Mixture(k, SigmaPoints()).moments(refit_of(name), SCENARIOS[name].ego))
+    worst = in_turn if name == "street-turn-10deg" else worst
     assert_not_overconfident(cov, truth_of(name), worst, least)
+
+
+#: Largest share of |z| > 3 of any line of a scene, as far as it is more than 0.5 %. In highway
+#: and highway-10deg the lines of the map end at x = 80 m: seen from a car that is turned, some do
+#: not reach the end of the range. With a heading sigma of 10 deg, z is not Gaussian.
+BEYOND = {"highway": 0.006, "highway-correlated": 0.006}
+BEYOND |= {"highway-10deg": 0.09, "street-turn-10deg": 0.008}
 
 
 @pytest.mark.parametrize("k", [2, 5, 8])
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_item_7_after_the_wire(name: str, k: int) -> None:
-    """Lines as ``map_lines`` makes them: encoded and decoded, the whole covers the given one."""
+    """Lines as ``map_lines`` makes them: the decoded whole covers the given one and the road.
+
+    z is the lateral position of the road, seen from a drawn pose, in units of the decoded band.
+    """
     scene, codec = SCENARIOS[name], default_codec()
     lines = map_lines(scene.lines, scene.ego, window=scene.window, components=k)
-    weights = np.array([line.mixture.weights for line in lines])  # type: ignore[union-attr]
-    means = np.array([line.mixture.means for line in lines])  # type: ignore[union-attr]
-    covs = np.array([line.mixture.covs for line in lines])  # type: ignore[union-attr]
-    batch = codec.decode_batch(codec.encode_mixtures(weights, means, covs).reshape(-1, 32))
-    assert batch.accepted.all()
-    shape = (len(lines), k)
-    for i in range(len(lines)):
-        decoded = (
-            batch.component_weight.reshape(shape)[i],
-            batch.mean.reshape(*shape, 4)[i],
-            batch.cov.reshape(*shape, 4, 4)[i],
-        )
-        assert worst_direction(overall(*decoded)[1], lines[i].gaussian.cov) <= 1 + 1e-9
+    mixtures = [line.mixture for line in lines]
+    payloads = codec.encode_mixtures(
+        np.array([mixture.weights for mixture in mixtures]),  # type: ignore[union-attr]
+        np.array([mixture.means for mixture in mixtures]),  # type: ignore[union-attr]
+        np.array([mixture.covs for mixture in mixtures]),  # type: ignore[union-attr]
+        x_min=[line.x_min for line in lines],
+        x_max=[line.x_max for line in lines],
+    )
+    poses = scene.ego.sample(4000, seed=3)
+    for line, payload in zip(lines, payloads, strict=True):
+        batch = codec.decode_batch(payload)
+        assert batch.accepted.all()
+        weights, means, covs = batch.component_weight, batch.mean, batch.cov
+        assert worst_direction(overall(weights, means, covs)[1], line.gaussian.cov) <= 1 + 1e-9
+
+        points = scene.lines[line.slot].points
+        _, s = place_of(points)
+        x_min, x_max = batch.x_min[0], batch.x_max[0]
+        for x in {x_min, 0.0, min(20.0, x_max), min(40.0, x_max), x_max}:
+            J = lateral_jacobian(means, np.full(k, x))
+            within = np.einsum("ki,kij,kj->k", J, covs, J)
+            mean, variance = overall(weights, lateral(means, x)[:, None], within[:, None, None])
+            z = (crossings(seen_from(points, poses), s, x) - mean) / np.sqrt(variance[0])
+            assert (~(np.abs(z) <= 3)).mean() <= BEYOND.get(name, 0.005)
+            assert 0.8 < np.sqrt(np.nanmean(z**2)) < 1.03
 
 
 @pytest.mark.parametrize("k", [2, 3, 5, 8])

@@ -100,9 +100,9 @@ FIGURES = (
     FigurePlan(
         11,
         "street-turn-10deg",
-        "One Gaussian fails: marginals have two arms, and lines are drawn below the band, where no "
-        "true line is. The sigma points miss\nthe reversal of c1: three samples in ten are "
-        "outside their ellipse of beta and c1.",
+        "One Gaussian fails: beta and c1 lie on a hooked curve, so most of their ellipse is empty, "
+        "and lines are drawn below the\nband, where no true line is. The sigma points see less of "
+        "the correlation of beta and c1.",
     ),
 )
 AFTER_THE_WIRE = (

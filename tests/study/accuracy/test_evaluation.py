@@ -11,6 +11,7 @@ from scipy import stats
 
 from maplines_can import Codec, Slot, scenario
 from maplines_can.gaussian import Gaussian
+from maplines_can.propagation import MonteCarlo, Quadrature
 from maplines_can.scenarios import SCENARIOS
 from maplines_can.study.accuracy import evaluation
 from maplines_can.study.accuracy.approximations import (
@@ -283,7 +284,7 @@ def test_claim_b_does_not_hold_for_sigma_points_in_four_parameters(rows: Any) ->
 
 
 def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows: Any) -> None:
-    """They grow on the highway and fall in the turn; false positives grow in both."""
+    """The mean of them grows in both scenes; false negatives grow in the turn only."""
     correlation = {}
     for name in SCENARIOS:
         refit = paper_refit(scenario(name), Slot.EGO_RIGHT)
@@ -294,29 +295,25 @@ def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows: Any) -
         correlation[name] = abs(R / np.outer(sigma, sigma))[np.triu_indices(4, 1)].mean()
 
     assert correlation["highway-10deg"] > correlation["highway"] > correlation["production"]
-    assert (
-        correlation["street-turn-10deg"] < correlation["street-turn"]
-    )  # as nonlinearity dominates
-    wide, narrow = (
-        rows[name, "MonteCarlo", "before"] for name in ("street-turn-10deg", "street-turn")
-    )
-    assert wide.false_positives > 3 * narrow.false_positives
-    assert more(wide, narrow, "false_negatives")
+    assert correlation["street-turn-10deg"] > correlation["street-turn"] + 0.01
+    for name, grows in (("street-turn", True), ("highway", False)):
+        wide, narrow = (rows[each, "MonteCarlo", "before"] for each in (f"{name}-10deg", name))
+        # Two standard errors: the samples are too few for five.
+        difference, error = apart(wide, narrow, "false_negatives")
+        assert (difference > 2 / 5 * error) == grows
 
 
 def test_claim_d_covariances_carry_information(rows: Any) -> None:
-    """Variances alone cause more false negatives on the highway, not in the street turn."""
-    for name in ("highway", "highway-correlated", "highway-10deg"):
-        without, full = (rows[name, k, "before"] for k in ("mean and sigmas", "MonteCarlo"))
-        assert more(without, full, "false_negatives")
-        assert more(without, full, "false_positives")
-        assert without.kl > 1
+    """Variances alone cause more false negatives, but not for the production car."""
     for name in SCENARIOS:
         without, full = (rows[name, k, "before"] for k in ("mean and sigmas", "MonteCarlo"))
+        assert without.kl > 1
         assert without.false_positives > full.false_positives + 0.02
-    turn = "street-turn-10deg"
-    without, full = (rows[turn, k, "before"] for k in ("mean and sigmas", "MonteCarlo"))
-    assert not more(without, full, "false_negatives")
+        assert more(without, full, "false_positives")
+        if name == "production":
+            assert more(full, without, "false_negatives")
+        elif name != "street-turn":  # the samples are too few for its difference of 0.004
+            assert more(without, full, "false_negatives")
 
 
 def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_parameters(
@@ -325,13 +322,15 @@ def test_claim_e_sigma_points_are_like_monte_carlo_in_band_but_not_in_four_param
     for name in ("highway", "highway-correlated", "highway-10deg", "production"):
         points, draws = (rows[name, k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
         assert points.sigma_ratio == pytest.approx(draws.sigma_ratio, abs=0.03)
-    points, draws = (rows["highway", k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
-    assert 0 < points.false_positives - draws.false_positives < 0.06
+    for name in SCENARIOS:
+        points, draws = (rows[name, k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
+        assert 0 < points.false_positives - draws.false_positives < 0.06
     points, draws = (rows["highway-10deg", k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
     assert points.false_negatives > 0.5
     assert draws.false_negatives < 0.05
     points, draws = (rows["street-turn-10deg", k, "before"] for k in ("SigmaPoints", "MonteCarlo"))
-    assert points.false_positives < draws.false_positives  # the opposite holds there
+    assert points.sigma_ratio[-1] > 1.05  # the band is too wide far ahead
+    assert draws.sigma_ratio[-1] == pytest.approx(1, abs=0.03)
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -341,19 +340,42 @@ def test_the_wire_costs_few_false_negatives(rows: Any, name: Any, kind: str) -> 
 
     assert after.false_negatives - before.false_negatives < 0.002
     assert after.false_negatives_pairs - before.false_negatives_pairs < 0.002
-    # The production car is close to 0.02 with so few samples; the next test uses more.
-    assert after.false_positives - before.false_positives < (
-        0.025 if name == "production" else 0.02
-    )
+    if name != "production":  # for which it depends on the grid of the mean: see the next test
+        assert after.false_positives - before.false_positives < 0.02
     assert np.array(after.sigma_ratio) == pytest.approx(np.array(before.sigma_ratio), abs=0.05)
 
 
-def test_the_wire_costs_the_production_car_few_false_positives() -> None:
-    """Its sigma of c0 is a step of the mean's grid, and c1 and beta correlate by 0.9995."""
-    table = accuracy_table([scenario("production")], n=300_000)
-    found = {(row.representation, row.wire): row.false_positives for row in table}
-    for kind in ("SigmaPoints", "Quadrature", "MonteCarlo"):
-        assert found[kind, "after"] - found[kind, "before"] < 0.02
+def test_the_wire_costs_the_production_car_few_false_positives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """They depend on where c0 and c1 are between two steps of the mean.
+
+    The sigma of c0 is two thirds of a step, and c1 and beta correlate by 0.9995.
+    """
+    monkeypatch.setattr(evaluation, "DRAWS", 100_000)
+    scene, codec = scenario("production"), Codec.from_dbc()
+    refit = paper_refit(scene, Slot.EGO_RIGHT)
+    true = true_distribution(MonteCarlo(100_000, 0).samples(refit, scene.ego).values)
+    mean, cov = Quadrature().moments(refit, scene.ego)
+    step = np.array([codec.layout[name].factor for name in ("YOff", "Beta", "C0", "C1")])
+
+    def added(share: Any) -> float:
+        """Return the cost of the wire for a line at a share of a step above a multiple of it."""
+        shift = (np.round(mean / step) + share) * step - mean
+        moved = Approximation.gaussian(mean + shift, cov)
+        sent = through_the_wire(moved, codec, Slot.EGO_RIGHT, refit.x_range)
+        received = Approximation(sent.weights, sent.means - shift, sent.covs)
+        before, after = (
+            evaluate_approximation(true, each, NAMES).false_positives
+            for each in (Approximation.gaussian(mean, cov), received)
+        )
+        return after - before
+
+    middles = (-3 / 8, -1 / 8, 1 / 8, 3 / 8)
+    costs = [added([0, 0, c0, c1]) for c0 in middles for c1 in middles]
+    assert np.mean(costs) < 0.025
+    assert added([0.49] * 4) < 0.065  # the worst place
+    assert added([0.0] * 4) < 0.01  # the best place
 
 
 def test_mixtures_empty_the_street_turn(rows: Any) -> None:
@@ -362,8 +384,8 @@ def test_mixtures_empty_the_street_turn(rows: Any) -> None:
         for kind in ("MonteCarlo", "mixture of 3", "mixture of 5")
     )
 
-    assert one.false_positives > 2 * three.false_positives
-    assert three.false_positives < 0.11
-    assert five.false_positives < 0.05
+    assert one.false_positives > 3 * three.false_positives
+    assert three.false_positives < 0.06
+    assert five.false_positives < 0.035
     assert three.false_negatives < 0.02
     assert five.false_negatives < 0.02

@@ -341,7 +341,9 @@ def test_the_readings_are_true(case_of: Any) -> None:
 
     beta, c0, c1 = 1, 2, 3
     highway, wider = case_of(PLANS[5]), case_of(PLANS[8])
-    assert highway.refit(highway.scenario.ego.mean)[c0] == pytest.approx(5e-4)
+    # Chords of 2 m deviate from the curve by up to 0.25 mm (0.075 mm rms about their mean), and
+    # 64 nodes over 100 m determine c0 to 2.8e-4 1/m^2 times that.
+    assert highway.refit(highway.scenario.ego.mean)[c0] == pytest.approx(5e-4, abs=1e-7)
     assert highway.lines[:, c0].min() > 4.97e-4  # the hard lower limit
     assert highway.monte_carlo.mean[c0] - 3 * highway.monte_carlo.sigma[c0] < 4.9e-4
     correlated = case_of(PLANS[7])
@@ -360,7 +362,12 @@ def test_the_readings_are_true(case_of: Any) -> None:
     turn, wide_turn = case_of(PLANS[10]), case_of(PLANS[11])
     assert (np.abs(turn.sigma_points.correlation[1:, 1:]) > 0.6).all()
     assert outside(turn, turn.monte_carlo, [c0, c1]) < 0.04
-    assert outside(wide_turn, wide_turn.sigma_points, [beta, c1]) == pytest.approx(0.3, abs=0.05)
+    heading, rate = wide_turn.lines[:, [beta, c1]].T
+    curve = np.polynomial.Polynomial.fit(heading, rate, 8)
+    seen, true = (g.correlation[beta, c1] for g in (wide_turn.sigma_points, wide_turn.monte_carlo))
+    in_ellipse = wide_turn.monte_carlo.sigma[c1] * np.sqrt(1 - true**2)  # of c1, at a given beta
+    assert np.median(np.abs(rate - curve(heading))) < 0.2 * in_ellipse
+    assert seen < true - 0.05
 
 
 def test_close_up(case_of: Any) -> None:
