@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -85,7 +86,10 @@ def map_lines(
     if map_error is not None:  # moves the ends of a line as the pose error does
         shift = map_error.offset_sigma**2 + map_error.point_sigma**2
         P = P + np.diag([shift, shift, map_error.heading_sigma**2])
+    # A turned car sees the end of a line at x at about x cos(turn), which is nearer.
+    shortening = 1 - math.cos(min(MARGIN * math.sqrt(P[2, 2]), math.pi / 2))
     room = MARGIN * float(_along_sigma(P, np.array([-ASIDE, ASIDE])).max())
+    room += shortening * max(abs(x_min), abs(x_max))
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
     singles = [slot for slot, k in counts.items() if k == 1]
     groups = [singles] * bool(singles) + [[slot] for slot, k in counts.items() if k > 1]
@@ -99,6 +103,7 @@ def map_lines(
             continue
         refit = Refit(seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=room)
         margin = MARGIN * _along_sigma(P, refit.points[:, [0, -1], 1])  # (L, 2)
+        margin += shortening * np.abs(refit.x_range)
         x_range = (refit.x_range + margin * [1, -1]).clip(x_min, x_max)
         wide = (x_range[:, 1] - x_range[:, 0] >= MIN_RANGE) & ~refit.is_across
         found |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~wide]}

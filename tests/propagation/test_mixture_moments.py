@@ -119,7 +119,7 @@ def test_item_7_with_sigma_points(
 #: and highway-10deg the lines of the map end at x = 80 m: seen from a car that is turned, some do
 #: not reach the end of the range. With a heading sigma of 10 deg, z is not Gaussian.
 BEYOND = {"highway": 0.006, "highway-correlated": 0.006}
-BEYOND |= {"highway-10deg": 0.09, "street-turn-10deg": 0.008}
+BEYOND |= {"highway-10deg": 0.01, "street-turn-10deg": 0.008}
 
 
 @pytest.mark.parametrize("k", [2, 5, 8])
