@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import evidence_lines as tool
+import line_witness as witness
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,16 +26,16 @@ def test_a_straight_line_is_crossed_where_it_lies(angle: float, y: float, x: flo
     points = np.column_stack([np.linspace(-100, 100, 7), np.full(7, y)])
     poses = np.array([[0, 0, 0], [0, 0, angle]])
 
-    local = tool.seen_from(points, poses)
-    _, s = tool.place_of(local[0])
+    local = witness.seen_from(points, poses)
+    _, s = witness.place_of(local[0])
 
     expected = [y, y / np.cos(angle) - x * np.tan(angle)]
-    assert np.allclose(tool.crossings(local, s, x), expected)
+    assert np.allclose(witness.crossings(local, s, x), expected)
 
 
 def test_a_line_that_ends_is_not_crossed() -> None:
     points = np.array([[0.0, 1], [10, 1], [20, 1]])
-    assert np.isnan(tool.crossings(points[None], np.array([0.0, 10, 20]), 25.0)).all()
+    assert np.isnan(witness.crossings(points[None], np.array([0.0, 10, 20]), 25.0)).all()
 
 
 def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
@@ -42,23 +43,23 @@ def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
     angle = np.linspace(-0.7 * np.pi, 1.2 * np.pi, 400)
     circle = 12 * np.column_stack([np.cos(angle), 1 + np.sin(angle)])
     local = circle - [0, 0.3]
-    _, s = tool.place_of(local)
-    near, far = tool.crossings(np.array([local, local + np.array([0, 40])]), s, 4.0)
+    _, s = witness.place_of(local)
+    near, far = witness.crossings(np.array([local, local + np.array([0, 40])]), s, 4.0)
     assert near == pytest.approx(12 - np.sqrt(12**2 - 4**2) - 0.3, abs=1e-3)
     assert far == pytest.approx(near + 40)
-    assert np.isnan(tool.crossings(local[None], s, 12.5)).all()
+    assert np.isnan(witness.crossings(local[None], s, 12.5)).all()
 
 
 def test_an_oncoming_line_is_known_by_its_direction_at_the_car() -> None:
     """Whatever its direction is farther along."""
     hairpin = np.array([[-50.0, 2], [50, 2], [50, 30], [-50, 30]])
-    assert not tool.is_oncoming(hairpin)
-    assert tool.is_oncoming(hairpin[::-1])
-    assert tool.is_oncoming(hairpin - [0, 31])
+    assert not witness.is_oncoming(hairpin)
+    assert witness.is_oncoming(hairpin[::-1])
+    assert witness.is_oncoming(hairpin - [0, 31])
 
 
 def test_the_nearest_place_is_between_points() -> None:
-    nearest, s = tool.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
+    nearest, s = witness.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
     assert nearest == 1
     assert s.tolist() == [-30, -10, 30]
 
@@ -109,7 +110,7 @@ def test_random_roads_are_as_their_shape_says(shape: str) -> None:
         assert steps.max() <= 2.5 * most + 3.5
         assert np.median(steps) >= 0.2 * least
         if shape not in ("lane-ends", "city", "imprecise"):  # a city road may cross itself
-            local = tool.seen_from(case.points, case.pose[None])[0]
+            local = witness.seen_from(case.points, case.pose[None])[0]
             near = np.hypot(*local.T).min()
             assert near < 6 + most + 3.5
 
@@ -121,10 +122,10 @@ def test_the_lines_of_streets_are_honest(name: str, seed: int) -> None:
     scene, rng = STREETS[name], np.random.default_rng(seed)
     poses = scene.ego.sample(DRAWS, seed)
     for line in map_lines(scene.lines, scene.ego, window=scene.window):
-        local = tool.seen_from(scene.lines[line.slot].points, poses)
-        _, s = tool.place_of(local[0])
+        local = witness.seen_from(scene.lines[line.slot].points, poses)
+        _, s = witness.place_of(local[0])
         for x in [line.x_min, line.x_max, *rng.uniform(line.x_min, line.x_max, 3)]:
-            z = (tool.crossings(local, s, x) - line.y(x)) / line.y_sigma(x)
+            z = (witness.crossings(local, s, x) - line.y(x)) / line.y_sigma(x)
             assert (np.abs(z) <= 3).mean() >= WITHIN, (line.slot, x)
 
 

@@ -28,84 +28,39 @@ from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from line_witness import (
+    AHEAD,
+    LEAST_VALUES,
+    NEAR,
+    PLACES,
+    POSES,
+    WINDOW,
+    Array,
+    beyond,
+    crossings,
+    is_oncoming,
+    place_of,
+    quantiles,
+    rms,
+    seen_from,
+    turned,
+)
 from random_roads import SHAPES, random_case
 from reporting import bar, parser_of
 from scipy.optimize import linprog
 
 from maplines_can import Codec, Gaussian, MapError, MapLine, Polyline, Slot, map_lines
 
-Array = NDArray[np.float64]
-
-#: Standard deviations of the pose: along [m], across [m], heading [deg].
-POSES = {"production": (0.1, 0.2, 0.2), "poor": (0.5, 1.0, 2.0)}
-WINDOW = (-20.0, 80.0)
 MAX_MISFIT = 0.1
 #: Of --map-error.
 MAP_ERROR = MapError(point_sigma=0.05, offset_sigma=0.1, heading_sigma=np.radians(0.1))
-#: Where z is evaluated: x [m] for the range of the line.
-PLACES: dict[str, Callable[[float, float], float]] = {
-    "x_min": lambda x_min, _: x_min,
-    "0": lambda *_: 0.0,
-    "20": lambda *_: 20.0,
-    "40": lambda *_: 40.0,
-    "x_max": lambda _, x_max: x_max,
-}
 #: Bounds: largest share of |z| > 3, rms of z, largest share of refused lines, and least ratio of
 #: the range to its limit (median, 5 % quantile).
 BEYOND, RMS, REFUSED, RATIO = 0.005, (0.85, 1.08), 0.02, (0.85, 0.6)
-#: Fewer values at a place are too few to compare their share of |z| > 3 with its bound.
-LEAST_VALUES = 4000
-#: Lines of which the map has more within the window ahead of the car must not be refused [m].
-AHEAD = 15.0
 #: A line that reaches farther both ways from x = 0 could be given there [m].
 AT_CAR = 2.0
 #: A line is a function y(x) while it deviates by less from the car's x axis [rad].
 TURN = np.radians(65.0)
-#: Points of the map farther away along the line are not used [m].
-NEAR = 160.0
-
-
-def seen_from(points: Array, poses: Array) -> Array:
-    """Return (D, n, 2) points in the frames of (D, 3) poses; points are (n, 2) or (D, n, 2)."""
-    c, d = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    R = np.array([[c, -d], [d, c]]).transpose(2, 0, 1)
-    return np.asarray((points - poses[:, None, :2]) @ R)
-
-
-def place_of(points: Array) -> tuple[int, Array]:
-    """Return the step of (n, 2) points that is nearest to the origin, and arc lengths from there.
-
-    The arc lengths are (n,), 0 at the place nearest to the origin [m].
-    """
-    begin, step = points[:-1], np.diff(points, axis=0)
-    share = (-(begin * step).sum(1) / np.maximum((step * step).sum(1), 1e-18)).clip(0, 1)
-    nearest = int(np.hypot(*(begin + share[:, None] * step).T).argmin())
-    s = np.append(0.0, np.hypot(*step.T).cumsum())
-    return nearest, s - s[nearest] - share[nearest] * (s[nearest + 1] - s[nearest])
-
-
-def is_oncoming(local: Array) -> bool:
-    """Return whether the direction of a line is against the x axis where the car is."""
-    _, s = place_of(local)
-    behind, ahead = np.interp([-1.0, 1.0], s, local[:, 0])
-    return bool(ahead < behind)
-
-
-def crossings(local: Array, s: Array, x: float) -> Array:
-    """Return the (D,) lateral positions at x of (D, n, 2) lines, nearest along them to s = 0.
-
-    They are NaN if a line does not cross x in its direction, or only farther along than a line
-    that is followed can be: there it comes back, as in a hairpin, or another road begins.
-    """
-    u, v = np.moveaxis(local, -1, 0)
-    crossed = (u[:, :-1] <= x) & (u[:, 1:] > x)
-    du = np.diff(u, axis=1)
-    share = (x - u[:, :-1]) / np.where(crossed, du, 1.0)
-    along = np.where(crossed, np.abs(s[:-1] + share * np.diff(s)), np.inf)
-    rows, i = np.arange(len(u)), along.argmin(axis=1)
-    y = v[rows, i] + share[rows, i] * (v[rows, i + 1] - v[rows, i])
-    return np.where(along[rows, i] <= 4 * abs(x) + 20, y, np.nan)
 
 
 def chebyshev_misfit(x: Array, y: Array) -> float:
@@ -246,12 +201,6 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
     }
 
 
-def turned(heading: float) -> Array:
-    """Return the (3, 3) rotation of errors of a pose from the car's frame to that of the map."""
-    c, d = np.cos(heading), np.sin(heading)
-    return np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]])
-
-
 def given(points: Array, ego: Gaussian, settings: Settings) -> MapLine | str:
     """Return the line that is sent, or the reason for which it is not."""
     slot = Slot.EGO_LEFT
@@ -274,23 +223,6 @@ def drawn(points: Array, pose: Array, settings: Settings, rng: Any) -> Array:
     common = MAP_ERROR.offset_sigma * rng.standard_normal((draws, 1, 2))
     local = MAP_ERROR.point_sigma * rng.standard_normal(about_car.shape)
     return about_car + pose[:2] + common + local
-
-
-def beyond(values: list[Array]) -> float:
-    """Return the share of |z| > 3; a line that does not cross x counts as such."""
-    z = np.concatenate(values) if values else np.empty(0)
-    return float((~(np.abs(z) <= 3)).mean()) if len(z) else 0.0
-
-
-def rms(values: list[Array]) -> float | None:
-    """Return the root mean square of z."""
-    z = np.concatenate(values) if values else np.empty(0)
-    return float(np.sqrt(np.nanmean(z**2))) if np.isfinite(z).any() else None
-
-
-def quantiles(values: list[float]) -> list[float]:
-    """Return the median and the 5 % quantile; empty without values."""
-    return np.quantile(values, [0.5, 0.05]).tolist() if values else []
 
 
 def missed(name: str, row: Any, is_production: bool) -> Iterator[str]:

@@ -1,0 +1,29 @@
+"""Files of a drive for tests: a map, the log of its lines, and the truth."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from xodr_files import document, geometry, lane, road, section
+
+from maplines_can.cli import main
+
+#: A straight road of 200 m, a left bend of 200 m with a radius of 400 m; two lanes to the east.
+PLAN = geometry(length=200.0) + geometry(
+    '<arc curvature="0.0025"/>', s=200.0, x=200.0, length=200.0
+)
+ROAD = road(section(lane(1), lane(-1), lane(-2)), plan=PLAN, length=400.0)
+
+
+def town(folder: Path, header: str = "") -> str:
+    """Write the map and return its path."""
+    path = folder / "map.xodr"
+    path.write_text(document(ROAD, header=header))
+    return str(path)
+
+
+def run(capsys: Any, *options: str, status: int = 0) -> Any:
+    """Run ``maplines drive --json`` and return its result, or its standard error."""
+    assert main(["drive", *options, "--json"]) == status
+    captured = capsys.readouterr()
+    return json.loads(captured.out) if not status else captured.err
