@@ -29,7 +29,7 @@ maps.lanelets maps.lanelet_tags maps.osm maps.lanelet2 maps.commonroad maps.poin
 maps.opendrive.profiles maps.opendrive.reference_line maps.opendrive.attributes
 maps.opendrive.lane_section maps.opendrive.road maps.opendrive.boundaries maps.opendrive.links
 maps.opendrive.reader maps.opendrive
-maps.load maps
+maps.load maps.tour maps
 wire.reasons
 wire.message wire.message.attributes wire.message.dbc_limits wire.message.signals
 wire.message.packing wire.message.requirements wire.message.slot_messages
@@ -45,23 +45,25 @@ wire.reception.mixtures wire.reception.reassembly wire.reception.sequence wire.r
 wire.reception.monitor wire.reception.settings
 wire.codec
 wire
-bus.background bus.driver_errors bus.keys bus.load bus.logs bus.schedule bus.signals bus.socketcan
-bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue bus.transmitter bus
-ego.smooth_path ego.drive ego.pose_source ego.map_frame ego.columns ego.records ego.recorded ego
+bus.background bus.driver_errors bus.keys bus.load bus.log_writer bus.logs bus.schedule bus.signals
+bus.socketcan bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue
+bus.transmitter bus
+ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.columns ego.records
+ego.recorded ego.route_drive ego
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.sending cli.stderr
-cli cli.__main__ cli.accuracy cli.decode cli.demo cli.design cli.figures cli.map_info cli.receive
-cli.send
-cli.study
+cli.driving cli cli.__main__ cli.accuracy cli.claims cli.decode cli.demo cli.design cli.drive
+cli.figures cli.map_info cli.receive cli.send cli.study
 __main__
 """.split()  # noqa: SIM905 - a list of so many would take a line each
 #: Commands that run the study; the others import it, and fault injection, only inside functions.
 STUDY_COMMANDS = {f"cli.{name}" for name in (
-    "demo", "study", "report", "production", "design", "accuracy", "figures",
+    "demo", "study", "report", "production", "design", "accuracy", "claims", "figures",
 )}  # fmt: skip
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.codes"),
     ("cli.map_info", "study.figures.map_picture"),
+    ("cli.drive", "study.drives.truth"), ("cli.driving", "study.drives.truth"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {

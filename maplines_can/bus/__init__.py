@@ -4,6 +4,7 @@ from .keys import key_from_env, key_from_file
 from .link import Link, Sent
 from .listener import LineListener, ReceiverStats
 from .load import bus_load, frame_bits, frame_time, transfers_within
+from .log_writer import LogWriter
 from .logs import LogFrame, read_log
 from .receiver import Receiver
 from .schedule import Lateness
@@ -15,6 +16,7 @@ __all__ = [
     "LineListener",
     "Link",
     "LogFrame",
+    "LogWriter",
     "Receiver",
     "ReceiverStats",
     "Sent",

@@ -15,6 +15,7 @@ from ..line import LeftOut, MapLine, MapLineList, Slot
 from ..wire import Codec, Frame
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
+from .log_writer import message_of
 from .schedule import Lateness, LatenessHistogram
 from .tx_queue import Transfer, TxQueue
 
@@ -79,6 +80,8 @@ class Transmitter(BackgroundThread):
         max_age: greatest age of a line that is stated [s]; at most the greatest age that the DBC
             can state, which is the default (0.24 s with the project's DBC).
         clock: a monotonic clock [s].
+        on_sent: called with each frame after it was handed to the interface, by the thread of the
+            transmitter, such as to log it.
 
     Raises:
         TypeError: ``link`` is neither a link nor a bus, or ``codec`` is no codec.
@@ -96,6 +99,7 @@ class Transmitter(BackgroundThread):
         count: int | None = None,
         max_age: float | None = None,
         clock: Callable[[], float] = time.monotonic,
+        on_sent: Callable[[Frame], None] | None = None,
     ) -> None:
         if not hasattr(codec, "encode_lines"):
             raise TypeError(f"codec must be a Codec, such as Codec.from_dbc(), got {codec!r}")
@@ -116,7 +120,7 @@ class Transmitter(BackgroundThread):
                 "frames (fd=False)"
             )
         super().__init__("maplines transmit")
-        self._link, self._period, self._clock = link, period, clock
+        self._link, self._period, self._clock, self._on_sent = link, period, clock, on_sent
         max_age = stated if max_age is None else max_age
         self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
         self._counts = TransmitterStats()
@@ -206,8 +210,11 @@ class Transmitter(BackgroundThread):
         while True:
             while sent == 0 and (now := self._clock()) > transfer.latest:
                 transfer = self._tx_queue.renew(transfer, now)
-            result = self._link.send(_message(transfer.frames[sent]))
+            frame = transfer.frames[sent]
+            result = self._link.send(message_of(frame))
             sent += result is Sent.OK
+            if self._on_sent is not None and result is Sent.OK:
+                self._on_sent(frame)
             if sent == len(transfer.frames) or result is Sent.DOWN:
                 break
             if result is Sent.FULL:
@@ -230,14 +237,3 @@ class Transmitter(BackgroundThread):
     def _count(self, **steps: int) -> None:
         old = self._counts
         self._counts = old._replace(**{name: getattr(old, name) + n for name, n in steps.items()})
-
-
-def _message(frame: Frame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.can_id,
-        is_extended_id=frame.is_extended,
-        is_fd=frame.is_fd,
-        bitrate_switch=frame.is_fd,
-        data=frame.data,
-        check=False,
-    )

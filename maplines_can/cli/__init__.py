@@ -30,9 +30,11 @@ COMMANDS = {
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file"),
     "map": ("map_info", "print what is in a map file, and draw it"),
+    "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "scenarios": ("scenarios", "list the scenes that can be sent"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
-    "accuracy": ("accuracy", "compare each representation of a line with Monte Carlo samples"),
+    "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
+    "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),
     "figures": ("figures", "draw the figures of the paper"),
 }
 STUDY_COMMANDS = {

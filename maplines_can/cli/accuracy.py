@@ -3,58 +3,94 @@
 from __future__ import annotations
 
 import argparse
+import json
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-from ..scenarios import SCENARIOS, scenario
-from ..study.accuracy.table import accuracy_table
-from ..study.accuracy.text import as_csv, as_markdown, as_text
-from .options import add_dbc, add_draws, codec_from
+from ..bus import read_log
+from ..errors import LogError
+from ..line import MapLine
+from ..study.drives.evaluation import accuracy_of
+from ..study.drives.text import as_text
+from ..study.drives.truth import read_truth
+from ..wire import Decoder
+from .options import add_codec, add_cycle, add_json, add_transfer_timeout, decoder_of, keyed_codec
+from .output import counts_text
 from .parsing import add_command
-from .stderr import progress_bar
+from .stderr import note, with_progress
 
-__all__ = ["add_accuracy"]
+PICTURES = (".png", ".svg", ".pdf")
 
 DESCRIPTION = """\
-Compare each representation of a line (Gaussians by several transforms, mixtures) with Monte Carlo
-samples of the line, before and after it is encoded for the bus."""
+Compare the lines in the log of a drive with the true ones: the lateral, heading and curvature
+errors at 0, 20, 40 and 80 m ahead, and the absolute and the relative accuracy as EDMap defines
+them; and compare these with the requirements that a survey of HD maps lists.
+
+TRUTH and LOG are what 'maplines drive --record' writes. Each line is compared with the truth at the
+time of its pose, within its range."""
 
 
 def add_accuracy(commands: Any) -> None:
     """Add the command ``accuracy``."""
-    parser = add_command(
-        commands,
-        "accuracy",
-        _accuracy,
-        DESCRIPTION,
-        "maplines accuracy --scenario street-turn-10deg --format csv > accuracy.csv",
-    )
+    example = "maplines accuracy drive.truth.parquet drive.blf --plot accuracy.png"
+    parser = add_command(commands, "accuracy", _accuracy, DESCRIPTION, example)
+    parser.add_argument("truth", metavar="TRUTH", help="truth of the drive, .csv or .parquet")
+    parser.add_argument("log", metavar="LOG", help="log of the same drive, as for 'decode'")
     parser.add_argument(
-        "--scenario",
-        action="append",
-        choices=list(SCENARIOS),
-        metavar="NAME",
-        help=f"scene: {', '.join(SCENARIOS)}; can be repeated (default: all)",
+        "--plot",
+        metavar="FILE",
+        help=f"draw the errors into this file: {', '.join(PICTURES)}",
     )
-    parser.add_argument(
-        "--format",
-        choices=["text", "csv", "markdown"],
-        default="text",
-        help="format of the table (default: text)",
-    )
-    add_draws(parser, samples=1_000_000)
-    add_dbc(parser)
+    add_codec(parser)
+    add_cycle(parser)
+    add_transfer_timeout(parser)
+    add_json(parser)
 
 
 def _accuracy(arguments: argparse.Namespace) -> int:
-    scenes = [scenario(name) for name in arguments.scenario or SCENARIOS]
-    with progress_bar(" rows") as progress:
-        rows = accuracy_table(
-            scenes,
-            n=arguments.samples,
-            seed=arguments.seed,
-            codec=codec_from(arguments.dbc),
-            progress=progress,
+    if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:
+        raise ValueError(
+            f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
-    writers = {"text": as_text, "csv": as_csv, "markdown": as_markdown}
-    print(writers[arguments.format](rows).rstrip("\n"))
-    return 0
+    truth = read_truth(arguments.truth)
+    codec = keyed_codec(arguments, clock=None)
+    decoders: dict[str, Decoder] = {}
+    status, has_time = 0, True
+
+    def lines() -> Iterator[MapLine]:
+        nonlocal status, has_time
+        try:
+            for frame in with_progress(read_log(arguments.log), " frames"):
+                decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
+                has_time = frame.has_time
+                line = decoder.feed(
+                    frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+                )
+                if isinstance(line, MapLine):
+                    yield line
+        except LogError as error:
+            if not any(decoder.lines for decoder in decoders.values()):
+                raise
+            note(f"error: {error}")  # the lines before the damage are compared
+            status = 1
+
+    accuracy = accuracy_of(truth, lines())
+    if not has_time:
+        raise LogError(f"{arguments.log}: has no time stamps; record it with candump -L")
+    if not accuracy.received:
+        dropped = sum((decoder.counts for decoder in decoders.values()), start=Counter())
+        counts = counts_text({reason.name: n for reason, n in dropped.items()})
+        raise LogError(f"{arguments.log}: has no lines; frames dropped: {counts}")
+    if arguments.plot:
+        from ..study.drives.plot import draw_accuracy
+
+        draw_accuracy(accuracy, arguments.plot)
+    if arguments.json:
+        print(json.dumps(accuracy.as_dict() | {"lane_changes": truth.lane_changes}, indent=2))
+    else:
+        print(as_text(accuracy))
+        if arguments.plot:
+            print(f"\npicture: {arguments.plot}")
+    return status

@@ -4,6 +4,7 @@ from .load import load
 from .matching import LaneMatch
 from .model import Lane, LaneType, Map, Road, Skipped
 from .routing import LaneChange, Route
+from .tour import random_tour
 from .town import town_path, town_tour
 from .tracking import LaneTracker, Scene
 from .view import link_gaps
@@ -21,6 +22,7 @@ __all__ = [
     "Skipped",
     "link_gaps",
     "load",
+    "random_tour",
     "town_path",
     "town_tour",
 ]

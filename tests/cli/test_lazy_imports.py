@@ -86,12 +86,12 @@ def test_help_loads_nothing(words: Any) -> None:
     assert not among(modules, "maplines_can.wire", "maplines_can.bus", "maplines_can.propagation")
 
 
-@pytest.mark.parametrize("name", ["receive", "decode", "send"])
+@pytest.mark.parametrize("name", ["receive", "decode", "send", "drive"])
 def test_help_of_a_command_loads_nothing_of_the_study(name: str) -> None:
     """Nor does it load other commands."""
     modules = modules_after(MAIN.format([name, "--help"]))
     assert f"maplines_can.cli.{name}" in modules
-    assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.accuracy")
+    assert not among(modules, *STUDY, "maplines_can.cli.demo", "maplines_can.cli.claims")
 
 
 def test_a_receiver_loads_no_estimation_and_no_study() -> None:

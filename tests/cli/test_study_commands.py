@@ -1,4 +1,4 @@
-"""The commands ``accuracy``, ``figures`` and ``scenarios``."""
+"""The commands ``claims``, ``figures`` and ``scenarios``."""
 
 import csv
 import json
@@ -21,9 +21,9 @@ def test_figures_are_written_to_the_folder(
     assert all(Path(path).stat().st_size for path in paths)
 
 
-def test_accuracy_as_csv(capsys: pytest.CaptureFixture[str]) -> None:
+def test_claims_as_csv(capsys: pytest.CaptureFixture[str]) -> None:
     """There is a row for each representation, before and after the bus."""
-    arguments = ["accuracy", "--scenario", "production", "--samples", "20000", "--format", "csv"]
+    arguments = ["claims", "--scenario", "production", "--samples", "20000", "--format", "csv"]
     assert main(arguments) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
     assert {row["wire"] for row in rows} == {"before", "after"}

@@ -1,0 +1,380 @@
+"""The command ``maplines drive``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+import uuid
+from contextlib import ExitStack
+from dataclasses import asdict
+from importlib.util import find_spec
+from itertools import islice, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..bus import LogWriter
+from ..bus.log_writer import check_log_path
+from ..ego import (
+    LineSource,
+    PoseSource,
+    RecordedDrive,
+    SimulatedDrive,
+    State,
+    check_on_map,
+    drive_along,
+)
+from ..errors import RouteError
+from ..line import LeftOut, Slot
+from ..maps import LaneTracker, Map, Route, load, random_tour, town_path, town_tour
+from ..propagation import MapError
+from .driving import Counters, Drive, TruthRecorder
+from .options import add_bus, add_codec, add_json, bus_settings, keyed_codec
+from .parsing import add_command, number, seconds
+from .sending import bitrates
+from .stderr import note, progress_bar
+
+#: Standard deviations of the stated pose: along [m], across [m], heading [deg].
+SIGMA = (0.3, 0.1, 0.2)
+#: Length of a route that is chosen at random [m].
+TOUR = 10_000.0
+#: Ways from road to road that are compared, if a route is given by roads.
+MOST_WAYS = 400
+
+DESCRIPTION = f"""\
+Let a car drive on a map and send the lines around it until the drive ends, or until Ctrl-C. Then
+print the counters.
+
+The drive follows --route, or is recorded in a file (--drive), or leads {TOUR / 1000:g} km through
+the map on a route chosen at random (--seed). The car knows its pose with errors of the standard
+deviations --sigma, correlated in time; each line is sent as the Gaussian that follows from them.
+
+By default the lines are sent in real time on a bus within this process; choose another one by
+--interface and --channel. With --as-fast-as-possible there is no bus, only --record: the log has
+the time stamps that the frames would have."""
+
+
+def add_drive(commands: Any) -> None:
+    """Add the command ``drive``."""
+    example = "maplines drive town.xodr --route 1..7 --as-fast-as-possible --record drive.blf"
+    parser = add_command(commands, "drive", _drive, DESCRIPTION, example)
+    add = parser.add_argument
+    add("map", nargs="?", metavar="MAP", help="map file (default: the town of this project)")
+    ways = parser.add_mutually_exclusive_group()
+    ways.add_argument(
+        "--route",
+        metavar="A..B",
+        help="route from A to B, which are ids of lanes or of roads; A..B..C leads through B",
+    )
+    ways.add_argument(
+        "--drive",
+        metavar="FILE",
+        help="recorded drive: a CSV file with time, x and y (or lat_deg and lon_deg) and heading",
+    )
+    add(
+        "--rate",
+        type=number(float, 5, 100),
+        default=20.0,
+        metavar="HZ",
+        help="how often the lines are computed and sent [1/s], 5 to 100 (default: 20)",
+    )
+    add("--seconds", type=seconds, metavar="S", help="end after this part of the drive [s]")
+    add(
+        "--lines",
+        type=number(int, 1, len(Slot)),
+        default=4,
+        metavar="N",
+        help="slots that are sent, the first N of: "
+        + ", ".join(slot.name.lower().replace("_", " ") for slot in Slot)
+        + " (default: 4)",
+    )
+    add(
+        "--sigma",
+        type=_sigma,
+        metavar="ALONG,ACROSS,HEADING",
+        help="standard deviations of the pose that the car knows [m, m, deg] (default: "
+        f"{','.join(f'{value:g}' for value in SIGMA)}; or those of --drive, whose poses are then "
+        "sent as they are)",
+    )
+    add(
+        "--correlation-time",
+        type=number(float, 0, 1e9),
+        default=10.0,
+        metavar="S",
+        help="time in which the correlation of the pose errors falls to 1/e [s] (default: 10)",
+    )
+    add(
+        "--map-error",
+        type=number(float, 1e-6, 100),
+        metavar="SIGMA",
+        help="standard deviation that is stated for the map [m], as for 'send' (default: none)",
+    )
+    add(
+        "--seed",
+        type=number(int, 0, 2**32),
+        default=0,
+        help="seed of the pose errors and of a route chosen at random (default: 0)",
+    )
+    add_bus(parser, private=True)
+    add_codec(parser)
+    add(
+        "--record",
+        metavar="FILE",
+        help="write the frames into this log: .log (candump), .asc, .blf or .mf4; and beside it "
+        "the truth, see --truth",
+    )
+    add(
+        "--truth",
+        metavar="FILE",
+        help="write the true poses and lines into this table, .csv or .parquet (default: beside "
+        "--record, such as drive.truth.parquet; .csv without pyarrow)",
+    )
+    add(
+        "--as-fast-as-possible",
+        action="store_true",
+        help="do not wait, and use no bus: only --record",
+    )
+    add_json(parser, "the counters")
+
+
+def _drive(arguments: argparse.Namespace) -> int:
+    fast = arguments.as_fast_as_possible
+    if fast and (arguments.channel is not None or arguments.interface != "virtual"):
+        raise ValueError(
+            "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
+            "--record for a log"
+        )
+    clock_ns = time.time_ns()
+
+    def set_clock(t_ns: int) -> None:
+        nonlocal clock_ns
+        clock_ns = t_ns
+
+    codec = keyed_codec(arguments, clock=(lambda: clock_ns) if fast else time.time_ns)
+    if arguments.record:
+        check_log_path(Path(arguments.record))
+    found = load(town_path() if arguments.map is None else arguments.map)
+    if found.skipped:
+        note(f"{found.name}: {len(found.skipped)} parts of the file are not used")
+    way, route = _way(found, arguments)
+    states = _states(way, arguments)
+    slots = tuple(Slot)[: arguments.lines]
+    source = _source(found, way, route, slots, arguments)
+    counters = Counters()
+    with ExitStack() as stack:
+        truth = None
+        if path := _truth_path(arguments):
+            from ..study.drives.truth import TruthWriter
+
+            writer = stack.enter_context(TruthWriter(path, slots))
+            truth = TruthRecorder(writer, LaneTracker(found, route), slots)
+        shape = "{l_bar}{bar}| {n:.0f}/{total:.0f} s"
+        progress = stack.enter_context(progress_bar(" s", bar_format=shape, leave=False))
+        drive = Drive(
+            source,
+            states,
+            1 / arguments.rate,
+            codec,
+            arguments.fd,
+            bitrates(arguments),
+            (lambda start: LogWriter(arguments.record, start)) if arguments.record else None,
+            truth,
+            progress,
+            counters,
+        )
+        if not arguments.json:
+            note(_start_text(found, route, states, arguments))
+        sent = {} if fast else _send(drive, arguments)
+        if fast:
+            drive.simulate(time.time_ns(), set_clock)
+    result = _result(states, counters, arguments) | sent
+    result |= {"record": arguments.record, "truth": path}
+    print(json.dumps(result, indent=2) if arguments.json else _text(result))
+    return 0
+
+
+def _send(drive: Drive, arguments: argparse.Namespace) -> dict[str, Any]:
+    settings = bus_settings(arguments)
+    if arguments.interface == "virtual" and arguments.channel is None:
+        settings["channel"] = f"maplines-{uuid.uuid4()}"
+    return drive.send(settings)
+
+
+def _way(
+    found: Map, arguments: argparse.Namespace
+) -> tuple[SimulatedDrive | RecordedDrive, Route | None]:
+    """Return the drive and its route; a recorded drive has none."""
+    if not any(lane.type.is_drivable for lane in found.lanes.values()):
+        raise RouteError(f"the map {found.name} has no lanes to drive on")
+    if arguments.drive is not None:
+        recorded = RecordedDrive.from_csv(arguments.drive, projection=found.projection)
+        centres = [lane.centre for lane in found.lanes.values()]
+        share = check_on_map(recorded.pose[:, :2], centres, found.projection, arguments.drive)
+        if share < 1:
+            note(f"{arguments.drive}: {100 * (1 - share):.1f} % of the positions are off the map")
+        if recorded.skipped:
+            note(f"{arguments.drive}: {recorded.skipped} rows are skipped")
+        return recorded, None
+    if arguments.route is not None:
+        route = _route(found, arguments.route)
+    elif arguments.map is None:
+        route = town_tour(found)
+    else:
+        route = random_tour(found, TOUR, arguments.seed)
+    return drive_along(found, route), route
+
+
+def _route(found: Map, text: str) -> Route:
+    """Return the route of ``--route``: the shortest one, if it is given by roads."""
+    stops = [_lanes(found, name, text) for name in text.split("..")]
+    if len(stops) < 2:
+        raise RouteError(f"--route must be A..B, two ids of lanes or roads, got {text!r}")
+    best: Route | None = None
+    error = RouteError("there is none")
+    for start, *via, goal in islice(product(*stops), MOST_WAYS):
+        try:
+            route = found.route(start, goal, via)
+        except RouteError as wrong:
+            error = wrong
+            continue
+        if best is None or route.length < best.length:
+            best = route
+    if best is None:
+        raise RouteError(f"--route {text}: {error}")
+    return best
+
+
+def _lanes(found: Map, name: str, text: str) -> list[str]:
+    """Return the lanes that a name in ``--route`` may stand for."""
+    if name in found.lanes:
+        return [name]
+    if name in found.roads:
+        lanes = [id_ for id_ in found.roads[name].lanes if found.lanes[id_].type.is_drivable]
+        if lanes:
+            return lanes
+        raise RouteError(f"--route {text}: the road {name!r} has no lane to drive on")
+    some = ", ".join([*islice(found.roads, 3), *islice(found.lanes, 3)])
+    raise RouteError(
+        f"--route {text}: the map has neither a lane nor a road {name!r}; its ids are such as "
+        f"{some}"
+    )
+
+
+def _states(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> State:
+    """Return the true states at the sending rate."""
+    times = way.times(arguments.rate)
+    if arguments.seconds is not None:
+        times = times[times - times[0] < arguments.seconds]
+    return way.at(times)
+
+
+def _source(
+    found: Map,
+    way: SimulatedDrive | RecordedDrive,
+    route: Route | None,
+    slots: tuple[Slot, ...],
+    arguments: argparse.Namespace,
+) -> LineSource:
+    """Return the source of the lines, with the pose errors of the options."""
+    if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
+        note(
+            "the poses and covariances of --drive are sent as they are; the truth has the same "
+            "poses, so there are no errors to be seen; --sigma adds some"
+        )
+        stated = lambda t, _: way.stated(t)  # noqa: E731
+    else:
+        sigma = SIGMA if arguments.sigma is None else arguments.sigma
+        stated = PoseSource(
+            (*sigma[:2], math.radians(sigma[2])), arguments.correlation_time, arguments.seed
+        ).pose
+    error = arguments.map_error
+    map_error = MapError(error, error, np.radians(0.05)) if error else None
+    return LineSource(found, stated, slots, route, map_error=map_error)
+
+
+def _truth_path(arguments: argparse.Namespace) -> str | None:
+    if arguments.truth or not arguments.record:
+        return arguments.truth
+    suffix = ".parquet" if find_spec("pyarrow") else ".csv"
+    return str(Path(arguments.record).with_suffix(f".truth{suffix}"))
+
+
+def _start_text(
+    found: Map, route: Route | None, states: State, arguments: argparse.Namespace
+) -> str:
+    """Return what is about to begin."""
+    name = f"{arguments.drive} on {found.name}" if route is None else found.name
+    way = "" if route is None else f" from lane {route.lanes[0]} to {route.lanes[-1]}"
+    km = _length(states) / 1000
+    return f"{name}{way}: {km:.1f} km, {states.t[-1] - states.t[0]:.0f} s, {arguments.rate:g} Hz"
+
+
+def _length(states: State) -> float:
+    return float(np.hypot(*np.diff(states.pose[:, :2], axis=0).T).sum())
+
+
+def _result(states: State, counters: Counters, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the counters of a drive, for JSON."""
+    taken = counters.cycles + counters.late_cycles
+    driven = State(*(values[:taken] for values in states))
+    duration = taken / arguments.rate
+    return asdict(counters) | {
+        "left_out": dict(counters.left_out),
+        "seconds": duration,
+        "km": _length(driven) / 1000,
+        "rate": arguments.rate,
+        "bus_load": counters.bus_time / duration if duration else 0.0,
+        "ms_per_cycle": 1000 * counters.cpu / max(counters.cycles, 1),
+        "core_share": counters.cpu / duration if duration else 0.0,
+    }
+
+
+def _text(result: dict[str, Any]) -> str:
+    """Return the counters as text."""
+    rows = [
+        f"drive     {result['km']:.2f} km, {result['seconds']:.1f} s, {result['cycles']} cycles at "
+        f"{result['rate']:g} Hz"
+        + f"; {result['late_cycles']} left out, because this machine was late"
+        * bool(result["late_cycles"]),
+        f"sent      {result['lines']} lines in {result['frames']} frames; "
+        f"bus load {100 * result['bus_load']:.1f} %",
+        f"slots     {result['lane_changes']} lane changes, {result['slot_changes']} slots with a "
+        f"new line; {result['off_map']} cycles off the map",
+    ]
+    unsent = {
+        "down": "lines given up while the interface was down",
+        "full": "lines given up with a full queue",
+        "overruns": "periods skipped because the sender was late",
+    }
+    lost = [f"{result[name]} {what}" for name, what in unsent.items() if result.get(name)]
+    rows += [f"lost      {'; '.join(lost)}"] * bool(lost)
+    reasons = [f"{n} times, {LeftOut[name]}" for name, n in sorted(result["left_out"].items())]
+    rows.append(f"left out  {'; '.join(reasons) or 'no line'}")
+    rows.append(
+        f"CPU       {result['ms_per_cycle']:.2f} ms a cycle, {100 * result['core_share']:.1f} % of "
+        "one core in real time"
+    )
+    if result["truth"]:
+        other = result["other_lane"]
+        rows.append(
+            f"truth     {result['truth']}; in {other} cycles the car was on another lane than it "
+            "believed"
+        )
+    rows += [f"log       {result['record']}"] * bool(result["record"])
+    return "\n".join(rows)
+
+
+def _sigma(text: str) -> tuple[float, float, float]:
+    """Argparse type of ``--sigma``."""
+    parse = number(float, 0, 1000)
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(
+            f"must be three numbers ALONG,ACROSS,HEADING [m, m, deg], such as 0.3,0.1,0.2, "
+            f"got {text!r}"
+        )
+    along, across, heading = (float(parse(part)) for part in parts)
+    return along, across, heading

@@ -1,0 +1,81 @@
+"""Lines around a car that drives on a map, cycle by cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian import Gaussian
+from ..line import MapLineList, Slot
+from ..maps import LaneTracker, Map, Route, Scene
+from ..propagation import MapError, map_lines
+
+#: Range of the lines ahead of the car [m].
+WINDOW = (-20.0, 80.0)
+
+
+class Cycle(NamedTuple):
+    """Pose and lines of one cycle."""
+
+    t: float  #: time [s]
+    stated: Gaussian  #: over the pose x [m], y [m], heading [rad] in the map frame
+    scene: Scene  #: lines of the map around the stated pose
+    lines: MapLineList  #: lines as the car knows them, and those that are left out
+    changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
+
+
+class LineSource:
+    """Source of the lines around a car that knows its pose with an error.
+
+    The car finds its lane by the mean of the stated pose, as it knows no other one.
+
+    Args:
+        found: the map.
+        stated: function from the time [s] and the true pose (3,) to the stated pose, such as
+            ``PoseSource.pose``.
+        slots: lines to give.
+        route: that the car follows.
+        window: (x_min, x_max) ahead of the car that the ranges of the lines may extend to [m].
+        map_error: error of the map.
+
+    >>> from maplines_can import PoseSource, maps, Polyline
+    >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
+    >>> lane = maps.Lane("1", left, right, centre, road="A")
+    >>> found = maps.Map({"1": lane}, {"A": maps.Road("A", "", 300.0, ("1",))})
+    >>> source = LineSource(found, PoseSource((0.3, 0.1, 0.002)).pose)
+    >>> cycle = source.cycle(0.0, np.array([100.0, 1.75, 0.0]))
+    >>> [line.slot.name for line in cycle.lines], cycle.scene.lane
+    (['EGO_LEFT', 'EGO_RIGHT'], '1')
+    """
+
+    def __init__(
+        self,
+        found: Map,
+        stated: Callable[[float, NDArray[np.float64]], Gaussian],
+        slots: Collection[Slot] = tuple(Slot)[:4],
+        route: Route | None = None,
+        window: tuple[float, float] = WINDOW,
+        map_error: MapError | None = None,
+    ) -> None:
+        self._stated, self._slots = stated, frozenset(slots)
+        self._window, self._map_error = window, map_error
+        self._tracker = LaneTracker(found, route)
+
+    def cycle(self, t: float, true_pose: NDArray[np.float64]) -> Cycle:
+        """Return the lines at the next time.
+
+        Args:
+            t: later than that of the previous call [s].
+            true_pose: (3,) x [m], y [m], heading [rad] in the map frame.
+
+        Raises:
+            ValueError: a value is not finite, or the time is not later.
+        """
+        stated = self._stated(t, true_pose)
+        scene = self._tracker.lines(stated.mean)
+        chosen = {slot: line for slot, line in scene.lines.items() if slot in self._slots}
+        lines = map_lines(chosen, stated, window=self._window, map_error=self._map_error)
+        return Cycle(t, stated, scene, lines, scene.changed & self._slots)

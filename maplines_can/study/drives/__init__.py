@@ -1,0 +1,1 @@
+"""Recorded drives on a map: the truth, and how accurate the received lines are."""

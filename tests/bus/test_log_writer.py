@@ -1,0 +1,104 @@
+"""Log files that the project writes, read by its own reader and by python-can."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from fake_bus import FakeOpener, wait_until
+from hypothesis import given
+from hypothesis import strategies as st
+
+from maplines_can import Codec, Link, MapLine, Slot, Transmitter, read_log
+from maplines_can.bus import LogWriter
+from maplines_can.errors import LogError, MissingExtraError
+from maplines_can.wire import Frame
+
+START = 1_700_000_000.0
+FRAMES = [
+    Frame(0x340, bytes(range(8))),
+    Frame(0x12345, b"\1\2\3", is_extended=True),
+    Frame(0x348, bytes(32), is_fd=True),
+]
+
+
+def write(path: Path, frames: list[Frame]) -> None:
+    with LogWriter(path, START) as log:
+        for i, frame in enumerate(frames):
+            log.write(frame, START + 1.5 + i / 8)
+        assert log.frames == len(frames)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".LOG"])
+def test_the_frames_are_read_as_written(tmp_path: Path, suffix: str) -> None:
+    """By both readers; the stamps of .asc count from the start of the log."""
+    path = tmp_path / f"drive{suffix}"
+    write(path, FRAMES)
+    read = list(read_log(path))
+    expected = [(f.can_id, f.data, f.is_extended) for f in FRAMES]
+    assert [(f.can_id, f.data, f.is_extended) for f in read] == expected
+    start = 0 if suffix == ".asc" else round(START * 1e9)
+    stamps = np.array([f.t_ns - start for f in read]) / 1e9
+    assert stamps == pytest.approx([1.5, 1.625, 1.75], abs=1e-5)
+    if suffix != ".LOG":
+        messages = list(can.LogReader(path))
+        assert [bytes(m.data) for m in messages] == [f.data for f in FRAMES]
+        assert [m.is_fd for m in messages] == [f.is_fd for f in FRAMES]
+
+
+@given(st.lists(st.binary(max_size=8), max_size=20))
+def test_any_data_is_read_as_written(
+    tmp_path_factory: pytest.TempPathFactory, data: list[bytes]
+) -> None:
+    path = tmp_path_factory.mktemp("logs") / "drive.log"
+    write(path, [Frame(0x100 + i, one) for i, one in enumerate(data)])
+    assert [(f.can_id, f.data) for f in read_log(path)] == [
+        (0x100 + i, one) for i, one in enumerate(data)
+    ]
+
+
+def test_other_formats_are_refused_before_the_file_is_touched(tmp_path: Path) -> None:
+    path = tmp_path / "drive.txt"
+    with pytest.raises(LogError, match=r"'.txt'; use .log, .asc, .blf, .mf4"):
+        LogWriter(path, START)
+    assert not path.exists()
+
+
+@pytest.mark.skipif(find_spec("asammdf") is not None, reason="asammdf is installed")
+def test_mf4_names_the_extra(tmp_path: Path) -> None:
+    with pytest.raises(MissingExtraError, match=r'"mf4"'):
+        LogWriter(tmp_path / "drive.mf4", START)
+
+
+@pytest.mark.skipif(find_spec("asammdf") is None, reason="needs asammdf")
+def test_mf4_is_read_as_written(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mf4"
+    write(path, FRAMES)
+    assert [f.data for f in read_log(path)] == [f.data for f in FRAMES]
+
+
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"no/drive.log: cannot be written: No such"):
+        LogWriter(tmp_path / "no" / "drive.log", START)
+
+
+def test_close_may_be_called_again(tmp_path: Path) -> None:
+    log = LogWriter(tmp_path / "drive.blf", START)
+    log.close()
+    log.close()
+
+
+def test_a_transmitter_tells_each_frame_that_was_sent() -> None:
+    """All frames of a line, in order."""
+    opener, sent = FakeOpener(), list[Frame]()
+    codec = Codec.from_dbc()
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
+    with Link(opener) as link:
+        transmitter = Transmitter(link, codec, period=0.01, count=3, on_sent=sent.append)
+        with transmitter:
+            transmitter.publish(line)
+            wait_until(lambda: transmitter.wait(0.01))
+        assert len(sent) == transmitter.stats().frames == 4 * transmitter.stats().lines
+    on_bus = [opener.sent.get(timeout=0) for _ in sent]
+    assert [bytes(message.data) for message in on_bus] == [frame.data for frame in sent]

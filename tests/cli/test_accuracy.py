@@ -1,0 +1,126 @@
+"""The command ``maplines accuracy``."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drive_files import run, town
+
+from maplines_can.cli import main
+
+FAST = ["--as-fast-as-possible", "--route", "1:0:-1..1:0:-1", "--seconds", "10"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the logs and the truth of a drive without and with errors of the pose."""
+    folder = tmp_path_factory.mktemp("drive")
+    path = town(folder)
+    for name, options in {
+        "exact.blf": ["--sigma", "0,0,0"],
+        "exact.asc": ["--sigma", "0,0,0", "--fd"],
+        "wrong.log": ["--sigma", "0.05,0.05,0.5", "--correlation-time", "1e9", "--seed", "4"],
+    }.items():
+        truth = folder / f"{name}.csv"
+        recorded = ["--record", str(folder / name), "--truth", str(truth)]
+        assert main(["drive", path, *FAST, *recorded, *options]) == 0
+    return folder
+
+
+def accuracy(capsys: Any, folder: Path, name: str, *options: str) -> Any:
+    files = [str(folder / f"{name}.csv"), str(folder / name)]
+    capsys.readouterr()
+    assert main(["accuracy", *files, "--json", *options]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("name", ["exact.blf", "exact.asc"])
+def test_without_pose_errors_the_lines_are_accurate(
+    folder: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Within the misfit of a cubic; all lines are compared."""
+    result = accuracy(capsys, folder, name)
+    assert result["lines"] == result["received"] == 4 * 200
+    assert result["errors"]["lateral"]["0"]["max"] < 0.1
+    assert result["errors"]["absolute"]["line"]["max"] < 0.12
+    met = {row["source"]: row["met"] for row in result["requirements"]}
+    assert met["table 6, lane boundary geometry, 20 cm"] == dict.fromkeys(
+        ["0", "20", "40", "80"], True
+    )
+    assert met["table 3, and.com, 15 cm"] == {"line": True}
+
+
+def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It grows with the distance; alignment removes it, and the stated sigmas cover it."""
+    result = accuracy(capsys, folder, "wrong.log")
+    errors = result["errors"]
+    assert errors["heading"]["0"]["rms"] > 0.1
+    assert errors["lateral"]["80"]["rms"] > 2 * errors["lateral"]["0"]["rms"]
+    assert errors["relative"]["line"]["95 %"] < 0.12 < errors["absolute"]["line"]["95 %"]
+    assert max(result["beyond 3 sigma"].values()) < 0.05
+
+
+def test_the_text_and_the_picture(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    files = [str(folder / "wrong.log.csv"), str(folder / "wrong.log")]
+    picture = folder / "accuracy.png"
+    assert main(["accuracy", *files, "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"lateral \[cm\] +rms", out)
+    assert "table 6, heading, 0.05 deg" in out
+    assert f"picture: {picture}" in out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        pytest.param("{d}/nowhere.csv {d}/exact.blf", "nowhere.csv", id="no truth"),
+        pytest.param("{d}/exact.blf.csv {d}/nowhere.blf", "nowhere.blf", id="no log"),
+        pytest.param("{d}/exact.blf {d}/exact.blf", r"exact.blf: .*\.csv or", id="log as truth"),
+        pytest.param("{d}/exact.blf.csv {d}/map.xodr", "map.xodr.*unknown", id="map as log"),
+        pytest.param("{d}/exact.blf.csv {d}/empty.log", "empty.log: has no lines", id="no lines"),
+        pytest.param("{d}/exact.blf.csv {d}/bare.log", "no time stamps", id="no times"),
+        pytest.param("{d}/exact.blf.csv {d}/later.log", "of the same drive", id="other drive"),
+        pytest.param("{d}/exact.blf.csv {d}/exact.blf --plot a.gif", r"--plot.*\.png", id="plot"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str], words: str, error: str
+) -> None:
+    (folder / "empty.log").write_text("(1700000000.0) can0 100#00\n")
+    rows = [row.split() for row in (folder / "wrong.log").read_text().splitlines()]
+    bare = [(data.split("#")[0], data.split("#")[1]) for _, _, data, *_ in rows[:400]]
+    text = "".join(f" can0 {i} [8] {bytes.fromhex(d).hex(' ')}\n" for i, d in bare)
+    (folder / "bare.log").write_text(text.upper().replace("CAN0", "can0"))
+    later = [f"({float(t[1:-1]) + 1e5:.6f}) {' '.join(rest)}\n" for t, *rest in rows[:400]]
+    (folder / "later.log").write_text("".join(later))
+    capsys.readouterr()
+    assert main(["accuracy", *words.format(d=folder).split()]) == 1
+    errors = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert re.search(error, errors[-1])
+
+
+def test_a_damaged_log_is_compared_up_to_the_damage(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And the status says so."""
+    torn = folder / "torn.log"
+    torn.write_text((folder / "wrong.log").read_text() + "(1700000000.0) can0 34\n")
+    assert main(["accuracy", str(folder / "wrong.log.csv"), str(torn), "--json"]) == 1
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["lines"] == 4 * 200
+    assert "torn.log" in captured.err
+
+
+def test_the_result_of_a_drive_names_its_files(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They can be given to this command as they are."""
+    short = [*FAST[:-1], "1", "--record", str(tmp_path / "a.blf")]
+    result = run(capsys, town(tmp_path), *short)
+    assert main(["accuracy", result["truth"], result["record"], "--json"]) == 0

@@ -1,0 +1,246 @@
+"""The command ``maplines drive``."""
+
+import csv
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from can.interfaces import virtual
+from drive_files import run, town
+
+from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
+from maplines_can.cli import main
+from maplines_can.cli.drive import _text
+
+FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]
+
+
+def decoded(path: Path) -> list[MapLine]:
+    """Return the lines in a log."""
+    decoder = Codec.from_dbc().decoder()
+    fed = (decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(path))
+    lines = [line for line in fed if isinstance(line, MapLine)]
+    assert not any(decoder.counts.values())
+    assert decoder.lost == 0
+    return lines
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_the_log_has_every_line_of_every_cycle(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fd: bool
+) -> None:
+    """In order, 50 ms from cycle to cycle, with the age that the frames before it take."""
+    log = tmp_path / "drive.log"
+    result = run(capsys, town(tmp_path), *FAST, "--record", str(log), *["--fd"] * fd)
+    assert result["cycles"] == 160
+    lines = decoded(log)
+    assert len(lines) == result["lines"]
+    assert result["frames"] == len(lines) * (1 if fd else 4)
+    slots = [line.slot for line in lines]
+    assert slots.count(Slot.EGO_LEFT) == slots.count(Slot.EGO_RIGHT) == 160
+    times = np.array([line.t_ns for line in lines if line.slot is Slot.EGO_LEFT])
+    assert np.diff(times) == pytest.approx(0.05e9, abs=2e3)
+    assert max(line.age for line in lines) <= 0.008
+    assert result["left_out"] == {}
+    assert result["late_cycles"] == result["off_map"] == 0
+
+
+def test_the_bus_load_is_that_of_the_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Lines of 4 frames with 135 bits, 20 times a second, at 500 and at 250 kbit/s."""
+    for bitrate in (500_000, 250_000):
+        result = run(capsys, town(tmp_path), *FAST, "--bitrate", str(bitrate))
+        share = result["lines"] / result["cycles"]
+        assert result["bus_load"] == pytest.approx(share * 4 * 135 * 20 / bitrate)
+
+
+def test_the_same_seed_gives_the_same_frames(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And another one other frames."""
+    data = []
+    for seed in ("1", "1", "2"):
+        log = tmp_path / "drive.log"
+        run(capsys, town(tmp_path), *FAST, "--record", str(log), "--seed", seed)
+        data.append([frame.data for frame in read_log(log)])
+    assert data[0] == data[1] != data[2]
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".log"])
+def test_the_formats_have_the_same_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    """By suffix, as the reader of the project reads them."""
+    log = tmp_path / f"drive{suffix}"
+    result = run(capsys, town(tmp_path), *FAST, "--record", str(log))
+    assert len(decoded(log)) == result["lines"]
+
+
+def test_a_lane_change_changes_all_slots_at_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The route leads to the lane on the left; the truth says in which cycle."""
+    truth = tmp_path / "truth.csv"
+    result = run(
+        capsys, town(tmp_path), *FAST[:3], "--truth", str(truth), "--sigma", "0.1,0.05,0.1"
+    )
+    assert result["lane_changes"] == 1
+    assert result["slot_changes"] == 4  # ego left and right, next left and right
+    rows = table(truth)
+    (k,) = [i for i, row in enumerate(rows) if float(row["lane_changed"])]
+    assert {row["stated_lane"] for row in rows[:k]} == {"1:0:-2"}
+    assert {row["stated_lane"] for row in rows[k:]} == {"1:0:-1"}
+    other = sum(row["lane"] != row["stated_lane"] for row in rows)
+    assert other == result["other_lane"] <= 5
+
+
+def test_the_truth_is_that_of_the_road(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Seen from the true pose on the straight part; the stated one has the errors of the sigmas."""
+    truth = tmp_path / "truth.csv"
+    run(capsys, town(tmp_path), *FAST[:1], "--route", "1:0:-1..1:0:-1", "--truth", str(truth))
+    rows = table(truth)
+    start = rows[20]
+    assert float(start["ego_left_y_0"]) == pytest.approx(1.75, abs=1e-3)
+    assert float(start["ego_right_y_40"]) == pytest.approx(-1.75, abs=1e-3)
+    assert float(start["ego_left_curvature_20"]) == pytest.approx(0.0, abs=1e-6)
+    bend = next(row for row in rows if float(row["x"]) > 240)
+    assert float(bend["ego_left_curvature_20"]) == pytest.approx(1 / 398.25, rel=0.02)
+    errors = np.array([float(row["stated_y"]) - float(row["y"]) for row in rows])
+    assert 0.01 < errors.std() < 0.3
+    drive = RecordedDrive.from_csv(truth)  # the truth is itself a recorded drive
+    assert drive.at(drive.t).pose[:, 0] == pytest.approx([float(row["x"]) for row in rows])
+
+
+def test_without_pose_errors_the_lines_are_the_true_ones(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Within the misfit of the cubic, in the cycle that the age tells."""
+    log, truth = tmp_path / "drive.log", tmp_path / "truth.csv"
+    still = [town(tmp_path), *FAST[:3], "--sigma", "1e-3,1e-3,1e-3"]
+    run(capsys, *still, "--record", str(log), "--truth", str(truth))
+    rows = table(truth)
+    times = np.array([float(row["time"]) for row in rows])
+    for line in decoded(log):
+        row = rows[int(times.searchsorted((line.t_ns or 0) / 1e9)) - 1]
+        name = line.slot.name.lower()
+        for x in range(0, 81, 20):
+            if line.x_min <= x <= line.x_max and row[f"{name}_y_{x}"]:
+                assert float(row[f"{name}_y_{x}"]) == pytest.approx(line.y(x), abs=0.12)
+
+
+def test_it_sends_on_a_bus_and_logs_what_it_sends(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], channel: str
+) -> None:
+    """A listener on the bus gets the frames of the log; a busy machine may skip some cycles."""
+    log = tmp_path / "drive.log"
+    with can.Bus(interface="virtual", channel=channel) as bus:
+        result = run(
+            capsys,
+            *(town(tmp_path), "--route", "1:0:-1..1:0:-1", "--seconds", "0.5", "--rate", "40"),
+            *("--interface", "virtual", "--channel", channel, "--record", str(log)),
+        )
+        received = []
+        while message := bus.recv(0):
+            received.append(bytes(message.data))
+    assert result["cycles"] + result["late_cycles"] == 20
+    assert [frame.data for frame in read_log(log)] == received
+    assert result["frames"] == len(received) > 0
+    assert Path(result["truth"]).exists()
+    assert channel not in virtual.channels
+
+
+def test_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With covariances it is sent as it is; with --sigma errors are added."""
+    drive = tmp_path / "car.csv"
+    rows = [f"{t / 10},{t},-1.75,0,0.2,0.1,0.01" for t in range(100)]
+    drive.write_text("\n".join(["time,x,y,heading,sigma_x,sigma_y,sigma_heading", *rows]))
+    errors = []
+    for sigma in ([], ["--sigma", "0.3,0.1,0.2"]):
+        truth = tmp_path / "truth.csv"
+        fast = ["--drive", str(drive), "--as-fast-as-possible", "--truth", str(truth)]
+        result = run(capsys, town(tmp_path), *fast, *sigma)
+        assert result["cycles"] == 199
+        errors.append(max(abs(float(r["stated_y"]) + 1.75) for r in table(truth)))
+        assert float(table(truth)[5]["stated_cov_yy"]) == pytest.approx(0.01)
+    assert errors[0] < 1e-9 < 0.02 < errors[1]
+
+
+def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In another projection, so that no position is on the map."""
+    drive = tmp_path / "car.csv"
+    drive.write_text("time,x,y,heading\n0,477000,5529000,0\n1,477010,5529000,0\n")
+    err = run(capsys, town(tmp_path), "--drive", str(drive), status=1)
+    assert re.search(r"error: .*car.csv: no position is on the map.*another projection", err)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        pytest.param(["--route", "1..9"], "--route 1..9: .*neither a lane nor a road '9'", id="id"),
+        pytest.param(["--route", "1"], "--route must be A..B", id="one end"),
+        pytest.param(["--route", "1:0:1..1:0:-1"], "--route .*no route", id="no way"),
+        pytest.param(["--drive", "no.csv"], "no.csv", id="no file"),
+        pytest.param(["--record", "a.txt"], r"a.txt.*'.txt'.*\.log, \.asc", id="format"),
+        pytest.param(["--record", "/no/a.log"], r"/no/a\..*No such file", id="folder"),
+        pytest.param(["--truth", "/no/a.csv"], "/no/a.csv.*No such file", id="truth folder"),
+        pytest.param(["--truth", "a.json"], r"a.json.*\.csv or \.parquet", id="truth format"),
+        pytest.param(
+            ["--as-fast-as-possible", "--channel", "x"], "leave out --interface", id="no bus"
+        ),
+        pytest.param(["--interface", "warp"], "warp", id="interface"),
+    ],
+)
+def test_a_mistake_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: Any, words: str
+) -> None:
+    """In terms of the options."""
+    route = [] if {"--route", "--drive"} & {*options} else ["--route", "1:0:-1..1:0:-1"]
+    assert main(["drive", town(tmp_path), *route, "--seconds", "1", *options]) == 1
+    err = capsys.readouterr().err
+    (error,) = [line for line in err.splitlines() if "error:" in line]
+    assert re.search(words, error)
+
+
+@pytest.mark.parametrize("sigma", ["1,2", "a,b,c", "-1,0,0", "1,1,inf"])
+def test_a_wrong_sigma_is_refused(capsys: pytest.CaptureFixture[str], sigma: str) -> None:
+    with pytest.raises(SystemExit):
+        main(["drive", f"--sigma={sigma}"])
+    assert "--sigma" in capsys.readouterr().err
+
+
+def test_a_map_without_lanes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "lines.csv"
+    path.write_text("line,x,y\n" + "".join(f"0,{x},2\n" for x in range(9)))
+    assert "no lanes to drive on" in run(capsys, str(path), status=1)
+
+
+def test_the_text_has_all_counters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Without --json; the random route of a seed is told."""
+    assert main(["drive", town(tmp_path), *FAST[:1], "--seed", "3", "--seconds", "2"]) == 0
+    captured = capsys.readouterr()
+    assert re.search(r"map.xodr from lane 1:0:", captured.err)
+    for word in ("drive ", "sent ", "slots ", "left out", "CPU "):
+        assert word in captured.out
+
+
+def test_the_text_tells_losses() -> None:
+    """Of a result with all counters."""
+    names = ["cycles", "lines", "frames", "lane_changes", "slot_changes", "off_map", "other_lane"]
+    names += ["late_cycles", "down", "full", "overruns", "km", "seconds", "rate", "bus_load"]
+    numbers: dict[str, Any] = dict.fromkeys([*names, "ms_per_cycle", "core_share"], 3)
+    text = _text(numbers | {"left_out": {"ACROSS": 7}, "record": "a.blf", "truth": "a.csv"})
+    assert "3 lines given up with a full queue" in text
+    assert "7 times, the line is across" in text
+    assert "in 3 cycles the car was on another lane" in text
+    assert "3 left out, because this machine was late" in text
+    assert json.dumps("a.blf")[1:-1] in text
