@@ -4,7 +4,7 @@ import pytest
 from lane_maps import crossing, lane, network, roundabout
 
 from maplines_can.errors import RouteError
-from maplines_can.maps import Map, random_tour, town_path
+from maplines_can.maps import Map, random_tour
 
 RING = roundabout()
 
@@ -53,11 +53,3 @@ def test_a_map_of_one_lane_has_a_tour() -> None:
     assert random_tour(found).lanes == ("only",)
     with pytest.raises(RouteError, match="no lane to drive on"):
         random_tour(Map({}, {}))
-
-
-def test_the_map_of_the_project_is_named_if_it_is_missing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("maplines_can.maps.town.NAME", "nowhere.xodr")
-    with pytest.raises(ValueError, match="is neither at"):
-        town_path()
