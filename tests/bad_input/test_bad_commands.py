@@ -248,7 +248,7 @@ def error_line(stderr: str) -> str:
             "header.csv.*line, x",
         ),
         ("study run --out {d}/s --set {d}/poses.csv --map {d}/one-point.csv", 1, "one-point.csv"),
-        ("study run --out {d}/s --set {d}/poses.csv --map {d}/empty.csv", 1, "empty.csv.*line, x"),
+        ("study run --out {d}/s --set {d}/poses.csv --map {d}/empty.csv", 1, "empty.csv is empty"),
         (
             "study run --out {d}/s --set {d}/poses.csv --map {d}/map.csv --window 80 -20",
             1,

@@ -22,6 +22,8 @@ MAX_TURN = 1000.0
 #: Fresnel integrals are exact to 1e-9 m up to these ratios of curvature^2 [1] and of curvature [m]
 #: to its change; beyond, their differences cancel.
 _FRESNEL_RATIO, _FRESNEL_START = 1e5, 1e6
+#: Changes of the curvature below this count as none [1/m^2]: their reciprocals may overflow.
+_NO_RATE = 1e-100
 #: Heading change [rad] over which the quadrature is exact to 1e-12.
 _PANEL = 8.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
@@ -139,6 +141,7 @@ def clothoid(s: Array, curvature: Array, rate: Array) -> tuple[Complex, Complex]
     >>> clothoid(np.array([np.pi]), np.array([1.0]), np.array([0.0]))[0].round(12) + 0.0
     array([0.+2.j])
     """
+    rate = np.where(np.abs(rate) < _NO_RATE, 0.0, rate)
     turn = s * (curvature + rate * s / 2)
     half = turn / 2
     position = s * np.sinc(half / np.pi) * np.exp(1j * half)  # chord of an arc
