@@ -13,12 +13,11 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import MapFileError
 from ..line import Kind
 from ..polyline import Polyline
 from .lanelets import boundary, centre_line, lanelet_map
 from .model import Lane, LaneType, Map, Skipped
-from .xml_tree import Document, Element
+from .xml_tree import Document, Element, number_in
 
 #: Elements that say nothing of lanes.
 _IGNORED = {
@@ -79,12 +78,7 @@ def read(stream: BinaryIO, name: str) -> Map:
     document = Document(stream, name, ignored=_IGNORED)
     for element in document.elements():
         reader.add(element)
-    if document.root is None or document.root.tag != "commonRoad":
-        why = document.error or f"the root element is <{document.root and document.root.tag}>"
-        raise MapFileError(f"{name} is not a CommonRoad file: {why}")
-    if document.error:
-        line, _, why = document.error.partition(": ")
-        reader.skipped.append(Skipped(line, f"{why}; the rest of the file is not used"))
+    reader.skipped += document.check_root("commonRoad", "a CommonRoad")
     return lanelet_map(reader.lanes(), name, reader.skipped, reader.projection)
 
 
@@ -107,7 +101,7 @@ class _Reader:
             self._add_location(element)
         elif element.tag == "trafficSign":
             for sign in element.all("trafficSignElement"):
-                value = _number(_text(sign, "additionalValue"))
+                value = number_in(_text(sign, "additionalValue"))
                 if _text(sign, "trafficSignID").lower() in _SPEED_SIGNS and value > 0:
                     self._limits[element.get("id")] = value
         elif element.tag == "intersection":
@@ -144,7 +138,7 @@ class _Reader:
         return beside if other is None or other.type.is_drivable else None
 
     def _add_lanelet(self, element: Element) -> None:
-        key, where = element.get("id").strip(), _where(element)
+        key, where = element.get("id").strip(), element.place
         try:
             if not key:
                 raise ValueError("it has no id")  # noqa: TRY301 - as of an unusable boundary
@@ -162,7 +156,7 @@ class _Reader:
                 beside[f"{side.lower()}_neighbour"] = adjacent.get("ref")
             elif adjacent is not None:
                 beside["opposite_left"] = beside["opposite_left"] or adjacent.get("ref")
-        limit = _number(_text(element, "speedLimit"))
+        limit = number_in(_text(element, "speedLimit"))
         self._signs_of[key] = _references(element.all("trafficSignRef"))
         self._lanes[key] = Lane(
             id=key,
@@ -186,11 +180,11 @@ class _Reader:
             moved = [
                 child.tag
                 for child in more.children
-                if _number(child.text) != unit.get(child.tag, 0.0)
+                if number_in(child.text) != unit.get(child.tag, 0.0)
             ]
             if moved:
                 why = f"{', '.join(moved)} not applied: apply it to positions that are projected"
-                self.skipped.append(Skipped(_where(more), why))
+                self.skipped.append(Skipped(more.place, why))
 
 
 _SIDES = ("left_neighbour", "right_neighbour", "opposite_left")
@@ -207,7 +201,7 @@ def _bound(lanelet: Element, tag: str) -> Polyline:
         raise ValueError(f"it has no <{tag}>")
     points = []
     for point in bound.all("point"):
-        points.append((_number(_text(point, "x")), _number(_text(point, "y"))))
+        points.append((number_in(_text(point, "x")), number_in(_text(point, "y"))))
         if not all(map(math.isfinite, points[-1])):
             raise ValueError(f"the point in line {point.line} has no finite x and y")
     kind = _KINDS.get(_text(bound, "lineMarking"), Kind.UNKNOWN)
@@ -240,15 +234,3 @@ def _references(elements: Iterable[Element]) -> list[str]:
 def _text(element: Element, tag: str) -> str:
     child = element.first(tag)
     return "" if child is None else child.text.strip()
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
-
-
-def _where(element: Element) -> str:
-    named = f' id="{element.get("id")[:40]}"' if element.get("id") else ""
-    return f"line {element.line}, <{element.tag}{named}>"

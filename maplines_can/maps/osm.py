@@ -25,7 +25,7 @@ from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
 from .model import Map, Skipped
 from .projection import UTM_LATITUDES, project, tangent, utm
-from .xml_tree import Document, Element
+from .xml_tree import Document, Element, number_in
 
 Array = NDArray[np.float64]
 
@@ -75,12 +75,7 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
     document = Document(stream, name, text_in=())
     for element in document.elements():
         file.add(element)
-    if document.root is None or document.root.tag != "osm":
-        why = document.error or f"the root element is <{document.root and document.root.tag}>"
-        raise MapFileError(f"{name} is not an OSM file: {why}")
-    if document.error:
-        line, _, why = document.error.partition(": ")
-        file.skipped.append(Skipped(line, f"{why}; the rest of the file is not used"))
+    file.skipped += document.check_root("osm", "an OSM")
     if not file.relations:
         raise MapFileError(
             f"{name} contains no lanelet (a relation with the tag type=lanelet); "
@@ -112,7 +107,7 @@ class _OsmFile:
             return
         if not key or key in known[element.tag]:  # type: ignore[operator]
             why = "another one has the same id; only that is used" if key else "it has no id"
-            self.skipped.append(Skipped(_where(element), why))
+            self.skipped.append(Skipped(element.place, why))
         elif element.tag == "node":
             self._nodes[key] = _node(element)
         elif element.tag == "way":
@@ -126,7 +121,7 @@ class _OsmFile:
         if tags.get("type") != "lanelet":
             self._others[tags.get("type", "no type"), tags.get("subtype", "no subtype")] += 1
             return
-        found = self.relations[key] = _Relation(key, _where(element), tags)
+        found = self.relations[key] = _Relation(key, element.place, tags)
         for member in element.all("member"):
             if member.get("type") == "way" and member.get("role") in {"left", "right"}:
                 getattr(found, member.get("role")).append(member.get("ref").strip())
@@ -207,13 +202,13 @@ class _OsmFile:
 
 
 def _node(element: Element) -> _Node:
-    latitude, longitude = _number(element.get("lat")), _number(element.get("lon"))
+    latitude, longitude = number_in(element.get("lat")), number_in(element.get("lon"))
     if not (abs(latitude) <= 90 and abs(longitude) <= 360):
         latitude = longitude = math.nan
     if not element.children:  # most, so that this saves time
         return _Node(latitude, longitude, 0.0, math.nan, math.nan)
     tags = _tags(element)
-    height, x, y = (_number(tags.get(name, "")) for name in ("ele", "local_x", "local_y"))
+    height, x, y = (number_in(tags.get(name, "")) for name in ("ele", "local_x", "local_y"))
     return _Node(latitude, longitude, height if math.isfinite(height) else 0.0, x, y)
 
 
@@ -221,21 +216,10 @@ def _tags(element: Element) -> dict[str, str]:
     return {tag.get("k"): tag.get("v") for tag in element.children if tag.tag == "tag"}
 
 
-def _where(element: Element) -> str:
-    return f'line {element.line}, <{element.tag} id="{element.get("id")[:40]}">'
-
-
 def _order(key: str) -> tuple[int, int, str]:
     """Return a sort key: numbers by their values, then texts."""
     is_number = key.removeprefix("-").isdecimal() and len(key) < 20
     return (0, int(key), "") if is_number else (1, 0, key)
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
 
 
 def _is_finite(values: Iterable[float]) -> bool:

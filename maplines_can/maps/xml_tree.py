@@ -6,12 +6,14 @@ name other files, and so is deep nesting. A document that ends early yields the 
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Container, Iterator
 from typing import BinaryIO, NoReturn
 from xml.parsers import expat
 
 from ..errors import MapFileError
+from .lane import Skipped
 
 #: Bytes that are read at once.
 CHUNK = 1 << 16
@@ -40,6 +42,12 @@ class Element:
         self.tag, self.attributes, self.line = tag, attributes, line
         self.children: list[Element] = []
         self.text = ""
+
+    @property
+    def place(self) -> str:
+        """Where it is in its file, for messages."""
+        named = f' id="{self.get("id")[:40]}"' if "id" in self.attributes else ""
+        return f"line {self.line}, <{self.tag}{named}>"
 
     def get(self, name: str, default: str = "") -> str:
         """Return the value of an attribute."""
@@ -109,6 +117,20 @@ class Document:
             self.error = f"line {self._expat.CurrentLineNumber}: {error}"
         yield from self._take()
 
+    def check_root(self, tag: str, format_name: str) -> list[Skipped]:
+        """Return what is not used since the document ended early, after the iteration.
+
+        Raises:
+            MapFileError: the root has another tag, or there is none.
+        """
+        if self.root is None or self.root.tag != tag:
+            why = self.error or f"the root element is <{self.root.tag if self.root else ''}>"
+            raise MapFileError(f"{self._name} is not {format_name} file: {why}")
+        if self.error is None:
+            return []
+        line, _, why = self.error.partition(": ")
+        return [Skipped(line, f"{why}; the rest of the file is not used")]
+
     def _take(self) -> list[Element]:
         complete, self._complete = self._complete, []
         return complete
@@ -152,3 +174,15 @@ class Document:
 
     def _refuse(self, why: str) -> NoReturn:
         raise MapFileError(f"{self._name}, line {self._expat.CurrentLineNumber}: {why}")
+
+
+def number_in(text: str) -> float:
+    """Return the number that a text is, or NaN.
+
+    >>> number_in("1.5"), number_in("wide")
+    (1.5, nan)
+    """
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -17,14 +17,8 @@ class UnusableError(ValueError):
     """An element that cannot be used; ``skipped`` says where it is, and why."""
 
     def __init__(self, element: Element, why: str) -> None:
-        self.skipped = Skipped(where(element), why)
+        self.skipped = Skipped(element.place, why)
         super().__init__(str(self.skipped))
-
-
-def where(element: Element) -> str:
-    """Return the place of an element in its file."""
-    named = f' id="{element.get("id")[:40]}"' if "id" in element.attributes else ""
-    return f"line {element.line}, <{element.tag}{named}>"
 
 
 def attempt(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from ...line import Kind
 from ..model import LaneType, Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubic, integer, number, where
+from .attributes import UnusableError, attempt, cubic, integer, number
 from .profiles import Piece
 
 _LANE_TYPES = {kind.value.lower(): kind for kind in LaneType} | {
@@ -90,7 +90,7 @@ def read_sections(lanes: Element, end: float, skipped: list[Skipped]) -> tuple[S
     for s, element in sorted(elements, key=lambda item: item[0]):
         if s > end:
             why = f"it begins at {s:g} m, after the end of the reference line at {end:g} m"
-            skipped.append(Skipped(where(element), why))
+            skipped.append(Skipped(element.place, why))
             continue
         found.append(_section(element, s, skipped))
         if element.get("singleSide").lower() in {"true", "1"} and len(found) > 1:
@@ -106,7 +106,7 @@ def _section(element: Element, s: float, skipped: list[Skipped]) -> SectionRecor
     for lane_id, lane in attempt(lambda lane: (integer(lane, "id"), lane), elements, skipped):
         if lane_id in by_id:
             why = f"the id is that of the lane in line {by_id[lane_id].line}; only that is used"
-            skipped.append(Skipped(where(lane), why))
+            skipped.append(Skipped(lane.place, why))
         else:
             by_id[lane_id] = lane
     lanes: dict[int, LaneRecord] = {}
@@ -115,7 +115,7 @@ def _section(element: Element, s: float, skipped: list[Skipped]) -> SectionRecor
         is_left = lane_id > 0
         if is_left in unusable:
             why = f"lane {unusable[is_left]}, from which its position follows, cannot be used"
-            skipped.append(Skipped(where(by_id[lane_id]), why))
+            skipped.append(Skipped(by_id[lane_id].place, why))
         elif record := attempt(lambda e: _lane(e, s, skipped), [by_id[lane_id]], skipped):
             lanes[lane_id] = record[0]
         else:
@@ -131,9 +131,9 @@ def _lane(element: Element, s: float, skipped: list[Skipped]) -> LaneRecord:
         gap = min(piece.start for piece in first) - s
         if gap > 1e-6:
             why = f"its width is not defined over the first {gap:g} m; that after them is used"
-            skipped.append(Skipped(where(element), why))
+            skipped.append(Skipped(element.place, why))
     else:
-        skipped.append(Skipped(where(element), "it has neither width nor border: its width is 0"))
+        skipped.append(Skipped(element.place, "it has neither width nor border: its width is 0"))
     link = element.first("link") or Element("link", {}, element.line)
     return LaneRecord(
         id=integer(element, "id"),

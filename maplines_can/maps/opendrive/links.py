@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from ..model import Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, integer, where
+from .attributes import UnusableError, attempt, integer
 from .road import RoadLink, contact_of
 
 #: Largest distance of a road from a junction that it does not name [m].
@@ -115,7 +115,7 @@ def read_connections(junction: Element, skipped: list[Skipped]) -> list[Connecti
         lanes = attempt(
             lambda e: (integer(e, "from"), integer(e, "to")), element.all("laneLink"), skipped
         )
-        place = f"{where(element)} of junction {junction.get('id')[:40]!r}"
+        place = f"{element.place} of junction {junction.get('id')[:40]!r}"
         contact = contact_of(element)
         return Connection(place, junction.get("id"), incoming, outgoing, contact, tuple(lanes))
 

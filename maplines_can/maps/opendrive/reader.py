@@ -15,7 +15,7 @@ from ...line import Kind
 from ...polyline import Polyline
 from ..model import Lane, Map, Road, Skipped
 from ..xml_tree import Document, Element
-from .attributes import UnusableError, where
+from .attributes import UnusableError
 from .boundaries import SAME, SHORTEST, Boundaries, SamplingError
 from .lane_section import LaneRecord
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
@@ -45,14 +45,7 @@ def read(stream: BinaryIO, name: str) -> Map:
     document = Document(stream, name, ignored=_IGNORED, text_in={"geoReference"})
     for element in document.elements():
         reader.add(element)
-    if document.root is None or document.root.tag != "OpenDRIVE":
-        why = (
-            document.error or f"the root element is <{document.root.tag if document.root else ''}>"
-        )
-        raise MapFileError(f"{name} is not an OpenDRIVE file: {why}")
-    if document.error:
-        why = f"{document.error}; the rest of the file is not used"
-        reader.skipped.append(Skipped(document.error.partition(":")[0], why.partition(": ")[2]))
+    reader.skipped += document.check_root("OpenDRIVE", "an OpenDRIVE")
     if not reader.lanes:
         why = f"; first reason: {reader.skipped[0]}" if reader.skipped else ""
         raise MapFileError(f"{name} contains no usable road{why}")
@@ -90,7 +83,7 @@ class _Reader:
         offset = header.first("offset")
         if offset and any(offset.get(axis, "0").strip("+-.0") for axis in ("x", "y", "hdg")):
             why = "the offset is not applied: add it to positions before they are projected"
-            self.skipped.append(Skipped(where(offset), why))
+            self.skipped.append(Skipped(offset.place, why))
 
     def _add_road(self, element: Element) -> None:
         road = read_road(element, self.skipped)

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..model import Skipped
 from ..xml_tree import Element
-from .attributes import UnusableError, attempt, cubic, number, where
+from .attributes import UnusableError, attempt, cubic, number
 from .lane_section import SectionRecord, Speeds, read_sections, speed
 from .profiles import Profiles
 from .reference_line import MAX_TURN, Geometry, Parameter, ReferenceLine
@@ -117,7 +117,7 @@ def _road_link(link: Element, tag: str, skipped: list[Skipped]) -> RoadLink | No
         return None
     if "elementS" in element.attributes:  # the road leaves another one between its ends
         why = "a connection between the ends of a road (virtual junction) is not used"
-        skipped.append(Skipped(where(element), why))
+        skipped.append(Skipped(element.place, why))
         return None
     is_junction = element.get("elementType") == "junction"
     return RoadLink(element.get("elementId"), is_junction, contact_of(element))
@@ -138,7 +138,7 @@ def _reference_line(road: Element, skipped: list[Skipped]) -> ReferenceLine:
     for one, other in pairwise(geometries):
         if abs(one.s + one.length - other.s) > LENGTH_TOLERANCE:
             why = f"the geometry at s = {one.s:g} m ends at {one.s + one.length:g} m; it is used "
-            skipped.append(Skipped(where(road), f"{why}up to the next one at {other.s:g} m"))
+            skipped.append(Skipped(road.place, f"{why}up to the next one at {other.s:g} m"))
     line = ReferenceLine(geometries)
     if line.end > MAX_LENGTH:
         raise UnusableError(road, f"the road ends at s = {line.end:g} m, beyond {MAX_LENGTH:g} m")
@@ -149,7 +149,7 @@ def _reference_line(road: Element, skipped: list[Skipped]) -> ReferenceLine:
         is_equal = False
     if not is_equal:
         why = f"length is {length[:40]!r}; that of the geometry is used, {line.end:.3f} m"
-        skipped.append(Skipped(where(road), why))
+        skipped.append(Skipped(road.place, why))
     return line
 
 
