@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
@@ -91,6 +91,7 @@ def test_pose_is_the_integral_of_the_motion(seed: int) -> None:
     st.floats(0.5, 4.0),
     st.lists(st.tuples(st.integers(1, 350), st.floats(0, 5)), max_size=4),
 )
+@example(709, 1.0, 2.0, 0.5, [(8, 0.0)])  # the curvature peaks between two points of the profile
 def test_all_limits_are_kept(
     seed: int, rise: float, fall: float, lateral: float, stops: list[tuple[int, float]]
 ) -> None:
