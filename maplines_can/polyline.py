@@ -41,8 +41,8 @@ DIRECTION_BASE = 0.5
 class Polyline:
     """Points of one map line, in or against the driving direction.
 
-    Its length is computed once. A line of more than 2048 points also keeps a search tree, so that
-    the time of a window query hardly depends on the number of points.
+    Its length is computed once. A line of more than 2048 points also keeps a search tree from its
+    first window query on, so that the time of a query hardly depends on the number of points.
 
     Args:
         points: (n, 2) finite, n >= 2, in the map frame [m]. Coordinates in single precision
@@ -60,7 +60,6 @@ class Polyline:
     kind: Kind = Kind.UNKNOWN
     #: (n,) arc length from the first point to each point [m].
     distance: NDArray[np.float64] = field(init=False, repr=False)
-    _tree: SearchTree | None = field(init=False, repr=False)
 
     if TYPE_CHECKING:  # the fields have the types after conversion
 
@@ -76,13 +75,33 @@ class Polyline:
             raise ValueError(f"points must be finite [m], but point {bad} is {points[bad]}")
         with np.errstate(over="ignore"):
             distance = np.append(0.0, np.hypot(*np.diff(points, axis=0).T).cumsum())
-        for name, array in (("points", points), ("distance", distance)):
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        object.__setattr__(self, "kind", Kind(self.kind))
-        object.__setattr__(
-            self, "_tree", SearchTree(points, distance) if len(points) > INDEXED else None
-        )
+        self._set(points, distance, Kind(self.kind))
+
+    @classmethod
+    def trusted(
+        cls, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind
+    ) -> Polyline:
+        """Return a line of the given arrays without copying or checking them.
+
+        The arrays become read-only. For many lines that are computed together, as those of a map;
+        otherwise call ``Polyline(points, kind)``.
+
+        Args:
+            points: (n, 2) finite, n >= 2 [m].
+            distance: (n,) arc lengths from the first point [m].
+            kind: kind of marking or boundary.
+        """
+        line = object.__new__(cls)
+        line._set(points, distance, kind)
+        return line
+
+    def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind) -> None:
+        points.flags.writeable = distance.flags.writeable = False
+        self.__dict__.update(points=points, distance=distance, kind=kind)
+
+    @cached_property
+    def _tree(self) -> SearchTree | None:
+        return SearchTree(self.points, self.distance) if len(self.points) > INDEXED else None
 
     @property
     def length(self) -> float:

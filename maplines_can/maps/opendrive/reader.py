@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from operator import itemgetter
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -124,28 +125,28 @@ class _Reader:
             for row in boundaries.outermost:
                 if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
                     kinds[row] = Kind.ROAD_EDGE
-        lines = _Lines(boundaries.sampled(), kinds)
+        drawn = [_lines_of(record, boundaries, _is_forward(road, record)) for record in records]
+        lines = _polylines(boundaries.sampled(), kinds, dict.fromkeys(chain.from_iterable(drawn)))
         negative = set(boundaries.negative)
         padded = [None, *records, None]
-        for record, on_left, on_right in zip(records, padded, padded[2:], strict=False):
+        for record, beside, own in zip(
+            records, zip(padded, padded[2:], strict=False), drawn, strict=True
+        ):
             key = LaneKey(road.id, index, record.id)
             if record.id in negative:
                 place = f"line {record.line}, lane {key}"
                 self.skipped.append(Skipped(place, "its width is negative in part; 0 is used"))
-            is_forward = _is_forward(road, record)
-            inner, outer = boundaries.rows[record.id]
-            left, right = (outer, inner) if (record.id > 0) == is_forward else (inner, outer)
-            beside = [on_left, on_right]
-            if not is_forward:
-                beside.reverse()
-            same, opposite = _neighbours(road, index, record, beside)
+            left, right, centre = own
+            same, opposite = _neighbours(
+                road, index, record, beside[:: 1 if left.is_forward else -1]
+            )
             yield (
                 key,
                 Lane(
                     id=str(key),
-                    left=lines.between(left, left, is_forward),
-                    right=lines.between(right, right, is_forward),
-                    centre=lines.between(left, right, is_forward),
+                    left=lines[left],
+                    right=lines[right],
+                    centre=lines[centre],
                     type=record.type,
                     speed_limit=_longest(record.speeds or road.speeds, extent, None),
                     left_neighbour=same[0],
@@ -184,27 +185,64 @@ class _Reader:
         )
 
 
-class _Lines:
-    """Polylines of the boundaries of a lane section; neighbouring lanes share theirs."""
+class _Line(NamedTuple):
+    """The line halfway between two boundaries of a lane section, or one of them.
 
-    def __init__(self, points: Complex, kinds: Mapping[int, Kind]) -> None:
-        self._points, self._kinds = points, kinds
-        self._has_repeats = bool((np.abs(points[:, 1:] - points[:, :-1]) <= SAME).any())
-        self._known: dict[tuple[int, int, bool], Polyline] = {}
+    Args:
+        one, other: rows of the boundaries.
+        is_forward: whether it runs in the direction of s.
+    """
 
-    def between(self, one: int, other: int, is_forward: bool) -> Polyline:
-        """Return the line halfway between two rows, in the direction of s or against it."""
-        key = (one, other, is_forward)
-        if key not in self._known:
-            points = self._points[one]
-            if one != other:
-                points = (points + self._points[other]) / 2
-            if one != other or self._has_repeats:
-                points = _distinct(points)
-            points = points[:: 1 if is_forward else -1]
-            kind = self._kinds[one] if one == other else Kind.VIRTUAL
-            self._known[key] = Polyline(np.array([points.real, points.imag]).T, kind)
-        return self._known[key]
+    one: int
+    other: int
+    is_forward: bool
+
+
+def _lines_of(record: LaneRecord, boundaries: Boundaries, is_forward: bool) -> list[_Line]:
+    """Return the left and the right boundary of a lane and its centre line, as driven."""
+    inner, outer = boundaries.rows[record.id]
+    left, right = (outer, inner) if (record.id > 0) == is_forward else (inner, outer)
+    return [
+        _Line(one, other, is_forward) for one, other in ((left,) * 2, (right,) * 2, (left, right))
+    ]
+
+
+def _polylines(
+    points: Complex, kinds: Mapping[int, Kind], lines: Collection[_Line]
+) -> dict[_Line, Polyline]:
+    """Return lines of a lane section. Those of one direction are computed together.
+
+    Args:
+        points: (rows, k) points of the boundaries.
+        kinds: of the boundaries, by row.
+        lines: each at most once.
+    """
+
+    def kind(line: _Line) -> Kind:
+        return kinds[line.one] if line.one == line.other else Kind.VIRTUAL
+
+    found: dict[_Line, Polyline] = {}
+    for is_forward in (True, False):
+        group = [line for line in lines if line.is_forward == is_forward]
+        if not group:
+            continue
+        rows = (points[[line.one for line in group]] + points[[line.other for line in group]]) / 2
+        step = np.abs(rows[:, 1:] - rows[:, :-1])
+        has_repeats = (step <= SAME).any(axis=1)
+        for i in np.flatnonzero(has_repeats):
+            row = _distinct(rows[i])[:: 1 if is_forward else -1]
+            found[group[i]] = Polyline(np.array([row.real, row.imag]).T, kind(group[i]))
+        if has_repeats.any():
+            group = [line for line in group if line not in found]
+            rows, step = rows[~has_repeats], step[~has_repeats]
+        if not is_forward:
+            rows, step = np.ascontiguousarray(rows[:, ::-1]), step[:, ::-1]
+        distance = np.zeros(rows.shape)
+        step.cumsum(axis=1, out=distance[:, 1:])
+        xy = rows.view(float).reshape(*rows.shape, 2)
+        for line, one, s in zip(group, xy, distance, strict=True):
+            found[line] = Polyline.trusted(one, s, kind(line))
+    return found
 
 
 def _distinct(points: Complex) -> Complex:
