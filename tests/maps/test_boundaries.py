@@ -19,7 +19,7 @@ from xodr_files import (
 )
 
 from maplines_can import Polyline
-from maplines_can.maps.opendrive.boundaries import Boundaries
+from maplines_can.maps.opendrive.boundaries import Boundaries, sampled
 from maplines_can.maps.opendrive.reference_line import Complex
 
 S = np.linspace(0.0, 100.0, 21)
@@ -42,8 +42,8 @@ def deviation(found: Boundaries, count: int = 1500) -> float:
     """Return the largest distance of the exact boundaries from the sampled ones [m]."""
     s = np.linspace(found.start, found.end, count)
     rows = found(s, np.minimum(s, math.nextafter(found.end, 0)))
-    sampled = found.sampled()
-    return max(distance(exact, line) for exact, line in zip(rows, sampled, strict=True))
+    (lines,) = sampled(found.road, [found])
+    return max(distance(exact, line) for exact, line in zip(rows, lines, strict=True))
 
 
 def test_widths_add_up_from_lane_0() -> None:

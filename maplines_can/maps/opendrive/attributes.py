@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Iterable
 from typing import TypeVar
 
+from ...arrays import LARGEST
 from ..model import Skipped
-from ..xml_tree import Element
+from ..xml_tree import Element, number_in
 from .profiles import Piece
 
 T = TypeVar("T")
@@ -38,8 +39,8 @@ def number(
     element: Element,
     name: str,
     default: float | None = None,
-    least: float = -math.inf,
-    most: float = math.inf,
+    least: float = -LARGEST,
+    most: float = LARGEST,
 ) -> float:
     """Return an attribute as a finite number.
 
@@ -52,15 +53,12 @@ def number(
         if default is None:
             raise UnusableError(element, f"{name} is missing")
         return default
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    value = number_in(text)
+    if least <= value <= most:
+        return value
     if not math.isfinite(value):
         raise UnusableError(element, f"{name} must be a finite number, got {text[:40]!r}")
-    if not least <= value <= most:
-        raise UnusableError(element, f"{name} must be from {least:g} to {most:g}, got {value:g}")
-    return value
+    raise UnusableError(element, f"{name} must be from {least:g} to {most:g}, got {value:g}")
 
 
 def integer(element: Element, name: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from ...line import Kind
 from ..model import LaneType, Skipped
@@ -36,8 +37,7 @@ Marks = tuple[tuple[float, Kind], ...]
 Speeds = tuple[tuple[float, float | None], ...]
 
 
-@dataclass(frozen=True)
-class LaneRecord:
+class LaneRecord(NamedTuple):
     """A lane of a lane section.
 
     Args:
@@ -183,6 +183,6 @@ def _continued(before: SectionRecord, single: SectionRecord) -> tuple[SectionRec
     """Return both with the lanes of the other side continued in a section of a single side."""
     is_left = any(lane_id > 0 for lane_id in single.lanes)
     side = {i: lane for i, lane in before.lanes.items() if (i < 0) == is_left}
-    lanes_before = before.lanes | {i: replace(lane, successors=(i,)) for i, lane in side.items()}
-    lanes = single.lanes | {i: replace(lane, predecessors=(i,)) for i, lane in side.items()}
+    lanes_before = before.lanes | {i: lane._replace(successors=(i,)) for i, lane in side.items()}
+    lanes = single.lanes | {i: lane._replace(predecessors=(i,)) for i, lane in side.items()}
     return replace(before, lanes=lanes_before), replace(single, lanes=lanes)

@@ -38,8 +38,7 @@ class LaneEnd(NamedTuple):
     is_end: bool
 
 
-@dataclass(frozen=True)
-class LaneTopology:
+class LaneTopology(NamedTuple):
     """A lane, as links need it.
 
     Args:

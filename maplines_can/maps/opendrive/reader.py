@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from operator import itemgetter
 from typing import BinaryIO, NamedTuple, TypeVar
@@ -17,7 +18,7 @@ from ...polyline import Polyline
 from ..model import Lane, Map, Road, Skipped
 from ..xml_tree import Document, Element
 from .attributes import UnusableError
-from .boundaries import SAME, SHORTEST, Boundaries, SamplingError
+from .boundaries import SAME, Boundaries, SamplingError, sampled
 from .lane_section import LaneRecord
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
 from .reference_line import Complex
@@ -27,6 +28,8 @@ from .road import RoadRecord, read_road
 _IGNORED = {"elevationProfile", "objects", "railroad", "signals", "surface", "userData"}
 
 T = TypeVar("T")
+#: Returns a lane, given its ``successors`` and ``predecessors``.
+UnlinkedLane = Callable[..., Lane]
 
 
 @np.errstate(all="ignore")  # what overflows is not finite, and its road is not used
@@ -58,7 +61,7 @@ class _Reader:
 
     def __init__(self) -> None:
         self.skipped: list[Skipped] = []
-        self.lanes: dict[LaneKey, Lane] = {}
+        self.lanes: dict[LaneKey, UnlinkedLane] = {}
         self._roads: dict[str, Road] = {}
         self._topology: dict[str, RoadTopology] = {}
         self._connections: list[Connection] = []
@@ -90,17 +93,11 @@ class _Reader:
         road = read_road(element, self.skipped)
         if road.id in self._roads:
             raise UnusableError(element, "another road has the same id")
-        lanes: dict[LaneKey, Lane] = {}
-        sections = []
-        for index in range(len(road.sections)):
-            start, end = road.extent(index)
-            is_point = end - start < SHORTEST
-            if not is_point:
-                try:
-                    lanes |= self._section_lanes(road, index)
-                except SamplingError as error:
-                    raise UnusableError(element, f"lane section {index}: {error}") from None
-            sections.append(_topology(road, index, is_point))
+        sections = [Boundaries(road, index) for index in range(len(road.sections))]
+        try:
+            lanes = dict(self._road_lanes(road, [one for one in sections if not one.is_point]))
+        except SamplingError as error:
+            raise UnusableError(element, str(error)) from None
         if not lanes:
             raise UnusableError(element, "it has no lanes with a length")
         self.lanes |= lanes
@@ -108,15 +105,28 @@ class _Reader:
         ends = np.array([road.sections[0].s, road.reference.end])
         (first, last), _ = road.reference(ends, ends)
         self._topology[road.id] = RoadTopology(
-            tuple(sections), first, last, road.predecessor, road.successor
+            tuple(_topology(road, one.index, one.is_point) for one in sections),
+            first,
+            last,
+            road.predecessor,
+            road.successor,
         )
         ids = tuple(map(str, lanes))
         self._roads[road.id] = Road(road.id, road.name, road.reference.end, ids, road.junction)
 
-    def _section_lanes(self, road: RoadRecord, index: int) -> Iterator[tuple[LaneKey, Lane]]:
+    def _road_lanes(
+        self, road: RoadRecord, sections: Sequence[Boundaries]
+    ) -> Iterator[tuple[LaneKey, UnlinkedLane]]:
+        """Yield the lanes of the lane sections of a road without their links."""
+        for boundaries, points in zip(sections, sampled(road, sections), strict=True):
+            yield from self._section_lanes(road, boundaries, points)
+
+    def _section_lanes(
+        self, road: RoadRecord, boundaries: Boundaries, points: Complex
+    ) -> Iterator[tuple[LaneKey, UnlinkedLane]]:
         """Yield the lanes of a lane section without their links."""
+        index = boundaries.index
         section, extent = road.sections[index], road.extent(index)
-        boundaries = Boundaries(road, index)
         records = sorted(section.lanes.values(), key=lambda record: -record.id)
         kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
         for record in records:
@@ -126,7 +136,7 @@ class _Reader:
                 if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
                     kinds[row] = Kind.ROAD_EDGE
         drawn = [_lines_of(record, boundaries, _is_forward(road, record)) for record in records]
-        lines = _polylines(boundaries.sampled(), kinds, dict.fromkeys(chain.from_iterable(drawn)))
+        lines = _polylines(points, kinds, dict.fromkeys(chain.from_iterable(drawn)))
         negative = set(boundaries.negative)
         padded = [None, *records, None]
         for record, beside, own in zip(
@@ -142,7 +152,8 @@ class _Reader:
             )
             yield (
                 key,
-                Lane(
+                partial(
+                    Lane,
                     id=str(key),
                     left=lines[left],
                     right=lines[right],
@@ -169,8 +180,9 @@ class _Reader:
                 after[one.road][other.road] = before[other.road][one.road] = None
         return Map(
             lanes={
-                lane.id: replace(
-                    lane, successors=tuple(successors[key]), predecessors=tuple(predecessors[key])
+                str(key): lane(
+                    successors=tuple(successors.get(key, ())),
+                    predecessors=tuple(predecessors.get(key, ())),
                 )
                 for key, lane in self.lanes.items()
             },
