@@ -74,25 +74,28 @@ class Polyline:
             bad = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
             raise ValueError(f"points must be finite [m], but point {bad} is {points[bad]}")
         with np.errstate(over="ignore"):
-            distance = np.append(0.0, np.hypot(*np.diff(points, axis=0).T).cumsum())
+            distance = _arc_lengths(points)
         self._set(points, distance, Kind(self.kind))
 
     @classmethod
     def trusted(
-        cls, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind
+        cls,
+        points: NDArray[np.float64],
+        kind: Kind = Kind.UNKNOWN,
+        distance: NDArray[np.float64] | None = None,
     ) -> Polyline:
         """Return a line of the given arrays without copying or checking them.
 
-        The arrays become read-only. For many lines that are computed together, as those of a map;
-        otherwise call ``Polyline(points, kind)``.
+        The arrays become read-only. For points that are computed from those of other lines, or
+        checked together; otherwise call ``Polyline(points, kind)``.
 
         Args:
             points: (n, 2) finite, n >= 2 [m].
-            distance: (n,) arc lengths from the first point [m].
             kind: kind of marking or boundary.
+            distance: (n,) arc lengths from the first point [m], if they are known.
         """
         line = object.__new__(cls)
-        line._set(points, distance, kind)
+        line._set(points, _arc_lengths(points) if distance is None else distance, kind)
         return line
 
     def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind) -> None:
@@ -164,6 +167,14 @@ class Polyline:
             return self
         low, high = self._tree.around_nearest(point, BLOCK)
         return _part(self, math.floor((low - reach) / BLOCK), math.ceil((high + reach) / BLOCK))
+
+
+def _arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (n,) arc lengths of (n, 2) points from the first one."""
+    step = points[1:] - points[:-1]
+    found = np.zeros(len(points))
+    np.hypot(step[:, 0], step[:, 1]).cumsum(out=found[1:])
+    return found
 
 
 @lru_cache(maxsize=KEPT)

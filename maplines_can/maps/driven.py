@@ -8,7 +8,7 @@ way ahead of one that drives against it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -70,7 +70,8 @@ class LaneGraph:
 
     def __getitem__(self, key: Key) -> DrivenLane:
         """Return a lane in a direction; always the same object."""
-        if key not in self._driven:
+        known = self._driven.get(key)
+        if known is None:
             lane = self._lanes[key.lane]
             left, right, centre = lane.left, lane.right, lane.centre
             on_left, on_right = self._beside(lane)
@@ -80,10 +81,10 @@ class LaneGraph:
                 on_left, on_right = (other and other.back for other in (on_right, on_left))
                 after = lane.predecessors
             ahead = (i for i in after if self._lanes[i].type.is_drivable)
-            self._driven[key] = DrivenLane(
+            known = self._driven[key] = DrivenLane(
                 left, right, centre, tuple(Key(i, key.is_against) for i in ahead), on_left, on_right
             )
-        return self._driven[key]
+        return known
 
     def _beside(self, lane: Lane) -> tuple[Key | None, Key | None]:
         """Return the lanes on the left and on the right."""
@@ -98,16 +99,19 @@ class LaneGraph:
 
     def row(self, key: Key) -> tuple[Key, ...]:
         """Return the lanes beside each other, from left to right, as seen from one of them."""
-        if key.is_against:
-            return tuple(other.back for other in reversed(self.row(key.back)))
         if key not in self._rows:
-            row = [key]
-            while (other := self[row[0]].on_left) and other not in row:
-                row.insert(0, other)
-            while (other := self[row[-1]].on_right) and other not in row:
-                row.append(other)
-            self._rows[key] = tuple(row)
+            self._rows[key] = tuple(self._find_row(key))
         return self._rows[key]
+
+    def _find_row(self, key: Key) -> Iterable[Key]:
+        if key.is_against:
+            return [other.back for other in reversed(self.row(key.back))]
+        row = [key]
+        while (other := self[row[0]].on_left) and other not in row:
+            row.insert(0, other)
+        while (other := self[row[-1]].on_right) and other not in row:
+            row.append(other)
+        return row
 
     def way(self, key: Key, path: Sequence[Key], reach: float) -> Iterator[Key]:
         """Yield the lanes ahead of a lane, up to a length [m]; each lane once.
@@ -175,7 +179,8 @@ class LaneGraph:
 
 
 def _reversed(line: Polyline) -> Polyline:
-    return Polyline(line.points[::-1], line.kind)
+    """Return the line in the other direction, without a copy of its points."""
+    return Polyline.trusted(line.points[::-1], line.kind, line.length - line.distance[::-1])
 
 
 def _direction(line: Polyline, s: float) -> float:

@@ -34,14 +34,13 @@ def joined(
     >>> len(line.points), begins
     (3, [0.0, 9.0])
     """
-    kept = list(parts[:1])
-    rows = [0]
-    count = len(parts[0])
-    for part in parts[1:]:
-        (x0, y0), (x1, y1) = kept[-1][-1].tolist(), part[0].tolist()
-        is_near = math.hypot(x1 - x0, y1 - y0) <= SNAP
-        rows.append(count - is_near)
-        kept.append(part[1:] if is_near else part)
-        count += len(kept[-1])
-    line = Polyline(np.concatenate(kept), kind)
-    return line, line.distance[rows].tolist()
+    points = np.concatenate(parts)
+    first = np.array([len(part) for part in parts[:-1]], dtype=np.intp).cumsum()
+    step = points[first] - points[first - 1]
+    is_near = np.hypot(step[:, 0], step[:, 1]) <= SNAP
+    if is_near.any():
+        keep = np.ones(len(points), bool)
+        keep[first[is_near]] = False
+        points = points[keep]
+    line = Polyline.trusted(points, kind)
+    return line, [0.0, *line.distance[first - is_near.cumsum()].tolist()]

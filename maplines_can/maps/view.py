@@ -71,6 +71,17 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class CrossSection:
+    """The lines of the slots at one lane.
+
+    Args:
+        lines: slots, and the line that each has.
+    """
+
+    lines: tuple[tuple[Slot, Source, Polyline], ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Surroundings:
     """Lines around a lane.
 
@@ -83,7 +94,7 @@ class Surroundings:
 
     lines: Mapping[Slot, Polyline]
     base: Mapping[Slot, Source]
-    parts: Mapping[Slot, frozenset[Source]]
+    parts: Mapping[Slot, tuple[Source, ...]]
     lanes: frozenset[Key]
 
 
@@ -99,7 +110,9 @@ class View:
         self.around = lru_cache(KEPT)(self._around)
         self._route_line = lru_cache(KEPT)(_route_line)
         self._sources = lru_cache(KEPT * 8)(self._find_sources)
-        self._continuation = lru_cache(KEPT * 64)(self._find_continuation)
+        # The same lines are the same object, so that the lanes after them are found once.
+        self._cross_section = lru_cache(KEPT * 64)(self._find_cross_section)
+        self._following = lru_cache(KEPT * 64)(self._find_following)
 
     def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
@@ -148,7 +161,7 @@ class View:
         before, lanes_behind = self._continued(key.back, behind, BEHIND)
         known: dict[tuple[Source, ...], Polyline] = {}
         lines: dict[Slot, Polyline] = {}
-        parts: dict[Slot, frozenset[Source]] = {}
+        parts: dict[Slot, tuple[Source, ...]] = {}
         bases = self._sources(key)
         for slot, source in bases.items():
             base = self.line(source)
@@ -162,7 +175,7 @@ class View:
                 line, starts = joined(points, base.kind)
                 end = [*starts, line.length][len(back) + 1]
                 known[whole] = _visible(line, starts[len(back)], end)
-            lines[slot], parts[slot] = known[whole], frozenset(whole)
+            lines[slot], parts[slot] = known[whole], whole
         return Surroundings(lines, bases, parts, frozenset((key, *lanes_ahead, *lanes_behind)))
 
     def _find_sources(self, key: Key) -> dict[Slot, Source]:
@@ -188,27 +201,33 @@ class View:
         self, key: Key, path: Sequence[Key], reach: float
     ) -> tuple[dict[Slot, list[Part]], list[Key]]:
         """Return the parts that continue the line of each slot ahead of a lane, and the lanes."""
-        last = self._sources(key)
-        parts: dict[Slot, list[Part]] = {slot: [] for slot in last}
+        section = self._cross_section(tuple(self._sources(key).items()))
+        parts: dict[Slot, list[Part]] = {slot: [] for slot, _, _ in section.lines}
         lanes = []
         for following in self.graph.way(key, path, reach):
-            continued = {
-                slot: self._continuation(slot, source, following) for slot, source in last.items()
-            }
-            last = {slot: source for slot, source in continued.items() if source is not None}
-            if not last:
+            section = self._following(section, following)
+            if not section.lines:
                 break
-            for slot, source in last.items():
-                line = self.line(source)
-                points = line.points
-                if line.length > reach:
-                    points = points[: max(2, int(line.distance.searchsorted(reach)) + 1)]
+            for slot, source, line in section.lines:
+                points, distance = line.points, line.distance
+                if distance[-1] > reach:
+                    points = points[: max(2, int(distance.searchsorted(reach)) + 1)]
                 parts[slot].append(Part(source, points))
             lanes.append(following)
             reach -= self.graph[following].centre.length
         return parts, lanes
 
-    def _find_continuation(self, slot: Slot, source: Source, following: Key) -> Source | None:
+    def _find_cross_section(self, sources: tuple[tuple[Slot, Source], ...]) -> CrossSection:
+        return CrossSection(tuple((slot, one, self.line(one)) for slot, one in sources))
+
+    def _find_following(self, section: CrossSection, following: Key) -> CrossSection:
+        """Return the lines that continue those of a lane, where the next one begins."""
+        continued = (
+            (slot, self._continuation(slot, source, following)) for slot, source, _ in section.lines
+        )
+        return self._cross_section(tuple((slot, one) for slot, one in continued if one))
+
+    def _continuation(self, slot: Slot, source: Source, following: Key) -> Source | None:
         """Return the line that continues one, where the next lane begins.
 
         It is the line of the slot at the next lane, if it begins where this one ends. If another
@@ -279,7 +298,8 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
 
 def _turns(line: Polyline, start: float, end: float) -> bool:
     """Return whether a step of a line may turn too far from the part: quickly, and too often."""
-    step, length = np.diff(line.points, axis=0), np.diff(line.distance)
+    step = line.points[1:] - line.points[:-1]
+    length = line.distance[1:] - line.distance[:-1]
     k0, k1 = line.distance[1:-1].searchsorted([start + CHORD / 2, end - CHORD / 2])
     for k, part in ((k1, slice(k1, None)), (k0, slice(None, k0 + 1))):
         advance = step[part] @ step[k]

@@ -253,7 +253,7 @@ def _polylines(
         step.cumsum(axis=1, out=distance[:, 1:])
         xy = rows.view(float).reshape(*rows.shape, 2)
         for line, one, s in zip(group, xy, distance, strict=True):
-            found[line] = Polyline.trusted(one, s, kind(line))
+            found[line] = Polyline.trusted(one, kind(line), s)
     return found
 
 
