@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,23 +50,38 @@ _OF_EGO_LANE = frozenset({Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.CENTRE})
 _EDGES = frozenset({Slot.EDGE_LEFT, Slot.EDGE_RIGHT})
 
 
-class Source(NamedTuple):
-    """A line of a lane."""
+@dataclass(eq=False, slots=True)
+class Source:
+    """A line of a lane; always the same object, so that it is found by its identity.
+
+    Args:
+        key: the lane.
+        side: "left", "right" or "centre", as driven.
+        line: the line, as driven.
+
+    Attributes:
+        start: first point of the line [m].
+        end: last point of the line [m].
+        length: of the line [m].
+        back: the same line in the other direction.
+    """
 
     key: Key
-    side: str  #: "left", "right" or "centre", as driven
+    side: str
+    line: Polyline
+    start: tuple[float, float] = field(init=False)
+    end: tuple[float, float] = field(init=False)
+    length: float = field(init=False)
+    back: Source = field(init=False)
 
-    @property
-    def back(self) -> Source:
-        """The same line in the other direction."""
-        return Source(self.key.back, _OTHER_SIDE[self.side])
+    def __post_init__(self) -> None:
+        points = self.line.points
+        self.start, self.end = tuple(points[0].tolist()), tuple(points[-1].tolist())
+        self.length = self.line.length
 
 
-class Part(NamedTuple):
-    """A line of a lane, and those of its points that are used."""
-
-    source: Source
-    points: NDArray[np.float64]
+#: A line of a lane, and those of its points that are used.
+Part = tuple[Source, NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,10 +89,10 @@ class CrossSection:
     """The lines of the slots at one lane.
 
     Args:
-        lines: slots, and the line that each has.
+        sources: slots, and the line that each has.
     """
 
-    lines: tuple[tuple[Slot, Source, Polyline], ...]
+    sources: tuple[tuple[Slot, Source], ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -109,9 +123,10 @@ class View:
         self.graph = LaneGraph(lanes)
         self.around = lru_cache(KEPT)(self._around)
         self._route_line = lru_cache(KEPT)(_route_line)
-        self._sources = lru_cache(KEPT * 8)(self._find_sources)
+        self._sources: dict[tuple[Key, str], Source] = {}
+        self._at = lru_cache(KEPT * 8)(self._find_at)
         # The same lines are the same object, so that the lanes after them are found once.
-        self._cross_section = lru_cache(KEPT * 64)(self._find_cross_section)
+        self._cross_section = lru_cache(KEPT * 64)(CrossSection)
         self._following = lru_cache(KEPT * 64)(self._find_following)
 
     def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
@@ -162,99 +177,102 @@ class View:
         known: dict[tuple[Source, ...], Polyline] = {}
         lines: dict[Slot, Polyline] = {}
         parts: dict[Slot, tuple[Source, ...]] = {}
-        bases = self._sources(key)
+        bases = self._at(key)
         for slot, source in bases.items():
-            base = self.line(source)
             back, front = before[_MIRRORED[slot]], after[slot]
-            sources = [part.source.back for part in reversed(back)]
-            sources += [source, *(part.source for part in front)]
+            sources = [part.back for part, _ in reversed(back)]
+            sources += [source, *(part for part, _ in front)]
             whole = tuple(sources)
             if whole not in known:
-                points = [part.points[::-1] for part in reversed(back)]
-                points += [base.points, *(part.points for part in front)]
-                line, starts = joined(points, base.kind)
+                points = [part[::-1] for _, part in reversed(back)]
+                points += [source.line.points, *(part for _, part in front)]
+                line, starts = joined(points, source.line.kind)
                 end = [*starts, line.length][len(back) + 1]
                 known[whole] = _visible(line, starts[len(back)], end)
             lines[slot], parts[slot] = known[whole], whole
         return Surroundings(lines, bases, parts, frozenset((key, *lanes_ahead, *lanes_behind)))
 
-    def _find_sources(self, key: Key) -> dict[Slot, Source]:
+    def _source(self, key: Key, side: str) -> Source:
+        """Return a line of a lane."""
+        found = self._sources.get((key, side))
+        if found is None:
+            pair = ((key, side), (key.back, _OTHER_SIDE[side]))
+            one, other = (Source(*at, getattr(self.graph[at[0]], at[1])) for at in pair)
+            one.back, other.back = other, one
+            self._sources |= zip(pair, (one, other), strict=True)
+            found = one
+        return found
+
+    def _find_at(self, key: Key) -> dict[Slot, Source]:
         """Return where the line of each slot is from, at a lane."""
         row = self.graph.row(key)
         i = row.index(key)
-        sources = {Slot.EGO_LEFT: Source(key, "left"), Slot.EGO_RIGHT: Source(key, "right")}
+        places = {Slot.EGO_LEFT: (key, "left"), Slot.EGO_RIGHT: (key, "right")}
         if i > 0:
-            sources[Slot.NEXT_LEFT] = Source(row[i - 1], "left")
+            places[Slot.NEXT_LEFT] = (row[i - 1], "left")
         if i + 1 < len(row):
-            sources[Slot.NEXT_RIGHT] = Source(row[i + 1], "right")
-        sources[Slot.CENTRE] = Source(key, "centre")
-        sources[Slot.EDGE_LEFT] = Source(row[0], "left")
-        sources[Slot.EDGE_RIGHT] = Source(row[-1], "right")
-        return sources
-
-    def line(self, source: Source) -> Polyline:
-        """Return the line of a lane."""
-        line: Polyline = getattr(self.graph[source.key], source.side)
-        return line
+            places[Slot.NEXT_RIGHT] = (row[i + 1], "right")
+        places[Slot.CENTRE] = (key, "centre")
+        places[Slot.EDGE_LEFT] = (row[0], "left")
+        places[Slot.EDGE_RIGHT] = (row[-1], "right")
+        return {slot: self._source(*place) for slot, place in places.items()}
 
     def _continued(
         self, key: Key, path: Sequence[Key], reach: float
     ) -> tuple[dict[Slot, list[Part]], list[Key]]:
         """Return the parts that continue the line of each slot ahead of a lane, and the lanes."""
-        section = self._cross_section(tuple(self._sources(key).items()))
-        parts: dict[Slot, list[Part]] = {slot: [] for slot, _, _ in section.lines}
+        at = self._at(key)
+        section = self._cross_section(tuple(at.items()))
+        parts: dict[Slot, list[Part]] = {slot: [] for slot in at}
         lanes = []
         for following in self.graph.way(key, path, reach):
             section = self._following(section, following)
-            if not section.lines:
+            if not section.sources:
                 break
-            for slot, source, line in section.lines:
-                points, distance = line.points, line.distance
-                if distance[-1] > reach:
-                    points = points[: max(2, int(distance.searchsorted(reach)) + 1)]
-                parts[slot].append(Part(source, points))
+            for slot, source in section.sources:
+                points = source.line.points
+                if source.length > reach:
+                    rows = int(source.line.distance.searchsorted(reach)) + 1
+                    points = points[: max(2, rows)]
+                parts[slot].append((source, points))
             lanes.append(following)
             reach -= self.graph[following].centre.length
         return parts, lanes
 
-    def _find_cross_section(self, sources: tuple[tuple[Slot, Source], ...]) -> CrossSection:
-        return CrossSection(tuple((slot, one, self.line(one)) for slot, one in sources))
-
     def _find_following(self, section: CrossSection, following: Key) -> CrossSection:
-        """Return the lines that continue those of a lane, where the next one begins."""
-        continued = (
-            (slot, self._continuation(slot, source, following)) for slot, source, _ in section.lines
-        )
-        return self._cross_section(tuple((slot, one) for slot, one in continued if one))
+        """Return the lines that continue those of a lane, where the next one begins.
 
-    def _continuation(self, slot: Slot, source: Source, following: Key) -> Source | None:
-        """Return the line that continues one, where the next lane begins.
+        It is the line of the slot at the next lane, if it begins where this one ends.
+        """
+        at = self._at(following)
+        found = []
+        for slot, source in section.sources:
+            designated = at.get(slot)
+            if designated is None or math.dist(source.end, designated.start) > MAX_GAP:
+                designated = None if slot in _OF_EGO_LANE else self._beside(slot, source, following)
+            if designated is not None:
+                found.append((slot, designated))
+        return self._cross_section(tuple(found))
 
-        It is the line of the slot at the next lane, if it begins where this one ends. If another
-        lane has opened between, or if the lanes beside each other have no common road in a
-        junction, it is the line of a successor of the lane beside.
+    def _beside(self, slot: Slot, source: Source, following: Key) -> Source | None:
+        """Return the line of a successor of a lane that continues its line beside the next lane.
+
+        Another lane has opened between, or the lanes beside each other have no common road in a
+        junction.
 
         Args:
             slot: of the line.
             source: the line.
             following: lane ahead that the car drives on.
         """
-        line = self.line(source)
-        designated = self._sources(following).get(slot)
-        if designated is not None and gap(line, self.line(designated)) <= MAX_GAP:
-            return designated
-        if slot in _OF_EGO_LANE:
-            return None
-        row = self.graph.row(following)
-        lane = self.graph[following]
         for key in self.graph[source.key].successors:
-            other = Source(key, source.side)
-            if gap(line, self.line(other)) > MAX_GAP:
+            other = self._source(key, source.side)
+            if math.dist(source.end, other.start) > MAX_GAP:
                 continue
-            if key in row:
+            if key in self.graph.row(following):
                 if slot not in _EDGES:  # an edge ends where a lane opens beyond it
                     return other
-            elif _leads_beside(self.line(other), lane, source.side):
+            elif _leads_beside(other.line, self.graph[following], source.side):
                 return other
         return None
 
