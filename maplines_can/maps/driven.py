@@ -66,7 +66,7 @@ class LaneGraph:
         self._lanes = lanes
         self._driven: dict[Key, DrivenLane] = {}
         self._rows: dict[Key, tuple[Key, ...]] = {}
-        self._straightest: dict[Key, Key | None] = {}
+        self._straightest: dict[Key, Key] = {}
 
     def __getitem__(self, key: Key) -> DrivenLane:
         """Return a lane in a direction; always the same object."""
@@ -90,9 +90,7 @@ class LaneGraph:
         """Return the lanes on the left and on the right."""
         beside = [i and Key(i) for i in (lane.left_neighbour, lane.right_neighbour)]
         if other := lane.opposite_left:
-            points = self._lanes[other].centre.points
-            (place,) = locate([lane.centre], points[len(points) // 2])
-            side = 0 if place.t > 0 else 1
+            side = 0 if _is_on_left(lane, self._lanes[other]) else 1
             beside[side] = beside[side] or Key(other, is_against=True)
         on_left, on_right = beside
         return on_left or None, on_right or None
@@ -159,13 +157,13 @@ class LaneGraph:
 
     def straightest(self, key: Key) -> Key | None:
         """Return the successor whose way turns least."""
+        after = self[key].successors
+        if len(after) < 2:
+            return after[0] if after else None
         if key not in self._straightest:
-            after = self[key].successors
             heading = _direction(self[key].centre, math.inf)
             self._straightest[key] = min(
-                after,
-                key=lambda other: self._turn(other, heading, TURN_LENGTH, TURN_DEPTH),
-                default=None,
+                after, key=lambda other: self._turn(other, heading, TURN_LENGTH, TURN_DEPTH)
             )
         return self._straightest[key]
 
@@ -176,6 +174,20 @@ class LaneGraph:
         if rest <= 0 or depth == 0 or not lane.successors:
             return abs(wrapped(_direction(lane.centre, reach) - heading))
         return min(self._turn(other, heading, rest, depth - 1) for other in lane.successors)
+
+
+def _is_on_left(lane: Lane, opposite: Lane) -> bool:
+    """Return whether a lane with the opposite direction is on the left."""
+    shares_left, shares_right = (
+        line.points[0].tolist() == other.points[-1].tolist()
+        and line.points[-1].tolist() == other.points[0].tolist()
+        for line, other in ((lane.left, opposite.left), (lane.right, opposite.right))
+    )
+    if shares_left != shares_right:
+        return shares_left
+    points = opposite.centre.points
+    (place,) = locate([lane.centre], points[len(points) // 2])
+    return place.t > 0
 
 
 def _reversed(line: Polyline) -> Polyline:
