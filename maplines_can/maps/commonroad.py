@@ -15,6 +15,7 @@ import numpy as np
 
 from ..line import Kind
 from ..polyline import Polyline
+from .lane import SkippedList
 from .lanelets import boundary, centre_line, lanelet_map
 from .model import Lane, LaneType, Map, Skipped
 from .xml_tree import Document, Element, number_in
@@ -86,7 +87,7 @@ class _Reader:
     """State of the reading: lanelets so far, and what they refer to."""
 
     def __init__(self) -> None:
-        self.skipped: list[Skipped] = []
+        self.skipped: list[Skipped] = SkippedList()
         self.projection: str | None = None
         self._lanes: dict[str, Lane] = {}
         self._signs_of: dict[str, list[str]] = {}

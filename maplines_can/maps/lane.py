@@ -15,6 +15,8 @@ from ..polyline import Polyline
 
 #: Points at which ``Lane.width`` measures.
 WIDTH_SAMPLES = 33
+#: Most entries of what is not used, so that no file fills the memory with them.
+MAX_SKIPPED = 100_000
 
 
 class LaneType(StrEnum):
@@ -177,3 +179,15 @@ class Skipped:
 
     def __str__(self) -> str:
         return f"{self.where}: {self.why}"
+
+
+class SkippedList(list[Skipped]):
+    """What is not used, as it is found. After ``MAX_SKIPPED`` entries, one says that it ends."""
+
+    def append(self, one: Skipped) -> None:
+        """Add an entry, if there is room."""
+        if len(self) < MAX_SKIPPED:
+            super().append(one)
+        elif len(self) == MAX_SKIPPED:
+            why = f"only the first {MAX_SKIPPED} things that are not used are listed"
+            super().append(Skipped("the rest of the file", why))

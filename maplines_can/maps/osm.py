@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapFileError
+from .lane import SkippedList
 from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
 from .model import Map, Skipped
@@ -91,7 +92,7 @@ class _OsmFile:
     """Elements of an OSM file."""
 
     def __init__(self) -> None:
-        self.skipped: list[Skipped] = []
+        self.skipped: list[Skipped] = SkippedList()
         self.relations: dict[str, _Relation] = {}
         self._nodes: dict[str, _Node] = {}
         self._ways: dict[str, _Way] = {}

@@ -31,11 +31,15 @@ from numpy.typing import NDArray
 from ..errors import MapFileError
 from ..line import Kind
 from ..polyline import Polyline
+from .lane import SkippedList
 from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
 from .model import Lane, Map, Skipped
 from .projection import project, tangent
 
 Array = NDArray[np.float64]
+
+#: Largest file [bytes]; a million points are about 30 MB.
+MAX_BYTES = 1 << 27
 
 #: Names of the longitude and latitude of WGS84 in a member ``crs``.
 _WGS84 = ("CRS84", "EPSG::4326", "EPSG:4326")
@@ -65,10 +69,16 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
         ValueError: the projection is not one of ``maps.projection``.
     """
     try:
-        text = stream.read().decode("utf-8-sig")
+        data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise MapFileError(
+                f"{name} has more than {MAX_BYTES >> 20} MB; divide the map into several"
+            )
+        text = data.decode("utf-8-sig")
+        del data
     except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
         raise MapFileError(f"{name} cannot be read as text in UTF-8: {error}") from None
-    skipped: list[Skipped] = []
+    skipped: list[Skipped] = SkippedList()
     if text.lstrip().startswith(("{", "[")):
         lines, projection = _geojson(text, name, projection, skipped)
     else:

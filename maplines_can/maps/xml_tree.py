@@ -21,6 +21,10 @@ CHUNK = 1 << 16
 MAX_DEPTH = 64
 #: Longest text of an element [characters].
 MAX_TEXT = 1 << 16
+#: Longest tag with its attributes [bytes].
+MAX_TAG = 1 << 24
+#: Most elements of a document; a million nodes of OSM with three tags each are 4 million.
+MAX_ELEMENTS = 6_000_000
 
 
 class Element:
@@ -74,8 +78,8 @@ class Document:
         text_in: tags of elements whose text is kept; by default, of all.
 
     Raises:
-        MapFileError: the document has a document type, an unknown encoding, too deep a nesting, or
-            too long a text; during the iteration.
+        MapFileError: the document has a document type, an unknown encoding, too deep a nesting, too
+            long a tag or text, or too many elements; during the iteration.
     """
 
     def __init__(
@@ -90,6 +94,7 @@ class Document:
         self._stack: list[Element] = []
         self._complete: list[Element] = []
         self._ignored_depth = 0
+        self._count = 0
         self._expat = expat.ParserCreate()
         self._expat.buffer_text = True
         self._expat.StartElementHandler = self._start
@@ -103,8 +108,12 @@ class Document:
     def elements(self) -> Iterator[Element]:
         """Yield the children of the root, each when it is complete."""
         try:
+            size = 0
             while chunk := self._stream.read(CHUNK):
                 self._expat.Parse(chunk)
+                size += len(chunk)
+                if size - self._expat.CurrentByteIndex > MAX_TAG:
+                    self._refuse(f"a tag has more than {MAX_TAG >> 20} MB")
                 yield from self._take()
             self._expat.Parse(b"", True)
         except expat.ExpatError as error:
@@ -142,6 +151,9 @@ class Document:
         if self._ignored_depth or tag in self._ignored:
             self._ignored_depth += 1
             return
+        self._count += 1
+        if self._count > MAX_ELEMENTS:
+            self._refuse(f"more than {MAX_ELEMENTS} elements; divide the map into several")
         element = Element(tag, attributes, self._expat.CurrentLineNumber)
         if len(stack) > 1:  # the root keeps no children: they are taken one by one
             stack[-1].children.append(element)

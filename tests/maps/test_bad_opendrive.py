@@ -1,6 +1,8 @@
 """Mutilated OpenDRIVE files: an error or a listed reason, never a traceback or a hang."""
 
+import contextlib
 import io
+import math
 import re
 
 import pytest
@@ -20,6 +22,8 @@ from xodr_files import (
 )
 
 from maplines_can import MapFileError
+from maplines_can.errors import RouteError
+from maplines_can.maps import LaneTracker
 from maplines_can.maps.model import Map
 from maplines_can.maps.opendrive import read
 
@@ -337,3 +341,30 @@ def test_long_ids_and_integers_have_short_messages() -> None:
     long = "9" * 10_000
     found = read_map(road(section(lane(-1), lane(-2).replace('id="-2"', f'id="-{long}"'))))
     assert all(len(str(skipped)) < 300 for skipped in found.skipped)
+
+
+@pytest.mark.parametrize(
+    "links",
+    [
+        pytest.param([("1", "end"), ("1", "start")], id="onto-itself"),
+        pytest.param([("1", "start"), ("1", "start")], id="starts-at-its-start"),
+        pytest.param([("2", "end"), ("2", "start")], id="two-roads"),
+        pytest.param([("2", "start"), ("2", "start")], id="both-ends-at-one"),
+    ],
+)
+def test_loops_of_links(links: list[tuple[str, str]]) -> None:
+    """Lines, routes and the tracker end, whatever the links say."""
+    ends = [
+        linked(tag, other, contact)
+        for tag, (other, contact) in zip(("predecessor", "successor"), links, strict=True)
+    ]
+    lanes = section(lane(1, predecessor=1, successor=1), lane(-1, predecessor=-1, successor=-1))
+    other = road(lanes, road_id="2", link="".join(ends).replace('"2"', '"1"'))
+    found = read_map(road(lanes, link="".join(ends)), other)
+    assert len(found.lanes) == 4
+    for pose in ([50.0, -1.7, 0.0], [50.0, 1.7, 0.0], [50.0, 1.7, math.pi]):
+        assert {"EGO_LEFT", "EGO_RIGHT"} <= {slot.name for slot in found.lines(pose)}
+        assert LaneTracker(found).lines(pose).lines
+    for goal in found.lanes:
+        with contextlib.suppress(RouteError):
+            assert found.route("1:0:-1", goal).lanes[-1] == goal

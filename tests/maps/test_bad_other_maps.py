@@ -15,7 +15,13 @@ from lanelet_files import ROAD, Osm
 from maplines_can import MapFileError
 from maplines_can.maps import Map, commonroad, osm, points
 
-BOMB = "<!DOCTYPE lolz [<!ENTITY a 'ha'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;'>]>"
+ENTITIES = {
+    "billion-laughs": "<!DOCTYPE lolz [<!ENTITY a 'ha'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;'>]>",
+    "quadratic": f"<!DOCTYPE lolz [<!ENTITY b '{'1' * 10**5}'>]>",
+    "external": '<!DOCTYPE lolz [<!ENTITY b SYSTEM "file:///etc/passwd">]>',
+    "parameter": '<!DOCTYPE lolz [<!ENTITY % b SYSTEM "http://localhost/b"> %b;]>',
+    "external-subset": '<!DOCTYPE lolz PUBLIC "-//X//Y" "http://localhost/b.dtd">',
+}
 
 
 def lanelet2_text() -> str:
@@ -122,10 +128,11 @@ def test_missing_lines_and_tags(name: str, data: st.DataObject) -> None:
     attempt(read, "".join(part for i, part in enumerate(parts) if i not in gone).encode())
 
 
+@pytest.mark.parametrize("kind", ENTITIES)
 @pytest.mark.parametrize("name", ["Lanelet2", "CommonRoad"])
-def test_entities_are_refused(name: str) -> None:
+def test_entities_are_refused(name: str, kind: str) -> None:
     read, text = FILES[name]
-    bad = text.replace("?>", f"?>{BOMB}", 1).replace('id="1"', 'id="&b;"', 1)
+    bad = text.replace("?>", f"?>{ENTITIES[kind]}", 1).replace('id="1"', 'id="&b;"', 1)
     with pytest.raises(MapFileError, match="document type"):
         read(io.BytesIO(bad.encode()), "map")
 

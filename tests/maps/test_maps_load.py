@@ -96,6 +96,64 @@ def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) ->
         ml.maps.load(path)
 
 
+@pytest.mark.parametrize(
+    ("limit", "value", "text", "message"),
+    [
+        pytest.param(
+            "xml_tree.MAX_ELEMENTS",
+            100,
+            "<OpenDRIVE>" + "<road/>" * 101,
+            "line 1: more than 100 elements; divide the map",
+            id="roads",
+        ),
+        pytest.param(
+            "xml_tree.MAX_ELEMENTS",
+            100,
+            "<osm><way>" + "<nd/>" * 101,
+            "more than 100 elements",
+            id="references-of-one-way",
+        ),
+        pytest.param(
+            "xml_tree.MAX_TAG",
+            1 << 20,
+            f'<OpenDRIVE><road id="{"1" * (3 << 20)}"/>',
+            "a tag has more than 1 MB",
+            id="attribute",
+        ),
+        pytest.param(
+            "points.MAX_BYTES",
+            1 << 20,
+            "line,x,y\n" + "a,1,2\n" * 200_000,
+            "has more than 1 MB; divide the map",
+            id="points",
+        ),
+    ],
+)
+def test_files_that_would_fill_the_memory_are_refused(
+    path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    limit: str,
+    value: int,
+    text: str,
+    message: str,
+) -> None:
+    """They may come as gzip bombs: what is read of them is bounded."""
+    monkeypatch.setattr(f"maplines_can.maps.{limit}", value)
+    path = path.with_suffix(".csv.gz")
+    path.write_bytes(gzip.compress(text.encode()))
+    with pytest.raises(ml.MapFileError, match=message):
+        ml.maps.load(path)
+
+
+def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maplines_can.maps.lane.MAX_SKIPPED", 10)
+    path.write_text(document(road(), '<road id=""/>' * 1000))
+    skipped = ml.maps.load(path).skipped
+    assert [str(one) for one in skipped[10:]] == [
+        "the rest of the file: only the first 10 things that are not used are listed"
+    ]
+
+
 def test_formats_are_modules_with_a_reader() -> None:
     assert "OpenDRIVE" in [form.name for form in FORMATS]
     assert len({form.name for form in FORMATS}) == len(FORMATS)

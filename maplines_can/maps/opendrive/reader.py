@@ -15,6 +15,7 @@ import numpy as np
 from ...errors import MapFileError
 from ...line import Kind
 from ...polyline import Polyline
+from ..lane import SkippedList
 from ..model import Lane, Map, Road, Skipped
 from ..xml_tree import Document, Element
 from .attributes import UnusableError
@@ -60,7 +61,7 @@ class _Reader:
     """State of the reading: lanes so far, and links to resolve at the end."""
 
     def __init__(self) -> None:
-        self.skipped: list[Skipped] = []
+        self.skipped: list[Skipped] = SkippedList()
         self.lanes: dict[LaneKey, UnlinkedLane] = {}
         self._roads: dict[str, Road] = {}
         self._topology: dict[str, RoadTopology] = {}
