@@ -100,7 +100,9 @@ class Polyline:
 
     def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind) -> None:
         points.flags.writeable = distance.flags.writeable = False
-        self.__dict__.update(points=points, distance=distance, kind=kind)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "distance", distance)
+        object.__setattr__(self, "kind", kind)
 
     @cached_property
     def _tree(self) -> SearchTree | None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-TARGETS = {"refit": 3, "scene": 2, "window": 2, "signals": 2, "batch": 2, "one": 0}
+TARGETS = {"refit": 3, "scene": 2, "window": 2, "signals": 2, "batch": 2, "one": 0, "map": 2}
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     for library in ("OPENBLAS", "MKL", "OMP"):  # the module sets them; this restores them
         monkeypatch.setenv(f"{library}_NUM_THREADS", "1")
     spec.loader.exec_module(module)
-    tiny = module.Sizes(poses=16, lines=8, singles=8, rounds=2, seconds=0.0)
+    tiny = module.Sizes(poses=16, lines=8, singles=8, roads=1, rounds=2, seconds=0.0)
     monkeypatch.setattr(module, "QUICK", tiny)
     gc.freeze()  # the tool collects garbage before each turn; that of other tests takes long
     yield module

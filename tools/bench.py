@@ -30,6 +30,10 @@ The parts:
             the target is for its default, strict
   batch     Gaussian to payload and back, against packing alone by cantools
   one       the same line by line, where arrays do not help
+  map       loading of a map of a thousand roads (copies of the town of the package),
+            against parsing its XML alone; lines around the first pose on each of 400
+            lanes, and around later poses, against matching of the poses alone, and
+            against loading
 
 Times vary with the load of the machine: a missed target is an error with --strict only.
 """
@@ -43,13 +47,16 @@ import os
 import platform
 import statistics
 import sys
+import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.metadata import version
 from itertools import chain, cycle
+from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree as ET
 
 # BLAS reads these when NumPy is loaded.
 os.environ.update(OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", OMP_NUM_THREADS="1")
@@ -58,9 +65,12 @@ import cantools
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints
 from filterpy.kalman import unscented_transform
+from map_copies import copies_of_town
 
+from maplines_can import maps
 from maplines_can.gaussian import Gaussian
 from maplines_can.line import MapLine, Slot
+from maplines_can.maps.view import View
 from maplines_can.polyline import Polyline, to_ego, to_map
 from maplines_can.propagation import Refit, SigmaPoints
 from maplines_can.scenarios import parallel, scenario
@@ -79,11 +89,12 @@ class Sizes(NamedTuple):
     poses: int = 4096  #: of one refit call
     lines: int = 4096  #: of one batch
     singles: int = 256  #: lines coded one by one, a multiple of 8
+    roads: int = 1000  #: of a map
     rounds: int = 9  #: pairs of turns
     seconds: float = 0.1  #: of one turn
 
 
-QUICK = Sizes(poses=1024, lines=512, singles=64, rounds=3, seconds=0.01)
+QUICK = Sizes(poses=1024, lines=512, singles=64, roads=49, rounds=3, seconds=0.01)
 
 
 class Pair(NamedTuple):
@@ -349,6 +360,46 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     yield Pair("Decoder.feed, 4 frames", DECODE, n, fed, decode)
 
 
+def large_map(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
+    """Compare loading and lines of a large map with parsing and with matching alone."""
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "copies.xodr"
+        roads = copies_of_town(sizes.roads, path)
+        load = partial(maps.load, path)
+        gc.collect()
+        tracemalloc.start()
+        found = load()
+        kept, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        lanes = [lane for lane in found.lanes.values() if lane.type.is_drivable]
+        chosen = [lanes[i] for i in rng.permutation(len(lanes))[:400]]
+        poses = [middle_of(lane) for lane in chosen]
+        agree("roads", abs(len(found.roads) - roads))
+        agree("poses with lines", sum(Slot.EGO_LEFT not in found.lines(pose) for pose in poses))
+
+        def first() -> list[Any]:
+            view = View(found.lanes)  # new: it keeps the lines of the lanes
+            matches = map(found.match, poses)
+            return [view.lines(match, None) for match in matches if match is not None]
+
+        match, again = (partial(each, call, poses) for call in (found.match, found.lines))
+        memory = f"{kept / 1e6:.0f} MB kept, {peak / 1e6:.0f} MB at most"
+        yield f"{roads} roads and {len(found.lanes)} lanes are loaded, with lines; {memory}"
+        parse = partial(ET.parse, path)
+        yield Pair("load, a road", "ElementTree.parse", roads, load, parse)
+        yield Pair("first pose on a lane", "match alone", len(poses), first, match, 15, growth=True)
+        yield Pair("later poses", "match alone", len(poses), again, match, 1.5, growth=True)
+        yield Pair("400 first poses", "load", 1, first, load, growth=True)
+
+
+def middle_of(lane: maps.Lane) -> Any:
+    """Return a pose in the middle of a lane."""
+    s = lane.length * np.array([0.49, 0.51])
+    (x0, x1), (y0, y1) = (np.interp(s, lane.centre.distance, p) for p in lane.centre.points.T)
+    return np.array([(x0 + x1) / 2, (y0 + y1) / 2, np.arctan2(y1 - y0, x1 - x0)])
+
+
 PARTS = {
     "refit": (refit, "1  From poses to lines; times per pose"),
     "scene": (scene, "2  All lines of a scene by sigma points; times per cycle"),
@@ -356,6 +407,7 @@ PARTS = {
     "signals": (signals, "4  Signals alone, four pages per line; times per line"),
     "batch": (batch, "5  Whole batches, against packing alone by cantools; times per line"),
     "one": (one, "6  Single lines, against packing alone by cantools; times per line"),
+    "map": (large_map, "7  A large map"),
 }
 
 
