@@ -55,13 +55,16 @@ def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
     """Return the (4,) largest differences from QR, in standard deviations of the parameters.
 
     QR fits the points of the lines at 64 Chebyshev nodes of their ranges. The frame of the mean
-    pose is that of the map, in which all lines of the scenes are functions of x.
+    pose is that of the map, in which all lines of the scenes begin in the direction of x. They are
+    functions of x until they turn back, as the street turn does beyond 90 deg.
     """
     lines = refit(poses)  # (N, L, 4)
     nodes, reference = np.cos(np.pi * np.arange(64) / 63), []
     for line, (low, high) in zip(scene.lines.values(), refit.x_range, strict=True):
         x = (low + high) / 2 + (high - low) / 2 * nodes
-        points = np.column_stack([x, np.interp(x, *line.points.T)])
+        advances = np.append(True, np.diff(line.points[:, 0]) > 0)
+        function = line.points[np.logical_and.accumulate(advances)]
+        points = np.column_stack([x, np.interp(x, *function.T)])
         reference.append(qr_refit(points, poses))
     difference = np.nanmax(np.abs(lines - np.stack(reference, axis=1)), axis=0)
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
