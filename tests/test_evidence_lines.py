@@ -177,7 +177,7 @@ def test_dishonest_lines_are_found(
         return lines
 
     monkeypatch.setattr(tool, "map_lines", halved)
-    monkeypatch.setattr(tool, "LEAST_VALUES", 100)
+    monkeypatch.setattr(witness, "LEAST_VALUES", 100)
     status, result = run(capsys, "--shape", "city")
     text = "\n".join(result["missed"])
     assert status == 1

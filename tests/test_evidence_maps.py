@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import evidence_maps as tool
+import line_witness
 import numpy as np
 import pytest
 from drive_files import town
@@ -114,7 +115,7 @@ def test_dishonest_lines_are_found(
         return lines
 
     monkeypatch.setattr(tool, "map_lines", halved)
-    monkeypatch.setattr(tool, "LEAST_VALUES", 100)
+    monkeypatch.setattr(line_witness, "LEAST_VALUES", 100)
     result = result_of(capsys, town(tmp_path), status=1)
     assert any("beyond 3 sigma at x = x_min" in text for text in result["missed"])
 

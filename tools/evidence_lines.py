@@ -23,27 +23,25 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from line_witness import (
     AHEAD,
-    LEAST_VALUES,
-    NEAR,
-    PLACES,
+    HEADINGS,
     POSES,
     WINDOW,
     Array,
-    beyond,
-    crossings,
+    Poses,
+    Tally,
+    cells,
     is_oncoming,
+    missed,
     place_of,
     quantiles,
-    rms,
     seen_from,
-    turned,
 )
 from random_roads import SHAPES, random_case
 from reporting import bar, parser_of
@@ -54,9 +52,8 @@ from maplines_can import Codec, Gaussian, MapError, MapLine, Polyline, Slot, map
 MAX_MISFIT = 0.1
 #: Of --map-error.
 MAP_ERROR = MapError(point_sigma=0.05, offset_sigma=0.1, heading_sigma=np.radians(0.1))
-#: Bounds: largest share of |z| > 3, rms of z, largest share of refused lines, and least ratio of
-#: the range to its limit (median, 5 % quantile).
-BEYOND, RMS, REFUSED, RATIO = 0.005, (0.85, 1.08), 0.02, (0.85, 0.6)
+#: Bounds: rms of z, and least ratio of the range to its limit (median, 5 % quantile).
+RMS, RATIO = (0.85, 1.08), (0.85, 0.6)
 #: A line that reaches farther both ways from x = 0 could be given there [m].
 AT_CAR = 2.0
 #: A line is a function y(x) while it deviates by less from the car's x axis [rad].
@@ -142,9 +139,10 @@ class Settings(NamedTuple):
 
 def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callable[[], Any]) -> Any:
     """Return the figures of one shape of road and one pose."""
-    z: dict[str, list[Array]] = {name: [] for name in PLACES}
-    reasons, lengths, reach, same, longest = Counter[str](), [], [], [], []
-    ahead = refused = visible = refused_visible = at_car = not_at_car = 0
+    tally = Tally()
+    same: list[float] = []
+    longest: list[float] = []
+    visible = refused_visible = at_car = not_at_car = 0
     for number in range(settings.lines):
         step()
         rng = np.random.default_rng([seed, list(SHAPES).index(shape), number])
@@ -154,14 +152,11 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
             points, local, is_reversed = points[::-1], local[::-1], not is_reversed
         nearest, s = place_of(local)
         view = View(local, nearest)
-        is_ahead = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0) >= AHEAD
-        root = turned(pose[2]) * [sigma[0], sigma[1], np.radians(sigma[2])]
-        ego = Gaussian(pose, root @ root.T)
+        poses = Poses.about(pose, sigma, settings.draws, rng)
+        ego = Gaussian(pose, poses.cov)
         line = given(points[:: -1 if is_reversed else 1], ego, settings)
         is_given = isinstance(line, MapLine)
-        reasons[line if isinstance(line, str) else "given"] += 1
-        ahead += is_ahead
-        refused += is_ahead and not is_given
+        tally.count(local, s, line if isinstance(line, str) else "given")
         is_visible = view.is_seen and view.low <= 0 and view.high >= AHEAD
         visible += is_visible
         refused_visible += is_visible and not is_given
@@ -170,32 +165,17 @@ def measure(shape: str, sigma: Any, settings: Settings, seed: int, step: Callabl
         is_at_car = view.is_seen and view.low <= -AT_CAR and view.high >= AT_CAR
         at_car += is_at_car
         not_at_car += is_at_car and not line.x_min <= 0 <= line.x_max
-        lengths.append(line.x_max - line.x_min)
-        reach.append(line.x_max)
-        length = lengths[-1]
+        length = line.x_max - line.x_min
         if view.is_seen and number < settings.ranges and length > 0:
             begin = max(line.x_min, view.low)
             same.append(length / max(view.farthest(begin, begin + 0.5 * length) - begin, length))
             longest.append(length / max(view.longest(length / same[-1]), length))
-        for name, values in z.items():
-            x = PLACES[name](line.x_min, line.x_max)
-            if line.x_min <= x <= line.x_max:
-                near = np.abs(s) <= NEAR + np.diff(s).max()
-                true = drawn(points[near], pose, settings, rng)
-                poses = pose + rng.standard_normal((settings.draws, 3)) @ root.T
-                y = crossings(seen_from(true, poses), s[near], x)
-                values.append((y - line.y(x)) / line.y_sigma(x))
+        tally.evaluate(line, points, s, partial(seen, poses=poses, settings=settings))
     return {
         "lines": settings.lines,
-        "left out": dict(sorted(reasons.items())),
-        "refused": refused / max(ahead, 1),
         "refused in view": refused_visible / max(visible, 1),
         "not at the car": not_at_car / max(at_car, 1),
-        "beyond 3 sigma": {name: beyond(values) for name, values in z.items()},
-        "rms": {name: rms(values) for name, values in z.items()},
-        "values": {name: sum(map(len, values)) for name, values in z.items()},
-        "range": quantiles(lengths),
-        "x_max": quantiles(reach),
+        **tally.figures(),
         "ratio, same x_min": quantiles(same),
         "ratio, any x_min": quantiles(longest),
     }
@@ -213,6 +193,11 @@ def given(points: Array, ego: Gaussian, settings: Settings) -> MapLine | str:
     return over_the_wire(settings.codec, lines[0]) or "OUT_OF_RANGE"
 
 
+def seen(points: Array, poses: Poses, settings: Settings) -> Array:
+    """Return the (D, n, 2) true points as seen from a draw of the poses."""
+    return poses.see(drawn(points, poses.mean, settings, poses.rng))
+
+
 def drawn(points: Array, pose: Array, settings: Settings, rng: Any) -> Array:
     """Return the (n, 2) points, or with a map error (D, n, 2) draws of the true ones."""
     if not settings.map_error:
@@ -225,48 +210,29 @@ def drawn(points: Array, pose: Array, settings: Settings, rng: Any) -> Array:
     return about_car + pose[:2] + common + local
 
 
-def missed(name: str, row: Any, is_production: bool) -> Iterator[str]:
-    """Yield the bounds that the figures of a shape miss."""
-    for place, n in row["values"].items():
-        if n >= LEAST_VALUES:
-            if row["beyond 3 sigma"][place] > BEYOND:
-                yield f"{name}: {row['beyond 3 sigma'][place]:.2%} beyond 3 sigma at x = {place}"
-            if is_production and not RMS[0] <= row["rms"][place] <= RMS[1]:
-                yield f"{name}: rms of z is {row['rms'][place]:.2f} at x = {place}"
-    if row["refused"] > REFUSED:
-        yield f"{name}: {row['refused']:.1%} of the lines with 15 m ahead are refused"
-    if is_production:
-        for which in ("ratio, same x_min", "ratio, any x_min"):
-            for value, bound, what in zip(row[which], RATIO, ("median", "5 %"), strict=False):
-                if value < bound:
-                    yield f"{name}: {which}: the {what} is {value:.2f}"
+def missed_ratios(name: str, row: Any) -> Iterator[str]:
+    """Yield the ratios of the ranges to their limits that are too small."""
+    for which in ("ratio, same x_min", "ratio, any x_min"):
+        for value, bound, what in zip(row[which], RATIO, ("median", "5 %"), strict=False):
+            if value < bound:
+                yield f"{name}: {which}: the {what} is {value:.2f}"
 
 
 def show(title: str, rows: Any) -> None:
     """Print the figures of a pose as a table."""
-    places = "".join(f"{'x = ' + name:>14}" for name in PLACES)
     print(
-        f"\n{title}\n{'':16} refused in view  no x=0  {places}"
-        "   range  x_max  ratio, same   any x_min\n"
-        f"{'':42}{'  |z| > 3  rms' * len(PLACES)}"
-        "       m      m   50 %  5 %   50 %  5 %"
+        f"\n{title}\n{'':16} refused in view  no x=0  {HEADINGS[0]}  ratio, same   any x_min\n"
+        f"{'':42}{HEADINGS[1]}   50 %  5 %   50 %  5 %"
     )
     for name, row in rows.items():
-        figures = "".join(
-            f"{row['beyond 3 sigma'][place]:9.2%}{row['rms'][place] or np.nan:5.2f}"
-            if row["values"][place]
-            else f"{'-':>14}"
-            for place in PLACES
-        )
         ratios = " ".join(
             f"{row[which][0]:6.2f}{row[which][1]:5.2f}" if row[which] else f"{'-':>11}"
             for which in ("ratio, same x_min", "ratio, any x_min")
         )
-        lengths = "".join(f"{(row[key] or [0])[0]:7.1f}" for key in ("range", "x_max"))
         lost = "".join(
             f"{row[key]:8.1%}" for key in ("refused", "refused in view", "not at the car")
         )
-        print(f"{name:16}{lost}  {figures} {lengths} {ratios}")
+        print(f"{name:16}{lost}  {cells(row)} {ratios}")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -315,7 +281,10 @@ def evidence(arguments: argparse.Namespace) -> tuple[dict[str, Any], list[str]]:
                 row = measure(shape, sigma, settings, arguments.seed, progress.update)
                 result[pose_name][shape] = row
                 name = f"MISSED  {pose_name}, {shape}"
-                misses += missed(name, row, pose_name == "production")
+                if pose_name == "production":
+                    misses += [*missed(name, row, RMS), *missed_ratios(name, row)]
+                else:
+                    misses += missed(name, row)
     return result, misses
 
 

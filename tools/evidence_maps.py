@@ -23,27 +23,23 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from line_witness import (
-    AHEAD,
-    LEAST_VALUES,
-    NEAR,
-    PLACES,
+    HEADINGS,
     POSES,
     WINDOW,
     Array,
-    beyond,
+    Poses,
+    Tally,
+    cells,
     crossings,
+    missed,
     place_of,
-    quantiles,
-    rms,
     seen_from,
-    turned,
 )
 from reporting import bar, parser_of
 
@@ -55,10 +51,8 @@ OFFSET, TURN = 0.5, np.radians(3.0)
 #: Largest difference of the line of a slot from the boundary of a lane [m], and largest angle
 #: between the car and its lane [rad].
 TOLERANCE, SKEW = 0.1, np.radians(60.0)
-#: Bounds: largest share of |z| > 3, largest share of refused lines, least share of right slots.
-BEYOND, REFUSED, RIGHT = 0.005, 0.02, 0.995
-#: Fewer poses are too few to compare the share of right slots with its bound.
-LEAST_POSES = 200
+#: Least share of right slots, and the least number of poses for which it is a bound.
+RIGHT, LEAST_POSES = 0.995, 200
 
 
 def random_pose(lane: maps.Lane, rng: np.random.Generator) -> Array:
@@ -169,10 +163,7 @@ class Witness:
 
 def measure(found: maps.Map, sigma: Any, poses: int, draws: int, seed: int, step: Any) -> Any:
     """Return the figures of a map."""
-    z: dict[str, list[Array]] = {name: [] for name in PLACES}
-    reasons, lengths, reach = Counter[str](), [], []
-    ahead = refused = right = 0
-    wrong = []
+    tally, right, wrong = Tally(), 0, []
     witness = Witness(found)
     lanes = [lane for lane in found.lanes.values() if lane.type.is_drivable and lane.length > 0]
     lengths_of_lanes = np.array([lane.length for lane in lanes])
@@ -187,54 +178,28 @@ def measure(found: maps.Map, sigma: Any, poses: int, draws: int, seed: int, step
         right += is_right
         if not is_right:
             wrong.append({"lane": lane.id, "pose": pose.tolist()})
-        root = turned(pose[2]) * [sigma[0], sigma[1], np.radians(sigma[2])]
-        lines = map_lines(given, Gaussian(pose, root @ root.T), window=WINDOW)
-        reasons.update(reason.name for reason in lines.left_out.values())
-        reasons["given"] += len(lines)
+        drawn = Poses.about(pose, sigma, draws, rng)
+        lines = map_lines(given, Gaussian(pose, drawn.cov), window=WINDOW)
         by_slot = {line.slot: line for line in lines}
         for slot, line in given.items():
-            points = line.points
-            local = seen_from(points, pose[None])[0]
+            local = seen_from(line.points, pose[None])[0]
             _, s = place_of(local)
-            is_ahead = s[(s >= 0) & (np.hypot(*local.T) <= WINDOW[1])].max(initial=0.0) >= AHEAD
-            ahead += is_ahead
-            refused += is_ahead and slot not in by_slot
-            if slot not in by_slot:
-                continue
-            sent = by_slot[slot]
-            lengths.append(sent.x_max - sent.x_min)
-            reach.append(sent.x_max)
-            near = np.abs(s) <= NEAR + np.diff(s).max()
-            for name, place in PLACES.items():
-                x = place(sent.x_min, sent.x_max)
-                if sent.x_min <= x <= sent.x_max:
-                    drawn = pose + rng.standard_normal((draws, 3)) @ root.T
-                    y = crossings(seen_from(points[near], drawn), s[near], x)
-                    z[name].append((y - sent.y(x)) / sent.y_sigma(x))
+            tally.count(local, s, "given" if slot in by_slot else lines.left_out[slot].name)
+            if slot in by_slot:
+                tally.evaluate(by_slot[slot], line.points, s, drawn.see)
     return {
         "lanes": len(lanes),
         "km": float(lengths_of_lanes.sum()) / 1000,
         "skipped": len(found.skipped),
         "poses": poses,
-        "left out": dict(sorted(reasons.items())),
-        "refused": refused / max(ahead, 1),
-        "beyond 3 sigma": {name: beyond(values) for name, values in z.items()},
-        "rms": {name: rms(values) for name, values in z.items()},
-        "values": {name: sum(map(len, values)) for name, values in z.items()},
-        "range": quantiles(lengths),
-        "x_max": quantiles(reach),
+        **tally.figures(),
         "slots right": right / poses,
         "slots wrong": wrong[:10],
     }
 
 
-def missed(name: str, row: Any) -> Iterator[str]:
-    """Yield the bounds that the figures of a map miss."""
-    for place, n in row["values"].items():
-        if n >= LEAST_VALUES and row["beyond 3 sigma"][place] > BEYOND:
-            yield f"{name}: {row['beyond 3 sigma'][place]:.2%} beyond 3 sigma at x = {place}"
-    if row["refused"] > REFUSED:
-        yield f"{name}: {row['refused']:.1%} of the lines with 15 m ahead are refused"
+def missed_slots(name: str, row: Any) -> Iterator[str]:
+    """Yield the bound of the slots if it is missed."""
     if row["poses"] >= LEAST_POSES and row["slots right"] < RIGHT:
         yield f"{name}: the slots of {row['slots right']:.2%} of the poses are right"
 
@@ -242,22 +207,14 @@ def missed(name: str, row: Any) -> Iterator[str]:
 def show(rows: Any) -> None:
     """Print the figures of the maps as a table."""
     width = max(map(len, rows), default=0) + 1
-    places = "".join(f"{'x = ' + name:>14}" for name in PLACES)
     print(
-        f"{'':{width}} lanes     km  poses  right  refused  {places}  range  x_max\n"
-        f"{'':{width}}{'':39}{'  |z| > 3  rms' * len(PLACES)}{'m':>7}{'m':>7}"
+        f"{'':{width}} lanes     km  poses  right  refused  {HEADINGS[0]}\n"
+        f"{'':{width}}{'':39}{HEADINGS[1]}"
     )
     for name, row in rows.items():
-        figures = "".join(
-            f"{row['beyond 3 sigma'][place]:9.2%}{row['rms'][place] or np.nan:5.2f}"
-            if row["values"][place]
-            else f"{'-':>14}"
-            for place in PLACES
-        )
-        lengths = "".join(f"{(row[key] or [0])[0]:7.1f}" for key in ("range", "x_max"))
         print(
             f"{name:{width}}{row['lanes']:6}{row['km']:7.1f}{row['poses']:7}"
-            f"{row['slots right']:8.2%}{row['refused']:8.1%}  {figures}{lengths}"
+            f"{row['slots right']:8.2%}{row['refused']:8.1%}  {cells(row)}"
         )
 
 
@@ -333,7 +290,8 @@ def evidence(
                 arguments.seed,
                 progress.update,
             )
-            misses += missed(f"MISSED  {name}", rows[name])
+            title = f"MISSED  {name}"
+            misses += [*missed(title, rows[name]), *missed_slots(title, rows[name])]
     return rows, not_used, misses
 
 
