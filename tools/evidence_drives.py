@@ -182,10 +182,15 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
     """Return the figures of the slots of a recorded drive."""
     with (folder / "truth.csv").open() as file:
         rows = list(csv.DictReader(file))
+    sent = lines_of_cycles(decoded(folder / "drive.log"), rows)
+    has = [k for k, cycle in enumerate(sent) if cycle]  # a sender that is late leaves some out
+    changed = [k for k, row in enumerate(rows) if float(row["lane_changed"])]
+    recorded = np.searchsorted(has, changed).tolist()
+    rows = [rows[k] for k in has]
+    cycles = known_lines([sent[k] for k in has])
     poses = np.array(
         [[float(row[f"stated_{name}"]) for name in ("x", "y", "heading")] for row in rows]
     )
-    cycles = lines_of_cycles(decoded(folder / "drive.log"), rows)
     witness, counts, wrong = Witness(found), Counter[str](), list[str]()
     changes: list[Change] = []
     places = [route.start]
@@ -207,7 +212,6 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
         if not witness.is_right(at_car, poses[k]):
             wrong.append(f"{rows[k]['drive_time']} s")
     ego = [change for change in changes if change.side]
-    recorded = [k for k, row in enumerate(rows) if float(row["lane_changed"])]
     planned = [change for change in route.changes if change.end < places[-1]]
     of_route = len(ego) == len(planned) and all(
         change.side == ("left" if plan.is_left else "right")
@@ -215,11 +219,12 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
         for change, plan in zip(ego, planned, strict=True)
     )
     of_truth = len(ego) == len(recorded) and all(
-        k <= change.first <= k + PATIENCE for change, k in zip(ego, recorded, strict=True)
+        k - 1 <= change.first <= k + PATIENCE  # the age is rounded, too
+        for change, k in zip(ego, recorded, strict=True)
     )
     away = [row["lane"] != row["stated_lane"] for row in rows]
     return {
-        "cycles": len(rows),
+        "cycles of which a line was sent": len(rows),
         "slots with another line": counts["slots with another line"],
         "of these without a line now": counts["of these without a line now"],
         "moments at which slots change": len(changes),
@@ -257,25 +262,31 @@ class Change:
         return {(1.0,): "left", (-1.0,): "right", (0.0,): ""}.get((*sides,), "neither")
 
 
-def lines_of_cycles(lines: list[MapLine], rows: Any) -> list[dict[Slot, tuple[MapLine, int]]]:
-    """Return what a receiver knows in each cycle: lines by slot, and the cycle of their poses.
-
-    A line that was not sent for the pose of a cycle is known from the one before.
-    """
+def lines_of_cycles(lines: list[MapLine], rows: Any) -> list[dict[Slot, MapLine]]:
+    """Return the lines that were sent of the pose of each cycle."""
     times = np.array([float(row["time"]) for row in rows])
-    cycles: list[dict[Slot, tuple[MapLine, int]]] = [{} for _ in rows]
+    cycles: list[dict[Slot, MapLine]] = [{} for _ in rows]
     for line in lines:
         if np.isfinite(line.age):
             of_pose = 1e-9 * (line.t_ns or 0) - line.age + AGE_ROUNDING
             after = min(int(times.searchsorted(of_pose)), len(times) - 1)
             k = min((max(after - 1, 0), after), key=lambda i: abs(times[i] - of_pose))
-            cycles[k][line.slot] = line, k
-    for slot in SLOTS:
-        has = [k for k, cycle in enumerate(cycles) if slot in cycle]
-        for k, then in pairwise(has):
-            if then - k <= PATIENCE + 1:
-                cycles[k + 1 : then] = [c | {slot: cycles[k][slot]} for c in cycles[k + 1 : then]]
+            cycles[k][line.slot] = line
     return cycles
+
+
+def known_lines(sent: list[dict[Slot, MapLine]]) -> list[dict[Slot, tuple[MapLine, int]]]:
+    """Return the lines that a receiver knows in each cycle, and the cycles of their poses.
+
+    A line that was not sent in a cycle is known from the one before.
+    """
+    known = [{slot: (line, k) for slot, line in lines.items()} for k, lines in enumerate(sent)]
+    for slot in SLOTS:
+        for k, then in pairwise([k for k, lines in enumerate(sent) if slot in lines]):
+            if then - k <= PATIENCE + 1:
+                for lines in known[k + 1 : then]:
+                    lines[slot] = sent[k][slot], k
+    return known
 
 
 def jump(before: Any, now: Any, slot: Slot, poses: Any, k: int) -> float:

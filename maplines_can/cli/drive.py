@@ -7,10 +7,10 @@ import json
 import math
 import time
 import uuid
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict
 from importlib.util import find_spec
-from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -18,31 +18,41 @@ import numpy as np
 
 from ..bus import LogWriter
 from ..bus.log_writer import check_log_path
-from ..ego import (
-    LineSource,
-    PoseSource,
-    RecordedDrive,
-    SimulatedDrive,
-    State,
-    check_on_map,
-    drive_along,
-)
-from ..errors import RouteError
+from ..ego import LineSource, PoseSource, RecordedDrive, SimulatedDrive, State
+from ..ego.line_source import WINDOW, ChooseComponents
+from ..gaussian import Gaussian
 from ..line import LeftOut, Slot
-from ..maps import LaneTracker, Map, Route, load, random_tour, town_path, town_tour
-from ..propagation import MapError
+from ..maps import LaneTracker, Map, Route, load, town_path
+from ..polyline import Polyline
+from ..propagation.component_counts import component_counts
+from ..wire import Codec
 from .driving import Counters, Drive, TruthRecorder
-from .options import add_bus, add_codec, add_json, bus_settings, keyed_codec
+from .options import (
+    add_bus,
+    add_codec,
+    add_faults,
+    add_json,
+    bus_settings,
+    fault_counts,
+    fault_injector,
+    fault_opener,
+    keyed_codec,
+)
+from .output import faults_text
 from .parsing import add_command, number, seconds
-from .sending import bitrates
+from .sending import (
+    MAX_LOAD,
+    add_line_model,
+    bitrates,
+    component_budget,
+    line_nonlinearity,
+    map_error_of,
+)
 from .stderr import note, progress_bar
+from .ways import TOUR, add_way, check_way, states_of, way_of
 
 #: Standard deviations of the stated pose: along [m], across [m], heading [deg].
 SIGMA = (0.3, 0.1, 0.2)
-#: Length of a route that is chosen at random [m].
-TOUR = 10_000.0
-#: Ways from road to road that are compared, if a route is given by roads.
-MOST_WAYS = 400
 
 DESCRIPTION = f"""\
 Let a car drive on a map and send the lines around it until the drive ends, or until Ctrl-C. Then
@@ -63,17 +73,7 @@ def add_drive(commands: Any) -> None:
     parser = add_command(commands, "drive", _drive, DESCRIPTION, example)
     add = parser.add_argument
     add("map", nargs="?", metavar="MAP", help="map file (default: the town of this project)")
-    ways = parser.add_mutually_exclusive_group()
-    ways.add_argument(
-        "--route",
-        metavar="A..B",
-        help="route from A to B, which are ids of lanes or of roads; A..B..C leads through B",
-    )
-    ways.add_argument(
-        "--drive",
-        metavar="FILE",
-        help="recorded drive: a CSV file with time, x and y (or lat_deg and lon_deg) and heading",
-    )
+    add_way(parser)
     add(
         "--rate",
         type=number(float, 5, 100),
@@ -106,12 +106,7 @@ def add_drive(commands: Any) -> None:
         metavar="S",
         help="time in which the correlation of the pose errors falls to 1/e [s] (default: 10)",
     )
-    add(
-        "--map-error",
-        type=number(float, 1e-6, 100),
-        metavar="SIGMA",
-        help="standard deviation that is stated for the map [m], as for 'send' (default: none)",
-    )
+    add_line_model(parser)
     add(
         "--seed",
         type=number(int, 0, 2**32),
@@ -120,6 +115,7 @@ def add_drive(commands: Any) -> None:
     )
     add_bus(parser, private=True)
     add_codec(parser)
+    add_faults(parser)
     add(
         "--record",
         metavar="FILE",
@@ -147,6 +143,7 @@ def _drive(arguments: argparse.Namespace) -> int:
             "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
             "--record for a log"
         )
+    check_way(arguments)
     clock_ns = time.time_ns()
 
     def set_clock(t_ns: int) -> None:
@@ -159,10 +156,11 @@ def _drive(arguments: argparse.Namespace) -> int:
     found = load(town_path() if arguments.map is None else arguments.map)
     if found.skipped:
         note(f"{found.name}: {len(found.skipped)} parts of the file are not used")
-    way, route = _way(found, arguments)
-    states = _states(way, arguments)
     slots = tuple(Slot)[: arguments.lines]
-    source = _source(found, way, route, slots, arguments)
+    components = _components(codec, slots, arguments)
+    way, route = way_of(found, arguments)
+    states = states_of(way, arguments)
+    source = _source(found, way, route, slots, components, arguments)
     counters = Counters()
     with ExitStack() as stack:
         truth = None
@@ -187,9 +185,10 @@ def _drive(arguments: argparse.Namespace) -> int:
         )
         if not arguments.json:
             note(_start_text(found, route, states, arguments))
-        sent = {} if fast else _send(drive, arguments)
         if fast:
-            drive.simulate(time.time_ns(), set_clock)
+            sent = drive.simulate(time.time_ns(), set_clock, fault_injector(arguments))
+        else:
+            sent = _send(drive, arguments)
     result = _result(states, counters, arguments) | sent
     result |= {"record": arguments.record, "truth": path}
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
@@ -200,75 +199,34 @@ def _send(drive: Drive, arguments: argparse.Namespace) -> dict[str, Any]:
     settings = bus_settings(arguments)
     if arguments.interface == "virtual" and arguments.channel is None:
         settings["channel"] = f"maplines-{uuid.uuid4()}"
-    return drive.send(settings)
+    opener = fault_opener(arguments)
+    sent = drive.send(opener, settings)
+    return sent | ({"faults": fault_counts(opener)} if opener else {})
 
 
-def _way(
-    found: Map, arguments: argparse.Namespace
-) -> tuple[SimulatedDrive | RecordedDrive, Route | None]:
-    """Return the drive and its route; a recorded drive has none."""
-    if not any(lane.type.is_drivable for lane in found.lanes.values()):
-        raise RouteError(f"the map {found.name} has no lanes to drive on")
-    if arguments.drive is not None:
-        recorded = RecordedDrive.from_csv(arguments.drive, projection=found.projection)
-        centres = [lane.centre for lane in found.lanes.values()]
-        share = check_on_map(recorded.pose[:, :2], centres, found.projection, arguments.drive)
-        if share < 1:
-            note(f"{arguments.drive}: {100 * (1 - share):.1f} % of the positions are off the map")
-        if recorded.skipped:
-            note(f"{arguments.drive}: {recorded.skipped} rows are skipped")
-        return recorded, None
-    if arguments.route is not None:
-        route = _route(found, arguments.route)
-    elif arguments.map is None:
-        route = town_tour(found)
-    else:
-        route = random_tour(found, TOUR, arguments.seed)
-    return drive_along(found, route), route
+def _components(
+    codec: Codec, slots: tuple[Slot, ...], arguments: argparse.Namespace
+) -> int | ChooseComponents:
+    """Return the number of mixture components of each line, or a function that chooses it.
 
-
-def _route(found: Map, text: str) -> Route:
-    """Return the route of ``--route``: the shortest one, if it is given by roads."""
-    stops = [_lanes(found, name, text) for name in text.split("..")]
-    if len(stops) < 2:
-        raise RouteError(f"--route must be A..B, two ids of lanes or roads, got {text!r}")
-    best: Route | None = None
-    error = RouteError("there is none")
-    for start, *via, goal in islice(product(*stops), MOST_WAYS):
-        try:
-            route = found.route(start, goal, via)
-        except RouteError as wrong:
-            error = wrong
-            continue
-        if best is None or route.length < best.length:
-            best = route
-    if best is None:
-        raise RouteError(f"--route {text}: {error}")
-    return best
-
-
-def _lanes(found: Map, name: str, text: str) -> list[str]:
-    """Return the lanes that a name in ``--route`` may stand for."""
-    if name in found.lanes:
-        return [name]
-    if name in found.roads:
-        lanes = [id_ for id_ in found.roads[name].lanes if found.lanes[id_].type.is_drivable]
-        if lanes:
-            return lanes
-        raise RouteError(f"--route {text}: the road {name!r} has no lane to drive on")
-    some = ", ".join([*islice(found.roads, 3), *islice(found.lanes, 3)])
-    raise RouteError(
-        f"--route {text}: the map has neither a lane nor a road {name!r}; its ids are such as "
-        f"{some}"
+    Raises:
+        ValueError: the lines exceed ``--max-load``, or the whole bus in a log without a bus.
+    """
+    auto = arguments.components == "auto"
+    least = 1 if auto else arguments.components
+    max_load = arguments.max_load
+    if max_load is None and (auto or arguments.as_fast_as_possible):
+        max_load = MAX_LOAD if auto else 1.0
+    rate, fd, bitrate = arguments.rate, arguments.fd, bitrates(arguments)[0]
+    budget = component_budget(
+        codec, slots, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
     )
 
+    def choose(lines: Mapping[Slot, Polyline], ego: Gaussian) -> Mapping[Slot, int]:
+        amounts = [line_nonlinearity(line, ego, WINDOW) for line in lines.values()]
+        return dict(zip(lines, component_counts(amounts, budget=budget), strict=True))
 
-def _states(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> State:
-    """Return the true states at the sending rate."""
-    times = way.times(arguments.rate)
-    if arguments.seconds is not None:
-        times = times[times - times[0] < arguments.seconds]
-    return way.at(times)
+    return choose if auto else least
 
 
 def _source(
@@ -276,6 +234,7 @@ def _source(
     way: SimulatedDrive | RecordedDrive,
     route: Route | None,
     slots: tuple[Slot, ...],
+    components: int | ChooseComponents,
     arguments: argparse.Namespace,
 ) -> LineSource:
     """Return the source of the lines, with the pose errors of the options."""
@@ -290,9 +249,9 @@ def _source(
         stated = PoseSource(
             (*sigma[:2], math.radians(sigma[2])), arguments.correlation_time, arguments.seed
         ).pose
-    error = arguments.map_error
-    map_error = MapError(error, error, np.radians(0.05)) if error else None
-    return LineSource(found, stated, slots, route, map_error=map_error)
+    return LineSource(
+        found, stated, slots, route, map_error=map_error_of(arguments), components=components
+    )
 
 
 def _truth_path(arguments: argparse.Namespace) -> str | None:
@@ -351,6 +310,8 @@ def _text(result: dict[str, Any]) -> str:
     }
     lost = [f"{result[name]} {what}" for name, what in unsent.items() if result.get(name)]
     rows += [f"lost      {'; '.join(lost)}"] * bool(lost)
+    if "faults" in result:
+        rows.append(f"faults    {faults_text(result['faults'])}")
     reasons = [f"{n} times, {LeftOut[name]}" for name, n in sorted(result["left_out"].items())]
     rows.append(f"left out  {'; '.join(reasons) or 'no line'}")
     rows.append(

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..bus import Link, LogWriter, Transmitter, frame_time
 from ..ego import Cycle, LineSource, State
-from ..line import MapLineList, Slot
+from ..line import MapLine, MapLineList, Slot
 from ..maps import LaneTracker
 from ..wire import Codec, Frame
 
 if TYPE_CHECKING:
     from ..study.drives.truth import TruthWriter
+    from ..testing import FaultInjector, FaultyOpener
 
 #: Shows the time of the drive that has passed and its whole duration [s].
 Progress = Callable[[float, float], None]
@@ -29,10 +31,11 @@ class Counters:
     """Counters of a drive."""
 
     cycles: int = 0
+    stopped: bool = False  #: by Ctrl-C
     late_cycles: int = 0  #: left out, because the machine was busy
     lines: int = 0
     frames: int = 0
-    bus_time: float = 0.0  #: that the frames take, with the most stuff bits [s]
+    bus_time: float = 0.0  #: that the frames on the bus take, with the most stuff bits [s]
     cpu: float = 0.0  #: of this process [s]
     lane_changes: int = 0
     slot_changes: int = 0  #: slots that got another line: new ones, and all at a lane change
@@ -102,67 +105,94 @@ class Drive:
     progress: Progress
     counters: Counters = field(default_factory=Counters)
 
-    def simulate(self, start_ns: int, set_clock: Callable[[int], None]) -> None:
+    def simulate(
+        self,
+        start_ns: int,
+        set_clock: Callable[[int], None],
+        injector: FaultInjector[Frame] | None = None,
+    ) -> dict[str, Any]:
         """Encode all cycles at once, as if they were sent from a time on [ns].
 
         The lines of a cycle are sent back to back from the time of its pose on.
+
+        Returns:
+            The counters of the injected faults.
         """
         set_clock(start_ns)
         with self._log(start_ns) as log:
+            bus = SimulatedBus(
+                1e-9 * start_ns, injector, self._duration, partial(self._on_bus, log)
+            )
             step = 0.0
             for t_ns, state in self._cycles(start_ns):
                 set_clock(t_ns)
                 cycle = self._cycle(t_ns, state)
-                stamp = 1e-9 * t_ns
+                bus.wait(1e-9 * t_ns)
                 step = step or self._transfer_time(cycle.lines)
-                aged = [replace(line, age=i * step) for i, line in enumerate(cycle.lines)]
+                ages = np.cumsum([0.0, *(step * _records(line) for line in cycle.lines)])
+                aged = [
+                    replace(line, age=float(age))
+                    for line, age in zip(cycle.lines, ages, strict=False)
+                ]
                 for frames in self.codec.encode_lines(aged, fd=self.fd):
                     self.counters.lines += 1
                     for frame in frames:
-                        stamp += self._count(frame)
-                        if log is not None:
-                            log.write(frame, stamp)
+                        self.counters.frames += 1
+                        bus.send(frame)
+            bus.close()
+        return {} if injector is None else {"faults": injector.as_dict() | {"unsent": 0}}
 
-    def send(self, settings: dict[str, Any]) -> dict[str, Any]:
-        """Send all cycles in real time, and return the counters of the transmitter."""
+    def send(self, opener: FaultyOpener | None, settings: dict[str, Any]) -> dict[str, Any]:
+        """Send all cycles in real time, and return the counters of the transmitter.
+
+        Args:
+            opener: injects faults; None for none.
+            settings: of ``Link``.
+        """
         start_ns, start = time.time_ns(), time.monotonic()
-        with self._log(start_ns) as log, Link(**settings) as link:
+        with self._log(start_ns) as log:
+
+            def on_bus(frame: Frame) -> None:
+                self._on_bus(log, frame, 1e-9 * time.time_ns())
 
             def sent(frame: Frame) -> None:
-                self._count(frame)
-                if log is not None:
-                    log.write(frame, 1e-9 * time.time_ns())
+                self.counters.frames += 1
+                if opener is None:
+                    on_bus(frame)
 
-            transmitter = Transmitter(
-                link, self.codec, period=self.period, fd=self.fd, on_sent=sent
-            )
-            given: set[Slot] = set()
-            try:
-                with transmitter:
-                    for t_ns, state in self._cycles(start_ns):
-                        due = start + 1e-9 * (t_ns - start_ns)
-                        late = time.monotonic() - due
-                        if late >= self.period:
-                            self.counters.late_cycles += 1
-                            continue
-                        if transmitter.wait(max(-late, 0.0)):
-                            break
-                        cycle = self._cycle(t_ns, state)
-                        for slot in given - cycle.scene.lines.keys():
-                            transmitter.retract(slot)
-                        given = {line.slot for line in cycle.lines}
-                        transmitter.publish(cycle.lines, t_ns)
-                    transmitter.wait(self.period)
-            except KeyboardInterrupt:
-                pass
-            stats = transmitter.stats()
-            self.counters.lines = stats.lines
-            return {
-                "down": stats.down,
-                "full": stats.full,
-                "overruns": stats.overruns,
-                "outages": link.outages,
-            }
+            if opener is not None:
+                opener.on_sent = on_bus
+            with Link(opener, **settings) as link:
+                transmitter = Transmitter(
+                    link, self.codec, period=self.period, fd=self.fd, on_sent=sent
+                )
+                given: set[Slot] = set()
+                try:
+                    with transmitter:
+                        for t_ns, state in self._cycles(start_ns):
+                            due = start + 1e-9 * (t_ns - start_ns)
+                            late = time.monotonic() - due
+                            if late >= self.period:
+                                self.counters.late_cycles += 1
+                                continue
+                            if transmitter.wait(max(-late, 0.0)):
+                                break
+                            cycle = self._cycle(t_ns, state)
+                            for slot in given - cycle.scene.lines.keys():
+                                transmitter.retract(slot)
+                            given = {line.slot for line in cycle.lines}
+                            transmitter.publish(cycle.lines, t_ns)
+                        transmitter.wait(self.period)
+                except KeyboardInterrupt:
+                    self.counters.stopped = True
+                stats = transmitter.stats()
+                self.counters.lines = stats.lines
+                return {
+                    "down": stats.down,
+                    "full": stats.full,
+                    "overruns": stats.overruns,
+                    "outages": link.outages,
+                }
 
     def _cycles(self, start_ns: int) -> Iterator[tuple[int, State]]:
         """Yield the time of each cycle [ns] and the true state."""
@@ -184,12 +214,15 @@ class Drive:
     def _log(self, start_ns: int) -> AbstractContextManager[LogWriter | None]:
         return nullcontext() if self.open_log is None else self.open_log(1e-9 * start_ns)
 
-    def _count(self, frame: Frame) -> float:
-        """Count a frame, and return the time that it takes on the bus [s]."""
-        duration = frame_time(frame, *self.bitrates)
-        self.counters.frames += 1
-        self.counters.bus_time += duration
-        return duration
+    def _on_bus(self, log: LogWriter | None, frame: Frame, stamp: float) -> None:
+        """Take a frame that was on the bus at a time [s]."""
+        self.counters.bus_time += self._duration(frame)
+        if log is not None:
+            log.write(frame, stamp)
+
+    def _duration(self, frame: Frame) -> float:
+        """Return the time that a frame takes on the bus [s]."""
+        return frame_time(frame, *self.bitrates)
 
     def _transfer_time(self, lines: MapLineList) -> float:
         """Return the time that the frames of one line take on the bus [s]; 0 without lines."""
@@ -197,4 +230,55 @@ class Drive:
             return 0.0
         blank = np.zeros(self.codec.layout.record_bytes, dtype=np.uint8)
         frames = self.codec.frames(blank, lines[0].slot, fd=self.fd)
-        return sum(frame_time(frame, *self.bitrates) for frame in frames)
+        return sum(map(self._duration, frames))
+
+
+def _records(line: MapLine) -> int:
+    """Return how many records carry a line."""
+    return 1 if line.mixture is None else len(line.mixture.weights)
+
+
+class SimulatedBus:
+    """Bus whose time is computed: frames follow each other without a gap.
+
+    Args:
+        now: time at which it is free [s].
+        injector: of faults; None for none.
+        duration: returns how long a frame takes [s].
+        carry: takes a frame and the time of its end [s].
+    """
+
+    def __init__(
+        self,
+        now: float,
+        injector: FaultInjector[Frame] | None,
+        duration: Callable[[Frame], float],
+        carry: Callable[[Frame, float], None],
+    ) -> None:
+        self._now, self._injector = now, injector
+        self._duration, self._carry = duration, carry
+
+    def wait(self, t: float) -> None:
+        """Let the time pass until t [s], and carry the frames that are due by then."""
+        while self._injector is not None and (due := self._injector.next_due) <= t:
+            self._now = max(self._now, due)
+            self._transmit(self._injector.due(self._now))
+        self._now = max(self._now, t)
+
+    def send(self, frame: Frame) -> None:
+        """Carry the frames that a frame becomes."""
+        if self._injector is None:
+            self._transmit([frame])
+        else:
+            self.wait(self._now)
+            self._transmit(self._injector.apply(frame, self._now))
+
+    def close(self) -> None:
+        """Carry the frames that are still held back."""
+        if self._injector is not None:
+            self._transmit(self._injector.flush())
+
+    def _transmit(self, frames: Iterable[Frame]) -> None:
+        for frame in frames:
+            self._now += self._duration(frame)
+            self._carry(frame, self._now)

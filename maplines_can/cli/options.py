@@ -8,11 +8,11 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
-from ..wire import CODES, Authenticator, Codec, Decoder, Key, Layout
+from ..wire import CODES, Authenticator, Codec, Decoder, Frame, Key, Layout
 from .parsing import natural, number
 
 if TYPE_CHECKING:
-    from ..testing import Faults, FaultyOpener
+    from ..testing import FaultInjector, Faults, FaultyOpener
 
 
 def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
@@ -80,6 +80,18 @@ def fault_opener(arguments: argparse.Namespace) -> FaultyOpener | None:
     from ..testing import FaultyOpener
 
     return FaultyOpener(arguments.faults)
+
+
+def fault_injector(arguments: argparse.Namespace) -> FaultInjector[Frame] | None:
+    """Return the injector of ``--faults`` into frames that no bus carries; None without faults.
+
+    It gives the same faults as a bus into which the frames are sent.
+    """
+    if arguments.faults is None or arguments.faults.direction == "receive":
+        return None
+    from ..testing import FaultInjector
+
+    return FaultInjector(arguments.faults, stream="send")
 
 
 def fault_counts(opener: FaultyOpener | None) -> dict[str, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any, Literal
@@ -64,6 +64,12 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         help="how often each line is sent [1/s] (default: from GenMsgCycleTime of the DBC, the "
         f"shortest of these lines; {DEFAULT_RATE:g} if it has none)",
     )
+    add_line_model(parser)
+
+
+def add_line_model(parser: argparse.ArgumentParser) -> None:
+    """Add the options of what each line is sent as: components, load limit and map error."""
+    add = parser.add_argument
     add(
         "--components",
         type=number(int, 1, 8, "auto"),
@@ -134,15 +140,12 @@ def lines_of(
     Raises:
         ValueError: all lines are left out as seen from the pose of the scene.
     """
-    map_error = None
-    if arguments.map_error:
-        map_error = MapError(arguments.map_error, arguments.map_error, np.radians(0.05))
     lines = map_lines(
         first_lines(scenario, arguments.lines),
         scenario.ego if ego is None else ego,
         window=scenario.window,
         components={slot: line.components for slot, line in components.items()},
-        map_error=map_error,
+        map_error=map_error_of(arguments),
     )
     if ego is None and not lines:
         raise ValueError(
@@ -150,6 +153,12 @@ def lines_of(
             f"{left_out_text(lines.left_out)}"
         )
     return lines
+
+
+def map_error_of(arguments: argparse.Namespace) -> MapError | None:
+    """Return the map error of ``--map-error``; None if the map is exact."""
+    sigma = arguments.map_error
+    return MapError(sigma, sigma, np.radians(0.05)) if sigma else None
 
 
 def weaving_ego(scenario: Scenario, t: float) -> Gaussian:
@@ -200,39 +209,71 @@ def choose_components(
     Raises:
         ValueError: the lines exceed the limit, for "auto" even with one component each.
     """
-    scene, auto = first_lines(scenario, lines), components == "auto"
-    least = [1 if components == "auto" else components] * len(scene)
-    if auto and max_load is None:
+    scene = first_lines(scenario, lines)
+    least = 1 if components == "auto" else components
+    if components == "auto" and max_load is None:
         max_load = MAX_LOAD
-    budget = None
-    if max_load is not None:
-        bus = (1 / rate, bitrate, 4 * bitrate if fd else None)
-        blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
-        transfers = [codec.frames(blank, slot, fd=fd) for slot in scene]
-        budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
-        if budget < sum(least):
-            load = sum(least) * max(bus_load(transfer, *bus) for transfer in transfers)
-            raise ValueError(
-                f"{len(scene)} lines with {sum(least)} components take {100 * load:.3g} % of the "
-                f"bus at {rate:g} Hz and {bitrate / 1000:g} kbit/s, and {100 * max_load:g} % are "
-                "allowed; use fewer --lines or --components, a lower --rate, --fd, a higher "
-                "--bitrate or a higher --max-load"
-            )
-    amounts = [_nonlinearity(line, scenario) for line in scene.values()]
-    counts = component_counts(amounts, budget=budget) if auto else least
+    budget = component_budget(
+        codec, scene, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
+    )
+    amounts = [line_nonlinearity(line, scenario.ego, scenario.window) for line in scene.values()]
+    auto = components == "auto"
+    counts = component_counts(amounts, budget=budget) if auto else [least] * len(scene)
     return {
         slot: LineComponents(k, amount, remaining_nonlinearity(amount, k))
         for slot, k, amount in zip(scene, counts, amounts, strict=True)
     }
 
 
-def _nonlinearity(line: Polyline, scenario: Scenario) -> float:
+def component_budget(
+    codec: Codec,
+    slots: Collection[Slot],
+    least: int,
+    *,
+    rate: float,
+    fd: bool,
+    bitrate: int,
+    max_load: float | None,
+) -> int | None:
+    """Return how many components all lines together may have; None for no limit.
+
+    Args:
+        codec: codec of the sender.
+        slots: of the lines.
+        least: components that each line has at least.
+        rate: how often each line is sent [1/s].
+        fd: whether the frames are CAN FD.
+        bitrate: nominal bit rate of the bus [bit/s].
+        max_load: largest share of the bus time; None for no limit.
+
+    Raises:
+        ValueError: the lines exceed the limit with the least components.
+    """
+    if max_load is None:
+        return None
+    bus = (1 / rate, bitrate, 4 * bitrate if fd else None)
+    blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
+    transfers = [codec.frames(blank, slot, fd=fd) for slot in slots]
+    budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
+    total = least * len(slots)
+    if budget < total:
+        load = total * max(bus_load(transfer, *bus) for transfer in transfers)
+        raise ValueError(
+            f"{len(slots)} lines with {total} components take {100 * load:.3g} % of the "
+            f"bus at {rate:g} Hz and {bitrate / 1000:g} kbit/s, and {100 * max_load:g} % are "
+            "allowed; use fewer --lines or --components, a lower --rate, --fd, a higher "
+            "--bitrate or a higher --max-load"
+        )
+    return budget
+
+
+def line_nonlinearity(line: Polyline, ego: Gaussian, window: tuple[float, float]) -> float:
     """Return the nonlinearity of a line: 0 if it is not seen, 1 if some poses do not see it."""
     amount = 0.0
     try:
-        refit = Refit(line, scenario.ego.mean, scenario.window)
+        refit = Refit(line, ego.mean, window)
         amount = 1.0
-        amount = nonlinearity(refit, scenario.ego).amount
+        amount = nonlinearity(refit, ego).amount
     except IllPosedError:
         pass
     return amount

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from ..gaussian import Gaussian
 from ..line import MapLineList, Slot
 from ..maps import LaneTracker, Map, Route, Scene
+from ..polyline import Polyline
 from ..propagation import MapError, map_lines
+
+#: Number of mixture components of each line, from the lines of the map and the stated pose.
+ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
 
 #: Range of the lines ahead of the car [m].
 WINDOW = (-20.0, 80.0)
@@ -40,6 +44,8 @@ class LineSource:
         route: that the car follows.
         window: (x_min, x_max) ahead of the car that the ranges of the lines may extend to [m].
         map_error: error of the map.
+        components: number of mixture components of each line, 1 to 8, or a function that chooses
+            it in each cycle.
 
     >>> from maplines_can import PoseSource, maps, Polyline
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
@@ -59,9 +65,10 @@ class LineSource:
         route: Route | None = None,
         window: tuple[float, float] = WINDOW,
         map_error: MapError | None = None,
+        components: int | ChooseComponents = 1,
     ) -> None:
         self._stated, self._slots = stated, frozenset(slots)
-        self._window, self._map_error = window, map_error
+        self._window, self._map_error, self._components = window, map_error, components
         self._tracker = LaneTracker(found, route)
 
     def cycle(self, t: float, true_pose: NDArray[np.float64]) -> Cycle:
@@ -77,5 +84,12 @@ class LineSource:
         stated = self._stated(t, true_pose)
         scene = self._tracker.lines(stated.mean)
         chosen = {slot: line for slot, line in scene.lines.items() if slot in self._slots}
-        lines = map_lines(chosen, stated, window=self._window, map_error=self._map_error)
+        own = self._components
+        lines = map_lines(
+            chosen,
+            stated,
+            window=self._window,
+            map_error=self._map_error,
+            components=own(chosen, stated) if callable(own) else own,
+        )
         return Cycle(t, stated, scene, lines, scene.changed & self._slots)

@@ -55,6 +55,7 @@ class FaultyBus(can.BusABC):
         faults: the faults, or their text for ``Faults.parse``.
         clock: a monotonic clock [s]; None for the system's.
         previous: a bus that was lost, whose random numbers and counters this one continues.
+        on_sent: called with each data frame that was handed to the wrapped bus, such as to log it.
 
     Raises:
         ValueError: the text of the faults is wrong.
@@ -80,12 +81,13 @@ class FaultyBus(can.BusABC):
         *,
         clock: Callable[[], float] | None = None,
         previous: FaultyBus | None = None,
+        on_sent: Callable[[Any], None] | None = None,
     ) -> None:
         if not isinstance(bus, can.BusABC):
             raise TypeError(f"bus must be a python-can bus, got {bus!r}")
         faults = _parsed(faults)
         self.bus, self.faults = bus, faults
-        self._clock = clock or time.monotonic
+        self._clock, self._on_sent = clock or time.monotonic, on_sent
         self._own_thread = clock is None
         #: Injectors of the two directions; None if the direction has no faults.
         self.sending, self.receiving = _injector(faults, "send"), _injector(faults, "receive")
@@ -132,6 +134,8 @@ class FaultyBus(can.BusABC):
         """
         if self.sending is None or msg.is_error_frame or msg.is_remote_frame:
             self.bus.send(msg, timeout)
+            if self._on_sent is not None and not (msg.is_error_frame or msg.is_remote_frame):
+                self._on_sent(_bus_frame(msg, 0.0))
             return
         with self._changed:
             now = self._clock()
@@ -166,6 +170,8 @@ class FaultyBus(can.BusABC):
     def _send_frame(self, frame: _BusFrame, now: float, timeout: float | None) -> None:
         try:
             self.bus.send(self._message(frame, now), timeout)
+            if self._on_sent is not None:
+                self._on_sent(frame)
         except (can.CanError, OSError):
             if frame.message is not None:
                 raise
@@ -296,6 +302,7 @@ class FaultyOpener:
         faults: see ``FaultyBus``.
         opener: factory of the bus to wrap; called with the settings of the link.
         clock: see ``FaultyBus``.
+        on_sent: see ``FaultyBus``; may be changed until the first opening.
 
     Raises:
         ValueError: the text of the faults is wrong.
@@ -315,14 +322,18 @@ class FaultyOpener:
         opener: Callable[..., can.BusABC] = can.Bus,
         *,
         clock: Callable[[], float] | None = None,
+        on_sent: Callable[[Any], None] | None = None,
     ) -> None:
+        self.on_sent = on_sent
         self._faults, self._opener, self._clock = _parsed(faults), opener, clock
         self._bus: FaultyBus | None = None
 
     def __call__(self, **settings: Any) -> FaultyBus:
         """Open a bus with these settings and wrap it."""
         bus = self._opener(**settings)
-        self._bus = FaultyBus(bus, self._faults, clock=self._clock, previous=self._bus)
+        self._bus = FaultyBus(
+            bus, self._faults, clock=self._clock, previous=self._bus, on_sent=self.on_sent
+        )
         return self._bus
 
     def as_dict(self) -> dict[str, int]:

@@ -1,0 +1,163 @@
+"""Options of ``drive`` for where the car drives: a route on the map, or a recorded drive."""
+
+from __future__ import annotations
+
+import argparse
+from itertools import islice, product
+from pathlib import Path
+
+from ..bus import read_signals
+from ..ego import RecordedDrive, SimulatedDrive, State, check_on_map, drive_along
+from ..errors import DriveFileError, RouteError
+from ..maps import Map, Route, random_tour, town_tour
+from .output import counts_text
+from .stderr import note
+
+#: Length of a route that is chosen at random [m].
+TOUR = 10_000.0
+#: Ways from road to road that are compared, if a route is given by roads.
+MOST_WAYS = 400
+#: Suffixes of bus logs, which have no columns of a drive. A .csv file is a table of the drive.
+LOG_SUFFIXES = (".log", ".asc", ".blf", ".mf4", ".trc", ".db")
+
+
+def add_way(parser: argparse.ArgumentParser) -> None:
+    """Add ``--route``, ``--drive`` and the options of a drive in a bus log."""
+    ways = parser.add_mutually_exclusive_group()
+    ways.add_argument(
+        "--route",
+        metavar="A..B",
+        help="route from A to B, which are ids of lanes or of roads; A..B..C leads through B",
+    )
+    ways.add_argument(
+        "--drive",
+        metavar="FILE",
+        help="recorded drive: a CSV file with time, x and y (or lat_deg and lon_deg) and heading; "
+        "or, with --signals, a bus log as for 'decode'",
+    )
+    parser.add_argument(
+        "--signals",
+        metavar="FILE",
+        help="table of the signals in the bus log --drive, in TOML, such as "
+        'speed_kmh = "ESP.VehicleSpeed", or in CSV with the header column,signal',
+    )
+    parser.add_argument(
+        "--signals-dbc",
+        metavar="FILE",
+        help="DBC of these signals: that of the car, whereas --dbc is that of the lines",
+    )
+
+
+def check_way(arguments: argparse.Namespace) -> None:
+    """Check that the options of a drive in a bus log fit together.
+
+    Raises:
+        ValueError: they do not.
+    """
+    if arguments.signals and not arguments.drive:
+        raise ValueError("--signals are those of a recorded drive; give its log by --drive")
+    if arguments.signals and not arguments.signals_dbc:
+        raise ValueError(
+            "--signals needs --signals-dbc, the DBC of the car; --dbc is that of the lines"
+        )
+    if arguments.signals_dbc and not arguments.signals:
+        raise ValueError("--signals-dbc needs --signals, the names of the signals")
+
+
+def way_of(
+    found: Map, arguments: argparse.Namespace
+) -> tuple[SimulatedDrive | RecordedDrive, Route | None]:
+    """Return the drive and its route; a recorded drive has none.
+
+    Raises:
+        RouteError: there is no such route, or the map has no lanes.
+        DriveFileError: the recorded drive cannot be used, or is not on the map.
+        ValueError: options do not fit together.
+    """
+    if not any(lane.type.is_drivable for lane in found.lanes.values()):
+        raise RouteError(f"the map {found.name} has no lanes to drive on")
+    if arguments.drive is not None:
+        return _recorded(found, arguments), None
+    if arguments.route is not None:
+        route = _route(found, arguments.route)
+    elif arguments.map is None:
+        route = town_tour(found)
+    else:
+        route = random_tour(found, TOUR, arguments.seed)
+    return drive_along(found, route), route
+
+
+def _route(found: Map, text: str) -> Route:
+    """Return the route of ``--route``: the shortest one, if it is given by roads."""
+    stops = [_lanes(found, name, text) for name in text.split("..")]
+    if len(stops) < 2:
+        raise RouteError(f"--route must be A..B, two ids of lanes or roads, got {text!r}")
+    best: Route | None = None
+    error = RouteError("there is none")
+    for start, *via, goal in islice(product(*stops), MOST_WAYS):
+        try:
+            route = found.route(start, goal, via)
+        except RouteError as wrong:
+            error = wrong
+            continue
+        if best is None or route.length < best.length:
+            best = route
+    if best is None:
+        raise RouteError(f"--route {text}: {error}")
+    return best
+
+
+def _lanes(found: Map, name: str, text: str) -> list[str]:
+    """Return the lanes that a name in ``--route`` may stand for."""
+    if name in found.lanes:
+        return [name]
+    if name in found.roads:
+        lanes = [id_ for id_ in found.roads[name].lanes if found.lanes[id_].type.is_drivable]
+        if lanes:
+            return lanes
+        raise RouteError(f"--route {text}: the road {name!r} has no lane to drive on")
+    some = ", ".join([*islice(found.roads, 3), *islice(found.lanes, 3)])
+    raise RouteError(
+        f"--route {text}: the map has neither a lane nor a road {name!r}; its ids are such as "
+        f"{some}"
+    )
+
+
+def _recorded(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
+    """Return the recorded drive of the options; it must be on the map."""
+    name = arguments.drive
+    recorded = _from_log(found, arguments) if arguments.signals else _from_table(found, name)
+    centres = [lane.centre for lane in found.lanes.values()]
+    share = check_on_map(recorded.pose[:, :2], centres, found.projection, name)
+    if share < 1:
+        note(f"{name}: {100 * (1 - share):.1f} % of the positions are off the map")
+    if recorded.skipped:
+        note(f"{name}: {recorded.skipped} records are skipped")
+    return recorded
+
+
+def _from_table(found: Map, name: str) -> RecordedDrive:
+    suffix = Path(name).suffix.lower()
+    if suffix in LOG_SUFFIXES:
+        raise DriveFileError(
+            f"{name}: a bus log needs --signals, the names of its signals, and --signals-dbc"
+        )
+    return RecordedDrive.from_csv(name, projection=found.projection)
+
+
+def _from_log(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
+    signals = read_signals(arguments.drive, arguments.signals_dbc, arguments.signals)
+    if signals.skipped:
+        note(f"{arguments.drive}: skipped: {counts_text(signals.skipped)}")
+    try:
+        return RecordedDrive.from_signals(signals, found.projection)
+    except DriveFileError as error:
+        raise DriveFileError(f"{arguments.drive}: {error}") from error
+
+
+def states_of(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> State:
+    """Return the true states at the sending rate."""
+    times = way.times(arguments.rate)
+    if arguments.seconds is not None:
+        times = times[times - times[0] < arguments.seconds]
+    return way.at(times)
