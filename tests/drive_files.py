@@ -1,5 +1,6 @@
 """Files of a drive for tests: a map, the log of its lines, and the truth."""
 
+import csv
 import json
 from pathlib import Path
 from typing import Any
@@ -27,3 +28,9 @@ def run(capsys: Any, *options: str, status: int = 0) -> Any:
     assert main(["drive", *options, "--json"]) == status
     captured = capsys.readouterr()
     return json.loads(captured.out) if not status else captured.err
+
+
+def table(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a truth in CSV."""
+    with path.open() as file:
+        return list(csv.DictReader(file))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..bus import LogWriter
+from ..bus import LogWriter, frame_time
 from ..bus.log_writer import check_log_path
 from ..ego import LineSource, PoseSource, RecordedDrive, SimulatedDrive, State
 from ..ego.line_source import WINDOW, ChooseComponents
@@ -25,7 +25,7 @@ from ..line import LeftOut, Slot
 from ..maps import LaneTracker, Map, Route, load, town_path
 from ..polyline import Polyline
 from ..propagation.component_counts import component_counts
-from ..wire import Codec
+from ..wire import Codec, Frame
 from .driving import Counters, Drive, TruthRecorder
 from .options import (
     add_bus,
@@ -190,6 +190,8 @@ def _drive(arguments: argparse.Namespace) -> int:
         else:
             sent = _send(drive, arguments)
     result = _result(states, counters, arguments) | sent
+    if counters.stopped:
+        note(f"stopped by Ctrl-C after {result['seconds']:.1f} s of the drive")
     result |= {"record": arguments.record, "truth": path}
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
     return 0
@@ -215,8 +217,10 @@ def _components(
     auto = arguments.components == "auto"
     least = 1 if auto else arguments.components
     max_load = arguments.max_load
-    if max_load is None and (auto or arguments.as_fast_as_possible):
-        max_load = MAX_LOAD if auto else 1.0
+    if max_load is None and auto:
+        max_load = MAX_LOAD
+    if arguments.as_fast_as_possible:
+        max_load = min(1.0 if max_load is None else max_load, _free_load(arguments))
     rate, fd, bitrate = arguments.rate, arguments.fd, bitrates(arguments)[0]
     budget = component_budget(
         codec, slots, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
@@ -227,6 +231,23 @@ def _components(
         return dict(zip(lines, component_counts(amounts, budget=budget), strict=True))
 
     return choose if auto else least
+
+
+def _free_load(arguments: argparse.Namespace) -> float:
+    """Return the share of the time of a simulated bus that the flood of ``--faults`` leaves.
+
+    Raises:
+        ValueError: it leaves none.
+    """
+    flood = 0.0 if arguments.faults is None else arguments.faults.flood
+    frame = Frame(0, bytes(8))
+    load = flood * frame_time(frame, *bitrates(arguments))
+    if load >= 1:
+        raise ValueError(
+            f"--faults flood={flood:g} takes {100 * load:.3g} % of the bus; use a lower rate, or a "
+            "higher --bitrate"
+        )
+    return float(1 - load)
 
 
 def _source(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -124,21 +124,22 @@ class Drive:
                 1e-9 * start_ns, injector, self._duration, partial(self._on_bus, log)
             )
             step = 0.0
-            for t_ns, state in self._cycles(start_ns):
-                set_clock(t_ns)
-                cycle = self._cycle(t_ns, state)
-                bus.wait(1e-9 * t_ns)
-                step = step or self._transfer_time(cycle.lines)
-                ages = np.cumsum([0.0, *(step * _records(line) for line in cycle.lines)])
-                aged = [
-                    replace(line, age=float(age))
-                    for line, age in zip(cycle.lines, ages, strict=False)
-                ]
-                for frames in self.codec.encode_lines(aged, fd=self.fd):
-                    self.counters.lines += 1
-                    for frame in frames:
-                        self.counters.frames += 1
-                        bus.send(frame)
+            with self._stoppable():
+                for t_ns, state in self._cycles(start_ns):
+                    set_clock(t_ns)
+                    cycle = self._cycle(t_ns, state)
+                    bus.wait(1e-9 * t_ns)
+                    step = step or self._transfer_time(cycle.lines)
+                    ages = np.cumsum([0.0, *(step * _records(line) for line in cycle.lines)])
+                    aged = [
+                        replace(line, age=float(age))
+                        for line, age in zip(cycle.lines, ages, strict=False)
+                    ]
+                    for frames in self.codec.encode_lines(aged, fd=self.fd):
+                        self.counters.lines += 1
+                        for frame in frames:
+                            self.counters.frames += 1
+                            bus.send(frame)
             bus.close()
         return {} if injector is None else {"faults": injector.as_dict() | {"unsent": 0}}
 
@@ -167,24 +168,21 @@ class Drive:
                     link, self.codec, period=self.period, fd=self.fd, on_sent=sent
                 )
                 given: set[Slot] = set()
-                try:
-                    with transmitter:
-                        for t_ns, state in self._cycles(start_ns):
-                            due = start + 1e-9 * (t_ns - start_ns)
-                            late = time.monotonic() - due
-                            if late >= self.period:
-                                self.counters.late_cycles += 1
-                                continue
-                            if transmitter.wait(max(-late, 0.0)):
-                                break
-                            cycle = self._cycle(t_ns, state)
-                            for slot in given - cycle.scene.lines.keys():
-                                transmitter.retract(slot)
-                            given = {line.slot for line in cycle.lines}
-                            transmitter.publish(cycle.lines, t_ns)
-                        transmitter.wait(self.period)
-                except KeyboardInterrupt:
-                    self.counters.stopped = True
+                with self._stoppable(), transmitter:
+                    for t_ns, state in self._cycles(start_ns):
+                        due = start + 1e-9 * (t_ns - start_ns)
+                        late = time.monotonic() - due
+                        if late >= self.period:
+                            self.counters.late_cycles += 1
+                            continue
+                        if transmitter.wait(max(-late, 0.0)):
+                            break
+                        cycle = self._cycle(t_ns, state)
+                        for slot in given - cycle.scene.lines.keys():
+                            transmitter.retract(slot)
+                        given = {line.slot for line in cycle.lines}
+                        transmitter.publish(cycle.lines, t_ns)
+                    transmitter.wait(self.period)
                 stats = transmitter.stats()
                 self.counters.lines = stats.lines
                 return {
@@ -193,6 +191,14 @@ class Drive:
                     "overruns": stats.overruns,
                     "outages": link.outages,
                 }
+
+    @contextmanager
+    def _stoppable(self) -> Iterator[None]:
+        """Let Ctrl-C end the drive."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            self.counters.stopped = True
 
     def _cycles(self, start_ns: int) -> Iterator[tuple[int, State]]:
         """Yield the time of each cycle [ns] and the true state."""

@@ -15,6 +15,11 @@ from .transform import values_at
 SIGMA_SPREAD = np.sqrt(3.0)
 
 
+#: Outputs of less spread than this share of the largest value have rounding errors only, such as
+#: the curvature of a straight line.
+LEAST_SPREAD = 1e-9
+
+
 class Nonlinearity(NamedTuple):
     """Direction and amount of the largest deviation of a function from its tangent."""
 
@@ -53,7 +58,9 @@ def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlineari
         H[:, i, j] = H[:, j, i] = ((pp + pm) - (mp + mm)) / (2 * SIGMA_SPREAD**2)
     slopes = (ahead - behind) / (2 * SIGMA_SPREAD)
     variance = (slopes**2).sum(axis=0) + (H**2).sum(axis=(1, 2)) / 2
-    H = H[variance > 0] / np.sqrt(variance[variance > 0])[:, None, None]
+    spread = np.sqrt(variance)
+    varies = spread > LEAST_SPREAD * np.abs(values).max(initial=0.0)
+    H = H[varies] / spread[varies, None, None]
 
     def strength(u: NDArray[np.float64]) -> float:
         return float((np.einsum("oij,i,j->o", H, u, u) ** 2).sum())

@@ -1,6 +1,6 @@
 """The command ``maplines drive``."""
 
-import csv
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -10,11 +10,12 @@ import can
 import numpy as np
 import pytest
 from can.interfaces import virtual
-from drive_files import run, town
+from drive_files import run, table, town
 
 from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
+from maplines_can.ego import Cycle, LineSource
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]
 
@@ -27,11 +28,6 @@ def decoded(path: Path) -> list[MapLine]:
     assert not any(decoder.counts.values())
     assert decoder.lost == 0
     return lines
-
-
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
 
 
 @pytest.mark.parametrize("fd", [False, True])
@@ -175,6 +171,135 @@ def test_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert errors[0] < 1e-9 < 0.02 < errors[1]
 
 
+@pytest.mark.parametrize("fd", [False, True])
+def test_lines_are_sent_as_mixtures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], fd: bool
+) -> None:
+    """Of eight components each, as their number in the log and the bus load tell."""
+    log = tmp_path / "drive.log"
+    options = [*FAST[:3], "--seconds", "1", "--record", str(log), *["--fd"] * fd]
+    one = run(capsys, town(tmp_path), *options)
+    eight = run(capsys, town(tmp_path), *options, "--components", "8")
+    assert eight["lines"] == one["lines"]
+    assert eight["bus_load"] == pytest.approx(8 * one["bus_load"])
+    lines = decoded(log)
+    assert len(lines) == eight["lines"]
+    assert {len(line.mixture.weights) for line in lines if line.mixture} == {8}
+    assert max(line.age for line in lines) > 0.008 or fd  # those before it take longer
+
+
+def test_lines_are_split_where_they_need_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a straight road one Gaussian fits; with 10 deg of heading error before a bend none does.
+
+    The limit of the load is kept.
+    """
+    log = tmp_path / "drive.log"
+    auto = ["--components", "auto", "--record", str(log), "--as-fast-as-possible", "--seconds"]
+    result = run(capsys, town(tmp_path), *auto, "1", "--route", "1:0:-1..1:0:-1")
+    assert result["bus_load"] < 0.1
+    assert all(line.mixture is None for line in decoded(log))
+    drive = tmp_path / "bend.csv"
+    rows = [f"{t / 10},{150 + t},-1.75,0" for t in range(20)]
+    drive.write_text("\n".join(["time,x,y,heading", *rows]))
+    options = ["--drive", str(drive), "--sigma", "0.3,0.1,10", "--max-load", "0.2"]
+    result = run(capsys, town(tmp_path), *auto, "1", *options)
+    assert any(line.mixture is not None for line in decoded(log))
+    assert result["bus_load"] <= 0.2
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_faults_disturb_the_frames_in_the_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], channel: str, live: bool
+) -> None:
+    """The log has the frames on the bus: without those lost, with those doubled and flooded."""
+    log = tmp_path / "drive.log"
+    how = ["--channel", channel, "--seconds", "0.5"] if live else ["--as-fast-as-possible"]
+    faults = "loss=0.2,dup=0.1,late=0.1,delay=0.01,flood=100,flood_ids=0x700,seed=3"
+    options = ["--route", "1:0:-1..1:0:-1", "--seconds", "4", *how, "--faults", faults]
+    result = run(capsys, town(tmp_path), *options, "--record", str(log))
+    done, frames = result["faults"], list(read_log(log))
+    assert done["frames"] == result["frames"]
+    assert done["lost"] > 0 < done["duplicated"]
+    assert (
+        len(frames)
+        == done["passed"]
+        == done["frames"] + done["duplicated"] + done["flooded"] - done["lost"]
+    )
+    assert sum(frame.can_id == 0x700 for frame in frames) == done["flooded"] > 0
+    times = [frame.t_ns for frame in frames]
+    assert times == sorted(times)
+
+
+def test_a_script_of_faults_hits_the_frames_that_it_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first line loses a frame, and no other one does."""
+    script, log = tmp_path / "script.txt", tmp_path / "drive.log"
+    script.write_text("loss 3\n")
+    options = [*FAST[:3], "--seconds", "1", "--record", str(log), "--faults", f"script={script}"]
+    result = run(capsys, town(tmp_path), *options)
+    decoder = Codec.from_dbc().decoder()
+    fed = [decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(log)]
+    assert sum(isinstance(line, MapLine) for line in fed) == result["lines"] - 1
+    assert result["faults"]["lost"] == 1
+
+
+def test_ctrl_c_ends_a_drive(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the eleventh cycle, without and with a bus: the log is whole, and the counters say it."""
+
+    class Interrupted(LineSource):
+        cycles = 0
+
+        def cycle(self, t: float, true_pose: Any) -> Cycle:
+            self.cycles += 1
+            if self.cycles > 10:
+                raise KeyboardInterrupt
+            return super().cycle(t, true_pose)
+
+    monkeypatch.setattr("maplines_can.cli.drive.LineSource", Interrupted)
+    log, truth = tmp_path / "drive.log", tmp_path / "truth.csv"
+    for options in (["--as-fast-as-possible"], []):
+        more = [*options, "--record", str(log), "--truth", str(truth)]
+        assert main(["drive", town(tmp_path), *more, "--json"]) == 0
+        captured = capsys.readouterr()
+        result = json.loads(captured.out)
+        assert result["stopped"] is True
+        assert result["cycles"] == 10
+        assert "stopped by Ctrl-C after 0." in captured.err
+        assert "Traceback" not in captured.err
+        assert len(decoded(log)) == result["lines"]
+        assert len(table(truth)) == 10
+
+
+def test_a_log_in_mf4(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """asammdf, which wrote it, and the command decode read the same lines."""
+    asammdf = pytest.importorskip("asammdf")
+    log = tmp_path / "drive.mf4"
+    result = run(capsys, town(tmp_path), *FAST, "--record", str(log))
+    assert len(decoded(log)) == result["lines"]
+    with asammdf.MDF(log) as mdf:
+        ids = mdf.get("CAN_DataFrame.ID").samples
+    assert len(ids) == result["frames"]
+    assert main(["decode", str(log)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == result["lines"]
+
+
+def test_mf4_without_the_extra_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        "maplines_can.bus.log_writer.find_spec",
+        lambda name: None if name == "asammdf" else find(name),
+    )
+    err = run(capsys, town(tmp_path), "--record", str(tmp_path / "a.mf4"), status=1)
+    assert re.search(r"error: .*a\.mf4.* needs asammdf; install the extra .mf4.", err)
+
+
 def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In another projection, so that no position is on the map."""
     drive = tmp_path / "car.csv"
@@ -198,6 +323,24 @@ def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
             ["--as-fast-as-possible", "--channel", "x"], "leave out --interface", id="no bus"
         ),
         pytest.param(["--interface", "warp"], "warp", id="interface"),
+        pytest.param(["--drive", "a.blf"], "a.blf: a bus log needs --signals", id="no signals"),
+        pytest.param(
+            ["--drive", "a.blf", "--signals", "s.toml"], "needs --signals-dbc", id="no DBC"
+        ),
+        pytest.param(
+            ["--drive", "a.csv", "--signals-dbc", "a.dbc"], "needs --signals", id="DBC alone"
+        ),
+        pytest.param(["--signals", "s.toml"], "give its log by --drive", id="no drive"),
+        pytest.param(
+            ["--components", "8", "--lines", "8", "--max-load", "0.3"],
+            "8 lines with 64 components take .* a higher --max-load",
+            id="load",
+        ),
+        pytest.param(
+            ["--as-fast-as-possible", "--faults", "flood=100000"],
+            "--faults flood=100000 takes 2.7e.03 % of the bus",
+            id="flood",
+        ),
     ],
 )
 def test_a_mistake_is_one_line(

@@ -1,0 +1,93 @@
+"""The command ``maplines drive --drive`` with a bus log of a car."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import can
+import cantools
+import pytest
+from drive_files import run, table, town
+
+DBC = """\
+VERSION ""
+BU_: car
+BO_ 256 Position: 8 car
+ SG_ X : 0|32@1- (0.001,0) [0|0] "m" car
+ SG_ Y : 32|32@1- (0.001,0) [0|0] "m" car
+BO_ 257 Motion: 4 car
+ SG_ Course : 0|16@1- (0.01,0) [0|0] "deg" car
+ SG_ Speed : 16|16@1- (0.01,0) [0|0] "km/h" car
+"""
+TABLES = {
+    "signals.toml": 'x = "Position.X"\ny = "Y"\nheading_deg = "Course"\n'
+    'speed_kmh = "Motion.Speed"\n',
+    "signals.csv": "column,signal\nx,Position.X\ny,Y\nheading_deg,Course\nspeed_kmh,Motion.Speed\n",
+}
+
+
+def car_log(folder: Path, name: str, north: float = 0.0) -> list[str]:
+    """Write the log of a car that drives east at 10 m/s, and return the options to use it.
+
+    python-can and cantools write it.
+    """
+    database: Any = cantools.database.load_string(DBC)
+    (folder / "car.dbc").write_text(DBC)
+    with can.Logger(folder / name) as logger:
+        for i in range(101):
+            values = {"X": i, "Y": north - 1.75}, {"Course": 0.0, "Speed": 36.0}
+            for message, signals in zip(database.messages, values, strict=True):
+                data = message.encode(signals)
+                logger(can.Message(1e9 + i / 10, message.frame_id, False, data=data))
+    return ["--drive", str(folder / name), "--signals-dbc", str(folder / "car.dbc")]
+
+
+@pytest.mark.parametrize("table_name", TABLES)
+@pytest.mark.parametrize("log", ["car.log", "car.asc", "car.blf", "car.csv"])
+def test_a_recorded_drive_from_a_bus_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], log: str, table_name: str
+) -> None:
+    """With the DBC of the car and a table of its signals; the suffix .csv may be a log, too."""
+    options = car_log(tmp_path, log)
+    (tmp_path / table_name).write_text(TABLES[table_name])
+    truth = tmp_path / "truth.csv"
+    options += ["--signals", str(tmp_path / table_name), "--as-fast-as-possible"]
+    result = run(capsys, town(tmp_path), *options, "--truth", str(truth))
+    assert result["cycles"] == 201
+    assert result["km"] == pytest.approx(0.1)
+    row = table(truth)[100]
+    assert [float(row[name]) for name in ("x", "y", "heading", "speed")] == pytest.approx(
+        [50.0, -1.75, 0.0, 10.0]
+    )
+    assert float(row["ego_left_y_0"]) == pytest.approx(1.75)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        pytest.param({"x": ""}, "car.log: signals: .*x", id="no position"),
+        pytest.param({"Motion.Speed": "Motion.Sped"}, "Motion.Sped.* is not in", id="no signal"),
+        pytest.param({"=": ":"}, "not valid TOML", id="no TOML"),
+        pytest.param({"heading_deg": "bearing_deg"}, "bearing .* needs lat_deg", id="bearing"),
+    ],
+)
+def test_a_wrong_table_of_signals_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, str], words: str
+) -> None:
+    options = car_log(tmp_path, "car.log")
+    text = TABLES["signals.toml"]
+    for old, new in change.items():
+        text = text.replace(old, new, 1) if new else text.split("\n", 1)[1]
+    (tmp_path / "signals.toml").write_text(text)
+    options += ["--signals", str(tmp_path / "signals.toml"), "--as-fast-as-possible"]
+    err = run(capsys, town(tmp_path), *options, status=1)
+    assert re.search(f"error: .*{words}", err), err
+
+
+def test_a_log_of_a_drive_elsewhere_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = car_log(tmp_path, "car.log", north=50_000.0)
+    (tmp_path / "signals.toml").write_text(TABLES["signals.toml"])
+    options += ["--signals", str(tmp_path / "signals.toml")]
+    assert "no position is on the map" in run(capsys, town(tmp_path), *options, status=1)
