@@ -230,17 +230,19 @@ def _draw_arrows(
 
 
 def _draw_scale(ax: Any, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Draw a bar of a round length."""
-    size = high - low
-    rough = size[0] / 5
+    """Draw a bar of a round length below the picture on the right, where nothing is hidden."""
+    from matplotlib.transforms import ScaledTranslation
+
+    rough = (high - low)[0] / 5
     power = 10.0 ** math.floor(math.log10(rough))
     length = max(step * power for step in (1, 2, 5) if step * power <= rough)
-    begin = low + 0.04 * size.max()
-    ax.plot([begin[0], begin[0] + length], [begin[1]] * 2, color="black", lw=3, zorder=4,
-            solid_capstyle="butt")  # fmt: skip
+    below = ScaledTranslation(0, -0.4, ax.figure.dpi_scale_trans)  # [inch]
+    ends = [high[0] - length, high[0]]
+    ax.plot(ends, [0, 0], color="black", lw=3, solid_capstyle="butt", clip_on=False,
+            transform=ax.get_xaxis_transform() + below)  # fmt: skip
     text = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
-    ax.annotate(text, (begin[0] + length / 2, begin[1]), (0, 4), textcoords="offset points",
-                ha="center", fontsize=9, zorder=4)  # fmt: skip
+    ax.annotate(text, (ends[0], 0), (-4, 0), textcoords="offset points", ha="right", va="center",
+                fontsize=9, xycoords=ax.get_xaxis_transform() + below)  # fmt: skip
 
 
 def _busiest(lanes: Sequence[Lane]) -> NDArray[np.float64]:
