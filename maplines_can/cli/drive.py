@@ -54,6 +54,9 @@ from .ways import TOUR, add_way, check_way, states_of, way_of
 #: Standard deviations of the stated pose: along [m], across [m], heading [deg].
 SIGMA = (0.3, 0.1, 0.2)
 
+#: Share of cycles off the map above which the drive may be of another one.
+MOST_OFF_MAP = 0.1
+
 DESCRIPTION = f"""\
 Let a car drive on a map and send the lines around it until the drive ends, or until Ctrl-C. Then
 print the counters.
@@ -144,6 +147,7 @@ def _drive(arguments: argparse.Namespace) -> int:
             "--record for a log"
         )
     check_way(arguments)
+    _check_overwriting(arguments)
     clock_ns = time.time_ns()
 
     def set_clock(t_ns: int) -> None:
@@ -190,11 +194,23 @@ def _drive(arguments: argparse.Namespace) -> int:
         else:
             sent = _send(drive, arguments)
     result = _result(states, counters, arguments) | sent
+    if counters.off_map > MOST_OFF_MAP * counters.cycles:
+        share = 100 * counters.off_map / counters.cycles
+        note(f"in {share:.0f} % of the cycles no lane is near the car: is the drive of this map?")
     if counters.stopped:
         note(f"stopped by Ctrl-C after {result['seconds']:.1f} s of the drive")
     result |= {"record": arguments.record, "truth": path}
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
     return 0
+
+
+def _check_overwriting(arguments: argparse.Namespace) -> None:
+    """Raise ValueError if an output would overwrite an input."""
+    inputs = {Path(name).resolve() for name in (arguments.map, arguments.drive) if name}
+    for option in ("record", "truth"):
+        name = getattr(arguments, option)
+        if name and Path(name).resolve() in inputs:
+            raise ValueError(f"--{option} {name} would overwrite what is read; use another name")
 
 
 def _send(drive: Drive, arguments: argparse.Namespace) -> dict[str, Any]:

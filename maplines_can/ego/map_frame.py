@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -14,6 +15,8 @@ from ..polyline import Polyline
 
 #: Step to the north at which the direction of north in the map frame is taken [deg]; about 1 m.
 _NORTH_STEP_DEG = 1e-5
+#: Part of a PROJ string that concerns heights only; its grid is often not installed.
+_GEOID = re.compile(r"\+geoidgrids=\S+")
 #: Farthest from the extent of a map that a position counts as on the map [m].
 MARGIN = 100.0
 
@@ -75,7 +78,7 @@ def _transformer(projection: str | None) -> Any:
     except ImportError as error:
         raise missing_extra("positions in latitude and longitude need pyproj", "maps") from error
     try:
-        crs = pyproj.CRS.from_user_input(projection)
+        crs = pyproj.CRS.from_user_input(_GEOID.sub("", projection))
         transformer = pyproj.Transformer.from_crs("EPSG:4326", crs, always_xy=True)
     except pyproj.exceptions.ProjError as error:
         reason = " ".join(str(error).split())

@@ -300,6 +300,16 @@ def test_mf4_without_the_extra_names_it(
     assert re.search(r"error: .*a\.mf4.* needs asammdf; install the extra .mf4.", err)
 
 
+def test_a_drive_beside_the_roads_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Within the extent of the map, but with no lane near."""
+    drive = tmp_path / "car.csv"
+    drive.write_text("time,x,y,heading\n0,100,60,0\n1,110,60,0\n2,120,60,0\n")
+    assert main(["drive", town(tmp_path), "--drive", str(drive), "--as-fast-as-possible"]) == 0
+    assert "in 100 % of the cycles no lane is near the car" in capsys.readouterr().err
+
+
 def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In another projection, so that no position is on the map."""
     drive = tmp_path / "car.csv"
@@ -329,6 +339,9 @@ def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
         ),
         pytest.param(
             ["--drive", "a.csv", "--signals-dbc", "a.dbc"], "needs --signals", id="DBC alone"
+        ),
+        pytest.param(
+            ["--drive", "a.csv", "--truth", "./a.csv"], "a.csv would overwrite", id="overwrite"
         ),
         pytest.param(["--signals", "s.toml"], "give its log by --drive", id="no drive"),
         pytest.param(

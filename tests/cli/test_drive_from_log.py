@@ -1,13 +1,19 @@
 """The command ``maplines drive --drive`` with a bus log of a car."""
 
+import json
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import can
 import cantools
+import numpy as np
 import pytest
 from drive_files import run, table, town
+
+from maplines_can import maps
+from maplines_can.cli import main
 
 DBC = """\
 VERSION ""
@@ -91,3 +97,52 @@ def test_a_log_of_a_drive_elsewhere_is_told(
     (tmp_path / "signals.toml").write_text(TABLES["signals.toml"])
     options += ["--signals", str(tmp_path / "signals.toml")]
     assert "no position is on the map" in run(capsys, town(tmp_path), *options, status=1)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "drives.md"
+#: The DBC of the table in the page.
+PAGE_DBC = """\
+VERSION ""
+BU_: car
+BO_ 512 GNSS: 12 car
+ SG_ Latitude : 0|32@1- (0.0000001,0) [0|0] "deg" car
+ SG_ Longitude : 32|32@1- (0.0000001,0) [0|0] "deg" car
+ SG_ Course : 64|16@1+ (0.01,0) [0|0] "deg" car
+BO_ 514 ESP: 2 car
+ SG_ VehicleSpeed : 0|16@1+ (0.01,0) [0|0] "km/h" car
+"""
+
+
+def test_the_command_of_the_page_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its table of signals, and a log of a car on the motorway, in latitude and longitude."""
+    pyproj = pytest.importorskip("pyproj")
+    monkeypatch.chdir(tmp_path)
+    page = PAGE.read_text(encoding="utf-8")
+    (signals,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (command,) = re.findall(r"^maplines (drive --drive car.blf .*)$", page, re.MULTILINE)
+    Path("signals.toml").write_text(signals)
+    Path("car.dbc").write_text(PAGE_DBC)
+    found = maps.load(maps.town_path())
+    centre = found.lanes["3:0:-3"].centre
+    inverse = pyproj.Transformer.from_crs(found.projection, "EPSG:4326", always_xy=True)
+    s = 30 + 2.0 * np.arange(60)
+    lon, lat = inverse.transform(*(np.interp(s, centre.distance, xy) for xy in centre.points.T))
+    ahead = inverse.transform(*(np.interp(s + 1, centre.distance, xy) for xy in centre.points.T))
+    course, *_ = pyproj.Geod(ellps="WGS84").inv(lon, lat, *ahead)
+    gnss, esp = cantools.database.load_string(PAGE_DBC).messages  # type: ignore[union-attr]
+    with can.Logger("car.blf") as logger:
+        for i in range(len(s)):
+            values = {"Latitude": lat[i], "Longitude": lon[i], "Course": course[i] % 360}
+            for message, signals_now in ((gnss, values), (esp, {"VehicleSpeed": 72.0})):
+                data = message.encode(signals_now)
+                fd = len(data) > 8
+                logger(can.Message(1e9 + i / 10, message.frame_id, False, data=data, is_fd=fd))
+    assert main([*shlex.split(command), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["cycles"] == 119
+    assert result["km"] == pytest.approx(0.118, rel=0.01)
+    assert result["off_map"] == result["lane_changes"] == 0
+    assert result["lines"] >= 3 * 119
+    assert Path("lines.blf").exists()

@@ -42,6 +42,15 @@ def test_projection_against_a_closed_form() -> None:
     np.testing.assert_allclose(north(lat, lon, on_sphere), np.pi / 2 + convergence, atol=1e-6)
 
 
+def test_a_geoid_grid_that_is_not_installed_does_no_harm() -> None:
+    """It concerns heights only; map files of simulators name one."""
+    pytest.importorskip("pyproj")
+    lat, lon = np.array([49.9, 50.3]), np.array([8.6, 9.0])
+    utm = "+proj=utm +zone=32 +datum=WGS84 +units=m"
+    found = project(lat, lon, f"{utm} +geoidgrids=no_such_grid.gtx +vunits=m +no_defs")
+    np.testing.assert_allclose(found, project(lat, lon, UTM), atol=1e-6)
+
+
 def test_bearings_are_from_true_north(gnss: Path) -> None:
     """The heading in the map frame differs by the meridian convergence."""
     pytest.importorskip("pyproj")
