@@ -196,6 +196,8 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
     places = [route.start]
     for k in range(1, len(rows)):
         places.append(along(route, poses[k, :2], places[-1]))
+        if not PATIENCE < k < len(rows) - PATIENCE:
+            continue  # the first and the last lines of the slots are not of the same cycle
         jumps = {slot: jump(cycles[k - 1], cycles[k], slot, poses, k) for slot in SLOTS}
         new = {slot: value for slot, value in jumps.items() if not abs(value) <= JUMP}
         if not new:
