@@ -71,7 +71,8 @@ class Bus(RuleBasedStateMachine):
         self.records = dict.fromkeys(Slot, 0)  # of each slot so far
         self.counter = dict.fromkeys(Slot, 0)  # of the next record
         self.epoch = dict.fromkeys(Slot, 0)
-        self.restarted = dict.fromkeys(Slot, 0)  # when
+        self.restarting = set[Slot]()  # restarted, and nothing heard since
+        self.restarted = dict.fromkeys(Slot, 0)  # when the first frame after it came
         self.received_up_to = dict.fromkeys(Slot, 0)  # record after the last delivered line
         self.heard: dict[Any, Any] = {}  # frames as they came, and when
         self.newest = dict.fromkeys(Slot, 0)  # record of which a frame came
@@ -115,7 +116,7 @@ class Bus(RuleBasedStateMachine):
         self.counter[slot] = counter
         self.now += 26 * MS  # no process starts sooner
         self.epoch[slot] += 1
-        self.restarted[slot] = self.now
+        self.restarting.add(slot)
         self.delivered[slot].clear()  # its numbers have lost their order
         self.air, self.first = [], len(self.sent)
 
@@ -222,6 +223,9 @@ class Bus(RuleBasedStateMachine):
             if self.newest[sent.slot] - 1 - sent.records.start > TOLD_APART:
                 self.delivered[sent.slot].clear()  # so old that it passes for new
             self.newest[sent.slot] = max(self.newest[sent.slot], sent.records.stop)
+            if sent.slot in self.restarting:  # on the receiver's clock, which may be set back
+                self.restarting.remove(sent.slot)
+                self.restarted[sent.slot] = self.now
         self.heard.setdefault(frame, []).append(self.now)
         answer = self.decoder.feed(frame.can_id, frame.data, self.now)
         self.fed += 1
