@@ -99,10 +99,9 @@ class Polyline:
         return line
 
     def _set(self, points: NDArray[np.float64], distance: NDArray[np.float64], kind: Kind) -> None:
-        points.flags.writeable = distance.flags.writeable = False
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "distance", distance)
-        object.__setattr__(self, "kind", kind)
+        points.setflags(write=False)
+        distance.setflags(write=False)
+        vars(self).update(points=points, distance=distance, kind=kind)
 
     @cached_property
     def _tree(self) -> SearchTree | None:

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ..polyline import Polyline
 from .lane import Lane
@@ -34,6 +37,52 @@ class Key(NamedTuple):
         return Key(self.lane, not self.is_against)
 
 
+@dataclass(eq=False, slots=True)
+class DrivenLine:
+    """A line of a lane as driven.
+
+    Args:
+        key: the lane.
+        side: "left", "right" or "centre", as driven.
+        line: the line, in the direction of the lane.
+        points: (n, 2) its points, as driven [m].
+        start: the first one.
+        end: the last one.
+        length: of the line [m].
+
+    Attributes:
+        back: the same line in the other direction.
+    """
+
+    key: Key
+    side: str
+    line: Polyline
+    points: NDArray[np.float64]
+    start: tuple[float, float]
+    end: tuple[float, float]
+    length: float
+    back: DrivenLine = field(init=False)
+
+    @property
+    def polyline(self) -> Polyline:
+        """The line as driven; its points are not copied."""
+        if not self.key.is_against:
+            return self.line
+        distance = self.length - self.line.distance[::-1]
+        return Polyline.trusted(self.points, self.line.kind, distance)
+
+    def points_up_to(self, s: float) -> NDArray[np.float64]:
+        """Return the points up to an arc length [m] and the next one, at least two."""
+        if s >= self.length:
+            return self.points
+        distance = self.line.distance
+        if self.key.is_against:
+            k = len(distance) - int(distance.searchsorted(self.length - s, "right"))
+        else:
+            k = int(distance.searchsorted(s))
+        return self.points[: max(2, k + 1)]
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class DrivenLane:
     """A lane as seen by a car that drives along it or against it.
@@ -47,12 +96,17 @@ class DrivenLane:
         on_right: drivable lane on the right.
     """
 
-    left: Polyline
-    right: Polyline
-    centre: Polyline
+    left: DrivenLine
+    right: DrivenLine
+    centre: DrivenLine
     successors: tuple[Key, ...]
     on_left: Key | None
     on_right: Key | None
+
+    @property
+    def length(self) -> float:
+        """Length of the centre line [m]."""
+        return self.centre.length
 
 
 class LaneGraph:
@@ -69,22 +123,35 @@ class LaneGraph:
         self._straightest: dict[Key, Key] = {}
 
     def __getitem__(self, key: Key) -> DrivenLane:
-        """Return a lane in a direction; always the same object."""
+        """Return a lane in a direction; it and its lines are always the same objects."""
         known = self._driven.get(key)
         if known is None:
-            lane = self._lanes[key.lane]
-            left, right, centre = lane.left, lane.right, lane.centre
-            on_left, on_right = self._beside(lane)
-            after = lane.successors
-            if key.is_against:
-                left, right, centre = (_reversed(line) for line in (right, left, centre))
-                on_left, on_right = (other and other.back for other in (on_right, on_left))
-                after = lane.predecessors
-            ahead = (i for i in after if self._lanes[i].type.is_drivable)
-            known = self._driven[key] = DrivenLane(
-                left, right, centre, tuple(Key(i, key.is_against) for i in ahead), on_left, on_right
-            )
+            self._add(self._lanes[key.lane])
+            known = self._driven[key]
         return known
+
+    def _add(self, lane: Lane) -> None:
+        """Add a lane in both directions."""
+        along, against = Key(lane.id), Key(lane.id, True)
+        left = _driven_line(lane.left, along, "left", "right")
+        right = _driven_line(lane.right, along, "right", "left")
+        centre = _driven_line(lane.centre, along, "centre", "centre")
+        on_left, on_right = self._beside(lane)
+        after, before = (
+            [i for i in links if self._lanes[i].type.is_drivable]
+            for links in (lane.successors, lane.predecessors)
+        )
+        self._driven[along] = DrivenLane(
+            left, right, centre, tuple(map(Key, after)), on_left, on_right
+        )
+        self._driven[against] = DrivenLane(
+            right.back,
+            left.back,
+            centre.back,
+            tuple(Key(i, True) for i in before),
+            on_right and on_right.back,
+            on_left and on_left.back,
+        )
 
     def _beside(self, lane: Lane) -> tuple[Key | None, Key | None]:
         """Return the lanes on the left and on the right."""
@@ -123,22 +190,26 @@ class LaneGraph:
             reach: length that the lanes yielded have together, if the map has it [m].
         """
         seen = {key.lane}
+        lane = self[key]
         i = 0
         while reach > 0:
-            row = self.row(key)
-            while i < len(path) and path[i] in row:
+            while i < len(path) and path[i] in self.row(key):
                 i += 1
-            after = [other for other in self[key].successors if other.lane not in seen]
+            after = [other for other in lane.successors if other.lane not in seen]
             if not after:
                 return
-            straightest = self.straightest(key)
-            key = straightest if straightest in after else after[0]
-            if i < len(path) and len(after) > 1:
-                target = path[i]
-                beside = (other for other in after if target in self.row(other))
-                key = target if target in after else next(beside, key)
+            if len(after) > 1:
+                straightest = self.straightest(key)
+                key = straightest if straightest in after else after[0]
+                if i < len(path):
+                    target = path[i]
+                    beside = (other for other in after if target in self.row(other))
+                    key = target if target in after else next(beside, key)
+            else:
+                key = after[0]
+            lane = self[key]
             seen.add(key.lane)
-            reach -= self[key].centre.length
+            reach -= lane.length
             yield key
 
     def reachable(self, key: Key, distance: float) -> set[Key]:
@@ -148,7 +219,7 @@ class LaneGraph:
         while open_keys:
             at = open_keys.pop()
             for other in self[at].successors:
-                length = least[at] + self[other].centre.length
+                length = least[at] + self[other].length
                 if least[at] <= distance and length < least.get(other, math.inf):
                     least[other] = length
                     open_keys.append(other)
@@ -170,7 +241,7 @@ class LaneGraph:
     def _turn(self, key: Key, heading: float, reach: float, depth: int) -> float:
         """Return the least angle between a heading and the directions of the ways at a distance."""
         lane = self[key]
-        rest = reach - lane.centre.length
+        rest = reach - lane.length
         if rest <= 0 or depth == 0 or not lane.successors:
             return abs(wrapped(_direction(lane.centre, reach) - heading))
         return min(self._turn(other, heading, rest, depth - 1) for other in lane.successors)
@@ -190,13 +261,18 @@ def _is_on_left(lane: Lane, opposite: Lane) -> bool:
     return place.t > 0
 
 
-def _reversed(line: Polyline) -> Polyline:
-    """Return the line in the other direction, without a copy of its points."""
-    return Polyline.trusted(line.points[::-1], line.kind, line.length - line.distance[::-1])
+def _driven_line(line: Polyline, key: Key, side: str, back_side: str) -> DrivenLine:
+    """Return a line of a lane; ``back`` is the same as driven against it."""
+    points, length = line.points, line.length
+    (x0, y0), (x1, y1) = points[0].tolist(), points[-1].tolist()
+    start, end = (x0, y0), (x1, y1)
+    found = DrivenLine(key, side, line, points, start, end, length)
+    found.back = DrivenLine(key.back, back_side, line, points[::-1], end, start, length)
+    found.back.back = found
+    return found
 
 
-def _direction(line: Polyline, s: float) -> float:
+def _direction(line: DrivenLine, s: float) -> float:
     """Return the direction of a line at an arc length, or at its end [rad]."""
-    k = min(int(line.distance.searchsorted(s)), len(line.points) - 1)
-    (x0, y0), (x1, y1) = line.points[k - 1 : k + 1].tolist() if k else line.points[:2].tolist()
+    (x0, y0), (x1, y1) = line.points_up_to(s)[-2:].tolist()
     return math.atan2(y1 - y0, x1 - x0)

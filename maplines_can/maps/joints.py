@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,13 +35,40 @@ def joined(
     >>> len(line.points), begins
     (3, [0.0, 9.0])
     """
+    return joined_lines([(parts, kind)])[0]
+
+
+def joined_lines(
+    lines: Sequence[tuple[Sequence[NDArray[np.float64]], Kind]],
+) -> list[tuple[Polyline, list[float]]]:
+    """Return what ``joined`` does for several lines, in less time.
+
+    Args:
+        lines: the parts and the kind of each line.
+    """
+    parts = [part for line, _ in lines for part in line]
     points = np.concatenate(parts)
-    first = np.array([len(part) for part in parts[:-1]], dtype=np.intp).cumsum()
+    size = np.array([len(part) for part in parts])
+    first = size.cumsum() - size
     step = points[first] - points[first - 1]
     is_near = np.hypot(step[:, 0], step[:, 1]) <= SNAP
+    # Lines are next to each other in the arrays: parts i to j, and rows a to b.
+    heads = list(accumulate([len(line) for line, _ in lines], initial=0))
+    is_near[heads[:-1]] = False
     if is_near.any():
         keep = np.ones(len(points), bool)
         keep[first[is_near]] = False
-        points = points[keep]
-    line = Polyline.trusted(points, kind)
-    return line, [0.0, *line.distance[first - is_near.cumsum()].tolist()]
+        points = points.compress(keep, axis=0)
+        first -= is_near.cumsum()
+    step = points[1:] - points[:-1]
+    length = np.hypot(step[:, 0], step[:, 1])
+    distance = np.zeros(len(points))
+    rows = [*first[heads[:-1]].tolist(), len(points)]
+    for a, b in pairwise(rows):
+        length[a : b - 1].cumsum(out=distance[a + 1 : b])
+    starts = distance[first].tolist()
+    ends = zip(lines, pairwise(rows), pairwise(heads), strict=True)
+    return [
+        (Polyline.trusted(points[a:b], kind, distance[a:b]), starts[i:j])
+        for (_, kind), (a, b), (i, j) in ends
+    ]

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import accumulate, takewhile
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..line import Slot
 from ..polyline import MAX_TURN, Polyline
-from .driven import DrivenLane, Key, LaneGraph
-from .joints import MAX_GAP, SNAP, gap, joined
+from .driven import DrivenLine, Key, LaneGraph
+from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
 from .matching import LaneMatch, locate, wrapped
 from .routing import Route
@@ -32,10 +34,12 @@ PARALLEL = math.radians(45.0)
 LEAST_COSINE = math.cos(2 * MAX_TURN)
 #: Margin of that cosine for a direction that is taken over a single step.
 MARGIN = 0.2
+#: Tangent of the angle between such a step and the direction opposite to that of the part.
+NEARLY_OPPOSITE = math.tan(math.pi - math.acos(LEAST_COSINE + MARGIN))
 #: Length over which the direction of a line is taken for that [m].
 CHORD = 1.0
 
-#: The same line as seen in the other direction.
+#: The slots of the lines of lanes; the same line as seen in the other direction.
 _MIRRORED = {
     Slot.EGO_LEFT: Slot.EGO_RIGHT,
     Slot.EGO_RIGHT: Slot.EGO_LEFT,
@@ -45,54 +49,21 @@ _MIRRORED = {
     Slot.EDGE_LEFT: Slot.EDGE_RIGHT,
     Slot.EDGE_RIGHT: Slot.EDGE_LEFT,
 }
-_OTHER_SIDE = {"left": "right", "right": "left", "centre": "centre"}
+_SLOTS = tuple(_MIRRORED)
 _OF_EGO_LANE = frozenset({Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.CENTRE})
 _EDGES = frozenset({Slot.EDGE_LEFT, Slot.EDGE_RIGHT})
 
 
-@dataclass(eq=False, slots=True)
-class Source:
-    """A line of a lane; always the same object, so that it is found by its identity.
-
-    Args:
-        key: the lane.
-        side: "left", "right" or "centre", as driven.
-        line: the line, as driven.
-
-    Attributes:
-        start: first point of the line [m].
-        end: last point of the line [m].
-        length: of the line [m].
-        back: the same line in the other direction.
-    """
-
-    key: Key
-    side: str
-    line: Polyline
-    start: tuple[float, float] = field(init=False)
-    end: tuple[float, float] = field(init=False)
-    length: float = field(init=False)
-    back: Source = field(init=False)
-
-    def __post_init__(self) -> None:
-        points = self.line.points
-        self.start, self.end = tuple(points[0].tolist()), tuple(points[-1].tolist())
-        self.length = self.line.length
+#: The lines of the slots at one lane, in the order of ``_SLOTS``.
+CrossSection = tuple[DrivenLine | None, ...]
 
 
-#: A line of a lane, and those of its points that are used.
-Part = tuple[Source, NDArray[np.float64]]
+class _Way(NamedTuple):
+    """A lane and those ahead of it."""
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class CrossSection:
-    """The lines of the slots at one lane.
-
-    Args:
-        sources: slots, and the line that each has.
-    """
-
-    sources: tuple[tuple[Slot, Source], ...]
+    lanes: list[Key]
+    reaches: list[float]  #: length up to which the lines of each lane are used [m]
+    lines: dict[Slot, tuple[DrivenLine, ...]]  #: those of the lane, and those that continue them
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,8 +78,8 @@ class Surroundings:
     """
 
     lines: Mapping[Slot, Polyline]
-    base: Mapping[Slot, Source]
-    parts: Mapping[Slot, tuple[Source, ...]]
+    base: Mapping[Slot, DrivenLine]
+    parts: Mapping[Slot, tuple[DrivenLine, ...]]
     lanes: frozenset[Key]
 
 
@@ -123,11 +94,9 @@ class View:
         self.graph = LaneGraph(lanes)
         self.around = lru_cache(KEPT)(self._around)
         self._route_line = lru_cache(KEPT)(_route_line)
-        self._sources: dict[tuple[Key, str], Source] = {}
         self._at = lru_cache(KEPT * 8)(self._find_at)
-        # The same lines are the same object, so that the lanes after them are found once.
-        self._cross_section = lru_cache(KEPT * 64)(CrossSection)
         self._following = lru_cache(KEPT * 64)(self._find_following)
+        self._leads_beside = lru_cache(KEPT * 64)(self._find_leads_beside)
 
     def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
@@ -172,89 +141,73 @@ class View:
             ahead: lanes to follow ahead.
             behind: lanes to follow behind, as driven backward, from the nearest one on.
         """
-        after, lanes_ahead = self._continued(key, ahead, AHEAD)
-        before, lanes_behind = self._continued(key.back, behind, BEHIND)
-        known: dict[tuple[Source, ...], Polyline] = {}
-        lines: dict[Slot, Polyline] = {}
-        parts: dict[Slot, tuple[Source, ...]] = {}
-        bases = self._at(key)
-        for slot, source in bases.items():
-            back, front = before[_MIRRORED[slot]], after[slot]
-            sources = [part.back for part, _ in reversed(back)]
-            sources += [source, *(part for part, _ in front)]
-            whole = tuple(sources)
-            if whole not in known:
-                points = [part[::-1] for _, part in reversed(back)]
-                points += [source.line.points, *(part for _, part in front)]
-                line, starts = joined(points, source.line.kind)
-                end = [*starts, line.length][len(back) + 1]
-                known[whole] = _visible(line, starts[len(back)], end)
-            lines[slot], parts[slot] = known[whole], whole
-        return Surroundings(lines, bases, parts, frozenset((key, *lanes_ahead, *lanes_behind)))
+        front, rear = self._way(key, ahead, AHEAD), self._way(key.back, behind, BEHIND)
+        # Lines behind, as driven backward, and ahead; slots with the same ones have the same line.
+        numbers: dict[tuple[tuple[DrivenLine, ...], tuple[DrivenLine, ...]], int] = {}
+        which = {
+            slot: numbers.setdefault((rear.lines[_MIRRORED[slot]], own), len(numbers))
+            for slot, own in front.lines.items()
+        }
+        parts, points = [], []
+        for back, own in numbers:
+            parts.append((*(source.back for source in back[:0:-1]), *own))
+            backward = [part[::-1] for part in _points(back, rear.reaches)[:0:-1]]
+            points.append(([*backward, *_points(own, front.reaches)], own[0].line.kind))
+        lines, spans = [], []
+        for (line, starts), (back, _) in zip(joined_lines(points), numbers, strict=True):
+            lines.append(line)
+            k = len(back) - 1
+            spans.append((starts[k], [*starts, line.length][k + 1]))
+        for i, turns in enumerate(_may_turn_back(lines, spans)):
+            if turns:
+                lines[i] = _visible(lines[i], *spans[i])
+        return Surroundings(
+            {slot: lines[i] for slot, i in which.items()},
+            {slot: own[0] for slot, own in front.lines.items()},
+            {slot: parts[i] for slot, i in which.items()},
+            frozenset((*front.lanes, *(other.back for other in rear.lanes))),
+        )
 
-    def _source(self, key: Key, side: str) -> Source:
-        """Return a line of a lane."""
-        found = self._sources.get((key, side))
-        if found is None:
-            pair = ((key, side), (key.back, _OTHER_SIDE[side]))
-            one, other = (Source(*at, getattr(self.graph[at[0]], at[1])) for at in pair)
-            one.back, other.back = other, one
-            self._sources |= zip(pair, (one, other), strict=True)
-            found = one
-        return found
-
-    def _find_at(self, key: Key) -> dict[Slot, Source]:
-        """Return where the line of each slot is from, at a lane."""
-        row = self.graph.row(key)
+    def _find_at(self, key: Key) -> CrossSection:
+        """Return the line of each slot at a lane."""
+        graph = self.graph
+        row = graph.row(key)
         i = row.index(key)
-        places = {Slot.EGO_LEFT: (key, "left"), Slot.EGO_RIGHT: (key, "right")}
-        if i > 0:
-            places[Slot.NEXT_LEFT] = (row[i - 1], "left")
-        if i + 1 < len(row):
-            places[Slot.NEXT_RIGHT] = (row[i + 1], "right")
-        places[Slot.CENTRE] = (key, "centre")
-        places[Slot.EDGE_LEFT] = (row[0], "left")
-        places[Slot.EDGE_RIGHT] = (row[-1], "right")
-        return {slot: self._source(*place) for slot, place in places.items()}
+        own = graph[key]
+        next_left = graph[row[i - 1]].left if i > 0 else None
+        next_right = graph[row[i + 1]].right if i + 1 < len(row) else None
+        edges = graph[row[0]].left, graph[row[-1]].right
+        return own.left, own.right, next_left, next_right, own.centre, *edges
 
-    def _continued(
-        self, key: Key, path: Sequence[Key], reach: float
-    ) -> tuple[dict[Slot, list[Part]], list[Key]]:
-        """Return the parts that continue the line of each slot ahead of a lane, and the lanes."""
-        at = self._at(key)
-        section = self._cross_section(tuple(at.items()))
-        parts: dict[Slot, list[Part]] = {slot: [] for slot in at}
-        lanes = []
+    def _way(self, key: Key, path: Sequence[Key], reach: float) -> _Way:
+        """Return a lane with those ahead of it, and the lines of each slot that continue it."""
+        lanes, reaches, sections = [key], [math.inf], [self._at(key)]
         for following in self.graph.way(key, path, reach):
-            section = self._following(section, following)
-            if not section.sources:
+            section = self._following(sections[-1], following)
+            if not any(section):
                 break
-            for slot, source in section.sources:
-                points = source.line.points
-                if source.length > reach:
-                    rows = int(source.line.distance.searchsorted(reach)) + 1
-                    points = points[: max(2, rows)]
-                parts[slot].append((source, points))
             lanes.append(following)
-            reach -= self.graph[following].centre.length
-        return parts, lanes
+            reaches.append(reach)
+            sections.append(section)
+            reach -= self.graph[following].length
+        columns = zip(_SLOTS, zip(*sections, strict=True), strict=True)
+        lines = {slot: tuple(takewhile(bool, own)) for slot, own in columns if own[0]}
+        return _Way(lanes, reaches, lines)
 
     def _find_following(self, section: CrossSection, following: Key) -> CrossSection:
         """Return the lines that continue those of a lane, where the next one begins.
 
         It is the line of the slot at the next lane, if it begins where this one ends.
         """
-        at = self._at(following)
-        found = []
-        for slot, source in section.sources:
-            designated = at.get(slot)
-            if designated is None or math.dist(source.end, designated.start) > MAX_GAP:
-                designated = None if slot in _OF_EGO_LANE else self._beside(slot, source, following)
-            if designated is not None:
-                found.append((slot, designated))
-        return self._cross_section(tuple(found))
+        found: list[DrivenLine | None] = []
+        for slot, source, designated in zip(_SLOTS, section, self._at(following), strict=True):
+            one = designated if source else None
+            if source and (one is None or math.dist(source.end, one.start) > MAX_GAP):
+                one = None if slot in _OF_EGO_LANE else self._beside(slot, source, following)
+            found.append(one)
+        return tuple(found)
 
-    def _beside(self, slot: Slot, source: Source, following: Key) -> Source | None:
+    def _beside(self, slot: Slot, source: DrivenLine, following: Key) -> DrivenLine | None:
         """Return the line of a successor of a lane that continues its line beside the next lane.
 
         Another lane has opened between, or the lanes beside each other have no common road in a
@@ -266,25 +219,31 @@ class View:
             following: lane ahead that the car drives on.
         """
         for key in self.graph[source.key].successors:
-            other = self._source(key, source.side)
+            other: DrivenLine = getattr(self.graph[key], source.side)
             if math.dist(source.end, other.start) > MAX_GAP:
                 continue
             if key in self.graph.row(following):
                 if slot not in _EDGES:  # an edge ends where a lane opens beyond it
                     return other
-            elif _leads_beside(other.line, self.graph[following], source.side):
+            elif self._leads_beside(other, following):
                 return other
         return None
 
+    def _find_leads_beside(self, source: DrivenLine, key: Key) -> bool:
+        """Return whether a line ends on its side of a lane and in about its direction."""
+        lane = self.graph[key]
+        boundary = lane.left if source.side == "left" else lane.right
+        points = source.points
+        (place,) = locate([boundary.polyline], points[-1])
+        (x0, y0), (x1, y1) = points[-2:].tolist()
+        turn = wrapped(math.atan2(y1 - y0, x1 - x0) - place.direction)
+        outward = place.t if source.side == "left" else -place.t
+        return outward > -MAX_GAP and abs(turn) < PARALLEL
 
-def _leads_beside(line: Polyline, lane: DrivenLane, side: str) -> bool:
-    """Return whether a line ends on one side of a lane and in about its direction."""
-    boundary = lane.left if side == "left" else lane.right
-    (place,) = locate([boundary], line.points[-1])
-    (x0, y0), (x1, y1) = line.points[-2:].tolist()
-    turn = wrapped(math.atan2(y1 - y0, x1 - x0) - place.direction)
-    outward = place.t if side == "left" else -place.t
-    return outward > -MAX_GAP and abs(turn) < PARALLEL
+
+def _points(sources: Sequence[DrivenLine], reaches: Sequence[float]) -> list[NDArray[np.float64]]:
+    """Return the points of lines that follow each other, up to a position each."""
+    return [source.points_up_to(s) for source, s in zip(sources, reaches, strict=False)]
 
 
 def _visible(line: Polyline, start: float, end: float) -> Polyline:
@@ -297,8 +256,6 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
         start: arc length of the start of the part [m].
         end: arc length of its end [m].
     """
-    if not _turns(line, start, end):
-        return line
     s = np.linspace(0.0, line.length, max(1, math.ceil(line.length / CHORD)) + 1)
     x, y = (np.interp(s, line.distance, values) for values in line.points.T)
     chord = np.diff(x + 1j * y)
@@ -314,16 +271,31 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
     return Polyline(line.points[rows[0] : rows[1] + 1], line.kind)
 
 
-def _turns(line: Polyline, start: float, end: float) -> bool:
-    """Return whether a step of a line may turn too far from the part: quickly, and too often."""
-    step = line.points[1:] - line.points[:-1]
-    length = line.distance[1:] - line.distance[:-1]
-    k0, k1 = line.distance[1:-1].searchsorted([start + CHORD / 2, end - CHORD / 2])
-    for k, part in ((k1, slice(k1, None)), (k0, slice(None, k0 + 1))):
-        advance = step[part] @ step[k]
-        if (advance < (LEAST_COSINE + MARGIN) * length[k] * length[part]).any():
-            return True
-    return False
+def _may_turn_back(lines: Sequence[Polyline], spans: Sequence[tuple[float, float]]) -> list[bool]:
+    """Return which lines may have a step that turns too far from a part: quickly, and too often.
+
+    Args:
+        lines: the lines.
+        spans: arc lengths of the start and of the end of the part of each line [m].
+    """
+    sizes = [len(line.points) for line in lines]
+    first = [0, *accumulate(sizes)]
+    rows: list[int] = []  # the steps at the ends of the parts; -1 is none
+    counts: list[int] = []  # number of steps to compare with each: behind, in and ahead of the part
+    is_short = []
+    for line, (start, end), row, size in zip(lines, spans, first, sizes, strict=False):
+        ends = line.distance[1:-1].searchsorted([start + CHORD / 2, end - CHORD / 2])
+        k0, k1 = ends.tolist()
+        rows += row + k0, -1, row + k1
+        counts += min(k0 + 1, k1), max(0, k1 - k0 - 1), size - k1
+        is_short.append(k0 > k1)
+    x, y = np.concatenate([line.points for line in lines]).T
+    step = np.append(np.diff(x + 1j * y), 0.0)
+    step[[row - 1 for row in first[1:]]] = 0.0  # from line to line
+    turned = step * step[rows].conj().repeat(counts)
+    is_far = np.abs(turned.imag) < -NEARLY_OPPOSITE * turned.real
+    far = np.logical_or.reduceat(is_far, first[:-1]).tolist()
+    return [a or b for a, b in zip(far, is_short, strict=True)]
 
 
 def _route_line(route: Route, index: int) -> Polyline:
@@ -335,7 +307,8 @@ def _route_line(route: Route, index: int) -> Polyline:
     rows = slice(int(distance.searchsorted(begin)), int(distance.searchsorted(end, "right")))
     line = Polyline(route.line.points[rows], route.line.kind)
     start, length = route.extent(index)
-    return _visible(line, start - begin, start - begin + length)
+    span = start - begin, start - begin + length
+    return _visible(line, *span) if any(_may_turn_back([line], [span])) else line
 
 
 def link_gaps(lanes: Mapping[str, Lane]) -> Iterator[Skipped]:

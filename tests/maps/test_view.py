@@ -1,6 +1,7 @@
 """Lines around a car: which slot each one has, and how far they continue."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from xodr_files import cubic, linked, read_map, road, section
 from xodr_files import lane as xodr_lane
 
 from maplines_can.line import Kind, Slot
-from maplines_can.maps import Map, link_gaps
+from maplines_can.maps import Map, link_gaps, view
 from maplines_can.polyline import Polyline, stretches
 
 ORDER = (
@@ -325,6 +326,43 @@ def test_gaps_at_links(step: float, is_joined: bool, reported: str) -> None:
     assert len(whys) == bool(reported)
     assert not reported or reported in whys[0]
     assert not whys or whys[0].startswith("link of lane 1 to lane 2: ")
+
+
+@given(
+    turns=st.lists(st.floats(-0.4, 0.4), min_size=1, max_size=8),
+    steps=st.integers(2, 20),
+    start=st.floats(0.0, 1.0),
+    part=st.floats(0.0, 1.0),
+)
+def test_lines_that_cannot_turn_back_are_whole(
+    turns: list[float], steps: int, start: float, part: float
+) -> None:
+    """The quick test of several lines finds each one of which a part is not visible."""
+    heading = np.repeat(turns, steps).cumsum()
+    bend = Polyline(np.cumsum([np.cos(heading), np.sin(heading)], axis=1).T)
+    straight = Polyline([[0.0, 0.0], [50.0, 0.0]])
+    lines = [straight, bend, straight]
+    spans = [(start * line.length * (1 - part), start * line.length) for line in lines]
+
+    may_turn_back = view._may_turn_back(lines, spans)
+
+    for line, span, may in zip(lines, spans, may_turn_back, strict=True):
+        assert may or view._visible(line, *span) is line
+    assert not (may_turn_back[0] and spans[0][1] - spans[0][0] > view.CHORD)
+
+
+def test_points_in_any_memory_order() -> None:
+    """Points of a caller may be stored by columns."""
+    one = lane("1")
+    left, right, centre = (
+        Polyline(np.asfortranarray(line.points)) for line in (one.left, one.right, one.centre)
+    )
+    assert left.points.flags.f_contiguous
+    stored = network(replace(one, left=left, right=right, centre=centre))
+
+    expected = network(one).lines([50.0, 0.0, 0.0])
+    for slot, line in stored.lines([50.0, 0.0, 0.0]).items():
+        assert line.points.tolist() == expected[slot].points.tolist()
 
 
 def test_links_that_loop_end() -> None:
