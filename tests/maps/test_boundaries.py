@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from xodr_files import (
     WIDTH,
@@ -239,6 +239,7 @@ def test_sampled_lines_are_within_half_a_millimetre(text: str) -> None:
     st.floats(-0.002, 0.002),
     st.floats(1.0, 100.0),
 )
+@example(-0.1171875, -0.1171875, 0.0, -0.000889482991651568, 95.98828125)
 def test_sampled_lines_of_any_road_are_within_half_a_millimetre(
     start: float, end: float, b: float, c: float, length: float
 ) -> None:
