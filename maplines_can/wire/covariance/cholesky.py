@@ -20,12 +20,13 @@ which S' minus the mean square error about the decoded mean is positive semidefi
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..message.layout import Layout
+from ..message.record_layout import RecordLayout
+from ..message.signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_octaves
 from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
 
@@ -34,21 +35,27 @@ MARGIN = 1e-6
 
 
 class CholeskyCode(CovarianceCode):
-    """Pivots and ratios that are quantized with feedback, and an inflation."""
+    """Pivots and ratios that are quantized with feedback, and an inflation.
+
+    Args:
+        layout: has the signals.
+        rows: names of the k rows, in the order of the states of the covariance. The arrays of
+            ``CovarianceCode`` then have k where they have 4.
+    """
 
     name = "Cholesky"
     about = "as LogCholesky, with feedback from row to row, and inflated until it covers"
     positive_definite = True
     covering = True
 
-    def __init__(self, layout: Layout) -> None:
-        self.factor = CholeskyFactor(layout)
+    def __init__(self, layout: RecordLayout, rows: Sequence[str] = PARAMETER_SIGNALS) -> None:
+        self.factor = CholeskyFactor(layout, rows)
         self.inflation = layout["Inflation"]
         self.signals = (*self.factor.signals, self.inflation)
         check_octaves(layout, [self.inflation])
         self._variance_factor = exp2_table(self.inflation)
         # Variances that no pivot and ratios can cover: encoding them is futile and may overflow.
-        self._unreachable = np.empty(4)
+        self._unreachable = np.empty(len(rows))
         factor = self.factor
         for state, pivot, ratios in zip(factor.order, factor.pivots, factor.ratios, strict=True):
             reach = 1 + sum(max(map(abs, ratio.physical_range)) ** 2 for ratio in ratios)
@@ -94,15 +101,15 @@ class CholeskyCode(CovarianceCode):
     def _encode_block(
         self, error: Array, resolution: Array, scale: Array, rows: NDArray[np.intp], coded: Coded
     ) -> Array:
-        """Encode (n, 4, 4) targets, each multiplied by its scale, into these rows of ``coded``.
+        """Encode (n, k, k) targets, each multiplied by its scale, into these rows of ``coded``.
 
         Returns the (n,) ratios of the needed to the available inflation; up to 1 it suffices.
         """
         order = self.factor.order
         M = [[error[:, i, j].copy() for j in order] for i in order]
         floor = [resolution[i] * scale for i in order]
-        target = [[scale * M[i][j] for j in range(i + 1)] for i in range(4)]
-        for i in range(4):
+        target = [[scale * M[i][j] for j in range(i + 1)] for i in range(len(order))]
+        for i in range(len(order)):
             target[i][i] = target[i][i] + floor[i]
         raw, L, lifted = self._quantize(target, floor)
         needed = _largest_ratio(L, M)

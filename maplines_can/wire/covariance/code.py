@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ...line import Status
 from ..message.layout import Layout
+from ..message.record_layout import RecordLayout
 from ..message.requirements import POSITIVE, QUANTITY, Requirement, check, unit
 from ..message.signals import Signal
 
@@ -102,7 +103,7 @@ OCTAVES = (
 )
 
 
-def check_octaves(layout: Layout, signals: Sequence[Signal]) -> None:
+def check_octaves(layout: RecordLayout, signals: Sequence[Signal]) -> None:
     """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
 
     Raises:

@@ -8,7 +8,7 @@ matrix.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, combinations
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import LayoutError
-from ..message.layout import Layout
+from ..message.record_layout import RecordLayout
 from ..message.requirements import POSITIVE, QUANTITY, check, unit
 from ..message.signals import PARAMETER_SIGNALS, Signal
 from .code import Array, check_octaves
@@ -34,30 +34,34 @@ class CholeskyFactor:
 
     The names give the order of the rows: with ``RatioC0Beta``, C0 comes after Beta.
 
+    Args:
+        layout: has the signals.
+        rows: names of the rows, in the order of the states of the covariance.
+
     Raises:
         LayoutError: a signal is missing, the ratios do not define an order of the rows, a factor
             is not positive, or a decoded matrix could be too ill-conditioned.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: RecordLayout, rows: Sequence[str] = PARAMETER_SIGNALS) -> None:
         below = {
-            row: [column for column in PARAMETER_SIGNALS if f"Ratio{row}{column}" in layout.signals]
-            for row in PARAMETER_SIGNALS
+            row: [column for column in rows if f"Ratio{row}{column}" in layout.signals]
+            for row in rows
         }
-        names = sorted(PARAMETER_SIGNALS, key=lambda state: len(below[state]))
-        if [len(below[name]) for name in names] != [0, 1, 2, 3]:
+        names = sorted(rows, key=lambda state: len(below[state]))
+        if [len(below[name]) for name in names] != list(range(len(rows))):
             missing = [
                 f"Ratio{a}{b} or Ratio{b}{a}"
-                for a, b in combinations(PARAMETER_SIGNALS, 2)
+                for a, b in combinations(rows, 2)
                 if a not in below[b] and b not in below[a]
             ]
             raise LayoutError(
                 f"{layout.source}: the ratios must order the rows, Ratio<row><column> for each "
-                f"pair of {', '.join(PARAMETER_SIGNALS)}, but there are {below}"
+                f"pair of {', '.join(rows)}, but there are {below}"
                 f"{'; add ' if missing else ''}{' and '.join(missing)}"
             )
-        #: Order of the rows, as indices into the mean.
-        self.order = [PARAMETER_SIGNALS.index(name) for name in names]
+        #: Order of the rows, as indices into the states.
+        self.order = [rows.index(name) for name in names]
         self.pivots = [layout[f"Pivot{name}"] for name in names]
         self.ratios = [
             [layout[f"Ratio{row}{column}"] for column in names[:i]] for i, row in enumerate(names)
@@ -77,17 +81,19 @@ class CholeskyFactor:
 
     def _largest_condition(self) -> float:
         """Return a bound on the condition number of the correlation matrix of any bits."""
-        reach = np.zeros((4, 4))
+        reach = np.zeros((len(self.ratios), len(self.ratios)))
         for i, ratios in enumerate(self.ratios):
             reach[i, :i] = [max(map(abs, ratio.reach)) for ratio in ratios]
-        inverse = np.linalg.inv(np.eye(4) - reach)  # of the unit factor, with the worst signs
+        inverse = np.linalg.inv(
+            np.eye(len(reach)) - reach
+        )  # of the unit factor, with the worst signs
         norm = np.sqrt(1 + (reach**2).sum(axis=1))
         return float(((inverse * norm) ** 2).sum())
 
     def decode(self, raw: Mapping[str, NDArray[np.int64]], scale: Array | None = None) -> Array:
-        """Return (N, 4, 4) covariances ``scale L L^T``; without (N,) scales they are 1."""
-        n = len(raw[self.pivots[0].name])
-        cov = np.empty((n, 4, 4))
+        """Return (N, k, k) covariances ``scale L L^T``; without (N,) scales they are 1."""
+        n, k = len(raw[self.pivots[0].name]), len(self.pivots)
+        cov = np.empty((n, k, k))
         for start in range(0, n, BLOCK):
             rows = slice(start, start + BLOCK)
             block = {signal.name: raw[signal.name][rows] for signal in self.signals}
@@ -101,12 +107,12 @@ class CholeskyFactor:
         return cov
 
     def decode_one(self, raw: Mapping[str, int], scale: float = 1.0) -> Array:
-        """Return one (4, 4) covariance: as ``decode`` to the last bit."""
+        """Return one (k, k) covariance: as ``decode`` to the last bit."""
         L = []
         for table, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
             sigma = lookup_one(table, pivot, raw[pivot.name])
             L.append([ratio.physical_one(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
-        cov = [[0.0] * 4 for _ in range(4)]
+        cov = [[0.0] * len(L) for _ in L]
         for i, j, value in _products(L, scale):
             cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value
         return np.array(cov)

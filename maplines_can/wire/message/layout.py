@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
 from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
+from .record_layout import RecordLayout
 from .requirements import check_record, pages_of
 from .signals import (
     HEADER_SIGNALS,
@@ -21,7 +22,6 @@ from .signals import (
     PARAMETER_SIGNALS,
     SECURED_SIGNALS,
     TRANSFER_ID,
-    Signal,
 )
 from .slot_messages import SecuredLayout, SlotMessages, check_messages, fd_length
 
@@ -37,8 +37,8 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
-class Layout:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Layout(RecordLayout):
     """Layout of a record and the messages that carry it, as a DBC describes them.
 
     A record is the concatenation of the pages of a multiplexed classic message, and the payload
@@ -58,10 +58,8 @@ class Layout:
             the same CAN ID, or two slots the same data ID.
     """
 
-    signals: Mapping[str, Signal]
     messages: Mapping[Slot, SlotMessages]
     covariance_code: str
-    source: str
     secured: SecuredLayout | None = None
 
     def __post_init__(self) -> None:
@@ -105,30 +103,6 @@ class Layout:
             LayoutError: the text is not a DBC, or does not describe a map line.
         """
         return cls(source=source, **parse_dbc(text, source)._asdict())
-
-    def __getitem__(self, name: str) -> Signal:
-        try:
-            return self.signals[name]
-        except KeyError:
-            raise LayoutError(
-                f"{self.source}: there is no signal {name!r}; each message of a map line needs it, "
-                "within the pages of 8 bytes"
-            ) from None
-
-    @cached_property
-    def pages(self) -> int:
-        """Number of pages of a record."""
-        return len(pages_of(self.signals))
-
-    @property
-    def record_bytes(self) -> int:
-        """Length of a record."""
-        return self.pages * PAGE_BYTES
-
-    @property
-    def crc_offset(self) -> int:
-        """First byte of the checksum within the record."""
-        return self["Crc"].start // 8
 
     @cached_property
     def resolution(self) -> NDArray[np.float64]:

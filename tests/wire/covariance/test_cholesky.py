@@ -1,10 +1,14 @@
 """The default covariance code at the ends of its signals."""
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from maplines_can.errors import LayoutError
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance.cholesky import CholeskyCode
+from maplines_can.wire.message.record_layout import RecordLayout
+from maplines_can.wire.message.signals import Signal
 
 LAYOUT = Layout.from_dbc()
 CODE = CholeskyCode(LAYOUT)
@@ -72,3 +76,56 @@ def test_the_inflation_is_the_least_that_covers() -> None:
     assert checked.sum() > 10_000
     assert (largest_ratio(0) <= 1).all()
     assert (largest_ratio(1) > 1 - 4e-6).all()
+
+
+def pose_signal(name: str, length: int, factor: float, offset: float, unit: str) -> Signal:
+    """A signal of a code with three rows."""
+    raw_max = 2**length - 1
+    return Signal(name, 0, length, False, False, factor, offset, unit, 0, raw_max)
+
+
+def pose_layout(*ratios: str) -> RecordLayout:
+    """Signals of the covariance of a pose error, with ratios of these rows and columns."""
+    signals = [
+        *(pose_signal(f"Pivot{row}", 9, 0.04, -12, "octave") for row in ("Along", "Across")),
+        pose_signal("PivotHeading", 9, 0.034, -18, "octave"),
+        *(pose_signal(f"Ratio{names}", 8, 1 / 32, -4, "") for names in ratios),
+        pose_signal("Inflation", 4, 0.0062, 0, "octave"),
+    ]
+    return RecordLayout(signals={signal.name: signal for signal in signals}, source="pose.dbc")
+
+
+@pytest.mark.parametrize(
+    ("ratios", "order"),
+    [
+        (("AcrossAlong", "HeadingAlong", "HeadingAcross"), [0, 1, 2]),
+        (("AcrossHeading", "AlongHeading", "AlongAcross"), [2, 1, 0]),
+    ],
+)
+def test_a_code_of_three_rows_covers(ratios: tuple[str, ...], order: list[int]) -> None:
+    """In any order of the rows, and one at a time as many."""
+    code = CholeskyCode(pose_layout(*ratios), rows=("Along", "Across", "Heading"))
+    assert code.factor.order == order
+    rng = np.random.default_rng(2)
+    roots = rng.normal(size=(2000, 3, 3)) * np.array([0.3, 0.1, 0.005])[:, None]
+    error = roots @ roots.swapaxes(1, 2)
+    coded = code.encode(error, np.full(3, 1e-12))
+    decoded = code.decode(coded.raw)
+    assert coded.covered.all()
+    assert decoded.shape == (2000, 3, 3)
+    sigma = np.sqrt(np.einsum("nii->ni", decoded))
+    excess = (decoded - error) / (sigma[:, :, None] * sigma[:, None, :])
+    assert (np.linalg.eigvalsh(excess)[:, 0] > 0).all()
+    ratio = np.linalg.eigvals(np.linalg.solve(error, decoded)).real
+    assert np.median(ratio.max(axis=1)) < 1.1
+    for i in range(20):
+        one = code.decode_one({name: int(raw[i]) for name, raw in coded.raw.items()})
+        assert np.array_equal(one, decoded[i])
+
+
+def test_the_rows_that_lack_an_order_are_named() -> None:
+    """The rows are those of the code."""
+    with pytest.raises(LayoutError, match="RatioAcrossHeading or RatioHeadingAcross"):
+        CholeskyCode(
+            pose_layout("AcrossAlong", "HeadingAlong"), rows=("Along", "Across", "Heading")
+        )
