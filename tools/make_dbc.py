@@ -13,6 +13,7 @@ from reporting import fill_tables, parser_of
 
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
+from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.wire.covariance.code import OCTAVES
 from maplines_can.wire.covariance.factor import RATIO
@@ -28,12 +29,15 @@ def wanted() -> Any:
     """Return the text of each file."""
     tables = {
         "fields": DEFAULT.table(),
+        "pose": POSE_WITH_LEVELS.record.table(),
+        "conditional": CONDITIONAL.table(),
         "requirements": requirements_table(),
         "codes": codes_table(),
     }
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
     files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
+    files[FOLDER / "maplines-pose.dbc"] = CONDITIONAL.dbc()
     return files | {FOLDER / "README.md": page}
 
 

@@ -12,6 +12,11 @@ from .dbc_writer import SignalSpec
 
 #: Units of the states.
 UNITS = ("m", "rad", "1/m", "1/m^2")
+#: Units of the rows of Cholesky codes.
+_UNIT_OF_ROW = {
+    **dict(zip(PARAMETER_SIGNALS, UNITS, strict=True)),
+    **{"Along": "m", "Across": "m", "Heading": "rad"},
+}
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
 LARGEST_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
 #: log2 of the smallest standard deviation [octave], usually half a step of the mean.
@@ -97,7 +102,7 @@ def _fraction(factor: float) -> str:
 
 
 def pivot_signal(
-    state: str, given: tuple[str, ...], bits: int, factor: float, offset: float
+    state: str, given: tuple[str, ...], bits: int, factor: float, offset: float, why: str = ""
 ) -> SignalSpec:
     """Return the signal of a diagonal entry.
 
@@ -107,15 +112,16 @@ def pivot_signal(
         bits: width.
         factor: step [octave].
         offset: low end of the range [octave].
+        why: reason for range and steps.
     """
-    unit = UNITS[PARAMETER_SIGNALS.index(state)]
+    unit = _UNIT_OF_ROW[state]
     *first, last = given or ("",)
     of = f" given {', '.join(first)}{' and ' if first else ''}{last}" if given else ""
     return SignalSpec(
         name=f"Pivot{state}", bits=bits, factor=factor, offset=offset, unit="octave",
         about=f"log2 of the standard deviation of {state} [{unit}]{of}.",
-        why=f"from the resolution of the mean, 2^{offset:g} {unit}, upwards in steps of "
-            f"{100 * (2**factor - 1):.2g} %")
+        why=why or f"from the resolution of the mean, 2^{offset:g} {unit}, upwards in steps of "
+                   f"{100 * (2**factor - 1):.2g} %")
 
 
 #: The rows of the default DBC. ``maplines design`` computes them from the targets in

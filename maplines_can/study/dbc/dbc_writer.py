@@ -14,67 +14,19 @@ from cantools.database.can import Database, Message, Node, Signal
 from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
 from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttributeDefinition
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
-from cantools.database.conversion import BaseConversion
 
 from ...line import Slot
-from ...wire.message.layout import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, fd_length
+from ...wire.message.layout import SECURED_SIGNALS, fd_length, slot_title
+from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
+
+__all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SignalSpec", "paged"]
 
 TRANSFER_ID_BITS = 4
 #: Largest payload of CAN FD; a longer record has no FD message [byte].
 LARGEST_FD_PAYLOAD = 64
 
 
-@dataclass(frozen=True, kw_only=True)
-class SignalSpec:
-    """One signal of the record: physical = raw * factor + offset."""
-
-    name: str
-    bits: int
-    factor: float = 1
-    offset: float = 0
-    unit: str = ""  #: of the physical value
-    signed: bool = False  #: two's complement
-    is_float: bool = False  #: IEEE 754 binary32
-    choices: dict[int, str] | None = None  #: names of raw values
-    about: str  #: what the signal is, for its comment in the DBC
-    why: str  #: why it has this width, for the table beside the DBC
-
-    def finer(self, bits: int) -> SignalSpec:
-        """Return the signal with more bits, for finer steps over the same range.
-
-        Raises:
-            ValueError: no bit is left.
-        """
-        if self.bits + bits < 1:
-            raise ValueError(f"{self.name} has {self.bits} bits, so finer_bits cannot be {bits}")
-        return replace(self, bits=self.bits + bits, factor=self.factor / 2.0**bits)
-
-    @property
-    def range(self) -> tuple[float, float]:
-        """Smallest and largest physical value."""
-        low = -(2 ** (self.bits - 1)) if self.signed else 0
-        high = low + 2**self.bits - 1
-        if self.factor == 1 and self.offset == 0:  # exact even beyond the precision of a float
-            return low, high
-        return _plain(low * self.factor + self.offset), _plain(high * self.factor + self.offset)
-
-
-def _plain(value: float) -> float:
-    """Return a number without the digits that rounding adds, whole numbers as int."""
-    value = float(f"{value:.15g}")
-    return int(value) if value.is_integer() else value
-
-
 # fmt: off
-_PAGE = SignalSpec(
-    name=PAGE, bits=0,
-    about="Page of the record: the multiplexer.",
-    why="as many as pages")
-_TRANSFER_ID = SignalSpec(
-    name=TRANSFER_ID, bits=TRANSFER_ID_BITS,
-    about="Transfer that the page belongs to: the low bits of Counter. A line is accepted only if "
-          "all pages have the same number and the checksum over all of them is correct.",
-    why="distinguishes 16 transfers in a row, long enough for an incomplete one to time out")
 _KEY_ID = SignalSpec(
     name="KeyId", bits=8 * SECURED_SIGNALS["KeyId"],
     about="Number of the key of the MAC, which covers it.",
@@ -93,13 +45,30 @@ _MAC = SignalSpec(
 
 
 @dataclass(frozen=True)
+class PoseSpec:
+    """Message of the pose error, whose slots are those of the lines."""
+
+    pages: tuple[tuple[SignalSpec, ...], ...]  #: the signals of each page, in the order of bits
+    page_bits: int = 3
+    transfer_id_bits: int = 2
+    can_id: int = 0x35C
+    fd_can_id: int = 0x35D
+    secured_can_id: int = 0x35E
+    data_id: int = 0x4D5C
+    secured_data_id: int = 0x4D5E
+
+    @property
+    def record(self) -> RecordPages:
+        """Pages of the record."""
+        return RecordPages(self.pages, self.page_bits, self.transfer_id_bits)
+
+
+@dataclass(frozen=True)
 class DbcWriter:
     """Writer of a DBC: pages of signals, and the slots that have messages.
 
-    Each page ends with its number, so that the first page can begin with the header of E2E
-    profile 5. On the other pages the transfer number comes before it; on the first page this is
-    the low bits of Counter. All signals are little-endian, except those that an authenticated
-    message adds, which are big-endian as in AUTOSAR.
+    All signals are little-endian, except those that an authenticated message adds, which are
+    big-endian as in AUTOSAR.
     """
 
     pages: tuple[tuple[SignalSpec, ...], ...]  #: the signals of each page, in the order of bits
@@ -113,26 +82,29 @@ class DbcWriter:
     first_secured_data_id: int = 0x4D50  #: SecOC data ID of slot 0
     freshness_bytes: int = SECURED_SIGNALS["Freshness"]  #: 3 to 7
     mac_bytes: int = SECURED_SIGNALS["Mac"]  #: 1 to 8
+    transfer_id_bits: int = TRANSFER_ID_BITS
+    optional_pages: int = 0  #: pages at the end that are sent only if HasCovariance is 1
+    pose: PoseSpec | None = None  #: message of the pose error, if there is one
 
     def __post_init__(self) -> None:
-        for number in range(len(self.pages)):
-            bits = sum(spec.bits for spec, _ in self._placed(number))
-            if bits > 8 * PAGE_BYTES:
-                raise ValueError(f"page {number} has {bits} bits, more than {8 * PAGE_BYTES}")
+        _ = self.record  # which checks the pages
 
     @property
-    def page_bits(self) -> int:
-        """Width of the page number."""
-        return max(1, (len(self.pages) - 1).bit_length())
+    def record(self) -> RecordPages:
+        """Pages of the record of a line."""
+        return RecordPages(self.pages, transfer_id_bits=self.transfer_id_bits)
 
     def dbc(self) -> str:
         """Return the text of the DBC."""
         definitions = _attribute_definitions()
         if self.first_secured_can_id is None:
             del definitions["SecOCDataId"]
+        if self.pose is None:
+            del definitions["MapLinePose"]
         network = {"BusType": "CAN FD", "CovarianceCode": self.covariance_code}
+        messages = [message for slot in self.slots for message in self._messages(slot)]
         database = Database(
-            messages=[message for slot in self.slots for message in self._messages(slot)],
+            messages=[*messages, *self._pose_messages()],
             nodes=[
                 Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
                 Node("AdasEcu", "Fuses the lines, steers by them or checks its camera with them."),
@@ -147,42 +119,59 @@ class DbcWriter:
 
     def table(self) -> str:
         """Return the fields as a Markdown table, for the page beside the DBC."""
-        rows = [
-            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |",
-            "|---|---|---|---|---|---|---|---|---|",
-        ]
-        for number in range(len(self.pages)):
-            for spec, start in self._placed(number):
-                low, high = spec.range
-                rows.append(
-                    f"| {number} | {start}..{start + spec.bits - 1} | `{spec.name}` | {spec.bits} "
-                    f"| {spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
-                    f"{spec.about} | {spec.why} |"
-                )
-        return "\n".join(rows)
-
-    def _placed(self, number: int) -> Iterator[tuple[SignalSpec, int]]:
-        """Yield the signals of a page and their first bits."""
-        start = 0
-        for spec in self.pages[number]:
-            yield spec, start
-            start += spec.bits
-        end = 8 * PAGE_BYTES - self.page_bits
-        if number > 0:
-            yield replace(_TRANSFER_ID, name=f"{TRANSFER_ID}{number}"), end - TRANSFER_ID_BITS
-        yield replace(_PAGE, bits=self.page_bits), end
+        return self.record.table()
 
     def _messages(self, slot: Slot) -> Iterator[Message]:
         """Yield the classic message of a slot, and the FD and authenticated ones if any."""
-        name = "".join(word.capitalize() for word in slot.name.split("_"))
-        line, size = f"The {slot.name.replace('_', ' ').lower()} line", PAGE_BYTES * len(self.pages)
-        about = f"{line}: {len(self.pages)} pages, sent back to back with the same transfer number."
-        yield self._message(name, self.first_can_id, PAGE_BYTES, self._paged(), about, slot)
+        secured = self.first_secured_can_id
+        optional = f"; the last {self.optional_pages} only if HasCovariance is 1"
+        yield from self._formats(
+            self.record,
+            slot_title(slot),
+            f"The {slot.name.replace('_', ' ').lower()} line",
+            (self.first_can_id + slot, self.first_fd_can_id + slot, secured and secured + slot),
+            {"MapLineSlot": int(slot), "E2EDataId": self.first_data_id + slot},
+            self.first_secured_data_id + slot,
+            optional if self.optional_pages else "",
+        )
+
+    def _pose_messages(self) -> Iterator[Message]:
+        """Yield the messages of the pose error, in the frame formats of the lines."""
+        if self.pose is None:
+            return
+        pose, has_secured = self.pose, self.first_secured_can_id is not None
+        yield from self._formats(
+            pose.record,
+            "Pose",
+            "The pose error, which all lines of a cycle share",
+            (pose.can_id, pose.fd_can_id, pose.secured_can_id if has_secured else None),
+            {"MapLinePose": 1, "E2EDataId": pose.data_id},
+            pose.secured_data_id,
+        )
+
+    def _formats(
+        self,
+        record: RecordPages,
+        name: str,
+        what: str,
+        can_ids: tuple[int, int, int | None],
+        attributes: dict[str, int],
+        secured_data_id: int,
+        optional: str = "",
+    ) -> Iterator[Message]:
+        """Yield the classic, FD and authenticated messages of a record."""
+        can_id, fd_can_id, secured_can_id = can_ids
+        size = record.record_bytes
+        about = (
+            f"{what}: {len(record.pages)} pages, sent back to back with the same transfer number"
+            f"{optional}."
+        )
+        yield self._message(name, can_id, PAGE_BYTES, record.paged(), about, attributes)
         if size <= LARGEST_FD_PAYLOAD:
-            about = f"{line}: the pages of {name} laid end to end."
-            can_id, length = self.first_fd_can_id, fd_length(size)
-            yield self._message(f"{name}Fd", can_id, length, self._end_to_end(), about, slot, True)
-        if self.first_secured_can_id is not None:
+            about = f"{what}: the pages of {name} laid end to end."
+            signals, length = record.end_to_end(), fd_length(size)
+            yield self._message(f"{name}Fd", fd_can_id, length, signals, about, attributes, True)
+        if secured_can_id is not None:
             specs = (
                 _KEY_ID,
                 replace(_FRESHNESS, bits=8 * self.freshness_bytes),
@@ -190,62 +179,38 @@ class DbcWriter:
             )
             tail = sum(spec.bits for spec in specs)
             length = fd_length(size + tail // 8)
-            signals, start = self._end_to_end(), 8 * length - tail
+            signals, start = record.end_to_end(), 8 * length - tail
             for spec in specs:
-                signals.append(_signal(spec, start + 7, byte_order="big_endian"))
+                signals.append(dbc_signal(spec, start + 7, byte_order="big_endian"))
                 start += spec.bits
             about = (
-                f"{line}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then the number of "
+                f"{what}, authenticated (AUTOSAR SecOC, AES-CMAC): {name}Fd, then the number of "
                 "the key, the freshness value and the MAC over SecOCDataId, all bytes before "
                 "Freshness, and the freshness value in 64 bits."
             )
-            data_id = self.first_secured_data_id + slot
+            secured = {"SecOCDataId": secured_data_id}
             yield self._message(
-                *(f"{name}SecOc", self.first_secured_can_id, length, signals, about, slot, True),
-                SecOCDataId=data_id,
+                f"{name}SecOc", secured_can_id, length, signals, about, attributes, True, secured
             )
-
-    def _paged(self) -> list[Signal]:
-        """Return the signals of the multiplexed message."""
-        signals = []
-        for number in range(len(self.pages)):
-            for spec, start in self._placed(number):
-                if spec.name != PAGE:
-                    ids: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
-                    signals.append(_signal(spec, start, **ids))
-                elif number == 0:
-                    signals.append(_signal(spec, start, is_multiplexer=True))
-        return signals
-
-    def _end_to_end(self) -> list[Signal]:
-        """Return the signals of all pages laid end to end."""
-        signals = []
-        for number in range(len(self.pages)):
-            for spec, start in self._placed(number):
-                name = f"{PAGE}{number}" if spec.name == PAGE else spec.name
-                signals.append(_signal(replace(spec, name=name), start + 8 * PAGE_BYTES * number))
-        return signals
 
     def _message(
         self,
         name: str,
-        first_can_id: int,
+        can_id: int,
         length: int,
         signals: list[Signal],
         about: str,
-        slot: Slot,
+        attributes: dict[str, int],
         is_fd: bool = False,
-        **attributes: int,
+        more: dict[str, int] | None = None,
     ) -> Message:
-        values = {
-            "MapLineSlot": int(slot),
-            "E2EDataId": self.first_data_id + slot,
+        values = attributes | {
             "GenMsgCycleTime": self.cycle_ms,
             "GenMsgSendType": 0,
             "VFrameFormat": 14 if is_fd else 0,
         }
         return Message(
-            frame_id=first_can_id + slot,
+            frame_id=can_id,
             name=name,
             length=length,
             signals=signals,
@@ -255,33 +220,8 @@ class DbcWriter:
             cycle_time=self.cycle_ms,
             is_fd=is_fd,
             sort_signals=None,
-            dbc_specifics=DbcSpecifics(attributes=_attributes(values | attributes)),
+            dbc_specifics=DbcSpecifics(attributes=_attributes(values | (more or {}))),
         )
-
-
-def _signal(
-    spec: SignalSpec, start: int, byte_order: str = "little_endian", **multiplexing: Any
-) -> Signal:
-    low, high = (None, None) if spec.is_float else spec.range
-    return Signal(
-        name=spec.name,
-        start=start,
-        length=spec.bits,
-        byte_order=byte_order,  # type: ignore[arg-type]
-        is_signed=spec.signed,
-        conversion=BaseConversion.factory(
-            scale=_plain(spec.factor),
-            offset=_plain(spec.offset),
-            choices=OrderedDict(spec.choices) if spec.choices else None,
-            is_float=spec.is_float,
-        ),
-        minimum=low,
-        maximum=high,
-        unit=spec.unit or None,
-        comment=spec.about,
-        receivers=["AdasEcu"],
-        **multiplexing,
-    )
 
 
 def _without_exponents(line: re.Match[str]) -> str:
@@ -308,6 +248,7 @@ def _attribute_definitions() -> OrderedDict[str, Any]:
         DbcAttributeDefinition("BusType", "CAN", "", "STRING"),
         DbcAttributeDefinition("CovarianceCode", "Cholesky", "", "STRING"),
         DbcAttributeDefinition("MapLineSlot", 0, "BO_", "INT", 0, len(Slot) - 1),
+        DbcAttributeDefinition("MapLinePose", 0, "BO_", "INT", 0, 1),
         DbcAttributeDefinition("E2EDataId", 0, "BO_", "INT", 0, 0xFFFF),
         DbcAttributeDefinition("SecOCDataId", 0, "BO_", "INT", 0, 0xFFFF),
         DbcAttributeDefinition("GenMsgCycleTime", 0, "BO_", "INT", 0, 65535),

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ...line import Kind, Status
+from ...line import Status
 from ..codes import CODES
 from .covariance_spec import covariance_signals
 from .dbc_writer import DbcWriter, SignalSpec, paged
+from .header_spec import AGE, CRC, KIND
+from .pose_spec import POSE_WITH_LEVELS
 
 # fmt: off
 _PROTECTION = (
-    SignalSpec(
-        name="Crc", bits=16,
-        about="CRC-16/CCITT-FALSE over all other bytes of the record, then the slot's E2EDataId, "
-              "low byte first (AUTOSAR E2E profile 5).",
-        why="profile 5 asks for 16 bits, and for this place at the head of the record"),
+    CRC,
     SignalSpec(
         name="Counter", bits=8,
         about="Counts the records of the slot (AUTOSAR E2E profile 5). Its low four bits are the "
@@ -46,9 +44,6 @@ _MEAN = (
 _STATUS = SignalSpec(
     name="Status", bits=3, choices={status.value: status.name for status in Status},
     about="Validity of the covariance.", why="six values; 6 and 7 are refused")
-_KIND = SignalSpec(
-    name="Kind", bits=3, choices={kind.value: kind.name for kind in Kind},
-    about="Kind of line on the road.", why="eight values")
 _EXTENT = (
     SignalSpec(
         name="XMin", bits=3, factor=4, offset=-20, unit="m",
@@ -59,11 +54,7 @@ _EXTENT = (
         about="End of the range where the cubic is valid, rounded down: never too wide.",
         why="0 to 124 m; in a roundabout a cubic holds for 15 m, of which steps of 8 m would "
             "leave a point"),
-    SignalSpec(
-        name="Age", bits=5, factor=8, unit="ms", choices={31: "TOO_OLD"},
-        about="Time from the pose to the transmission, rounded up. The greatest raw value means "
-              "too old, or unknown: the sender no longer vouches for the line; do not use it.",
-        why="a step is 24 cm of travel at 30 m/s, along the line where it matters least"),
+    AGE,
 )
 _COMPONENT = (
     SignalSpec(
@@ -78,17 +69,18 @@ _COMPONENT = (
 )
 # fmt: on
 #: The signals of a record other than its covariance.
-SERVICE = (*_PROTECTION, *_MEAN, _STATUS, _KIND, *_EXTENT, *_COMPONENT)
+SERVICE = (*_PROTECTION, *_MEAN, _STATUS, KIND, *_EXTENT, *_COMPONENT)
 
 _COVARIANCE = covariance_signals("Cholesky")
 #: The writer of ``dbc/maplines.dbc``.
 DEFAULT = DbcWriter(
     pages=(
-        (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, _KIND),
+        (*_PROTECTION, _MEAN[0], _MEAN[1], _STATUS, KIND),
         (_MEAN[2], _MEAN[3], *_EXTENT),
         (*_COVARIANCE[:5], *_COMPONENT),
         _COVARIANCE[5:],
-    )
+    ),
+    pose=POSE_WITH_LEVELS,
 )
 #: The writer of ``dbc/maplines-secoc.dbc``: the same, with an authenticated message for each slot.
 SECURED = replace(DEFAULT, first_secured_can_id=0x350)

@@ -22,6 +22,7 @@ from .signals import (
     PARAMETER_SIGNALS,
     SECURED_SIGNALS,
     TRANSFER_ID,
+    slot_title,
 )
 from .slot_messages import SecuredLayout, SlotMessages, check_messages, fd_length
 
@@ -34,6 +35,7 @@ __all__ = [
     "Layout",
     "default_dbc_path",
     "fd_length",
+    "slot_title",
 ]
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...line import Slot
+
 #: Bytes of a page, the payload of one classic CAN frame.
 PAGE_BYTES = 8
 #: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
@@ -93,3 +95,12 @@ class Signal:
         """Least and greatest physical value."""
         low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
         return float(low), float(high)
+
+
+def slot_title(slot: Slot) -> str:
+    """Return the name of a slot as names of signals and messages have it.
+
+    >>> slot_title(Slot.EGO_LEFT)
+    'EgoLeft'
+    """
+    return "".join(word.capitalize() for word in slot.name.split("_"))

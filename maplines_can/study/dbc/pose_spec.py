@@ -1,0 +1,182 @@
+"""The description of the Pose message, and of the records that are conditional on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+from ...line import Slot
+from ...wire.message.layout import slot_title
+from .covariance_spec import covariance_signals, pivot_signal, ratio_signal
+from .dbc_writer import DbcWriter, PoseSpec
+from .header_spec import AGE, CRC, KIND
+from .record_pages import SignalSpec
+
+# The numbers of a signal stand on one line, its texts below.
+# fmt: off
+
+# ---- the Pose message -----------------------------------------------------------------
+
+_CRC = replace(CRC, about=CRC.about.replace("the slot's E2EDataId", "the E2EDataId of Pose"))
+_COUNTER = SignalSpec(
+    name="Counter", bits=8,
+    about="Counts the records of the pose error (AUTOSAR E2E profile 5). Its low two bits are the "
+          "transfer number, which the other pages repeat.",
+    why="profile 5 asks for 8 bits; 256 records are 12.8 s at 20 Hz")
+_PIVOTS = (
+    pivot_signal("Along", (), 9, 0.04, -12, "from 2^-12 m to 347 m in steps of 2.8 %"),
+    pivot_signal("Across", ("Along",), 9, 0.04, -12, "from 2^-12 m to 347 m in steps of 2.8 %"),
+    pivot_signal(
+        "Heading", ("Along", "Across"), 9, 0.034, -18,
+        "from 2^-18 rad to 0.65 rad in steps of 2.4 %"),
+)
+_CORRELATION_TIME = SignalSpec(
+    name="CorrelationTime", bits=4, factor=0.5, offset=-2, unit="octave", choices={0: "UNKNOWN"},
+    about="log2 of the time [s] after which the pose error has lost its correlation to 1/e. The "
+          "raw value 0 means unknown: take the errors of all cycles as the same.",
+    why="0.35 to 45 s in steps of 41 %; a smoothed pose keeps its error for seconds")
+_RATIOS = tuple(
+    ratio_signal(row, column, 8, 1 / 32, why="a correlation of 0.97 for equal units")
+    for row, column in (("Across", "Along"), ("Heading", "Along"), ("Heading", "Across"))
+)
+_INFLATION = SignalSpec(
+    name="Inflation", bits=4, factor=0.0062, unit="octave",
+    about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
+          "covariance is 2^Inflation L L^T.",
+    why="steps of 0.4 % of the variance, up to 6.7 %: it is common to all lines")
+_MAP_LEVELS = (
+    SignalSpec(
+        name="MapOffset", bits=4, factor=0.5, offset=-8, unit="octave", choices={0: "NONE"},
+        about="log2 of the standard deviation [m] of the lateral offset of each line on the map, "
+              "independent from line to line. The raw value 0 means none.",
+        why="0.6 cm to 0.7 m in steps of 41 %; the levels of the lines are finer"),
+    SignalSpec(
+        name="MapHeading", bits=3, factor=1, offset=-12, unit="octave", choices={0: "NONE"},
+        about="log2 of the standard deviation [rad] of the heading of each line on the map, "
+              "independent from line to line. The raw value 0 means none.",
+        why="0.03 to 1.8 deg in steps of a factor of 2"),
+)
+
+
+def _counter_of(slot: Slot) -> SignalSpec:
+    return SignalSpec(
+        name=f"{slot_title(slot)}Counter", bits=3,
+        about=f"Low three bits of the counter of the {slot_title(slot)} record that belongs to "
+              "this pose. If none does: those of the next counter plus 4, which no record in the "
+              "last or next cycles has.",
+        why="tells apart the records of eight cycles; receivers look three cycles back and ahead")
+
+
+def own_lateral(name: str = "") -> SignalSpec:
+    """Return the signal of the lateral level of a slot, or of the record that has the signal."""
+    return SignalSpec(
+        name=f"{name}OwnLateral", bits=7, factor=0.1, offset=-12, unit="octave",
+        choices={0: "NONE"},
+        about="log2 of the standard deviation [m] of the lateral position that the line has of its "
+              "own: it does not come from the pose error. The raw value 0 means none.",
+        why="0.26 mm to 1.6 m in steps of 7 %")
+
+
+def own_points(name: str = "") -> SignalSpec:
+    """Return the signal of the level of point noise."""
+    return SignalSpec(
+        name=f"{name}OwnPoints", bits=7, factor=0.1, offset=-12, unit="octave",
+        choices={0: "NONE"},
+        about="log2 of the standard deviation [m] of the points of the line about the cubic, each "
+              "by itself. The raw value 0 means none.",
+        why="0.26 mm to 1.6 m in steps of 7 %")
+
+
+def own_spacing(name: str = "") -> SignalSpec:
+    """Return the signal of the spacing of these points."""
+    return SignalSpec(
+        name=f"{name}OwnSpacing", bits=4, factor=0.5, offset=-7, unit="octave",
+        about="log2 of the distance of these points along x, in half lengths of the fit range.",
+        why="1/128 to 1.4 half lengths in steps of 41 %")
+
+
+_POSE_PAGES = (
+    (_CRC, _COUNTER, *_PIVOTS, AGE, _CORRELATION_TIME),
+    (*_RATIOS, _INFLATION, *_MAP_LEVELS, *map(_counter_of, Slot)),
+)
+
+
+def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
+    """Return the levels of slots whose records have no room for them."""
+    return tuple(
+        signal(slot_title(slot))
+        for slot in slots
+        for signal in (own_lateral, own_points, own_spacing)
+    )
+
+
+#: Message of the pose error beside records that are conditional on it.
+POSE = PoseSpec(_POSE_PAGES)
+#: The same beside complete records; it has what the lines have of their own, too.
+POSE_WITH_LEVELS = PoseSpec(
+    (*_POSE_PAGES, *(_own_page(list(Slot)[i : i + 3]) for i in range(0, len(Slot), 3)))
+)
+
+# ---- records that are conditional on the pose -------------------------------------------
+
+_LINE_COUNTER = SignalSpec(
+    name="Counter", bits=8,
+    about="Counts the records of the slot (AUTOSAR E2E profile 5). Its low two bits are the "
+          "transfer number, its low three bits those that the Pose message states.",
+    why="profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz")
+_MEAN = (
+    SignalSpec(
+        name="YOff", bits=15, factor=2**-9, unit="m", signed=True,
+        about="Lateral offset of the line at x = 0, positive to the left.",
+        why="half a step is 1 mm; +-32 m holds four lanes to either side"),
+    SignalSpec(
+        name="Beta", bits=15, factor=2**-15, unit="rad", signed=True,
+        about="Heading of the line relative to the car, positive to the left; tan(Beta) is the "
+              "slope.",
+        why="half a step is 1.2 mm at 80 m; +-28.6 deg"),
+    SignalSpec(
+        name="C0", bits=16, factor=2**-18, unit="1/m", signed=True,
+        about="Curvature at x = 0: the second derivative of y(x), positive to the left.",
+        why="half a step is 6 mm at 80 m; +-0.125 1/m is a radius of 8 m"),
+    SignalSpec(
+        name="C1", bits=17, factor=2**-21, unit="1/m^2", signed=True,
+        about="Curvature rate: the third derivative of y(x).",
+        why="half a step is 2 cm at 80 m; the sigma of its rounding is added to the covariance"),
+)
+_HAS_COVARIANCE = SignalSpec(
+    name="HasCovariance", bits=1,
+    about="1 if the record has the pages with the covariance of what the line has of its own. 0 if "
+          "it ends before them, and OwnLateral, OwnPoints and OwnSpacing hold it; the checksum "
+          "then covers the pages before.",
+    why="two values")
+_FIT_RANGE = (
+    SignalSpec(
+        name="XMin", bits=6, offset=-32, unit="m",
+        about="Start of the range to which the cubic was fitted, exact. It is wider than the range "
+              "where the line is valid, which follows from the pose error.",
+        why="-32 to 31 m; the receiver refits the line over this range, to 1 m"),
+    SignalSpec(
+        name="XMax", bits=7, unit="m",
+        about="End of the range to which the cubic was fitted, exact.",
+        why="0 to 127 m; the receiver refits the line over this range, to 1 m"),
+)
+_COVARIANCE = covariance_signals("Cholesky")
+#: The writer of ``dbc/maplines-pose.dbc``.
+CONDITIONAL = DbcWriter(
+    pages=(
+        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, own_spacing()),
+        (*_MEAN[2:], *_FIT_RANGE, own_lateral(), own_points()),
+        _COVARIANCE[:5],
+        _COVARIANCE[5:],
+    ),
+    first_can_id=0x360,
+    first_fd_can_id=0x368,
+    first_secured_can_id=0x370,
+    first_data_id=0x4D60,
+    first_secured_data_id=0x4D70,
+    covariance_code="PoseConditional",
+    transfer_id_bits=2,
+    optional_pages=2,
+    pose=POSE,
+)
+# fmt: on

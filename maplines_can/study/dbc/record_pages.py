@@ -1,0 +1,187 @@
+"""Pages of a record: the description of each signal, and its place."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cantools.database.can import Signal
+from cantools.database.conversion import BaseConversion
+
+from ...wire.message.layout import PAGE, PAGE_BYTES, TRANSFER_ID
+
+__all__ = ["PAGE_BYTES", "RecordPages", "SignalSpec", "dbc_signal"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SignalSpec:
+    """One signal of the record: physical = raw * factor + offset."""
+
+    name: str
+    bits: int
+    factor: float = 1
+    offset: float = 0
+    unit: str = ""  #: of the physical value
+    signed: bool = False  #: two's complement
+    is_float: bool = False  #: IEEE 754 binary32
+    choices: dict[int, str] | None = None  #: names of raw values
+    about: str  #: what the signal is, for its comment in the DBC
+    why: str  #: why it has this width, for the table beside the DBC
+
+    def finer(self, bits: int) -> SignalSpec:
+        """Return the signal with more bits, for finer steps over the same range.
+
+        Raises:
+            ValueError: no bit is left.
+        """
+        if self.bits + bits < 1:
+            raise ValueError(f"{self.name} has {self.bits} bits, so finer_bits cannot be {bits}")
+        return replace(self, bits=self.bits + bits, factor=self.factor / 2.0**bits)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Smallest and largest physical value."""
+        low = -(2 ** (self.bits - 1)) if self.signed else 0
+        high = low + 2**self.bits - 1
+        if self.factor == 1 and self.offset == 0:  # exact even beyond the precision of a float
+            return low, high
+        return _plain(low * self.factor + self.offset), _plain(high * self.factor + self.offset)
+
+
+def _plain(value: float) -> float:
+    """Return a number without the digits that rounding adds, whole numbers as int."""
+    value = float(f"{value:.15g}")
+    return int(value) if value.is_integer() else value
+
+
+# fmt: off
+_PAGE = SignalSpec(
+    name=PAGE, bits=0,
+    about="Page of the record: the multiplexer.",
+    why="as many as pages")
+_TRANSFER_ID = SignalSpec(
+    name=TRANSFER_ID, bits=0,
+    about="Transfer that the page belongs to: the low bits of Counter. A line is accepted only if "
+          "all pages have the same number and the checksum over all of them is correct.",
+    why="distinguishes {} transfers in a row, long enough for an incomplete one to time out")
+# fmt: on
+
+
+@dataclass(frozen=True)
+class RecordPages:
+    """Pages of a record.
+
+    Each page ends with its number, so that the first page can begin with the header of E2E
+    profile 5. On the other pages the transfer number comes before it; on the first page this is
+    the low bits of Counter.
+
+    Args:
+        pages: the signals of each page, in the order of their bits.
+        page_bits: width of the page number; None for the least.
+        transfer_id_bits: width of the transfer number.
+
+    Raises:
+        ValueError: a page has more than 64 bits.
+    """
+
+    pages: tuple[tuple[SignalSpec, ...], ...]
+    page_bits: int | None = None
+    transfer_id_bits: int = 4
+
+    def __post_init__(self) -> None:
+        for number in range(len(self.pages)):
+            bits = sum(spec.bits for spec, _ in self.placed(number))
+            if bits > 8 * PAGE_BYTES:
+                raise ValueError(f"page {number} has {bits} bits, more than {8 * PAGE_BYTES}")
+
+    @property
+    def record_bytes(self) -> int:
+        """Length of a record."""
+        return PAGE_BYTES * len(self.pages)
+
+    def placed(self, number: int) -> Iterator[tuple[SignalSpec, int]]:
+        """Yield the signals of a page and their first bits."""
+        start = 0
+        for spec in self.pages[number]:
+            yield spec, start
+            start += spec.bits
+        page_bits = self.page_bits or max(1, (len(self.pages) - 1).bit_length())
+        end = 8 * PAGE_BYTES - page_bits
+        if number > 0:
+            bits = self.transfer_id_bits
+            yield (
+                replace(
+                    _TRANSFER_ID,
+                    name=f"{TRANSFER_ID}{number}",
+                    bits=bits,
+                    why=_TRANSFER_ID.why.format(2**bits),
+                ),
+                end - bits,
+            )
+        yield replace(_PAGE, bits=page_bits), end
+
+    def paged(self) -> list[Signal]:
+        """Return the signals of the multiplexed message."""
+        signals = []
+        for number in range(len(self.pages)):
+            for spec, start in self.placed(number):
+                if spec.name != PAGE:
+                    ids: dict[str, Any] = {"multiplexer_ids": [number], "multiplexer_signal": PAGE}
+                    signals.append(dbc_signal(spec, start, **ids))
+                elif number == 0:
+                    signals.append(dbc_signal(spec, start, is_multiplexer=True))
+        return signals
+
+    def end_to_end(self) -> list[Signal]:
+        """Return the signals of all pages laid end to end."""
+        signals = []
+        for number in range(len(self.pages)):
+            for spec, start in self.placed(number):
+                name = f"{PAGE}{number}" if spec.name == PAGE else spec.name
+                start += 8 * PAGE_BYTES * number
+                signals.append(dbc_signal(replace(spec, name=name), start))
+        return signals
+
+    def table(self) -> str:
+        """Return the fields as a Markdown table, for the page beside the DBC."""
+        rows = [
+            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        for number in range(len(self.pages)):
+            for spec, start in self.placed(number):
+                low, high = spec.range
+                rows.append(
+                    f"| {number} | {start}..{start + spec.bits - 1} | `{spec.name}` | {spec.bits} "
+                    f"| {spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
+                    f"{spec.about} | {spec.why} |"
+                )
+        return "\n".join(rows)
+
+
+def dbc_signal(
+    spec: SignalSpec, start: int, byte_order: str = "little_endian", **multiplexing: Any
+) -> Signal:
+    """Return a signal of cantools that starts at a bit of its message."""
+    low, high = (None, None) if spec.is_float else spec.range
+    return Signal(
+        name=spec.name,
+        start=start,
+        length=spec.bits,
+        byte_order=byte_order,  # type: ignore[arg-type]
+        is_signed=spec.signed,
+        conversion=BaseConversion.factory(
+            scale=_plain(spec.factor),
+            offset=_plain(spec.offset),
+            choices=OrderedDict(spec.choices) if spec.choices else None,
+            is_float=spec.is_float,
+        ),
+        minimum=low,
+        maximum=high,
+        unit=spec.unit or None,
+        comment=spec.about,
+        receivers=["AdasEcu"],
+        **multiplexing,
+    )
