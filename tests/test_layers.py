@@ -32,8 +32,9 @@ maps.opendrive.reader maps.opendrive
 maps.load maps.tour maps
 wire.reasons
 wire.message wire.message.attributes wire.message.dbc_limits wire.message.signals
-wire.message.packing wire.message.requirements wire.message.slot_messages
-wire.message.dbc_reader wire.message.record_layout wire.message.layout
+wire.message.packing wire.message.requirement wire.message.requirements wire.message.slot_messages
+wire.message.record_layout wire.message.pose_layout wire.message.dbc_messages
+wire.message.dbc_reader wire.message.layout
 wire.message.validation
 wire.covariance.code wire.covariance.factor wire.covariance.cholesky wire.covariance
 wire.protection wire.protection.e2e

@@ -17,7 +17,13 @@ from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.wire.covariance.code import OCTAVES
 from maplines_can.wire.covariance.factor import RATIO
-from maplines_can.wire.message.requirements import EXACT, QUANTITY, RELATIONS, REQUIREMENTS
+from maplines_can.wire.message.requirements import (
+    CONDITIONAL_REQUIREMENTS,
+    EXACT,
+    QUANTITY,
+    RELATIONS,
+    REQUIREMENTS,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "dbc"
@@ -58,6 +64,7 @@ def requirements_table() -> Any:
         **{name: [*own, *relations[name]] for name, own in REQUIREMENTS.items()},
         "Pivot*`, `Inflation": OCTAVES,
         "Ratio*": RATIO,
+        **{f"{name}` of `PoseConditional": own for name, own in CONDITIONAL_REQUIREMENTS.items()},
     }
     for name, of_signal in needs.items():
         common = QUANTITY if EXACT in of_signal else ()

@@ -15,7 +15,9 @@ UNITS = ("m", "rad", "1/m", "1/m^2")
 #: Units of the rows of Cholesky codes.
 _UNIT_OF_ROW = {
     **dict(zip(PARAMETER_SIGNALS, UNITS, strict=True)),
-    **{"Along": "m", "Across": "m", "Heading": "rad"},
+    "Along": "m",
+    "Across": "m",
+    "Heading": "rad",
 }
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
 LARGEST_SIGMA = (4.0, 0.25, 0.0625, 0.015625)

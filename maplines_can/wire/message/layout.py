@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,9 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import EncodeError, LayoutError
 from ...line import Slot
 from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
+from .pose_layout import PoseLayout
 from .record_layout import RecordLayout
-from .requirements import check_record, pages_of
+from .requirements import CONDITIONAL_REQUIREMENTS, bits_of, check_record
 from .signals import (
+    CONDITIONAL_SIGNALS,
     HEADER_SIGNALS,
     PAGE,
     PAGE_BYTES,
@@ -24,12 +26,13 @@ from .signals import (
     TRANSFER_ID,
     slot_title,
 )
-from .slot_messages import SecuredLayout, SlotMessages, check_messages, fd_length
+from .slot_messages import Room, SecuredLayout, SlotMessages, check_messages, fd_length
 
 __all__ = [
     "PAGE",
     "PAGE_BYTES",
     "PARAMETER_SIGNALS",
+    "POSE_CONDITIONAL",
     "SECURED_SIGNALS",
     "TRANSFER_ID",
     "Layout",
@@ -37,6 +40,10 @@ __all__ = [
     "fd_length",
     "slot_title",
 ]
+
+
+#: Covariance code of records whose covariance is conditional on the pose error.
+POSE_CONDITIONAL = "PoseConditional"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,26 +61,43 @@ class Layout(RecordLayout):
         covariance_code: name of the covariance code.
         source: name of the DBC in error messages.
         secured: layout of the authenticated messages; None if there are none.
+        pose: layout of the pose error; None if there is no such message.
 
     Raises:
         LayoutError: a signal is missing or does not meet its ``requirements``, two messages have
-            the same CAN ID, or two slots the same data ID.
+            the same CAN ID, two records the same data ID, or a conditional record has no message
+            of the pose error.
     """
 
     messages: Mapping[Slot, SlotMessages]
     covariance_code: str
     secured: SecuredLayout | None = None
+    pose: PoseLayout | None = None
 
     def __post_init__(self) -> None:
-        for name in (*HEADER_SIGNALS, *PARAMETER_SIGNALS):
+        own = CONDITIONAL_SIGNALS if self.is_conditional else HEADER_SIGNALS
+        for name in (*own, *PARAMETER_SIGNALS):
             self[name]
-        pages = pages_of(self.signals)
-        if pages != list(range(len(pages))) or not pages:
-            raise LayoutError(f"{self.source}: pages must be numbered 0, 1, ..., got {pages}")
-        for page in reversed(pages):  # the reader derives the first one from the second
-            self[f"{TRANSFER_ID}{page}"]
-        check_record(self.signals, self.source)
-        check_messages(self.messages, self.secured, self.record_bytes, self.source)
+        self.check_pages()
+        check_record(
+            self.signals, self.source, CONDITIONAL_REQUIREMENTS if self.is_conditional else None
+        )
+        check_messages(self._rooms(), self.source)
+        if self.pose is not None:
+            counters = dict.fromkeys(self.messages, self["Counter"])
+            self.pose.check_slots(counters, levels=not self.is_conditional)
+        elif self.is_conditional:
+            raise LayoutError(
+                f"{self.source}: records with the covariance code {POSE_CONDITIONAL} need a "
+                "message of the pose error; add one with the attribute MapLinePose 1"
+            )
+
+    def _rooms(self) -> Iterator[Room]:
+        for slot, messages in self.messages.items():
+            yield Room(f"slot {slot.name}", messages, self.secured, self.record_bytes)
+        if self.pose is not None:
+            pose = self.pose
+            yield Room("the pose error", pose.messages, pose.secured, pose.record_bytes)
 
     @classmethod
     def from_dbc(cls, dbc: str | Path | Database | None = None) -> Layout:
@@ -112,35 +136,44 @@ class Layout(RecordLayout):
         return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
 
     @property
-    def max_age(self) -> float:
-        """Greatest age that a record can state [s]; the greatest raw value means "too old"."""
-        return self["Age"].physical_one(self["Age"].raw_max - 1) / 1000
+    def is_conditional(self) -> bool:
+        """Whether the covariance of a record is conditional on the pose error."""
+        return self.covariance_code == POSE_CONDITIONAL
+
+    @cached_property
+    def short_pages(self) -> int:
+        """Number of pages of a record without a covariance; fewer only if it is conditional.
+
+        They are the pages up to the last one with another signal than those of the covariance.
+        """
+        if not self.is_conditional:
+            return self.pages
+        names = (*CONDITIONAL_SIGNALS, *PARAMETER_SIGNALS)
+        last = max(max(bits_of(self[name])) for name in names)
+        return last // (8 * PAGE_BYTES) + 1
 
     @cached_property
     def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
         """Map from (CAN ID, extended) to (slot, is_whole_record)."""
-        ids = {}
-        for messages in self.messages.values():
-            if messages.can_id is not None:
-                ids[messages.can_id, messages.is_extended] = (messages.slot, False)
-            if messages.fd_can_id is not None:
-                ids[messages.fd_can_id, messages.fd_is_extended] = (messages.slot, True)
-            if messages.secured_can_id is not None:
-                ids[messages.secured_can_id, messages.secured_is_extended] = (messages.slot, True)
-        return ids
+        return {
+            key: (slot, is_whole)
+            for slot, messages in self.messages.items()
+            for key, is_whole in messages.ids.items()
+        }
 
     @property
     def can_ids(self) -> frozenset[int]:
-        """CAN IDs of all lines, for filters."""
-        return frozenset(can_id for can_id, _ in self.message_of_id)
+        """CAN IDs of all lines and of the pose error, for filters."""
+        pose = self.pose.messages.ids if self.pose else {}
+        return frozenset(can_id for can_id, _ in (*self.message_of_id, *pose))
 
     @cached_property
     def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
         """Map from (CAN ID, extended) to the SecOC data ID."""
         return {
-            (messages.secured_can_id, messages.secured_is_extended): messages.secured_data_id
+            key: data_id
             for messages in self.messages.values()
-            if messages.secured_can_id is not None
+            for key, data_id in messages.secured_ids.items()
         }
 
     def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:

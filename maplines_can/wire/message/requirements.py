@@ -8,122 +8,65 @@ covariance code states the requirements on its own signals in the same way, and 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from ...errors import LayoutError
-from ...line import Kind, Status
+from ...line import Kind, Slot, Status
 from .packing import pieces_of
-from .signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
+from .requirement import (
+    BYTES,
+    EXACT,
+    FINITE,
+    INTEGER,
+    LEVEL,
+    NUMBER,
+    POSITIVE,
+    QUANTITY,
+    SCALE,
+    SOME_RANGE,
+    UNSIGNED,
+    WHOLE_METRES,
+    WHOLE_RANGE,
+    Relation,
+    Requirement,
+    check,
+    holds,
+    in_dbc,
+    length,
+    unit,
+)
+from .signals import OWN_SIGNALS, PAGE, PAGE_BYTES, TRANSFER_ID, Signal, slot_title
 
-#: Most bits of an integer that a double represents exactly.
-EXACT_BITS = 53
-#: Least factor, and greatest physical value of any bits; their squares are still finite doubles.
-LEAST_FACTOR, FARTHEST = 1e-30, 1e30
+__all__ = [
+    "CONDITIONAL_REQUIREMENTS",
+    "EXACT",
+    "LEAST_FRESHNESS_BYTES",
+    "POSITIVE",
+    "QUANTITY",
+    "RELATIONS",
+    "REQUIREMENTS",
+    "SLOT_COUNTER",
+    "Relation",
+    "Requirement",
+    "bits_of",
+    "check",
+    "check_record",
+    "holds",
+    "in_dbc",
+    "pages_of",
+    "unit",
+]
+
 #: Least bits of the counter; with fewer, lost records cannot be told from late ones.
 LEAST_COUNTER_BITS = 4
 #: Least bytes of the freshness value: 3 bytes of microseconds repeat after 16.8 s, 2 after 65 ms.
 LEAST_FRESHNESS_BYTES = 3
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """A property that a signal must have.
-
-    Args:
-        needs: the property, which completes "the signal needs ...".
-        met: whether a signal has it.
-        cure: what to change in the DBC.
-    """
-
-    needs: str
-    met: Callable[[Signal], bool]
-    cure: str
-
-
-@dataclass(frozen=True)
-class Relation:
-    """A property that several signals of a record must have together.
-
-    Args:
-        name: the signal to change.
-        needs: the property, which completes "the signal needs ...".
-        met: whether the signals of a record have it.
-        cure: what to change in the DBC.
-    """
-
-    name: str
-    needs: str
-    met: Callable[[Mapping[str, Signal]], bool]
-    cure: str
-
-
-def unit(*units: str) -> Requirement:
-    """Return the requirement that the unit is one of these, or that there is none."""
-    return Requirement(
-        f'the unit "{units[0]}", or none',
-        lambda signal: signal.unit in ("", *units),
-        "convert factor, offset and range to it",
-    )
-
-
-def length(bits: int) -> Requirement:
-    """Return the requirement of this number of bits."""
-    return Requirement(f"{bits} bits", lambda signal: signal.length == bits, f"give it {bits} bits")
-
-
-def holds(low: int, high: int, what: str = "") -> Requirement:
-    """Return the requirement that the range contains all values from ``low`` to ``high``."""
-    values = f"{low} to {high}" if low < high else f"{low}"
-    return Requirement(
-        f"a range that holds {values}{what}",
-        lambda signal: _within(signal, low) and _within(signal, high),
-        "widen the signal and its range [min|max]",
-    )
-
-
-def _within(signal: Signal, physical: float) -> bool:
-    return bool(signal.raw_min <= signal.raw(physical) <= signal.raw_max)
-
-
-INTEGER = Requirement("an integer type", lambda s: not s.is_float, "remove its SIG_VALTYPE_")
-UNSIGNED = Requirement(
-    "an unsigned type", lambda s: not s.signed, "write + for the - after @0 or @1"
-)
-EXACT = Requirement(
-    f"at most {EXACT_BITS} bits",
-    lambda s: s.length <= EXACT_BITS,
-    "make it narrower, since a double represents no more bits exactly",
-)
-FINITE = Requirement(
-    f"a factor other than 0, from {LEAST_FACTOR:g} in magnitude, and values up to {FARTHEST:g}",
-    lambda s: abs(s.factor) >= LEAST_FACTOR and bool(np.abs(s.reach).max() <= FARTHEST),
-    "correct factor and offset",
-)
-SOME_RANGE = Requirement(
-    "a range [min|max] that contains a value of its bits",
-    lambda s: s.raw_min <= s.raw_max,
-    "correct min and max, or write [0|0] for the range of all bits",
-)
-POSITIVE = Requirement(
-    "a positive factor", lambda s: s.factor > 0, "change the sign of the factor and the offset"
-)
-IDENTITY = Requirement(
-    "factor 1 and offset 0", lambda s: (s.factor, s.offset) == (1, 0), "write (1,0)"
-)
-WHOLE_RANGE = Requirement(
-    "the range of all its bits",
-    lambda s: (s.raw_min, s.raw_max) == s.all_raw,
-    "widen its range [min|max], or write [0|0]",
-)
-
-#: Requirements of a physical value, which is rounded to a step.
-QUANTITY = (INTEGER, EXACT, FINITE, SOME_RANGE)
-#: Requirements of a number that is sent unchanged.
-NUMBER = (INTEGER, UNSIGNED, IDENTITY, EXACT, SOME_RANGE)
-_BYTES = (INTEGER, UNSIGNED, IDENTITY)
+#: Least bits of the counter of a slot in the pose error: eight cycles can be told apart.
+LEAST_SLOT_COUNTER_BITS = 3
+#: Name in ``REQUIREMENTS`` of the counters of slots in the pose error, such as ``EgoLeftCounter``.
+SLOT_COUNTER = "*Counter"
 
 
 def _weights_add_up(signal: Signal) -> bool:
@@ -198,9 +141,25 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
             "take a power of two, such as (0.03125,0.03125) with 5 bits",
         ),
     ),
-    "KeyId": _BYTES,
+    "HasCovariance": (*NUMBER, holds(0, 1)),
+    "OwnLateral": LEVEL,
+    "OwnPoints": LEVEL,
+    "OwnSpacing": SCALE,
+    "CorrelationTime": LEVEL,
+    "MapOffset": LEVEL,
+    "MapHeading": LEVEL,
+    SLOT_COUNTER: (
+        *NUMBER,
+        WHOLE_RANGE,
+        Requirement(
+            f"{LEAST_SLOT_COUNTER_BITS} bits or more",
+            lambda s: s.length >= LEAST_SLOT_COUNTER_BITS,
+            "widen it, since with fewer bits lines of other cycles look as if they belonged to it",
+        ),
+    ),
+    "KeyId": BYTES,
     "Freshness": (
-        *_BYTES,
+        *BYTES,
         unit("us"),
         Requirement(
             f"{LEAST_FRESHNESS_BYTES} bytes or more",
@@ -208,7 +167,12 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
             "widen it, since 2 bytes of microseconds repeat after 65 ms, 3 bytes after 16.8 s",
         ),
     ),
-    "Mac": _BYTES,
+    "Mac": BYTES,
+}
+#: Requirements that a record which is conditional on the pose error has in addition.
+CONDITIONAL_REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
+    "XMin": (WHOLE_METRES,),
+    "XMax": (WHOLE_METRES,),
 }
 
 
@@ -227,11 +191,16 @@ def _named(signals: Mapping[str, Signal], name: str) -> list[Signal]:
     """Return the signals that the requirements of this name apply to."""
     if name in (PAGE, TRANSFER_ID):
         return _each(signals, name)
-    return [signals[name]] if name in signals else []
+    names = [name]
+    if name in OWN_SIGNALS:
+        names += [f"{slot_title(slot)}{name}" for slot in Slot]
+    elif name == SLOT_COUNTER:
+        names = [f"{slot_title(slot)}Counter" for slot in Slot]
+    return [signals[name] for name in names if name in signals]
 
 
 def _most_components(signals: Mapping[str, Signal]) -> float:
-    return signals["ComponentCount"].physical_range[1]
+    return signals["ComponentCount"].physical_range[1] if "ComponentCount" in signals else 1
 
 
 def _in_its_page(signals: Mapping[str, Signal], name: str) -> bool:
@@ -298,31 +267,26 @@ RELATIONS: Sequence[Relation] = (
 )
 
 
-def check(signal: Signal, requirements: Sequence[Requirement], source: str) -> None:
-    """Check that a signal meets its requirements.
-
-    Raises:
-        LayoutError: it does not meet a requirement.
-    """
-    for requirement in requirements:
-        if not requirement.met(signal):
-            raise LayoutError(
-                f"{source}: signal {signal.name} is {in_dbc(signal)}, but it needs "
-                f"{requirement.needs}; {requirement.cure}"
-            )
-
-
-def check_record(signals: Mapping[str, Signal], source: str) -> None:
+def check_record(
+    signals: Mapping[str, Signal],
+    source: str,
+    more: Mapping[str, Sequence[Requirement]] | None = None,
+) -> None:
     """Check the signals of a record, one by one and together.
+
+    Args:
+        signals: of the record, by name.
+        source: name of the DBC.
+        more: requirements by signal, in addition to ``REQUIREMENTS``.
 
     Raises:
         LayoutError: a requirement is not met, two signals overlap, or one is not in the record.
     """
     for name, requirements in REQUIREMENTS.items():
         for signal in _named(signals, name):
-            check(signal, requirements, source)
+            check(signal, (*requirements, *(more or {}).get(name, ())), source)
     for relation in RELATIONS:
-        if not relation.met(signals):
+        if _named(signals, relation.name) and not relation.met(signals):
             has = "; ".join(f"{s.name} is {in_dbc(s)}" for s in _named(signals, relation.name))
             raise LayoutError(
                 f"{source}: signal {relation.name} needs {relation.needs}, but {has}; "
@@ -349,20 +313,3 @@ def bits_of(signal: Signal) -> set[int]:
             byte, place = divmod(bit, 8)
             bits.add(64 * word + 8 * (7 - byte if signal.big_endian else byte) + place)
     return bits
-
-
-def in_dbc(signal: Signal) -> str:
-    """Return a signal in the notation of a DBC, with its start bit in the record."""
-    kind, low, high = f" (float{signal.length})", "", ""
-    if not signal.is_float:
-        kind = ""
-        low, high = (_plain(signal.physical_one(raw)) for raw in (signal.raw_min, signal.raw_max))
-    order, sign = int(not signal.big_endian), "-" if signal.signed else "+"
-    return (
-        f"{signal.start}|{signal.length}@{order}{sign}"
-        f' ({_plain(signal.factor)},{_plain(signal.offset)}) [{low}|{high}] "{signal.unit}"{kind}'
-    )
-
-
-def _plain(number: float) -> str:
-    return f"{number:.12g}"

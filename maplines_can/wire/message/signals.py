@@ -20,6 +20,18 @@ HEADER_SIGNALS = (
     *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
     *("ComponentIndex", "ComponentCount", "ComponentWeight"),
 )
+#: Signals that a record has instead, if its covariance is conditional on the pose error.
+CONDITIONAL_SIGNALS = (
+    *("Crc", "Counter", "Kind", "XMin", "XMax"),
+    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing"),
+)
+#: Signals that every record of the pose error has in addition to page numbers and covariance.
+POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHeading")
+#: Rows of the covariance of the pose error.
+POSE_ROWS = ("Along", "Across", "Heading")
+#: What a line has of its own: signals of a conditional record, or with the name of a slot before
+#: them, of the pose error.
+OWN_SIGNALS = ("OwnLateral", "OwnPoints", "OwnSpacing")
 #: Signals at the end of an authenticated message, in this order, with their largest size [byte].
 SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
 

@@ -1,9 +1,10 @@
-"""Messages of a slot: their CAN IDs, and the layout of the authenticated ones."""
+"""Messages of a record: their CAN IDs, and the layout of the authenticated ones."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from ...errors import LayoutError
 from ...line import Slot
@@ -35,12 +36,11 @@ class SecuredLayout:
         return self.length - self.freshness_bytes - self.mac_bytes
 
 
-@dataclass(frozen=True)
-class SlotMessages:
-    """Messages of one slot, in each frame format.
+@dataclass(frozen=True, kw_only=True)
+class RecordMessages:
+    """Messages of a record, in each frame format.
 
     Args:
-        slot: the line slot.
         name: name of the classic message; without one, of the CAN FD or authenticated message.
         can_id: CAN ID of the classic message with its pages, or None.
         fd_can_id: CAN ID of the CAN FD message, or None.
@@ -55,7 +55,6 @@ class SlotMessages:
         secured_data_id: SecOC data ID, which the MAC covers.
     """
 
-    slot: Slot
     name: str
     can_id: int | None
     fd_can_id: int | None
@@ -67,6 +66,47 @@ class SlotMessages:
     secured_can_id: int | None = None
     secured_is_extended: bool = False
     secured_data_id: int = 0
+
+    @property
+    def ids(self) -> dict[tuple[int, bool], bool]:
+        """Map from (CAN ID, extended) to whether a frame has the whole record."""
+        ids = {
+            (self.can_id, self.is_extended): False,
+            (self.fd_can_id, self.fd_is_extended): True,
+            (self.secured_can_id, self.secured_is_extended): True,
+        }
+        return {
+            (can_id, extended): is_whole
+            for (can_id, extended), is_whole in ids.items()
+            if can_id is not None
+        }
+
+    @property
+    def secured_ids(self) -> dict[tuple[int, bool], int]:
+        """Map from (CAN ID, extended) of the authenticated message to its SecOC data ID."""
+        if self.secured_can_id is None:
+            return {}
+        return {(self.secured_can_id, self.secured_is_extended): self.secured_data_id}
+
+
+@dataclass(frozen=True, kw_only=True)
+class SlotMessages(RecordMessages):
+    """Messages of the record of one slot.
+
+    Args:
+        slot: the line slot.
+    """
+
+    slot: Slot
+
+
+class Room(NamedTuple):
+    """Messages, and what they need room for."""
+
+    name: str  #: of their owner
+    messages: RecordMessages
+    secured: SecuredLayout | None
+    record_bytes: int
 
 
 #: Payload lengths of CAN FD (ISO 11898-1) [byte].
@@ -82,34 +122,28 @@ def fd_length(length: int) -> int:
     return next(n for n in FD_LENGTHS if n >= length)
 
 
-def check_messages(
-    messages: Mapping[Slot, SlotMessages],
-    secured: SecuredLayout | None,
-    record_bytes: int,
-    source: str,
-) -> None:
+def check_messages(records: Iterable[Room], source: str) -> None:
     """Check that the messages have room for a record, and that their CAN and data IDs are unique.
 
     Raises:
-        LayoutError: two messages have the same CAN ID, two slots have the same data ID, or a
+        LayoutError: two messages have the same CAN ID, two records have the same data ID, or a
             message is too short for a record.
     """
     owners: dict[tuple[str, object], str] = {}
-    for of_slot in messages.values():
-        name = f"slot {of_slot.slot.name}"
+    for name, messages, secured, record_bytes in records:
         rooms = []
         unique = [
-            ("CAN ID", of_slot.can_id, of_slot.is_extended, "classic"),
-            ("CAN ID", of_slot.fd_can_id, of_slot.fd_is_extended, "CAN FD"),
-            ("CAN ID", of_slot.secured_can_id, of_slot.secured_is_extended, "authenticated"),
-            ("E2EDataId", of_slot.data_id, False, ""),
+            ("CAN ID", messages.can_id, messages.is_extended, "classic"),
+            ("CAN ID", messages.fd_can_id, messages.fd_is_extended, "CAN FD"),
+            ("CAN ID", messages.secured_can_id, messages.secured_is_extended, "authenticated"),
+            ("E2EDataId", messages.data_id, False, ""),
         ]
-        if of_slot.fd_can_id is not None:
-            rooms.append(("CAN FD", of_slot.fd_length, record_bytes))
-        if of_slot.secured_can_id is not None:
+        if messages.fd_can_id is not None:
+            rooms.append(("CAN FD", messages.fd_length, record_bytes))
+        if messages.secured_can_id is not None:
             authentic_bytes = secured.authentic_bytes if secured else 0
             rooms.append(("authenticated", authentic_bytes, record_bytes + 1))  # with the key ID
-            unique.append(("SecOCDataId", of_slot.secured_data_id, False, ""))
+            unique.append(("SecOCDataId", messages.secured_data_id, False, ""))
         for frame, room, needed in rooms:
             if room < needed:
                 raise LayoutError(
@@ -123,6 +157,6 @@ def check_messages(
             other = owners.setdefault((what, (number, extended)), own_name)
             if other != own_name:
                 raise LayoutError(
-                    f"{source}: {other} and {own_name} have the same {what}, {number}, so a line "
-                    "of one could be delivered as a line of the other; give each its own"
+                    f"{source}: {other} and {own_name} have the same {what}, {number}, so a record "
+                    "of one could be delivered as one of the other; give each its own"
                 )

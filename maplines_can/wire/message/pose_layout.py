@@ -1,0 +1,64 @@
+"""Layout of a record of the pose error, and the messages that carry it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+from ...line import Slot
+from .record_layout import RecordLayout
+from .requirements import check_record
+from .signals import OWN_SIGNALS, POSE_SIGNALS, Signal, slot_title
+from .slot_messages import RecordMessages, SecuredLayout
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseLayout(RecordLayout):
+    """Layout of a record of the pose error and its messages, as a DBC describes them.
+
+    Args:
+        messages: of the record.
+        secured: layout of the authenticated message; None if there is none.
+
+    Raises:
+        LayoutError: a signal is missing or does not meet its ``requirements``.
+    """
+
+    needed_by: ClassVar[str] = "each message of the pose error (MapLinePose)"
+
+    messages: RecordMessages
+    secured: SecuredLayout | None = None
+
+    def __post_init__(self) -> None:
+        for name in POSE_SIGNALS:
+            self[name]
+        self.check_pages()
+        check_record(self.signals, self.source)
+
+    @cached_property
+    def counters(self) -> dict[Slot, Signal]:
+        """Signals with the low bits of the counter of the record that belongs to the pose."""
+        names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
+        return {slot: self[name] for slot, name in names.items() if name in self.signals}
+
+    def check_slots(self, slots: Mapping[Slot, Signal], *, levels: bool) -> None:
+        """Check the signals of the slots that have messages.
+
+        Args:
+            slots: counter of the record of each slot.
+            levels: whether the pose error has the levels of each slot.
+
+        Raises:
+            LayoutError: a signal is missing, or is longer than the counter of the slot.
+        """
+        for slot, counter in slots.items():
+            title = slot_title(slot)
+            own = self[f"{title}Counter"]
+            if own.length > counter.length:
+                raise self.error(
+                    own, f"at most {counter.length} bits, as the Counter of {title}", "shorten it"
+                )
+            for name in OWN_SIGNALS if levels else ():
+                self[f"{title}{name}"]
