@@ -39,6 +39,7 @@ wire.message.validation
 wire.covariance.code wire.covariance.factor wire.covariance.cholesky wire.covariance
 wire.protection wire.protection.e2e
 wire.message.reader wire.message.writer wire.message.components wire.message.line_writer
+wire.message.raw_records wire.message.pose_records
 wire.protection.e2e_state wire.protection.key wire.protection.secoc
 wire.message.frames
 wire.reception wire.reception.conflict wire.reception.deadline wire.reception.history
