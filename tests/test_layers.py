@@ -43,7 +43,8 @@ wire.message.raw_records wire.message.pose_records
 wire.protection.e2e_state wire.protection.key wire.protection.secoc
 wire.message.frames
 wire.reception wire.reception.conflict wire.reception.deadline wire.reception.history
-wire.reception.mixtures wire.reception.reassembly wire.reception.sequence wire.reception.decoder
+wire.reception.mixtures wire.reception.reassembly wire.reception.sequence
+wire.reception.epochs wire.reception.poses wire.reception.decoder
 wire.reception.monitor wire.reception.settings
 wire.codec
 wire

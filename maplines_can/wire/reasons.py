@@ -18,6 +18,7 @@ class Reason(Enum):
     MIXED = "the pages of its record belong to different transfers"
     CRC = "the checksum of its record is wrong"
     CONTENT = "its record holds a value that no sender may send"
+    POSE = "the pose error that its record belongs to was not received in time"
     UNAUTHENTICATED = "its message has no MAC, and this receiver requires one"
     KEY = "its MAC is of a key that this receiver does not have"
     MAC = "its MAC is wrong"

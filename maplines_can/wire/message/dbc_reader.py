@@ -26,7 +26,7 @@ from .dbc_messages import (
     secured_layout,
     to_signal,
 )
-from .pose_layout import PoseLayout
+from .pose_layout import POSE, PoseLayout
 from .requirements import bits_of, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import SecuredLayout, SlotMessages
@@ -55,8 +55,6 @@ class DbcContent(NamedTuple):
     pose: PoseLayout | None
 
 
-#: Owner of the messages of the pose error, beside the slots.
-POSE: Literal["pose"] = "pose"
 _Owner = Slot | Literal["pose"]
 
 

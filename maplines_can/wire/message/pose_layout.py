@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from ...line import Slot
 from .record_layout import RecordLayout
 from .requirements import check_record
 from .signals import OWN_SIGNALS, POSE_SIGNALS, Signal, slot_title
 from .slot_messages import RecordMessages, SecuredLayout
+
+#: Owner of the records of the pose error, as a slot is that of its lines.
+POSE: Literal["pose"] = "pose"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,6 +45,21 @@ class PoseLayout(RecordLayout):
         """Signals with the low bits of the counter of the record that belongs to the pose."""
         names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
         return {slot: self[name] for slot, name in names.items() if name in self.signals}
+
+    @property
+    def short_pages(self) -> int:
+        """Number of pages: all records have all of them."""
+        return self.pages
+
+    @cached_property
+    def message_of_id(self) -> dict[tuple[int, bool], tuple[Literal["pose"], bool]]:
+        """Map from (CAN ID, extended) to (POSE, is_whole_record)."""
+        return {key: (POSE, is_whole) for key, is_whole in self.messages.ids.items()}
+
+    @property
+    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
+        """Map from (CAN ID, extended) to the SecOC data ID."""
+        return self.messages.secured_ids
 
     def check_slots(self, slots: Mapping[Slot, Signal], *, levels: bool) -> None:
         """Check the signals of the slots that have messages.

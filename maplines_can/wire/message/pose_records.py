@@ -54,16 +54,21 @@ class ConditionalRecord:
     slot: Slot
 
 
-def absent_counter(following: int, bits: int) -> int:
-    """Return the low bits for a slot that has no record of the pose: half a round ahead.
+def absent_counter(last: int, following: int, bits: int) -> int:
+    """Return the low bits that a pose error states for a slot without a record of its cycle.
 
-    No record of the last or next cycles has them; ``following`` is the counter of the slot's next
-    record.
+    They are as far as possible from the counters of the slot's records of other cycles: those up
+    to ``last``, before this cycle, and those from ``following`` on, after it. Between the two are
+    the components of a mixture, which belongs to no pose error.
 
-    >>> absent_counter(255, bits=3)
-    3
+    >>> absent_counter(255, 256, bits=3), absent_counter(7, 11, bits=3)  # a mixture of 3 components
+    (4, 1)
     """
-    return (following + 2 ** (bits - 1)) % 2**bits
+    modulus = 2**bits
+    both = (last - following) % modulus  # steps ahead of ``following`` and behind ``last``
+    if both + modulus <= 2 * (modulus - 1):
+        both += modulus
+    return (following + (both + 1) // 2) % modulus
 
 
 class PoseRecords:

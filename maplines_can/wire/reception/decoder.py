@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from ...line import MapLine, Slot
 from ..message.layout import Layout
-from ..message.reader import RecordReader
+from ..message.reader import DecodedRecord, RecordReader
 from ..protection.e2e_state import E2EConfig
 from ..protection.secoc import Verifier
 from ..reasons import NOT_AUTHENTIC, Reason
@@ -59,7 +59,7 @@ class Decoder:
         data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
         modulus = 2 ** layout["Counter"].length
         self._slot_of_id = {key: slot for key, (slot, _) in layout.message_of_id.items()}
-        self._reassembler = Reassembler(
+        self._reassembler: Reassembler[Slot, DecodedRecord] = Reassembler(
             layout,
             lambda payload, slot, t_ns: reader.read_one(payload, slot, data_ids[slot], t_ns),
             timeouts_ns,

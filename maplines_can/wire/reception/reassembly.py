@@ -6,25 +6,50 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import Literal, NamedTuple
+from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from ...errors import LayoutError
-from ...line import Slot
-from ..message.layout import Layout
 from ..message.packing import pieces_of
-from ..message.reader import DecodedRecord
 from ..message.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 from ..reasons import Reason
 
+#: Owner of records, such as a slot, and decoded content of a record.
+Owner = TypeVar("Owner", covariant=True)
+Key = TypeVar("Key")
+Content = TypeVar("Content")
 
-class Record(NamedTuple):
+
+class ReceivedLayout(Protocol[Owner]):
+    """What the reassembly needs to know of a ``Layout`` or ``PoseLayout``."""
+
+    def __getitem__(self, name: str) -> Signal:
+        """Return the signal of this name."""
+
+    @property
+    def pages(self) -> int:
+        """Number of pages of a record."""
+
+    @property
+    def short_pages(self) -> int:
+        """Number of pages of a record whose ``HasCovariance`` is 0."""
+
+    @property
+    def message_of_id(self) -> Mapping[tuple[int, bool], tuple[Owner, bool]]:
+        """Map from (CAN ID, extended) to (owner, is_whole_record)."""
+
+    @property
+    def data_id_of_secured(self) -> Mapping[tuple[int, bool], int]:
+        """Map from (CAN ID, extended) to the SecOC data ID."""
+
+
+class Record(NamedTuple, Generic[Key, Content]):
     """A complete record of a slot, decoded or rejected."""
 
-    slot: Slot
+    slot: Key
     payload: bytes
     t_ns: int  #: time of its first frame [ns]
     frames: int  #: frames that carried it
-    content: DecodedRecord | Reason
+    content: Content | Reason
 
 
 @dataclass
@@ -35,8 +60,12 @@ class _Transfer:
     pages: dict[int, bytes]
 
 
-class Reassembler:
+class Reassembler(Generic[Key, Content]):
     """Reassembler of multi-frame records, with one state per slot; time is an argument.
+
+    The records of the pose error are those of one more slot, with a ``Reassembler`` of their own.
+    A record whose ``HasCovariance`` is 0 ends after the first ``Layout.short_pages``; other pages
+    with its transfer ID do not belong to it and are dropped (INCOMPLETE).
 
     Pages are collected by transfer ID, each transfer by itself, until it is complete or times
     out. A damaged page may damage the transfer whose ID it has, but it neither ends another one nor
@@ -87,14 +116,15 @@ class Reassembler:
 
     def __init__(
         self,
-        layout: Layout,
-        read: Callable[[bytes, Slot, int], DecodedRecord | Reason],
-        timeouts_ns: Mapping[Slot, int],
+        layout: ReceivedLayout[Key],
+        read: Callable[[bytes, Key, int], Content | Reason],
+        timeouts_ns: Mapping[Key, int],
         verify: Callable[[bytes, int], bytes | Reason] | None = None,
     ) -> None:
         self._ids, self._data_id_of_secured = layout.message_of_id, layout.data_id_of_secured
         self._read, self._verify = read, verify
-        self._pages, self._record_bytes = layout.pages, layout.record_bytes
+        self._pages, self._short_pages = layout.pages, layout.short_pages
+        self._record_bytes = PAGE_BYTES * layout.pages
         self._timeouts_ns = timeouts_ns
         self._read_page = _reader(layout[f"{PAGE}0"])
         self._read_transfer_id = [
@@ -104,8 +134,13 @@ class Reassembler:
         self._read_counter, self._counters = _reader(counter), 2**counter.length
         self._counter_page = counter.start // (8 * PAGE_BYTES)
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
-        self._incomplete: dict[Slot, dict[int, _Transfer]] = {slot: {} for slot in layout.messages}
-        self._complete: dict[Slot, dict[int, Record]] = {slot: {} for slot in layout.messages}
+        self._form: tuple[int, Callable[[bytes], int]] | None = None
+        if self._short_pages < self._pages:
+            flag = layout["HasCovariance"]
+            self._form = flag.start // (8 * PAGE_BYTES), _reader(flag)
+        self._incomplete: dict[Key, dict[int, _Transfer]] = {slot: {} for slot in timeouts_ns}
+        self._complete: dict[Key, dict[int, Record[Key, Content]]]
+        self._complete = {slot: {} for slot in timeouts_ns}
         #: Frames dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
 
@@ -117,7 +152,7 @@ class Reassembler:
 
     def feed(
         self, can_id: int, data: bytes, t_ns: int, is_extended: bool = False
-    ) -> Record | Reason:
+    ) -> Record[Key, Content] | Reason:
         """Add a frame to its transfer; return the record that it completes.
 
         Returns:
@@ -134,7 +169,7 @@ class Reassembler:
         if is_whole_record:
             if len(data) < self._record_bytes:
                 return self._dropped(Reason.LENGTH)
-            return self._completed(slot, bytes(data[: self._record_bytes]), t_ns, 1)
+            return self._completed(slot, self._whole(bytes(data)), t_ns, 1)
         if len(data) != PAGE_BYTES:
             return self._dropped(Reason.LENGTH)
         return self._feed_page(slot, bytes(data), t_ns)
@@ -145,8 +180,8 @@ class Reassembler:
             self._expire_slot(slot, t_ns)
 
     def _feed_secured(
-        self, slot: Slot, data_id: int | None, data: bytes, t_ns: int
-    ) -> Record | Reason:
+        self, slot: Key, data_id: int | None, data: bytes, t_ns: int
+    ) -> Record[Key, Content] | Reason:
         if data_id is None:
             return self._dropped(Reason.UNAUTHENTICATED)
         if self._verify is None:
@@ -154,9 +189,17 @@ class Reassembler:
         payload = self._verify(data, data_id)
         if isinstance(payload, Reason):
             return self._dropped(payload)
-        return self._completed(slot, payload[: self._record_bytes], t_ns, 1)
+        return self._completed(slot, self._whole(payload), t_ns, 1)
 
-    def _feed_page(self, slot: Slot, data: bytes, t_ns: int) -> Record | Reason:
+    def _whole(self, data: bytes) -> bytes:
+        """Return the record at the beginning of a payload that has room for the longest one."""
+        if self._form is not None:
+            page, read = self._form
+            if not read(data[page * PAGE_BYTES : (page + 1) * PAGE_BYTES]):
+                return data[: self._short_pages * PAGE_BYTES]
+        return data[: self._record_bytes]
+
+    def _feed_page(self, slot: Key, data: bytes, t_ns: int) -> Record[Key, Content] | Reason:
         page = self._read_page(data)
         if page >= self._pages:
             return self._dropped(Reason.PAGE)
@@ -179,12 +222,23 @@ class Reassembler:
             else:
                 self.counts[Reason.REPLACED] += 1
         transfer.pages[page] = data
-        if len(transfer.pages) < self._pages:
+        pages = self._needed(transfer)
+        if len(transfer.pages) < pages or not all(i in transfer.pages for i in range(pages)):
             return Reason.PENDING
-        payload = b"".join(transfer.pages[i] for i in range(self._pages))
-        record = self._completed(slot, payload, transfer.t_ns, self._pages)
+        payload = b"".join(transfer.pages[i] for i in range(pages))
+        record = self._completed(slot, payload, transfer.t_ns, pages)
+        if foreign := len(transfer.pages) - pages:
+            self.counts[Reason.INCOMPLETE] += foreign
         del incomplete[transfer_id]
         return record
+
+    def _needed(self, transfer: _Transfer) -> int:
+        """Return the number of pages of the record of a transfer, as far as its pages say it."""
+        if self._form is not None:
+            page, read = self._form
+            if page in transfer.pages and not read(transfer.pages[page]):
+                return self._short_pages
+        return self._pages
 
     def _counters_ahead(self, page: int, data: bytes, before: bytes) -> int:
         """Return how far the counter of a page is ahead of another's; 0 if pages have none."""
@@ -192,7 +246,7 @@ class Reassembler:
             return 0
         return (self._read_counter(data) - self._read_counter(before)) % self._counters
 
-    def _completed(self, slot: Slot, payload: bytes, t_ns: int, frames: int) -> Record:
+    def _completed(self, slot: Key, payload: bytes, t_ns: int, frames: int) -> Record[Key, Content]:
         """Decode a record; remember a good one, and forget those of the previous round of IDs."""
         record = Record(slot, payload, t_ns, frames, self._read(payload, slot, t_ns))
         if not isinstance(record.content, Reason):
@@ -207,23 +261,23 @@ class Reassembler:
                 self._drop(slot, other, Reason.INCOMPLETE)
         return record
 
-    def _is_known(self, slot: Slot, transfer_id: int, page: int, data: bytes, t_ns: int) -> bool:
+    def _is_known(self, slot: Key, transfer_id: int, page: int, data: bytes, t_ns: int) -> bool:
         """Return whether a page is one of a good record not older than the time-out."""
         record = self._complete[slot].get(transfer_id)
         if record is None or self._is_old(slot, record.t_ns, t_ns):
             return False
         return record.payload[page * PAGE_BYTES : (page + 1) * PAGE_BYTES] == data
 
-    def _is_old(self, slot: Slot, since_ns: int, t_ns: int) -> bool:
+    def _is_old(self, slot: Key, since_ns: int, t_ns: int) -> bool:
         # Frames may arrive slightly out of order; if the clock is set back, everything is old.
         return abs(t_ns - since_ns) > self._timeouts_ns[slot]
 
-    def _expire_slot(self, slot: Slot, t_ns: int) -> None:
+    def _expire_slot(self, slot: Key, t_ns: int) -> None:
         held = self._incomplete[slot].items()
         for i in [i for i, transfer in held if self._is_old(slot, transfer.t_ns, t_ns)]:
             self._drop(slot, i, Reason.TIMEOUT)
 
-    def _drop(self, slot: Slot, transfer_id: int, reason: Reason) -> None:
+    def _drop(self, slot: Key, transfer_id: int, reason: Reason) -> None:
         self.counts[reason] += len(self._incomplete[slot].pop(transfer_id).pages)
 
     def _dropped(self, reason: Reason) -> Reason:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from ...arrays import number_text
 from ...line import Slot
 from ..message.layout import Layout
+from ..message.pose_layout import PoseLayout
 from ..message.signals import TRANSFER_ID
 from ..message.slot_messages import LONGEST_MS
 from ..protection.e2e_state import E2EConfig
@@ -44,7 +45,17 @@ def decoder_settings(
     return _in_ns(timeouts_ms), _in_ns(cycles_ms), e2e
 
 
-def timeout_cycles(layout: Layout) -> float:
+def pose_settings(
+    layout: PoseLayout, timeout_ms: float | None = None, cycle_ms: float | None = None
+) -> tuple[int, int]:
+    """Return the time-out and the cycle time [ns] of the pose error; see ``Codec.decoder``."""
+    dbc_ms = layout.messages.cycle_ms or DEFAULT_CYCLE_MS
+    chosen_ms = cycle_ms or dbc_ms
+    derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms)
+    return int(1e6 * (timeout_ms or derived_ms)), int(1e6 * chosen_ms)
+
+
+def timeout_cycles(layout: Layout | PoseLayout) -> float:
     """Return the default time-out of a transfer [cycles].
 
     A transfer ID is used again after (transfer IDs / components) cycles at the earliest: when each
@@ -56,7 +67,9 @@ def timeout_cycles(layout: Layout) -> float:
     1.5
     """
     transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
-    components = max(1.0, layout["ComponentCount"].physical_range[1])
+    components = 1.0
+    if "ComponentCount" in layout.signals:
+        components = max(1.0, layout["ComponentCount"].physical_range[1])
     return max(0.5, min(transfer_ids / components - 0.5, GRACE_CYCLES))
 
 

@@ -170,13 +170,16 @@ def raws_names(layout: PoseLayout) -> list[str]:
     return [name for name in names if not name.endswith("Counter")]
 
 
-@pytest.mark.parametrize("bits", [3, 4, 8])
-def test_an_absent_slot_has_a_counter_that_no_near_record_has(bits: int) -> None:
-    """Neither the last records nor the next ones, to half a round."""
-    for following in range(256):
-        stated = absent_counter(following, bits)
-        near = range(following - 2 ** (bits - 1) + 1, following + 2 ** (bits - 1))
-        assert stated not in {counter % 2**bits for counter in near}
+@pytest.mark.parametrize(("bits", "near"), [(3, 3), (4, 7), (8, 127)])
+def test_an_absent_slot_has_a_counter_that_no_near_record_has(bits: int, near: int) -> None:
+    """Neither the last records nor the next ones, to half a round; also around a mixture."""
+    for last in range(0, 300, 7):
+        for components in (0, *range(2, 9)):
+            following = last + 1 + components
+            stated = absent_counter(last, following, bits)
+            others = {last - i for i in range(near)} | {following + i for i in range(near)}
+            assert stated not in {counter % 2**bits for counter in others}
+    assert absent_counter(9, 10, bits) == (10 + 2 ** (bits - 1)) % 2**bits
 
 
 @pytest.mark.parametrize("pages", [2, 4])
