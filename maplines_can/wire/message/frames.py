@@ -9,7 +9,7 @@ from ...line import Slot
 from ..protection.secoc import Authenticator
 from .layout import Layout
 from .signals import PAGE_BYTES
-from .slot_messages import SlotMessages
+from .slot_messages import RecordMessages, SecuredLayout
 
 
 class Frame(NamedTuple):
@@ -37,19 +37,42 @@ class FrameWriter:
         self._layout, self._authenticator = layout, authenticator
 
     def write(self, record: bytes, slot: Slot, fd: bool) -> list[Frame]:
-        """Return the frames of a record.
+        """Return the frames of a record of a line.
 
         Raises:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
                 authenticator.
         """
         messages = self._layout.messages.get(slot)
+        return self._write(record, messages, self._layout.secured, f"slot {slot!r}", fd)
+
+    def write_pose(self, record: bytes, fd: bool) -> list[Frame]:
+        """Return the frames of a record of the pose error; raises as ``write``."""
+        pose = self._layout.pose
+        messages, secured = (pose.messages, pose.secured) if pose else (None, None)
+        return self._write(record, messages, secured, "the pose error", fd)
+
+    def _write(
+        self,
+        record: bytes,
+        messages: RecordMessages | None,
+        secured: SecuredLayout | None,
+        owner: str,
+        fd: bool,
+    ) -> list[Frame]:
         if self._authenticator is not None:
-            return [self._secured(self._authenticator, record, slot, messages, fd)]
+            if not fd:
+                raise EncodeError(
+                    "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
+                )
+            if messages is None or secured is None or messages.secured_can_id is None:
+                raise EncodeError(f"{self._layout.source} has no authenticated message for {owner}")
+            data = self._authenticator.secure(record, messages.secured_data_id, secured)
+            return [Frame(messages.secured_can_id, data, True, messages.secured_is_extended)]
         can_id = None if messages is None else messages.fd_can_id if fd else messages.can_id
         if messages is None or can_id is None:
             kind = "CAN FD" if fd else "classic"
-            raise EncodeError(f"{self._layout.source} has no {kind} message for slot {slot!r}")
+            raise EncodeError(f"{self._layout.source} has no {kind} message for {owner}")
         if fd:
             padded = record.ljust(messages.fd_length, b"\0")
             return [Frame(can_id, padded, True, messages.fd_is_extended)]
@@ -57,23 +80,3 @@ class FrameWriter:
             Frame(can_id, record[start : start + PAGE_BYTES], False, messages.is_extended)
             for start in range(0, len(record), PAGE_BYTES)
         ]
-
-    def _secured(
-        self,
-        authenticator: Authenticator,
-        record: bytes,
-        slot: Slot,
-        messages: SlotMessages | None,
-        fd: bool,
-    ) -> Frame:
-        secured = self._layout.secured
-        if not fd:
-            raise EncodeError(
-                "classic CAN is not authenticated; send CAN FD (fd=True), or without a key"
-            )
-        if messages is None or secured is None or messages.secured_can_id is None:
-            raise EncodeError(
-                f"{self._layout.source} has no authenticated message for slot {slot!r}"
-            )
-        data = authenticator.secure(record, messages.secured_data_id, secured)
-        return Frame(messages.secured_can_id, data, True, messages.secured_is_extended)

@@ -6,6 +6,7 @@ from ...arrays import number_text
 from ...line import Slot
 from ..message.layout import Layout
 from ..message.pose_layout import PoseLayout
+from ..message.record_layout import RecordLayout
 from ..message.signals import TRANSFER_ID
 from ..message.slot_messages import LONGEST_MS
 from ..protection.e2e_state import E2EConfig
@@ -55,7 +56,7 @@ def pose_settings(
     return int(1e6 * (timeout_ms or derived_ms)), int(1e6 * chosen_ms)
 
 
-def timeout_cycles(layout: Layout | PoseLayout) -> float:
+def timeout_cycles(layout: RecordLayout) -> float:
     """Return the default time-out of a transfer [cycles].
 
     A transfer ID is used again after (transfer IDs / components) cycles at the earliest: when each
@@ -69,7 +70,7 @@ def timeout_cycles(layout: Layout | PoseLayout) -> float:
     transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
     components = 1.0
     if "ComponentCount" in layout.signals:
-        components = max(1.0, layout["ComponentCount"].physical_range[1])
+        components = max(components, layout["ComponentCount"].physical_range[1])
     return max(0.5, min(transfer_ids / components - 0.5, GRACE_CYCLES))
 
 

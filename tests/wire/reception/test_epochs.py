@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -153,6 +154,31 @@ def test_no_line_joins_another_pose(data: st.DataObject, has_mixtures: bool) -> 
     wrong = [(pose, line, slot) for pose, line, slot in receiver.joined if pose != line]
     assert not wrong
     assert len(receiver.joined) == len(set(receiver.joined))
+
+
+@pytest.mark.parametrize(("has_mixtures", "delay"), [(False, 2.0), (True, 0.5)])
+def test_no_line_joins_another_pose_on_a_bad_bus(has_mixtures: bool, delay: float) -> None:
+    """Half of the records are lost, a third are late; slots come and go at random."""
+    rng = np.random.default_rng(14)
+    joined = 0
+    for _ in range(60):
+        present = rng.random((60, 2)) < 0.6
+        of_lines = [1, 1, 1, 1, 2, 3, 4, 7, 8] if has_mixtures else [1]
+        components = rng.choice(of_lines, (60, 2))
+        plan = (present * components).tolist()
+        records = list(sent(plan, int(rng.integers(256)), None, 0))
+        of_records = [
+            Fate(
+                lost=bool(rng.random() < 0.5),
+                delay=float(rng.uniform(0, delay)) if rng.random() < 1 / 3 else 0.0,
+                copies=1,
+            )
+            for _ in records
+        ]
+        receiver = receive(records, of_records, has_mixtures=has_mixtures)
+        assert not [pair for pair in receiver.joined if pair[0] != pair[1]]
+        joined += len(receiver.joined)
+    assert joined > 300
 
 
 @pytest.mark.parametrize("first", [0, 200, 255])

@@ -67,6 +67,8 @@ def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: P
 class FewIds:
     """A layout with other numbers of transfer IDs and components."""
 
+    signals = ("ComponentCount",)
+
     def __init__(self, bits: int, components: float) -> None:
         self.bits, self.components = bits, components
 

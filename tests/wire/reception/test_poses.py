@@ -1,0 +1,230 @@
+"""Frames of the pose error and of conditional records, and their reassembly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import permutations
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can.errors import EncodeError
+from maplines_can.line import Kind, Slot
+from maplines_can.wire import (
+    Authenticator,
+    E2EConfig,
+    E2EState,
+    Frame,
+    Key,
+    Layout,
+    Reason,
+    Verifier,
+    default_dbc_path,
+)
+from maplines_can.wire.message.frames import FrameWriter
+from maplines_can.wire.message.pose_layout import POSE
+from maplines_can.wire.message.pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+)
+from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
+from maplines_can.wire.reception.reassembly import Reassembler, Record
+from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+
+CYCLE = 50_000_000  # [ns]
+LAYOUTS = {
+    name: Layout.from_dbc(default_dbc_path(name)) for name in ("maplines.dbc", "maplines-pose.dbc")
+}
+LAYOUT = LAYOUTS["maplines-pose.dbc"]
+RECORDS = ConditionalRecords(LAYOUT)
+LEVELS = {"OwnLateral": 50, "OwnPoints": 40, "OwnSpacing": 3}
+SHORT = {"XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
+LONG = SHORT | dict.fromkeys(LEVELS, 0)
+LONG |= {n: s.raw_max for n, s in LAYOUT.signals.items() if n[:4] in ("Pivo", "Rati", "Infl")}
+
+
+def line(counter: int, raw: dict[str, int] = SHORT, slot: Slot = Slot.CENTRE) -> ConditionalRecord:
+    """A conditional record."""
+    return ConditionalRecord(raw, counter, Kind.SOLID, slot)
+
+
+def pose(layout: Layout, counter: int) -> PoseRecord:
+    """A record of the pose error."""
+    assert layout.pose is not None
+    filled = ("Crc", "Counter", "Page", "TransferId")
+    raw = {
+        name: signal.raw_max - 1
+        for name, signal in layout.pose.signals.items()
+        if not name.startswith(filled) and not name.endswith("Counter")
+    }
+    return PoseRecord(raw, counter, dict.fromkeys(Slot, counter % 8))
+
+
+def reassembler(
+    verify: Verifier | None = None, layout: Layout = LAYOUT
+) -> Reassembler[Slot, ConditionalRecord]:
+    """A reassembler of conditional records."""
+    timeouts, _, _ = decoder_settings(layout)
+    return Reassembler(layout, lambda data, slot, _: RECORDS.read(data, slot), timeouts, verify)
+
+
+def receiver(layout: Layout, verifier: Verifier | None = None) -> PoseReceiver:
+    """A receiver of the pose error."""
+    assert layout.pose is not None
+    return PoseReceiver(layout.pose, verifier, *pose_settings(layout.pose), E2EConfig())
+
+
+def frames_of(record: ConditionalRecord, *, fd: bool = False) -> list[Frame]:
+    """Frames of a conditional record."""
+    return FrameWriter(LAYOUT, None).write(RECORDS.write(record), record.slot, fd)
+
+
+@pytest.mark.parametrize(("raw", "frames"), [(SHORT, 2), (LONG, 4)])
+def test_a_record_is_complete_with_its_last_page(raw: dict[str, int], frames: int) -> None:
+    """In any order of the pages; with HasCovariance 0, the last one is page 1."""
+    sent = frames_of(line(5, raw))
+    assert len(sent) == frames
+    for order in permutations(sent):
+        state = reassembler()
+        answers = [state.feed(frame.can_id, frame.data, i) for i, frame in enumerate(order)]
+        assert answers[:-1] == [Reason.PENDING] * (frames - 1)
+        assert isinstance(answers[-1], Record)
+        assert answers[-1].content == line(5, raw)
+        assert (answers[-1].frames, answers[-1].t_ns, state.pending) == (frames, 0, 0)
+
+
+@pytest.mark.parametrize("raw", [SHORT, LONG])
+def test_one_can_fd_frame_holds_either_form(raw: dict[str, int]) -> None:
+    """With padding after the shorter one."""
+    (frame,) = frames_of(line(7, raw), fd=True)
+    assert len(frame.data) == 32
+    answer = reassembler().feed(frame.can_id, frame.data, 0)
+    assert isinstance(answer, Record)
+    assert answer.content == line(7, raw)
+
+
+def test_pages_of_another_record_are_counted() -> None:
+    """Pages 2 and 3 of a long record that lost its first pages, then a short one of the same ID."""
+    state = reassembler()
+    for frame in frames_of(line(4, LONG))[2:] + frames_of(line(8))[:1]:
+        assert state.feed(frame.can_id, frame.data, 0) is Reason.PENDING
+    last = frames_of(line(8))[1]
+    answer = state.feed(last.can_id, last.data, 1)
+    assert isinstance(answer, Record)
+    assert answer.content == line(8)
+    assert (state.counts, state.pending) == ({Reason.INCOMPLETE: 2}, 0)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.data())
+def test_each_record_is_one_that_was_sent(data: st.DataObject) -> None:
+    """Frames of short and long records are lost, duplicated and swapped; none is mixed."""
+    forms = data.draw(st.lists(st.booleans(), min_size=1, max_size=20))
+    sent = [line(i, LONG if is_long else SHORT) for i, is_long in enumerate(forms)]
+    arrivals = []
+    for i, record in enumerate(sent):
+        for j, frame in enumerate(frames_of(record)):
+            copies = data.draw(st.sampled_from([0, 1, 1, 1, 2]))
+            delay = data.draw(st.sampled_from([0.0, 0.0, 0.3, 1.2]))
+            arrivals += [(i + 0.1 * j + delay + 0.01 * c, frame) for c in range(copies)]
+    state, answered = reassembler(), 0
+    arrivals.sort(key=lambda arrival: arrival[0])
+    for frames, (t, frame) in enumerate(arrivals, 1):
+        answer = state.feed(frame.can_id, frame.data, int(t * CYCLE))
+        if isinstance(answer, Record):
+            answered += answer.frames
+            assert isinstance(answer.content, Reason) or answer.content in sent
+        assert frames == answered + sum(state.counts.values()) + state.pending
+
+
+@pytest.mark.parametrize("fd", [False, True])
+@pytest.mark.parametrize("dbc", LAYOUTS)
+def test_the_pose_error_is_received(dbc: str, fd: bool) -> None:
+    """In classic frames or one CAN FD frame; duplicates and lost records as for a slot."""
+    layout = LAYOUTS[dbc]
+    assert layout.pose is not None
+    state, records = receiver(layout), PoseRecords(layout.pose)
+    writer = FrameWriter(layout, None)
+    answers: list[Any] = []
+    for i, counter in enumerate([*range(250, 260), 262]):
+        frames = writer.write_pose(records.write(pose(layout, counter % 256)), fd)
+        assert len(frames) == (1 if fd else layout.pose.pages)
+        assert all(state.knows(frame.can_id) for frame in frames)
+        answers += [
+            state.feed(f.can_id, f.data, i * CYCLE) for f in frames + frames[-1:] * (i == 5)
+        ]
+    got = [answer for answer in answers if isinstance(answer, ReceivedPose)]
+    assert [p.record for p in got] == [pose(layout, c % 256) for c in [*range(250, 260), 262]]
+    assert [p.ahead for p in got] == [1] * 10 + [3]
+    assert (state.check.state, state.check.lost) == (E2EState.VALID, 2)
+    assert state.counts == {Reason.DUPLICATE: 1}
+    assert state.frames == state.record_frames + sum(state.counts.values()) + state.pending
+
+
+def test_a_damaged_pose_error_is_rejected() -> None:
+    """Each flipped bit, and the frames of other messages."""
+    layout = LAYOUT
+    assert layout.pose is not None
+    records = PoseRecords(layout.pose)
+    (frame,) = FrameWriter(layout, None).write_pose(records.write(pose(layout, 3)), fd=True)
+    for bit in range(8 * layout.pose.record_bytes):
+        data = bytearray(frame.data)
+        data[bit // 8] ^= 1 << bit % 8
+        answer = receiver(layout).feed(frame.can_id, bytes(data), 0)
+        assert answer in (Reason.CRC, Reason.MIXED)
+    state = receiver(layout)
+    assert state.feed(0x360, frame.data, 0) is Reason.FOREIGN
+    assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
+
+
+def test_after_a_restart_the_records_follow_a_break() -> None:
+    """A receiver must not join lines of before the restart."""
+    assert LAYOUT.pose is not None
+    state, records = receiver(LAYOUT), PoseRecords(LAYOUT.pose)
+    got: list[Any] = []
+    for i, counter in [*enumerate(range(100, 110)), *enumerate(range(5), 30)]:
+        (frame,) = FrameWriter(LAYOUT, None).write_pose(records.write(pose(LAYOUT, counter)), True)
+        got.append(state.feed(frame.can_id, frame.data, i * CYCLE))
+    assert [answer.ahead for answer in got] == [1] * 10 + [None] + [1] * 4
+
+
+@pytest.mark.parametrize("dbc", ["maplines-secoc.dbc", "maplines-pose.dbc"])
+def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
+    """With SecOC; without a key, or with a wrong MAC, nothing is accepted."""
+    layout = Layout.from_dbc(default_dbc_path(dbc))
+    assert layout.pose is not None
+    assert layout.pose.secured is not None
+    key = Authenticator(Key(bytes(range(16))), clock=lambda: 1_750_000_000_000_000_000)
+    writer, records = FrameWriter(layout, key), PoseRecords(layout.pose)
+    (frame,) = writer.write_pose(records.write(pose(layout, 9)), fd=True)
+    state = receiver(layout, Verifier(key, layout.pose.secured))
+    answer = state.feed(frame.can_id, frame.data, 0)
+    assert isinstance(answer, ReceivedPose)
+    assert answer.record == pose(layout, 9)
+    assert state.feed(frame.can_id, frame.data, 0) is Reason.REPLAY
+    assert state.feed(frame.can_id, frame.data[:-1] + b"\0", 0) is Reason.MAC
+    assert receiver(layout).feed(frame.can_id, frame.data, 0) is Reason.KEY
+    (plain,) = FrameWriter(layout, None).write_pose(records.write(pose(layout, 9)), fd=True)
+    assert state.feed(plain.can_id, plain.data, 0) is Reason.UNAUTHENTICATED
+    with pytest.raises(EncodeError, match="classic CAN is not authenticated"):
+        writer.write_pose(records.write(pose(layout, 9)), fd=False)
+    if layout.is_conditional:
+        assert layout.secured is not None
+        for raw in (SHORT, LONG):
+            (frame,) = writer.write(RECORDS.write(line(1, raw)), Slot.CENTRE, fd=True)
+            got = reassembler(Verifier(key, layout.secured)).feed(frame.can_id, frame.data, 0)
+            assert isinstance(got, Record)
+            assert got.content == line(1, raw)
+
+
+def test_a_dbc_without_a_pose_error_cannot_send_one() -> None:
+    """The message says so."""
+    layout = replace(LAYOUTS["maplines.dbc"], pose=None)
+    with pytest.raises(EncodeError, match="has no classic message for the pose error"):
+        FrameWriter(layout, None).write_pose(bytes(40), fd=False)
+    assert LAYOUTS["maplines.dbc"].pose is not None
+    assert LAYOUTS["maplines.dbc"].pose.message_of_id[0x35C, False] == (POSE, False)
