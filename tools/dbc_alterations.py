@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from maplines_can.line import Slot
+from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS, own_points, own_spacing
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
 from maplines_can.wire.message.signals import SECURED_SIGNALS
 
@@ -167,7 +168,42 @@ def original(*slots: Slot) -> str:
     pages = tuple(
         tuple(spec for spec in page if spec not in last) for page in (first, second, third, fourth)
     )
-    return replace(SECURED, pages=(*pages, last), slots=slots or SLOTS).dbc()
+    return replace(SECURED, pages=(*pages, last), slots=slots or SLOTS, pose=None).dbc()
+
+
+def pose_original() -> str:
+    """Return the text of a DBC with complete lines and the pose error, with free pages."""
+    levels = POSE_WITH_LEVELS.pages[2][: 3 * len(SLOTS)]
+    pose = replace(POSE_WITH_LEVELS, pages=(*POSE_WITH_LEVELS.pages[:2], levels, (), ()))
+    return replace(DEFAULT, slots=SLOTS, pose=pose).dbc()
+
+
+def conditional_original() -> str:
+    """Return the text of a DBC with lines that are conditional on the pose, with a free page."""
+    first, second, third, fourth = CONDITIONAL.pages
+    levels = (own_points(), own_spacing())
+    head = (tuple(spec for spec in page if spec not in levels) for page in (first, second))
+    pages = (*head, (*third, *levels), fourth, ())
+    return replace(CONDITIONAL, slots=SLOTS, pages=pages, first_secured_can_id=None).dbc()
+
+
+def fields_of(text: str, message: str) -> list[str]:
+    """Return the names of the signals of a message; ``Page`` without the number of the page."""
+    found = re.search(rf"^BO_ \d+ {message}:.*\n((?: SG_ .*\n)+)", text, flags=re.M)
+    lines = [SignalLine.parse(line) for line in found[1].splitlines()] if found else []
+    return list(dict.fromkeys(field_of(line) for line in lines if line))
+
+
+def of_field_in(text: str, field: str, message: str) -> Iterator[Alteration]:
+    """Yield the alterations of a signal in the messages whose names match."""
+    for name, change in CHANGES.items():
+        altered = changed(text, field, change, message)
+        if name.startswith("float"):
+            altered += "".join(
+                f"SIG_VALTYPE_ {can_id} {signal} : {1 if name == 'float32' else 2};\n"
+                for can_id, signal in _places(altered, field, message)
+            )
+        yield Alteration(field, name, altered)
 
 
 def fields() -> list[str]:
@@ -186,14 +222,7 @@ def of_field(field: str) -> Iterator[Alteration]:
     text = original(SLOTS[0])
     if field not in SECURED_SIGNALS:
         text = _without(text, r"\w+SecOc")  # of_messages has the authenticated message
-    for name, change in CHANGES.items():
-        altered = changed(text, field, change)
-        if name.startswith("float"):
-            altered += "".join(
-                f"SIG_VALTYPE_ {can_id} {signal} : {1 if name == 'float32' else 2};\n"
-                for can_id, signal in _places(altered, field)
-            )
-        yield Alteration(field, name, altered)
+    yield from of_field_in(text, field, r"\w+")
 
 
 def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str:
@@ -220,14 +249,14 @@ def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str
     return re.sub(rf"^(CM_ SG_|VAL_) \d+ ({texts}) [^;]*;\n", "", "\n".join(out) + "\n", flags=re.M)
 
 
-def _places(text: str, field: str) -> Iterator[tuple[int, str]]:
-    """Yield the CAN ID and the name of each signal of a field."""
-    can_id = 0
+def _places(text: str, field: str, message: str) -> Iterator[tuple[int, str]]:
+    """Yield the CAN ID and the name of each signal of a field, in messages whose names match."""
+    can_id, inside = 0, False
     for line in text.splitlines():
-        if head := re.match(r"BO_ (\d+)", line):
-            can_id = int(head[1])
+        if head := re.match(r"BO_ (\d+) (\w+):", line):
+            can_id, inside = int(head[1]), bool(re.fullmatch(message, head[2]))
         signal = SignalLine.parse(line)
-        if signal and field_of(signal) == field:
+        if signal and inside and field_of(signal) == field:
             yield can_id, signal.name
 
 
@@ -275,6 +304,7 @@ def of_messages() -> Iterator[Alteration]:
         "unaltered": text,
         "maplines.dbc": replace(DEFAULT, slots=SLOTS).dbc(),
         "maplines-secoc.dbc": replace(SECURED, slots=SLOTS).dbc(),
+        "without the pose error": replace(DEFAULT, slots=SLOTS, pose=None).dbc(),
         "all Motorola but Crc": changed(text, r"\w+", _motorola),
         "signals in another order": _reordered(text),
         "messages renamed": replaced(r"\bEgo(Left|Right)", r"Line\1"),
