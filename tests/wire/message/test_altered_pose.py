@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cantools
@@ -161,7 +162,6 @@ def test_the_originals_are_right(text: str, check: Callable[[Layout, Any], None]
             'BA_ "MapLinePose" BO_ 860 1;\nBA_ "MapLineSlot" BO_ 860 3;',
             "MapLineSlot and MapLinePose",
         ),
-        (" 861 ", " 860 ", "Pose and PoseFd have the same CAN ID, 860"),
         ("BO_ 861 PoseFd: 48", "BO_ 861 PoseFd: 32", "PoseFd"),
     ],
 )
@@ -170,6 +170,19 @@ def test_a_wrong_message_of_the_pose_error_is_refused(old: str, new: str, words:
     assert old in POSE
     with pytest.raises(LayoutError, match=words):
         Layout.from_text(POSE.replace(old, new))
+
+
+def test_the_pose_error_has_its_own_ids() -> None:
+    """A frame of it could otherwise be delivered as one of a line."""
+    layout = Layout.from_text(POSE)
+    assert layout.pose is not None
+    for change, words in (
+        ({"can_id": 0x341}, "the same CAN ID, 833"),
+        ({"data_id": layout.messages[Slot.EGO_LEFT].data_id}, "the same E2EDataId"),
+    ):
+        messages = replace(layout.pose.messages, **change)
+        with pytest.raises(LayoutError, match=words):
+            replace(layout, pose=replace(layout.pose, messages=messages))
 
 
 def test_a_conditional_record_needs_the_pose_error() -> None:
