@@ -176,10 +176,11 @@ def test_the_pose_error_has_its_own_ids() -> None:
     """A frame of it could otherwise be delivered as one of a line."""
     layout = Layout.from_text(POSE)
     assert layout.pose is not None
-    for change, words in (
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
         ({"can_id": 0x341}, "the same CAN ID, 833"),
         ({"data_id": layout.messages[Slot.EGO_LEFT].data_id}, "the same E2EDataId"),
-    ):
+    )
+    for change, words in cases:
         messages = replace(layout.pose.messages, **change)
         with pytest.raises(LayoutError, match=words):
             replace(layout, pose=replace(layout.pose, messages=messages))
