@@ -329,6 +329,16 @@ def _scale(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.sqrt(np.where(variance > 0, variance, 1.0))
 
 
+def _scale_of_any(S: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``_scale``, but with a variable of zero variance in the scale of its covariances."""
+    scale = _scale(S)
+    variance = np.diagonal(S, axis1=-2, axis2=-1)
+    size = np.abs(S)
+    other = np.where(variance[..., None, :] > 0, scale[..., None, :], np.sqrt(size))
+    share = np.divide(size, other, out=np.zeros_like(size), where=other > 0).max(axis=-1)
+    return np.where((variance == 0) & (share > 0), share, scale)
+
+
 def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
     """Return the nearest positive semidefinite matrices that cover symmetric ones.
 
@@ -354,7 +364,17 @@ def nearest_covariance(cov: ArrayLike) -> NDArray[np.float64]:
         raise ValueError(f"cov must have variances of 0 or more, got {cov!r}")
     if asymmetric(S, rounding).any():
         raise ValueError(f"cov must be symmetric, got {cov!r}; use (cov + cov.T) / 2")
-    scale = _scale(S)
+    nearest = _nearest(S, _scale(S))
+    empty = (np.diagonal(nearest, axis1=-2, axis2=-1) == 0) & (nearest != 0).any(axis=-1)
+    if not empty.any():
+        return nearest
+    # Covariances of a zero variance that are so small that rounding hides them.
+    again = _nearest(S, _scale_of_any(S))
+    return np.where(empty.any(axis=-1)[..., None, None], again, nearest)
+
+
+def _nearest(S: NDArray[np.float64], scale: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``nearest_covariance`` of (..., n, n) matrices, nearest in units of a scale."""
     scale2 = scale[..., :, None] * scale[..., None, :]
     values, vectors = np.linalg.eigh(S / scale2)
     lifted = (vectors * values.clip(0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)

@@ -143,6 +143,9 @@ def test_no_covariance_is_called_indefinite_or_asymmetric(cov: Any) -> None:
 
 
 @given(symmetric())
+@example(
+    np.array([[0, 0, 0, 0], [0, 2e-16, 7.5e-17, 1e-16], [0, 7.5e-17, 0, 0], [0, 1e-16, 0, 2e-16]])
+)
 def test_nearest_covariance_covers_the_matrix_and_is_valid(cov: Any) -> None:
     """A repair is never overconfident: result minus matrix is positive semidefinite."""
     repaired = nearest_covariance(cov)
