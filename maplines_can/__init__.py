@@ -68,11 +68,14 @@ if TYPE_CHECKING:
         SigmaPoints,
         Transform,
         map_lines,
+        map_scene,
         pose_time_ns,
         predict,
         predict_to,
+        scene_mixture,
     )
     from .scenarios import SCENARIOS, STREETS, Scenario, scenario
+    from .scene import Estimate, PoseError, Scene
     from .wire import (
         Authenticator,
         Batch,
@@ -85,6 +88,7 @@ if TYPE_CHECKING:
         Monitor,
         ProfileStatus,
         Reason,
+        SceneView,
         SlotView,
     )
 
@@ -99,6 +103,7 @@ __all__ = [
     "E2EConfig",
     "E2EState",
     "EncodeError",
+    "Estimate",
     "Frame",
     "Gaussian",
     "GaussianMixture",
@@ -120,6 +125,7 @@ __all__ = [
     "MonteCarlo",
     "Motion",
     "Polyline",
+    "PoseError",
     "PoseSource",
     "ProfileStatus",
     "Quadrature",
@@ -128,6 +134,8 @@ __all__ = [
     "RecordedDrive",
     "Refit",
     "Scenario",
+    "Scene",
+    "SceneView",
     "SigmaPoints",
     "SimulatedDrive",
     "Slot",
@@ -140,6 +148,7 @@ __all__ = [
     "lateral",
     "lateral_jacobian",
     "map_lines",
+    "map_scene",
     "maps",
     "nearest_covariance",
     "pose_time_ns",
@@ -148,6 +157,7 @@ __all__ = [
     "read_log",
     "read_signals",
     "scenario",
+    "scene_mixture",
     "transform_line",
 ]
 
@@ -164,10 +174,12 @@ _EXPORTS = {
     "mixture": "GaussianMixture",
     "polyline": "Polyline",
     "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
-    "Transform map_lines pose_time_ns predict predict_to",
+    "Transform map_lines map_scene pose_time_ns predict predict_to "
+    "scene_mixture",
+    "scene": "Estimate PoseError Scene",
     "scenarios": "SCENARIOS STREETS Scenario scenario",
     "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
-    "Reason SlotView",
+    "Reason SceneView SlotView",
 }
 #: Modules that are names of the package as a whole.
 _SUBMODULES = ("maps",)

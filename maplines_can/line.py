@@ -311,23 +311,33 @@ def transform_line(
     return lines
 
 
+def _ends_text(ends: NDArray[np.float64]) -> str:
+    return f"{ends:g}" if ends.ndim == 0 else str(ends)
+
+
 @np.errstate(over="ignore", invalid="ignore")
 def transform_line_or_nan(
-    parameters: ArrayLike, displacement: ArrayLike, window: tuple[float, float], points: int = 32
+    parameters: ArrayLike,
+    displacement: ArrayLike,
+    window: tuple[ArrayLike, ArrayLike],
+    points: int = 32,
 ) -> NDArray[np.float64]:
-    """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError."""
-    x_min, x_max = (floats(end, "window").item() for end in window)
-    if points < 4 or not -np.inf < x_min < x_max < np.inf:
+    """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError.
+
+    The ends of the window may be (...,) arrays.
+    """
+    x_min, x_max = (floats(end, "window") for end in window)
+    if points < 4 or not (np.isfinite(x_min) & np.isfinite(x_max) & (x_min < x_max)).all():
         raise ValueError(
             "points must be 4 or more in a window of x_min < x_max, "
-            f"got {number_text(points)} points in ({x_min:g}, {x_max:g}) m"
+            f"got {number_text(points)} points in ({_ends_text(x_min)}, {_ends_text(x_max)}) m"
         )
     if points > MAX_POINTS:
         raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
         nodes = np.cos(np.pi * np.arange(points) / (points - 1))
-    x = (x_min + x_max) / 2 + (x_max - x_min) / 2 * nodes
+    x = ((x_min + x_max) / 2)[..., None] + ((x_max - x_min) / 2)[..., None] * nodes
     lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
     if poses.shape[-1:] != (3,):
         raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")

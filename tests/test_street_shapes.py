@@ -14,8 +14,8 @@ from scipy.special import fresnel
 
 from maplines_can import map_lines
 from maplines_can.line import Slot
-from maplines_can.propagation.map_lines import MARGIN
 from maplines_can.scenarios import STREETS, scenario
+from maplines_can.seen_lines import MARGIN
 from maplines_can.street_shapes import LANES, Piece, Street, lanes, widening
 
 PIECES = st.lists(

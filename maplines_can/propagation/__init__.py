@@ -1,14 +1,17 @@
 """Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time."""
 
+from ..map_error import MapError
 from .component_counts import component_counts, remaining_nonlinearity
 from .linear import Linear
 from .map_lines import map_lines
+from .map_scene import map_scene
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity
 from .prediction import pose_time_ns, predict, predict_to
 from .quadrature import Quadrature
-from .refit import MapError, Refit
+from .refit import Refit
+from .scene_mixture import scene_mixture
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
 from .transform import Moments, Transform
@@ -28,9 +31,11 @@ __all__ = [
     "Transform",
     "component_counts",
     "map_lines",
+    "map_scene",
     "nonlinearity",
     "pose_time_ns",
     "predict",
     "predict_to",
     "remaining_nonlinearity",
+    "scene_mixture",
 ]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,15 +11,14 @@ from numpy.typing import NDArray
 from ..arrays import floats
 from ..gaussian import Gaussian, indefinite
 from ..line import LeftOut, MapLine, MapLineList, Slot
+from ..map_error import MapError
 from ..mixture import GaussianMixture
 from ..polyline import MAX_TURN, Polyline, stretches, to_ego
-from .refit import MAX_MISFIT, MapError, Refit
+from ..seen_lines import extended, margins
+from .refit import MAX_MISFIT, Refit
 from .splitting import Mixture
 from .transform import Transform
 
-#: Standard deviations of the pose error by which the range of a line is shortened at an end, so
-#: that the line seen from the true pose ends beyond it.
-MARGIN = 3.0
 #: Lines of less range are left out [m].
 MIN_RANGE = 1.0
 #: Standard deviations of the heading for which the turn of a line leaves room.
@@ -79,38 +77,28 @@ def map_lines(
     >>> lines.left_out
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
-    counts = _checked(lines, ego, components)
+    check_lines(lines, ego)
+    counts = _counts(lines, components)
     x_min, x_max = (floats(end, "window").item() for end in window)
-    P = _ego_cov(ego)
-    turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(P[2, 2])), MIN_TURN)
-    if map_error is not None:  # moves the ends of a line as the pose error does
-        shift = map_error.offset_sigma**2 + map_error.point_sigma**2
-        P = P + np.diag([shift, shift, map_error.heading_sigma**2])
-    # A turned car sees the end of a line at x at about x cos(turn), which is nearer.
-    shortening = 1 - math.cos(min(MARGIN * math.sqrt(P[2, 2]), math.pi / 2))
-    room = MARGIN * float(_along_sigma(P, np.array([-ASIDE, ASIDE])).max())
-    room += shortening * max(abs(x_min), abs(x_max))
+    view = view_of(ego, (x_min, x_max), map_error)
     # Lines of one component share the calls; each mixture has a direction of its own to cut along.
     singles = [slot for slot, k in counts.items() if k == 1]
     groups = [singles] * bool(singles) + [[slot] for slot, k in counts.items() if k > 1]
     found: dict[Slot, MapLine | LeftOut] = {}
     for slots in groups:
-        seen = stretches(
-            [lines[slot] for slot in slots], ego.mean, (x_min - room, x_max + room), turn
-        )
+        seen = stretches([lines[slot] for slot in slots], ego.mean, view.window, view.max_turn)
         found |= {slots[i]: reason for i, reason in seen.left_out.items()}
         if not len(seen.given):
             continue
-        refit = Refit(seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=room)
-        margin = MARGIN * _along_sigma(P, refit.points[:, [0, -1], 1])  # (L, 2)
-        margin += shortening * np.abs(refit.x_range)
+        refit = Refit(seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room)
+        margin = margins(view.cov, refit.points[:, [0, -1]])
         x_range = (refit.x_range + margin * [1, -1]).clip(x_min, x_max)
         wide = (x_range[:, 1] - x_range[:, 0] >= MIN_RANGE) & ~refit.is_across
         found |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~wide]}
         if not wide.any():
             continue
         mixture = Mixture(counts[slots[0]], transform)
-        weights, means, covs = mixture.moments(_Extended(refit, wide), ego)
+        weights, means, covs = mixture.moments(ExtendedRefit(refit, wide), ego)
         make = Gaussian.trusted if _is_positive(covs) else Gaussian
         for i, (low, high) in enumerate(x_range[wide].tolist()):
             slot = slots[seen.given[wide][i]]
@@ -127,36 +115,38 @@ def map_lines(
     )
 
 
-class _Extended:
-    """Some lines of a refit, with values also at poses from which they are not functions of x.
+class View(NamedTuple):
+    """How far lines are used around an uncertain pose."""
 
-    These are extrapolated linearly from the mean pose through the farthest pose with a value that
-    halving the distance finds, so that a transform keeps the spread in that direction.
-    """
+    cov: NDArray[np.float64]  #: (3, 3) of the pose and of the map, in the ego frame
+    room: float  #: that the ranges leave at their ends, at most [m]
+    window: tuple[float, float]  #: with that room [m]
+    max_turn: float  #: largest angle between a line and the x axis [rad]
+
+
+def view_of(ego: Gaussian, window: tuple[float, float], map_error: MapError | None) -> View:
+    """Return the view for a Gaussian over the pose, a window [m] and the error of the map."""
+    P = ego_cov(ego)
+    turn = max(MAX_TURN - TURN_MARGIN * float(np.sqrt(P[2, 2])), MIN_TURN)
+    if map_error is not None:  # moves the ends of a line as the pose error does
+        shift = map_error.offset_sigma**2 + map_error.point_sigma**2
+        P = P + np.diag([shift, shift, map_error.heading_sigma**2])
+    farthest = max(map(abs, window))
+    corners = np.array([[[farthest, -ASIDE], [farthest, ASIDE]]])
+    room = float(margins(P, corners).max())
+    return View(P, room, (window[0] - room, window[1] + room), turn)
+
+
+class ExtendedRefit:
+    """Some lines of a refit, with values also at poses from which they are not functions of x."""
 
     def __init__(self, refit: Refit, lines: NDArray[np.bool_]) -> None:
         self._refit, self._lines = refit, lines
         self.noise_cov = None if refit.noise_cov is None else refit.noise_cov[lines]
 
-    def _values(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        return self._refit(poses)[:, self._lines]
-
     def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        values = self._values(poses)
-        missing = np.isnan(values[..., 0])
-        if not missing.any():
-            return values
-        pose = self._refit.pose
-        mean = self._values(pose[None])
-        share = 1.0
-        while missing.any():
-            share /= 2
-            rows = np.flatnonzero(missing.any(axis=1))
-            inner = self._values(pose + share * (poses[rows] - pose))
-            filled = mean + (inner - mean) / share
-            values[rows] = np.where(missing[rows][..., None], filled, values[rows])
-            missing = np.isnan(values[..., 0])
-        return values
+        """Return the (N, L, 4) lines for (N, 3) poses."""
+        return extended(lambda at: self._refit(at)[:, self._lines], poses, self._refit.pose)
 
 
 def _is_positive(covs: NDArray[np.float64]) -> bool:
@@ -165,10 +155,8 @@ def _is_positive(covs: NDArray[np.float64]) -> bool:
     return bool(np.isfinite(covs).all() and (variances > 0).all() and not indefinite(covs).any())
 
 
-def _checked(
-    lines: Mapping[Slot, Polyline], ego: Gaussian, components: int | Mapping[Slot, int]
-) -> dict[Slot, int]:
-    """Return the number of components of each line, in order."""
+def check_lines(lines: Mapping[Slot, Polyline], ego: Gaussian) -> None:
+    """Check the arguments that ``map_lines`` and ``map_scene`` share."""
     if not isinstance(lines, Mapping):
         raise TypeError(
             "lines must be a mapping from slots to polylines, such as "
@@ -183,6 +171,12 @@ def _checked(
         raise ValueError(
             f"ego must be over the pose (e_x [m], e_y [m], e_h [rad]), got {ego.dimension}-D"
         )
+
+
+def _counts(
+    lines: Mapping[Slot, Polyline], components: int | Mapping[Slot, int]
+) -> dict[Slot, int]:
+    """Return the number of components of each line, in order."""
     if isinstance(components, Mapping):
         if missing := [Slot(slot).name for slot in lines if slot not in components]:
             raise ValueError(f"components must have a number for each line, but not {missing[0]}")
@@ -190,13 +184,8 @@ def _checked(
     return dict.fromkeys(map(Slot, lines), components)
 
 
-def _ego_cov(ego: Gaussian) -> NDArray[np.float64]:
+def ego_cov(ego: Gaussian) -> NDArray[np.float64]:
     """Return the (3, 3) covariance of the pose with its position in the ego frame."""
     R = np.eye(3)
     R[:2, :2] = to_ego(np.eye(2), [0.0, 0.0, ego.mean[2]]).T
     return np.asarray(R @ ego.cov @ R.T)
-
-
-def _along_sigma(P: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (...,) standard deviations of x of points at (...,) lateral positions [m]."""
-    return np.sqrt((P[0, 0] - 2 * y * P[0, 2] + y * y * P[2, 2]).clip(0))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NoReturn
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..arrays import floats
 from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
+from ..map_error import MapError
 from ..polyline import MAX_TURN, Polyline, Stretches, stretches
 from .valid_range import NODES, longest_ranges
 
@@ -30,34 +30,6 @@ MAX_MISFIT = 0.1
 LEAST_PROGRESS = 1 / 3
 #: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
 LEAST_PIVOT = 1e-13
-
-
-@dataclass(frozen=True, slots=True)
-class MapError:
-    """Standard deviations of the errors of the map points.
-
-    Published errors of the lane geometry of HD maps are 5 to 20 cm (Liu, Wang, Zhang
-    2020, tables 3, 5 and 6). Some are common to a section of a road, some are local.
-
-    Args:
-        point_sigma: independent error of each map point, in any direction [m].
-        offset_sigma: common offset of all points of a line, in any direction [m].
-        heading_sigma: common rotation of all points of a line about the car [rad].
-
-    Raises:
-        ValueError: a value is negative or not finite.
-    """
-
-    point_sigma: float = 0.0
-    offset_sigma: float = 0.0
-    heading_sigma: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("point_sigma", "offset_sigma", "heading_sigma"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(
-                    f"{name} must be 0 or more and finite, got {getattr(self, name)!r}"
-                )
 
 
 class Refit:
@@ -85,6 +57,8 @@ class Refit:
         max_turn: largest angle between a line and the x axis of ``pose`` [rad]; the line is not
             used farther along.
         room: distance behind the car at which a range begins at least, if the line does [m].
+        step: of which the ends of the ranges are multiples, for lines that are long enough; 0 for
+            any [m].
 
     Raises:
         ValueError: ``pose``, ``window`` or ``max_misfit`` is wrong, or there is no line.
@@ -111,6 +85,7 @@ class Refit:
         max_misfit: float = MAX_MISFIT,
         max_turn: float = MAX_TURN,
         room: float = 0.0,
+        step: float = 0.0,
     ) -> None:
         if not max_misfit > 0:
             raise ValueError(f"max_misfit must be more than 0 m, got {max_misfit!r}")
@@ -121,7 +96,7 @@ class Refit:
             seen = _seen(polyline, pose, window, max_turn)
         self._trailing = () if isinstance(polyline, Polyline) else (len(seen.given),)
         self.pose = np.array(pose)
-        fitted = longest_ranges(seen, max_misfit, room)
+        fitted = longest_ranges(seen, max_misfit, room, step)
         self._x_range, self._misfit = fitted.x_range, fitted.misfit
         x, y = fitted.x, fitted.y
         if max_misfit < np.inf:

@@ -86,23 +86,34 @@ def fit(stretches: Stretches, x_range: NDArray[np.float64]) -> Fitted:
     return Fitted(x_range, x, y, least, greatest)
 
 
-def longest_ranges(stretches: Stretches, max_misfit: float, room: float = 0.0) -> Fitted:
+def longest_ranges(
+    stretches: Stretches, max_misfit: float, room: float = 0.0, step: float = 0.0
+) -> Fitted:
     """Return the fits in the longest ranges of the stretches with a misfit of at most a limit.
 
-    The ranges begin at least ``room`` [m] behind the car, if the line does.
+    The ranges begin at least ``room`` [m] behind the car, if the line does. With a ``step``, their
+    ends are multiples of it, but for ranges that are too short for that [m].
 
     The least-squares fit is shifted to halve the span of its deviations. This matters for points
     that are far apart in a bend: the line between them is all on one side of the bend.
     """
-    fits = fit(stretches, stretches.x_range)
+    fits = fit(stretches, _whole(stretches.x_range, step))
     bad = np.flatnonzero(fits.misfit > max_misfit)
     if len(bad):
-        x_range = stretches.x_range.copy()
-        x_range[bad] = _search(stretches, bad, max_misfit, room)
+        x_range = _whole(stretches.x_range, step)
+        x_range[bad] = _whole(_search(stretches, bad, max_misfit, room), step)
         while len(bad := np.flatnonzero((fits := fit(stretches, x_range)).misfit > max_misfit)):
             car = np.clip(0.0, *x_range[bad].T)[:, None]
-            x_range[bad] = car + 0.97 * (x_range[bad] - car)
+            x_range[bad] = _whole(car + 0.97 * (x_range[bad] - car), step)
     return fits
+
+
+def _whole(x_range: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """Return (L, 2) ranges with their ends moved inwards to multiples of a step, if it is not 0."""
+    if not step:
+        return x_range.copy()
+    inner = np.column_stack([np.ceil(x_range[:, 0] / step), np.floor(x_range[:, 1] / step)]) * step
+    return np.where(inner[:, :1] + 4 * step <= inner[:, 1:], inner, x_range)
 
 
 def _search(

@@ -1,0 +1,122 @@
+"""Lines of a map as one joint Gaussian in the frame of a car whose pose is uncertain."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from ..arrays import floats
+from ..gaussian import Gaussian
+from ..line import PARAMETERS, LeftOut, MapLine, Slot
+from ..map_error import MapError
+from ..polyline import Polyline, stretches
+from ..scene import PoseError, Scene
+from ..seen_lines import valid_ranges
+from .map_lines import MIN_RANGE, ExtendedRefit, check_lines, ego_cov, view_of
+from .refit import MAX_MISFIT, Refit
+from .sigma_points import SigmaPoints
+from .transform import Transform
+
+#: Parameters of a line.
+N = len(PARAMETERS)
+#: The ends of the ranges in which the cubics are fitted are multiples of this, so that a message
+#: can state them exactly [m].
+STEP = 1.0
+
+
+def map_scene(
+    lines: Mapping[Slot, Polyline],
+    ego: Gaussian,
+    *,
+    correlation_time: float = math.inf,
+    window: tuple[float, float] = (-20.0, 80.0),
+    transform: Transform | None = None,
+    map_error: MapError | None = None,
+    max_misfit: float = MAX_MISFIT,
+) -> Scene:
+    """Return lines of the map as seen from an uncertain pose, with their joint Gaussian.
+
+    The lines are those of ``map_lines``, but for two details. The ranges in which the cubics are
+    fitted end at whole metres. The valid ranges leave a little more room at their ends, since they
+    are computed from what a receiver knows, too, and may exceed the window by that room. All lines
+    are propagated through the same points, so their joint covariance is a covariance.
+
+    The error of the map is independent from line to line.
+
+    Args:
+        lines: the line of the map for each slot.
+        ego: Gaussian over the pose (e_x [m], e_y [m], e_h [rad]) in the map frame.
+        correlation_time: of the pose error [s]; infinite if it is unknown.
+        window: (x_min, x_max) ahead of the mean pose that the ranges may extend to [m].
+        transform: for the moments; None for ``SigmaPoints()``.
+        map_error: error of the map, in addition to the error of the pose.
+        max_misfit: largest deviation of a cubic from its line [m].
+
+    Returns:
+        The lines in the order of ``lines``; ``left_out`` has the reasons of the others by slot.
+
+    Raises:
+        TypeError: ``lines`` is not a mapping from slots to polylines.
+        ValueError: ``ego`` is not over three variables, or another value is out of range.
+
+    >>> lines = {Slot.EGO_LEFT: Polyline([[-100, 1.75], [200, 1.75]]),
+    ...          Slot.EGO_RIGHT: Polyline([[-100, -1.75], [200, -1.75]])}
+    >>> scene = map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
+    >>> scene.centre(0.0).sigma.round(3), scene.width(0.0).sigma.round(3)
+    (np.float64(0.2), np.float64(0.0))
+    """
+    check_lines(lines, ego)
+    x_min, x_max = (floats(end, "window").item() for end in window)
+    view = view_of(ego, (x_min, x_max), map_error)
+    pose_error = PoseError(ego_cov(ego), correlation_time)
+    slots = [Slot(slot) for slot in lines]
+    none = Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)
+    if not lines:
+        return none
+    seen = stretches([*lines.values()], ego.mean, view.window, view.max_turn)
+    left_out = {slots[i]: reason for i, reason in seen.left_out.items()}
+    if not len(seen.given):
+        return replace(none, left_out=left_out)
+    refit = Refit(
+        seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
+    )
+    own_covs = np.zeros((len(seen.given), N, N)) if refit.noise_cov is None else refit.noise_cov
+    heading_sigma = 0.0 if map_error is None else map_error.heading_sigma
+    x_ranges = valid_ranges(
+        refit(ego.mean[None])[0], refit.x_range, pose_error.cov, own_covs, heading_sigma
+    )
+    kept = (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across
+    kept &= (refit.x_range % STEP == 0).all(axis=1)
+    left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
+    if not kept.any():
+        return replace(none, left_out=left_out)
+    function = ExtendedRefit(refit, kept)
+    mean, cov = (transform or SigmaPoints()).moments(_Flat(function), ego)
+    # From the means that are sent, as a receiver does.
+    x_ranges = valid_ranges(
+        mean.reshape(-1, N), refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
+    )
+    given = [slots[i] for i in seen.given[kept]]
+    blocks = [slice(N * i, N * i + N) for i in range(len(given))]
+    found = [
+        MapLine(slot, Gaussian(mean[b], cov[b, b]), kind=lines[slot].kind, x_min=low, x_max=high)
+        for slot, b, (low, high) in zip(given, blocks, x_ranges.tolist(), strict=True)
+    ]
+    return Scene(tuple(found), cov, pose_error, refit.x_range[kept], map_error, left_out)
+
+
+class _Flat:
+    """The parameters of all lines as one output, so that a transform gives their joint moments."""
+
+    def __init__(self, function: ExtendedRefit) -> None:
+        self._function = function
+        own = function.noise_cov
+        self.noise_cov = None if own is None else block_diag(*own)
+
+    def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._function(poses).reshape(len(poses), -1)

@@ -1,0 +1,67 @@
+"""Lines of a received scene as Gaussian mixtures: the receiver splits the pose error itself."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..gaussian import Gaussian, nearest_covariance
+from ..line import PARAMETERS, Slot
+from ..mixture import GaussianMixture
+from ..scene import Scene
+from ..seen_lines import SeenLines
+from .splitting import Mixture
+from .transform import Transform
+
+#: Parameters of a line.
+N = len(PARAMETERS)
+
+
+def scene_mixture(
+    scene: Scene, slot: Slot, components: int = 3, transform: Transform | None = None
+) -> GaussianMixture:
+    """Return the distribution of a line of a scene as a Gaussian mixture.
+
+    Where the heading is uncertain and the line bends, one Gaussian describes the line badly. The
+    pose error is split, and each part is propagated through the line, as ``Mixture`` does at a
+    sender. So no component has to be sent. What the line has of its own is added to each.
+
+    Args:
+        scene: a scene, such as that of ``Receiver.latest_scene``.
+        slot: which line.
+        components: 1 to 8.
+        transform: moment transform within each part; None for the default of ``Mixture``.
+
+    Raises:
+        ValueError: the scene has no line of the slot, or the number of components is out of range.
+
+    >>> from maplines_can import Polyline, map_scene
+    >>> angle = np.linspace(-1.2, 1.2, 60)
+    >>> bend = Polyline(30 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]))
+    >>> ego = Gaussian([0, 0, 0], np.diag([0.5, 0.5, 0.09]) ** 2)
+    >>> scene = map_scene({Slot.CENTRE: bend}, ego)
+    >>> mixture = scene_mixture(scene, Slot.CENTRE)
+    >>> len(mixture.components), bool(np.ptp(mixture.means[:, 1]) > 0.1)
+    (3, True)
+    """
+    i = scene.index[scene.line(slot).slot]
+    seen = SeenLines(scene.means[i : i + 1], scene.fit_ranges[i : i + 1])
+    block = slice(N * i, N * i + N)
+    P = scene.pose_error.cov
+    own = nearest_covariance(_symmetric(scene.cov[block, block] - seen.spread(P)))
+    weights, means, covs = Mixture(components, transform).moments(
+        seen.centred(P), Gaussian(np.zeros(3), P)
+    )
+    # The line is the mean over the pose error; the mixture must have the same.
+    shift = scene.means[i] - weights @ means[:, 0]
+    gaussians = (
+        Gaussian(mean + shift, cov + own) for mean, cov in zip(means[:, 0], covs[:, 0], strict=True)
+    )
+    return GaussianMixture(weights, tuple(gaussians))
+
+
+def _symmetric(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a matrix with variances of 0 or more, which rounding may have made negative."""
+    matrix = (matrix + matrix.T) / 2
+    matrix[np.diag_indices(N)] = matrix.diagonal().clip(0)
+    return np.asarray(matrix)
