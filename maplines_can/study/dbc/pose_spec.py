@@ -40,10 +40,10 @@ _RATIOS = tuple(
     for row, column in (("Across", "Along"), ("Heading", "Along"), ("Heading", "Across"))
 )
 _INFLATION = SignalSpec(
-    name="Inflation", bits=4, factor=0.0062, unit="octave",
+    name="Inflation", bits=3, factor=0.0124, unit="octave",
     about="log2 of the factor on the whole covariance that makes up for rounding: the decoded "
           "covariance is 2^Inflation L L^T.",
-    why="steps of 0.4 % of the variance, up to 6.7 %: it is common to all lines")
+    why="steps of 0.9 % of the variance, up to 6.2 %, as in a record with a covariance")
 _MAP_LEVELS = (
     SignalSpec(
         name="MapOffset", bits=4, factor=0.5, offset=-8, unit="octave", choices={0: "NONE"},
@@ -51,10 +51,10 @@ _MAP_LEVELS = (
               "independent from line to line. The raw value 0 means none.",
         why="0.6 cm to 0.7 m in steps of 41 %; the levels of the lines are finer"),
     SignalSpec(
-        name="MapHeading", bits=3, factor=1, offset=-12, unit="octave", choices={0: "NONE"},
+        name="MapHeading", bits=5, factor=0.25, offset=-13, unit="octave", choices={0: "NONE"},
         about="log2 of the standard deviation [rad] of the heading of each line on the map, "
               "independent from line to line. The raw value 0 means none.",
-        why="0.03 to 1.8 deg in steps of a factor of 2"),
+        why="0.01 to 1.5 deg in steps of 19 %: no level of a line has the shape of a rotation"),
 )
 
 
@@ -70,21 +70,21 @@ def _counter_of(slot: Slot) -> SignalSpec:
 def own_lateral(name: str = "") -> SignalSpec:
     """Return the signal of the lateral level of a slot, or of the record that has the signal."""
     return SignalSpec(
-        name=f"{name}OwnLateral", bits=7, factor=0.1, offset=-12, unit="octave",
+        name=f"{name}OwnLateral", bits=7, factor=0.08, offset=-11, unit="octave",
         choices={0: "NONE"},
         about="log2 of the standard deviation [m] of the lateral position that the line has of its "
               "own: it does not come from the pose error. The raw value 0 means none.",
-        why="0.26 mm to 1.6 m in steps of 7 %")
+        why="0.5 mm to 56 cm in steps of 6 %")
 
 
 def own_points(name: str = "") -> SignalSpec:
     """Return the signal of the level of point noise."""
     return SignalSpec(
-        name=f"{name}OwnPoints", bits=7, factor=0.1, offset=-12, unit="octave",
+        name=f"{name}OwnPoints", bits=7, factor=0.08, offset=-11, unit="octave",
         choices={0: "NONE"},
         about="log2 of the standard deviation [m] of the points of the line about the cubic, each "
               "by itself. The raw value 0 means none.",
-        why="0.26 mm to 1.6 m in steps of 7 %")
+        why="0.5 mm to 56 cm in steps of 6 %: as the lateral level")
 
 
 def own_spacing(name: str = "") -> SignalSpec:
@@ -96,8 +96,8 @@ def own_spacing(name: str = "") -> SignalSpec:
 
 
 _POSE_PAGES = (
-    (_CRC, _COUNTER, *_PIVOTS, AGE, _CORRELATION_TIME),
-    (*_RATIOS, _INFLATION, *_MAP_LEVELS, *map(_counter_of, Slot)),
+    (_CRC, _COUNTER, *_PIVOTS, AGE, _MAP_LEVELS[1]),
+    (*_RATIOS, _INFLATION, _MAP_LEVELS[0], _CORRELATION_TIME, *map(_counter_of, Slot)),
 )
 
 

@@ -2,5 +2,6 @@
 
 from .cholesky import CholeskyCode
 from .code import Coded, CovarianceCode
+from .scene_code import SceneCode
 
-__all__ = ["CholeskyCode", "Coded", "CovarianceCode"]
+__all__ = ["CholeskyCode", "Coded", "CovarianceCode", "SceneCode"]

@@ -1,0 +1,67 @@
+"""Joint covariances of lines as block matrices, and what a sum of two lacks to cover a third.
+
+J are the (L, 4, 4) derivatives of ``own_levels.bases``: in the coefficients of w all entries of a
+covariance are in metres squared.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .code import Array
+
+#: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's
+#: rounding passes.
+SLACK = 1e-6
+
+
+def blocks(cov: Array) -> Array:
+    """Return the (L, 4, 4) blocks on the diagonal of a (4 L, 4 L) matrix."""
+    n = len(cov) // 4
+    return cov.reshape(n, 4, n, 4)[np.arange(n), :, np.arange(n)].copy()
+
+
+def block_diagonal(blocks: Array) -> Array:
+    """Return the (4 L, 4 L) matrix with (L, 4, 4) blocks on its diagonal."""
+    n = len(blocks)
+    out = np.zeros((n, 4, n, 4))
+    out[np.arange(n), :, np.arange(n)] = blocks
+    return out.reshape(4 * n, 4 * n)
+
+
+def positive_part(matrices: Array, J: Array) -> Array:
+    """Return the least (L, 4, 4) positive semidefinite matrices that cover symmetric ones.
+
+    The least is meant in the coefficients of w, all of which are in metres.
+    """
+    inverse = np.linalg.inv(J)
+    E = inverse @ matrices @ inverse.swapaxes(1, 2)
+    values, vectors = np.linalg.eigh((E + E.swapaxes(1, 2)) / 2)
+    root = J @ (vectors * np.sqrt(values.clip(0))[:, None, :])
+    return np.asarray(root @ root.swapaxes(1, 2))
+
+
+def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
+    """Return what to add to (L, 4, 4) own covariances, so that they cover a scene; None if they do.
+
+    The scene is covered if ``spread + blockdiag(own)`` minus ``true`` is positive semidefinite. If
+    it is not, it lacks a u u^T for some u, each of which has a part u_i in every line. By the
+    inequality of Cauchy and Schwarz, for any positive weights t_i,
+
+        a u u^T <= blockdiag(..., a (sum_j t_j) / t_i u_i u_i^T, ...)
+    """
+    inverse = np.linalg.inv(J)  # all coefficients in metres
+    whole = block_diagonal(np.asarray(inverse))
+    missing = whole @ (true - spread) @ whole.T
+    D = inverse @ own @ inverse.swapaxes(1, 2)
+    L = block_diagonal(np.asarray(np.linalg.cholesky((D + D.swapaxes(1, 2)) / 2)))
+    whitened = np.linalg.solve(L, np.linalg.solve(L, missing).T)
+    values, vectors = np.linalg.eigh((whitened + whitened.T) / 2)
+    if values[-1] <= 1 - SLACK:
+        return None
+    more = values > 1 - SLACK
+    v = vectors[:, more].reshape(len(J), 4, -1)
+    weights = np.sqrt((v**2).sum(axis=1)) + 1e-9  # (L, K)
+    u = (L @ vectors[:, more]).reshape(len(J), 4, -1)
+    amount = (values[more] - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
+    return np.asarray(J @ np.einsum("lk,lik,ljk->lij", amount, u, u) @ J.swapaxes(1, 2))

@@ -1,0 +1,390 @@
+"""Code of scenes: the pose error once, and of each line what it has of its own.
+
+All lines of a scene are seen from one pose, so their parameters are theta_i = f_i(delta) + own_i,
+with delta ~ N(0, P) the pose error. The receiver knows f_i: it is the decoded line, seen from a
+displaced pose. From P' and the decoded covariances D_i of own_i it rebuilds the joint covariance
+
+    C = cov f(delta) + blockdiag(D_1, ..., D_L),   delta ~ N(0, P')
+
+by sigma points that go through all lines at once. The first term is positive semidefinite and
+every D_i is positive definite, so C is positive definite for any bits.
+
+C covers the joint covariance of the scene plus the errors of the decoded means, since the encoder
+decodes what it encodes. P' covers P. D_i covers what C lacks without it. If together they do not
+cover the scene, since the lines differ from f_i in different ways, the D_i of the lines concerned
+are enlarged until they do.
+
+D_i has one of two forms. ``OwnLevels`` takes 18 bits and suffices for most lines whose map error
+is known. The form with all entries takes as many bits as the covariance of a line by itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import EncodeError, IllPosedError
+from ...line import Slot, lateral_jacobian
+from ...scene import Scene
+from ...seen_lines import SeenLines
+from ..message.record_layout import RecordLayout
+from ..message.signals import OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, Signal, slot_title
+from .cholesky import CholeskyCode
+from .code import Array
+from .joint import block_diagonal, blocks, positive_part, uncovered
+from .own_levels import OwnLevels, bases
+
+#: Signal that says whether a record has all entries of D_i.
+FORM = "HasCovariance"
+#: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.
+ORDER = (3, 2, 0, 1)
+#: Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
+LEVELS_KL = 0.01
+#: Largest ratio of a standard deviation of what a line has of its own, with levels to without.
+LEVELS_RATIO = 1.1
+#: Repetitions of the enlargement of D_i.
+TRIALS = 12
+#: Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
+LARGEST = 1e50
+#: Share by which decoded variances are enlarged, more than the rounding error of their sum: so
+#: they are definite even if the pose error is millions of times what a line has of its own.
+ROUNDING = 2.0**-42
+
+
+class DecodedPose(NamedTuple):
+    """Content of a Pose record that matters to the covariance of lines."""
+
+    cov: Array  #: (3, 3) P'
+    correlation_time: float  #: [s]
+    offset_sigma: float  #: common offset of the points of a line of the map [m]
+    heading_sigma: float  #: common rotation of the points of a line of the map [rad]
+
+
+class DecodedLines(NamedTuple):
+    """L lines of a scene as a receiver decodes them."""
+
+    means: Array  #: (L, 4)
+    fit_ranges: Array  #: (L, 2) [m]
+    own_covs: Array  #: (L, 4, 4) D_i
+    cov: Array  #: (4 L, 4 L) C
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedScene:
+    """Raw values of a scene by signal: of the Pose record and of the lines' records."""
+
+    pose: dict[str, int]
+    lines: dict[int, dict[str, int]]  #: by their places in the scene; lines that do not fit lack
+    decoded: DecodedLines | None  #: what a receiver decodes; None without lines
+
+
+class SceneCode:
+    """Code between scenes and the raw values of a Pose record and of the records of lines.
+
+    There are two kinds of records of lines. Those that are conditional on the pose have a mean, a
+    range, and D_i in one of its forms. Those with a covariance of their own have no room for D_i:
+    their levels are in the Pose record, and their covariance is not used here.
+
+    Args:
+        pose: layout of the Pose record.
+        line: layout of the records of lines.
+
+    Raises:
+        LayoutError: a signal is missing or not suitable.
+    """
+
+    def __init__(self, pose: RecordLayout, line: RecordLayout) -> None:
+        self.pose_code = CholeskyCode(pose, POSE_ROWS)
+        self._time, self._offset, self._heading = (
+            pose[name] for name in ("CorrelationTime", "MapOffset", "MapHeading")
+        )
+        self._mean = [line[name] for name in PARAMETER_SIGNALS]
+        self._range = [line["XMin"], line["XMax"]]
+        #: Whether the records of lines are conditional on the pose.
+        self.is_conditional = FORM in line.signals
+        prefix = "" if self.is_conditional else slot_title(Slot.EGO_LEFT)
+        levels = line if self.is_conditional else pose
+        self._levels = OwnLevels(
+            *(replace(levels[prefix + name], name=name) for name in OWN_SIGNALS)
+        )
+        self._own_code = CholeskyCode(line) if self.is_conditional else None
+        #: (4,) variances of the rounding errors of the means.
+        self.resolution = np.array([signal.factor**2 / 12 for signal in self._mean])
+        pivots = dict(zip(self.pose_code.factor.order, self.pose_code.factor.pivots, strict=True))
+        self._pose_resolution = np.array([4.0 ** pivots[i].physical_range[0] for i in range(3)])
+
+    def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
+        """Return the content of a Pose record from its raw values by signal."""
+        levels = [
+            0.0 if raw[s.name] == 0 else 2.0 ** s.physical_one(raw[s.name])
+            for s in (self._offset, self._heading)
+        ]
+        time = raw[self._time.name]
+        return DecodedPose(
+            self.pose_code.decode_one(raw),
+            math.inf if time == 0 else 2.0 ** self._time.physical_one(time),
+            *levels,
+        )
+
+    def decode(self, pose: DecodedPose, lines: Sequence[Mapping[str, int]]) -> DecodedLines:
+        """Return lines with their joint covariance.
+
+        Args:
+            pose: content of the Pose record of their cycle.
+            lines: raw values by signal of each line: mean, range and D_i, of which the levels are
+                named as in a conditional record.
+
+        Raises:
+            IllPosedError: a line is no function of x in its range; no encoder sends such a line.
+        """
+        names = dict.fromkeys(name for line in lines for name in line)
+        raw = {
+            name: np.array([line.get(name, 0) for line in lines], dtype=np.int64) for name in names
+        }
+        raw[FORM] = np.array([self._is_full(line) for line in lines], dtype=np.int64)
+        means, fit_ranges = self._decode_means(raw)
+        if not (fit_ranges[:, 0] < fit_ranges[:, 1]).all():
+            raise IllPosedError("the range of a line is empty")
+        seen = SeenLines(means, fit_ranges)
+        own = self._decode_own(raw, bases(means, fit_ranges), self._common(seen, pose))
+        cov = seen.spread(pose.cov) + block_diagonal(own)
+        cov = (cov + cov.T) / 2
+        cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
+        return DecodedLines(means, fit_ranges, own, cov)
+
+    def encode(self, scene: Scene, *, full: bool = False) -> EncodedScene:
+        """Encode a scene for records that are conditional on the pose.
+
+        Lines that do not fit are left out: a mean or a range is out of the range of its signals,
+        or no covariance of the message covers what the line has of its own.
+
+        Args:
+            scene: the lines with their joint covariance.
+            full: send all entries of each D_i, not levels.
+
+        Raises:
+            EncodeError: the pose error does not fit.
+        """
+        raw, fits = self._encode_means(scene)
+        return self._encode(scene, raw, fits, full)
+
+    def encode_levels(
+        self, scene: Scene, lines: Sequence[Mapping[str, int] | None]
+    ) -> EncodedScene:
+        """Encode what lines have of their own, for records with a covariance of their own.
+
+        Args:
+            scene: the lines with their joint covariance.
+            lines: raw values by signal of the mean and the range of each line as sent; None for a
+                line that is not to be in the scene at the receiver.
+
+        Raises:
+            EncodeError: the pose error does not fit.
+        """
+        signals = [*self._mean, *self._range]
+        raw = {
+            s.name: np.array([line[s.name] if line else 0 for line in lines], dtype=np.int64)
+            for s in signals
+        }
+        fits = np.array([line is not None for line in lines], dtype=bool)
+        return self._encode(scene, raw, fits, False)
+
+    def _encode(
+        self, scene: Scene, raw: dict[str, NDArray[np.int64]], fits: NDArray[np.bool_], full: bool
+    ) -> EncodedScene:
+        """Encode the pose, and D_i of the lines that fit, whose means and ranges are encoded."""
+        pose_raw = self._encode_pose(scene)
+        pose = self.decode_pose(pose_raw)
+        if raw:
+            d = scene.means - self._decode_means(raw)[0]
+            size = np.maximum(np.sqrt(scene.cov.diagonal()).reshape(d.shape), np.abs(d))
+            fits = fits & (size <= LARGEST).all(axis=1)
+        places = np.flatnonzero(fits)
+        while len(places):
+            lines = {name: values[places] for name, values in raw.items()}
+            own, covered = self._encode_own(scene, places, lines, pose, full)
+            if covered.all():
+                lines |= own
+                rows = [self._row(lines, i) for i in range(len(places))]
+                decoded = self.decode(pose, rows)
+                return EncodedScene(
+                    pose_raw, dict(zip(places.tolist(), rows, strict=True)), decoded
+                )
+            places = places[covered]
+        return EncodedScene(pose_raw, {}, None)
+
+    def _is_full(self, line: Mapping[str, int]) -> bool:
+        """Return whether raw values have all entries of D_i."""
+        return self._own_code is not None and self._own_code.inflation.name in line
+
+    def _row(self, raw: Mapping[str, NDArray[np.int64]], i: int) -> dict[str, int]:
+        """Return the raw values of a line, without those of the other form of D_i."""
+        unused = {FORM}
+        if self._own_code is not None and not raw[FORM][i]:
+            unused |= {signal.name for signal in self._own_code.signals}
+        return {name: int(values[i]) for name, values in raw.items() if name not in unused}
+
+    def _encode_pose(self, scene: Scene) -> dict[str, int]:
+        error = scene.pose_error
+        coded = self.pose_code.encode(error.cov[None], self._pose_resolution)
+        if not coded.covered[0]:
+            sigma = np.sqrt(error.cov.diagonal())
+            raise EncodeError(
+                "the pose error does not fit the Pose message: its standard deviations are "
+                f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
+            )
+        raw = {name: int(values[0]) for name, values in coded.raw.items()}
+        known = scene.map_error
+        raw[self._offset.name] = _level_below(self._offset, known.offset_sigma if known else 0.0)
+        raw[self._heading.name] = _level_above(self._heading, known.heading_sigma if known else 0.0)
+        raw[self._time.name] = 0
+        if math.isfinite(error.correlation_time):
+            nearest = self._time.raw(np.log2(error.correlation_time))
+            raw[self._time.name] = int(nearest.clip(1, self._time.raw_max))
+        return raw
+
+    @np.errstate(over="ignore", invalid="ignore")  # of means that do not fit
+    def _encode_means(self, scene: Scene) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+        """Return the (L,) raw values of means and ranges, and which lines fit.
+
+        Each parameter is rounded given the errors of those before it, so that the error of the
+        lateral position is small all over the range, whatever the steps are.
+        """
+        means = scene.means
+        raw: dict[str, NDArray[np.int64]] = {}
+        fits = np.ones(len(means), dtype=bool)
+        if not len(means):
+            return raw, fits
+        for i, signal in enumerate(self._range):
+            limited = signal.limited(signal.raw(scene.fit_ranges[:, i]))
+            fits &= signal.physical(limited) == scene.fit_ranges[:, i]
+            raw[signal.name] = limited.astype(np.int64)
+        fit_ranges = np.where(fits[:, None], scene.fit_ranges, [0.0, 1.0])
+        J = bases(means, fit_ranges)[:, np.array(ORDER)]
+        L = np.linalg.cholesky(J @ J.swapaxes(1, 2))
+        z = np.zeros_like(means)  # the errors so far, in terms of L
+        for row, state in enumerate(ORDER):
+            signal, mean = self._mean[state], means[:, state]
+            expected = (L[:, row, :row] * z[:, :row]).sum(axis=1)
+            nearest = signal.raw(mean + expected)
+            limited = signal.limited(nearest)
+            fits &= nearest == limited
+            raw[signal.name] = limited.astype(np.int64)
+            error = signal.physical(limited) - mean
+            z[:, row] = (error - expected) / L[:, row, row]
+        return raw, fits
+
+    def _encode_own(
+        self,
+        scene: Scene,
+        places: NDArray[np.intp],
+        lines: Mapping[str, NDArray[np.int64]],
+        pose: DecodedPose,
+        full: bool,
+    ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+        """Return the raw values of the D_i of (L,) lines, and which of them are covered."""
+        means, fit_ranges = self._decode_means(lines)
+        good = np.array([_is_function(*line) for line in zip(means, fit_ranges, strict=True)])
+        if not good.all():
+            return {}, good
+        keep = (4 * places[:, None] + np.arange(4)).ravel()
+        d = (scene.means[places] - means).ravel()
+        true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
+        seen = SeenLines(means, fit_ranges)
+        rest = blocks(seen.spread(scene.pose_error.cov))
+        J, common = bases(means, fit_ranges), self._common(seen, pose)
+        missing = positive_part(blocks(true) - rest, J)
+        raw, kl = self._levels.encode(missing - common, rest + common, J, self.resolution)
+        is_full = np.full(len(means), full)
+        if self._own_code is not None:
+            by_levels = self._levels.decode(raw, J) + common
+            ratio = _worst_ratio(by_levels, missing + common, means, fit_ranges)
+            is_full |= (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
+        spread = seen.spread(pose.cov)
+        for trial in range(TRIALS):
+            raw, kl = self._levels.encode(missing - common, rest + common, J, self.resolution)
+            covered = np.isfinite(kl)
+            if self._own_code is not None:
+                is_full |= ~covered
+                coded = self._own_code.encode(missing, self.resolution)
+                covered = ~is_full | coded.covered
+                raw = {name: np.where(is_full, 0, values) for name, values in raw.items()}
+                raw |= {name: np.where(is_full, values, 0) for name, values in coded.raw.items()}
+                raw[FORM] = is_full.astype(np.int64)
+            if not covered.all():
+                return raw, covered
+            lacking = uncovered(true, spread, self._decode_own(raw, J, common), J)
+            if lacking is None:
+                return raw, covered
+            missing = missing + 2.0**trial * lacking
+        return raw, np.zeros(len(means), dtype=bool)
+
+    def _decode_means(self, raw: Mapping[str, NDArray[np.int64]]) -> tuple[Array, Array]:
+        """Return the (L, 4) means and (L, 2) ranges."""
+        means, fit_ranges = (
+            np.stack([s.physical(raw[s.name]) for s in signals], axis=-1)
+            for signals in (self._mean, self._range)
+        )
+        return means, fit_ranges
+
+    def _decode_own(self, raw: Mapping[str, NDArray[np.int64]], J: Array, common: Array) -> Array:
+        """Return the (L, 4, 4) D_i of (L,) raw values."""
+        own = self._levels.decode(raw, J) + common
+        if self._own_code is not None and (full := raw[FORM] == 1).any():
+            signals = self._own_code.signals
+            own[full] = self._own_code.decode({s.name: raw[s.name][full] for s in signals})
+        return own
+
+    def _common(self, seen: SeenLines, pose: DecodedPose) -> Array:
+        """Return the (L, 4, 4) covariances that the levels of a scene's map error stand for."""
+        sigma = np.array([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
+        J = seen.jacobian() * sigma if sigma.any() else np.zeros((len(seen.means), 4, 3))
+        return np.asarray(J @ J.swapaxes(1, 2)) + np.diag(self.resolution)
+
+
+def _worst_ratio(own: Array, true: Array, means: Array, fit_ranges: Array) -> Array:
+    """Return the (L,) largest ratios of standard deviations of lateral position and direction.
+
+    They are taken at 0, 20 and 40 m and at the ends of the range, as far as they are in it.
+    """
+    low, high = fit_ranges.T
+    places = np.column_stack([low, np.broadcast_to([0.0, 20.0, 40.0], (len(low), 3)), high])
+    x = places.clip(low[:, None], high[:, None])
+    position = lateral_jacobian(means[:, None], x)
+    turned = np.broadcast_to(1 + np.tan(means[:, 1, None]) ** 2, x.shape)
+    slope = np.stack([np.zeros_like(x), turned, x, x * x / 2], axis=-1)
+    J = np.concatenate([position, slope], axis=1)  # (L, 10, 4)
+    variances = [np.einsum("lki,lij,lkj->lk", J, cov, J) for cov in (own, true)]
+    return np.sqrt((variances[0] / variances[1]).max(axis=1))
+
+
+def _is_function(mean: Array, fit_range: Array) -> bool:
+    """Return whether a line has a range, and is a function of x seen from other poses."""
+    if not fit_range[0] < fit_range[1]:  # it may be too short for the steps of the message
+        return False
+    try:
+        SeenLines(mean[None], fit_range[None])
+    except IllPosedError:
+        return False
+    return True
+
+
+def _level_below(signal: Signal, sigma: float) -> int:
+    """Return the raw value of the greatest level up to sigma; 0 if there is none."""
+    if sigma <= 0:
+        return 0
+    raw = math.floor((math.log2(sigma) - signal.offset) / signal.factor + 1e-9)
+    return min(max(raw, 0), signal.raw_max)
+
+
+def _level_above(signal: Signal, sigma: float) -> int:
+    """Return the raw value of the least level from sigma on, or the greatest; 0 for 0."""
+    if sigma <= 0:
+        return 0
+    raw = math.ceil((math.log2(sigma) - signal.offset) / signal.factor - 1e-9)
+    return min(max(raw, 1), signal.raw_max)
