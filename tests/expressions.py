@@ -108,7 +108,7 @@ def _edited(old: str, new: str, *, classic: bool = False) -> int:
     text = DEFAULT.dbc()
     if classic:
         text = re.sub(r"BO_ \d+ \w+Fd:.*?\n\n", "", text, flags=re.DOTALL)
-        text = re.sub(r"^(?:CM_|BA_|VAL_)[^\n]*? (84[0-7]) [^;]*;\n", "", text, flags=re.M)
+        text = re.sub(r"^(?:CM_|BA_|VAL_)[^\n]*? (84[0-7]|861) [^;]*;\n", "", text, flags=re.M)
     assert old in text
     return _slots(text.replace(old, new))
 

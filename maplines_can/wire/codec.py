@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +12,25 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import EncodeError, LayoutError
 from ..line import MapLine, Slot
-from .covariance import CholeskyCode, CovarianceCode
+from ..scene import Scene
+from .covariance import CholeskyCode, CovarianceCode, SceneCode
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
-from .message.components import MixtureWriter
+from .message.complete_records import CompleteRecords, record_reading
 from .message.dbc_reader import Database, default_dbc_path
 from .message.frames import Frame, FrameWriter
-from .message.layout import Layout
-from .message.line_writer import LineWriter
-from .message.packing import Packing
-from .message.reader import Batch, DecodedRecord, RecordReader
+from .message.layout import POSE_CONDITIONAL, Layout
+from .message.pose_layout import POSE, PoseLayout
+from .message.reader import Batch, DecodedRecord
+from .message.scene_reader import SceneReader
+from .message.scene_writer import Owner, PreparedScene, SceneWriter
 from .message.validation import checked_gaussians, checked_mixtures, checked_payloads
-from .message.writer import RecordWriter
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier, check_freshness
 from .reasons import Reason
 from .reception.decoder import Decoder
-from .reception.settings import decoder_settings
+from .reception.poses import PoseReceiver
+from .reception.scenes import SceneReceiver
+from .reception.settings import decoder_settings, pose_settings
 
 #: Covariance codes of the package, by the name in the DBC's attribute CovarianceCode.
 CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}
@@ -76,6 +80,7 @@ class Codec:
                 "Authenticator(key, clock=time.time_ns) makes one of a Key"
             )
         self.authenticator = authenticator
+        codes = {POSE_CONDITIONAL: CholeskyCode} | dict(codes)
         if layout.covariance_code not in codes:
             raise LayoutError(
                 f"{layout.source}: the covariance code {layout.covariance_code!r} is not known; "
@@ -84,15 +89,14 @@ class Codec:
             )
         #: Code of the covariance that the DBC names.
         self.covariance = codes[layout.covariance_code](layout)
-        packing = Packing(list(layout.signals.values()), layout.record_bytes)
-        self._writer = RecordWriter(layout, packing, self.covariance)
-        self._mixture_writer = MixtureWriter(self._writer)
-        self._line_writer = LineWriter(self._writer, self._mixture_writer)
+        self._complete = (
+            None if layout.is_conditional else CompleteRecords.of(layout, self.covariance)
+        )
         self._frame_writer = FrameWriter(layout, authenticator)
         if authenticator is not None and layout.secured is not None:
             check_freshness(authenticator, layout.secured)
-        self._reader = RecordReader(layout, packing, self.covariance)
-        self._counters: Counter[Slot] = Counter()
+        self._scene_code = None if layout.pose is None else SceneCode(layout.pose, layout)
+        self._counters: Counter[Owner] = Counter()
 
     @classmethod
     def from_dbc(
@@ -169,11 +173,10 @@ class Codec:
         >>> codec.encode_batch([[1.75, 0, 0, 0]], x_min=-8.0, x_max=64.0, age=0.04).shape
         (1, 32)
         """
+        writer = self._complete_records().writer
         gaussians = checked_gaussians(means, covs)
         values = RecordAttributes.from_keywords(attributes)
-        return self._writer.write(
-            gaussians, values.without_covariance() if covs is None else values
-        )
+        return writer.write(gaussians, values.without_covariance() if covs is None else values)
 
     def encode_mixtures(
         self, weights: ArrayLike, means: ArrayLike, covs: ArrayLike, **attributes: ArrayLike | None
@@ -200,7 +203,8 @@ class Codec:
                 positive, or do not add up to 1.
         """
         values = RecordAttributes.from_keywords(attributes, LINE_ATTRIBUTES)
-        return self._mixture_writer.write(*checked_mixtures(weights, means, covs), values)
+        writer = self._complete_records().mixture_writer
+        return writer.write(*checked_mixtures(weights, means, covs), values)
 
     def decode_batch(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
         """Decode many records. Never raises on payload content.
@@ -217,7 +221,7 @@ class Codec:
         """
         records = checked_payloads(payloads, self.layout.record_bytes)
         data_ids = self.layout.data_ids(numbers("slot", slot), len(records))
-        return self._reader.read(records, data_ids)
+        return self._complete_records().reader.read(records, data_ids)
 
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
         """Decode one record, received at ``t_ns`` [ns]; bit-identical to ``decode_batch``.
@@ -236,7 +240,7 @@ class Codec:
         messages = self.layout.messages.get(slot)
         if messages is None:
             raise EncodeError(f"{self.layout.source} has no message for slot {slot!r}")
-        return self._reader.read_one(payload, slot, messages.data_id, t_ns)
+        return self._complete_records().reader.read_one(payload, slot, messages.data_id, t_ns)
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -268,25 +272,106 @@ class Codec:
         """
         if not lines:
             return []
-        first = self._counters if counters is None else counters
-        records_of_lines, following = self._line_writer.write(lines, first)
+        writer = self._complete_records().line_writer
+        first = {slot: self._counters[slot] for slot in Slot} if counters is None else counters
+        records_of_lines, following = writer.write(lines, first)
         frames = [
             [frame for record in records for frame in self.frames(record, line.slot, fd=fd)]
             for line, records in zip(lines, records_of_lines, strict=True)
         ]
         if counters is None:
-            self._counters = following
+            for slot, counter in following.items():  # |= would keep the greater one
+                self._counters[slot] = counter
         return frames
+
+    def prepare_scene(self, scene: Scene, *, fd: bool = False) -> PreparedScene:
+        """Encode a scene but for counters and age, which takes most of the time.
+
+        Args:
+            scene: from ``map_scene``.
+            fd: for CAN FD frames, which always have all entries of what a line has of its own.
+
+        Raises:
+            EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose
+                error does not fit.
+        """
+        return self._scene_writer.prepare(scene, full=fd and self.layout.is_conditional)
+
+    def encode_scene(
+        self,
+        scene: Scene | PreparedScene,
+        *,
+        age: float | Mapping[Owner, float] = 0.0,
+        fd: bool = False,
+        counters: Mapping[Owner, int] | None = None,
+    ) -> dict[Owner, list[Frame]]:
+        """Encode the pose error and the lines of a scene; send the frames in this order.
+
+        Args:
+            scene: from ``map_scene``, or prepared.
+            age: time from the pose to the sending of each record, or one for all [s]; infinite if
+                it is too old.
+            fd: CAN FD frames, or with an authenticator, authenticated ones.
+            counters: next counters of the pose error and of each slot; None: the codec's own ones,
+                which advance.
+
+        Returns:
+            The frames of the pose error (``POSE``), then of each slot. With a DBC whose records are
+            conditional on the pose error, lines that do not fit are not among them.
+
+        Raises:
+            EncodeError: as ``prepare_scene``.
+
+        >>> from maplines_can import Gaussian, Polyline, map_scene
+        >>> lines = {Slot.EGO_LEFT: Polyline([[-100, 1.75], [200, 1.75]])}
+        >>> scene = map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
+        >>> codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+        >>> {owner: len(frames) for owner, frames in codec.encode_scene(scene).items()}
+        {'pose': 2, <Slot.EGO_LEFT: 0>: 4}
+        """
+        prepared = self.prepare_scene(scene, fd=fd) if isinstance(scene, Scene) else scene
+        first = self._counters if counters is None else counters
+        records, following = self._scene_writer.write(prepared, first, age)
+        if counters is None:
+            self._counters = following
+        return {
+            owner: self._frame_writer.write_pose(record, fd)
+            if owner == POSE
+            else self._frame_writer.write(record, owner, fd)
+            for owner, record in records.items()
+        }
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value."""
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
+    def _complete_records(self) -> CompleteRecords:
+        if self._complete is None:
+            raise EncodeError(
+                f"{self.layout.source}: its records are conditional on the pose error, so lines "
+                "are sent and received as scenes; use map_scene and encode_scene"
+            )
+        return self._complete
+
+    @cached_property
+    def _scene_writer(self) -> SceneWriter:
+        if self._scene_code is None or self.layout.pose is None:
+            raise EncodeError(
+                f"{self.layout.source} has no message of the pose error (MapLinePose), so lines "
+                "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
+            )
+        complete = self._complete
+        lines = None if complete is None else (complete.line_writer, complete.writer)
+        return SceneWriter(self.layout, self.layout.pose, self._scene_code, lines)
+
     def verifier(self) -> Verifier | None:
-        """Return a verifier of received frames; None without an authenticator."""
-        if self.authenticator is None or self.layout.secured is None:
+        """Return a verifier of received frames of lines; None without an authenticator."""
+        return self._verifier_of(self.layout)
+
+    def _verifier_of(self, layout: Layout | PoseLayout) -> Verifier | None:
+        if self.authenticator is None or layout.secured is None:
             return None
-        return Verifier(self.authenticator, self.layout.secured)
+        return Verifier(self.authenticator, layout.secured)
 
     def decoder(
         self,
@@ -312,5 +397,15 @@ class Codec:
             ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the
                 DBC's counter.
         """
-        settings = decoder_settings(self.layout, timeout_ms, cycle_ms, e2e)
-        return Decoder(self.layout, self._reader, self.verifier(), *settings)
+        layout = self.layout
+        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
+        scenes = None
+        if layout.pose is not None and self._scene_code is not None:
+            times = pose_settings(layout.pose, timeout_ms, cycle_ms)
+            scenes = SceneReceiver.of(
+                PoseReceiver(layout.pose, self._verifier_of(layout.pose), *times, settings[2]),
+                SceneReader(layout, layout.pose, self._scene_code),
+                layout,
+            )
+        read = record_reading(layout, self._complete)
+        return Decoder(layout, read, self.verifier(), *settings, scenes)

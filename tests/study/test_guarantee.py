@@ -78,7 +78,7 @@ def test_kl_of_the_rounding_agrees_with_the_theory(codec: Any) -> None:
     pivots = [codec.layout[name].factor for name in names if name.startswith("Pivot")]
     ratios = [codec.layout[name].factor for name in names if name.startswith("Ratio")]
     theory = sum((p * np.log(2)) ** 2 / 12 for p in pivots) + sum(r**2 / 24 for r in ratios)
-    raw = codec._reader._packing.unpack(codec.encode_batch(means, covs))
+    raw = codec._complete_records().reader._packing.unpack(codec.encode_batch(means, covs))
     inflation = 2.0 ** codec.layout["Inflation"].physical(raw["Inflation"])
     plain = batch.cov / inflation[:, None, None]
     keep = batch.status == Status.FULL

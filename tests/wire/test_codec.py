@@ -108,11 +108,13 @@ def test_an_ill_conditioned_line_of_the_default_code_is_not_repaired(tmp_path: P
     )
     codec = Codec.from_dbc(path)
     signals, (payload,) = codec.layout.signals, codec.encode_batch([[1.75, 0, 0, 0]])
-    raw = codec._reader._packing.unpack_one(payload.tobytes())
+    raw = codec._complete_records().reader._packing.unpack_one(payload.tobytes())
     raw |= {name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")}
     raw |= {name: s.raw_max for name, s in signals.items() if name.startswith("RatioBeta")}
     raw["Status"] = Status.FULL
-    data = codec._writer.protect_one(raw, codec.layout.messages[Slot.EGO_LEFT].data_id)
+    data = codec._complete_records().writer.protect_one(
+        raw, codec.layout.messages[Slot.EGO_LEFT].data_id
+    )
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
     sigma = np.sqrt(batch.cov[0].diagonal())
     assert 0 < np.linalg.eigvalsh(batch.cov[0] / np.outer(sigma, sigma))[0] < 1e-12
@@ -171,11 +173,13 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
     """decode_one and decode_batch agree to the last bit, or on the reason."""
     codec = default_codec()
     if valid:  # correct page numbers, transfer IDs and checksum
-        raw = codec._reader._packing.unpack_one(data)
+        raw = codec._complete_records().reader._packing.unpack_one(data)
         raw |= {f"Page{p}": p for p in range(4)} | {
             f"TransferId{p}": raw["Counter"] for p in range(4)
         }
-        data = codec._writer.protect_one(raw, codec.layout.messages[slot].data_id)
+        data = codec._complete_records().writer.protect_one(
+            raw, codec.layout.messages[slot].data_id
+        )
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
     one = codec.decode_one(data, slot)
     if isinstance(one, Reason):

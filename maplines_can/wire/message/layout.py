@@ -136,6 +136,13 @@ class Layout(RecordLayout):
         return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
 
     @property
+    def max_age(self) -> float:
+        """Greatest age that a line can have [s]; that of a conditional record is of its pose."""
+        if self.is_conditional and self.pose is not None:
+            return self.pose.max_age
+        return super().max_age
+
+    @property
     def is_conditional(self) -> bool:
         """Whether the covariance of a record is conditional on the pose error."""
         return self.covariance_code == POSE_CONDITIONAL

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...errors import EncodeError
 from ...gaussian import nearest_covariance
-from ...line import Kind, Status
+from ...line import Kind, MapLine, Status
 from ..covariance import CovarianceCode
 from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
 from .attributes import RecordAttributes
@@ -78,6 +78,23 @@ class RecordWriter:
         columns = zip(self._mean, np.moveaxis(mean, -1, 0), strict=True)
         return np.stack([s.physical(s.limited(s.raw(x))) for s, x in columns], axis=-1)
 
+    def raw_mean_and_range(self, line: MapLine) -> dict[str, int] | None:
+        """Return the raw values of the mean and the valid range of a line, as ``write`` sends them.
+
+        None if a value is clipped, or the range cannot be stated: nothing covers such a line.
+        """
+        mean = zip(self._mean, line.gaussian.mean, strict=True)
+        raw = {signal.name: signal.raw(x) for signal, x in mean}
+        first, last = self.layout["XMin"], self.layout["XMax"]
+        raw |= {
+            first.name: up(first, np.array(line.x_min)),
+            last.name: down(last, np.array(line.x_max)),
+        }
+        limited = {name: self.layout[name].limited(value) for name, value in raw.items()}
+        if limited != raw or first.physical(raw[first.name]) >= last.physical(raw[last.name]):
+            return None
+        return {name: int(value) for name, value in raw.items()}
+
     def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the (n,) requested status, as far as the covariance code supports it."""
         best = self._covariance.status
@@ -145,7 +162,7 @@ class RecordWriter:
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
         first, last = self.layout["XMin"], self.layout["XMax"]
-        raw_min, raw_max = (first.limited(_up(first, x_min)), last.limited(_down(last, x_max)))
+        raw_min, raw_max = (first.limited(up(first, x_min)), last.limited(down(last, x_max)))
         raw |= {"XMin": raw_min.astype(np.int64), "XMax": raw_max.astype(np.int64)}
         start, end = first.physical(raw_min), last.physical(raw_max)
         return np.asarray((start < x_min) | (start > end) | (end > x_max))
@@ -161,7 +178,7 @@ class RecordWriter:
         age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
         if not (age >= 0).all():
             raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
-        raw["Age"] = signal.limited(_up(signal, 1000 * age)).astype(np.int64)
+        raw["Age"] = signal.limited(up(signal, 1000 * age)).astype(np.int64)
         signal = self.layout["ComponentWeight"]
         weight = _finite("component_weight", attributes.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
@@ -218,13 +235,13 @@ class RecordWriter:
         return payload[: self._crc_offset] + crc + payload[self._crc_offset + CRC_BYTES :]
 
 
-def _up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+def up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n,) raw values of the physical values, rounded up."""
     raw = np.ceil((physical - signal.offset) / signal.factor - SLACK)
     return raw + (signal.physical(raw) < physical)
 
 
-def _down(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+def down(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (n,) raw values of the physical values, rounded down."""
     raw = np.floor((physical - signal.offset) / signal.factor + SLACK)
     return raw - (signal.physical(raw) > physical)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from ...line import MapLine, Slot
 from ..message.layout import Layout
-from ..message.reader import DecodedRecord, RecordReader
-from ..protection.e2e_state import E2EConfig
+from ..message.pose_records import ConditionalRecord
+from ..message.reader import DecodedRecord
+from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
 from ..reasons import NOT_AUTHENTIC, Reason
 from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
+from .scenes import ReceivedLine, ReceivedScene, SceneReceiver
 from .sequence import SequenceCheck
 
 PENDING = Reason.PENDING  # looked up only once, since feed is called for every frame
@@ -25,8 +27,13 @@ class Decoder:
 
         frame -> Reassembler -> record -> SequenceCheck -> new record -> MixtureAssembler -> line
 
+    Frames of the pose error take a way of their own. ``scene`` returns the lines of one pose error
+    together. If the records of lines are conditional on it, a line comes when both are there::
+
+        frame -> PoseReceiver -> new record -> EpochAssembler -> lines, scene
+
     ``Codec.decoder`` makes one. At any time
-    ``frames == line_frames + sum(counts.values()) + pending``.
+    ``frames == line_frames + pose_frames + sum(counts.values()) + pending``.
 
     Each record is checked by its counter according to AUTOSAR E2E, and ``checks`` gives the state
     of each slot. Of good records, only duplicates and late ones are dropped. What to do with a line
@@ -36,36 +43,37 @@ class Decoder:
     no line, no transfer, no check.
 
     Args:
+        read: reads the payload of a slot's record received at a time [ns], or rejects it.
         verifier: checks authenticated frames; None for a bus without authentication.
         timeouts_ns: longest time between the frames of a transfer, and between the components of a
             mixture, for each slot [ns].
         cycles_ns: time between records of each slot [ns].
         e2e: windows and bounds of the E2E state machines.
+        scenes: receiver of pose errors and scenes; None if the DBC has no such message.
     """
 
     def __init__(
         self,
         layout: Layout,
-        reader: RecordReader,
+        read: Callable[[bytes, Slot, int], DecodedRecord | ConditionalRecord | Reason],
         verifier: Verifier | None,
         timeouts_ns: Mapping[Slot, int],
         cycles_ns: Mapping[Slot, int],
         e2e: E2EConfig,
+        scenes: SceneReceiver | None = None,
     ) -> None:
         #: CAN IDs of all lines, for filters.
         self.can_ids = layout.can_ids
         #: Checks whether a frame is authentic; None without authentication.
         self.verifier = verifier
-        data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
         modulus = 2 ** layout["Counter"].length
         self._slot_of_id = {key: slot for key, (slot, _) in layout.message_of_id.items()}
-        self._reassembler: Reassembler[Slot, DecodedRecord] = Reassembler(
-            layout,
-            lambda payload, slot, t_ns: reader.read_one(payload, slot, data_ids[slot], t_ns),
-            timeouts_ns,
-            verifier,
-        )
+        self._reassembler: Reassembler[Slot, DecodedRecord | ConditionalRecord]
+        self._reassembler = Reassembler(layout, read, timeouts_ns, verifier)
         self._mixtures = MixtureAssembler(modulus, timeouts_ns)
+        self._scenes = scenes
+        #: Lines that the last frame completed in addition to the one that ``feed`` returned.
+        self.further: list[MapLine] = []
         self._counts: Counter[Reason] = Counter()  # dropped between reassembly and mixture assembly
         self.frames = 0  #: frames received
         self.lines = 0  #: lines delivered
@@ -86,12 +94,33 @@ class Decoder:
     @property
     def counts(self) -> Counter[Reason]:
         """Dropped frames by reason."""
-        return self._reassembler.counts + self._counts + self._mixtures.counts
+        counts = self._reassembler.counts + self._counts + self._mixtures.counts
+        return counts if self._scenes is None else counts + self._scenes.counts
 
     @property
     def pending(self) -> int:
-        """Frames of transfers and mixtures that are not complete yet."""
-        return self._reassembler.pending + self._mixtures.pending
+        """Frames of transfers, mixtures and scenes that are not complete yet."""
+        pending = self._reassembler.pending + self._mixtures.pending
+        return pending if self._scenes is None else pending + self._scenes.pending
+
+    @property
+    def pose_errors(self) -> int:
+        """Pose errors received."""
+        return 0 if self._scenes is None else self._scenes.pose_errors
+
+    @property
+    def pose_frames(self) -> int:
+        """Frames of the pose errors received."""
+        return 0 if self._scenes is None else self._scenes.pose_frames
+
+    @property
+    def pose_check(self) -> SequenceCheck | None:
+        """Check of the pose errors, as that of a slot; None if the DBC has no such message."""
+        return None if self._scenes is None else self._scenes.check
+
+    def scene(self) -> ReceivedScene | None:
+        """Return the newest scene, with the lines of it received so far; None before the first."""
+        return None if self._scenes is None else self._scenes.latest()
 
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
@@ -105,9 +134,17 @@ class Decoder:
             is_extended: the ID has 29 bits.
 
         Returns:
-            The line, or the reason why there is none (PENDING: not yet). No frame raises.
+            The line, or the reason why there is none (PENDING: not yet). No frame raises. A pose
+            error may complete several lines that waited for it; the others are in ``further``.
         """
         self.frames += 1
+        self.further = []
+        if self._scenes is not None and self._scenes.knows(can_id, is_extended):
+            lines = self._scenes.feed_pose(can_id, data, t_ns, is_extended)
+            if isinstance(lines, Reason):
+                return lines
+            first, *self.further = map(self._delivered, lines)
+            return first
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason):
             if record is not PENDING:
@@ -117,11 +154,18 @@ class Decoder:
         if isinstance(content, Reason):
             check.failed(record.t_ns)
             return self._dropped(content, record.frames)
-        reason = check.received(content.counter, hash(record.payload), record.t_ns, content.count)
+        count = 1 if isinstance(content, ConditionalRecord) else content.count
+        reason = check.received(content.counter, hash(record.payload), record.t_ns, count)
         if reason is not None:
             if reason is Reason.STALE:
                 self._mixtures.drop_if_within(record.slot, content.counter)
             return self._dropped(reason, record.frames)
+        is_break = check.status is ProfileStatus.WRONGSEQUENCE
+        if isinstance(content, ConditionalRecord):
+            if self._scenes is None:
+                return self._dropped(Reason.POSE, record.frames)
+            line = self._scenes.add_record(content, record.t_ns, record.frames, is_break)
+            return line if isinstance(line, Reason) else self._delivered(line)
         if content.count > 1 and check.counter_was_reused(record.t_ns):
             self._mixtures.drop(record.slot)  # its components may come from two senders
             return self._dropped(Reason.INCOMPLETE, record.frames)
@@ -131,12 +175,22 @@ class Decoder:
         check.delivered(complete.records)
         self.lines += 1
         self.line_frames += complete.frames
+        if self._scenes is not None and complete.records == 1:
+            self._scenes.add_line(complete.line, content.counter, record.t_ns, is_break)
         return complete.line
 
     def expire(self, t_ns: int) -> None:
         """Drop the transfers and mixtures that have timed out at ``t_ns`` [ns]."""
         self._reassembler.expire(t_ns)
         self._mixtures.expire(t_ns)
+        if self._scenes is not None:
+            self._scenes.expire(t_ns)
+
+    def _delivered(self, received: ReceivedLine) -> MapLine:
+        self.checks[received.line.slot].delivered(1)
+        self.lines += 1
+        self.line_frames += received.frames
+        return received.line
 
     def _dropped(self, reason: Reason, frames: int) -> Reason:
         self._counts[reason] += frames

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from ...line import MapLine, Slot
+from ...scene import Scene
 from ..protection.e2e_state import E2EState, ProfileStatus
 from ..reasons import Reason
 from .decoder import Decoder
+from .scenes import ReceivedScene
 from .sequence import SlotStats
 
 #: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
@@ -45,6 +48,27 @@ class SlotView(NamedTuple):
         return vouched and self.state is E2EState.VALID and not self.stale and not self.two_senders
 
 
+class SceneView(NamedTuple):
+    """The newest scene at the consumer's call."""
+
+    scene: Scene | None  #: the lines of it received so far; None before the first
+    age: float  #: from the time of the pose to now [s]; infinite if too old, or unknown
+    stale: bool  #: no pose error came for some cycle times
+    state: E2EState  #: of the pose error
+    status: ProfileStatus | None  #: of the last check of a pose error; None before the first
+    received: ReceivedScene | None = None  #: with its time of reception, and its age then
+
+    @property
+    def usable(self) -> bool:
+        """Whether a controller may use the scene.
+
+        This is so if the E2E state of the pose error is VALID, it is not stale, and its age is
+        finite. Whether a slot is VALID, ``Monitor.latest`` tells.
+        """
+        known = self.scene is not None and math.isfinite(self.age)
+        return known and self.state is E2EState.VALID and not self.stale
+
+
 class Monitor:
     """Decoder that keeps the newest line of each slot; time is an argument.
 
@@ -74,7 +98,51 @@ class Monitor:
         answer = self._decoder.feed(can_id, data, t_ns, is_extended=is_extended)
         if isinstance(answer, MapLine):
             self._lines[answer.slot] = answer
+        for line in self._decoder.further:
+            self._lines[line.slot] = line
         return answer
+
+    @property
+    def further(self) -> list[MapLine]:
+        """Lines that the last frame completed in addition to the one that ``feed`` returned."""
+        return self._decoder.further
+
+    def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
+        """Return the newest scene: lines of one pose, with their joint covariance.
+
+        The scene has the lines received so far. Those of a newer pose error of which no line has
+        come yet are not in it.
+
+        Args:
+            now_ns: as in ``latest``.
+            stale_cycles: number of cycle times without a pose error after which a scene is stale.
+
+        Raises:
+            ValueError: the DBC has no message of the pose error.
+        """
+        check = self._decoder.pose_check
+        if check is None:
+            raise ValueError(
+                "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
+                "take maplines.dbc or maplines-pose.dbc"
+            )
+        state = check.elapse(now_ns)
+        received = self._decoder.scene()
+        if received is None:
+            return SceneView(None, math.inf, True, state, check.status)
+        waited_ns = now_ns - received.t_ns
+        stale = abs(waited_ns) > stale_cycles * check.cycle_ns
+        age = received.age + waited_ns / 1e9
+        return SceneView(received.scene, age, stale, state, check.status, received)
+
+    def pose_error(self, now_ns: int) -> SlotStats | None:
+        """Return the E2E statistics of the pose error; None if none was received."""
+        check = self._decoder.pose_check
+        if check is None:
+            return None
+        check.elapse(now_ns)
+        stats = check.stats()
+        return None if stats.status is None else stats
 
     def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
         """Return the newest line of a slot with its state.

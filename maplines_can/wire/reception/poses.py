@@ -50,6 +50,8 @@ class PoseReceiver:
         e2e: E2EConfig,
     ) -> None:
         records = PoseRecords(layout)
+        #: Number of bits that a pose error states for each slot.
+        self.slot_bits = {slot: signal.length for slot, signal in layout.counters.items()}
         self._ids = layout.message_of_id
         self._is_authentic = verifier is not None
         self._reassembler: Reassembler[Literal["pose"], PoseRecord] = Reassembler(
@@ -68,6 +70,7 @@ class PoseReceiver:
         self._last: int | None = None
         self._counts: Counter[Reason] = Counter()
         self.frames = 0  #: frames received
+        self.records = 0  #: new records
         self.record_frames = 0  #: frames of the new records
 
     @property
@@ -108,6 +111,7 @@ class PoseReceiver:
         if reason is not None:
             return self._dropped(reason, record.frames)
         self.check.delivered(1)
+        self.records += 1
         self.record_frames += record.frames
         ahead: int | None = 1
         if self._last is not None:

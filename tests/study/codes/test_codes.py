@@ -99,7 +99,9 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
         raw |= {f"Page{p}": p for p in range(codec.layout.pages)}
         raw |= {f"TransferId{p}": raw["Counter"] for p in range(codec.layout.pages)}
         raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
-        data = codec._writer.protect_one(raw, codec.layout.messages[Slot.EGO_LEFT].data_id)
+        data = codec._complete_records().writer.protect_one(
+            raw, codec.layout.messages[Slot.EGO_LEFT].data_id
+        )
         line = codec.decode_one(data, Slot.EGO_LEFT)
         batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
         assert isinstance(line, MapLine) == batch.accepted[0]

@@ -1,0 +1,50 @@
+"""Records that have a covariance of their own: their writers and their reader."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ...line import Slot
+from ..covariance import CovarianceCode
+from ..reasons import Reason
+from .components import MixtureWriter
+from .layout import Layout
+from .line_writer import LineWriter
+from .packing import Packing
+from .pose_records import ConditionalRecord, ConditionalRecords
+from .reader import DecodedRecord, RecordReader
+from .writer import RecordWriter
+
+
+class CompleteRecords(NamedTuple):
+    """Writers and reader of the records of a layout that are not conditional on the pose error."""
+
+    writer: RecordWriter
+    mixture_writer: MixtureWriter
+    line_writer: LineWriter
+    reader: RecordReader
+
+    @classmethod
+    def of(cls, layout: Layout, covariance: CovarianceCode) -> CompleteRecords:
+        """Return the writers and the reader of a layout with its covariance code."""
+        packing = Packing(list(layout.signals.values()), layout.record_bytes)
+        writer = RecordWriter(layout, packing, covariance)
+        mixture_writer = MixtureWriter(writer)
+        reader = RecordReader(layout, packing, covariance)
+        return cls(writer, mixture_writer, LineWriter(writer, mixture_writer), reader)
+
+
+def record_reading(
+    layout: Layout, complete: CompleteRecords | None
+) -> Callable[[bytes, Slot, int], DecodedRecord | ConditionalRecord | Reason]:
+    """Return the function that reads the payload of a slot's record, received at a time [ns].
+
+    ``complete`` is None if the records of the layout are conditional on the pose error.
+    """
+    if complete is None:
+        conditional = ConditionalRecords(layout)
+        return lambda payload, slot, _: conditional.read(payload, slot)
+    reader = complete.reader
+    data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
+    return lambda payload, slot, t_ns: reader.read_one(payload, slot, data_ids[slot], t_ns)

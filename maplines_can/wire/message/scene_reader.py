@@ -1,0 +1,116 @@
+"""Reader of scenes: lines and their joint Gaussian, from the pose error and the lines' records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...gaussian import Gaussian
+from ...line import PARAMETERS, MapLine, Slot
+from ...map_error import MapError
+from ...scene import PoseError, Scene
+from ...seen_lines import valid_ranges
+from ..covariance.scene_code import SceneCode
+from .layout import Layout
+from .pose_layout import PoseLayout
+from .pose_records import ConditionalRecord, PoseRecord
+from .signals import OWN_SIGNALS, PARAMETER_SIGNALS, slot_title
+
+#: Multiple of which the ends of the valid range are, moved inwards, so that a range that is
+#: computed from decoded values does not exceed that of the sender [m].
+STEP = 0.1
+N = len(PARAMETERS)
+
+
+class Member(NamedTuple):
+    """A received line of a scene: its record, or the line if that has its own covariance."""
+
+    content: ConditionalRecord | MapLine
+    t_ns: int  #: time of its first frame [ns]
+
+
+class SceneReader:
+    """Reader of scenes of a layout with a message of the pose error."""
+
+    def __init__(self, layout: Layout, pose: PoseLayout, code: SceneCode) -> None:
+        self._code = code
+        self._age, self._too_old = pose["Age"], pose["Age"].raw_max
+        self._heading_step = 2.0 ** pose["MapHeading"].factor
+        self._signals = [layout[name] for name in (*PARAMETER_SIGNALS, "XMin", "XMax")]
+
+    def scene(self, pose: PoseRecord, t_ns: int, members: Sequence[Member]) -> Scene:
+        """Return the scene of a pose error and the lines received that belong to it.
+
+        A line of a conditional record has the covariance that it has in the scene. Another line is
+        as it was received; its covariance may be larger than that in the scene.
+
+        Args:
+            pose: record of the pose error.
+            t_ns: time of its first frame [ns].
+            members: its lines.
+
+        Raises:
+            IllPosedError: a line is no function of x in its range; no sender sends such a line.
+        """
+        decoded_pose = self._code.decode_pose(pose.raw)
+        error = PoseError(decoded_pose.cov, decoded_pose.correlation_time)
+        map_error = MapError(
+            offset_sigma=decoded_pose.offset_sigma, heading_sigma=decoded_pose.heading_sigma
+        )
+        if not members:
+            return Scene((), np.zeros((0, 0)), error, np.zeros((0, 2)), map_error)
+        raw = [self._raw(member.content, pose.raw) for member in members]
+        decoded = self._code.decode(decoded_pose, raw)
+        # The error of the map's heading is at least its level, and less than the next one. Beyond
+        # the levels, the covariance of Beta covers it.
+        heading_sigma = np.maximum(
+            decoded_pose.heading_sigma * self._heading_step, np.sqrt(decoded.own_covs[:, 1, 1])
+        )
+        x_ranges = valid_ranges(
+            decoded.means,
+            decoded.fit_ranges,
+            decoded_pose.cov,
+            decoded.own_covs,
+            heading_sigma,
+        )
+        x_min = np.ceil(x_ranges[:, 0] / STEP) * STEP
+        x_max = np.floor(x_ranges[:, 1] / STEP) * STEP
+        age = self.age(pose)
+        lines = []
+        for i, (content, line_ns) in enumerate(members):
+            if isinstance(content, MapLine):
+                lines.append(content)
+                continue
+            block = slice(N * i, N * i + N)
+            cov = decoded.cov[block, block].copy()
+            low, high = float(x_min[i]), float(x_max[i])
+            middle = float(x_ranges[i].mean())
+            lines.append(
+                MapLine(
+                    slot=content.slot,
+                    gaussian=Gaussian.trusted(decoded.means[i].copy(), cov),
+                    kind=content.kind,
+                    x_min=min(low, middle),
+                    x_max=max(high, middle) if low <= high else middle,
+                    age=max(0.0, age + (line_ns - t_ns) * 1e-9),
+                    t_ns=line_ns,
+                )
+            )
+        return Scene(tuple(lines), decoded.cov, error, decoded.fit_ranges, map_error)
+
+    def age(self, pose: PoseRecord) -> float:
+        """Return the age of a pose error when it was sent [s]; infinite if it is too old."""
+        raw = pose.raw["Age"]
+        return math.inf if raw >= self._too_old else self._age.physical_one(raw) / 1000
+
+    def _raw(self, content: ConditionalRecord | MapLine, pose: Mapping[str, int]) -> dict[str, int]:
+        """Return the raw values of a line: mean, range, and what it has of its own."""
+        if isinstance(content, ConditionalRecord):
+            return dict(content.raw)
+        values = [*content.gaussian.mean, content.x_min, content.x_max]
+        raw = {s.name: int(s.raw(x)) for s, x in zip(self._signals, values, strict=True)}
+        prefix = slot_title(Slot(content.slot))
+        return raw | {name: pose[prefix + name] for name in OWN_SIGNALS}

@@ -1,0 +1,282 @@
+"""Reception of scenes: lines that wait, bad contents, time-outs and the monitor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scene_streams import (
+    COMPLETE,
+    CONDITIONAL,
+    PERIOD_NS,
+    codec_of,
+    feed,
+    road_scene,
+)
+
+from maplines_can import Kind, MapLine, Monitor, Slot
+from maplines_can.wire import POSE, Decoder, E2EState, Frame, Reason
+from maplines_can.wire.message.frames import FrameWriter
+from maplines_can.wire.message.pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+)
+from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+
+SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
+
+
+def cycles(dbc: str, n: int, **settings: Any) -> list[dict[Any, list[Frame]]]:
+    """Return the frames of a scene in n cycles."""
+    codec = codec_of(dbc)
+    prepared = codec.prepare_scene(road_scene(SLOTS))
+    return [
+        codec.encode_scene(prepared, counters=dict.fromkeys([POSE, *Slot], n), **settings)
+        for n in range(n)
+    ]
+
+
+def accounted(decoder: Decoder) -> bool:
+    known = decoder.line_frames + decoder.pose_frames
+    return decoder.frames == known + sum(decoder.counts.values()) + decoder.pending
+
+
+def test_lines_wait_for_their_pose_error() -> None:
+    """Its last frame completes them all: one is returned, the others are ``further``."""
+    (frames,) = cycles(CONDITIONAL, 1)
+    pose = {POSE: frames.pop(POSE)}
+    decoder = codec_of(CONDITIONAL).decoder()
+    answers, t_ns = feed(decoder, frames, 0)
+    assert set(answers) == {Reason.PENDING}
+    assert decoder.pending == len(answers)
+    assert decoder.scene() is None
+
+    answers, _ = feed(decoder, pose, t_ns)
+    assert answers[0] is Reason.PENDING
+    lines = [answers[1], *decoder.further]
+    assert [line.slot for line in lines] == list(SLOTS)
+    assert decoder.pending == 0
+    scene = decoder.scene()
+    assert scene is not None
+    assert [line.slot for line in scene.scene.lines] == list(SLOTS)
+    for line, of_scene in zip(lines, scene.scene.lines, strict=True):
+        assert (line.gaussian.mean == of_scene.gaussian.mean).all()
+        assert line.t_ns < scene.t_ns
+        assert line.age == max(0.0, scene.age + (line.t_ns - scene.t_ns) / 1e9)
+    assert accounted(decoder)
+
+    decoder.feed(0x7FF, b"", t_ns)
+    assert decoder.further == []
+
+
+def test_full_records_are_delivered_before_their_pose_error() -> None:
+    """They join the scene when it comes."""
+    (frames,) = cycles(COMPLETE, 1)
+    pose = {POSE: frames.pop(POSE)}
+    decoder = codec_of(COMPLETE).decoder()
+    answers, t_ns = feed(decoder, frames, 0)
+    assert sum(isinstance(one, MapLine) for one in answers) == 3
+    assert decoder.scene() is None
+    answers, _ = feed(decoder, pose, t_ns)
+    assert set(answers) == {Reason.PENDING}
+    scene = decoder.scene()
+    assert scene is not None
+    assert len(scene.scene.lines) == 3
+    assert accounted(decoder)
+
+
+def test_a_line_whose_pose_error_never_comes_is_dropped() -> None:
+    """It is counted by a reason of its own, when it has waited or when the next one waits."""
+    one, two = cycles(CONDITIONAL, 2)
+    del one[POSE], two[POSE]
+    decoder = codec_of(CONDITIONAL).decoder()
+    feed(decoder, one, 0)
+    waiting = decoder.pending
+    feed(decoder, two, PERIOD_NS)
+    assert decoder.counts == {Reason.POSE: waiting}
+    assert decoder.pending == waiting
+    decoder.expire(20 * PERIOD_NS)
+    assert decoder.counts == {Reason.POSE: 2 * waiting}
+    assert decoder.pending == decoder.lines == 0
+    assert accounted(decoder)
+
+
+def test_lines_of_another_cycle_do_not_join() -> None:
+    """The pose error of a cycle with the lines of the next or of the last one."""
+    for dbc in (CONDITIONAL, COMPLETE):
+        one, two = cycles(dbc, 2)
+        for pose, lines in ((one, two), (two, one)):
+            mixed = {POSE: pose[POSE]} | {slot: lines[slot] for slot in SLOTS}
+            decoder = codec_of(dbc).decoder()
+            feed(decoder, mixed, 0)
+            assert decoder.scene() is None
+
+
+def test_the_scene_has_the_lines_received_so_far() -> None:
+    one, two = cycles(CONDITIONAL, 2)
+    decoder = codec_of(CONDITIONAL).decoder()
+    feed(decoder, one, 0)
+    _, t_ns = feed(decoder, {POSE: two[POSE]}, PERIOD_NS)
+    first = decoder.scene()
+    assert first is not None
+    assert first.t_ns == 0  # no line of the second came yet
+    assert len(first.scene.lines) == 3
+    for n, slot in enumerate(SLOTS, 1):
+        _, t_ns = feed(decoder, {slot: two[slot]}, t_ns)
+        scene = decoder.scene()
+        assert scene is not None
+        assert scene.t_ns == PERIOD_NS
+        assert [line.slot for line in scene.scene.lines] == list(SLOTS[:n])
+        assert decoder.scene() is scene  # built once
+
+
+class Forger:
+    """Sender of any raw values of conditional records with right checksums."""
+
+    def __init__(self) -> None:
+        codec = codec_of(CONDITIONAL)
+        assert codec.layout.pose is not None
+        self.pose_layout, self.layout = codec.layout.pose, codec.layout
+        self.poses, self.records = PoseRecords(self.pose_layout), ConditionalRecords(self.layout)
+        self.writer = FrameWriter(self.layout, None)
+        prepared = codec.prepare_scene(road_scene(SLOTS), fd=True)
+        self.pose_raw = {**prepared.encoded.pose, "Age": 3}
+        self.long_raw = dict(prepared.encoded.lines[0])
+        of_own = (*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS)
+        self.line_raw = {name: self.long_raw[name] for name in of_own}
+
+    def frames(
+        self, pose: dict[str, int], lines: dict[Slot, dict[str, int]], counter: int = 0
+    ) -> dict[Any, list[Frame]]:
+        """Return the frames of a pose error and lines with these raw values."""
+        counters = dict.fromkeys(Slot, counter % 8)
+        record = PoseRecord(self.pose_raw | pose, counter % 256, counters)
+        frames: dict[Any, list[Frame]] = {
+            POSE: self.writer.write_pose(self.poses.write(record), False)
+        }
+        for slot, raw in lines.items():
+            whole = (self.long_raw if raw.keys() - self.line_raw.keys() else self.line_raw) | raw
+            line = ConditionalRecord(whole, counter % 256, Kind.SOLID, slot)
+            frames[slot] = self.writer.write(self.records.write(line), slot, False)
+        return frames
+
+
+def test_a_line_that_is_no_function_of_x_is_dropped() -> None:
+    """By its content; the other lines of its scene are there, whether it comes early or late."""
+    forger = Forger()
+    x, c0 = forger.layout["XMax"].raw_max, forger.layout["C0"].raw_max
+    bad = {"XMax": x, "C0": c0, "C1": forger.layout["C1"].raw_max}
+    frames = forger.frames({}, {Slot.EGO_LEFT: bad, Slot.EGO_RIGHT: {}})
+    pages = len(frames[Slot.EGO_LEFT])
+    for order in ([POSE, *SLOTS[:2]], [*SLOTS[:2], POSE], [Slot.EGO_LEFT, POSE, Slot.EGO_RIGHT]):
+        decoder = codec_of(CONDITIONAL).decoder()
+        feed(decoder, {owner: frames[owner] for owner in order}, 0)
+        assert decoder.counts == {Reason.CONTENT: pages}
+        assert decoder.lines == 1
+        scene = decoder.scene()
+        assert scene is not None
+        assert [line.slot for line in scene.scene.lines] == [Slot.EGO_RIGHT]
+        assert accounted(decoder)
+
+
+def test_a_full_line_that_is_no_function_of_x_is_in_no_scene() -> None:
+    """It is delivered, as by a receiver without scenes, and the scene has the other lines."""
+    codec = codec_of(COMPLETE)
+    scene = road_scene(SLOTS)
+    steep = MapLine.with_sigma(
+        Slot.EGO_RIGHT, [0, 0.4, 0.12, 0.03], [0.1, 0.01, 1e-3, 1e-4], x_min=-8, x_max=124
+    )
+    frames = codec.encode_scene(scene, counters={}) | {
+        Slot.EGO_RIGHT: codec.encode_lines([steep], counters={})[0]
+    }
+    decoder = codec.decoder()
+    answers, _ = feed(decoder, frames, 0)
+    assert sum(isinstance(one, MapLine) for one in answers) == 3
+    received = decoder.scene()
+    assert received is not None
+    assert [line.slot for line in received.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
+    assert np.linalg.eigvalsh(received.scene.joint().cov)[0] > 0
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32))
+def test_no_raw_values_raise(seed: int) -> None:
+    """Any pose error with any lines gives a definite joint, or drops lines by their content."""
+    forger, rng = Forger(), np.random.default_rng(seed)
+
+    def drawn(names: Iterable[str], layout: Any) -> dict[str, int]:
+        chosen = [name for name in names if rng.random() < 0.5]
+        return {
+            name: int(rng.integers(layout[name].raw_min, layout[name].raw_max + 1))
+            for name in chosen
+        }
+
+    lines = {}
+    for slot in SLOTS:
+        is_long = rng.random() < 0.5
+        names = set(forger.long_raw) - set(OWN_SIGNALS) if is_long else set(forger.line_raw)
+        raw = drawn(sorted(names - {"XMin", "XMax"}), forger.layout)
+        ends = {"XMin": int(rng.integers(0, 33)), "XMax": int(rng.integers(1, 128))}
+        lines[slot] = raw | ends
+    decoder = codec_of(CONDITIONAL).decoder()
+    feed(decoder, forger.frames(drawn(forger.pose_raw, forger.pose_layout), lines), 0)
+    assert accounted(decoder)
+    received = decoder.scene()
+    if received is None or not received.scene.lines:
+        return
+    cov = received.scene.joint().cov
+    scale = 1 / np.sqrt(cov.diagonal())
+    assert np.linalg.eigvalsh(cov * np.outer(scale, scale))[0] > -1e-12
+    assert np.isfinite(cov).all()
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_the_view_of_the_monitor(dbc: str) -> None:
+    """Usable when the pose error is VALID, until no pose error came for three cycles."""
+    monitor = Monitor(codec_of(dbc).decoder())
+    view = monitor.latest_scene(0)
+    assert (view.scene, view.usable, view.stale, view.state) == (None, False, True, E2EState.NODATA)
+    assert (view.age, view.status) == (np.inf, None)
+    t_ns = 0
+    for n, frames in enumerate(cycles(dbc, 16, age=0.02)):
+        _, t_ns = feed(monitor, frames, n * PERIOD_NS)
+    last = 15 * PERIOD_NS
+    view = monitor.latest_scene(t_ns)
+    assert view.usable
+    assert view.state is E2EState.VALID
+    assert view.age == pytest.approx(0.024 + (t_ns - last) / 1e9)
+    assert monitor.latest_scene(last + 3 * PERIOD_NS).usable
+    assert not monitor.latest_scene(last + 3 * PERIOD_NS + 1).usable
+    assert monitor.latest_scene(last + 3 * PERIOD_NS + 1).stale
+    assert not monitor.latest_scene(last - 4 * PERIOD_NS).usable  # a clock set back
+    assert not monitor.latest_scene(last + 3 * PERIOD_NS, stale_cycles=2).usable
+    for slot in SLOTS:
+        assert monitor.latest(slot, t_ns).usable
+
+
+def test_a_scene_that_is_too_old_is_not_usable() -> None:
+    monitor = Monitor(codec_of(CONDITIONAL).decoder())
+    t_ns = 0
+    for n, frames in enumerate(cycles(CONDITIONAL, 16, age=np.inf)):
+        _, t_ns = feed(monitor, frames, n * PERIOD_NS)
+    view = monitor.latest_scene(t_ns)
+    assert (view.state, view.stale, view.age, view.usable) == (E2EState.VALID, False, np.inf, False)
+    assert view.scene is not None
+    assert not any(monitor.latest(slot, t_ns).usable for slot in SLOTS)
+
+
+def test_the_monitor_keeps_lines_that_waited() -> None:
+    """Also those beside the one that ``feed`` returns."""
+    monitor = Monitor(codec_of(CONDITIONAL).decoder())
+    (frames,) = cycles(CONDITIONAL, 1)
+    pose = {POSE: frames.pop(POSE)}
+    _, t_ns = feed(monitor, frames, 0)
+    feed(monitor, pose, t_ns)
+    assert len(monitor.further) == 2
+    assert all(monitor.latest(slot, t_ns).line is not None for slot in SLOTS)

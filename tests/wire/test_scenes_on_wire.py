@@ -1,0 +1,386 @@
+"""Scenes through codec and decoder: what is received is what was sent, within the roundings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import count
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scene_streams import (
+    ALL,
+    COMPLETE,
+    CONDITIONAL,
+    FRAME_NS,
+    MAP_ERROR,
+    OFFSETS,
+    PERIOD_NS,
+    SECURED,
+    authenticated_codec,
+    codec_of,
+    feed,
+    road_scene,
+)
+
+from maplines_can import (
+    Codec,
+    EncodeError,
+    Gaussian,
+    MapError,
+    MapLine,
+    Monitor,
+    Scene,
+    Slot,
+)
+from maplines_can.testing import FaultInjector, Faults
+from maplines_can.wire import POSE, Decoder, Reason, default_dbc_path
+from maplines_can.wire.message.pose_layout import PoseLayout
+
+SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
+X = np.array([0.0, 20.0, 40.0])
+
+
+def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
+    """Return a scene as received."""
+    monitor = Monitor(codec.decoder())
+    counters = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
+    frames = codec.encode_scene(scene, fd=fd, counters=counters, age=0.02)
+    _, t_ns = feed(monitor, frames, 0)
+    view = monitor.latest_scene(t_ns)
+    assert view.scene is not None
+    assert view.age == pytest.approx(0.024 + t_ns / 1e9)
+    return view.scene
+
+
+def assert_covers(decoded: Scene, sent: Scene) -> None:
+    """Check that the joint covariance covers that of the same lines as sent, and their errors."""
+    slots = [line.slot for line in decoded.lines]
+    true, found = sent.joint(slots), decoded.joint()
+    d = found.mean - true.mean
+    scale = 1 / np.sqrt(found.cov.diagonal())
+    margin = (found.cov - true.cov - np.outer(d, d)) * np.outer(scale, scale)
+    assert np.linalg.eigvalsh(found.cov * np.outer(scale, scale)).min() > 0
+    assert np.linalg.eigvalsh(margin).min() > -1e-9
+
+
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+@pytest.mark.parametrize("dbc", ALL)
+def test_a_scene_is_received_as_it_was_sent(dbc: str, fd: bool) -> None:
+    scene = road_scene(SLOTS)
+    decoded = received(codec_of(dbc), scene, fd=fd)
+
+    assert [line.slot for line in decoded.lines] == list(SLOTS)
+    assert_covers(decoded, scene)
+    assert decoded.pose_error.correlation_time == 4.0
+    assert decoded.map_error is not None
+    assert MAP_ERROR.offset_sigma / 2**0.5 <= decoded.map_error.offset_sigma <= 0.05
+    limit = 1.1 if dbc == CONDITIONAL else 2.5
+    for name in ("width", "centre"):
+        ours, theirs = getattr(decoded, name)(X), getattr(scene, name)(X)
+        assert np.abs(ours.value - theirs.value).max() < 0.01
+        ratio = ours.sigma / theirs.sigma
+        assert ratio.min() >= 1 - 1e-6
+        assert ratio.max() < (limit if name == "width" else 1.1)
+    if dbc == CONDITIONAL:
+        assert (decoded.fit_ranges == scene.fit_ranges).all()
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, SECURED])
+def test_an_authenticated_scene(dbc: str) -> None:
+    """With the key it is received; a receiver with a clock far off rejects all of it."""
+    codec, scene = authenticated_codec(dbc), road_scene(SLOTS)
+    decoded = received(codec, scene, fd=True)
+    assert len(decoded.lines) == 3
+    assert_covers(decoded, scene)
+
+    decoder = codec_of(dbc).decoder()
+    for own in codec.encode_scene(scene, fd=True).values():
+        decoder.feed(own[0].can_id, own[0].data[:-1] + b"\0", 0)
+    assert decoder.scene() is None
+    assert decoder.lines == 0
+
+
+def test_a_line_has_the_covariance_that_it_has_in_the_scene() -> None:
+    """Of conditional records; each line that the decoder returns is that of the scene, too."""
+    codec = codec_of(CONDITIONAL)
+    decoder = codec.decoder()
+    answers, _ = feed(decoder, codec.encode_scene(road_scene(SLOTS), counters={}), 0)
+    lines = [answer for answer in answers if isinstance(answer, MapLine)]
+    scene = decoder.scene()
+    assert scene is not None
+    assert [line.slot for line in lines] == list(SLOTS)
+    for i, line in enumerate(lines):
+        joint = scene.scene.joint([line.slot])
+        assert (line.gaussian.mean == joint.mean).all()
+        np.testing.assert_allclose(line.gaussian.cov, joint.cov, rtol=1e-9)
+        assert (scene.scene.lines[i].gaussian.cov == joint.cov).all()
+
+
+def test_a_line_of_a_full_record_covers_at_least_what_the_scene_says() -> None:
+    codec = codec_of(COMPLETE)
+    sent = road_scene(SLOTS)
+    decoded = received(codec, sent)
+    for line in decoded.lines:
+        margin = line.gaussian.cov - sent.joint([line.slot]).cov
+        scale = 1 / np.sqrt(line.gaussian.cov.diagonal())
+        assert np.linalg.eigvalsh(margin * np.outer(scale, scale)).min() > -1e-9
+
+
+@pytest.mark.parametrize("dbc", ALL)
+def test_lines_that_do_not_fit(dbc: str) -> None:
+    """A conditional line is not sent; a full one is, but does not belong to the pose error."""
+    scene = road_scene(SLOTS)
+    means = scene.means
+    means[1, 0] = 40.0  # beyond YOff
+    lines = [
+        MapLine(
+            line.slot,
+            Gaussian(mean, line.gaussian.cov),
+            kind=line.kind,
+            x_min=line.x_min,
+            x_max=line.x_max,
+        )
+        for line, mean in zip(scene.lines, means, strict=True)
+    ]
+    odd = Scene(tuple(lines), scene.cov, scene.pose_error, scene.fit_ranges, scene.map_error)
+    codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
+    frames = codec.encode_scene(odd, counters={})
+    assert (Slot.EGO_RIGHT in frames) is not is_conditional
+
+    decoder = codec.decoder()
+    answers, _ = feed(decoder, frames, 0)
+    decoded = decoder.scene()
+    assert decoded is not None
+    assert [line.slot for line in decoded.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
+    assert sum(isinstance(one, MapLine) for one in answers) == (2 if is_conditional else 3)
+    assert_covers(decoded.scene, scene)
+
+
+@pytest.mark.parametrize("dbc", [COMPLETE, SECURED])
+@pytest.mark.parametrize("first", range(8))
+def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
+    """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
+    codec = codec_of(dbc)
+    prepared = codec.prepare_scene(road_scene(SLOTS))
+    prepared.encoded.lines.pop(1)
+    decoder = codec.decoder()
+    counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
+    for cycle in range(10):
+        frames = codec.encode_scene(prepared, counters=counters)
+        answers, _ = feed(decoder, frames, cycle * PERIOD_NS)
+        assert sum(isinstance(one, MapLine) for one in answers) == 3
+        decoded = decoder.scene()
+        assert decoded is not None
+        assert set(decoded.scene.index) == {Slot.EGO_LEFT, Slot.NEXT_LEFT}
+        counters = {owner: n + 1 for owner, n in counters.items()}
+
+
+@pytest.mark.parametrize("dbc", ALL)
+def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
+    """A sender that alternates scenes of different slots: each scene has the lines of its cycle."""
+    codec = Codec.from_dbc(default_dbc_path(dbc))
+    plans = [SLOTS, SLOTS[:1], SLOTS[1:], (), SLOTS[:2]]
+    empty = Scene((), np.zeros((0, 0)), road_scene().pose_error, np.zeros((0, 2)))
+    prepared = [codec.prepare_scene(road_scene(slots) if slots else empty) for slots in plans]
+    decoder = codec.decoder()
+    for cycle in range(40):
+        slots = plans[cycle % len(plans)]
+        feed(decoder, codec.encode_scene(prepared[cycle % len(plans)]), cycle * PERIOD_NS)
+        decoded = decoder.scene()
+        assert decoded is not None
+        if slots:
+            assert decoded.t_ns == cycle * PERIOD_NS
+            assert tuple(decoded.scene.index) == tuple(slots)
+        else:
+            assert decoded.t_ns == (cycle - 1) * PERIOD_NS
+    assert decoder.lost == 0
+    assert not decoder.counts
+
+
+def test_counters_of_the_codec_have_no_gap() -> None:
+    """Each slot and the pose error counts by itself, modulo 256."""
+    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    prepared = codec.prepare_scene(road_scene(SLOTS[:1]))
+    seen: dict[Any, list[int]] = {POSE: [], Slot.EGO_LEFT: []}
+    for _ in range(260):
+        for owner, frames in codec.encode_scene(prepared).items():
+            seen[owner].append(frames[0].data[2])
+    expected = [n % 256 for n in range(260)]
+    assert seen == {POSE: expected, Slot.EGO_LEFT: expected}
+
+
+def test_counters_of_plain_lines_and_scenes_go_on() -> None:
+    """They wrap around, too."""
+    codec = Codec.from_dbc(default_dbc_path(COMPLETE))
+    scene = road_scene(SLOTS[:1])
+    prepared = codec.prepare_scene(scene)
+    counters = []
+    for cycle in range(260):
+        frames = codec.encode_scene(prepared)[Slot.EGO_LEFT]
+        counters += [(frames if cycle % 3 else codec.encode(scene.lines[0]))[0].data[2]]
+        counters += [] if cycle % 3 else [frames[0].data[2]]
+    assert sorted(counters[:256]) == list(range(256))
+    assert counters[-1] == (len(counters) - 1) % 256
+
+
+def test_the_age_is_that_of_the_sending() -> None:
+    """Rounded up; too old beyond the greatest one. A line is older by its distance to the pose."""
+    codec = codec_of(CONDITIONAL)
+    prepared = codec.prepare_scene(road_scene(SLOTS))
+    for age, stated in (
+        (0.0, 0.0),
+        (0.001, 0.008),
+        (0.24, 0.24),
+        (0.241, np.inf),
+        (np.inf, np.inf),
+    ):
+        decoder = codec.decoder()
+        answers, _ = feed(decoder, codec.encode_scene(prepared, age=age, counters={}), 0)
+        decoded = decoder.scene()
+        assert decoded is not None
+        assert decoded.age == pytest.approx(stated)
+        first = next(one for one in answers if isinstance(one, MapLine))
+        assert first.age == pytest.approx(stated + 2 * FRAME_NS / 1e9)  # after 2 frames of the pose
+
+
+@settings(max_examples=40)
+@given(
+    radius=st.floats(25, 2000),
+    sigma=st.tuples(st.floats(0.02, 1.0), st.floats(0.02, 0.5), st.floats(0.001, 0.03)),
+    noise=st.tuples(st.floats(0, 0.05), st.floats(0, 0.1), st.floats(0, 0.02)),
+)
+def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise: Any) -> None:
+    """The room of 3 sigma at its ends does not get smaller, whatever is rounded."""
+    scene = road_scene(SLOTS, radius=radius, sigma=sigma, map_error=MapError(*noise))
+    decoder = codec_of(CONDITIONAL).decoder()
+    feed(decoder, codec_of(CONDITIONAL).encode_scene(scene, counters={}), 0)
+    decoded = decoder.scene()
+    for line in decoded.scene.lines if decoded else ():
+        sent = scene.line(line.slot)
+        assert sent.x_min <= line.x_min <= line.x_max <= sent.x_max
+
+
+def without_pose(dbc: str) -> str:
+    """Return the text of a DBC without its messages of the pose error, as it was before them."""
+    text = default_dbc_path(dbc).read_text()
+    blocks = re.split(r"(?m)^(?=BO_ )", text)
+    ids = [block.split()[1] for block in blocks[1:] if "Pose" in block.split()[2]]
+    assert ids
+    kept = [blocks[0]]
+    for block in blocks[1:]:
+        _, gap, rest = block.partition("\n\n")
+        kept.append(gap + rest if block.split()[1] in ids else block)
+    lines = "".join(kept).splitlines()
+    mentions = re.compile(rf"^(CM_|BA_|VAL_|SG_MUL_VAL_|SIG_VALTYPE_)\b.*\b({'|'.join(ids)})\b")
+    text = "\n".join(line for line in lines if not mentions.match(line)) + "\n"
+    return re.sub(r"(?m)^BA_DEF.*MapLinePose.*\n", "", text)
+
+
+def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) -> None:
+    """Bit for bit; the frames of the pose error are foreign to it."""
+    path = tmp_path / "before.dbc"
+    path.write_text(without_pose(COMPLETE))
+    before, now = Codec.from_dbc(path), codec_of(COMPLETE)
+    assert before.layout.pose is None
+    scene = road_scene(OFFSETS)
+    frames = now.encode_scene(scene, counters={}, age=0.02)
+    old, new = before.decoder(), now.decoder()
+    theirs, _ = feed(old, frames, 0)
+    ours, _ = feed(new, frames, 0)
+    lines = [one for one in theirs if isinstance(one, MapLine)]
+    assert len(lines) == len(OFFSETS)
+    for line, other in zip(lines, [x for x in ours if isinstance(x, MapLine)], strict=True):
+        assert line.gaussian.mean.tobytes() == other.gaussian.mean.tobytes()
+        assert line.gaussian.cov.tobytes() == other.gaussian.cov.tobytes()
+        assert (line.age, line.x_min, line.x_max) == (other.age, other.x_min, other.x_max)
+    assert old.counts == {Reason.FOREIGN: len(frames[POSE])}
+    assert old.frames == old.line_frames + sum(old.counts.values()) + old.pending
+
+
+def test_the_records_are_those_of_the_lines_alone() -> None:
+    """A full record does not change if it is sent with its scene."""
+    codec, scene = codec_of(COMPLETE), road_scene(SLOTS)
+    alone = codec.encode_lines(scene.lines, counters={})
+    together = codec.encode_scene(scene, counters={})
+    assert [together[line.slot] for line in scene.lines] == alone
+
+
+def faulty_stream(codec: Codec, faults: str, cycles: int, fd: bool) -> Iterator[tuple[Any, int]]:
+    """Yield the frames of a sender of scenes, of plain lines at times, over a faulty bus."""
+    injector = FaultInjector[Any](Faults.parse(faults))
+    full, small = (codec.prepare_scene(road_scene(s), fd=fd) for s in (SLOTS, SLOTS[1:]))
+    line = MapLine.with_sigma(Slot.EGO_RIGHT, [-1.75, 0, 0, 0], [0.1, 0.01, 0.001, 0.0001])
+    for cycle in range(cycles):
+        t_ns = cycle * PERIOD_NS
+        if cycle % 11 == 10 and not codec.layout.is_conditional:
+            frames: Mapping[Any, Any] = {0: codec.encode(line, fd=fd)}
+        else:
+            frames = codec.encode_scene(small if cycle % 5 == 4 else full, fd=fd)
+        for own in frames.values():
+            for frame in own:
+                for out in injector.apply(frame, t_ns / 1e9):
+                    yield out, t_ns
+                t_ns += FRAME_NS
+
+
+@pytest.mark.parametrize("fd", [False, True], ids=["classic", "fd"])
+@pytest.mark.parametrize("dbc", ALL)
+@pytest.mark.parametrize(
+    "faults",
+    [
+        "loss=0.1,seed=1",
+        "dup=0.1,reorder=0.1,depth=5,seed=2",
+        "flip=0.1,garbage=0.05,wrong_id=0.05,truncate=0.05,seed=3",
+        "loss=0.1,late=0.2,delay=0.02,jitter=0.1,seed=4",
+    ],
+)
+def test_every_frame_is_accounted_for(dbc: str, fd: bool, faults: str) -> None:
+    """At any time; and each scene covers what was sent."""
+    codec = Codec.from_dbc(default_dbc_path(dbc))
+    decoder: Decoder = codec.decoder()
+    sent, scenes = road_scene(SLOTS), 0
+    for n, (frame, t_ns) in zip(count(1), faulty_stream(codec, faults, 60, fd), strict=False):
+        decoder.feed(frame.can_id, frame.data, t_ns)
+        counted = sum(decoder.counts.values()) + decoder.pending
+        assert decoder.frames == n == decoder.line_frames + decoder.pose_frames + counted
+        if n % 40 == 0 and (found := decoder.scene()) and found.scene.lines:
+            scenes += 1
+            assert_covers(found.scene, sent)
+    decoder.expire(10**12)
+    assert decoder.pending == 0
+    assert scenes > 3
+
+
+def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
+    path = tmp_path / "before.dbc"
+    path.write_text(without_pose(COMPLETE))
+    codec = Codec.from_dbc(path)
+    with pytest.raises(EncodeError, match="MapLinePose"):
+        codec.encode_scene(road_scene())
+    with pytest.raises(ValueError, match="MapLinePose"):
+        Monitor(codec.decoder()).latest_scene(0)
+
+
+@pytest.mark.parametrize("sigma", [(3000.0, 0.2, 0.01), (0.3, 3000.0, 0.01)])
+def test_a_pose_error_that_does_not_fit_is_refused(sigma: Any) -> None:
+    scene = road_scene()
+    pose = type(scene.pose_error)(np.diag(sigma) ** 2)
+    odd = Scene(scene.lines, scene.cov, pose, scene.fit_ranges)
+    with pytest.raises(EncodeError, match="3000 m"):
+        codec_of(CONDITIONAL).encode_scene(odd)
+
+
+def test_both_dbcs_have_one_layout_of_the_pose_error() -> None:
+    """The first two pages of Pose are the same in all DBCs."""
+    layouts = [codec_of(dbc).layout.pose for dbc in ALL]
+    assert all(isinstance(layout, PoseLayout) for layout in layouts)
+    signals = [layout.signals for layout in layouts if layout is not None]
+    first = signals[ALL.index(CONDITIONAL)]
+    for other in signals:
+        assert {name: other[name] for name in first if name in other} == {
+            name: first[name] for name in first if name in other
+        }
