@@ -22,7 +22,7 @@ class Reason(Enum):
 class FakeCodec:
     """Page: number, counter, slot, 0, age [ms], y_off [mm]."""
 
-    layout = SimpleNamespace(max_age=60.0)
+    layout = SimpleNamespace(max_age=60.0, is_conditional=False)
 
     def __init__(self) -> None:
         self.counters: Counter[Any] = Counter()
@@ -61,6 +61,8 @@ class FakeDecoder:
         self.counts: Counter[Any] = Counter()
         self.checks: dict[Any, Any] = {}
         self.lost = self.pending = 0
+        self.further: list[Any] = []
+        self.pose_check, self.pose_errors = None, 0
         self.transfers: dict[Any, Any] = {}
 
     def feed(self, can_id: Any, data: Any, t_ns: Any, *, is_extended: bool = False) -> Any:  # noqa: ARG002

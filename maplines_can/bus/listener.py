@@ -11,7 +11,7 @@ from typing import NamedTuple
 import can
 
 from ..line import MapLine, Slot
-from ..wire import Decoder, Monitor, Reason, SlotStats, SlotView
+from ..wire import Decoder, Monitor, Reason, SceneView, SlotStats, SlotView
 from ..wire.reception.monitor import STALE_CYCLES
 from .background import ForkSafeCondition
 from .stamp_clock import StampClock
@@ -28,6 +28,7 @@ class ReceiverStats(NamedTuple):
     overflowed: int  #: lines dropped from the full queue, oldest first
     counts: dict[Reason, int]  #: frames by the decoder's reason
     pending: int = 0  #: frames held for lines that are not complete
+    pose_errors: int = 0  #: pose errors of scenes received
 
 
 class LineListener(can.Listener):
@@ -118,13 +119,16 @@ class LineListener(can.Listener):
             line = self._monitor.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
             if not isinstance(line, MapLine):
                 return
-            self._lines += 1
+            lines = [line, *self._monitor.further]
+            self._lines += len(lines)
             if self._on_line is None:
-                self._overflowed += len(self._queue) == self._queue.maxlen
-                self._queue.append(line)
+                for line in lines:
+                    self._overflowed += len(self._queue) == self._queue.maxlen
+                    self._queue.append(line)
                 self._changed.notify_all()
                 return
-        self._on_line(line)
+        for line in lines:
+            self._on_line(line)
 
     def on_error(self, exc: Exception) -> None:
         """Store the error that ends a notifier's thread, for `get`; called by python-can.
@@ -200,10 +204,32 @@ class LineListener(can.Listener):
             known = now_ns is not None or self._stamps.is_settled
         return view if known else view._replace(age=float("inf"), stale=True)
 
+    def latest_scene(
+        self, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SceneView:
+        """Return the newest scene: lines of one pose, with their joint covariance.
+
+        Args:
+            now_ns: as in `latest`.
+            stale_cycles: number of cycle times without a pose error after which a scene is stale.
+
+        Raises:
+            ValueError: the DBC has no message of the pose error.
+        """
+        with self._changed:
+            view = self._monitor.latest_scene(self._now(now_ns), stale_cycles=stale_cycles)
+            known = now_ns is not None or self._stamps.is_settled
+        return view if known else view._replace(age=float("inf"), stale=True)
+
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
         """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         with self._changed:
             return self._monitor.slots(self._now(now_ns))
+
+    def pose_error(self, now_ns: int | None = None) -> SlotStats | None:
+        """Return the statistics of the pose error; None if none came; ``now_ns`` as in `latest`."""
+        with self._changed:
+            return self._monitor.pose_error(self._now(now_ns))
 
     def stats(self) -> ReceiverStats:
         """Return a consistent copy of all counters."""
@@ -217,6 +243,7 @@ class LineListener(can.Listener):
                 overflowed=self._overflowed,
                 counts=dict(self._decoder.counts),
                 pending=self._decoder.pending,
+                pose_errors=self._decoder.pose_errors,
             )
 
     def _now(self, now_ns: int | None) -> int:

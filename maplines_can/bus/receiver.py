@@ -10,7 +10,7 @@ import can
 from can.typechecking import CanFilters
 
 from ..line import MapLine, Slot
-from ..wire import Decoder, SlotStats, SlotView
+from ..wire import Decoder, SceneView, SlotStats, SlotView
 from ..wire.reception.monitor import STALE_CYCLES
 from .background import BackgroundThread
 from .link import Link, link_of
@@ -101,9 +101,19 @@ class Receiver(BackgroundThread):
         """Return the newest line of a slot with its state; see `LineListener.latest`."""
         return self._listener.latest(slot, now_ns, stale_cycles=stale_cycles)
 
+    def latest_scene(
+        self, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SceneView:
+        """Return the newest scene with its state; see `LineListener.latest_scene`."""
+        return self._listener.latest_scene(now_ns, stale_cycles=stale_cycles)
+
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
         """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         return self._listener.slots(now_ns)
+
+    def pose_error(self, now_ns: int | None = None) -> SlotStats | None:
+        """Return the statistics of the pose error; see `LineListener.pose_error`."""
+        return self._listener.pose_error(now_ns)
 
     def stats(self) -> ReceiverStats:
         """Return a consistent copy of all counters."""

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, Self
 
 import can
 
-from ..errors import BusError
+from ..errors import BusError, EncodeError
 from ..line import LeftOut, MapLine, MapLineList, Slot
-from ..wire import Codec, Frame
+from ..scene import Scene
+from ..wire import POSE, Codec, Frame, PreparedScene
 from .background import BackgroundThread
 from .link import Link, Sent, link_of
 from .log_writer import message_of
@@ -33,6 +34,7 @@ class TransmitterStats(NamedTuple):
     frames: int = 0  #: frames handed to the interface, those of unfinished transfers included
     retries: int = 0  #: attempts that met a full transmit queue and were repeated
     expired: int = 0  #: lines sent as too old, because they were not published again in time
+    pose_errors: int = 0  #: pose errors of scenes sent with all their frames
     #: lines left out of the published lists of ``map_lines`` and so retracted, by reason
     left_out: Mapping[LeftOut, int] = MappingProxyType({})
     lateness: Lateness = Lateness()  #: of the first frame of each transfer, after its deadline
@@ -121,26 +123,37 @@ class Transmitter(BackgroundThread):
             )
         super().__init__("maplines transmit")
         self._link, self._period, self._clock, self._on_sent = link, period, clock, on_sent
+        self._codec, self._fd = codec, fd
         max_age = stated if max_age is None else max_age
         self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
         self._counts = TransmitterStats()
         self._left_out: Counter[LeftOut] = Counter()
         self._lateness = LatenessHistogram()
 
-    def publish(self, line: MapLine | Iterable[MapLine], t_pose_ns: int | None = None) -> None:
+    def publish(
+        self,
+        line: MapLine | Iterable[MapLine] | Scene | PreparedScene,
+        t_pose_ns: int | None = None,
+    ) -> None:
         """Send this line from now on, instead of the previous one of its slot.
 
         A line that ``map_lines`` left out is retracted: its slot does not go on with the previous
         one. ``TransmitterStats.left_out`` counts such lines by reason.
 
+        A scene is sent instead of all that was published before: in each period the pose error
+        first, then the lines that were seen from this pose. This call encodes the scene, in the
+        thread of the caller, unless ``Codec.prepare_scene`` has done so.
+
         Args:
             line: the line, or several lines that take effect at the same moment, such as the
-                result of ``map_lines``. Their ages grow from this call on.
+                result of ``map_lines``, or a scene. Their ages grow from this call on.
             t_pose_ns: time of the vehicle pose that the lines belong to, on the clock of
                 ``time.time_ns()`` [ns]. If it is given, ages are computed from it, and
                 ``line.age`` is ignored.
 
         Raises:
+            EncodeError: a scene does not fit the DBC, see ``Codec.prepare_scene``; or the DBC takes
+                scenes only.
             ValueError: ``t_pose_ns`` is more than 1 s ahead of ``time.time_ns()``, or more
                 than 1 h behind.
             RuntimeError: the transmitter was stopped, or runs in the parent process only.
@@ -155,8 +168,19 @@ class Transmitter(BackgroundThread):
                     f"t_pose_ns must be on the clock of time.time_ns(), at most 1 s ahead and 1 h "
                     f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
                 )
-        lines = [line] if isinstance(line, MapLine) else list(line)
-        left_out = line.left_out if isinstance(line, MapLineList) else {}
+        if isinstance(line, Scene):
+            line = self._codec.prepare_scene(line, fd=self._fd)
+        prepared = line if isinstance(line, PreparedScene) else None
+        given = line.scene if isinstance(line, PreparedScene) else line
+        left_out = given.left_out if isinstance(given, MapLineList | Scene) else {}
+        lines: list[MapLine] = []
+        if not isinstance(line, PreparedScene):
+            lines = [line] if isinstance(line, MapLine) else list(line)
+            if lines and self._codec.layout.is_conditional:
+                raise EncodeError(
+                    f"{self._codec.layout.source}: its records are conditional on the pose error, "
+                    "so lines are sent as scenes; publish the result of map_scene"
+                )
         with self._changed:
             if self._is_stopped:
                 raise RuntimeError(
@@ -166,7 +190,10 @@ class Transmitter(BackgroundThread):
             for slot in left_out:
                 self._tx_queue.drop(slot)
             self._left_out.update(left_out.values())
-            self._tx_queue.put(lines, self._clock(), age)
+            if prepared is None:
+                self._tx_queue.put(lines, self._clock(), age)
+            else:
+                self._tx_queue.put_scene(prepared, self._clock(), age)
             self._changed.notify_all()
 
     def retract(self, slot: Slot) -> None:
@@ -225,7 +252,8 @@ class Transmitter(BackgroundThread):
         with self._changed:
             self._lateness.add(lateness)
             self._count(
-                lines=result is Sent.OK,
+                lines=result is Sent.OK and transfer.owner != POSE,
+                pose_errors=result is Sent.OK and transfer.owner == POSE,
                 down=result is Sent.DOWN,
                 full=result is Sent.FULL,
                 overruns=transfer.skipped,

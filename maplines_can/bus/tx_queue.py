@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 from ..line import MapLine, Slot
-from ..wire import Codec, Frame
+from ..wire import POSE, Codec, Frame, Owner, PreparedScene
 from .schedule import Schedule
 
 #: Max lead time of encoding [s]; well below the 1 s freshness window.
@@ -32,22 +33,36 @@ class Published:
         return replace(self.line, age=age if age <= max_age else math.inf)
 
 
-class Transfer(NamedTuple):
-    """An encoded line of a slot with its deadline."""
+@dataclass(frozen=True)
+class PublishedScene:
+    """A scene with the time when it was published."""
 
-    published: Published
-    deadline: float  #: [s]
-    latest: float  #: until then, the age that is sent is not too small [s]
-    counter: int  #: of the first record
-    frames: Sequence[Frame]  #: those of all components, if the line is a mixture
-    expired: bool  #: the age is sent as "too old"
-    skipped: int = 0  #: deadlines of the slot that were missed before this one
+    prepared: PreparedScene
+    age: float  #: of the pose at the time of publishing [s]
+    at: float  #: time of publishing [s]
 
     @property
-    def records(self) -> int:
-        """How many records the frames carry."""
-        mixture = self.published.line.mixture
-        return 1 if mixture is None else len(mixture.weights)
+    def slots(self) -> tuple[Slot, ...]:
+        """Slots of the lines that are sent."""
+        return self.prepared.sent_slots
+
+    def age_at(self, now: float, max_age: float) -> float:
+        """Return the age at ``now``, infinite if it exceeds ``max_age`` [s]."""
+        age = max(0.0, self.age + now - self.at)
+        return age if age <= max_age else math.inf
+
+
+class Transfer(NamedTuple):
+    """Encoded frames of a slot or of the pose error with their deadline."""
+
+    owner: Owner
+    deadline: float  #: [s]
+    latest: float  #: until then, the age that is sent is not too small [s]
+    frames: Sequence[Frame]  #: those of all components, if the line is a mixture
+    expired: bool  #: the age is sent as "too old"
+    records: int  #: that the frames carry
+    again: Callable[[float], tuple[Sequence[Frame], bool]]  #: encode for another ``latest``
+    skipped: int = 0  #: deadlines of the owner that were missed before this one
 
 
 class TxQueue:
@@ -69,6 +84,11 @@ class TxQueue:
     If a line that is encoded ahead is not sent, because its deadline was skipped or its slot was
     dropped, the counters have no gap: they advance when a transfer is taken.
 
+    The lines of a scene belong to one pose error. They are encoded together when that is due, and
+    sent at their deadlines after it. A line whose pose error was skipped is not sent. All counters
+    advance when the pose error is taken: it states those of its lines, so none of them may be used
+    again, even if a line is then skipped or dropped.
+
     No line is encoded more than `AHEAD` before its deadline.  A transmitter with a long period
     thus encodes a few lines at a time, at most ten times a second.
 
@@ -84,17 +104,23 @@ class TxQueue:
         self, codec: Codec, period: float, *, fd: bool, count: int | None, max_age: float
     ) -> None:
         self._codec, self._period, self._fd, self._max_age = codec, period, fd, max_age
-        self._schedule: Schedule[Slot] = Schedule(period, count)
+        self._schedule: Schedule[Owner] = Schedule(period, count)
         self._published: dict[Slot, Published] = {}
+        self._scene: PublishedScene | None = None  # then nothing else is published
         self._new: set[Slot] = set()  # published since they were last encoded
-        self._ahead: dict[Slot, Transfer] = {}  # encoded, not due yet
-        self._counters: Counter[Slot] = Counter()  # of the next record to be sent
+        self._ahead: dict[Owner, Transfer] = {}  # encoded, not due yet
+        self._counters: Counter[Owner] = Counter()  # of the next record to be sent
 
     def put(self, lines: Iterable[MapLine], now: float, age: float | None = None) -> None:
         """Publish lines at ``now`` [s], each in place of the previous one of its slot.
 
-        They have the given age [s], or each line its own.
+        They have the given age [s], or each line its own. A scene that was published before them
+        is not sent any more.
         """
+        if self._scene is not None:
+            self._scene = None
+            for owner in (POSE, *Slot):
+                self.drop(owner)
         for line in lines:
             if line.slot not in self._published:
                 self._schedule.add(line.slot, line.slot / len(Slot), now)
@@ -102,12 +128,36 @@ class TxQueue:
             self._published[line.slot] = Published(line, own, now)
             self._new.add(line.slot)
 
-    def drop(self, slot: Slot) -> None:
-        """Remove the line of a slot; the slot may have none."""
-        self._schedule.remove(slot)
-        self._published.pop(slot, None)
-        self._ahead.pop(slot, None)
-        self._new.discard(slot)
+    def put_scene(self, prepared: PreparedScene, now: float, age: float | None = None) -> None:
+        """Publish a scene at ``now`` [s] in place of all that was published before.
+
+        It has the given age [s], or that of its oldest line.
+        """
+        if age is None:
+            age = max((line.age for line in prepared.scene.lines), default=0.0)
+        if self._scene is None:
+            for slot in list(self._published):
+                self.drop(slot)
+            # Before the first slot, which has the same phase: the first of two keys comes first.
+            self._schedule.add(POSE, 0.0, now)
+        before = set() if self._scene is None else set(self._scene.slots)
+        self._scene = PublishedScene(prepared, age, now)
+        for slot in before - set(self._scene.slots):
+            self.drop(slot)
+        for slot in self._scene.slots:
+            if slot not in before:
+                self._schedule.add(slot, slot / len(Slot), now)
+
+    def drop(self, owner: Owner) -> None:
+        """Remove the line of a slot, or the pose error; there may be none."""
+        self._schedule.remove(owner)
+        self._ahead.pop(owner, None)
+        if owner != POSE:
+            self._published.pop(owner, None)
+            self._new.discard(owner)
+            if self._scene is not None:
+                prepared = self._scene.prepared.without(owner)
+                self._scene = replace(self._scene, prepared=prepared)
 
     @property
     def over(self) -> bool:
@@ -124,15 +174,22 @@ class TxQueue:
         Raises:
             EncodeError: a value of a line does not fit into its signal.
         """
-        due = self._schedule.take(now)
-        if due is None:
-            return None
-        transfer = self._ahead.pop(due.key, None)
-        if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
-            self._encode(due.key, due.deadline)
-            transfer = self._ahead.pop(due.key)
-        self._counters[due.key] += transfer.records
-        return transfer._replace(skipped=due.skipped)
+        while (due := self._schedule.take(now)) is not None:
+            transfer = self._ahead.pop(due.key, None)
+            if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
+                if self._scene is None:
+                    self._encode(due.key, due.deadline)
+                elif due.key == POSE:
+                    self._encode_scene(self._scene, due.deadline)
+                transfer = self._ahead.pop(due.key, None)
+            if transfer is None:
+                continue  # of a scene whose pose error was not sent
+            if self._scene is None:
+                self._counters[due.key] += transfer.records
+            elif not transfer.frames:
+                transfer = self.renew(transfer, now)
+            return transfer._replace(skipped=due.skipped)
+        return None
 
     def renew(self, transfer: Transfer, now: float) -> Transfer:
         """Encode a late transfer again, with the age when it will be twice as late.
@@ -142,12 +199,10 @@ class TxQueue:
         of the transfer may have been sent.
         """
         latest = now + max(ALLOWANCE, now - transfer.deadline)
-        line = transfer.published.with_age(latest, self._max_age)
-        counters = {line.slot: transfer.counter}
-        (frames,) = self._codec.encode_lines([line], fd=self._fd, counters=counters)
-        return transfer._replace(latest=latest, frames=frames, expired=line.age == math.inf)
+        frames, expired = transfer.again(latest)
+        return transfer._replace(latest=latest, frames=frames, expired=expired)
 
-    def _encode(self, slot: Slot, deadline: float) -> None:
+    def _encode(self, slot: Owner, deadline: float) -> None:
         deadlines = {slot: deadline}
         for other in self._published.keys() - self._ahead.keys() - {slot}:
             then = self._schedule.deadline(other)
@@ -155,18 +210,73 @@ class TxQueue:
                 deadlines[other] = then
         order = sorted(deadlines, key=deadlines.__getitem__)
         latest = {each: deadlines[each] + ALLOWANCE for each in order}
-        batch = [self._published[each].with_age(latest[each], self._max_age) for each in order]
-        encoded = self._codec.encode_lines(batch, fd=self._fd, counters=self._counters)
-        for each, line, frames in zip(order, batch, encoded, strict=True):
+        published = {slot: self._published[slot] for slot in order if slot != POSE}
+        batch = [own.with_age(latest[each], self._max_age) for each, own in published.items()]
+        encoded = self._encode_lines(batch)
+        for (each, own), line, frames in zip(published.items(), batch, encoded, strict=True):
             self._ahead[each] = Transfer(
-                self._published[each],
+                each,
                 deadlines[each],
                 latest[each],
-                self._counters[each],
                 frames,
-                expired=line.age == math.inf,
+                line.age == math.inf,
+                1 if line.mixture is None else len(line.mixture.weights),
+                partial(self._line_again, own, dict(self._counters)),
             )
-        self._new -= deadlines.keys()
+        self._new -= published.keys()
+
+    def _encode_lines(
+        self, lines: Sequence[MapLine], counters: Mapping[Owner, int] | None = None
+    ) -> list[list[Frame]]:
+        known = self._counters if counters is None else counters
+        slots = {slot: known.get(slot, 0) for slot in Slot}
+        return self._codec.encode_lines(lines, fd=self._fd, counters=slots)
+
+    def _line_again(
+        self, own: Published, counters: Mapping[Owner, int], latest: float
+    ) -> tuple[Sequence[Frame], bool]:
+        line = own.with_age(latest, self._max_age)
+        (frames,) = self._encode_lines([line], counters)
+        return frames, line.age == math.inf
+
+    def _encode_scene(self, scene: PublishedScene, deadline: float) -> None:
+        """Encode the pose error that is due now, and the lines of the scene for their deadlines.
+
+        Lines that are due later than `AHEAD` get their frames when they are due.
+        """
+        counters = dict(self._counters)
+        deadlines: dict[Owner, float] = {POSE: deadline}
+        deadlines |= {slot: self._schedule.deadline(slot) for slot in scene.slots}
+        ages = {
+            owner: scene.age_at(then + ALLOWANCE, self._max_age)
+            for owner, then in deadlines.items()
+        }
+        frames = self._scene_frames(scene, counters, ages)
+        for owner, then in deadlines.items():
+            again = partial(self._scene_again, scene, counters, owner)
+            self._counters[owner] += 1
+            self._ahead[owner] = Transfer(
+                owner,
+                then,
+                then + ALLOWANCE,
+                frames[owner] if then <= deadline + AHEAD else (),
+                ages[owner] == math.inf,
+                1,
+                again,
+            )
+
+    def _scene_frames(
+        self, scene: PublishedScene, counters: Mapping[Owner, int], ages: Mapping[Owner, float]
+    ) -> Mapping[Owner, Sequence[Frame]]:
+        return self._codec.encode_scene(scene.prepared, age=ages, fd=self._fd, counters=counters)
+
+    def _scene_again(
+        self, scene: PublishedScene, counters: Mapping[Owner, int], owner: Owner, latest: float
+    ) -> tuple[Sequence[Frame], bool]:
+        age = scene.age_at(latest, self._max_age)
+        ages: dict[Owner, float] = {POSE: age}
+        ages |= dict.fromkeys(scene.slots, age)
+        return self._scene_frames(scene, counters, ages)[owner], age == math.inf
 
     def _may_be_ahead(self, slot: Slot, deadline: float, now: float) -> bool:
         until = now + self._period / 2

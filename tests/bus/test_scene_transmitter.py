@@ -1,0 +1,470 @@
+"""Scenes from a transmitter to a receiver on simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from fake_bus import FULL, Clock, FakeOpener, map_line
+from scene_streams import COMPLETE, CONDITIONAL, authenticated_codec, road_scene
+
+from maplines_can import (
+    Codec,
+    EncodeError,
+    LeftOut,
+    Link,
+    MapLine,
+    Monitor,
+    Scene,
+    Slot,
+    Transmitter,
+)
+from maplines_can.bus import LineListener
+from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE
+from maplines_can.wire import POSE, E2EState, ProfileStatus, SceneView, default_dbc_path
+from maplines_can.wire.reception.monitor import STALE_CYCLES
+
+PERIOD = 0.05
+SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
+BOTH = pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+
+
+@cache
+def scene_of(slots: tuple[Slot, ...] = SLOTS) -> Scene:
+    return road_scene(slots)
+
+
+@dataclass
+class Bench:
+    """A transmitter and a monitor on one clock, without threads."""
+
+    codec: Codec
+    period: float = PERIOD
+    script: list[Any] = field(default_factory=list)
+    lateness: float = 0.0
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.clock, self.opener = Clock(), FakeOpener(*self.script)
+        self.start = self.clock.now
+        fd: dict[str, Any] = {"interface": "virtual", "channel": "scenes", "fd": True}
+        self.link = Link(self.opener, **(fd if self.settings.get("fd") else {}))
+        self.transmitter = Transmitter(
+            self.link, self.codec, period=self.period, clock=self.clock, **self.settings
+        )
+        self.monitor = Monitor(self.codec.decoder(cycle_ms=1e3 * self.period))
+        self.rng = np.random.default_rng(1)
+        self.owners: list[tuple[float, Any]] = []
+        self.messages: list[can.Message] = []
+
+    @property
+    def time(self) -> float:
+        return self.clock.now - self.start
+
+    @property
+    def now_ns(self) -> int:
+        return round(self.time * 1e9)
+
+    def run(self, end: float) -> None:
+        """Send and receive until ``end`` [s], each transfer a little late."""
+        queue = self.transmitter._tx_queue
+        while (step := queue.wait(self.clock.now)) is not None and self.time + step <= end + 1e-9:
+            self.clock.now += step + 1e-9 + self.rng.uniform(0, self.lateness)
+            transfer = queue.take(self.clock.now)
+            if transfer is not None:
+                self.owners.append((self.time, transfer.owner))
+                self.transmitter._send(transfer)
+            self.receive()
+        self.clock.now = max(self.clock.now, self.start + end)
+
+    def receive(self) -> None:
+        for i in range(self.opener.sent.qsize()):
+            message = self.opener.sent.get(timeout=0)
+            self.messages.append(message)
+            self.monitor.feed(message.arbitration_id, message.data, self.now_ns + 250_000 * i)
+
+    def view(self) -> SceneView:
+        return self.monitor.latest_scene(self.now_ns)
+
+    @property
+    def lost(self) -> int:
+        """Records missing by their counters, of lines and of the pose error."""
+        decoder = self.monitor._decoder
+        assert decoder.pose_check is not None
+        return decoder.lost + decoder.pose_check.lost
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Any]:
+    """Return a function that makes a bench; their links are closed at the end."""
+    made: list[Bench] = []
+
+    def make(dbc: str, **settings: Any) -> Bench:
+        codec = settings.pop("codec", None) or Codec.from_dbc(default_dbc_path(dbc))
+        made.append(Bench(codec, **settings))
+        return made[-1]
+
+    yield make
+    for bench in made:
+        bench.link.close()
+
+
+@BOTH
+def test_the_pose_error_comes_first_in_each_period(make_bench: Any, dbc: str) -> None:
+    """The lines follow at the phases of their slots, and each scene is complete."""
+    bench = make_bench(dbc)
+    bench.transmitter.publish(scene_of())
+    for cycle in range(12):
+        bench.transmitter.publish(scene_of())
+        bench.run((cycle + 0.95) * PERIOD)
+        scene = bench.view().scene
+        assert scene is not None
+        assert tuple(scene.index) == SLOTS
+    assert [owner for _, owner in bench.owners] == [POSE, *SLOTS] * 12
+    for (time, owner), cycle in zip(bench.owners, np.repeat(range(12), 4), strict=True):
+        phase = 0.0 if owner == POSE else owner / 8
+        assert time == pytest.approx((cycle + phase) * PERIOD, abs=1e-6)
+    assert bench.lost == 0
+    assert not bench.monitor._decoder.counts
+    assert bench.view().usable
+    stats = bench.transmitter.stats()
+    assert (stats.pose_errors, stats.lines, stats.overruns) == (12, 36, 0)
+
+
+@BOTH
+def test_a_pose_error_that_is_skipped_leaves_no_gap(make_bench: Any, dbc: str) -> None:
+    """Neither it nor its lines are sent, and the counters go on; then scenes are complete again."""
+    bench = make_bench(dbc)
+    bench.transmitter.publish(scene_of())
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        bench.run(bench.time + rng.uniform(1, 4) * PERIOD)
+        bench.clock.now += rng.uniform(1.2, 5) * PERIOD  # the thread does not run
+    bench.run(bench.time + 3 * PERIOD)
+    sent = [owner for _, owner in bench.owners]
+    assert sent.count(POSE) < bench.time / PERIOD - 20
+    poses = [m for m in bench.messages if m.arbitration_id == 0x35C and m.data[7] >> 5 == 0]
+    counters = [message.data[2] for message in poses]
+    assert counters == [n % 256 for n in range(len(counters))]
+    check = bench.monitor._decoder.pose_check
+    assert check is not None
+    assert check.lost == 0
+    scene = bench.view().scene
+    assert scene is not None
+    assert tuple(scene.index) == SLOTS
+
+
+def test_a_line_that_is_skipped_does_not_use_its_counter_again(make_bench: Any) -> None:
+    """The pose error stated it: with the next counter, no line can join a wrong pose error."""
+    bench = make_bench(CONDITIONAL)
+    bench.transmitter.publish(scene_of())
+    bench.run(2.5 * PERIOD)
+    bench.clock.now = bench.start + 3.0 * PERIOD + 1e-6
+    transfer = bench.transmitter._tx_queue.take(bench.clock.now)
+    assert transfer is not None
+    while transfer.owner != POSE:
+        bench.transmitter._send(transfer)
+        transfer = bench.transmitter._tx_queue.take(bench.clock.now)
+        assert transfer is not None
+    bench.transmitter._send(transfer)
+    bench.receive()
+    bench.clock.now = bench.start + 4.0 * PERIOD - 1e-4
+    for _ in SLOTS:
+        bench.transmitter._tx_queue._schedule.take(bench.clock.now)  # skipped
+    bench.run(6.95 * PERIOD)
+    assert bench.monitor._decoder.lost == 3
+    scene = bench.view().scene
+    assert scene is not None
+    assert tuple(scene.index) == SLOTS
+
+
+@BOTH
+def test_a_retracted_line_is_in_no_scene(make_bench: Any, dbc: str) -> None:
+    """Until a scene with its slot is published; then it is sent again, without a gap."""
+    bench = make_bench(dbc)
+    bench.transmitter.publish(scene_of())
+    bench.run(3.95 * PERIOD)
+    bench.transmitter.retract(Slot.EGO_RIGHT)
+    bench.run(8.95 * PERIOD)
+    scene = bench.view().scene
+    assert scene is not None
+    assert tuple(scene.index) == (Slot.EGO_LEFT, Slot.ROUTE)
+    for slot in scene_of().index:
+        bench.transmitter.retract(slot)  # nothing but the pose error is left
+    bench.run(10.95 * PERIOD)
+    bench.transmitter.publish(scene_of())
+    bench.run(14.95 * PERIOD)
+    scene = bench.view().scene
+    assert scene is not None
+    assert tuple(scene.index) == SLOTS
+    assert bench.lost == 0
+
+
+@BOTH
+def test_slots_leave_and_come_back_at_any_time(make_bench: Any, dbc: str) -> None:
+    """Also in the middle of a cycle; no line joins a wrong pose error."""
+    bench = make_bench(dbc)
+    rng = np.random.default_rng(5)
+    plans = [SLOTS, SLOTS[:1], SLOTS[1:], SLOTS[::2]]
+    at = 0.0
+    for _ in range(80):
+        plan = plans[rng.integers(len(plans))]
+        bench.transmitter.publish(scene_of(plan))
+        at += rng.choice([0.3, 1.0, 1.4, 2.2]) * PERIOD
+        bench.run(at)
+        scene = bench.view().scene
+        assert scene is None or set(scene.index) <= set(SLOTS)
+    bench.transmitter.publish(scene_of())
+    bench.run((at // PERIOD + 3.95) * PERIOD)
+    view = bench.view()
+    assert view.scene is not None
+    assert tuple(view.scene.index) == SLOTS
+    decoder = bench.monitor._decoder
+    assert decoder.pose_check is not None
+    assert decoder.pose_check.lost == 0
+
+
+def test_a_line_that_was_left_out_is_retracted(make_bench: Any) -> None:
+    bench = make_bench(CONDITIONAL)
+    bench.transmitter.publish(scene_of())
+    bench.run(1.95 * PERIOD)
+    part = scene_of(SLOTS[:1])
+    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
+    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
+    bench.transmitter.publish(scene)
+    bench.run(3.95 * PERIOD)
+    view = bench.view()
+    assert view.scene is not None
+    assert tuple(view.scene.index) == SLOTS[:1]
+    assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
+
+
+def test_scenes_then_plain_lines_and_back(make_bench: Any) -> None:
+    """The counters of the slots go on; a plain line is in no scene."""
+    bench = make_bench(COMPLETE)
+    end = 0.95 * PERIOD
+    for round_ in range(6):
+        bench.transmitter.publish(scene_of())
+        bench.run(end := end + 3 * PERIOD)
+        scene = bench.view().scene
+        assert scene is not None
+        assert tuple(scene.index) == SLOTS
+        cycles = bench.view()
+        bench.transmitter.publish([map_line(slot, y=9.0 + round_) for slot in SLOTS])
+        bench.run(end := end + 5 * PERIOD)
+        view = bench.view()
+        assert view.scene is cycles.scene  # no newer one
+        assert view.stale
+        for slot in SLOTS:
+            line = bench.monitor.latest(slot, bench.now_ns).line
+            assert line is not None
+            assert line.gaussian.mean[0] == 9.0 + round_
+    assert bench.lost == 0
+
+
+def test_plain_lines_do_not_fit_a_dbc_of_scenes(make_bench: Any) -> None:
+    """Refused at the call, not in the thread."""
+    bench = make_bench(CONDITIONAL)
+    with pytest.raises(EncodeError, match="publish the result of map_scene"):
+        bench.transmitter.publish(map_line())
+    bench.transmitter.publish([])  # nothing to send
+
+
+@BOTH
+@pytest.mark.parametrize("lateness", [0.0, 0.003, 0.04])
+def test_the_age_is_not_too_small(make_bench: Any, dbc: str, lateness: float) -> None:
+    """However late the thread is; nor greater than that by more than the lateness allows."""
+    bench = make_bench(dbc, lateness=lateness)
+    published, checked = 0.0, 0
+    bench.transmitter.publish(scene_of())
+    for now in np.arange(0.0, 1.5, 0.007):
+        bench.run(now)
+        if now > published + PERIOD:
+            published = bench.time
+            bench.transmitter.publish(scene_of())
+        view = bench.view()
+        if view.scene is not None and np.isfinite(view.age):
+            checked += 1
+            assert view.age >= bench.time - published - 1e-6
+            # one publication may be on its way
+            assert view.age <= bench.time - published + 3 * PERIOD + 2 * lateness + 0.02
+    assert checked > 100
+
+
+def test_the_age_of_a_pose_and_of_its_lines_counts(make_bench: Any) -> None:
+    """By ``t_pose_ns``, or else the greatest age of the scene's lines."""
+    scene = scene_of()
+    lines = [
+        MapLine(line.slot, line.gaussian, x_min=line.x_min, x_max=line.x_max, age=0.03 * i)
+        for i, line in enumerate(scene.lines)
+    ]
+    aged = Scene(tuple(lines), scene.cov, scene.pose_error, scene.fit_ranges)
+    bench = make_bench(CONDITIONAL)
+    bench.transmitter.publish(aged)
+    bench.run(0.95 * PERIOD)
+    assert bench.view().age == pytest.approx(0.064 + ALLOWANCE + bench.time, abs=0.0081)
+
+
+@BOTH
+def test_a_scene_that_is_not_published_again_becomes_unusable(make_bench: Any, dbc: str) -> None:
+    """The age is stated as too old within ``max_age``, while the senders stays VALID."""
+    max_age = 0.12
+    bench = make_bench(dbc, settings={"max_age": max_age})
+    hang = 1.0
+    usable = []
+    for now in np.arange(0.0, 2.0, 0.005):
+        if now < hang and round(now / 0.005) % 10 == 0:
+            bench.transmitter.publish(scene_of())
+        bench.run(now)
+        if bench.view().usable:
+            usable.append(now)
+    assert len(usable) > 100
+    assert max(usable) <= hang + max_age
+    view = bench.view()
+    assert (view.state, view.stale, view.age) == (E2EState.VALID, False, np.inf)
+    assert bench.transmitter.stats().expired > 20
+    bench.transmitter.publish(scene_of())
+    bench.run(bench.time + 1.2 * PERIOD)
+    assert bench.view().usable
+
+
+@BOTH
+def test_a_sender_that_stops_makes_the_scene_stale(make_bench: Any, dbc: str) -> None:
+    bench = make_bench(dbc)
+    bench.transmitter.publish(scene_of())
+    for cycle in range(16):
+        bench.transmitter.publish(scene_of())
+        bench.run((cycle + 0.95) * PERIOD)
+    assert bench.view().usable
+    bench.clock.now += STALE_CYCLES * PERIOD
+    view = bench.view()
+    assert (view.usable, view.stale) == (False, True)
+    bench.clock.now += 10 * PERIOD
+    assert bench.view().state is E2EState.INVALID
+
+
+@BOTH
+def test_a_late_transfer_keeps_its_counter(make_bench: Any, dbc: str) -> None:
+    """Each record that is encoded again has the counter and content it had, but for the age."""
+    bench = make_bench(dbc)
+    bench.transmitter.publish(scene_of())
+    queue = bench.transmitter._tx_queue
+    for cycle in range(5):
+        for slot in (POSE, *SLOTS):
+            phase = 0 if slot == POSE else slot / 8
+            bench.clock.now = bench.start + (cycle + phase) * PERIOD + 1e-6
+            transfer = queue.take(bench.clock.now)
+            assert transfer is not None
+            assert transfer.owner == slot
+            late = queue.renew(transfer, bench.clock.now + 0.02)
+            assert late.latest >= bench.clock.now + 0.02
+            assert late.frames[0].data[2] == transfer.frames[0].data[2] == cycle
+            bench.clock.now += 0.02
+            bench.transmitter._send(transfer)
+            bench.receive()
+    assert bench.lost == 0
+    assert not bench.monitor._decoder.counts
+
+
+@BOTH
+def test_a_full_queue_delays_a_transfer(make_bench: Any, dbc: str) -> None:
+    """Of the pose error, too; each scene is received."""
+    bench = make_bench(dbc, script=[FULL] * 3 + [None] * 7 + [FULL] * 3)
+    bench.transmitter.publish(scene_of())
+    bench.run(9.95 * PERIOD)
+    view = bench.view()
+    assert view.scene is not None
+    assert tuple(view.scene.index) == SLOTS
+    assert view.status is ProfileStatus.OK
+    assert bench.transmitter.stats().retries == 6
+    assert bench.lost == 0
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, "maplines-secoc.dbc"])
+@pytest.mark.parametrize("period", [PERIOD, 1.0, 30.0])
+def test_authenticated_scenes_of_a_slow_sender(make_bench: Any, dbc: str, period: float) -> None:
+    """Frames are made at most 0.1 s ahead, so that their freshness values are in the window."""
+    bench = make_bench(dbc, codec=authenticated_codec(dbc), period=period, settings={"fd": True})
+    made: list[float] = []
+    write = bench.codec.encode_scene
+
+    def encode_scene(*arguments: Any, **settings: Any) -> Any:
+        made.append(bench.time)
+        return write(*arguments, **settings)
+
+    bench.codec.encode_scene = encode_scene
+    bench.transmitter.publish(scene_of())
+    bench.run(3.95 * period)
+    scene = bench.view().scene
+    assert scene is not None
+    assert tuple(scene.index) == SLOTS
+    assert bench.lost == 0
+    assert not bench.monitor._decoder.counts
+    for time, _ in bench.owners:
+        assert min(time - at for at in made if at <= time + 1e-6) < AHEAD
+
+
+def test_a_count_of_deadlines_ends(make_bench: Any) -> None:
+    bench = make_bench(CONDITIONAL, settings={"count": 3})
+    bench.transmitter.publish(scene_of())
+    bench.run(10 * PERIOD)
+    assert [owner for _, owner in bench.owners] == [POSE, *SLOTS] * 3
+    assert bench.transmitter._tx_queue.over
+
+
+def test_the_scene_of_a_listener() -> None:
+    """By the clock of the frames' time stamps, or at the given time."""
+    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    listener = LineListener(codec.decoder())
+    prepared = codec.prepare_scene(scene_of())
+    t = 1000.0
+    for cycle in range(16):
+        t = 1000.0 + cycle * PERIOD
+        for own in codec.encode_scene(prepared, age=0.02).values():
+            for frame in own:
+                t += 0.00025
+                listener(
+                    can.Message(
+                        timestamp=t,
+                        arbitration_id=frame.can_id,
+                        data=frame.data,
+                        is_extended_id=False,
+                    )
+                )
+    view = listener.latest_scene(round(t * 1e9))
+    assert view.usable
+    assert view.scene is not None
+    assert tuple(view.scene.index) == SLOTS
+    assert not listener.latest_scene(round((t + 1) * 1e9)).usable
+    lines = [listener.get(0) for _ in range(48)]
+    assert [line.slot for line in lines if line] == [*SLOTS] * 16
+
+
+def test_lines_that_waited_reach_the_consumer() -> None:
+    """All lines that a late pose error completes go to the queue of a listener, or its callback."""
+    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    frames = codec.encode_scene(scene_of())
+    late = [frame for slot in SLOTS for frame in frames[slot]] + frames[POSE]
+    got: list[MapLine] = []
+    for listener in (
+        LineListener(codec.decoder()),
+        LineListener(codec.decoder(), on_line=got.append),
+    ):
+        for i, frame in enumerate(late):
+            listener(
+                can.Message(
+                    timestamp=1000 + i / 4000,
+                    arbitration_id=frame.can_id,
+                    data=frame.data,
+                    is_extended_id=False,
+                )
+            )
+        assert listener.stats().lines == 3
+        if not got:
+            assert [getattr(listener.get(0), "slot", None) for _ in SLOTS] == list(SLOTS)
+    assert [line.slot for line in got] == list(SLOTS)
