@@ -59,6 +59,7 @@ OPTIONS = {
     "sigmas must": "--sigma must",
     "finer_bits": "--finer",
     "window must": "--window must",
+    "; use map_scene and encode_scene": "; use maplines demo, send, receive, decode or drive",
     "leave out the projection": "leave out --projection",
     "projection must": "--projection must",
 }

@@ -69,7 +69,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
                     frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
                 )
                 if isinstance(line, MapLine):
-                    yield line
+                    yield from (line, *decoder.further)
         except LogError as error:
             if not any(decoder.lines for decoder in decoders.values()):
                 raise

@@ -14,9 +14,26 @@ from typing import Any
 from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
-from ..wire import Decoder
-from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
-from .output import check_text, counts_text, line_dict, slot_text, write_csv
+from ..wire import Decoder, ReceivedScene
+from .options import (
+    add_codec,
+    add_cycle,
+    add_scenes,
+    add_transfer_timeout,
+    check_scenes,
+    decoder_of,
+    keyed_codec,
+)
+from .output import (
+    POSE_ERROR,
+    check_text,
+    counts_text,
+    line_dict,
+    pose_errors_text,
+    scene_dict,
+    slot_text,
+    write_csv,
+)
 from .parsing import add_command
 from .stderr import note, with_progress
 
@@ -26,7 +43,10 @@ MOST_CHANNELS = 256
 DESCRIPTION = """\
 Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. At the end,
 standard error shows how many frames were dropped and why, and the end-to-end (E2E) state of each
-slot.
+slot and of the pose error.
+
+If the sender states the error of the pose from which the lines of a cycle are seen, these lines
+are a scene. --scenes prints the joint covariance of each scene.
 
 LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with or
 without -L, -t and -x. Without -L and -t it has no time stamps: "t" is null, no frame times out,
@@ -44,15 +64,23 @@ def add_decode(commands: Any) -> None:
     add_cycle(parser)
     add_transfer_timeout(parser)
     parser.add_argument("log", metavar="LOG", help="log file, or - for standard input")
-    parser.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
+    rows = parser.add_mutually_exclusive_group()
+    rows.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
+    add_scenes(rows)
 
 
 def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
+    check_scenes(codec, arguments)
     decoders: dict[str, Decoder] = {}
+    scenes: dict[str, ReceivedScene] = {}  # the newest of each channel, with --scenes
     last_ns = status = beyond = 0
     has_time = True
     log = sys.stdin.buffer if arguments.log == "-" else arguments.log
+
+    def print_scene(channel: str, received: ReceivedScene) -> None:
+        row = scene_dict(received) | ({} if has_time else {"t": None})
+        print(json.dumps(row | {"channel": channel}), flush=True)
 
     def lines() -> Generator[tuple[str, MapLine], None, None]:
         nonlocal last_ns, status, beyond, has_time
@@ -68,8 +96,16 @@ def _decode(arguments: argparse.Namespace) -> int:
                 result = decoders[frame.channel].feed(
                     frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
                 )
-                if isinstance(result, MapLine):
-                    yield frame.channel, result if has_time else replace(result, t_ns=None)
+                if not isinstance(result, MapLine):
+                    continue
+                decoder = decoders[frame.channel]
+                for line in (result, *decoder.further):
+                    yield frame.channel, line if has_time else replace(line, t_ns=None)
+                if arguments.scenes and (scene := decoder.scene()) is not None:
+                    before = scenes.get(frame.channel, scene)
+                    if (before.t_ns, before.counter) != (scene.t_ns, scene.counter):
+                        print_scene(frame.channel, before)
+                    scenes[frame.channel] = scene
         except LogError as error:  # the intact records have been read by now
             note(f"error: {error}")
             status = 1
@@ -79,6 +115,8 @@ def _decode(arguments: argparse.Namespace) -> int:
                 f"beyond the first {MOST_CHANNELS}; split the log by channel"
             )
             status = 1
+        for channel, scene in scenes.items():  # that nothing has followed
+            print_scene(channel, scene)
         for decoder in decoders.values():
             decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
 
@@ -103,15 +141,19 @@ def _summarize(decoders: Mapping[str, Decoder], last_ns: int) -> None:
     """Print the counters of all frames, and the state of each slot at the end of the log."""
     total = sum((decoder.counts for decoder in decoders.values()), Counter())
     note(
-        f"{sum(d.lines for d in decoders.values())} lines from "
+        f"{sum(d.lines for d in decoders.values())} lines"
+        f"{pose_errors_text(sum(d.pose_errors for d in decoders.values()))} from "
         f"{sum(d.frames for d in decoders.values())} frames; "
         f"{sum(d.lost for d in decoders.values())} lines lost by their counters; "
         f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
     )
     for channel, decoder in decoders.items():
         where = f"{channel} " if len(decoders) > 1 else ""
-        for slot, check in decoder.checks.items():
+        checks = [(slot_text(slot.name), check) for slot, check in decoder.checks.items()]
+        if decoder.pose_check is not None:
+            checks.append((POSE_ERROR, decoder.pose_check))
+        for name, check in checks:
             check.elapse(last_ns)
             stats = check.stats()
             if stats.status is not None:
-                note(f"{where}{slot_text(slot.name)}: {check_text(stats)}")
+                note(f"{where}{name}: {check_text(stats)}")

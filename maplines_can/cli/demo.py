@@ -13,11 +13,15 @@ import numpy as np
 from ..line import MapLineList, Slot, Status
 from ..propagation.component_counts import TOLERANCE
 from ..scenarios import Scenario, scenario
+from ..scene import Scene
 from ..study.figures.picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
+from ..study.scene_result import SceneResult
+from ..wire import POSE
 from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
-from .output import counts_text, faults_text, left_out_text, slot_text
+from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
 from .parsing import add_command, seconds
+from .scene_sending import sends_scenes, unfit_text
 from .sending import (
     LineComponents,
     add_sending,
@@ -53,6 +57,12 @@ nonlinearity: share of the standard deviation of a line that comes from the nonl
     most three quarters of that is left within each, as far as --max-load allows."""
 
 
+SCENE_LEGEND = """\
+ego lane: width between its lines, and centre between them, with sigmas from the joint covariance
+    of the lines. The error of the pose moves all lines together: a receiver that takes lines as
+    independent overstates the sigma of the width, and understates that of the centre."""
+
+
 def add_demo(commands: Any) -> None:
     """Add the command ``demo``."""
     example = "maplines demo --scenario street-turn --fd --plot turn.png"
@@ -83,7 +93,8 @@ def _demo(arguments: argparse.Namespace) -> int:
     bitrate, data_bitrate = bitrates(arguments)
     rate = rate_of(scene, codec, arguments)
     components = components_of(scene, codec, arguments, rate)
-    lines = lines_of(scene, components, arguments)
+    as_scene = sends_scenes(codec, arguments)
+    lines = lines_of(scene, components, arguments, as_scene=as_scene)
     bus = BusSettings(rate, bitrate, data_bitrate, None if private else bus_settings(arguments))
     shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     with progress_bar(" s", bar_format=shape, leave=False) as progress:
@@ -113,11 +124,11 @@ def _demo(arguments: argparse.Namespace) -> int:
 def _text(
     trip: RoundTrip,
     scene: Scenario,
-    lines: MapLineList,
+    lines: MapLineList | Scene,
     components: Mapping[Slot, LineComponents],
 ) -> str:
     """Return the results as text: the lines, the counters and a legend."""
-    texts = [components_text(components[line.slot]) for line in lines if components]
+    texts = [components_text(components[line.slot]) for line in trip.true_lines if components]
     out = [
         f"{scene.name}: {scene.about}",
         f"{len(trip.lines)} lines over {trip.frame_format}, {trip.bus.rate:g} Hz, "
@@ -125,12 +136,38 @@ def _text(
         "",
         *_table(trip.lines, texts),
         *([left_out_text(lines.left_out)] if lines.left_out else []),
+        *(["", *_scene(trip.scene)] if trip.scene else []),
         "",
         *_counters(trip),
         "",
         LEGEND,
     ]
-    return "\n".join([*out, COMPONENTS_LEGEND] if components else out)
+    out += [COMPONENTS_LEGEND] * bool(components) + [SCENE_LEGEND] * (trip.scene is not None)
+    return "\n".join(out)
+
+
+def _scene(scene: SceneResult) -> list[str]:
+    """Return the rows of a scene: the ego lane, and the frames of a cycle."""
+    rows: list[str] = []
+    for lane in scene.lane:
+        ratio = "" if lane.sigma_ratio is None else f", sigma {100 * (lane.sigma_ratio - 1):+.1f} %"
+        rows.append(
+            f"{'ego lane' if not rows else '':<12}{lane.quantity:<6} at {lane.x:2g} m   "
+            f"sent {lane.true_value:6.3f} ± {_sigma(lane.true_sigma)} m   "
+            f"received {lane.value:6.3f} ± {_sigma(lane.sigma)} m{ratio}   "
+            f"(if independent: ± {_sigma(lane.independent_sigma)} m)"
+        )
+    of_lines = [n for owner, n in scene.frames.items() if owner != POSE]
+    counts = " + ".join(str(n) for n in of_lines)
+    if len(of_lines) > 1 and len(set(of_lines)) == 1:
+        counts = f"{len(of_lines)} x {of_lines[0]}"
+    rows += [
+        *([unfit_text(scene.unsent)] if scene.unsent else []),
+        f"{'frames':<12}{sum(scene.frames.values())} a cycle: {scene.frames[POSE]} for the pose "
+        f"error, {counts or 'none'} for the lines; full records without the pose error: "
+        f"{scene.frames_of_full_records}",
+    ]
+    return rows
 
 
 def _table(lines: Sequence[LineResult], notes: Sequence[str]) -> list[str]:
@@ -194,8 +231,9 @@ def _counters(trip: RoundTrip) -> list[str]:
     )
     bus, data_bitrate = trip.bus, trip.bus.data_bitrate
     rows = [
-        f"sent      {sent.lines} lines, {sent.frames} frames",
-        f"received  {received.lines} lines, {received.frames} frames; "
+        f"sent      {sent.lines} lines{pose_errors_text(sent.pose_errors)}, {sent.frames} frames",
+        f"received  {received.lines} lines{pose_errors_text(received.pose_errors)}, "
+        f"{received.frames} frames; "
         f"dropped: {counts_text(dropped)}",
         f"lost      {trip.lines_lost} lines, {trip.frames_lost} frames"
         + "".join(f"; {n} {what}" for n, what in unsent if n),

@@ -38,8 +38,9 @@ from .options import (
     fault_opener,
     keyed_codec,
 )
-from .output import faults_text
+from .output import faults_text, pose_errors_text
 from .parsing import add_command, number, seconds
+from .scene_sending import check_scene_load, sends_scenes
 from .sending import (
     MAX_LOAD,
     add_line_model,
@@ -54,6 +55,10 @@ from .ways import TOUR, add_way, check_way, states_of, way_of
 #: Standard deviations of the stated pose: along [m], across [m], heading [deg].
 SIGMA = (0.3, 0.1, 0.2)
 
+#: Correlation time of the errors of the stated pose [s].
+CORRELATION_TIME = 10.0
+#: Least correlation time that is stated [s].
+LEAST_TIME = 1e-3
 #: Share of cycles off the map above which the drive may be of another one.
 MOST_OFF_MAP = 0.1
 
@@ -105,9 +110,10 @@ def add_drive(commands: Any) -> None:
     add(
         "--correlation-time",
         type=number(float, 0, 1e9),
-        default=10.0,
         metavar="S",
-        help="time in which the correlation of the pose errors falls to 1/e [s] (default: 10)",
+        help="time in which the correlation of the pose errors falls to 1/e [s], which is also "
+        f"sent with the pose error (default: {CORRELATION_TIME:g}; unknown for the errors of "
+        "--drive)",
     )
     add_line_model(parser)
     add(
@@ -164,7 +170,8 @@ def _drive(arguments: argparse.Namespace) -> int:
     components = _components(codec, slots, arguments)
     way, route = way_of(found, arguments)
     states = states_of(way, arguments)
-    source = _source(found, way, route, slots, components, arguments)
+    as_scene = sends_scenes(codec, arguments)
+    source = _source(found, way, route, slots, components, arguments, as_scene=as_scene)
     counters = Counters()
     with ExitStack() as stack:
         truth = None
@@ -230,6 +237,7 @@ def _components(
     Raises:
         ValueError: the lines exceed ``--max-load``, or the whole bus in a log without a bus.
     """
+    as_scene = sends_scenes(codec, arguments)
     auto = arguments.components == "auto"
     least = 1 if auto else arguments.components
     max_load = arguments.max_load
@@ -238,6 +246,9 @@ def _components(
     if arguments.as_fast_as_possible:
         max_load = min(1.0 if max_load is None else max_load, _free_load(arguments))
     rate, fd, bitrate = arguments.rate, arguments.fd, bitrates(arguments)[0]
+    if as_scene:
+        check_scene_load(codec, slots, rate, *bitrates(arguments), max_load=max_load)
+        return 1
     budget = component_budget(
         codec, slots, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
     )
@@ -273,21 +284,31 @@ def _source(
     slots: tuple[Slot, ...],
     components: int | ChooseComponents,
     arguments: argparse.Namespace,
+    *,
+    as_scene: bool,
 ) -> LineSource:
     """Return the source of the lines, with the pose errors of the options."""
+    time = arguments.correlation_time
     if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
         note(
             "the poses and covariances of --drive are sent as they are; the truth has the same "
             "poses, so there are no errors to be seen; --sigma adds some"
         )
         stated = lambda t, _: way.stated(t)  # noqa: E731
+        time = math.inf if time is None else time
     else:
+        time = CORRELATION_TIME if time is None else time
         sigma = SIGMA if arguments.sigma is None else arguments.sigma
-        stated = PoseSource(
-            (*sigma[:2], math.radians(sigma[2])), arguments.correlation_time, arguments.seed
-        ).pose
+        stated = PoseSource((*sigma[:2], math.radians(sigma[2])), time, arguments.seed).pose
     return LineSource(
-        found, stated, slots, route, map_error=map_error_of(arguments), components=components
+        found,
+        stated,
+        slots,
+        route,
+        map_error=map_error_of(arguments),
+        components=components,
+        # Errors that are independent from cycle to cycle have no correlation time of 0.
+        correlation_time=max(time, LEAST_TIME) if as_scene else None,
     )
 
 
@@ -335,8 +356,8 @@ def _text(result: dict[str, Any]) -> str:
         f"{result['rate']:g} Hz"
         + f"; {result['late_cycles']} left out, because this machine was late"
         * bool(result["late_cycles"]),
-        f"sent      {result['lines']} lines in {result['frames']} frames; "
-        f"bus load {100 * result['bus_load']:.1f} %",
+        f"sent      {result['lines']} lines{pose_errors_text(result.get('pose_errors', 0))} in "
+        f"{result['frames']} frames; bus load {100 * result['bus_load']:.1f} %",
         f"slots     {result['lane_changes']} lane changes, {result['slot_changes']} slots with a "
         f"new line; {result['off_map']} cycles off the map",
     ]

@@ -16,7 +16,8 @@ from ..bus import Link, LogWriter, Transmitter, frame_time
 from ..ego import Cycle, LineSource, State
 from ..line import MapLine, MapLineList, Slot
 from ..maps import LaneTracker
-from ..wire import Codec, Frame
+from ..scene import Scene
+from ..wire import POSE, Codec, Frame, Owner
 
 if TYPE_CHECKING:
     from ..study.drives.truth import TruthWriter
@@ -34,6 +35,7 @@ class Counters:
     stopped: bool = False  #: by Ctrl-C
     late_cycles: int = 0  #: left out, because the machine was busy
     lines: int = 0
+    pose_errors: int = 0
     frames: int = 0
     bus_time: float = 0.0  #: that the frames on the bus take, with the most stuff bits [s]
     cpu: float = 0.0  #: of this process [s]
@@ -123,20 +125,19 @@ class Drive:
             bus = SimulatedBus(
                 1e-9 * start_ns, injector, self._duration, partial(self._on_bus, log)
             )
-            step = 0.0
+            step, numbers = 0.0, Counter[Owner]()
             with self._stoppable():
                 for t_ns, state in self._cycles(start_ns):
                     set_clock(t_ns)
                     cycle = self._cycle(t_ns, state)
                     bus.wait(1e-9 * t_ns)
                     step = step or self._transfer_time(cycle.lines)
-                    ages = np.cumsum([0.0, *(step * _records(line) for line in cycle.lines)])
-                    aged = [
-                        replace(line, age=float(age))
-                        for line, age in zip(cycle.lines, ages, strict=False)
-                    ]
-                    for frames in self.codec.encode_lines(aged, fd=self.fd):
-                        self.counters.lines += 1
+                    transfers = (
+                        self._line_transfers(cycle.lines, step)
+                        if cycle.joint is None
+                        else self._scene_transfers(cycle.joint, numbers)
+                    )
+                    for frames in transfers:
                         for frame in frames:
                             self.counters.frames += 1
                             bus.send(frame)
@@ -181,10 +182,13 @@ class Drive:
                         for slot in given - cycle.scene.lines.keys():
                             transmitter.retract(slot)
                         given = {line.slot for line in cycle.lines}
-                        transmitter.publish(cycle.lines, t_ns)
+                        transmitter.publish(
+                            cycle.lines if cycle.joint is None else cycle.joint, t_ns
+                        )
                     transmitter.wait(self.period)
                 stats = transmitter.stats()
                 self.counters.lines = stats.lines
+                self.counters.pose_errors = stats.pose_errors
                 return {
                     "down": stats.down,
                     "full": stats.full,
@@ -229,6 +233,32 @@ class Drive:
     def _duration(self, frame: Frame) -> float:
         """Return the time that a frame takes on the bus [s]."""
         return frame_time(frame, *self.bitrates)
+
+    def _line_transfers(self, lines: MapLineList, step: float) -> Iterator[list[Frame]]:
+        """Yield the frames of each line, of which each record takes ``step`` [s] on the bus."""
+        ages = np.cumsum([0.0, *(step * _records(line) for line in lines)])
+        aged = [replace(line, age=float(age)) for line, age in zip(lines, ages, strict=False)]
+        for frames in self.codec.encode_lines(aged, fd=self.fd):
+            self.counters.lines += 1
+            yield frames
+
+    def _scene_transfers(self, scene: Scene, numbers: Counter[Owner]) -> Iterator[list[Frame]]:
+        """Yield the frames of the pose error and of each line, each with its own age.
+
+        Args:
+            scene: the scene.
+            numbers: next counters of the pose error and of each slot, which advance.
+        """
+        prepared = self.codec.prepare_scene(scene, fd=self.fd)
+        first, age = Counter(numbers), 0.0
+        owners: tuple[Owner, ...] = (POSE, *prepared.sent_slots)
+        for owner in owners:
+            frames = self.codec.encode_scene(prepared, age=age, fd=self.fd, counters=first)[owner]
+            numbers[owner] += 1
+            self.counters.pose_errors += owner == POSE
+            self.counters.lines += owner != POSE
+            age += sum(map(self._duration, frames))
+            yield frames
 
     def _transfer_time(self, lines: MapLineList) -> float:
         """Return the time that the frames of one line take on the bus [s]; 0 without lines."""

@@ -5,14 +5,19 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
-from ..wire import CODES, Authenticator, Codec, Decoder, Frame, Key, Layout
+from ..wire import CODES, Authenticator, Codec, Decoder, Frame, Key, Layout, default_dbc_path
 from .parsing import natural, number
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener
+
+
+#: DBCs of this package; their names stand for them where there is no such file.
+SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
 def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
@@ -47,7 +52,8 @@ def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
     add(
         "--fd",
         action="store_true",
-        help="CAN FD: one frame of 32 bytes for each line, instead of 4 classic frames of 8 bytes",
+        help="CAN FD: one frame for each line and each pose error, instead of 2 to 5 frames of 8 "
+        "bytes of classic CAN",
     )
 
 
@@ -112,7 +118,10 @@ def _faults(text: str) -> Faults:
 def add_dbc(parser: argparse.ArgumentParser) -> None:
     """Add ``--dbc``."""
     parser.add_argument(
-        "--dbc", metavar="FILE", help="DBC of the messages (default: the one of this package)"
+        "--dbc",
+        metavar="FILE",
+        help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)} "
+        "(default: maplines.dbc, or with a key maplines-secoc.dbc)",
     )
 
 
@@ -165,7 +174,9 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     """
     if path is None:
         return Codec.from_dbc(None, authenticator)
-    layout = Layout.from_dbc(path)
+    layout = Layout.from_dbc(
+        default_dbc_path(path) if path in SHIPPED and not Path(path).exists() else path
+    )
     if layout.covariance_code in CODES:
         return Codec(layout, authenticator)
     from ..study.codes import CODES as STUDY_CODES
@@ -213,6 +224,26 @@ def add_transfer_timeout(parser: argparse.ArgumentParser) -> None:
 def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
     """Return a new decoder for ``--cycle-ms`` and ``--transfer-timeout``."""
     return codec.decoder(cycle_ms=arguments.cycle_ms, timeout_ms=arguments.transfer_timeout)
+
+
+def add_scenes(parser: Any) -> None:
+    """Add ``--scenes`` to a parser or a group of options."""
+    parser.add_argument(
+        "--scenes",
+        action="store_true",
+        help="JSON: print a row for each scene, too, that is for the lines of one pose error, with "
+        "their joint covariance, and with the width and the centre of the ego lane. It has the key "
+        '"scene" where the row of a line has "slot"',
+    )
+
+
+def check_scenes(codec: Codec, arguments: argparse.Namespace) -> None:
+    """Raise ValueError if ``--scenes`` is given and the DBC has none."""
+    if arguments.scenes and codec.layout.pose is None:
+        raise ValueError(
+            f"--scenes: {codec.layout.source} has no message of the pose error (MapLinePose), so "
+            "there are no scenes; leave it out, or take the --dbc of the sender"
+        )
 
 
 def add_draws(parser: argparse.ArgumentParser, samples: int) -> None:

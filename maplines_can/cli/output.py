@@ -10,8 +10,14 @@ from typing import Any, TextIO
 import numpy as np
 
 from ..line import PARAMETERS, LeftOut, MapLine, Slot, Status
-from ..wire import E2EState, ProfileStatus, SlotStats
+from ..scene import Estimate, Scene
+from ..wire import E2EState, ProfileStatus, ReceivedScene, SlotStats
 
+#: Name of the pose error among those of the slots.
+POSE_ERROR = "pose error"
+#: Distances at which the ego lane is printed [m], and its lines.
+LANE_X = (0.0, 20.0, 40.0)
+LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 UPPER_TRIANGLE = [(i, j) for i in range(4) for j in range(i, 4)]
 
 
@@ -72,6 +78,60 @@ def line_dict(line: MapLine) -> dict[str, Any]:
             "covs": line.mixture.covs.tolist(),
         },
     }
+
+
+def pose_errors_text(count: int) -> str:
+    """Return the number of pose errors as text, to follow that of lines; empty without any.
+
+    >>> pose_errors_text(3), pose_errors_text(0)
+    (' and 3 pose errors', '')
+    """
+    return f" and {count} pose errors" if count else ""
+
+
+def scene_text(received: ReceivedScene) -> str:
+    """Return the width and the centre of the ego lane in one row; empty if it was not received."""
+    lane = _lane(received.scene)
+    if not lane:
+        return ""
+    head = f"{received.t_ns / 1e9:.3f}  {'ego lane':<10}  "
+    at = "/".join(f"{x:g}" for x, _, _ in lane)
+    widths = ", ".join(f"{width.value:.3f} ± {width.sigma:.3f}" for _, width, _ in lane)
+    centres = ", ".join(f"{centre.value:+.3f} ± {centre.sigma:.3f}" for _, _, centre in lane)
+    return f"{head}at {at} m: width {widths} m  centre {centres} m"
+
+
+def scene_dict(received: ReceivedScene) -> dict[str, Any]:
+    """Return a scene with the joint covariance of its lines, for JSON.
+
+    An age or a correlation time that is infinite is None.
+    """
+    scene, age = received.scene, received.age
+    time, lane = scene.pose_error.correlation_time, _lane(scene)
+    return {
+        "t": received.t_ns / 1e9,
+        "scene": [line.slot.name for line in scene.lines],
+        "age": age if math.isfinite(age) else None,
+        "pose_error": {
+            "cov": scene.pose_error.cov.tolist(),
+            "correlation_time": time if math.isfinite(time) else None,
+        },
+        "joint": {"mean": scene.means.ravel().tolist(), "cov": scene.cov.tolist()},
+        "width": [{"x": x} | _estimate(width) for x, width, _ in lane],
+        "centre": [{"x": x} | _estimate(centre) for x, _, centre in lane],
+    }
+
+
+def _lane(scene: Scene) -> list[tuple[float, Estimate, Estimate]]:
+    """Return the width and the centre of the ego lane at ``LANE_X`` where both lines are valid."""
+    if not all(slot in scene.index for slot in LANE):
+        return []
+    low, high = scene.x_range(LANE)
+    return [(x, scene.width(x), scene.centre(x)) for x in LANE_X if low <= x <= high]
+
+
+def _estimate(estimate: Estimate) -> dict[str, float]:
+    return {"value": float(estimate.value), "sigma": float(estimate.sigma)}
 
 
 def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:

@@ -4,34 +4,39 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Iterator
 from typing import Any
 
 from ..bus import Link, Receiver, ReceiverStats
-from ..line import MapLine, Slot
-from ..wire import E2EState, SlotStats
+from ..line import MapLine
+from ..wire import E2EState, ReceivedScene, SlotStats
 from .options import (
     add_bus,
     add_codec,
     add_cycle,
     add_faults,
     add_json,
+    add_scenes,
     add_transfer_timeout,
     bus_settings,
+    check_scenes,
     decoder_of,
     fault_counts,
     fault_opener,
     keyed_codec,
 )
 from .output import (
+    POSE_ERROR,
     check_dict,
     check_text,
     counts_text,
     faults_text,
     line_dict,
     line_text,
+    pose_errors_text,
+    scene_dict,
+    scene_text,
     slot_text,
 )
 from .parsing import add_command, natural, seconds
@@ -45,7 +50,11 @@ Print the lines that arrive on a bus until Ctrl-C. Standard error shows when the
 state of a slot changes and, at the end, how many frames were dropped and why.
 
 A slot is in the state INIT until enough lines have come in sequence, and then in VALID. It becomes
-INVALID after too many errors, or if its lines stop: "no data any more"."""
+INVALID after too many errors, or if its lines stop: "no data any more".
+
+If the sender states the error of the pose from which the lines of a cycle are seen, the pose error
+has such a state, too, and a row in each cycle gives the width and the centre of the ego lane, with
+their standard deviations from the joint covariance of the lines."""
 
 
 def add_receive(commands: Any) -> None:
@@ -76,11 +85,16 @@ def add_receive(commands: Any) -> None:
     )
     add_faults(parser)
     add_json(parser, "each line")
+    add_scenes(parser)
 
 
 def _receive(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, window=arguments.freshness_window)
+    check_scenes(codec, arguments)
+    if arguments.scenes and not arguments.json:
+        raise ValueError("--scenes needs --json; as text, the ego lane of scenes is printed anyway")
     left = arguments.count
+    scene: ReceivedScene | None = None  # the newest, of which more lines may come
     opener = fault_opener(arguments)
     with (
         Link(opener, **bus_settings(arguments)) as link,
@@ -90,20 +104,26 @@ def _receive(arguments: argparse.Namespace) -> int:
             note(f"listening on {link.name}; stop with Ctrl-C")
         try:
             for line, check in _arriving(receiver, arguments.timeout):
+                if (arguments.scenes or not arguments.json) and codec.layout.pose is not None:
+                    now = receiver.latest_scene().received
+                    if scene is not None and now is not None and now.t_ns != scene.t_ns:
+                        _print_scene(scene, receiver, arguments)
+                    scene = now
                 row = line_dict(line) | {"e2e": check_dict(check)}
-                print(json.dumps(row) if arguments.json else line_text(line))
-                sys.stdout.flush()
+                print(json.dumps(row) if arguments.json else line_text(line), flush=True)
                 left = None if left is None else left - 1
                 if left == 0:
                     break
         except KeyboardInterrupt:
             pass
-        stats, faults, slots = receiver.stats(), fault_counts(opener), receiver.slots()
+        if scene is not None:
+            _print_scene(scene, receiver, arguments)
+        stats, faults, slots = receiver.stats(), fault_counts(opener), _checks(receiver)
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
-        f"{stats.lines} lines from {stats.frames} frames; {stats.lost} lines lost by their "
-        f"counters; dropped frames: {counts_text(dropped)}; {stats.pending} still waiting "
-        "for other frames of their line"
+        f"{stats.lines} lines{pose_errors_text(stats.pose_errors)} from {stats.frames} frames; "
+        f"{stats.lost} lines lost by their counters; dropped frames: {counts_text(dropped)}; "
+        f"{stats.pending} still waiting for other frames of their line"
         + "".join(
             f"; {n} {what}"
             for n, what in (
@@ -114,14 +134,31 @@ def _receive(arguments: argparse.Namespace) -> int:
             if n
         )
     )
-    for slot, check in slots.items():
-        note(f"{slot_text(slot.name)}: {check_text(check)}")
+    for name, check in slots.items():
+        note(f"{slot_text(name)}: {check_text(check)}")
     if faults:
         note(f"faults: {faults_text(faults)}")
     if not stats.lines and arguments.timeout is not None:
         note(f"error: nothing received: {_why_nothing(stats, arguments.fd)}")
         return 1
     return 0 if left in (None, 0) else 1
+
+
+def _checks(receiver: Receiver) -> dict[str, SlotStats]:
+    """Return the E2E statistics by name, of the slots and of the pose error."""
+    pose_error = receiver.pose_error()
+    slots = {slot.name: check for slot, check in receiver.slots().items()}
+    return slots | ({} if pose_error is None else {POSE_ERROR: pose_error})
+
+
+def _print_scene(scene: ReceivedScene, receiver: Receiver, arguments: argparse.Namespace) -> None:
+    """Print a scene as a row of JSON; or its ego lane as a row of text, if it has one."""
+    if arguments.json:
+        check = receiver.pose_error()
+        row = scene_dict(scene) | ({} if check is None else {"e2e": check_dict(check)})
+        print(json.dumps(row), flush=True)
+    elif text := scene_text(scene):
+        print(text, flush=True)
 
 
 def _why_nothing(stats: ReceiverStats, fd: bool) -> str:
@@ -138,20 +175,20 @@ def _why_nothing(stats: ReceiverStats, fd: bool) -> str:
 
 
 def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
-    """Yield lines with the checks of their slots; print each change of a slot's state."""
-    states: dict[Slot, tuple[E2EState, bool]] = {}
+    """Yield lines with the checks of their slots; print each change of a state."""
+    states: dict[str, tuple[E2EState, bool]] = {}
     last = time.monotonic()
     while True:
         line = receiver.get(CHECK_PERIOD if timeout is None else min(CHECK_PERIOD, timeout))
-        slots = receiver.slots()
-        for slot, check in slots.items():
+        checks = _checks(receiver)
+        for name, check in checks.items():
             state = check.state, check.two_senders
-            if states.get(slot) != state:
-                states[slot] = state
-                note(f"{slot_text(slot.name)}: {check_text(check)}")
+            if states.get(name) != state:
+                states[name] = state
+                note(f"{slot_text(name)}: {check_text(check)}")
         if line is not None:
             last = time.monotonic()
-            yield line, slots[line.slot]
+            yield line, checks[line.slot.name]
         elif timeout is not None and time.monotonic() - last >= timeout:
             note(f"no line for {timeout:g} s")
             return

@@ -12,6 +12,7 @@ from ..bus import Link, Transmitter
 from ..bus.schedule import Schedule
 from ..line import MapLineList, Slot
 from ..scenarios import Scenario, scenario
+from ..scene import Scene
 from .options import (
     add_bus,
     add_codec,
@@ -22,8 +23,9 @@ from .options import (
     fault_opener,
     keyed_codec,
 )
-from .output import faults_text, left_out_text, slot_text
+from .output import faults_text, left_out_text, pose_errors_text, slot_text
 from .parsing import add_command, natural
+from .scene_sending import sends_scenes, unfit_slots, unfit_text
 from .sending import (
     AMPLITUDE,
     SINE_PERIOD,
@@ -36,6 +38,7 @@ from .sending import (
     frame_format_text,
     lines_of,
     rate_of,
+    single_lines,
     weaving_ego,
 )
 from .stderr import note
@@ -81,7 +84,8 @@ def _send(arguments: argparse.Namespace) -> int:
     scene = scenario(arguments.scenario)
     rate = rate_of(scene, codec, arguments)
     components = components_of(scene, codec, arguments, rate)
-    lines = lines_of(scene, components, arguments)
+    as_scene = sends_scenes(codec, arguments)
+    lines = lines_of(scene, components, arguments, as_scene=as_scene)
     opener = fault_opener(arguments)
     with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
@@ -93,15 +97,18 @@ def _send(arguments: argparse.Namespace) -> int:
                     until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
                     frame_format = frame_format_text(codec, fd=arguments.fd)
                     note(
-                        f"{len(lines)} lines of {arguments.scenario} on {link.name}, "
+                        f"{len(single_lines(lines))} lines of {arguments.scenario}"
+                        f"{' and their pose error' * as_scene} on {link.name}, "
                         f"{frame_format}, {rate:g} Hz, {until}"
                     )
                     if arguments.components != 1:
-                        for line in lines:
+                        for line in single_lines(lines):
                             text = components_text(components[line.slot])
                             note(f"{slot_text(line.slot.name)}: {text}")
                     if lines.left_out:
                         note(left_out_text(lines.left_out))
+                    if unfit := unfit_slots(codec, lines, fd=arguments.fd):
+                        note(unfit_text(unfit))
                 _publish(transmitter, lines, scene, components, arguments, rate)
         except KeyboardInterrupt:
             pass
@@ -111,9 +118,11 @@ def _send(arguments: argparse.Namespace) -> int:
             rest |= {"faults": faults} if faults else {}
             print(json.dumps(stats.as_dict() | rest))
         else:
+            poses = pose_errors_text(stats.pose_errors)
             print(
-                f"sent {stats.lines} lines in {stats.frames} frames; {stats.down} lines given up "
-                f"while the interface was down, {stats.full} with a full queue; "
+                f"sent {stats.lines} lines{poses} in {stats.frames} frames; "
+                f"{stats.down} lines given up while the interface was down, "
+                f"{stats.full} with a full queue; "
                 f"{stats.overruns} periods skipped because the sender was late"
             )
             if stats.left_out:
@@ -128,7 +137,7 @@ def _send(arguments: argparse.Namespace) -> int:
 
 def _publish(
     transmitter: Transmitter,
-    lines: MapLineList,
+    lines: MapLineList | Scene,
     scene: Scenario,
     components: Mapping[Slot, LineComponents],
     arguments: argparse.Namespace,
@@ -139,11 +148,13 @@ def _publish(
     schedule: Schedule[str] = Schedule(1 / min(max(rate, LEAST_RATE), MOST_RATE))
     schedule.add("pose", 0.0, start)
     pause = 0.0
+    as_scene = isinstance(lines, Scene)
     while not transmitter.wait(pause):
         now, t_pose_ns = time.monotonic(), time.time_ns()
         if schedule.take(now):
             if not arguments.standstill:
-                lines = lines_of(scene, components, arguments, weaving_ego(scene, now - start))
+                ego = weaving_ego(scene, now - start)
+                lines = lines_of(scene, components, arguments, ego, as_scene=as_scene)
             transmitter.publish(lines, t_pose_ns)
         after = time.monotonic()
         # At least half of the time is left to the transmitter's thread.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any, Literal
@@ -13,14 +14,16 @@ import numpy as np
 from ..bus import bus_load, transfers_within
 from ..errors import IllPosedError
 from ..gaussian import Gaussian
-from ..line import MapLineList, Slot
+from ..line import MapLine, MapLineList, Slot
 from ..polyline import Polyline
-from ..propagation import MapError, Refit, component_counts, map_lines, nonlinearity
+from ..propagation import MapError, Refit, component_counts, map_lines, map_scene, nonlinearity
 from ..propagation.component_counts import remaining_nonlinearity
 from ..scenarios import SCENARIOS, STREETS, Scenario
+from ..scene import Scene
 from ..wire import Codec
 from .output import left_out_text
-from .parsing import number
+from .parsing import number, positive
+from .scene_sending import add_pose_error, check_scene_load, sends_scenes
 
 #: Default bus-load limit for --components auto.
 MAX_LOAD = 0.3
@@ -65,18 +68,27 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         f"shortest of these lines; {DEFAULT_RATE:g} if it has none)",
     )
     add_line_model(parser)
+    add(
+        "--correlation-time",
+        type=positive,
+        metavar="S",
+        help="time in which the correlation of the pose errors falls to 1/e [s], which is sent "
+        "with the pose error (default: unknown)",
+    )
 
 
 def add_line_model(parser: argparse.ArgumentParser) -> None:
-    """Add the options of what each line is sent as: components, load limit and map error."""
+    """Add the options of what lines are sent as: pose error, components, load, map error."""
     add = parser.add_argument
+    add_pose_error(parser)
     add(
         "--components",
         type=number(int, 1, 8, "auto"),
         default=1,
         metavar="K",
         help="send each line as a Gaussian mixture of K components, 1 to 8; auto: as many as its "
-        "nonlinearity needs and --max-load allows (default: 1, a single Gaussian)",
+        "nonlinearity needs and --max-load allows; not with the pose error, which a receiver "
+        "splits itself (default: 1, a single Gaussian)",
     )
     add(
         "--max-load",
@@ -115,8 +127,18 @@ def components_of(
     """Return the number of components of each line, from the options.
 
     Raises:
-        ValueError: the lines exceed ``--max-load``.
+        ValueError: the lines exceed ``--max-load``, or options contradict each other.
     """
+    max_load = arguments.max_load
+    if sends_scenes(codec, arguments):
+        slots = first_lines(scenario, arguments.lines)
+        check_scene_load(codec, slots, rate, *bitrates(arguments), max_load=max_load)
+        max_load = None
+    elif arguments.correlation_time is not None:
+        raise ValueError(
+            "--correlation-time is sent with the pose error only; add --pose-error, or take "
+            "--dbc maplines-pose.dbc"
+        )
     return choose_components(
         scenario,
         codec,
@@ -125,7 +147,7 @@ def components_of(
         rate=rate,
         fd=arguments.fd,
         bitrate=bitrates(arguments)[0],
-        max_load=arguments.max_load,
+        max_load=max_load,
     )
 
 
@@ -134,25 +156,41 @@ def lines_of(
     components: Mapping[Slot, LineComponents],
     arguments: argparse.Namespace,
     ego: Gaussian | None = None,
-) -> MapLineList:
+    *,
+    as_scene: bool = False,
+) -> MapLineList | Scene:
     """Return the lines as seen from a pose; by default, the pose of the scene.
+
+    Args:
+        scenario: the scene.
+        components: of each line.
+        arguments: options of the lines.
+        ego: the pose; None for that of the scene.
+        as_scene: return a ``Scene``, with their joint covariance.
 
     Raises:
         ValueError: all lines are left out as seen from the pose of the scene.
     """
-    lines = map_lines(
-        first_lines(scenario, arguments.lines),
-        scenario.ego if ego is None else ego,
-        window=scenario.window,
-        components={slot: line.components for slot, line in components.items()},
-        map_error=map_error_of(arguments),
-    )
-    if ego is None and not lines:
+    first, pose = first_lines(scenario, arguments.lines), scenario.ego if ego is None else ego
+    window, map_error = scenario.window, map_error_of(arguments)
+    lines: MapLineList | Scene
+    if as_scene:
+        time = math.inf if arguments.correlation_time is None else arguments.correlation_time
+        lines = map_scene(first, pose, correlation_time=time, window=window, map_error=map_error)
+    else:
+        counts = {slot: line.components for slot, line in components.items()}
+        lines = map_lines(first, pose, window=window, components=counts, map_error=map_error)
+    if ego is None and not single_lines(lines):
         raise ValueError(
             f"no line of the scenario {scenario.name!r} can be sent; "
             f"{left_out_text(lines.left_out)}"
         )
     return lines
+
+
+def single_lines(lines: MapLineList | Scene) -> Sequence[MapLine]:
+    """Return the lines one by one."""
+    return lines.lines if isinstance(lines, Scene) else lines
 
 
 def map_error_of(arguments: argparse.Namespace) -> MapError | None:

@@ -12,7 +12,8 @@ from ..gaussian import Gaussian
 from ..line import MapLineList, Slot
 from ..maps import LaneTracker, Map, Route, Scene
 from ..polyline import Polyline
-from ..propagation import MapError, map_lines
+from ..propagation import MapError, map_lines, map_scene
+from ..scene import Scene as LineScene
 
 #: Number of mixture components of each line, from the lines of the map and the stated pose.
 ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
@@ -29,6 +30,8 @@ class Cycle(NamedTuple):
     scene: Scene  #: lines of the map around the stated pose
     lines: MapLineList  #: lines as the car knows them, and those that are left out
     changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
+    #: the lines with their joint covariance, if the source was asked for it
+    joint: LineScene | None = None
 
 
 class LineSource:
@@ -46,6 +49,8 @@ class LineSource:
         map_error: error of the map.
         components: number of mixture components of each line, 1 to 8, or a function that chooses
             it in each cycle.
+        correlation_time: of the pose error [s], infinite if it is unknown; the cycles then have
+            the joint covariance of their lines, which have one component each. None: they do not.
 
     >>> from maplines_can import PoseSource, maps, Polyline
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
@@ -66,7 +71,14 @@ class LineSource:
         window: tuple[float, float] = WINDOW,
         map_error: MapError | None = None,
         components: int | ChooseComponents = 1,
+        correlation_time: float | None = None,
     ) -> None:
+        if correlation_time is not None and components != 1:
+            raise ValueError(
+                "components must be 1 with a correlation_time, since a receiver of the pose error "
+                f"splits it itself, got {components!r}"
+            )
+        self._correlation_time = correlation_time
         self._stated, self._slots = stated, frozenset(slots)
         self._window, self._map_error, self._components = window, map_error, components
         self._tracker = LaneTracker(found, route)
@@ -84,7 +96,17 @@ class LineSource:
         stated = self._stated(t, true_pose)
         scene = self._tracker.lines(stated.mean)
         chosen = {slot: line for slot, line in scene.lines.items() if slot in self._slots}
-        own = self._components
+        own, time, changed = self._components, self._correlation_time, scene.changed & self._slots
+        if time is not None:
+            joint = map_scene(
+                chosen,
+                stated,
+                correlation_time=time,
+                window=self._window,
+                map_error=self._map_error,
+            )
+            lines = MapLineList(joint.lines, joint.left_out)
+            return Cycle(t, stated, scene, lines, changed, joint)
         lines = map_lines(
             chosen,
             stated,
@@ -92,4 +114,4 @@ class LineSource:
             map_error=self._map_error,
             components=own(chosen, stated) if callable(own) else own,
         )
-        return Cycle(t, stated, scene, lines, scene.changed & self._slots)
+        return Cycle(t, stated, scene, lines, changed)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +15,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
-from ..line import MapLine
-from ..wire import Codec
+from ..line import MapLine, Slot
+from ..scene import Scene
+from ..wire import Codec, Decoder, PreparedScene
 from .metrics import evaluate
+from .scene_result import SceneResult, scene_result
 
 if TYPE_CHECKING:
     from ..testing import Faults, FaultyOpener
@@ -85,6 +88,8 @@ class RoundTrip:
     faults: Mapping[str, int] | None  #: counters of the injected faults; None without faults
     true_lines: Sequence[MapLine] = field(repr=False)
     received_lines: Mapping[str, MapLine] = field(repr=False)  #: the latest line of each slot
+    scene: SceneResult | None = None  #: None if the lines were not sent as a scene
+    received_scene: Scene | None = field(default=None, repr=False)  #: the latest complete one
 
     @property
     def frame_format(self) -> str:
@@ -122,11 +127,12 @@ class RoundTrip:
             "period_jitter": self.period_jitter,
             "cpu_share": self.cpu_share,
             "faults": self.faults,
+            "scene": None if self.scene is None else self.scene.as_dict(),
         }
 
 
 def round_trip(
-    lines: Sequence[MapLine],
+    lines: Sequence[MapLine] | Scene,
     codec: Codec,
     *,
     bus: BusSettings | None = None,
@@ -137,7 +143,7 @@ def round_trip(
     """Send lines over a bus for some time, receive them and compare. Ctrl-C ends it early.
 
     Args:
-        lines: lines to send, of different slots.
+        lines: lines to send, of different slots, or a scene.
         codec: codec of both ends.
         bus: the bus; None for ``BusSettings()``.
         seconds: how long to send [s].
@@ -147,8 +153,15 @@ def round_trip(
 
     Raises:
         BusError: the interface cannot be opened.
+        EncodeError: a scene does not fit the DBC.
     """
     bus = BusSettings() if bus is None else bus
+    true_lines: Sequence[MapLine]
+    published: Sequence[MapLine] | PreparedScene
+    if isinstance(lines, Scene):
+        true_lines, published = lines.lines, codec.prepare_scene(lines, fd=bus.fd)
+    else:
+        true_lines = published = lines
     arrivals = _Arrivals(1 / bus.rate)
     cpu, start = time.process_time(), time.monotonic()
 
@@ -156,7 +169,7 @@ def round_trip(
         return time.monotonic() - start
 
     sent, received, fault_counts = _run(
-        lines,
+        published,
         codec,
         bus,
         count=max(1, round(seconds * bus.rate)),
@@ -165,25 +178,34 @@ def round_trip(
         tick=lambda: None if tick is None else tick(elapsed()),
     )
     duration, cpu = elapsed(), time.process_time() - cpu
-    frames = chain(*codec.encode_lines(lines, fd=bus.fd))
+    result = None
+    if isinstance(published, PreparedScene):
+        transfers = codec.encode_scene(published, fd=bus.fd)
+        full = len(true_lines) * (1 if bus.fd else codec.layout.pages)
+        result = scene_result(published, transfers, arrivals.scene, full)
+        frames = chain(*transfers.values())
+    else:
+        frames = chain(*codec.encode_lines(published, fd=bus.fd))
     return RoundTrip(
         bus=bus,
         authenticated=codec.authenticator is not None,
         seconds=duration,
-        lines=[_result(line, arrivals.latest.get(line.slot.name), codec) for line in lines],
+        lines=[_result(line, arrivals.latest.get(line.slot.name), codec) for line in true_lines],
         sent=sent,
         received=received,
         bus_load=bus_load(frames, 1 / bus.rate, bus.bitrate, bus.data_bitrate),
         period_jitter=arrivals.jitter(),
         cpu_share=cpu / duration if _cpu_time_is_true() else None,
         faults=fault_counts,
-        true_lines=lines,
+        true_lines=true_lines,
         received_lines=arrivals.latest,
+        scene=result,
+        received_scene=arrivals.scene,
     )
 
 
 class _Arrivals:
-    """The latest line of each slot, and the deviations from the period."""
+    """The latest line of each slot, the latest complete scene, and deviations from the period."""
 
     def __init__(self, period: float) -> None:
         self._period, self._changed = period, threading.Condition()
@@ -191,8 +213,14 @@ class _Arrivals:
         self._deviations: list[float] = []
         self._lines = 0
         self.latest: dict[str, MapLine] = {}
+        self.scene: Scene | None = None
 
-    def take(self, line: MapLine) -> None:
+    def take(self, line: MapLine, decoder: Decoder, last: Slot | None) -> None:
+        """Take a line, in the thread of the receiver; scenes are complete with the last slot."""
+        if line.slot == last and (received := decoder.scene()) is not None:
+            known = 0 if self.scene is None else len(self.scene.lines)
+            if len(received.scene.lines) >= known:
+                self.scene = received.scene
         with self._changed:
             t_ns = line.t_ns or 0
             if line.slot in self._last_ns:
@@ -213,7 +241,7 @@ class _Arrivals:
 
 
 def _run(
-    lines: Iterable[MapLine],
+    lines: Sequence[MapLine] | PreparedScene,
     codec: Codec,
     bus: BusSettings,
     *,
@@ -232,7 +260,9 @@ def _run(
     with Link(sending, **settings) as out, Link(receiving, **settings) as back:
         transmitter = Transmitter(out, codec, period=1 / bus.rate, fd=bus.fd, count=count)
         decoder = codec.decoder(cycle_ms=1e3 / bus.rate)
-        receiver = Receiver(back, decoder, on_line=arrivals.take, can_ids=can_ids)
+        last = max(lines.members, default=None) if isinstance(lines, PreparedScene) else None
+        take = partial(arrivals.take, decoder=decoder, last=last)
+        receiver = Receiver(back, decoder, on_line=take, can_ids=can_ids)
         with receiver:
             try:
                 with transmitter:

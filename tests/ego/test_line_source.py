@@ -73,3 +73,20 @@ def test_off_the_map_there_are_no_lines() -> None:
     cycle = LineSource(ROWS, exact).cycle(0.0, np.array([1e4, 0.0, 0.0]))
     assert not cycle.lines
     assert cycle.scene.match is None
+
+
+def test_with_a_correlation_time_a_cycle_has_the_joint_covariance() -> None:
+    """Of the same lines; off the map there are none, and mixtures are refused."""
+    pose = pose_on(ROWS.lanes["r"], 50.0)
+    source = LineSource(ROWS, exact, correlation_time=3.0)
+    cycle = source.cycle(0.0, pose)
+    assert cycle.joint is not None
+    assert list(cycle.joint.lines) == cycle.lines
+    assert cycle.joint.pose_error.correlation_time == 3.0
+    assert len(cycle.lines) == len(LineSource(ROWS, exact).cycle(0.0, pose).lines) > 0
+    off = source.cycle(0.05, pose + np.array([0.0, 500.0, 0.0]))
+    assert off.joint is not None
+    assert (off.joint.lines, off.lines) == ((), [])
+    assert LineSource(ROWS, exact).cycle(0.0, pose).joint is None
+    with pytest.raises(ValueError, match="components must be 1 with a correlation_time"):
+        LineSource(ROWS, exact, components=2, correlation_time=3.0)

@@ -1,0 +1,103 @@
+"""Scene as sent and as received: the ego lane, and the frames of a cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from scipy.linalg import block_diag
+
+from ..line import Slot
+from ..scene import Scene
+from ..wire import POSE, Frame, Owner, PreparedScene
+
+#: Distances at which the ego lane is compared [m].
+LANE_X = (0.0, 20.0, 40.0)
+#: Lines of the ego lane.
+LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+
+
+@dataclass(frozen=True)
+class LaneResult:
+    """Width or centre of the ego lane at a distance, as sent and as received."""
+
+    quantity: str  #: width or centre
+    x: float  #: [m]
+    true_value: float  #: before encoding [m]
+    true_sigma: float  #: [m]
+    value: float  #: as received [m]
+    sigma: float  #: [m]
+    sigma_ratio: float | None  #: received over true; None if the true one is 0
+    independent_sigma: float  #: of the received lines if they are taken as independent [m]
+
+
+@dataclass(frozen=True)
+class SceneResult:
+    """Scene before encoding and as received; without a lane if that was not received."""
+
+    lane: Sequence[LaneResult]  #: where both of its lines are valid
+    frames: Mapping[str, int]  #: of each cycle: of the pose error ("pose"), then of each line
+    frames_of_full_records: int  #: of a cycle, if each line had a covariance of its own
+    unsent: Sequence[Slot]  #: of the lines that do not fit the message
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all figures, for JSON."""
+        return {
+            "lane": [asdict(lane) for lane in self.lane],
+            "frames": dict(self.frames),
+            "frames_per_cycle": sum(self.frames.values()),
+            "frames_of_full_records": self.frames_of_full_records,
+            "unsent": [slot.name for slot in self.unsent],
+        }
+
+
+def scene_result(
+    sent: PreparedScene,
+    transfers: Mapping[Owner, Sequence[Frame]],
+    received: Scene | None,
+    frames_of_full_records: int,
+) -> SceneResult:
+    """Compare a scene as sent with the scene as received.
+
+    Args:
+        sent: the scene as sent.
+        transfers: frames of the pose error and of each line.
+        received: the scene as received; None if none was.
+        frames_of_full_records: of a cycle, if each line had a covariance of its own.
+    """
+    scene = sent.scene
+    return SceneResult(
+        lane=[] if received is None else lane_results(scene, received),
+        frames={
+            POSE if owner == POSE else Slot(owner).name: len(frames)
+            for owner, frames in transfers.items()
+        },
+        frames_of_full_records=frames_of_full_records,
+        unsent=[line.slot for line in scene.lines if line.slot not in sent.sent_slots],
+    )
+
+
+def lane_results(sent: Scene, received: Scene) -> list[LaneResult]:
+    """Compare the width and the centre of the ego lane, where its lines are valid in both scenes.
+
+    Returns:
+        None of them if a scene lacks a line of the lane.
+    """
+    if not all(slot in scene.index for scene in (sent, received) for slot in LANE):
+        return []
+    ranges = [scene.x_range(LANE) for scene in (sent, received)]
+    low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
+    blocks = block_diag(*(line.gaussian.cov for line in received.lines))
+    apart = replace(received, cov=blocks)
+    found = []
+    for quantity, of in (("width", Scene.width), ("centre", Scene.centre)):
+        for x in (x for x in LANE_X if low <= x <= high):
+            (true, true_sigma), (value, sigma), (_, independent) = (
+                [float(part) for part in of(scene, x)] for scene in (sent, received, apart)
+            )
+            ratio = sigma / true_sigma if true_sigma else None
+            found.append(
+                LaneResult(quantity, x, true, true_sigma, value, sigma, ratio, independent)
+            )
+    return found

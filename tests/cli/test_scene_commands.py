@@ -1,0 +1,502 @@
+"""The commands with scenes: lines that are sent with the error of their pose."""
+
+import json
+import math
+import re
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from dbcs import DBC, edited
+from drive_files import run, town
+
+from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log, scenario
+from maplines_can.cli import main
+from maplines_can.cli.options import SHIPPED, codec_from
+from maplines_can.cli.output import LANE_X
+from maplines_can.wire import POSE, default_dbc_path
+
+CONDITIONAL = "maplines-pose.dbc"
+NAMES = ["maplines.dbc", CONDITIONAL]
+#: Options that send scenes, by DBC.
+SENDING = {"maplines.dbc": ["--pose-error"], CONDITIONAL: ["--dbc", CONDITIONAL]}
+#: Options that receive them.
+RECEIVING: dict[str, list[str]] = {"maplines.dbc": [], CONDITIONAL: ["--dbc", CONDITIONAL]}
+CYCLES = 5
+
+
+@pytest.fixture
+def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let nothing time out, in transfers and in scenes: a busy machine is no fault."""
+    decoder = Codec.decoder
+    hour = 3_600_000
+    monkeypatch.setattr(
+        Codec, "decoder", lambda codec, **_: decoder(codec, timeout_ms=hour, cycle_ms=hour)
+    )
+
+
+def scene_of(name: Any = "production", lines: int = 4, **settings: Any) -> Any:
+    """Return the scene of the first lines of a scenario, with a map error of 5 cm."""
+    found = scenario(name)
+    first = dict(list(found.lines.items())[:lines])
+    error = MapError(0.05, 0.05, math.radians(0.05))
+    return map_scene(first, found.ego, window=found.window, map_error=error, **settings)
+
+
+def transfers_of(codec: Codec, cycles: int = CYCLES, **settings: Any) -> list[Any]:
+    """Return (time stamp [s], owner, frames) of the transfers of some cycles, 50 ms each."""
+    prepared = codec.prepare_scene(scene_of(correlation_time=4.0), **settings)
+    return [
+        (1000.0 + 0.05 * cycle + 0.004 * place, owner, frames)
+        for cycle in range(cycles)
+        for place, (owner, frames) in enumerate(
+            codec.encode_scene(prepared, age=0.008, **settings).items()
+        )
+    ]
+
+
+def write_log(path: Path, transfers: list[Any], *channels: str) -> list[str]:
+    """Write transfers into a log of candump, and return the options that decode it."""
+    with can.Logger(path) as writer:
+        for stamp, _, frames in transfers:
+            for frame, channel in ((f, c) for f in frames for c in channels):
+                writer(
+                    can.Message(
+                        stamp,
+                        frame.can_id,
+                        is_extended_id=False,
+                        is_fd=frame.is_fd,
+                        data=frame.data,
+                        channel=channel,
+                    )
+                )
+    return ["decode", str(path)]
+
+
+def decoded(codec: Codec, transfers: list[Any]) -> tuple[list[MapLine], list[Any]]:
+    """Return the lines of transfers, and the last state of each scene."""
+    decoder, lines, scenes = codec.decoder(), list[MapLine](), dict[int, Any]()
+    for stamp, _, frames in transfers:
+        for frame in frames:
+            answer = decoder.feed(frame.can_id, frame.data, round(stamp * 1e9))
+            lines += [answer, *decoder.further] if isinstance(answer, MapLine) else []
+        if received := decoder.scene():
+            scenes[received.counter] = received
+    assert decoder.lost == 0
+    return lines, list(scenes.values())
+
+
+def rows_of(text: str) -> tuple[list[Any], list[Any]]:
+    """Return the rows of lines and those of scenes."""
+    rows = [json.loads(row) for row in text.splitlines()]
+    return [row for row in rows if "slot" in row], [row for row in rows if "scene" in row]
+
+
+# ---- demo
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fd", [False, True])
+def test_demo_compares_lines_and_the_ego_lane(
+    capsys: pytest.CaptureFixture[str], name: str, fd: bool
+) -> None:
+    """Lines and lane are covered; taken as independent, the lane would be far off."""
+    options = ["--seconds", "0.3", "--map-error", "0.05", "--json", *["--fd"] * fd]
+    assert main(["demo", *options, *SENDING[name]]) == 0
+    result = json.loads(capsys.readouterr().out)
+    sent, scene = result["sent"], result["scene"]
+    assert result["received"]["pose_errors"] == sent["pose_errors"] > 0
+    assert (result["lines_lost"], result["frames_lost"]) == (0, 0)
+    for line in result["lines"]:
+        assert 0 <= line["kl_covered"] < 0.02
+        assert 1 <= line["y_sigma"] / line["true_y_sigma"] < 1.1
+    lane = scene["lane"]
+    assert [(row["quantity"], row["x"]) for row in lane] == [
+        (quantity, x) for quantity in ("width", "centre") for x in LANE_X
+    ]
+    true = scene_of()
+    for row in lane:
+        expected = getattr(true, row["quantity"])(row["x"])
+        assert row["true_value"] == pytest.approx(expected.value)
+        assert row["true_sigma"] == pytest.approx(expected.sigma)
+        assert row["value"] == pytest.approx(row["true_value"], abs=0.01)
+        assert row["sigma_ratio"] == row["sigma"] / row["true_sigma"] > 1 - 1e-6
+        if row["quantity"] == "centre":
+            assert row["independent_sigma"] < row["true_sigma"]
+        else:
+            assert row["independent_sigma"] > 1.5 * row["true_sigma"]
+    assert scene["unsent"] == []
+    codec = Codec.from_dbc(default_dbc_path(name))
+    frames = {
+        POSE if owner == POSE else Slot(owner).name: len(each)
+        for owner, each in codec.encode_scene(scene_of(), fd=fd).items()
+    }
+    assert scene["frames"] == frames
+    assert scene["frames_per_cycle"] == sum(frames.values())
+    assert scene["frames_of_full_records"] == 4 * (1 if fd else 4)
+    line_frames = sum(frames.values()) - frames[POSE]
+    assert sent["frames"] == sent["pose_errors"] * frames[POSE] + sent["lines"] * line_frames / 4
+
+
+@pytest.mark.usefixtures("patient")
+def test_demo_prints_the_ego_lane_and_the_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    """A row for each quantity and distance, and the sum of the frames; without a scene, none."""
+    assert main(["demo", "--seconds", "0.2", "--map-error", "0.05", *SENDING[CONDITIONAL]]) == 0
+    text = capsys.readouterr().out
+    rows = re.findall(
+        r"(width|centre) +at +(\d+) m +sent +[\d.]+ ± [\d.]+ m +received +[\d.]+ ± [\d.]+ m, sigma "
+        r"\+[\d.]+ % +\(if independent: ± [\d.]+ m\)",
+        text,
+    )
+    assert rows == [(quantity, str(int(x))) for quantity in ("width", "centre") for x in LANE_X]
+    (frames,) = re.findall(r"frames +(\d+) a cycle: (\d+) for the pose error, 4 x (\d+) for", text)
+    assert int(frames[0]) == int(frames[1]) + 4 * int(frames[2])
+    assert "full records without the pose error: 16\n" in text
+    assert re.search(r"sent +\d+ lines and \d+ pose errors, \d+ frames", text)
+    assert re.search(r"received +\d+ lines and \d+ pose errors, \d+ frames", text)
+    assert "\nego lane: width between its lines" in text
+    assert main(["demo", "--seconds", "0.1"]) == 0
+    text = capsys.readouterr().out
+    assert "ego lane" not in text
+    assert "pose error" not in text
+
+
+@pytest.mark.usefixtures("patient")
+def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFixture[str]) -> None:
+    """In a turn they end before 20 m; a scene of one line has no lane."""
+    demo = ["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL]]
+    assert main([*demo, "--scenario", "street-turn"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    low, high = scene_of("street-turn").x_range([Slot.EGO_LEFT, Slot.EGO_RIGHT])
+    assert low < 0 < high < 20
+    assert [(row["quantity"], row["x"]) for row in result["scene"]["lane"]] == [
+        ("width", 0),
+        ("centre", 0),
+    ]
+    assert main([*demo, "--lines", "1"]) == 0
+    assert json.loads(capsys.readouterr().out)["scene"]["lane"] == []
+
+
+def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
+    """As one that the levels of the pose error do not cover: it is sent and received alone."""
+    codec = Codec.from_dbc()
+    prepared = codec.prepare_scene(scene_of())
+    raw = {place: raw for place, raw in prepared.encoded.lines.items() if place != 0}
+    prepared = replace(prepared, encoded=replace(prepared.encoded, lines=raw))
+    assert len(prepared.sent_slots) == 4
+    decoder, lines = codec.decoder(), 0
+    for cycle in range(300):
+        for frame in chain.from_iterable(codec.encode_scene(prepared).values()):
+            answer = decoder.feed(frame.can_id, frame.data, cycle * 50_000_000)
+            lines += isinstance(answer, MapLine)
+        received = decoder.scene()
+        members = [] if received is None else [line.slot for line in received.scene.lines]
+        assert members == sorted(prepared.members)
+        assert Slot.EGO_LEFT not in members
+    assert lines == 4 * 300
+
+
+@pytest.mark.usefixtures("patient")
+def test_demo_with_keys_and_with_faults(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Authenticated scenes; with all frames lost there is no lane, and the status is 1."""
+    pytest.importorskip("cryptography")
+    key = tmp_path / "car.key"
+    key.write_text("00112233445566778899aabbccddeeff")
+    key.chmod(0o600)
+    for name in NAMES:
+        demo = ["demo", "--seconds", "0.1", "--json", "--key-file", str(key), *SENDING[name]]
+        assert main(demo) == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["frame_format"] == "CAN FD, authenticated"
+        assert len(result["scene"]["lane"]) == 6
+    faults = ["--faults", "loss=1,seed=1"]
+    assert main(["demo", "--seconds", "0.1", "--json", *SENDING[CONDITIONAL], *faults]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["scene"]["lane"] == []
+    assert result["received"]["pose_errors"] == 0
+    assert all(line["mean"] is None for line in result["lines"])
+
+
+# ---- send
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_send_counts_pose_errors(
+    capsys: pytest.CaptureFixture[str], channel: str, name: str
+) -> None:
+    """One CAN FD frame each; the note says what is sent, and so do text and JSON at the end."""
+    bus = ["--interface", "virtual", "--channel", channel, "--fd", "--count", "3"]
+    send = ["send", *bus, "--map-error", "0.05", "--correlation-time", "3", *SENDING[name]]
+    assert main([*send, "--json"]) == 0
+    stats = json.loads(capsys.readouterr().out)
+    assert stats["frames"] == stats["lines"] + stats["pose_errors"]
+    assert 0 < stats["pose_errors"] <= 3
+    assert stats["lines"] <= 4 * stats["pose_errors"]
+    assert main(send) == 0
+    out, err = capsys.readouterr()
+    assert "4 lines of production and their pose error on" in err
+    assert re.search(r"sent \d+ lines and \d+ pose errors in \d+ frames", out)
+
+
+# ---- receive
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_receive_prints_the_ego_lane_once_a_cycle(
+    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Between the lines; the E2E state of the pose error is shown like that of a slot."""
+    codec = Codec.from_dbc(default_dbc_path(name))
+    transfers = transfers_of(codec, 8)
+    _, scenes = decoded(codec, transfers)
+    replay([(stamp, frames) for stamp, _, frames in transfers])
+    bus = ["--interface", "virtual", "--channel", channel]
+    assert main(["receive", *bus, "--count", "32", *RECEIVING[name]]) == 0
+    out, err = capsys.readouterr()
+    lane = [row for row in out.splitlines() if "ego lane" in row]
+    assert len(out.splitlines()) == 32 + len(lane)
+    assert 1 <= len(lane) <= 8
+    width, centre = scenes[-1].scene.width(20.0), scenes[-1].scene.centre(20.0)
+    assert lane[-1].startswith(f"{scenes[-1].t_ns / 1e9:.3f}  ego lane    at 0/20/40 m: width ")
+    assert f", {width.value:.3f} ± {width.sigma:.3f}, " in lane[-1]
+    assert f", {centre.value:+.3f} ± {centre.sigma:.3f}, " in lane[-1]
+    assert "32 lines and 8 pose errors from" in err
+    assert "pose error: VALID; 8 ok, 0 lost" in err.splitlines()[-1]
+    assert re.search(r"pose error: (INIT|VALID); \d ok", err)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_receive_prints_scenes_as_json_on_request(
+    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Rows of lines stay what they are; the last scene is complete, with the joint covariance."""
+    codec = Codec.from_dbc(default_dbc_path(name))
+    transfers = transfers_of(codec)
+    _, scenes = decoded(codec, transfers)
+    receive = ["receive", "--interface", "virtual", "--channel", channel, "--json"]
+    printed = []
+    for options in ([], ["--scenes"]):
+        replay([(stamp, frames) for stamp, _, frames in transfers])
+        assert main([*receive, *RECEIVING[name], "--count", str(4 * CYCLES), *options]) == 0
+        printed.append(rows_of(capsys.readouterr().out))
+    (lines, none), (lines_again, rows) = printed
+    assert none == []
+    strip = [{key: row[key] for key in row if key != "e2e"} for row in lines]
+    assert strip == [{key: row[key] for key in row if key != "e2e"} for row in lines_again]
+    assert 1 <= len(rows) <= CYCLES
+    assert rows[-1]["e2e"]["ok"] == CYCLES
+    check_row(rows[-1], scenes[-1])
+
+
+def check_row(row: Any, received: Any) -> None:
+    """Check a row of a scene against the scene that a decoder returns."""
+    scene = received.scene
+    assert row["t"] == received.t_ns / 1e9
+    assert row["age"] == received.age
+    assert row["scene"] == ["EGO_LEFT", "EGO_RIGHT", "NEXT_LEFT", "NEXT_RIGHT"]
+    assert np.array_equal(row["joint"]["cov"], scene.cov)
+    assert np.array_equal(row["joint"]["mean"], scene.means.ravel())
+    assert np.array_equal(row["pose_error"]["cov"], scene.pose_error.cov)
+    assert row["pose_error"]["correlation_time"] == 4.0
+    for quantity in ("width", "centre"):
+        for each, x in zip(row[quantity], LANE_X, strict=True):
+            value, sigma = getattr(scene, quantity)(x)
+            assert each == {"x": x, "value": value, "sigma": sigma}
+
+
+# ---- decode
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fd", [False, True])
+def test_decode_prints_each_scene_on_request(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, fd: bool
+) -> None:
+    """One row a scene and channel, after its lines, which are the same with and without."""
+    codec = Codec.from_dbc(default_dbc_path(name))
+    transfers = transfers_of(codec, fd=fd)
+    expected, scenes = decoded(codec, transfers)
+    decode = write_log(tmp_path / "drive.log", transfers, "can0", "can1") + RECEIVING[name]
+    assert main(decode) == 0
+    lines, none = rows_of(capsys.readouterr().out)
+    assert none == []
+    assert len(lines) == 2 * len(expected) == 2 * 4 * CYCLES
+    assert main([*decode, "--scenes"]) == 0
+    out, err = capsys.readouterr()
+    assert rows_of(out)[0] == lines
+    for channel in ("can0", "can1"):
+        rows = [row for row in rows_of(out)[1] if row["channel"] == channel]
+        for row, scene in zip(rows, scenes, strict=True):
+            check_row(row, scene)
+        assert f"{channel} pose error: INIT; {CYCLES} ok, 0 lost" in err
+    assert f"{8 * CYCLES} lines and {2 * CYCLES} pose errors from" in err
+    assert "dropped frames: none" in err
+    assert main([*decode, "--csv"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(lines)
+
+
+def test_decode_loses_no_line_that_waits_for_its_pose_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """All lines of a cycle come with the last frame of the pose error, if that is late."""
+    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    transfers = transfers_of(codec)
+    cycles = [transfers[5 * k : 5 * k + 5] for k in range(CYCLES)]
+    late = list(chain.from_iterable(cycle[1:] + cycle[:1] for cycle in cycles))
+    stamps = sorted(stamp for stamp, _, _ in late)
+    late = [(t, owner, frames) for t, (_, owner, frames) in zip(stamps, late, strict=True)]
+    decode = write_log(tmp_path / "late.log", late, "can0")
+    assert main([*decode, "--dbc", CONDITIONAL, "--scenes"]) == 0
+    out, err = capsys.readouterr()
+    lines, scenes = rows_of(out)
+    assert len(lines) == 4 * CYCLES
+    assert [len(row["scene"]) for row in scenes] == [4] * CYCLES
+    assert "dropped frames: none" in err
+    without = [each for each in late if each[1] != POSE]
+    assert main([*write_log(tmp_path / "none.log", without, "can0"), "--dbc", CONDITIONAL]) == 0
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert re.search(r"0 lines from \d+ frames; .* \d+ pose", err)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_decode_without_time_stamps(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str
+) -> None:
+    """The scenes are told apart by the counter of the pose error, even if they are equal."""
+    codec = Codec.from_dbc(default_dbc_path(name))
+    path = tmp_path / "plain.log"
+    path.write_text(
+        "".join(
+            f"  can0  {frame.can_id:03X}   [8]  {frame.data.hex(' ').upper()}\n"
+            for _, _, frames in transfers_of(codec)
+            for frame in frames
+        )
+    )
+    assert main(["decode", str(path), "--scenes", *RECEIVING[name]]) == 0
+    lines, scenes = rows_of(capsys.readouterr().out)
+    assert len(lines) == 4 * CYCLES
+    assert [(row["t"], len(row["scene"])) for row in scenes] == [(None, 4)] * CYCLES
+
+
+# ---- drive
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("fd", [False, True])
+def test_drive_records_scenes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, fd: bool
+) -> None:
+    """Every line of every cycle belongs to a scene, with its age and the correlation time."""
+    log, seconds = tmp_path / "drive.log", ["--seconds", "2", "--map-error", "0.05"]
+    fast = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", *seconds, *["--fd"] * fd]
+    result = run(capsys, town(tmp_path), *fast, "--record", str(log), *SENDING[name])
+    assert result["cycles"] == result["pose_errors"] == 40
+    assert result["lines"] >= 2 * 40
+    decoder = Codec.from_dbc(default_dbc_path(name)).decoder()
+    lines, scenes = list[MapLine](), dict[int, Any]()
+    for frame in read_log(log):
+        answer = decoder.feed(frame.can_id, frame.data, frame.t_ns)
+        if isinstance(answer, MapLine):
+            assert decoder.further == []
+            lines.append(answer)
+            received = decoder.scene()
+            assert received is not None
+            scenes[received.t_ns] = received
+    assert not any(decoder.counts.values())
+    assert decoder.lost == 0
+    assert len(lines) == result["lines"]
+    members = sum(len(each.scene.lines) for each in scenes.values())
+    assert members == len(lines) if name == CONDITIONAL else 0.9 * len(lines) < members
+    assert len(scenes) == 40
+    assert max(each.age for each in scenes.values()) <= 0.008
+    begun = {line.t_ns: each.t_ns for each in scenes.values() for line in each.scene.lines}
+    for line in lines:
+        assert line.t_ns is not None
+        since = (line.t_ns - begun[line.t_ns]) / 1e9
+        assert line.age == pytest.approx(since, abs=0.009)
+    times = {each.scene.pose_error.correlation_time for each in scenes.values()}
+    assert times == {2**3.5}  # 10 s, in steps of half an octave
+    assert result["bus_load"] < 0.2
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_drive_sends_scenes_in_real_time(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """One CAN FD frame for each line and each pose error; uncorrelated errors are allowed."""
+    route = ["--route", "1:0:-2..1:0:-1", "--seconds", "0.5", "--rate", "10", "--fd"]
+    options = [*route, "--correlation-time", "0", *SENDING[name]]
+    result = run(capsys, town(tmp_path), *options)
+    assert result["frames"] == result["lines"] + result["pose_errors"]
+    assert result["pose_errors"] > 0
+    assert main(["drive", town(tmp_path), *options]) == 0
+    assert re.search(r"sent +\d+ lines and \d+ pose errors in \d+ frames", capsys.readouterr().out)
+
+
+# ---- options
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_name_of_a_dbc_of_this_package_is_enough(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """In any folder; a file of that name comes first."""
+    monkeypatch.chdir(tmp_path)
+    assert codec_from(name).layout.source == str(default_dbc_path(name))
+    (tmp_path / name).write_text(DBC.read_text())
+    assert codec_from(name).layout.source == name
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("demo --pose-error --components 3", "--components 3 does not go with --pose-error"),
+        ("demo --dbc maplines-pose.dbc --components auto", "receiver splits that itself"),
+        ("send --interface virtual --pose-error --components 2", "leave out --components"),
+        ("drive --dbc maplines-pose.dbc --components 2", "maplines-pose.dbc: lines are sent with"),
+        ("demo --correlation-time 3", "add --pose-error, or take --dbc maplines-pose.dbc"),
+        ("demo --pose-error --max-load 0.05", "4 lines and the pose error take up to 11.3 %"),
+        ("drive --dbc maplines-pose.dbc --max-load 0.05", "take up to 9.72 % of the bus at 20 Hz"),
+        ("demo --pose-error --dbc {dbc}", "edited.dbc has no message of the pose error"),
+        ("decode --scenes --dbc {dbc} none.log", "--scenes: .*edited.dbc has no message of the"),
+        ("receive --scenes --interface virtual", "--scenes needs --json"),
+        ("figures --dbc maplines-pose.dbc --out {out}", "use maplines demo, send, receive, decode"),
+    ],
+)
+def test_errors_name_the_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str, words: str
+) -> None:
+    """One line, status 1."""
+    dbc = edited(tmp_path, (r'BA_ "MapLinePose" .*\n', ""))
+    given = [word.format(dbc=dbc, out=tmp_path / "out") for word in command.split()]
+    assert main(given) == 1
+    (error,) = [row for row in capsys.readouterr().err.splitlines() if "error:" in row]
+    assert re.search(words, error)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["demo --correlation-time 0", "send --correlation-time x", "decode --csv --scenes none.log"],
+)
+def test_wrong_usage(capsys: pytest.CaptureFixture[str], command: str) -> None:
+    """Status 2, with the usage."""
+    with pytest.raises(SystemExit, match="2"):
+        main(command.split())
+    assert re.search(
+        r"(--correlation-time|--scenes).*: (must be|not allowed)", capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scene_may_have_no_lines(name: str) -> None:
+    """As off the map: the pose error is sent alone."""
+    scene = map_scene({}, scenario("production").ego)
+    assert (scene.lines, scene.cov.shape) == ((), (0, 0))
+    codec = Codec.from_dbc(default_dbc_path(name))
+    assert list(codec.encode_scene(scene)) == [POSE]
