@@ -15,12 +15,13 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 #: All modules of the product. A module imports only modules that stand before it.
 ORDER = """
 arrays errors
-gaussian mixture line search_tree polyline
+gaussian mixture line map_error scene seen_lines search_tree polyline
 street_shapes scenarios
 propagation.valid_range propagation.refit propagation.transform propagation.linear
 propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
+propagation.map_scene propagation.scene_mixture
 propagation
 maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model maps.tracking
 maps.town
@@ -36,15 +37,17 @@ wire.message.packing wire.message.requirement wire.message.requirements wire.mes
 wire.message.record_layout wire.message.pose_layout wire.message.dbc_messages
 wire.message.dbc_reader wire.message.layout
 wire.message.validation
-wire.covariance.code wire.covariance.factor wire.covariance.cholesky wire.covariance
+wire.covariance.code wire.covariance.factor wire.covariance.cholesky
+wire.covariance.joint wire.covariance.own_levels wire.covariance.scene_code wire.covariance
 wire.protection wire.protection.e2e
 wire.message.reader wire.message.writer wire.message.components wire.message.line_writer
-wire.message.raw_records wire.message.pose_records
+wire.message.raw_records wire.message.pose_records wire.message.complete_records
+wire.message.scene_writer wire.message.scene_reader
 wire.protection.e2e_state wire.protection.key wire.protection.secoc
 wire.message.frames
 wire.reception wire.reception.conflict wire.reception.deadline wire.reception.history
 wire.reception.mixtures wire.reception.reassembly wire.reception.sequence
-wire.reception.epochs wire.reception.poses wire.reception.decoder
+wire.reception.epochs wire.reception.poses wire.reception.scenes wire.reception.decoder
 wire.reception.monitor wire.reception.settings
 wire.codec
 wire
@@ -53,7 +56,8 @@ bus.socketcan bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver
 bus.transmitter bus
 ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.columns ego.records
 ego.recorded ego.route_drive ego
-cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.sending cli.stderr
+cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
+cli.sending cli.stderr
 cli.driving cli.ways cli cli.__main__ cli.accuracy cli.claims cli.decode cli.demo cli.design
 cli.drive cli.figures cli.map_info cli.receive cli.send cli.study
 __main__

@@ -8,12 +8,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from maplines_can import Slot
 from maplines_can.street_shapes import Piece, Street, widening
 
 Array = NDArray[np.float64]
 
 #: Standard deviations of the car's place across its lane [m], and of its heading from it [rad].
 ACROSS_SIGMA, HEADING_SIGMA = 0.3, 0.05
+#: Offsets of the lines of a scene [lane widths].
+LANES = (0.5, -0.5, 1.5, -1.5, 0.0, 2.5, -2.5, 0.02)
 
 
 def bend(rng: Any, radius: Any, turn: Any, clothoid: float = 0.0, side: int = 0) -> list[Piece]:
@@ -149,22 +152,72 @@ class Case(NamedTuple):
 
 def random_case(shape: str, rng: Any) -> Case:
     """Return a random line of a shape of road, near a car in its middle lane."""
-    pieces_of, spacing, offset_of = SHAPES[shape]
+    street, points_at = _random_street(shape, rng)
+    s = points_at()
+    across = SHAPES[shape][2](rng)(s, rng.uniform(2.75, 3.75))
+    there = np.isfinite(across)
+    if there.sum() < 2:
+        return random_case(shape, rng)
+    points = street.line(s[there], across[there])
+    pose, R = _random_pose(rng)
+    return Case(points @ R + pose.place, pose.mean, bool(rng.random() < 0.5))
+
+
+class SceneCase(NamedTuple):
+    """Lines of the map and the mean pose of a car in the lane between the first two."""
+
+    lines: dict[Slot, Array]  #: (n, 2) points in the map frame, in the direction of the car
+    pose: Array  #: (3,)
+
+
+def random_scene(shape: str, rng: Any, lines: int) -> SceneCase:
+    """Return random lines of a shape of road, 1 to 8, near a car in its middle lane.
+
+    They are the boundaries of the lanes, with a line in the middle and one close to it. A line
+    that ends, widens or jumps does so at a place of its own; one that is not there lacks.
+    """
+    street, points_at = _random_street(shape, rng)
+    width = rng.uniform(2.75, 3.75)
+    found = {}
+    for slot, lane in zip(Slot, LANES[:lines], strict=False):
+        s = points_at()
+        across = SHAPES[shape][2](rng)(s, width)
+        if np.isfinite(across).sum() >= 2:
+            across = lane * width + across - np.nanmedian(across)
+            there = np.isfinite(across)
+            found[slot] = street.line(s[there], across[there])
+    pose, R = _random_pose(rng)
+    return SceneCase({slot: points @ R + pose.place for slot, points in found.items()}, pose.mean)
+
+
+class _Pose(NamedTuple):
+    """Pose of a car beside the middle of a road, and the place of the road's origin."""
+
+    mean: Array  #: (3,)
+    place: Array  #: (2,)
+
+
+def _random_street(shape: str, rng: Any) -> tuple[Street, Callable[[], Array]]:
+    """Return a road, and a function that draws arc lengths of the points of a line along it."""
+    pieces_of, spacing, _ = SHAPES[shape]
     pieces = [Piece(*map(float, piece)) for piece in pieces_of(rng)]
     street = Street(pieces, rng.uniform(0.05, 0.9) * sum(piece.length for piece in pieces))
     distance = np.exp(rng.uniform(*np.log(spacing)))
     least, most = max(spacing[0], 0.7 * distance), min(spacing[1], 1.4 * distance)
     count = int((street.end - street.begin) / least) + 1
-    s = street.begin + np.append(0.0, rng.uniform(least, most, count).cumsum())
-    s = np.append(s[s < street.end - least / 2], street.end)
-    across = offset_of(rng)(s, rng.uniform(2.75, 3.75))
-    there = np.isfinite(across)
-    if there.sum() < 2:
-        return random_case(shape, rng)
-    points = street.line(s[there], across[there])
+
+    def points_at() -> Array:
+        s = street.begin + np.append(0.0, rng.uniform(least, most, count).cumsum())
+        return np.append(s[s < street.end - least / 2], street.end)
+
+    return street, points_at
+
+
+def _random_pose(rng: Any) -> tuple[_Pose, Array]:
+    """Return a pose, and the (2, 2) matrix that turns points (n, 2) of the road to the map."""
     turn, place = rng.uniform(-np.pi, np.pi), rng.uniform([3e5, 4e6], [7e5, 7e6])
     c, d = np.cos(turn), np.sin(turn)
     beside = np.array([0.0, rng.normal(0, ACROSS_SIGMA)])
     R = np.array([[c, d], [-d, c]])
-    pose = np.append(beside @ R + place, turn + rng.normal(0, HEADING_SIGMA))
-    return Case(points @ R + place, pose, bool(rng.random() < 0.5))
+    mean = np.append(beside @ R + place, turn + rng.normal(0, HEADING_SIGMA))
+    return _Pose(mean, place), R

@@ -1,0 +1,77 @@
+"""Scenes on a road, and their frames through a receiver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from maplines_can import Codec, Gaussian, MapError, Monitor, Polyline, Scene, Slot, map_scene
+from maplines_can.wire import Authenticator, Decoder, Frame, Key, default_dbc_path
+
+#: Offsets of the lines from the car [m].
+OFFSETS = {
+    Slot.EGO_LEFT: 1.75,
+    Slot.EGO_RIGHT: -1.75,
+    Slot.NEXT_LEFT: 5.25,
+    Slot.NEXT_RIGHT: -5.25,
+    Slot.CENTRE: 0.0,
+    Slot.EDGE_LEFT: 7.0,
+    Slot.EDGE_RIGHT: -7.0,
+    Slot.ROUTE: 0.4,
+}
+CONDITIONAL, COMPLETE, SECURED = "maplines-pose.dbc", "maplines.dbc", "maplines-secoc.dbc"
+ALL = (CONDITIONAL, COMPLETE, SECURED)
+MAP_ERROR = MapError(point_sigma=0.05, offset_sigma=0.05, heading_sigma=0.001)
+PERIOD_NS, FRAME_NS = 50_000_000, 250_000
+
+
+@cache
+def codec_of(dbc: str) -> Codec:
+    """Return the codec of one of the project's DBCs, for tests that leave its counters alone."""
+    return Codec.from_dbc(default_dbc_path(dbc))
+
+
+def authenticated_codec(dbc: str) -> Codec:
+    """Return a codec with a key."""
+    key = Key(bytes(range(16)), key_id=1)
+    return Codec.from_dbc(default_dbc_path(dbc), Authenticator(key, clock=lambda: 10**18))
+
+
+def road_scene(
+    slots: Iterable[Slot] = (Slot.EGO_LEFT, Slot.EGO_RIGHT),
+    *,
+    radius: float = 400.0,
+    sigma: Any = (0.3, 0.2, 0.005),
+    map_error: MapError | None = MAP_ERROR,
+    **settings: Any,
+) -> Scene:
+    """Return lines of a bend with this radius, seen from an uncertain pose."""
+    s = np.arange(-100.0, 200.0, 2.0)[:, None] / radius
+    lines = {
+        slot: Polyline(
+            np.hstack(
+                [
+                    (radius - OFFSETS[slot]) * np.sin(s),
+                    radius - (radius - OFFSETS[slot]) * np.cos(s),
+                ]
+            )
+        )
+        for slot in slots
+    }
+    ego = Gaussian([0, 0, 0], np.diag(sigma) ** 2)
+    return map_scene(lines, ego, map_error=map_error, **{"correlation_time": 4.0} | settings)
+
+
+def feed(
+    receiver: Monitor | Decoder, frames: Mapping[Any, list[Frame]], t_ns: int
+) -> tuple[list[Any], int]:
+    """Feed the frames of a cycle from ``t_ns``; return the answers and the time after them."""
+    answers = []
+    for own in frames.values():
+        for frame in own:
+            answers.append(receiver.feed(frame.can_id, frame.data, t_ns))
+            t_ns += FRAME_NS
+    return answers, t_ns

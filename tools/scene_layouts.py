@@ -1,0 +1,34 @@
+"""Codes of scenes of the project's DBCs."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from maplines_can.wire import Layout
+from maplines_can.wire.covariance import SceneCode
+from maplines_can.wire.message.dbc_reader import default_dbc_path
+from maplines_can.wire.message.pose_layout import PoseLayout
+
+#: DBC with records that are conditional on the pose, and DBC with complete records beside it.
+CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
+
+
+@lru_cache
+def layout_of(dbc: str) -> Layout:
+    """Return the layout of one of the project's DBCs."""
+    return Layout.from_dbc(default_dbc_path(dbc))
+
+
+@lru_cache
+def pose_layout_of(dbc: str) -> PoseLayout:
+    """Return the layout of the Pose message of one of the project's DBCs."""
+    pose = layout_of(dbc).pose
+    if pose is None:
+        raise ValueError(f"{dbc} has no Pose message")
+    return pose
+
+
+@lru_cache
+def scene_code(dbc: str = CONDITIONAL) -> SceneCode:
+    """Return the code of the scenes of one of the project's DBCs."""
+    return SceneCode(pose_layout_of(dbc), layout_of(dbc))
