@@ -33,7 +33,7 @@ from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
 
 POSE, LINES = pose_original(), conditional_original()
-RECORDS = 6
+RECORDS = 2
 
 
 def decoded(database: Any, frames: list[Frame]) -> dict[str, float]:
