@@ -299,15 +299,14 @@ class SceneCode:
         rest = blocks(seen.spread(scene.pose_error.cov))
         J, common = bases(means, fit_ranges), self._common(seen, pose)
         missing = positive_part(blocks(true) - rest, J)
-        raw, kl = self._levels.encode(missing - common, rest + common, J, self.resolution)
         is_full = np.full(len(means), full)
-        if self._own_code is not None:
-            by_levels = self._levels.decode(raw, J) + common
-            ratio = _worst_ratio(by_levels, missing + common, means, fit_ranges)
-            is_full |= (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
         spread = seen.spread(pose.cov)
         for trial in range(TRIALS):
             raw, kl = self._levels.encode(missing - common, rest + common, J, self.resolution)
+            if trial == 0 and self._own_code is not None:
+                by_levels = self._levels.decode(raw, J) + common
+                ratio = _worst_ratio(by_levels, missing + common, means, fit_ranges)
+                is_full |= (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
             covered = np.isfinite(kl)
             if self._own_code is not None:
                 is_full |= ~covered
