@@ -168,14 +168,15 @@ def original(*slots: Slot) -> str:
     pages = tuple(
         tuple(spec for spec in page if spec not in last) for page in (first, second, third, fourth)
     )
-    return replace(SECURED, pages=(*pages, last), slots=slots or SLOTS, pose=None).dbc()
+    text = replace(SECURED, pages=(*pages, last), slots=slots or SLOTS, pose=None).dbc()
+    return _without_comments(text)
 
 
 def pose_original() -> str:
     """Return the text of a DBC with complete lines and the pose error, with free pages."""
     levels = POSE_WITH_LEVELS.pages[2][: 3 * len(SLOTS)]
     pose = replace(POSE_WITH_LEVELS, pages=(*POSE_WITH_LEVELS.pages[:2], levels, (), ()))
-    return replace(DEFAULT, slots=SLOTS, pose=pose).dbc()
+    return _without_comments(replace(DEFAULT, slots=SLOTS, pose=pose).dbc())
 
 
 def conditional_original() -> str:
@@ -184,7 +185,8 @@ def conditional_original() -> str:
     levels = (own_points(), own_spacing())
     head = (tuple(spec for spec in page if spec not in levels) for page in (first, second))
     pages = (*head, (*third, *levels), fourth, ())
-    return replace(CONDITIONAL, slots=SLOTS, pages=pages, first_secured_can_id=None).dbc()
+    text = replace(CONDITIONAL, slots=SLOTS, pages=pages, first_secured_can_id=None).dbc()
+    return _without_comments(text)
 
 
 def fields_of(text: str, message: str) -> list[str]:
@@ -228,7 +230,7 @@ def of_field(field: str) -> Iterator[Alteration]:
 def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str:
     """Return the text with a signal changed, in each message whose name matches.
 
-    If the signal is renamed or removed, its comments and value names are removed.
+    If the signal is renamed or removed, its value names are removed.
     """
     out: list[str] = []
     gone: set[str] = set()
@@ -246,7 +248,7 @@ def changed(text: str, field: str, change: Change, message: str = r"\w+") -> str
         if new is not None:
             out.append(str(new))
     texts = "|".join(gone) or "-"
-    return re.sub(rf"^(CM_ SG_|VAL_) \d+ ({texts}) [^;]*;\n", "", "\n".join(out) + "\n", flags=re.M)
+    return re.sub(rf"^VAL_ \d+ ({texts}) [^;]*;\n", "", "\n".join(out) + "\n", flags=re.M)
 
 
 def _places(text: str, field: str, message: str) -> Iterator[tuple[int, str]]:
@@ -271,8 +273,13 @@ def _without(text: str, message: str) -> str:
     """Return the text without the messages whose names match."""
     for can_id in re.findall(rf"^BO_ (\d+) (?:{message}):", text, flags=re.M):
         text = re.sub(rf"^BO_ {can_id} .*?\n\n", "", text, flags=re.M | re.S)
-        text = re.sub(rf"^(?:CM_|BA_|VAL_)[^\n]* {can_id} [^;]*;\n", "", text, flags=re.M)
+        text = re.sub(rf"^(?:BA_|VAL_)[^\n]* {can_id} [^;]*;\n", "", text, flags=re.M)
     return text
+
+
+def _without_comments(text: str) -> str:
+    """Return the text without comments, which take half of the time of a parser."""
+    return re.sub(r'^CM_ [^"]*"[^"]*";\n', "", text, flags=re.M)
 
 
 def _foreign(text: str, message: str, classic: str, fd: str) -> str:

@@ -15,6 +15,7 @@ from maplines_can.errors import LayoutError
 from maplines_can.line import Kind, Slot
 from maplines_can.wire import E2EConfig, Layout
 from maplines_can.wire.covariance import CholeskyCode
+from maplines_can.wire.message.dbc_reader import parse_database
 from maplines_can.wire.message.frames import Frame, FrameWriter
 from maplines_can.wire.message.pose_records import (
     ConditionalRecord,
@@ -134,8 +135,8 @@ def test_an_altered_signal_gives_a_right_result_or_a_refusal(
     results = set()
     for alteration in of_field_in(text, field, message):
         try:
-            layout = Layout.from_text(alteration.text)
-            check(layout, cantools.database.load_string(alteration.text, "dbc"))
+            database = parse_database(alteration.text, "DBC")  # once, since it takes the time
+            check(Layout.from_dbc(database), database)
         except LayoutError as error:
             is_named = field in str(error) or named in str(error)
             results.add("refused" if is_named else f"{alteration.name}: {error}")
