@@ -198,31 +198,35 @@ def conservative(pivots: Array, ratios: Array, inflation: Width) -> Array:
         ratios: (6,) steps.
         inflation: its field.
     """
-    W, needed = _roundings(tuple(pivots), tuple(ratios))
+    trace, log_det, needed = _roundings(tuple(pivots), tuple(ratios))
     steps = np.ceil(np.maximum(needed, 0) / inflation.factor)
     log_factor = steps * inflation.factor * np.log(2)
-    trace, log_det = np.einsum("nii->n", W), np.linalg.slogdet(W)[1]
     return (trace * np.exp(-log_factor) - 4 + 4 * log_factor - log_det) / 2
 
 
 def inflation_width(bits: int, pivots: Array, ratios: Array) -> Width:
     """Return the field for the inflation that the steps need."""
-    needed = _roundings(tuple(pivots), tuple(ratios))[1]
+    needed = _roundings(tuple(pivots), tuple(ratios))[2]
     most = float(needed.max()) * SELDOM_MORE
     if most > RETRY:
         most = float(np.quantile(needed, INFLATION_HELD))
     return Width(bits, _rounded_up(most / (2**bits - 1)), 0.0)
 
 
-@lru_cache(maxsize=16)
-def _roundings(pivots: tuple[float, ...], ratios: tuple[float, ...]) -> tuple[Array, Array]:
-    """Return (DRAWS, 4, 4) ``L'^-1 T L'^-T`` of roundings, and their inflation [octave]."""
+@lru_cache(maxsize=1024)  # a search comes back to the same steps: 25 MB
+def _roundings(pivots: tuple[float, ...], ratios: tuple[float, ...]) -> tuple[Array, Array, Array]:
+    """Return traces and log determinants of ``L'^-1 T L'^-T``, and their inflation [octave].
+
+    They are (DRAWS,), one for each rounding.
+    """
     u = np.random.default_rng(0).uniform(-0.5, 0.5, size=(DRAWS, 10))
     A = np.zeros((DRAWS, 4, 4))
     A[:, range(4), range(4)] = np.exp2(u[:, :4] * np.array(pivots))
     A[:, *np.tril_indices(4, -1)] = u[:, 4:] * np.array(ratios)
     W = A @ np.swapaxes(A, 1, 2)
-    return W, np.log2(np.linalg.eigvalsh(W)[:, -1] * (1 + MARGIN) + MARGIN)
+    log_det = 2 * np.log(np.einsum("nii->ni", A)).sum(axis=1)
+    needed = np.log2(np.linalg.eigvalsh(W)[:, -1] * (1 + MARGIN) + MARGIN)
+    return np.einsum("nii->n", W), log_det, needed
 
 
 def blurs(S: Array, F: Array) -> Array:
