@@ -60,7 +60,7 @@ class Transfer(NamedTuple):
     latest: float  #: until then, the age that is sent is not too small [s]
     frames: Sequence[Frame]  #: those of all components, if the line is a mixture
     expired: bool  #: the age is sent as "too old"
-    records: int  #: that the frames carry
+    records: int  #: by which the counter advances when the transfer is taken
     again: Callable[[float], tuple[Sequence[Frame], bool]]  #: encode for another ``latest``
     skipped: int = 0  #: deadlines of the owner that were missed before this one
 
@@ -105,9 +105,9 @@ class TxQueue:
     ) -> None:
         self._codec, self._period, self._fd, self._max_age = codec, period, fd, max_age
         self._schedule: Schedule[Owner] = Schedule(period, count)
-        self._published: dict[Slot, Published] = {}
+        self._published: dict[Owner, Published] = {}
         self._scene: PublishedScene | None = None  # then nothing else is published
-        self._new: set[Slot] = set()  # published since they were last encoded
+        self._new: set[Owner] = set()  # published since they were last encoded
         self._ahead: dict[Owner, Transfer] = {}  # encoded, not due yet
         self._counters: Counter[Owner] = Counter()  # of the next record to be sent
 
@@ -120,7 +120,7 @@ class TxQueue:
         if self._scene is not None:
             self._scene = None
             for owner in (POSE, *Slot):
-                self.drop(owner)
+                self._remove(owner)
         for line in lines:
             if line.slot not in self._published:
                 self._schedule.add(line.slot, line.slot / len(Slot), now)
@@ -136,28 +136,29 @@ class TxQueue:
         if age is None:
             age = max((line.age for line in prepared.scene.lines), default=0.0)
         if self._scene is None:
-            for slot in list(self._published):
-                self.drop(slot)
+            for owner in self._published:
+                self._remove(owner)
+            self._published.clear()
             # Before the first slot, which has the same phase: the first of two keys comes first.
             self._schedule.add(POSE, 0.0, now)
         before = set() if self._scene is None else set(self._scene.slots)
         self._scene = PublishedScene(prepared, age, now)
         for slot in before - set(self._scene.slots):
-            self.drop(slot)
+            self._remove(slot)
         for slot in self._scene.slots:
             if slot not in before:
                 self._schedule.add(slot, slot / len(Slot), now)
 
-    def drop(self, owner: Owner) -> None:
-        """Remove the line of a slot, or the pose error; there may be none."""
+    def drop(self, slot: Slot) -> None:
+        """Remove the line of a slot; there may be none."""
+        self._remove(slot)
+        self._published.pop(slot, None)
+        if self._scene is not None:
+            self._scene = replace(self._scene, prepared=self._scene.prepared.without(slot))
+
+    def _remove(self, owner: Owner) -> None:
         self._schedule.remove(owner)
         self._ahead.pop(owner, None)
-        if owner != POSE:
-            self._published.pop(owner, None)
-            self._new.discard(owner)
-            if self._scene is not None:
-                prepared = self._scene.prepared.without(owner)
-                self._scene = replace(self._scene, prepared=prepared)
 
     @property
     def over(self) -> bool:
@@ -184,9 +185,8 @@ class TxQueue:
                 transfer = self._ahead.pop(due.key, None)
             if transfer is None:
                 continue  # of a scene whose pose error was not sent
-            if self._scene is None:
-                self._counters[due.key] += transfer.records
-            elif not transfer.frames:
+            self._counters[due.key] += transfer.records
+            if not transfer.frames:
                 transfer = self.renew(transfer, now)
             return transfer._replace(skipped=due.skipped)
         return None
@@ -210,7 +210,7 @@ class TxQueue:
                 deadlines[other] = then
         order = sorted(deadlines, key=deadlines.__getitem__)
         latest = {each: deadlines[each] + ALLOWANCE for each in order}
-        published = {slot: self._published[slot] for slot in order if slot != POSE}
+        published = {each: self._published[each] for each in order}
         batch = [own.with_age(latest[each], self._max_age) for each, own in published.items()]
         encoded = self._encode_lines(batch)
         for (each, own), line, frames in zip(published.items(), batch, encoded, strict=True):
@@ -261,7 +261,7 @@ class TxQueue:
                 then + ALLOWANCE,
                 frames[owner] if then <= deadline + AHEAD else (),
                 ages[owner] == math.inf,
-                1,
+                0,  # the counters have advanced
                 again,
             )
 
@@ -278,7 +278,7 @@ class TxQueue:
         ages |= dict.fromkeys(scene.slots, age)
         return self._scene_frames(scene, counters, ages)[owner], age == math.inf
 
-    def _may_be_ahead(self, slot: Slot, deadline: float, now: float) -> bool:
+    def _may_be_ahead(self, slot: Owner, deadline: float, now: float) -> bool:
         until = now + self._period / 2
         if slot in self._new:
             until = self._published[slot].at + self._period

@@ -1,5 +1,10 @@
 """Lines are encoded together, a little ahead; counters have no gap."""
 
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,9 +22,9 @@ from maplines_can.bus import (
     Link,
     Transmitter,
 )
-from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, TxQueue
+from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.line import Slot
-from maplines_can.wire import Codec
+from maplines_can.wire import POSE, Codec, Frame
 
 
 def test_a_retracted_line_is_not_sent_again(link: Any) -> None:
@@ -79,9 +84,10 @@ def test_a_producer_of_the_same_period_is_never_behind(offset: float) -> None:
 def test_repetitions_are_encoded_half_a_period_ahead_at_most() -> None:
     opener, clock, codec = FakeOpener(), Clock(), Recorder()
     with Link(opener) as link:
-        transmitter = Transmitter(link, codec, period=0.08, clock=clock)  # type: ignore[arg-type]
+        # A power of two, so that a line may be exactly half a period away: it is not included.
+        transmitter = Transmitter(link, codec, period=2**-4, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(slot) for slot in Slot)
-        drive(transmitter, clock, 1000.0 + 0.08 * 3 - 0.001)
+        drive(transmitter, clock, 1000.0 + 2**-4 * 3 - 0.001)
 
     assert [len(batch) for batch in codec.batches] == [8, 4, 4, 4, 4]
 
@@ -133,3 +139,266 @@ def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps: Any, drop_ev
                 decoder.feed(frame.can_id, frame.data, round(1e9 * now))
     assert decoder.lost == 0
     assert not any(decoder.counts.values())
+
+
+T0 = 1000.0
+#: A power of two, so that all times are exact; the slots are T / 8 apart [s].
+T = 2.0**-4
+LEFT, RIGHT, ROUTE = Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE
+
+
+@dataclass(frozen=True)
+class FakeScene:
+    """A prepared scene with nothing but its slots and the age of each line."""
+
+    sent_slots: tuple[Slot, ...]
+    ages: tuple[float, ...] = (0.0,)
+
+    @property
+    def scene(self) -> Any:
+        return SimpleNamespace(lines=[SimpleNamespace(age=age) for age in self.ages])
+
+    def without(self, slot: Slot) -> "FakeScene":
+        return replace(self, sent_slots=tuple(s for s in self.sent_slots if s != slot))
+
+
+class SceneCodec(FakeCodec):
+    """Codec that records the owners of each call; a frame has the counter as ID and the age."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls: list[Any] = []
+
+    def encode_lines(self, lines: Any, *, fd: bool = False, counters: Any = None) -> Any:  # noqa: ARG002
+        self.calls.append({line.slot for line in lines})
+        return [self._frames(counters[line.slot], line.age) for line in lines]
+
+    def encode_scene(self, prepared: Any, *, age: Any, fd: bool, counters: Any) -> Any:  # noqa: ARG002
+        owners = (POSE, *prepared.sent_slots)
+        self.calls.append(set(owners))
+        return {owner: self._frames(counters.get(owner, 0), age[owner]) for owner in owners}
+
+    @staticmethod
+    def _frames(counter: int, age: float) -> list[Frame]:
+        return [Frame(counter, struct.pack("d", age))]
+
+
+def queue_of(
+    codec: Any = None, period: float = T, count: int | None = None, max_age: float = 0.2
+) -> TxQueue:
+    return TxQueue(codec or SceneCodec(), period, fd=False, count=count, max_age=max_age)
+
+
+def put(tx_queue: TxQueue, what: Any, now: float) -> None:
+    """Publish a scene of these slots, or lines of these slots, a number of periods after T0."""
+    kind, *slots = what
+    if kind == "scene":
+        tx_queue.put_scene(FakeScene(tuple(slots)), T0 + now * T)  # type: ignore[arg-type]
+    else:
+        tx_queue.put([map_line(slot) for slot in slots], T0 + now * T)
+
+
+def taken(tx_queue: TxQueue, start: float, end: float) -> list[Transfer]:
+    """Return the transfers from ``start`` until before ``end`` [periods after T0], never late."""
+    now, transfers = T0 + start * T, list[Transfer]()
+    while (step := tx_queue.wait(now)) is not None and now + step < T0 + end * T:
+        now += step
+        if (transfer := tx_queue.take(now)) is not None:
+            transfers.append(transfer)
+    return transfers
+
+
+def owners(transfers: Sequence[Transfer]) -> list[Any]:
+    return [transfer.owner for transfer in transfers]
+
+
+def age_of(transfer: Transfer) -> float:
+    """Return the age that is sent [s]."""
+    (frame,) = transfer.frames
+    return float(struct.unpack("d", frame.data)[0])
+
+
+def counters(transfers: Sequence[Transfer], owner: Any) -> list[int]:
+    return [transfer.frames[0].can_id for transfer in transfers if transfer.owner == owner]
+
+
+def test_a_scene_is_encoded_once_a_period_for_the_deadlines_of_its_lines() -> None:
+    """The ages refer to the deadlines and the 4 ms of lateness that the class promises."""
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("scene", LEFT, RIGHT, ROUTE), 0)
+    transfers = taken(tx_queue, 0, 2)
+
+    assert owners(transfers) == [POSE, LEFT, RIGHT, ROUTE] * 2
+    assert codec.calls == [{POSE, LEFT, RIGHT, ROUTE}] * 2
+    due = [T * (cycle + phase / 8) for cycle in range(2) for phase in (0, LEFT, RIGHT, ROUTE)]
+    assert [transfer.deadline - T0 for transfer in transfers] == due
+    assert [transfer.latest - T0 for transfer in transfers] == pytest.approx(
+        [t + 0.004 for t in due]
+    )
+    assert [age_of(transfer) for transfer in transfers] == pytest.approx([t + 0.004 for t in due])
+    assert counters(transfers, POSE) == counters(transfers, ROUTE) == [0, 1]
+
+
+@pytest.mark.parametrize("kind", ["scene", "lines"])
+def test_what_is_published_again_has_no_more_deadlines(kind: str) -> None:
+    """The count is of the slot, not of its value; nor is a deadline lost that has passed."""
+    tx_queue = queue_of(count=3)
+    transfers = []
+    for k in range(6):
+        put(tx_queue, (kind, LEFT, ROUTE), k + 15 / 16)  # just after the deadline of the route
+        transfers += taken(tx_queue, k + 15 / 16, k + 31 / 16)
+    first = [POSE] if kind == "scene" else []
+    assert sorted(map(str, owners(transfers))) == sorted(map(str, [*first, LEFT, ROUTE] * 3))
+    assert tx_queue.over
+    assert {transfer.skipped for transfer in transfers} == {0}
+
+
+@pytest.mark.parametrize("kind", ["scene", "lines"])
+def test_a_deadline_that_has_passed_is_met_after_publishing(kind: str) -> None:
+    """Although the thread has not come to it before."""
+    tx_queue = queue_of()
+    put(tx_queue, (kind, LEFT, ROUTE), 0)
+    assert len(taken(tx_queue, 0, 1)) == (3 if kind == "scene" else 2)
+    put(tx_queue, (kind, LEFT, ROUTE), 1 + 1 / 16)  # deadlines of the pose error and of the left
+    transfer = tx_queue.take(T0 + T * (1 + 1 / 16))
+    assert transfer is not None
+    assert transfer.deadline == T0 + T
+
+
+def test_a_line_that_leaves_the_scene_is_not_sent_any_more() -> None:
+    """Although it belongs to the pose error that was sent; its counter goes on with the next."""
+    tx_queue = queue_of()
+    put(tx_queue, ("scene", LEFT, ROUTE), 0)
+    assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
+    put(tx_queue, ("scene", LEFT), 0.5)
+    assert owners(taken(tx_queue, 0.5, 2)) == [POSE, LEFT]
+    put(tx_queue, ("scene", LEFT, ROUTE), 2)
+    transfers = taken(tx_queue, 2, 4)
+    assert owners(transfers) == [POSE, LEFT, ROUTE] * 2
+    assert counters(transfers, POSE) == counters(transfers, LEFT) == [2, 3]
+    assert counters(transfers, ROUTE) == [1, 2]
+
+
+def test_a_scene_replaces_lines_and_lines_replace_a_scene() -> None:
+    """Slots that the other does not have are not sent any more; no counter is used again."""
+    tx_queue = queue_of()
+    transfers = []
+    for k, (what, expected) in enumerate(
+        [
+            (("lines", LEFT, ROUTE), [LEFT, ROUTE]),
+            (("scene", LEFT, RIGHT), [POSE, LEFT, RIGHT]),
+            (("lines", RIGHT, ROUTE), [RIGHT, ROUTE]),
+            (("scene", ROUTE), [POSE, ROUTE]),
+            (("lines", LEFT), [LEFT]),
+        ]
+    ):
+        put(tx_queue, what, 2 * k)
+        found = taken(tx_queue, 2 * k, 2 * k + 2)
+        assert owners(found) == expected * 2
+        transfers += found
+    for owner, n in ((POSE, 4), (LEFT, 6), (RIGHT, 4), (ROUTE, 6)):
+        assert counters(transfers, owner) == list(range(n))
+
+
+def test_a_line_of_a_scene_that_was_replaced_is_not_sent() -> None:
+    """It was encoded with its pose error, and would be taken for the new line of its slot."""
+    tx_queue = queue_of()
+    put(tx_queue, ("scene", LEFT, ROUTE), 0)
+    assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
+    tx_queue.put([map_line(ROUTE, age=0.1)], T0 + 0.5 * T)
+    (transfer,) = taken(tx_queue, 0.5, 1)
+    assert transfer.owner == ROUTE
+    assert age_of(transfer) == pytest.approx(0.1 + 0.375 * T + 0.004)
+
+
+@pytest.mark.parametrize(
+    ("ages", "given", "expected"),
+    [((0.01, 0.03, 0.02), None, 0.03), ((), None, 0.0), ((0.03,), 0.05, 0.05)],
+)
+def test_the_age_of_a_scene(ages: tuple[float, ...], given: float | None, expected: float) -> None:
+    """The one given, or that of the oldest line."""
+    tx_queue = queue_of()
+    tx_queue.put_scene(FakeScene((), ages), T0, given)  # type: ignore[arg-type]
+    (transfer,) = taken(tx_queue, 0, 1)
+    assert age_of(transfer) == pytest.approx(expected + 0.004)
+
+
+@pytest.mark.parametrize(
+    ("age", "expected"), [(-1.0, 0.0), (0.25, 0.375), (0.375, 0.5), (0.376, math.inf)]
+)
+def test_an_age_is_stated_up_to_the_greatest_one(age: float, expected: float) -> None:
+    """0.125 s after publishing, with 0.5 s as the greatest; it is never less than 0."""
+    scene = PublishedScene(FakeScene((LEFT,)), age, at=T0)  # type: ignore[arg-type]
+    line = Published(map_line(), age, at=T0)
+    assert scene.age_at(T0 + 0.125, 0.5) == line.with_age(T0 + 0.125, 0.5).age == expected
+
+
+@pytest.mark.parametrize("kind", ["scene", "lines"])
+def test_a_transfer_that_is_renewed_says_whether_it_has_expired(kind: str) -> None:
+    """The new age counts from the publishing to twice the lateness; the counter is the same."""
+    tx_queue = queue_of(max_age=0.2)
+    put(tx_queue, (kind, LEFT), 0)
+    transfers = taken(tx_queue, 0, 2)
+    for transfer in transfers[len(transfers) // 2 :]:
+        for late, expired in ((0.0625, False), (0.125, True)):
+            now = transfer.deadline + late
+            renewed = tx_queue.renew(transfer, now)
+            assert renewed.latest == now + late
+            assert age_of(renewed) == (math.inf if expired else renewed.latest - T0)
+            assert renewed.frames[0].can_id == 1
+            assert (transfer.expired, renewed.expired) == (False, expired)
+
+
+def test_a_line_due_a_period_after_its_publishing_is_not_encoded_ahead() -> None:
+    """A newer value is expected until then."""
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("lines", *Slot), 0)
+    assert len(taken(tx_queue, 0, 1)) == 8
+    for slot in Slot:  # each is published just after its deadline
+        now = 1 + slot / 8
+        assert len(taken(tx_queue, now, now + 1 / 16)) == 1
+        put(tx_queue, ("lines", slot), now)
+    codec.calls.clear()
+    assert len(taken(tx_queue, 2, 2 + 1 / 16)) == 1
+    assert codec.calls == [{LEFT}]
+
+
+def test_a_deadline_that_was_skipped_is_encoded_again() -> None:
+    """A line that was encoded for it would be too young at the deadline that is met."""
+    tx_queue = queue_of(codec := SceneCodec())
+    put(tx_queue, ("lines", LEFT, ROUTE), 0)
+    assert owners(taken(tx_queue, 0, 0.5)) == [LEFT]
+    assert codec.calls == [{LEFT, ROUTE}]
+    late = {}
+    while (transfer := tx_queue.take(T0 + 2 * T)) is not None:
+        late[transfer.owner] = transfer
+    assert {owner: t.deadline - T0 for owner, t in late.items()} == {LEFT: 2 * T, ROUTE: 1.875 * T}
+    assert {owner: t.skipped for owner, t in late.items()} == {LEFT: 1, ROUTE: 1}
+    assert age_of(late[ROUTE]) == pytest.approx(1.875 * T + 0.004)
+
+
+def test_a_skipped_pose_error_takes_its_lines_with_it() -> None:
+    """Until the next one, they have nothing to belong to; the thread is not blocked by them."""
+    tx_queue = queue_of()
+    put(tx_queue, ("scene", LEFT, ROUTE), 0)
+    assert owners(taken(tx_queue, 0, 1)) == [POSE, LEFT, ROUTE]
+    tx_queue._schedule.take(T0 + T)  # that of the pose error
+    assert taken(tx_queue, 1, 2) == []
+    found = taken(tx_queue, 2, 3)
+    assert owners(found) == [POSE, LEFT, ROUTE]
+    assert [frame.can_id for transfer in found for frame in transfer.frames] == [1, 1, 1]
+
+
+@pytest.mark.parametrize(("period", "calls"), [(0.5, 2), (0.0625, 1)])
+def test_lines_of_a_scene_are_encoded_a_tenth_of_a_second_ahead_at_most(
+    period: float, calls: int
+) -> None:
+    """A line that is due later gets its frames when it is due, with the same counter and age."""
+    tx_queue = queue_of(codec := SceneCodec(), period, max_age=1.0)
+    tx_queue.put_scene(FakeScene((Slot.EGO_RIGHT, ROUTE)), T0)  # type: ignore[arg-type]
+    transfers = taken(tx_queue, 0, period / T)
+    assert owners(transfers) == [POSE, RIGHT, ROUTE]
+    assert len(codec.calls) == calls
+    for transfer in transfers:
+        assert transfer.frames[0].can_id == 0
+        assert age_of(transfer) == pytest.approx(transfer.latest - T0)
