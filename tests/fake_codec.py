@@ -36,7 +36,7 @@ class FakeCodec:
         if line.x_max == 13.0:
             raise ValueError("x_max must not be 13 m")
         counter = self.counters[line.slot] = (self.counters[line.slot] + 1) % 256
-        age, y = round(line.age * 1e3) % 2**16, round(line.gaussian.mean[0] * 1e3)
+        age, y = round(min(line.age, 60.0) * 1e3), round(line.gaussian.mean[0] * 1e3)
         head = counter, line.slot, 0, age, y
         pages = [struct.pack("<BBBBHh", page, *head) for page in range(PAGES)]
         can_id = 0x100 + line.slot

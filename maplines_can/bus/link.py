@@ -219,10 +219,7 @@ class Link:
 
     def _worked(self, bus: can.BusABC, way: str) -> None:
         """Note a successful send or recv: only this shows that a reopened interface works."""
-        if self._unclear_since:
-            self._unclear_since.pop(way, None)
-        if self.up:
-            return
+        self._unclear_since.pop(way, None)
         with self._lock:
             if self.up or bus is not self._bus:
                 return

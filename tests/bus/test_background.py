@@ -76,6 +76,24 @@ def test_a_thread_that_never_started_has_ended() -> None:
     assert thread.wait()
 
 
+def test_a_thread_that_the_system_refuses_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """There are too many threads; nobody waits for one that does not exist."""
+
+    def refuse(self: Any) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    thread = Waiting()
+    with pytest.raises(RuntimeError, match="can't start"):
+        thread.start()
+    assert thread.wait(0.0)
+    thread.stop()
+
+
+def test_a_thread_does_not_keep_a_program_from_ending() -> None:
+    assert Waiting()._thread.daemon
+
+
 def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:
     """Nobody waits for it: what it was to do is not wanted any more."""
     thread = Waiting()

@@ -61,11 +61,29 @@ def test_the_opener_gets_the_settings_each_time() -> None:
         first = opener.settings
         assert (link.name, first["fd"], "bitrate" in first) == ("virtual can0", True, False)  # type: ignore[index, operator]
         assert (first["interface"], first["channel"]) == ("virtual", "can0")  # type: ignore[index]
+        assert first["ignore_config"]  # type: ignore[index]  # it is not read again
         link.send(FRAME)
         clock.now += 1.0
         assert link.send(FRAME) is Sent.OK
     assert len(opener.opened) == 2
     assert opener.settings == first
+
+
+def test_an_interface_without_a_name_that_cannot_be_opened() -> None:
+    """An opener without settings has none before it has opened a bus."""
+    opener = FakeOpener()
+    opener.cannot_open = True
+    with pytest.raises(BusError, match=r"^the CAN interface cannot be opened: No such device$"):
+        Link(opener)
+
+
+@pytest.mark.parametrize(("interface", "fd"), [("virtual", True), ("pcan", False)])
+def test_the_virtual_interface_has_can_fd_whatever_the_opener_makes_of_it(
+    interface: str, fd: bool
+) -> None:
+    """Such as a bus that injects faults, which is no ``VirtualBus``."""
+    with Link(FakeOpener(), interface=interface, channel="x") as link:
+        assert link.fd is fd
 
 
 def test_an_opener_without_settings_gets_none() -> None:

@@ -2,9 +2,11 @@
 
 import errno
 import gc
+import io
 import itertools
 import logging
 import random
+import threading
 from typing import Any
 
 import can
@@ -374,3 +376,181 @@ def test_a_filter_may_be_set_during_an_outage() -> None:
         clock.now += 2.0
         assert link.send(FRAME) is Sent.OK
         assert [each["can_id"] for each in opener.opened[-1].filters] == [0x348]
+
+
+def test_all_frames_pass_again_without_a_filter() -> None:
+    opener = FakeOpener()
+    with Link(opener) as link:
+        link.accept_only([0x348])
+        link.accept_only(None)
+        assert opener.opened[0].filters is None
+
+
+def test_after_a_reconnect_the_pauses_start_anew() -> None:
+    """Reopening is tried at the end of the first pause, not after it."""
+    opener, clock = FakeOpener(), Clock()
+    with Link(opener, clock=clock, backoff=(0.25, 4.0)) as link:
+        for _ in range(3):
+            opener.script[:] = [GONE] * 4
+            for pause in (0.25, 0.5, 1.0, 2.0):
+                assert link.send(FRAME) is Sent.DOWN
+                clock.now += pause - 2**-10
+                opened = len(opener.opened)
+                assert link.send(FRAME) is Sent.DOWN
+                assert len(opener.opened) == opened
+                clock.now += 2**-10
+            assert link.send(FRAME) is Sent.OK
+        assert link.outages == 3
+
+
+def test_another_thread_may_reopen_the_bus_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then it is not opened twice."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock) as link:
+        link.send(FRAME)
+        clock.now += 1.0
+        lock, reopened = link._lock, FakeBus()
+
+        class Slow:
+            """A lock that is held by the other thread at first."""
+
+            def __enter__(self) -> None:
+                link._bus, link._lock = reopened, lock
+                lock.acquire()
+
+            def __exit__(self, *exception: object) -> None:
+                lock.release()
+
+        monkeypatch.setattr(link, "_lock", Slow())
+        assert link.send(FRAME) is Sent.OK
+        assert reopened.sent.qsize() == 1
+        assert len(opener.opened) == 1
+
+
+def test_a_bus_that_is_lost_is_not_back_because_of_a_late_success() -> None:
+    """Another thread was still receiving from it when this one failed to send."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock) as link:
+        old = link._bus
+        assert old is not None
+        link.send(FRAME)
+        link._worked(old, "recv")
+        assert not link.up
+
+
+def test_errors_before_an_outage_do_not_count_after_it() -> None:
+    """An error without a number is then the first one again."""
+    opener, clock = FakeOpener(NO_NUMBER, GONE, NO_NUMBER), Clock()
+    with Link(opener, clock=clock) as link:
+        for expected in (Sent.FULL, Sent.DOWN, Sent.FULL, Sent.OK):
+            assert link.send(FRAME) is expected
+            clock.now += 5.0
+        assert (link.up, link.outages) == (True, 1)
+
+
+@pytest.mark.parametrize("error", [
+    can.CanOperationError("Failed", errno.EINVAL), NO_NUMBER, ValueError("odd"),
+])  # fmt: skip
+def test_only_an_error_that_lasts_ends_receiving(error: Any) -> None:
+    """An error of `recv` is not about a frame of the caller: nothing is raised."""
+    opener, clock = FakeOpener(*[error] * 3), Clock()
+    with Link(opener, clock=clock) as link:
+        for outages in (0, 0, 1):
+            assert link.recv(0.0) is None
+            assert link.outages == outages
+            clock.now += 0.5
+
+
+def test_a_stream_that_was_closed_is_lost() -> None:
+    """Its error is a ValueError, too, but not about the message."""
+    with Link(FakeOpener(io.UnsupportedOperation("not writable"))) as link:
+        assert link.send(FRAME) is Sent.DOWN
+        assert link.outages == 1
+
+
+def test_a_closed_link_is_not_up() -> None:
+    link = Link(FakeOpener())
+    assert link.up
+    link.close()
+    assert not link.up
+
+
+class Pauses:
+    """Lock of a link that records how long it would have waited [s]."""
+
+    def __init__(self, link: Link) -> None:
+        self.lock, self.found = link._lock, list[float]()
+        link._lock = self  # type: ignore[assignment]
+
+    def __enter__(self) -> None:
+        self.lock.acquire()
+
+    def __exit__(self, *exception: object) -> None:
+        self.lock.release()
+
+    def notify_all(self) -> None: ...
+
+    def wait_for(self, condition: Any, seconds: float) -> None:
+        assert not condition()
+        self.found.append(seconds)
+
+
+def test_receiving_waits_during_an_outage() -> None:
+    """Until the next attempt to reopen, or for the time-out if that is sooner."""
+    opener, clock = FakeOpener(GONE), Clock()
+    with Link(opener, clock=clock, backoff=(0.25, 0.25)) as link:
+        link.send(FRAME)
+        opener.cannot_open = True
+        pauses = Pauses(link)
+        for timeout in (10.0, 0.125):
+            assert link.recv(timeout) is None
+        clock.now += 0.125
+        assert link.recv(10.0) is None
+        assert pauses.found == [0.25, 0.125, 0.125]
+
+
+def test_receiving_never_waits_for_nothing_at_all() -> None:
+    """Not even if there are no pauses, or the driver fails at once: that would load the CPU."""
+    opener = FakeOpener(NO_NUMBER, GONE)
+    with Link(opener, backoff=(0.0, 0.0), clock=Clock()) as link:
+        pauses = Pauses(link)
+        for _ in range(2):
+            link.recv(10.0)
+        opener.cannot_open = True
+        link.recv(10.0)
+        assert len(pauses.found) == 3
+        assert all(0 < pause < 0.01 for pause in pauses.found)
+
+
+@pytest.mark.parametrize("settings", [{}, {"interface": "virtual", "channel": "x"}])
+def test_sending_does_not_wait(settings: Any) -> None:
+    """The virtual bus takes None for "for ever", other drivers for "not at all"."""
+    timeouts = []
+
+    class Timed(FakeBus):
+        def send(self, msg: Any, timeout: Any = None) -> None:  # noqa: ARG002
+            timeouts.append(timeout)
+
+    with Link(lambda **_: Timed(), **settings) as link:
+        link.send(FRAME)
+    (timeout,) = timeouts
+    assert (0 < timeout < 0.1) if settings else (timeout is None)
+
+
+def test_closing_ends_a_wait_for_the_interface() -> None:
+    """In `recv`, by any thread."""
+    link = Link(FakeOpener(GONE), backoff=(LONG, LONG))
+    link.send(FRAME)
+    waits, wait_for = threading.Event(), link._lock.wait_for
+
+    def waiting(condition: Any, timeout: Any) -> Any:
+        waits.set()  # under the lock, which only the wait releases
+        return wait_for(condition, timeout)
+
+    link._lock.wait_for = waiting  # type: ignore[method-assign, assignment]
+    thread = threading.Thread(target=link.recv, args=(LONG,), daemon=True)
+    thread.start()
+    assert waits.wait(LONG)
+    link.close()
+    thread.join(LONG / 4)
+    assert not thread.is_alive()

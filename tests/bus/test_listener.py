@@ -1,6 +1,7 @@
 """A listener turns the messages of python-can's notifiers and logs into lines (item 3)."""
 
 import asyncio
+import math
 import threading
 from pathlib import Path
 from typing import Any
@@ -8,15 +9,16 @@ from typing import Any
 import can
 import pytest
 from dbcs import default_codec
-from fake_bus import GONE, LONG, FakeBus, collect, map_line, message_of, wait_until
+from fake_bus import GONE, LONG, FakeBus, FakeTime, collect, map_line, message_of, wait_until
 from fake_codec import PAGES, FakeCodec
 from hypothesis import given
 from hypothesis import strategies as st
+from scene_streams import CONDITIONAL, codec_of, road_scene
 
 import maplines_can
-from maplines_can.bus import LineListener
+from maplines_can.bus import LineListener, Receiver
 from maplines_can.line import Slot
-from maplines_can.wire import Codec, E2EState
+from maplines_can.wire import POSE, Codec, E2EState
 
 POLL = 0.02  #: after which a notifier sees that it shall stop [s]
 
@@ -208,3 +210,92 @@ def test_no_message_raises(messages: list[can.Message]) -> None:
 def test_a_queue_size_of_0_raises_here_too() -> None:
     with pytest.raises(ValueError, match="queue_size must be 1 line or more, got 0"):
         LineListener(FakeCodec().decoder(), queue_size=0)
+
+
+@pytest.mark.parametrize("kind", [LineListener, lambda decoder: Receiver(FakeBus(), decoder)])
+def test_by_default_256_lines_wait(kind: Any) -> None:
+    """One more, and the oldest is dropped."""
+    codec = FakeCodec()
+    consumer = kind(codec.decoder())
+    listener = getattr(consumer, "_listener", consumer)
+    for n in range(257):
+        assert listener.stats().overflowed == 0
+        for frame in codec.encode(map_line(y=n / 10)):
+            listener(message_of(frame))
+    assert listener.stats().overflowed == 1
+    assert [line.gaussian.mean[0] for line in collect(listener, 256)] == [
+        n / 10 for n in range(1, 257)
+    ]
+
+
+@pytest.mark.parametrize("how", ["error", "stop"])
+def test_what_waits_for_a_line_is_woken_by_the_end(how: str) -> None:
+    """By ``on_error`` of python-can, or by ``stop``."""
+    listener = LineListener(FakeCodec().decoder())
+    entered, ended = threading.Event(), threading.Event()
+    wait_for = listener._changed.wait_for
+
+    def waiting(condition: Any, timeout: Any) -> Any:
+        entered.set()  # under the lock, which only the wait releases
+        return wait_for(condition, timeout)
+
+    def get() -> None:
+        try:
+            assert listener.get(LONG) is None
+        except KeyError:
+            pass
+        finally:
+            ended.set()
+
+    listener._changed.wait_for = waiting  # type: ignore[method-assign, assignment]
+    thread = threading.Thread(target=get, daemon=True)
+    thread.start()
+    assert entered.wait(LONG)
+    if how == "stop":
+        listener.stop()
+    else:
+        with pytest.raises(NotImplementedError):
+            listener.on_error(KeyError("lost"))
+    assert ended.wait(LONG / 4)
+    thread.join()
+
+
+@pytest.mark.parametrize("kind", [LineListener, lambda decoder: Receiver(FakeBus(), decoder)])
+def test_a_scene_of_unknown_age_is_stale(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames may be of a backlog until 0.2 s have passed; a time that is given needs no clock.
+
+    As with the lines of slots, then the time goes on with the clock of this host.
+    """
+    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    codec = codec_of(CONDITIONAL)
+    consumer = kind(codec.decoder())
+    listener = getattr(consumer, "_listener", consumer)
+    assert consumer.pose_error() is None
+    assert consumer.slots() == {}
+    scene = codec.prepare_scene(road_scene())
+    counters: dict[Any, int] = {}
+    for cycle in range(8):
+        for owner, frames in codec.encode_scene(scene, age=0.02, counters=counters).items():
+            counters[owner] = counters.get(owner, 0) + 1
+            for frame in frames:
+                listener(message_of(frame, timestamp=50 + 0.05 * cycle))
+        for view in (consumer.latest_scene(), consumer.latest(Slot.EGO_LEFT)):
+            assert (view.age, view.stale) == ((math.inf, True) if cycle < 4 else (view.age, False))
+        given = consumer.latest_scene(round(1e9 * (50.001 + 0.05 * cycle)))
+        assert given.scene is not None
+        assert not given.stale
+        assert given.age == pytest.approx(0.021, abs=0.004)
+        now.ns += 50_000_000
+    assert consumer.latest_scene().age == pytest.approx(given.age + 0.049)
+    assert consumer.latest(Slot.EGO_LEFT).age == pytest.approx(given.age + 0.049)
+    assert not consumer.latest_scene(stale_cycles=2).stale
+    now.ns += 60_000_000
+    assert consumer.latest_scene(stale_cycles=2).stale
+    assert not consumer.latest_scene(stale_cycles=3).stale
+    assert consumer.pose_error().ok == consumer.stats().pose_errors == 8
+    assert consumer.pose_error().state is E2EState.VALID
+    assert consumer.slots()[Slot.EGO_LEFT].state is E2EState.VALID
+    later = round(51.5e9)
+    assert consumer.pose_error(later).state is E2EState.INVALID
+    assert consumer.slots(later)[Slot.EGO_LEFT].state is E2EState.INVALID
+    assert set(counters) == {POSE, Slot.EGO_LEFT, Slot.EGO_RIGHT}

@@ -210,5 +210,8 @@ def test_a_given_bus_gets_its_own_filters_back(channel: str) -> None:
             with Receiver(bus, Codec.from_dbc().decoder()):
                 assert {entry["can_id"] for entry in bus.filters or ()} > {832}
             assert bus.filters == own
+            with Receiver(bus, Codec.from_dbc().decoder(), can_ids=None):
+                assert bus.filters == own
+            assert bus.filters == own
             other.send(can.Message(arbitration_id=1, is_extended_id=False))
             assert bus.recv(LONG) is not None

@@ -10,7 +10,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from fake_bus import FULL, Clock, FakeOpener, map_line
+from fake_bus import FULL, GONE, Clock, FakeOpener, FakeTime, map_line
 from scene_streams import COMPLETE, CONDITIONAL, authenticated_codec, road_scene
 
 from maplines_can import (
@@ -53,7 +53,7 @@ class Bench:
         self.clock, self.opener = Clock(), FakeOpener(*self.script)
         self.start = self.clock.now
         fd: dict[str, Any] = {"interface": "virtual", "channel": "scenes", "fd": True}
-        self.link = Link(self.opener, **(fd if self.settings.get("fd") else {}))
+        self.link = Link(self.opener, clock=self.clock, **(fd if self.settings.get("fd") else {}))
         self.transmitter = Transmitter(
             self.link, self.codec, period=self.period, clock=self.clock, **self.settings
         )
@@ -407,6 +407,56 @@ def test_authenticated_scenes_of_a_slow_sender(make_bench: Any, dbc: str, period
     assert not bench.monitor._decoder.counts
     for time, _ in bench.owners:
         assert min(time - at for at in made if at <= time + 1e-6) < AHEAD
+
+
+@pytest.mark.parametrize(
+    ("lost", "counts"), [(POSE, (0, 1, 2)), (SLOTS[0], (1, 1, 1)), (SLOTS[1], (1, 1, 1))]
+)
+def test_only_what_is_sent_with_all_its_frames_is_counted(
+    make_bench: Any, lost: Any, counts: tuple[int, int, int]
+) -> None:
+    """The interface goes with the last frame of the pose error or of a line.
+
+    It is not yet back for the first line, which is due together with the pose error.
+    """
+    bench = make_bench(CONDITIONAL, period=1.0)
+    bench.transmitter.publish(scene_of(SLOTS[:2]))
+    queue = bench.transmitter._tx_queue
+    for _ in range(3):
+        bench.clock.now += queue.wait(bench.clock.now)
+        transfer = queue.take(bench.clock.now)
+        if transfer.owner == lost:
+            bench.opener.script[:] = [None] * (len(transfer.frames) - 1) + [GONE]
+        bench.transmitter._send(transfer)
+    stats = bench.transmitter.stats()
+    assert (stats.pose_errors, stats.lines, stats.down) == counts
+
+
+def test_a_scene_may_be_prepared_by_the_caller(make_bench: Any) -> None:
+    """It is the same as without; the lines left out are counted, too."""
+    part = scene_of(SLOTS[:1])
+    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
+    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
+    benches = [make_bench(CONDITIONAL), make_bench(CONDITIONAL)]
+    benches[0].transmitter.publish(scene)
+    benches[1].transmitter.publish(benches[1].codec.prepare_scene(scene))
+    for bench in benches:
+        bench.run(0.95 * PERIOD)
+        assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
+    first, second = ([bytes(message.data) for message in bench.messages] for bench in benches)
+    assert first == second
+    assert benches[1].view().scene.index == {Slot.EGO_LEFT: 0}
+
+
+def test_the_age_of_a_scene_counts_from_the_pose(
+    make_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """If its time is given."""
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", now := FakeTime())
+    bench = make_bench(CONDITIONAL)
+    bench.transmitter.publish(scene_of(), t_pose_ns=now.ns - 100_000_000)
+    bench.run(0.95 * PERIOD)
+    assert bench.view().age == pytest.approx(0.1 + 0.004 + bench.time, abs=0.0081)
 
 
 def test_a_count_of_deadlines_ends(make_bench: Any) -> None:

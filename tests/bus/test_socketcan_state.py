@@ -5,8 +5,9 @@ import struct
 import sys
 from typing import Any, NamedTuple
 
+import can
 import pytest
-from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeOpener
+from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
 
 from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import BusFactory, UnsuitableInterfaceError
@@ -62,6 +63,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> dict[str, Interface]:
         pytest.param(Interface(), True, None, None, id="up-with-can-fd"),
         pytest.param(Interface(mtu=CLASSIC), False, None, None, id="classic"),
         pytest.param(Interface(mtu=CLASSIC), True, "no CAN FD (its MTU is 16", False, id="no-fd"),
+        pytest.param(Interface(mtu=CAN_FD - 1), True, "no CAN FD", False, id="too-short"),
         pytest.param(Interface(flags=NOARP), False, "is down", True, id="down"),
         pytest.param(Interface(flags=NOARP, mtu=CLASSIC), True, "is down", True, id="down-classic"),
         pytest.param(Interface(number=0), False, "read: No such device", True, id="deleted-since"),
@@ -153,3 +155,144 @@ def test_only_an_error_without_a_number_means_that_no_node_acknowledges(
         assert (link.up, link.outages) == (True, 0)
         assert link.send(FRAME) is Sent.DOWN
         assert (link.up, link.outages) == (False, 1)
+
+
+def test_receiving_fails_for_a_second_before_an_interface_is_lost(
+    kernel: dict[str, Interface],
+) -> None:
+    """No error of `recv` means that no node acknowledges, not even one without a number."""
+    kernel["can0"] = Interface()
+    opener, clock = FakeOpener(*[NO_NUMBER] * 3), Clock()
+    with Link(opener, clock=clock, interface="socketcan", channel="can0") as link:
+        for outages in (0, 0, 1):
+            link.recv(0.0)
+            assert link.outages == outages
+            clock.now += 0.5
+
+
+def test_frames_that_were_received_before_a_deletion_are_returned(
+    kernel: dict[str, Interface],
+) -> None:
+    """The kernel is asked when there are none."""
+    kernel["can0"] = Interface()
+    with Link(FakeOpener(), interface="socketcan", channel="can0") as link:
+        del kernel["can0"]
+        bus: Any = link._bus
+        bus._recv_internal = lambda timeout: (FRAME, True)  # noqa: ARG005
+        assert link.recv(0.0) is FRAME
+        assert link.up
+        bus._recv_internal = lambda timeout: (None, True)  # noqa: ARG005
+        assert link.recv(0.0) is None
+        assert not link.up
+
+
+class FdOpener(FakeOpener):
+    """Factory of fake buses with CAN FD."""
+
+    def __call__(self, **settings: Any) -> Any:
+        bus = super().__call__(**settings)
+        bus._can_protocol = can.CanProtocol.CAN_FD
+        return bus
+
+
+def test_an_interface_that_comes_back_without_can_fd_is_reported_once_an_outage(
+    kernel: dict[str, Interface],
+) -> None:
+    """It is up, so the user has to know why nothing is received; it is tried again and again."""
+    kernel["can0"] = Interface()
+    events: list[tuple[bool, str]] = []
+    opener, clock = FdOpener(), Clock()
+    settings: dict[str, Any] = {"interface": "socketcan", "channel": "can0", "fd": True}
+    with Link(opener, clock=clock, on_event=lambda *e: events.append(e), **settings) as link:
+        for outage in (1, 2):
+            opener.script[:] = [GONE]
+            kernel["can0"] = Interface(mtu=CLASSIC)
+            for _ in range(20):
+                assert link.send(FRAME) is Sent.DOWN
+                clock.now += 0.5
+            kernel["can0"] = Interface()
+            clock.now += 1.0
+            assert link.send(FRAME) is Sent.OK
+            assert link.outages == outage
+        assert [up for up, _ in events] == [False, False, True] * 2
+        assert ["has no CAN FD" in text for _, text in events] == [False, True, False] * 2
+
+
+def test_attempts_to_open_an_interface_without_can_fd_back_off(
+    kernel: dict[str, Interface], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As with one that is gone."""
+    kernel["can0"] = Interface()
+    clock, opener = Clock(), FakeOpener(GONE)
+    settings = {"interface": "socketcan", "channel": "can0", "fd": True}
+    with Link(opener, clock=clock, backoff=(0.25, 1.0), **settings) as link:  # type: ignore[arg-type]
+        link.send(FRAME)
+        attempts = []
+
+        def refuse(*_: Any) -> None:
+            attempts.append(clock.now - 1000.0)
+            raise UnsuitableInterfaceError("no CAN FD")
+
+        monkeypatch.setattr(link._factory, "open", refuse)
+        for step in range(64):
+            clock.now = 1000.0 + step / 16
+            link.send(FRAME)
+    assert attempts == [0.25, 0.75, 1.75, 2.75, 3.75]
+
+
+class GivenSocket(FakeBus):
+    """A SocketCAN bus of the caller, without a socket."""
+
+    channel = "can0"
+
+
+@pytest.fixture
+def given_socket(
+    kernel: dict[str, Interface], monkeypatch: pytest.MonkeyPatch
+) -> type[GivenSocket]:
+    """The class of a bus that is taken for one of SocketCAN."""
+    kernel["can0"] = Interface()
+    monkeypatch.setattr("maplines_can.bus.bus_factory.SocketcanBus", GivenSocket)
+    return GivenSocket
+
+
+def test_a_given_socket_is_not_used_again_after_its_interface_was_deleted(
+    kernel: dict[str, Interface], given_socket: type[GivenSocket]
+) -> None:
+    """It is bound to the old one, even if there is a new one of that name; down is no deletion."""
+    clock, bus = Clock(), given_socket([GONE, None, GONE])
+    with Link(bus, clock=clock) as link:
+        for outages in (1, 1, 2):
+            kernel["can0"] = Interface(number=5 if outages == 1 else 6)
+            link.send(FRAME)
+            assert link.outages == outages
+            clock.now += 2.0
+        assert bus.sent.qsize() == 1
+        for _ in range(3):
+            assert link.send(FRAME) is Sent.DOWN
+            clock.now += 2.0
+        assert bus.sent.qsize() == 1
+        with pytest.raises(BusError, match="fake was deleted, and a bus of the caller is not"):
+            link._factory.open()
+
+
+def test_that_no_node_acknowledges_a_given_socket_is_no_outage(
+    given_socket: type[GivenSocket],
+) -> None:
+    """As with a socket that the link opened."""
+    clock = Clock()
+    with Link(given_socket([NO_NUMBER] * 3), clock=clock) as link:
+        for _ in range(3):
+            assert link.send(FRAME) is Sent.FULL
+            clock.now += 5.0
+
+
+def test_other_systems_have_no_socketcan(
+    kernel: dict[str, Interface], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They have interfaces of that name, perhaps."""
+    kernel["can0"] = Interface()
+    monkeypatch.setattr("sys.platform", "win32")
+    found = problem("can0", fd=False)
+    assert found is not None
+    assert found.text == "its state cannot be read: SocketCAN exists on Linux only"

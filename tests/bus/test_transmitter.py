@@ -1,6 +1,8 @@
 """Every published line is sent once a period, whole or not at all."""
 
 import itertools
+import json
+import struct
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +28,7 @@ from maplines_can.bus import (
     Receiver,
     Transmitter,
 )
-from maplines_can.bus.tx_queue import ALLOWANCE
+from maplines_can.bus.transmitter import TransmitterStats
 from maplines_can.errors import BusError
 from maplines_can.line import LeftOut, MapLineList, Slot
 from maplines_can.wire import Codec, Frame
@@ -83,7 +85,7 @@ def test_the_age_counts_from_the_pose(monkeypatch: pytest.MonkeyPatch) -> None:
         transmitter = Transmitter(link, FakeCodec(), period=1.0, clock=clock)  # type: ignore[arg-type]
         transmitter.publish(map_line(age=77.0), t_pose_ns=now.ns - 2_000_000_000)
         drive(transmitter, clock, 1000.5)
-        assert sent_values(opener)[0][0] == 2000 + 1000 * ALLOWANCE
+        assert sent_values(opener)[0][0] == 2000 + 4  # and the lateness that is allowed
 
 
 @pytest.mark.parametrize("t_pose_ns", [0, 2**62])
@@ -228,7 +230,10 @@ def test_each_slot_has_its_phase_in_the_period(link: Any, other: Any) -> None:
     assert all((b - a) % 8 == 1 for a, b in itertools.pairwise(slots))
 
 
-@pytest.mark.parametrize("settings", [{"period": 0}, {"period": float("nan")}, {"count": 0}])
+@pytest.mark.parametrize("settings", [
+    *({"period": period} for period in (0, float("nan"), 0.0009, 3600.5)),
+    *({"count": 0}, {"max_age": 60.1}),
+])  # fmt: skip
 def test_wrong_settings_raise(link: Any, settings: Any) -> None:
     with pytest.raises(ValueError, match=rf"{next(iter(settings))} must be"):
         Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
@@ -307,7 +312,7 @@ def test_a_full_queue_is_not_retried_beyond_the_period(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(("ago_s", "allowed"), [
-    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3601.0, False),
+    (-1.0, True), (-1.5, False), (0.0, True), (3600.0, True), (3600.5, False),
 ])  # fmt: skip
 def test_the_allowed_times_of_a_pose(
     monkeypatch: pytest.MonkeyPatch, ago_s: float, allowed: bool
@@ -350,4 +355,112 @@ def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
     assert (2, Slot.EGO_RIGHT) in counters  # the counter continues without a gap
     stats = transmitter.stats()
     assert stats.left_out == {LeftOut.ACROSS: 2, LeftOut.NOT_IN_WINDOW: 1}
-    assert stats.as_dict()["left_out"] == {"ACROSS": 2, "NOT_IN_WINDOW": 1}
+    counters = json.loads(json.dumps(stats.as_dict()))
+    assert counters["left_out"] == {"ACROSS": 2, "NOT_IN_WINDOW": 1}
+    assert counters["lateness"] == {"median": 0.0, "p99": 0.0, "max": 0.0}
+    assert list(counters) == list(TransmitterStats._fields)
+    assert (counters["lines"], counters["frames"]) == (stats.lines, PAGES * stats.lines)
+
+
+def test_a_transmitter_sends_at_20_hz_by_default() -> None:
+    """And states ages up to the greatest one of the DBC, which may also be given."""
+    opener, clock = FakeOpener(), Clock()
+    with Link(opener) as link:
+        settings: dict[str, Any] = {"clock": clock, "max_age": FakeCodec.layout.max_age}
+        transmitter = Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
+        transmitter.publish(map_line())
+        drive(transmitter, clock, clock.now + 0.99)
+    assert transmitter.stats().lines == 20
+
+
+class Steps:
+    """Stands in for the module ``time``: each pause advances a clock by a quarter of a second."""
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+
+    def sleep(self, _: float) -> None:
+        self.clock.now += 0.25
+
+
+def sent_late(
+    monkeypatch: pytest.MonkeyPatch,
+    *script: Any,
+    late: float = 0.0,
+    period: float = 0.5,
+    **rest: Any,
+) -> tuple[Transmitter, list[bytes], float]:
+    """Send one line over a bus with a script of errors; return its pages and the time it took."""
+    clock, opener = Clock(), FakeOpener(*script)
+    monkeypatch.setattr("maplines_can.bus.transmitter.time", Steps(clock))
+    with Link(opener) as link:
+        transmitter = Transmitter(link, FakeCodec(), period=period, clock=clock, **rest)  # type: ignore[arg-type]
+        transmitter.publish(map_line())
+        clock.now += late
+        transmitter._send(transmitter._next_transfer())  # type: ignore[arg-type]
+    pages = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
+    return transmitter, pages, clock.now - 1000.0
+
+
+def test_a_line_is_given_up_at_its_next_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one attempt later: two pauses of half a period each."""
+    transmitter, pages, end = sent_late(monkeypatch, *[FULL] * 10)
+    assert (transmitter.stats().full, transmitter.stats().retries, end) == (1, 2, 0.5)
+    assert pages == []
+
+
+@pytest.mark.parametrize("late", [0.0, 0.125])
+def test_lateness_counts_from_the_deadline_to_the_first_frame(
+    monkeypatch: pytest.MonkeyPatch, late: float
+) -> None:
+    """A queue that is full later does not count."""
+    transmitter, _, _ = sent_late(monkeypatch, None, FULL, late=late)
+    assert transmitter.stats().lateness == (late, late, late)
+
+
+def test_a_transfer_is_encoded_again_only_before_its_first_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Frames of one transfer state one age, although the others are sent later."""
+    _, pages, end = sent_late(monkeypatch, None, FULL, FULL, period=1.0)
+    assert [struct.unpack_from("<BBBBH", page)[-1] for page in pages] == [4] * PAGES
+    _, pages, _ = sent_late(monkeypatch, FULL, period=1.0)
+    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {500}  # twice 0.25 s
+    assert end == 0.5
+
+
+def test_a_transfer_is_on_time_until_the_last_moment_that_its_age_covers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Then there is no need to encode it again."""
+    late = 1000.0 + 0.004 - 1000.0  # as rounded
+    _, pages, _ = sent_late(monkeypatch, late=late)
+    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {4}
+    _, pages, _ = sent_late(monkeypatch, late=late + 1e-3)
+    assert {struct.unpack_from("<BBBBH", page)[-1] for page in pages} == {10}
+
+
+@pytest.mark.parametrize(
+    ("script", "sent"), [((FULL, None, None, FULL), 4), ((None, None, GONE), 2), ((GONE,), 0)]
+)
+def test_only_frames_that_were_handed_over_are_told(
+    monkeypatch: pytest.MonkeyPatch, script: tuple[Any, ...], sent: int
+) -> None:
+    """Each of them once."""
+    told = list[Frame]()
+    transmitter, pages, _ = sent_late(monkeypatch, *script, period=2.0, on_sent=told.append)
+    assert [frame.data for frame in told] == pages
+    assert transmitter.stats().frames == len(pages) == sent
+
+
+@pytest.mark.parametrize(("error", "counts"), [(GONE, (0, 1, 0)), (FULL, (0, 0, 1))])
+def test_a_line_that_is_too_old_counts_as_expired_only_if_it_is_sent(
+    monkeypatch: pytest.MonkeyPatch, error: Any, counts: Any
+) -> None:
+    """Otherwise it is counted by what prevented it."""
+    transmitter, _, _ = sent_late(monkeypatch, *[error] * 9, late=0.25, max_age=0.1)
+    stats = transmitter.stats()
+    assert (stats.lines, stats.down, stats.full) == counts
+    assert stats.expired == 0
+    transmitter, _, _ = sent_late(monkeypatch, late=0.25, max_age=0.1)
+    assert (transmitter.stats().lines, transmitter.stats().expired) == (1, 1)

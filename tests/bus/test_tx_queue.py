@@ -24,6 +24,7 @@ from maplines_can.bus import (
 )
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.line import Slot
+from maplines_can.mixture import GaussianMixture
 from maplines_can.wire import POSE, Codec, Frame
 
 
@@ -186,7 +187,8 @@ class SceneCodec(FakeCodec):
 def queue_of(
     codec: Any = None, period: float = T, count: int | None = None, max_age: float = 0.2
 ) -> TxQueue:
-    return TxQueue(codec or SceneCodec(), period, fd=False, count=count, max_age=max_age)
+    codec = codec or SceneCodec()
+    return TxQueue(codec, period, fd=False, count=count, max_age=max_age)
 
 
 def put(tx_queue: TxQueue, what: Any, now: float) -> None:
@@ -265,12 +267,16 @@ def test_a_deadline_that_has_passed_is_met_after_publishing(kind: str) -> None:
     assert transfer.deadline == T0 + T
 
 
-def test_a_line_that_leaves_the_scene_is_not_sent_any_more() -> None:
+@pytest.mark.parametrize("how", ["dropped", "not in the next scene"])
+def test_a_line_that_leaves_the_scene_is_not_sent_any_more(how: str) -> None:
     """Although it belongs to the pose error that was sent; its counter goes on with the next."""
     tx_queue = queue_of()
     put(tx_queue, ("scene", LEFT, ROUTE), 0)
     assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
-    put(tx_queue, ("scene", LEFT), 0.5)
+    if how == "dropped":
+        tx_queue.drop(ROUTE)
+    else:
+        put(tx_queue, ("scene", LEFT), 0.5)
     assert owners(taken(tx_queue, 0.5, 2)) == [POSE, LEFT]
     put(tx_queue, ("scene", LEFT, ROUTE), 2)
     transfers = taken(tx_queue, 2, 4)
@@ -283,15 +289,14 @@ def test_a_scene_replaces_lines_and_lines_replace_a_scene() -> None:
     """Slots that the other does not have are not sent any more; no counter is used again."""
     tx_queue = queue_of()
     transfers = []
-    for k, (what, expected) in enumerate(
-        [
-            (("lines", LEFT, ROUTE), [LEFT, ROUTE]),
-            (("scene", LEFT, RIGHT), [POSE, LEFT, RIGHT]),
-            (("lines", RIGHT, ROUTE), [RIGHT, ROUTE]),
-            (("scene", ROUTE), [POSE, ROUTE]),
-            (("lines", LEFT), [LEFT]),
-        ]
-    ):
+    plan: list[tuple[Any, list[Any]]] = [
+        (("lines", LEFT, ROUTE), [LEFT, ROUTE]),
+        (("scene", LEFT, RIGHT), [POSE, LEFT, RIGHT]),
+        (("lines", RIGHT, ROUTE), [RIGHT, ROUTE]),
+        (("scene", ROUTE), [POSE, ROUTE]),
+        (("lines", LEFT), [LEFT]),
+    ]
+    for k, (what, expected) in enumerate(plan):
         put(tx_queue, what, 2 * k)
         found = taken(tx_queue, 2 * k, 2 * k + 2)
         assert owners(found) == expected * 2
@@ -363,6 +368,16 @@ def test_a_line_due_a_period_after_its_publishing_is_not_encoded_ahead() -> None
     assert codec.calls == [{LEFT}]
 
 
+def test_a_mixture_uses_a_counter_for_each_of_its_components() -> None:
+    line = map_line(LEFT)
+    three = GaussianMixture([0.25, 0.25, 0.5], [line.gaussian] * 3)
+    tx_queue = queue_of()
+    tx_queue.put([replace(line, mixture=three), map_line(ROUTE)], T0)
+    transfers = taken(tx_queue, 0, 3)
+    assert counters(transfers, LEFT) == [0, 3, 6]
+    assert counters(transfers, ROUTE) == [0, 1, 2]
+
+
 def test_a_deadline_that_was_skipped_is_encoded_again() -> None:
     """A line that was encoded for it would be too young at the deadline that is met."""
     tx_queue = queue_of(codec := SceneCodec())
@@ -389,11 +404,14 @@ def test_a_skipped_pose_error_takes_its_lines_with_it() -> None:
     assert [frame.can_id for transfer in found for frame in transfer.frames] == [1, 1, 1]
 
 
-@pytest.mark.parametrize(("period", "calls"), [(0.5, 2), (0.0625, 1)])
+@pytest.mark.parametrize(("period", "calls"), [(0.8, 2), (0.5, 2), (0.0625, 1)])
 def test_lines_of_a_scene_are_encoded_a_tenth_of_a_second_ahead_at_most(
     period: float, calls: int
 ) -> None:
-    """A line that is due later gets its frames when it is due, with the same counter and age."""
+    """A line that is due later gets its frames when it is due, with the same counter and age.
+
+    With a period of 0.8 s, the first line is due after a tenth of a second exactly.
+    """
     tx_queue = queue_of(codec := SceneCodec(), period, max_age=1.0)
     tx_queue.put_scene(FakeScene((Slot.EGO_RIGHT, ROUTE)), T0)  # type: ignore[arg-type]
     transfers = taken(tx_queue, 0, period / T)
