@@ -27,8 +27,8 @@ class ReceiverStats(NamedTuple):
     remote_frames: int  #: remote frames, not given to the decoder
     overflowed: int  #: lines dropped from the full queue, oldest first
     counts: dict[Reason, int]  #: frames by the decoder's reason
-    pending: int = 0  #: frames held for lines that are not complete
-    pose_errors: int = 0  #: pose errors of scenes received
+    pending: int  #: frames held for lines that are not complete
+    pose_errors: int  #: pose errors of scenes received
 
 
 class LineListener(can.Listener):

@@ -100,9 +100,9 @@ class Schedule(Generic[Key]):
 class Lateness(NamedTuple):
     """Statistics of the time after a deadline at which it was met [s]."""
 
-    median: float = 0.0
-    p99: float = 0.0
-    max: float = 0.0
+    median: float
+    p99: float
+    max: float
 
 
 class LatenessHistogram:

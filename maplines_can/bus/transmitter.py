@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple, Self
 
 import can
@@ -27,17 +26,17 @@ RETRY = 0.001
 class TransmitterStats(NamedTuple):
     """Counters of a transmitter."""
 
-    lines: int = 0  #: lines sent with all their frames
-    down: int = 0  #: lines given up because the interface was gone
-    full: int = 0  #: lines given up because the transmit queue stayed full for a period
-    overruns: int = 0  #: deadlines skipped because the thread was a period late or more
-    frames: int = 0  #: frames handed to the interface, those of unfinished transfers included
-    retries: int = 0  #: attempts that met a full transmit queue and were repeated
-    expired: int = 0  #: lines sent as too old, because they were not published again in time
-    pose_errors: int = 0  #: pose errors of scenes sent with all their frames
+    lines: int  #: lines sent with all their frames
+    down: int  #: lines given up because the interface was gone
+    full: int  #: lines given up because the transmit queue stayed full for a period
+    overruns: int  #: deadlines skipped because the thread was a period late or more
+    frames: int  #: frames handed to the interface, those of unfinished transfers included
+    retries: int  #: attempts that met a full transmit queue and were repeated
+    expired: int  #: lines sent as too old, because they were not published again in time
+    pose_errors: int  #: pose errors of scenes sent with all their frames
     #: lines left out of the published lists of ``map_lines`` and so retracted, by reason
-    left_out: Mapping[LeftOut, int] = MappingProxyType({})
-    lateness: Lateness = Lateness()  #: of the first frame of each transfer, after its deadline
+    left_out: Mapping[LeftOut, int]
+    lateness: Lateness  #: of the first frame of each transfer, after its deadline
 
     def as_dict(self) -> dict[str, Any]:
         """Return the counters, for JSON."""
@@ -126,7 +125,9 @@ class Transmitter(BackgroundThread):
         self._codec, self._fd = codec, fd
         max_age = stated if max_age is None else max_age
         self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
-        self._counts = TransmitterStats()
+        self._counts = Counter(
+            lines=0, down=0, full=0, overruns=0, frames=0, retries=0, expired=0, pose_errors=0
+        )
         self._left_out: Counter[LeftOut] = Counter()
         self._lateness = LatenessHistogram()
 
@@ -208,8 +209,10 @@ class Transmitter(BackgroundThread):
     def stats(self) -> TransmitterStats:
         """Return a consistent copy of all counters."""
         with self._changed:
-            return self._counts._replace(
-                left_out=dict(self._left_out), lateness=self._lateness.summary()
+            return TransmitterStats(
+                **self._counts,
+                left_out=dict(self._left_out),
+                lateness=self._lateness.summary(),
             )
 
     def start(self) -> Self:
@@ -251,7 +254,7 @@ class Transmitter(BackgroundThread):
                 retries += 1
         with self._changed:
             self._lateness.add(lateness)
-            self._count(
+            self._counts.update(
                 lines=result is Sent.OK and transfer.owner != POSE,
                 pose_errors=result is Sent.OK and transfer.owner == POSE,
                 down=result is Sent.DOWN,
@@ -261,7 +264,3 @@ class Transmitter(BackgroundThread):
                 retries=retries,
                 expired=result is Sent.OK and transfer.expired,
             )
-
-    def _count(self, **steps: int) -> None:
-        old = self._counts
-        self._counts = old._replace(**{name: getattr(old, name) + n for name, n in steps.items()})

@@ -107,6 +107,61 @@ def test_time_differences_are_added_up(tmp_path: Path) -> None:
     assert times == sorted(times)
 
 
+@pytest.mark.parametrize(
+    ("stamps", "times"),
+    [
+        # Stamps below 1e8 s are relative to something, those from then on are absolute.
+        (("99999999.999999999", "0.5"), [99_999_999_999_999_999, 100_000_000_499_999_999]),
+        (("100000000.0", "0.5"), [100_000_000_000_000_000, 500_000_000]),
+        # A difference is less than half of the previous one.
+        (("90.0", "45.0", "45.0"), [90_000_000_000, 45_000_000_000, 45_000_000_000]),
+        (("90.0", "44.9", "90.0"), [90_000_000_000, 134_900_000_000, 224_900_000_000]),
+    ],
+)
+def test_what_shows_that_stamps_are_differences(
+    tmp_path: Path, stamps: tuple[str, ...], times: list[int]
+) -> None:
+    path = tmp_path / "drive.txt"
+    path.write_text("".join(f" ({stamp})  can0  340   [1]  00\n" for stamp in stamps))
+    assert [frame.t_ns for frame in read_log(path)] == times
+
+
+def test_the_date_and_time_of_a_row_are_exact_to_a_microsecond(tmp_path: Path) -> None:
+    path, stamp = tmp_path / "drive.txt", "2023-11-14 22:13:20.123457"
+    path.write_text(f" ({stamp})  can0  340   [1]  00\n")
+    (frame,) = read_log(path)
+    assert frame.t_ns == round(datetime.fromisoformat(stamp).timestamp() * 1e6) * 1000
+
+
+@pytest.mark.parametrize("fraction", ["", ".", ".5", ".000000001", ".0000000019"])
+def test_the_fraction_of_a_stamp_may_have_any_length(tmp_path: Path, fraction: str) -> None:
+    """More digits than nanoseconds are cut off."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"(1700000000{fraction}) can0 340#00\n")
+    (frame,) = read_log(path)
+    expected = {"": 0, ".": 0, ".5": 500_000_000}.get(fraction, 1)
+    assert frame.t_ns == 1_700_000_000 * 10**9 + expected
+
+
+@pytest.mark.parametrize("length", [8, 12, 62, 63, 64])
+def test_rows_of_up_to_64_bytes_are_read(tmp_path: Path, length: int) -> None:
+    """CAN FD has no more."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"  can0  340   [{length:02d}] {' 2A' * length}\n")
+    assert [frame.data for frame in read_log(path)] == [b"*" * length]
+
+
+@pytest.mark.parametrize(
+    ("can_id", "is_extended"), [("7FF", False), ("000007FF", True), ("1FFFFFFF", True)]
+)
+def test_the_greatest_ids(tmp_path: Path, can_id: str, is_extended: bool) -> None:
+    """The number of digits distinguishes 11 and 29 bits."""
+    path = tmp_path / "drive.log"
+    path.write_text(f"(1.5) can0 {can_id}#2A\n")
+    (frame,) = read_log(path)
+    assert (frame.can_id, frame.is_extended) == (int(can_id, 16), is_extended)
+
+
 def test_a_log_that_begins_anew_is_no_list_of_differences(tmp_path: Path) -> None:
     """Absolute times may go back, such as when a clock is set."""
     path = tmp_path / "drive.log"
@@ -161,6 +216,8 @@ def test_what_is_no_data_frame_is_skipped(tmp_path: Path, row: str) -> None:
         "(1.5) can0 340#111",
         "(2020-13-40 99:00:00.0)  can0  340   [1]  11",
         "340   [1]  11",
+        "(1.5) can0 40000000#11",
+        f"(1.5) can0 340##0{'11' * 65}",
     ],
 )
 def test_a_damaged_row_costs_only_itself(tmp_path: Path, row: str) -> None:

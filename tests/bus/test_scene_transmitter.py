@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 from fake_bus import FULL, GONE, Clock, FakeOpener, FakeTime, map_line
-from scene_streams import COMPLETE, CONDITIONAL, authenticated_codec, road_scene
+from scene_streams import COMPLETE, CONDITIONAL, authenticated_codec, codec_of, road_scene
 
 from maplines_can import (
     Codec,
@@ -105,7 +105,7 @@ def make_bench() -> Iterator[Any]:
     made: list[Bench] = []
 
     def make(dbc: str, **settings: Any) -> Bench:
-        codec = settings.pop("codec", None) or Codec.from_dbc(default_dbc_path(dbc))
+        codec = settings.pop("codec", None) or codec_of(dbc)  # a transmitter counts by itself
         made.append(Bench(codec, **settings))
         return made[-1]
 

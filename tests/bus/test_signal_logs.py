@@ -194,3 +194,44 @@ def test_bad_tables(tmp_path: Path, name: str, text: str, message: str) -> None:
         read_table(path)
     with pytest.raises(DriveFileError, match="cannot be read"):
         read_table(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(("size", "fits"), [(10**6, True), (10**6 + 1, False)])
+def test_a_table_has_a_megabyte_at_most(tmp_path: Path, size: int, fits: bool) -> None:
+    """A greater file is most likely a log, and not read whole."""
+    path = tmp_path / "signals.toml"
+    path.write_text("x = 'A.B'\n#".ljust(size, "."))
+    if fits:
+        assert read_table(path) == {"x": "A.B"}
+    else:
+        with pytest.raises(DriveFileError, match="is too large"):
+            read_table(path)
+
+
+def test_a_damaged_log_without_all_signals_is_an_error(tmp_path: Path, dbc: Path) -> None:
+    """That of the log, which explains what is missing; the frames of the others do not help."""
+    log = log_of(tmp_path / "drive.log", dbc, n=2)
+    log.write_text(log.read_text() + "(nonsense\n")
+    with pytest.raises(LogError, match="1 of 5 records are damaged"):
+        read_signals(log, dbc, {**NAMES, "second": "Second"})
+
+
+def test_frames_that_do_not_fit_explain_a_missing_signal(tmp_path: Path, dbc: Path) -> None:
+    """With how many there are."""
+    short = can.Message(1.0, arbitration_id=256, is_extended_id=False, data=b"123")
+    log = log_of(tmp_path / "drive.log", dbc, short, short, n=0)
+    words = r"channel \(2 times: the data do not fit the message Position\)$"
+    with pytest.raises(LogError, match=words):
+        read_signals(log, dbc, {"x": "Position.X"})
+
+
+def test_signals_of_frames_with_the_same_number(tmp_path: Path, dbc: Path) -> None:
+    """One of 11 and one of 29 bits are different messages; times are those of the frames."""
+    dbc.write_text(DBC.replace("BO_ 259 Other", "BO_ 512 Other").replace("Overlap : 8|", "Z : 16|"))
+    other = can.Message(107.25, arbitration_id=512, is_extended_id=False, data=b"\x2a" + bytes(7))
+    log = log_of(tmp_path / "drive.log", dbc, other, n=3)
+    signals = read_signals(log, dbc, {"speed": "Motion.Speed", "other": "Other.Speed"})
+    assert [list(series) for series in signals["other"]] == [[107.25], [42.0]]
+    np.testing.assert_allclose(signals["speed"][0], [100.02, 100.12, 100.22])
+    np.testing.assert_allclose(signals["speed"][1], 36.0)
+    assert (len(signals), list(signals)) == (2, ["speed", "other"])
