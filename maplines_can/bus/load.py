@@ -22,9 +22,9 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
 
     Classic CAN, of s bytes (Davis, Burns, Bril and Lukkien: Controller Area
     Network (CAN) schedulability analysis: Refuted, revisited and revised,
-    Real-Time Systems 35, 2007, eq. 1; g = 34, or 54 for 29-bit identifiers):
+    Real-Time Systems 35, 2007, eq. 1 to 3; g = 34, or 54 for 29-bit identifiers):
 
-        C = g + 8 s + 13 + floor((g + 8 s - 1) / 4)
+        C = g + 8 s + 13 + floor((g + 8 s - 1) / 4) = 55 + 10 s, or 80 + 10 s
 
     CAN FD, counted from its frame format (ISO 11898-1:2015) in the same way: 17 bits (29-bit
     identifiers: 36) up to BRS at the nominal rate; ESI, DLC and data at the data rate; over both
@@ -47,8 +47,7 @@ def frame_bits(length: int, *, is_extended: bool = False, is_fd: bool = False) -
         lengths = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if is_fd else "0 to 8"
         raise ValueError(f"length must be {lengths} bytes, got {length!r}")
     if not is_fd:
-        stuffed = (54 if is_extended else 34) + 8 * length
-        return FrameBits(stuffed + 13 + (stuffed - 1) // 4)
+        return FrameBits((80 if is_extended else 55) + 10 * length)
     head, body = (36 if is_extended else 17), 1 + 4 + 8 * length
     head_stuff = (head - 1) // 4  # as many as possible at the slower rate
     body_stuff = (head + body - 1) // 4 - head_stuff

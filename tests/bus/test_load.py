@@ -1,6 +1,7 @@
 """Bits of a frame are the published bounds."""
 
 import contextlib
+import math
 from typing import Any
 
 import pytest
@@ -17,9 +18,10 @@ from maplines_can.wire import Frame
 
 @pytest.mark.parametrize("length", range(9))
 def test_bits_of_classic_frames_are_the_published_ones(length: Any) -> None:
-    """55 + 10 s and 80 + 10 s bits (Davis et al. 2007, equations 2 and 3)."""
-    assert frame_bits(length).nominal == 55 + 10 * length
-    assert frame_bits(length, is_extended=True).nominal == 80 + 10 * length
+    """Davis et al. 2007, equation 1: stuff bits for each 4 bits after the first up to the CRC."""
+    for is_extended, g in ((False, 34), (True, 54)):
+        bits = g + 8 * length + 13 + (g + 8 * length - 1) // 4
+        assert frame_bits(length, is_extended=is_extended) == (bits, 0)
 
 
 @pytest.mark.parametrize(
@@ -106,17 +108,28 @@ def test_bus_load_of_lines() -> None:
     assert frame_time(fd[0], 500e3) == pytest.approx(392 / 500e3)
 
 
-@pytest.mark.parametrize("length", [-1, 9, 10, 65])
-def test_lengths_that_no_frame_has(length: int) -> None:
+@pytest.mark.parametrize(
+    ("length", "is_fd"), [(-1, True), (10, True), (65, True), (9, False), (12, False)]
+)
+def test_lengths_that_no_frame_has(length: int, is_fd: bool) -> None:
     with pytest.raises(ValueError, match="length must be 0 to 8"):
-        frame_bits(length, is_fd=length != 9)
+        frame_bits(length, is_fd=is_fd)
 
 
 def test_wrong_rates_and_periods_are_refused() -> None:
-    with pytest.raises(ValueError, match="bit rates must be positive"):
-        frame_time(Frame(1, b""), 0)
-    with pytest.raises(ValueError, match="period must be positive"):
-        bus_load([], 0, 500e3)
+    for rates in ((0,), (math.inf,), (5e5, 0), (5e5, -1), (5e5, math.inf), (0, 5e5)):
+        with pytest.raises(ValueError, match="bit rates must be positive"):
+            frame_time(Frame(1, b""), *rates)
+    for period in (0, -1, math.inf):
+        with pytest.raises(ValueError, match="period must be positive"):
+            bus_load([], period, 500e3)
+
+
+def test_rates_and_periods_may_be_as_small_as_you_like() -> None:
+    assert (
+        frame_time(Frame(1, b"", is_fd=True), 0.5, 0.25) == 34 / 0.5 + (6 + 5 - 4 + 27 - 1) / 0.25
+    )
+    assert bus_load([Frame(1, b"")], 0.5, 110) == 1.0
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 3, 8, 12, 24, 64])

@@ -26,6 +26,12 @@ def test_a_share_filled_to_the_last_bit(n: int) -> None:
     assert transfers_within(bus_load(transfer * n, 0.1, 5e5), transfer, 0.1, 5e5) == n
 
 
+def test_all_of_the_bus_time_may_be_used() -> None:
+    """A classic frame of no data has 55 bits."""
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 110) == 2
+    assert transfers_within(1.0, [Frame(0x100, b"")], 1.0, 109) == 1
+
+
 @pytest.mark.parametrize("share", [0.0, -0.1, 1.01, float("nan")])
 def test_invalid_share_raises(share: Any) -> None:
     """A share is more than 0 and at most 1."""

@@ -22,6 +22,7 @@ from fake_bus import (
     send_frames,
 )
 from fake_codec import PAGES, FakeCodec, Reason, sent_values
+from scene_streams import road_scene
 
 from maplines_can.bus import (
     Link,
@@ -29,9 +30,10 @@ from maplines_can.bus import (
     Transmitter,
 )
 from maplines_can.bus.transmitter import TransmitterStats
-from maplines_can.errors import BusError
+from maplines_can.errors import BusError, EncodeError
 from maplines_can.line import LeftOut, MapLineList, Slot
-from maplines_can.wire import Codec, Frame
+from maplines_can.scene import Scene
+from maplines_can.wire import POSE, Codec, Frame, PreparedScene
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
@@ -360,6 +362,56 @@ def test_item_12_lines_left_out_are_retracted_and_counted() -> None:
     assert counters["lateness"] == {"median": 0.0, "p99": 0.0, "max": 0.0}
     assert list(counters) == list(TransmitterStats._fields)
     assert (counters["lines"], counters["frames"]) == (stats.lines, PAGES * stats.lines)
+
+
+class SceneCodec(FakeCodec):
+    """Codec of a DBC that takes scenes only; a scene is a frame of each of its lines."""
+
+    layout: Any = SimpleNamespace(max_age=60.0, is_conditional=True, source="pose.dbc")
+
+    def prepare_scene(self, scene: Scene, *, fd: bool) -> PreparedScene:
+        assert fd is False
+        return PreparedScene(scene, None, tuple(scene.index))  # type: ignore[arg-type]
+
+    def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
+        assert fd is False
+        assert counters.keys() <= age.keys() == {POSE, *prepared.sent_slots}
+        return {owner: [Frame(0x100, str(owner).encode()[:8])] for owner in age}
+
+
+@pytest.mark.parametrize("prepared", [False, True])
+def test_a_scene_is_sent_prepared_or_not(prepared: bool) -> None:
+    """The lines that are left out of it are counted, too."""
+    part, opener, clock = road_scene((Slot.EGO_LEFT, Slot.ROUTE)), FakeOpener(), Clock()
+    left_out = {Slot.EGO_RIGHT: LeftOut.TOO_SHORT}
+    scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
+    codec = SceneCodec()
+    with Link(opener) as link:
+        transmitter = Transmitter(link, codec, clock=clock)  # type: ignore[arg-type]
+        transmitter.publish(codec.prepare_scene(scene, fd=False) if prepared else scene)
+        drive(transmitter, clock, clock.now + 0.049)
+    sent = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
+    assert sent == [str(owner).encode()[:8] for owner in (POSE, Slot.EGO_LEFT, Slot.ROUTE)]
+    stats = transmitter.stats()
+    assert (stats.left_out, stats.lines, stats.pose_errors) == ({LeftOut.TOO_SHORT: 1}, 2, 1)
+
+
+def test_lines_for_a_dbc_of_scenes_are_refused() -> None:
+    """At the call; no lines at all are none that do not fit."""
+    with Link(FakeOpener()) as link:
+        transmitter = Transmitter(link, SceneCodec())  # type: ignore[arg-type]
+        for lines in (map_line(), [map_line()]):
+            with pytest.raises(EncodeError, match=r"pose\.dbc: .* publish the result of map_scene"):
+                transmitter.publish(lines)
+        transmitter.publish([])
+
+
+def test_what_is_no_codec_is_refused() -> None:
+    with (
+        Link(FakeOpener()) as link,
+        pytest.raises(TypeError, match=r"codec must be a Codec, such as Codec\.from_dbc"),
+    ):
+        Transmitter(link, "maplines.dbc")  # type: ignore[arg-type]
 
 
 def test_a_transmitter_sends_at_20_hz_by_default() -> None:
