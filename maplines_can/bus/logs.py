@@ -78,7 +78,7 @@ class LogFrame(NamedTuple):
     t_ns: int  #: time of reception as logged [ns]: absolute, or from the start of the log
     is_extended: bool
     channel: str  #: of the interface; empty if the log has none
-    has_time: bool = True  #: False if the log has no time stamps (candump without -L and -t)
+    has_time: bool  #: False if the log has no time stamps (candump without -L and -t)
 
 
 def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
@@ -340,6 +340,7 @@ def _data_frames(message: can.Message) -> Iterator[LogFrame]:
             round(message.timestamp * 1e9),
             message.is_extended_id,
             "" if message.channel is None else str(message.channel),
+            has_time=True,
         )
 
 

@@ -1,13 +1,16 @@
 """A background thread ends when it is told to, and its error reaches the caller."""
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
+from importlib.util import module_from_spec
 from typing import Any
 
 import pytest
 from fake_bus import LONG
 
+from maplines_can.bus import background
 from maplines_can.bus.background import BackgroundThread
 
 
@@ -101,3 +104,32 @@ def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:
     thread.start()
     assert thread.wait(0.0)
     thread.go.set()
+
+
+def new_module() -> Any:
+    """Return the module, executed once more."""
+    spec = background.__spec__
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_after_a_fork_every_condition_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever held it: the function that does this is registered when the module is imported."""
+    hooks: list[Any] = []
+    monkeypatch.setattr(os, "register_at_fork", lambda **hook: hooks.append(hook), raising=False)
+    condition = new_module().ForkSafeCondition()
+    holder = threading.Thread(target=condition.acquire)
+    holder.start()
+    holder.join()
+    assert not condition.acquire(blocking=False)
+    (hook,) = hooks
+    hook["after_in_child"]()
+    assert condition.acquire(blocking=False)
+
+
+def test_a_system_without_fork_needs_nothing_of_this(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr(os, "register_at_fork", raising=False)
+    assert new_module().ForkSafeCondition().acquire(blocking=False)

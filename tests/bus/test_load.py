@@ -126,9 +126,8 @@ def test_wrong_rates_and_periods_are_refused() -> None:
 
 
 def test_rates_and_periods_may_be_as_small_as_you_like() -> None:
-    assert (
-        frame_time(Frame(1, b"", is_fd=True), 0.5, 0.25) == 34 / 0.5 + (6 + 5 - 4 + 27 - 1) / 0.25
-    )
+    empty = Frame(1, b"", is_fd=True)
+    assert frame_time(empty, 0.5, 0.25) == 34 / 0.5 + (5 + 1 + 27) / 0.25
     assert bus_load([Frame(1, b"")], 0.5, 110) == 1.0
 
 

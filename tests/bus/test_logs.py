@@ -66,6 +66,7 @@ def test_every_format_is_read_back(tmp_path: Path, suffix: Any) -> None:
     assert [(f.can_id, f.data, f.is_extended) for f in frames] == [
         (m.arbitration_id, bytes(m.data), m.is_extended_id) for m in wanted
     ]
+    assert all(frame.has_time for frame in frames)
     times = [(f.t_ns - frames[0].t_ns) * 1e-9 for f in frames]
     assert times == pytest.approx([m.timestamp - 100.0 for m in wanted], abs=2e-3)
 
@@ -151,16 +152,27 @@ def test_a_truncated_file_is_read_up_to_its_end(tmp_path: Path, suffix: str) -> 
     assert [f.can_id for f in frames] == [m.arbitration_id for m in messages[: len(frames)]]
 
 
-@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".log.gz", ".csv", ".log"])
+@pytest.mark.parametrize("suffix", [".blf", ".db", ".blf.gz", ".log.gz", ".csv", ".log", ".asc"])
 def test_a_file_of_something_else_is_one_clear_error(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"
     path.write_bytes(b"This is not a log.\n" * 20)
     frames, text = read_until_error(path)
 
     assert frames == []
+    if suffix == ".asc":
+        assert text == ": not a valid .asc file: it has neither a header nor frames"
     if suffix == ".log":
         assert "none of 20 records can be read (line 1: " in text
         assert text.endswith("; the content is no format that is known, such as candump's")
+
+
+def test_a_file_that_is_only_said_to_be_compressed_is_one_clear_error(tmp_path: Path) -> None:
+    """Its first two bytes are those of gzip."""
+    path = tmp_path / "drive.log.gz"
+    path.write_bytes(b"\x1f\x8b but no header of gzip")
+    frames, text = read_until_error(path)
+    assert frames == []
+    assert text.startswith(": not a valid log (")
 
 
 @pytest.mark.parametrize("length", [0, 1, 15])
