@@ -48,7 +48,7 @@ class Schedule(Generic[Key]):
 
     def __init__(self, period: float, count: int | None = None) -> None:
         self._period, self._count = period, count
-        self._t0: float | None = None  # set by the first key
+        self._t0 = math.nan  # set by the first key
         self._entries: dict[Key, _Entry] = {}
 
     def add(self, key: Key, phase: float, now: float) -> None:
@@ -56,7 +56,7 @@ class Schedule(Generic[Key]):
 
         The phase is the offset of its deadlines, in [0, 1) of the period.
         """
-        if self._t0 is None:
+        if math.isnan(self._t0):
             self._t0 = now - phase * self._period
         # The tolerance of a millionth of a period covers rounding after months of uptime.
         cycle = math.ceil((now - self._t0) / self._period - phase - 1e-6)
@@ -88,13 +88,13 @@ class Schedule(Generic[Key]):
         if key is None or self.deadline(key) > now:
             return None
         entry = self._entries[key]
-        elapsed = (now - (self._t0 or 0.0)) / self._period - entry.phase
-        newest = entry._replace(cycle=int(min(max(elapsed // 1, entry.cycle), entry.end - 1)))
+        elapsed = (now - self._t0) / self._period - entry.phase
+        newest = entry._replace(cycle=int(min(max(elapsed, entry.cycle), entry.end - 1)))
         self._entries[key] = newest._replace(cycle=newest.cycle + 1)
         return Due(key, self._at(newest), newest.cycle - entry.cycle)
 
     def _at(self, entry: _Entry) -> float:
-        return (self._t0 or 0.0) + (entry.cycle + entry.phase) * self._period
+        return self._t0 + (entry.cycle + entry.phase) * self._period
 
 
 class Lateness(NamedTuple):

@@ -67,3 +67,60 @@ def test_a_key_that_is_unknown_or_removed_has_no_deadline() -> None:
     schedule.remove("a")
     assert schedule.deadline("a") == math.inf
     assert schedule.wait(now=5.0) is None
+
+
+@pytest.mark.parametrize(
+    ("now", "expected"),
+    [(9.0, 9.5), (10.0, 10.5), (10.4, 10.5), (10.5, 10.5), (10.6, 11.5),
+     (10.5 + 2**-30, 10.5), (10.5 + 2e-6, 11.5)],
+)  # fmt: skip
+def test_the_first_deadline_is_the_next_one(now: float, expected: float) -> None:
+    """One that is now is included, in spite of the rounding of a clock that runs for long."""
+    schedule = Schedule[Any](1.0)
+    schedule.add("a", 0.25, now=9.0)
+    schedule.remove("a")
+    schedule.add("b", 0.75, now=now)
+    assert schedule.deadline("b") == expected
+
+
+def test_a_schedule_is_over_when_all_keys_are() -> None:
+    """Without a key it has not begun."""
+    schedule = Schedule[Any](1.0, count=1)
+    assert not schedule.over
+    schedule.add("a", 0.0, now=5.0)
+    schedule.add("b", 0.5, now=5.0)
+    assert schedule.take(5.0) == ("a", 5.0, 0)
+    assert not schedule.over
+    assert schedule.take(5.25) is None
+    assert schedule.take(5.5) == ("b", 5.5, 0)
+    assert schedule.over
+
+
+def test_there_is_no_wait_for_a_deadline_that_has_passed() -> None:
+    schedule = Schedule[Any](1.0)
+    schedule.add("a", 0.0, now=5.0)
+    assert (schedule.wait(4.5), schedule.wait(5.0), schedule.wait(7.5)) == (0.5, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("now", "count", "expected"),
+    [(7.75, None, (7.0, 2)), (8.0, None, (8.0, 3)), (8.0, 3, (7.0, 2)), (5.5, 1, (5.0, 0))],
+)
+def test_older_deadlines_are_skipped(now: float, count: int | None, expected: Any) -> None:
+    """The newest one that has passed is met, but none beyond the count."""
+    schedule = Schedule[Any](1.0, count)
+    schedule.add("a", 0.0, now=5.0)
+    due = schedule.take(now)
+    assert due is not None
+    assert (due.deadline, due.skipped) == expected
+    assert schedule.take(now) is None
+    assert schedule.over == (count is not None)
+
+
+def test_a_lateness_below_a_tenth_of_a_microsecond_counts_as_that() -> None:
+    """A deadline may be met early by rounding; before there is any, all are 0."""
+    histogram = LatenessHistogram()
+    assert histogram.summary() == (0.0, 0.0, 0.0)
+    for value in (-1e-9, 0.0, 1.0):
+        histogram.add(value)
+    assert histogram.summary() == (pytest.approx(1e-7, rel=0.05), 1.0, 1.0)

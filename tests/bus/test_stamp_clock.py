@@ -73,12 +73,31 @@ def test_a_clock_that_drifts_stays_settled(ppm: int) -> None:
         assert clock.is_settled == (i >= 2)
 
 
-@pytest.mark.parametrize(("gain_ms", "settled"), [(0, True), (49, True), (50, False), (60, False)])
-def test_how_much_less_waiting_shows_a_backlog(gain_ms: int, settled: bool) -> None:
+@pytest.mark.parametrize(
+    ("gain_ns", "settled"), [(0, True), (50 * MS - 1, True), (50 * MS, False), (60 * MS, False)]
+)
+def test_how_much_less_waiting_shows_a_backlog(gain_ns: int, settled: bool) -> None:
     """50 ms or more within 0.2 s."""
     clock = StampClock()
     clock.add(0, 0)
-    clock.add((199 + gain_ms) * MS, 199 * MS)
+    clock.add(200 * MS - 1 + gain_ns, 200 * MS - 1)
     assert not clock.is_settled
-    clock.add((200 + gain_ms) * MS, 200 * MS)
+    clock.add(200 * MS + gain_ns, 200 * MS)
     assert clock.is_settled is settled
+
+
+def test_before_the_first_frame_there_is_only_our_clock() -> None:
+    assert StampClock().now(5) == 5
+
+
+@pytest.mark.parametrize(("late_ns", "set_back"), [(20 * MS, True), (20 * MS - 1, False)])
+@pytest.mark.parametrize(("after_ns", "over"), [(1000 * MS, False), (1000 * MS + 1, True)])
+def test_a_clock_is_set_back_if_all_frames_are_late_for_more_than_a_second(
+    late_ns: int, set_back: bool, after_ns: int, over: bool
+) -> None:
+    """Late is a wait of 20 ms or more; the least late frame then gives the time."""
+    clock = StampClock()
+    clock.add(0, 0)
+    for at_ns, wait_ns in ((10, 50 * MS), (900 * MS, late_ns), (10 + after_ns, 70 * MS)):
+        clock.add(at_ns - wait_ns, at_ns)
+    assert clock.now(2000 * MS) == 2000 * MS - (late_ns if set_back and over else 0)
