@@ -36,7 +36,7 @@ def classify_error(error: BaseException) -> DriverError:
     'LOST'
     """
     cause = _system_error(error)
-    if isinstance(error, TimeoutError) or isinstance(cause, TimeoutError):
+    if isinstance(cause, TimeoutError):
         return DriverError.FULL
     number = cause.errno if cause else getattr(error, "error_code", None)
     if number in _FULL:

@@ -294,7 +294,7 @@ def _nanoseconds(text: str) -> int:
     if "-" in text:
         return round(datetime.fromisoformat(text).timestamp() * 1e6) * 1000
     seconds, _, fraction = text.partition(".")
-    return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0") or 0)
+    return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
 
 
 def _read_text(file: io.BufferedReader, name: str, suffix: str) -> Iterator[LogFrame]:

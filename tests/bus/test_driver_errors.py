@@ -19,6 +19,11 @@ def caused_by(error: Any, cause: Any) -> Any:
     return error
 
 
+def raised_during(error: Any, context: Any) -> Any:
+    error.__context__ = context
+    return error
+
+
 @pytest.mark.parametrize(
     ("error", "expected"),
     [
@@ -33,6 +38,11 @@ def caused_by(error: Any, cause: Any) -> Any:
         pytest.param(can.CanOperationError("x", errno.ENXIO), DriverError.LOST, id="deleted"),
         pytest.param(
             caused_by(can.CanOperationError("x"), GONE), DriverError.LOST, id="caused-by-gone"
+        ),
+        pytest.param(
+            raised_during(can.CanOperationError("x"), raised_during(KeyError(), GONE)),
+            DriverError.LOST,
+            id="raised-while-gone-is-handled",
         ),
         pytest.param(OSError("device disconnected"), DriverError.LOST, id="serial-pulled-out"),
         pytest.param(can.CanOperationError("x", errno.EINVAL), DriverError.REFUSED, id="fd-frame"),
@@ -49,3 +59,5 @@ def test_text_of_an_error_is_that_of_the_operating_system() -> None:
     assert error_text(caused_by(can.CanOperationError("Failed [19]"), GONE)) == "No such device"
     assert error_text(can.CanOperationError("two\nlines")) == "two lines"
     assert error_text(can.CanTimeoutError()) == "CanTimeoutError"
+    assert error_text(OSError("device disconnected")) == "device disconnected"
+    assert error_text(raised_during(KeyError("x"), GONE)) == "No such device"

@@ -1,8 +1,10 @@
 """Keys from files and from the environment."""
 
+import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -48,6 +50,22 @@ def test_an_invalid_key_file_raises(tmp_path: Path, text: Any, mode: int, messag
         key_from_file(path)
     assert str(path) in str(caught.value)
     check_no_secret(str(caught.value))
+
+
+@pytest.mark.parametrize(("name", "mode", "allowed"), [
+    ("posix", 0o640, True), ("posix", 0o604, False), ("nt", 0o666, True),
+])  # fmt: skip
+def test_who_may_read_a_key_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, mode: int, allowed: bool
+) -> None:
+    """A group may; on Windows the mode says nothing about who can."""
+    path = key_file(tmp_path, HEX.encode(), mode)
+    monkeypatch.setattr("maplines_can.bus.keys.os", SimpleNamespace(name=name, path=os.path))
+    if allowed:
+        assert key_from_file(path) == Key(SECRET, 1)
+    else:
+        with pytest.raises(KeyMaterialError, match="everybody"):
+            key_from_file(path)
 
 
 def test_a_missing_key_raises(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from maplines_can import Codec, Link, MapLine, Slot, Transmitter, read_log
 from maplines_can.bus import LogWriter
+from maplines_can.bus.log_writer import message_of
 from maplines_can.errors import LogError, MissingExtraError
 from maplines_can.wire import Frame
 
@@ -81,6 +82,31 @@ def test_mf4_is_read_as_written(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(LogError, match=r"no/drive.log: cannot be written: No such"):
         LogWriter(tmp_path / "no" / "drive.log", START)
+
+
+def test_mf4_without_its_package_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other formats need none."""
+    monkeypatch.setattr("maplines_can.bus.log_writer.find_spec", lambda _: None)
+    with pytest.raises(MissingExtraError, match=r"writing \.mf4 needs asammdf"):
+        LogWriter(tmp_path / "drive.mf4", START)
+    write(tmp_path / "drive.log", FRAMES)
+
+
+def test_frames_are_logged_as_sent_ones(tmp_path: Path) -> None:
+    """Not as received ones; those of CAN FD with bit-rate switch."""
+    path = tmp_path / "drive.asc"
+    write(path, FRAMES)
+    messages = list(can.LogReader(path))
+    assert [message.is_rx for message in messages] == [False] * 3
+    assert [message.bitrate_switch for message in messages] == [False, False, True]
+
+
+def test_a_message_without_a_time_has_the_stamp_0() -> None:
+    """For python-can that means "none"."""
+    assert message_of(FRAMES[0]).timestamp == 0
+    assert message_of(FRAMES[0], 2.5).timestamp == 2.5
 
 
 def test_close_may_be_called_again(tmp_path: Path) -> None:

@@ -175,6 +175,30 @@ def test_a_file_that_is_only_said_to_be_compressed_is_one_clear_error(tmp_path: 
     assert text.startswith(": not a valid log (")
 
 
+@pytest.mark.parametrize("name", ["drive.txt.gz", "drive.txt"])
+def test_a_binary_log_with_the_suffix_of_a_text(tmp_path: Path, name: str) -> None:
+    """Its content tells the format; it is read unless it is compressed."""
+    content = written(tmp_path / "drive.blf", LOGGED).read_bytes()
+    path = tmp_path / name
+    if name.endswith(".gz"):
+        path.write_bytes(gzip.compress(content))
+        frames, text = read_until_error(path)
+        assert frames == []
+        assert text == ": a log in the format .blf is read from a file only, not compressed"
+    else:
+        path.write_bytes(content)
+        assert len(list(read_log(path))) == 3
+
+
+def test_a_single_byte_that_is_missing_is_noticed(tmp_path: Path) -> None:
+    """All frames are there, but not what belongs after them."""
+    path = written(tmp_path / "drive.blf", LOGGED)
+    path.write_bytes(path.read_bytes()[:-1])
+    frames, text = read_until_error(path)
+    assert len(frames) == 3
+    assert text == ": truncated after 5 good records, 1 bytes are missing"
+
+
 @pytest.mark.parametrize("length", [0, 1, 15])
 def test_a_blf_object_that_is_shorter_than_its_header_ends_the_file(
     tmp_path: Path, length: int
