@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from importlib.util import module_from_spec
 from typing import Any
@@ -104,6 +105,37 @@ def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:
     thread.start()
     assert thread.wait(0.0)
     thread.go.set()
+
+
+class Finishing(BackgroundThread):
+    """A thread that has something left to do when it is told to end."""
+
+    def __init__(self) -> None:
+        super().__init__("test")
+        self.finished = False
+
+    def start(self) -> Any:
+        return self._start_thread()
+
+    def _run(self) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._stopping)
+        for _ in range(100):
+            time.sleep(0)  # lets other threads run
+        self.finished = True
+
+
+def test_stop_returns_after_the_last_action_of_the_thread() -> None:
+    thread = Finishing().start()
+    thread.stop()
+    assert thread.finished
+
+
+def test_an_exception_of_the_body_ends_the_thread_too() -> None:
+    with pytest.raises(KeyError), Finishing() as thread:
+        raise KeyError
+    assert thread.finished
+    assert thread.wait(0.0)
 
 
 def new_module() -> Any:

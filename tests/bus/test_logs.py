@@ -2,6 +2,7 @@
 
 import contextlib
 import gzip
+import io
 import random
 import re
 import zlib
@@ -247,6 +248,13 @@ def test_what_cannot_be_read_raises_at_once(tmp_path: Path, name: str, words: st
         read_log(tmp_path / name)
     assert words in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("source", [io.BytesIO(b"(1.5) can0 340#00"), b"drive.log", 7])
+def test_what_is_no_log_is_refused_at_once(source: Any) -> None:
+    """A stream must allow a look ahead, which tells the format."""
+    with pytest.raises(TypeError, match="source must be a path, or a stream of bytes with peek"):
+        read_log(source)
 
 
 def test_mf4_without_its_package_names_the_extra(
