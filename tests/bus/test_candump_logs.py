@@ -260,6 +260,27 @@ def test_a_binary_log_in_a_stream_is_one_clear_error() -> None:
         list(read_log(stream))
 
 
+class Terminal(io.RawIOBase):
+    """A stream that has more to read after its end, such as a terminal after Ctrl-D."""
+
+    def __init__(self, *chunks: bytes) -> None:
+        self.chunks = list(chunks)
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        chunk = self.chunks.pop(0)
+        buffer[: len(chunk)] = chunk
+        return len(chunk)
+
+
+def test_nothing_is_read_after_the_end_of_a_stream() -> None:
+    row = b"  can0  340   [1]  2A\n"
+    stream: Any = io.BufferedReader(Terminal(row, row, b"", row, b""))
+    assert len(list(read_log(stream))) == 2
+
+
 def test_standard_input_stays_open(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whoever opened a stream closes it."""
     stream: Any = io.BufferedReader(io.BytesIO(b"  can0  340   [1]  2A\n"))
