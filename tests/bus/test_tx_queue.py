@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from dbcs import default_codec
 from fake_bus import (
     Clock,
     FakeOpener,
@@ -25,7 +26,7 @@ from maplines_can.bus import (
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.line import Slot
 from maplines_can.mixture import GaussianMixture
-from maplines_can.wire import POSE, Codec, Frame
+from maplines_can.wire import POSE, Frame
 
 
 def test_a_retracted_line_is_not_sent_again(link: Any) -> None:
@@ -127,7 +128,7 @@ def test_a_line_encoded_before_a_retract_is_not_sent_after_it() -> None:
 @given(st.lists(st.sampled_from([0.2, 0.9, 1.1, 2.7]), min_size=1, max_size=30), st.integers(1, 3))
 def test_counters_have_no_gap_whatever_deadlines_are_skipped(steps: Any, drop_every: int) -> None:
     """Lines that were encoded ahead and not sent do not count as lost."""
-    codec, period, now = Codec.from_dbc(), 0.05, 100.0
+    codec, period, now = default_codec(), 0.05, 100.0  # the queue counts by itself
     tx_queue = TxQueue(codec, period, fd=True, count=None, max_age=1.0)
     decoder = codec.decoder(cycle_ms=1e3 * period)
     for number, step in enumerate(steps):
