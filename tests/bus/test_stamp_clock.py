@@ -78,11 +78,11 @@ def test_a_clock_that_drifts_stays_settled(ppm: int) -> None:
 )
 def test_how_much_less_waiting_shows_a_backlog(gain_ns: int, settled: bool) -> None:
     """50 ms or more within 0.2 s."""
-    clock = StampClock()
-    clock.add(0, 0)
-    clock.add(200 * MS - 1 + gain_ns, 200 * MS - 1)
+    clock, start = StampClock(), 10**15  # a monotonic clock counts from anywhere
+    clock.add(0, start)
+    clock.add(200 * MS - 1 + gain_ns, start + 200 * MS - 1)
     assert not clock.is_settled
-    clock.add(200 * MS + gain_ns, 200 * MS)
+    clock.add(200 * MS + gain_ns, start + 200 * MS)
     assert clock.is_settled is settled
 
 

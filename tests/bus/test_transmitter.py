@@ -422,7 +422,7 @@ def test_a_transmitter_sends_at_20_hz_by_default() -> None:
         transmitter = Transmitter(link, FakeCodec(), **settings)  # type: ignore[arg-type]
         transmitter.publish(map_line())
         drive(transmitter, clock, clock.now + 0.99)
-    assert transmitter.stats().lines == 20
+    assert (transmitter.stats().lines, transmitter.stats().expired) == (20, 0)
 
 
 class Steps:
