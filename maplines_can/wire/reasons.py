@@ -24,9 +24,3 @@ class Reason(Enum):
     MAC = "its MAC is wrong"
     REPLAY = "its MAC is valid, but its freshness value is not newer than the last accepted one"
     AGE = "its MAC is valid, but its freshness value is outside the window about the current time"
-
-
-#: Reasons of frames whose sender or time is not authentic, so that their content is ignored.
-NOT_AUTHENTIC = frozenset(
-    {Reason.UNAUTHENTICATED, Reason.KEY, Reason.MAC, Reason.REPLAY, Reason.AGE}
-)

@@ -11,13 +11,14 @@ from ..message.pose_records import ConditionalRecord
 from ..message.reader import DecodedRecord
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
-from ..reasons import NOT_AUTHENTIC, Reason
+from ..reasons import Reason
 from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .scenes import ReceivedLine, ReceivedScene, SceneReceiver
 from .sequence import SequenceCheck
 
-PENDING = Reason.PENDING  # looked up only once, since feed is called for every frame
+# Looked up only once, since feed is called for every frame.
+PENDING, FOREIGN = Reason.PENDING, Reason.FOREIGN
 
 
 class Decoder:
@@ -67,7 +68,7 @@ class Decoder:
         #: Checks whether a frame is authentic; None without authentication.
         self.verifier = verifier
         modulus = 2 ** layout["Counter"].length
-        self._slot_of_id = {key: slot for key, (slot, _) in layout.message_of_id.items()}
+        self._message_of_id = layout.message_of_id
         self._reassembler: Reassembler[Slot, DecodedRecord | ConditionalRecord]
         self._reassembler = Reassembler(layout, read, timeouts_ns, verifier)
         self._mixtures = MixtureAssembler(modulus, timeouts_ns)
@@ -147,8 +148,9 @@ class Decoder:
             return first
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason):
-            if record is not PENDING:
-                self._check_dropped(record, (can_id, is_extended), t_ns)
+            if record is not PENDING and record is not FOREIGN:
+                slot, _ = self._message_of_id[can_id, is_extended]
+                self.checks[slot].frame_dropped(record, t_ns)
             return record
         check, content = self.checks[record.slot], record.content
         if isinstance(content, Reason):
@@ -195,13 +197,3 @@ class Decoder:
     def _dropped(self, reason: Reason, frames: int) -> Reason:
         self._counts[reason] += frames
         return reason
-
-    def _check_dropped(self, reason: Reason, key: tuple[int, bool], t_ns: int) -> None:
-        """Pass a dropped frame to the check of its slot, unless its sender is not authentic."""
-        slot = self._slot_of_id.get(key)
-        if slot is None or reason in NOT_AUTHENTIC:
-            return  # as in AUTOSAR: what is not authentic does not reach the E2E check
-        if reason is Reason.DUPLICATE:
-            self.checks[slot].frame_duplicated(t_ns)
-        elif reason is Reason.PAGE or (reason is Reason.LENGTH and self.verifier is None):
-            self.checks[slot].failed(t_ns)

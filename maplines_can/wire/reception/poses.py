@@ -10,7 +10,7 @@ from ..message.pose_layout import POSE, PoseLayout
 from ..message.pose_records import PoseRecord, PoseRecords
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
-from ..reasons import NOT_AUTHENTIC, Reason
+from ..reasons import Reason
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 
@@ -53,7 +53,6 @@ class PoseReceiver:
         #: Number of bits that a pose error states for each slot.
         self.slot_bits = {slot: signal.length for slot, signal in layout.counters.items()}
         self._ids = layout.message_of_id
-        self._is_authentic = verifier is not None
         self._reassembler: Reassembler[Literal["pose"], PoseRecord] = Reassembler(
             layout, lambda payload, *_: records.read(payload), {POSE: timeout_ns}, verifier
         )
@@ -65,7 +64,7 @@ class PoseReceiver:
             self._modulus,
             layout.pages,
             cycle_ns,
-            is_authentic=self._is_authentic,
+            is_authentic=verifier is not None,
         )
         self._last: int | None = None
         self._counts: Counter[Reason] = Counter()
@@ -101,7 +100,7 @@ class PoseReceiver:
         self.frames += 1
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason):
-            self._check_dropped(record, t_ns)
+            self.check.frame_dropped(record, t_ns)
             return record
         content = record.content
         if isinstance(content, Reason):
@@ -128,12 +127,3 @@ class PoseReceiver:
     def _dropped(self, reason: Reason, frames: int) -> Reason:
         self._counts[reason] += frames
         return reason
-
-    def _check_dropped(self, reason: Reason, t_ns: int) -> None:
-        """Pass a dropped frame to the check, unless its sender is not authentic."""
-        if reason is Reason.PENDING or reason in NOT_AUTHENTIC:
-            return
-        if reason is Reason.DUPLICATE:
-            self.check.frame_duplicated(t_ns)
-        elif reason is Reason.PAGE or (reason is Reason.LENGTH and not self._is_authentic):
-            self.check.failed(t_ns)

@@ -229,14 +229,22 @@ class SequenceCheck:
         self._record_arrived(t_ns)
         self._step(ERROR)
 
-    def frame_duplicated(self, t_ns: int) -> None:
-        """Count a duplicated frame: one REPEATED check per ``pages`` duplicated frames."""
-        self._duplicated_frames += 1
-        if self._duplicated_frames % self._pages == 0:
-            self._record_arrived(t_ns)
-            if self._duplicated_frames == self._pages:
-                self._conflict.duplicate(t_ns)
-            self._step(REPEATED)
+    def frame_dropped(self, reason: Reason, t_ns: int) -> None:
+        """Check a frame that is in no record, by the reason why it was dropped.
+
+        A frame with a wrong page or length is an ERROR check, and ``pages`` duplicated frames are
+        one REPEATED check. All others are none: as in AUTOSAR, what is not authentic does not reach
+        the E2E check. With authentication, a frame with a wrong length is not authentic.
+        """
+        if reason is Reason.PAGE or (reason is Reason.LENGTH and not self._is_authentic):
+            self.failed(t_ns)
+        elif reason is Reason.DUPLICATE:
+            self._duplicated_frames += 1
+            if self._duplicated_frames % self._pages == 0:
+                self._record_arrived(t_ns)
+                if self._duplicated_frames == self._pages:
+                    self._conflict.duplicate(t_ns)
+                self._step(REPEATED)
 
     def elapse(self, t_ns: int) -> E2EState:
         """Step with NONEWDATA for each cycle missed up to ``t_ns`` [ns]; return the state."""

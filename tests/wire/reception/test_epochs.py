@@ -257,3 +257,147 @@ def test_a_line_that_fits_two_pose_errors_joins_none() -> None:
     epochs.add_pose("second", {Slot.ROUTE: 7}, 1100)
     epochs.add_pose("third", {Slot.ROUTE: 7}, 1200)
     assert epochs.add_line("three", Slot.ROUTE, 15, 1210) is None
+
+
+def assembler(*, has_mixtures: bool = False) -> EpochAssembler[str, str]:
+    """Return an assembler for pose errors every 100 ns."""
+    return EpochAssembler({Slot.ROUTE: 3, Slot.CENTRE: 3}, 100, has_mixtures=has_mixtures)
+
+
+@pytest.mark.parametrize(
+    ("has_mixtures", "late_ns", "joins"),
+    [
+        (False, -101, False),
+        (False, -100, True),
+        (False, 300, True),
+        (False, 301, False),
+        (True, -51, False),
+        (True, -50, True),
+        (True, 150, True),
+        (True, 151, False),
+    ],
+)
+def test_the_window_of_a_line(has_mixtures: bool, late_ns: int, joins: bool) -> None:
+    """From one cycle before its pose error to three after it; half of that with mixtures."""
+    epochs = assembler(has_mixtures=has_mixtures)
+    if late_ns < 0:
+        assert epochs.add_line("line", Slot.ROUTE, 9, 1000 + late_ns) is None
+        found = [one.line for one in epochs.add_pose("pose", {Slot.ROUTE: 1}, 1000)]
+    else:
+        assert epochs.add_pose("pose", {Slot.ROUTE: 1}, 1000) == []
+        joined = epochs.add_line("line", Slot.ROUTE, 9, 1000 + late_ns)
+        found = [] if joined is None else [joined.line]
+    assert found == ["line"] * joins
+
+
+@pytest.mark.parametrize("t_ns", [1501, 499])
+def test_old_pose_errors_are_forgotten(t_ns: int) -> None:
+    """After five cycles, in either direction of the clock."""
+    epochs = assembler()
+    epochs.add_pose("pose", {}, 1000)
+    epochs.expire(1500)
+    epochs.expire(500)
+    assert len(epochs.epochs) == 1
+    epochs.expire(t_ns)
+    assert epochs.epochs == ()
+
+
+@pytest.mark.parametrize("t_ns", [1301, 699])
+def test_a_line_does_not_wait_for_long_while_others_come(t_ns: int) -> None:
+    """It is dropped with the next line or pose error after three cycles, or on another clock."""
+    for adds_pose in (True, False):
+        epochs = assembler()
+        assert epochs.add_line("line", Slot.ROUTE, 9, 1000, frames=2) is None
+        if adds_pose:
+            epochs.add_pose("pose", {}, t_ns)
+        else:
+            epochs.add_line("other", Slot.CENTRE, 9, t_ns)
+        assert (epochs.pending, epochs.counts) == (0, {Reason.POSE: 2})
+
+
+def test_eight_pose_errors_are_kept() -> None:
+    """However fast they come: one for each value of the three bits that they state for a slot."""
+    epochs = assembler()
+    for i in range(20):
+        epochs.add_pose(f"{i}", {}, 1000 + i)
+    assert [epoch.pose for epoch in epochs.epochs] == [f"{i}" for i in range(12, 20)]
+
+
+@pytest.mark.parametrize(("fast", "window_ns"), [(2, 300), (3, 60)])
+def test_the_window_follows_most_of_the_last_five_intervals(fast: int, window_ns: int) -> None:
+    """Two short intervals are jitter, three are a sender that is five times faster."""
+    for late_ns in (window_ns, window_ns + 1):
+        epochs = assembler()
+        for t_ns in [*range(0, 600, 100), *range(520, 521 + 20 * (fast - 1), 20)]:
+            epochs.add_pose("pose", {Slot.ROUTE: 1} if t_ns == 500 else {}, t_ns)
+        joined = epochs.add_line("line", Slot.ROUTE, 1, 500 + late_ns)
+        assert (joined is not None) is (late_ns == window_ns)
+
+
+@pytest.mark.parametrize(("late_ns", "joins"), [(30, True), (31, False)])
+def test_lost_pose_errors_do_not_make_a_sender_slower(late_ns: int, joins: bool) -> None:
+    """The interval between two pose errors is divided by the difference of their counters."""
+    epochs = assembler()
+    epochs.add_pose("before", {}, 1000)
+    epochs.add_pose("pose", {Slot.ROUTE: 1}, 1030, ahead=3)
+    assert (epochs.add_line("line", Slot.ROUTE, 1, 1030 + late_ns) is not None) is joins
+
+
+def test_a_time_stamp_may_be_before_the_last_one() -> None:
+    """The window is never negative."""
+    epochs = assembler()
+    epochs.add_pose("before", {}, 1000)
+    epochs.add_pose("pose", {Slot.ROUTE: 1}, 980)
+    assert epochs.add_line("line", Slot.ROUTE, 1, 985) is not None
+
+
+def test_a_restarted_sender_has_the_window_of_the_dbc() -> None:
+    """That of the sender before it is forgotten, and so are the lines that waited."""
+    epochs = assembler()
+    for i in range(6):
+        epochs.add_pose("before", {}, 1000 + 10 * i)
+    assert epochs.add_line("waiting", Slot.ROUTE, 1, 1060, frames=2) is None
+    assert epochs.add_pose("after", {Slot.ROUTE: 1, Slot.CENTRE: 1}, 1060, ahead=None) == []
+    assert (epochs.pending, epochs.counts) == (0, {Reason.POSE: 2})
+    assert epochs.add_line("line", Slot.CENTRE, 1, 1360) is not None
+
+
+@pytest.mark.parametrize(("pose_ns", "joins"), [(999, False), (1000, True)])
+def test_after_a_sequence_break_a_line_waits_for_a_later_pose(pose_ns: int, joins: bool) -> None:
+    """Whose first frame was not received before that of the line."""
+    epochs = assembler()
+    assert epochs.add_line("line", Slot.ROUTE, 1, 1000, is_break=True) is None
+    assert bool(epochs.add_pose("pose", {Slot.ROUTE: 1}, pose_ns)) is joins
+
+
+def test_a_slot_that_pose_errors_do_not_state() -> None:
+    """Its lines belong to none, whatever the pose error says."""
+    epochs = assembler()
+    epochs.add_pose("pose", {Slot.EGO_LEFT: 1}, 1000)
+    assert epochs.add_line("line", Slot.EGO_LEFT, 1, 1000) is None
+
+
+def test_the_latest_epoch_is_that_of_the_newest_pose_error() -> None:
+    """A late line of an older one does not change that; of equal times, the last one is newer."""
+    epochs = assembler()
+    for pose, counter, t_ns in (("first", 1, 1000), ("second", 2, 1100), ("third", 3, 1100)):
+        epochs.add_pose(pose, {Slot.ROUTE: counter, Slot.CENTRE: counter}, t_ns)
+    for counter, slot, latest in (
+        (2, Slot.ROUTE, "second"),
+        (1, Slot.ROUTE, "second"),
+        (3, Slot.ROUTE, "third"),
+        (1, Slot.CENTRE, "third"),
+    ):
+        assert epochs.add_line("line", slot, counter, 1110) is not None
+        assert epochs.latest is not None
+        assert epochs.latest.pose == latest
+
+
+def test_the_latest_epoch_after_the_clock_was_set_back() -> None:
+    """It is that of the new time."""
+    epochs = assembler()
+    for pose, t_ns in (("before", 10**9), ("after", 0)):
+        epochs.add_pose(pose, {Slot.ROUTE: 1}, t_ns)
+        epochs.add_line("line", Slot.ROUTE, 1, t_ns)
+        assert epochs.latest is not None
+        assert epochs.latest.pose == pose

@@ -71,3 +71,25 @@ def test_a_slot_that_the_dbc_does_not_have_raises() -> None:
     """The message names the slots of the DBC."""
     with pytest.raises(ValueError, match=r"slot must be one of the DBC's, EGO_LEFT, .* got 99"):
         Monitor(default_codec().decoder()).latest(99, 0)  # type: ignore[arg-type]
+
+
+def test_the_statistics_are_those_of_now() -> None:
+    """Cycles without a record count although nothing was received or asked for since."""
+    decoder = default_codec().decoder()
+    monitor = Monitor(decoder)
+    assert monitor.slots(0) == {}
+    for counter in range(10):
+        for frame in frames(counter):
+            monitor.feed(frame.can_id, frame.data, counter * CYCLE)
+    stats = monitor.slots(9 * CYCLE)
+    assert stats.keys() == {SLOT}
+    assert (stats[SLOT].ok, stats[SLOT].no_new_data, stats[SLOT].state) == (10, 0, VALID)
+    stats = monitor.slots(19 * CYCLE)
+    assert (stats[SLOT].ok, stats[SLOT].no_new_data, stats[SLOT].state) == (10, 9, INVALID)
+
+
+@pytest.mark.parametrize("now_ns", [0.5, float("nan")])
+def test_the_current_time_is_whole(now_ns: float) -> None:
+    """In seconds, it would be refused, not taken for nanoseconds."""
+    with pytest.raises(ValueError, match=r"now_ns must be whole \[ns\], got"):
+        Monitor(default_codec().decoder()).latest(SLOT, now_ns)  # type: ignore[arg-type]

@@ -19,6 +19,7 @@ from maplines_can.wire import (
     Frame,
     Key,
     Layout,
+    ProfileStatus,
     Reason,
     Verifier,
     default_dbc_path,
@@ -207,6 +208,8 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     assert answer.record == pose(layout, 9)
     assert state.feed(frame.can_id, frame.data, 0) is Reason.REPLAY
     assert state.feed(frame.can_id, frame.data[:-1] + b"\0", 0) is Reason.MAC
+    assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
+    assert state.check.statuses == {ProfileStatus.OK: 1}
     assert receiver(layout).feed(frame.can_id, frame.data, 0) is Reason.KEY
     (plain,) = FrameWriter(layout, None).write_pose(records.write(pose(layout, 9)), fd=True)
     assert state.feed(plain.can_id, plain.data, 0) is Reason.UNAUTHENTICATED
@@ -228,3 +231,80 @@ def test_a_dbc_without_a_pose_error_cannot_send_one() -> None:
         FrameWriter(layout, None).write_pose(bytes(40), fd=False)
     assert LAYOUTS["maplines.dbc"].pose is not None
     assert LAYOUTS["maplines.dbc"].pose.message_of_id[0x35C, False] == (POSE, False)
+
+
+def pose_frames(counter: int, *, fd: bool = False) -> list[Frame]:
+    """Frames of a pose error with this counter."""
+    assert LAYOUT.pose is not None
+    payload = PoseRecords(LAYOUT.pose).write(pose(LAYOUT, counter))
+    return FrameWriter(LAYOUT, None).write_pose(payload, fd)
+
+
+def received(state: PoseReceiver, counter: int, t_ns: int) -> ReceivedPose | Reason:
+    """Answer to a pose error with this counter."""
+    (frame,) = pose_frames(counter % 256, fd=True)
+    return state.feed(frame.can_id, frame.data, t_ns)
+
+
+@pytest.mark.parametrize(
+    ("max_delta", "in_sequence"), [(16, 16), (40, 40), (100, 64)], ids=["default", "40", "most"]
+)
+def test_pose_errors_may_be_lost(max_delta: int, in_sequence: int) -> None:
+    """As records of a slot, up to a quarter of the counters; more is a sequence break."""
+    assert LAYOUT.pose is not None
+    for ahead in (in_sequence, in_sequence + 1):
+        state = PoseReceiver(
+            LAYOUT.pose, None, *pose_settings(LAYOUT.pose), E2EConfig(max_delta_counter=max_delta)
+        )
+        received(state, 9, 0)
+        answer = received(state, 9 + ahead, ahead * CYCLE)
+        assert isinstance(answer, ReceivedPose)
+        assert answer.ahead == (ahead if ahead == in_sequence else None)
+
+
+def test_a_fast_sender_of_pose_errors_may_lose_many() -> None:
+    """Its rate is learnt, so that those after 40 lost ones are new: 8 cycles of the DBC."""
+    state = receiver(LAYOUT)
+    for i in range(40):
+        assert isinstance(received(state, i, i * CYCLE // 5), ReceivedPose)
+    assert isinstance(received(state, 80, 80 * CYCLE // 5), ReceivedPose)
+
+
+def test_damaged_pose_errors_are_checks() -> None:
+    """A wrong checksum, page or length is an ERROR; a repeated one is REPEATED once."""
+    state = receiver(LAYOUT)
+    frames = pose_frames(3)
+    (whole,) = pose_frames(4, fd=True)
+    for frame in frames + frames:
+        state.feed(frame.can_id, frame.data, 0)
+    assert (state.check.stats().repeated, state.check.stats().errors) == (1, 0)
+    damaged = whole._replace(data=bytes([whole.data[0] ^ 1, *whole.data[1:]]))
+    wrong_page = frames[0]._replace(data=bytes([*frames[0].data[:7], 0xFF]))
+    short = whole._replace(data=whole.data[:15])
+    for errors, (frame, reason) in enumerate(
+        [(damaged, Reason.CRC), (wrong_page, Reason.PAGE), (short, Reason.LENGTH)], 1
+    ):
+        assert state.feed(frame.can_id, frame.data, 1) is reason
+        assert state.check.stats().errors == errors
+    assert state.feed(0x7FF, b"", 1) is Reason.FOREIGN
+    assert state.feed(whole.can_id, whole.data, 1, is_extended=True) is Reason.FOREIGN
+    assert not state.knows(whole.can_id, is_extended=True)
+    assert state.check.stats().errors == 3
+    assert (state.frames, state.records, state.record_frames) == (
+        2 * len(frames) + 5,
+        1,
+        len(frames),
+    )
+    assert sum(state.counts.values()) == len(frames) + 5
+
+
+def test_a_pose_error_that_is_not_complete_times_out() -> None:
+    """Its frames are counted."""
+    state = receiver(LAYOUT)
+    first, *_ = pose_frames(3)
+    assert state.feed(first.can_id, first.data, 0) is Reason.PENDING
+    timeout_ns, _ = pose_settings(LAYOUT.pose)  # type: ignore[arg-type]
+    state.expire(timeout_ns)
+    assert (state.pending, state.counts) == (1, {})
+    state.expire(timeout_ns + 1)
+    assert (state.pending, state.counts) == (0, {Reason.TIMEOUT: 1})

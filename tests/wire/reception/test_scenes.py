@@ -280,3 +280,43 @@ def test_the_monitor_keeps_lines_that_waited() -> None:
     feed(monitor, pose, t_ns)
     assert len(monitor.further) == 2
     assert all(monitor.latest(slot, t_ns).line is not None for slot in SLOTS)
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+def test_the_statistics_of_the_pose_error(dbc: str) -> None:
+    """None before the first; those of now, although nothing was received since."""
+    monitor = Monitor(codec_of(dbc).decoder())
+    assert monitor.pose_error(0) is None
+    for n, frames in enumerate(cycles(dbc, 10)):
+        feed(monitor, frames, n * PERIOD_NS)
+    for silent, no_new_data, state in ((0, 0, E2EState.VALID), (10, 9, E2EState.INVALID)):
+        stats = monitor.pose_error((9 + silent) * PERIOD_NS)
+        assert stats is not None
+        assert (stats.ok, stats.no_new_data, stats.state) == (10, no_new_data, state)
+
+
+def test_a_scene_is_not_usable_before_the_state_is_valid() -> None:
+    """After the first pose error it is INIT, whatever the age."""
+    monitor = Monitor(codec_of(CONDITIONAL).decoder())
+    _, t_ns = feed(monitor, cycles(CONDITIONAL, 1, age=0.02)[0], 0)
+    view = monitor.latest_scene(t_ns)
+    assert (view.state, view.stale, view.usable) == (E2EState.INIT, False, False)
+    assert view.age < 0.1
+
+
+def test_a_line_without_a_valid_range_is_in_no_scene() -> None:
+    """It is delivered, but begins no scene; the scene has the other lines."""
+    codec, (frames,) = codec_of(COMPLETE), cycles(COMPLETE, 1)
+    empty = MapLine.with_sigma(
+        Slot.EGO_RIGHT, [0, 0, 0, 0], [0.1, 0.01, 1e-3, 1e-4], x_min=0, x_max=0
+    )
+    frames[Slot.EGO_RIGHT] = codec.encode_lines([empty], counters={})[0]
+    decoder = codec.decoder()
+    answers, t_ns = feed(decoder, {owner: frames.pop(owner) for owner in (POSE, empty.slot)}, 0)
+    assert isinstance(answers[-1], MapLine)
+    assert decoder.scene() is None
+    answers, _ = feed(decoder, frames, t_ns)
+    assert sum(isinstance(one, MapLine) for one in answers) == 2
+    received = decoder.scene()
+    assert received is not None
+    assert [line.slot for line in received.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]

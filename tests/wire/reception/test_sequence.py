@@ -212,9 +212,9 @@ def test_duplicated_frames_are_repeated_records_once_they_fill_one() -> None:
     for counter in range(5):
         slot.received(counter, counter, counter * CYCLE)
         for _ in range(3):
-            slot.frame_duplicated(counter * CYCLE)
+            slot.frame_dropped(Reason.DUPLICATE, counter * CYCLE)
     assert slot.stats().repeated == 0
-    slot.frame_duplicated(4 * CYCLE)
+    slot.frame_dropped(Reason.DUPLICATE, 4 * CYCLE)
     assert slot.stats().repeated == 1
 
 
@@ -224,9 +224,20 @@ def test_a_duplicated_transfer_is_not_silence() -> None:
     slot.received(0, 0, 0)
     for cycle in range(1, 6):
         for _ in range(4):
-            slot.frame_duplicated(cycle * CYCLE)
+            slot.frame_dropped(Reason.DUPLICATE, cycle * CYCLE)
     slot.elapse(6 * CYCLE)
     assert (slot.stats().repeated, slot.stats().no_new_data) == (5, 0)
+
+
+@pytest.mark.parametrize("reason", Reason)
+@pytest.mark.parametrize("is_authentic", [False, True])
+def test_dropped_frames_that_are_errors(reason: Reason, is_authentic: bool) -> None:
+    """What is not authentic does not reach the E2E check, and a damaged frame is not authentic."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE, is_authentic=is_authentic)
+    for _ in range(3):
+        slot.frame_dropped(reason, 0)
+    is_error = reason is Reason.PAGE or (reason is Reason.LENGTH and not is_authentic)
+    assert slot.statuses == ({ProfileStatus.ERROR: 3} if is_error else {})
 
 
 def test_two_senders_are_forgotten_on_a_silent_bus() -> None:
