@@ -7,7 +7,8 @@ import pytest
 from dbcs import default_codec, edited
 
 from maplines_can.line import Slot
-from maplines_can.wire import Codec, E2EConfig
+from maplines_can.wire import Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
+from maplines_can.wire.reception.settings import decoder_settings, pose_settings, timeout_cycles
 
 
 def test_a_time_of_an_hour_is_allowed() -> None:
@@ -20,13 +21,54 @@ def test_max_delta_counter_must_be_less_than_half_of_the_counters(tmp_path: Path
     narrow = [(rf"({name} m0 : 16\|)8@1\+ \(1,0\) \[0\|255\]", r"\g<1>4@1+ (1,0) [0|15]")
               for name in ("Counter",)]  # fmt: skip
     codec = Codec.from_dbc(edited(tmp_path, *narrow, (r"Counter : 16\|8@1\+", "Counter : 16|4@1+")))
-    assert codec.decoder().checks[Slot.EGO_LEFT].received(3, 3, 0) is None
+    for counter, status in ((7, ProfileStatus.OKSOMELOST), (8, ProfileStatus.WRONGSEQUENCE)):
+        check = codec.decoder().checks[Slot.EGO_LEFT]  # 4 is a quarter of the counter modulus
+        assert check.received(3, 3, 0) is None
+        assert check.received(counter, 4, 5 * 50_000_000) is None
+        assert check.status is status
     with pytest.raises(ValueError, match=r"max_delta_counter must be less than 8.*got 16"):
         codec.decoder(e2e=E2EConfig())
+    with pytest.raises(ValueError, match=r"max_delta_counter must be less than 8.*got 8"):
+        codec.decoder(e2e=E2EConfig(max_delta_counter=8))
+    assert codec.decoder(e2e=E2EConfig(max_delta_counter=7)).lines == 0
 
 
-@pytest.mark.parametrize("cycle_ms", [0, -5, float("nan"), float("inf")])
+@pytest.mark.parametrize("cycle_ms", [0, -5, float("nan"), float("inf"), 3_600_001])
 def test_a_cycle_time_must_be_positive(cycle_ms: Any) -> None:
     """The message has the name, the value and the unit."""
     with pytest.raises(ValueError, match="cycle_ms must be more than 0 ms"):
         default_codec().decoder(cycle_ms=cycle_ms)
+
+
+@pytest.mark.parametrize("cycle_attribute", [True, False])
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+def test_the_times_of_lines_and_of_the_pose_error(
+    dbc: str, cycle_attribute: bool, tmp_path: Path
+) -> None:
+    """By the cycle time of the DBC, 100 ms if it has none, or as they are given.
+
+    The time-out is 1.5 cycles, and half a cycle of the DBC at least.
+    """
+    text, path = default_dbc_path(dbc).read_text(), tmp_path / dbc
+    lines = [line for line in text.splitlines() if not line.startswith('BA_ "GenMsgCycleTime"')]
+    path.write_text(text if cycle_attribute else "\n".join(lines) + "\n")
+    layout = Layout.from_dbc(path)
+    assert layout.pose is not None
+    factor = 1 if cycle_attribute else 2
+    for settings, timeout_ms, cycle_ms in (
+        ({}, 75 * factor, 50 * factor),
+        ({"cycle_ms": 200}, 300, 200),
+        ({"cycle_ms": 10}, 25 * factor, 10),
+        ({"timeout_ms": 7}, 7, 50 * factor),
+    ):
+        times = timeout_ms * 1_000_000, cycle_ms * 1_000_000
+        assert pose_settings(layout.pose, **settings) == times
+        timeouts, cycles, _ = decoder_settings(layout, **settings)
+        assert set(zip(timeouts.values(), cycles.values(), strict=True)) == {times}
+
+
+def test_a_record_without_components_is_one_for_each_transfer_id() -> None:
+    """The transfer IDs of the pose error come again after as many cycles."""
+    layout = Layout.from_dbc(default_dbc_path("maplines-pose.dbc"))
+    assert "ComponentCount" not in layout.signals
+    assert timeout_cycles(layout) == 1.5

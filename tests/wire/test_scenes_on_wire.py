@@ -299,6 +299,10 @@ def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) 
         assert (line.age, line.x_min, line.x_max) == (other.age, other.x_min, other.x_max)
     assert old.counts == {Reason.FOREIGN: len(frames[POSE])}
     assert old.frames == old.line_frames + sum(old.counts.values()) + old.pending
+    assert (old.pose_errors, old.pose_frames, old.pose_check, old.scene()) == (0, 0, None, None)
+    assert Monitor(old).pose_error(0) is None
+    old.expire(10**12)
+    assert old.pending == 0
 
 
 def test_the_records_are_those_of_the_lines_alone() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 #: Conflicts that confirm two senders, and the longest interval between consecutive conflicts
 #: [cycles]. A gateway that delays a transfer, or a sender that restarts, causes one or two.
 CONFLICTS, NEAR_CYCLES = 8, 32
@@ -11,7 +13,8 @@ NEW_RECORDS, DUPLICATES = 32, 29
 SUSPECT_CYCLES = 10
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256
-LONG_AGO_NS = -(2**62)
+#: Time of what has not happened.
+NEVER_NS = math.inf
 
 
 class SenderConflict:
@@ -35,7 +38,7 @@ class SenderConflict:
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
         self._conflicts = self._new_records = self._duplicates = 0
-        self._conflict_ns = self._confirmed_ns = self._suspected_ns = LONG_AGO_NS
+        self._conflict_ns = self._confirmed_ns = self._suspected_ns = NEVER_NS
         self._is_blocked = True  # no new record since the last conflict
         #: Whether two senders are confirmed.
         self.is_confirmed = False
@@ -71,7 +74,7 @@ class SenderConflict:
     def retract(self) -> None:
         """Discount the last conflict: its sequence was that of a sender that restarted."""
         self._conflicts = max(0, self._conflicts - 1)
-        self._suspected_ns = LONG_AGO_NS
+        self._suspected_ns = NEVER_NS
 
     def is_suspected(self, t_ns: int) -> bool:
         """Return whether a counter was reused in the last ``SUSPECT_CYCLES``."""

@@ -38,7 +38,7 @@ class ReceptionDeadline:
         if self._due_ns is not None:
             if t_ns >= self._due_ns:
                 missed = self.elapse(t_ns)
-            elif self._is_counted and due_ns < self._due_ns:
+            elif self._is_counted and due_ns <= self._due_ns:
                 return 0
         self._due_ns, self._is_counted = due_ns, False
         return missed

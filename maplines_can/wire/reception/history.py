@@ -12,7 +12,7 @@ class _Entry(NamedTuple):
     content: int
     is_new: bool  #: accepted when it came
     is_in_sequence: bool  #: new, or late and directly after one that is in sequence
-    is_duplicated: bool  #: received again since
+    is_duplicated: bool = False  #: received again since
 
 
 class RecordHistory:
@@ -30,9 +30,7 @@ class RecordHistory:
     def add_new(self, counter: int, content: int, ahead: int) -> None:
         """Add a new record, ``ahead`` positions after the last new one."""
         self._newest += ahead
-        self._entries[counter] = _Entry(
-            self._newest, content, is_new=True, is_in_sequence=True, is_duplicated=False
-        )
+        self._entries[counter] = _Entry(self._newest, content, is_new=True, is_in_sequence=True)
 
     def add_late(self, counter: int, content: int, behind: int) -> None:
         """Add a record that was not accepted, unless its position is taken."""
@@ -42,7 +40,6 @@ class RecordHistory:
                 content,
                 is_new=False,
                 is_in_sequence=self.fills_gap(counter, behind),
-                is_duplicated=False,
             )
 
     def has_other(self, counter: int, content: int, behind: int) -> bool:

@@ -126,18 +126,17 @@ class Reassembler(Generic[Key, Content]):
         self._pages, self._short_pages = layout.pages, layout.short_pages
         self._record_bytes = PAGE_BYTES * layout.pages
         self._timeouts_ns = timeouts_ns
-        self._read_page = _reader(layout[f"{PAGE}0"])
+        _, self._read_page = _reader(layout[f"{PAGE}0"])
         self._read_transfer_id = [
-            _reader(layout[f"{TRANSFER_ID}{page}"]) for page in range(layout.pages)
+            _reader(layout[f"{TRANSFER_ID}{page}"])[1] for page in range(layout.pages)
         ]
         counter = layout["Counter"]
-        self._read_counter, self._counters = _reader(counter), 2**counter.length
-        self._counter_page = counter.start // (8 * PAGE_BYTES)
+        self._counter_page, self._read_counter = _reader(counter)
+        self._counters = 2**counter.length
         self._transfer_ids = 2 ** layout[f"{TRANSFER_ID}0"].length
         self._form: tuple[int, Callable[[bytes], int]] | None = None
         if self._short_pages < self._pages:
-            flag = layout["HasCovariance"]
-            self._form = flag.start // (8 * PAGE_BYTES), _reader(flag)
+            self._form = _reader(layout["HasCovariance"])
         self._incomplete: dict[Key, dict[int, _Transfer]] = {slot: {} for slot in timeouts_ns}
         self._complete: dict[Key, dict[int, Record[Key, Content]]]
         self._complete = {slot: {} for slot in timeouts_ns}
@@ -285,11 +284,11 @@ class Reassembler(Generic[Key, Content]):
         return reason
 
 
-def _reader(signal: Signal) -> Callable[[bytes], int]:
-    """Return a function that reads an unsigned signal from its page."""
-    (_, shift, bits, _), *more = pieces_of(signal)
+def _reader(signal: Signal) -> tuple[int, Callable[[bytes], int]]:
+    """Return the page of an unsigned signal, and a function that reads it from this page."""
+    (page, shift, bits, _), *more = pieces_of(signal)
     if more:
         raise LayoutError(f"signal {signal.name} must lie within a page")
     order: Literal["big", "little"] = "big" if signal.big_endian else "little"
     mask = 2**bits - 1
-    return lambda data: int.from_bytes(data, order) >> shift & mask
+    return page, lambda data: int.from_bytes(data, order) >> shift & mask

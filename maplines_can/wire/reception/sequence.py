@@ -202,7 +202,7 @@ class SequenceCheck:
                 self._conflict.conflict(t_ns)  # back to the sequence before the break
             self._left = self._last
             if not is_newer:
-                ahead = 2 * self._modulus  # the history is that of another sequence
+                ahead = self._modulus  # the history is that of another sequence
             elif status is OKSOMELOST or counter != 0:  # a sender restarts at 0
                 self.lost += ahead - 1
             if status is WRONGSEQUENCE:

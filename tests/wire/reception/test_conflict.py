@@ -186,3 +186,39 @@ def test_a_sender_that_restarts_at_standstill_is_not_two_senders(records: int, l
             if (i + 1) % records == 0:
                 check.delivered(records)
     assert (check.state, check.two_senders) == (E2EState.VALID, False)
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "confirmed"), [(34, 62, False), (35, 63, True), (36, 63, False)]
+)
+def test_each_block_of_32_records_counts_its_own_duplicates(
+    first: int, last: int, confirmed: bool
+) -> None:
+    """The second block begins with record 32; its 29 duplicates must be complete at its end."""
+    detector = SenderConflict(CYCLE_NS)
+    for i in range(70):
+        detector.new()
+        if i < 28 or first <= i <= last:
+            detector.duplicate(i * CYCLE_NS)
+    assert detector.is_confirmed is confirmed
+
+
+def test_a_conflict_before_the_first_record_does_not_count() -> None:
+    """Nothing tells which sender is the first one."""
+    detector = SenderConflict(CYCLE_NS)
+    detector.conflict(999 * CYCLE_NS)
+    assert conflicts(detector, [1000.0 + i for i in range(8)]) == [False] * 7 + [True]
+
+
+@pytest.mark.parametrize(
+    ("later", "suspected"), [(0, True), (10, True), (-10, True), (10.01, False), (-10.01, False)]
+)
+def test_a_second_sender_is_suspected_for_ten_cycles(later: float, suspected: bool) -> None:
+    """After a counter was reused, in either direction of the clock; a restart explains it."""
+    detector = SenderConflict(CYCLE_NS)
+    assert not detector.is_suspected(0)
+    detector.counter_reused(1000 * CYCLE_NS)
+    t_ns = round((1000 + later) * CYCLE_NS)
+    assert detector.is_suspected(t_ns) is suspected
+    detector.retract()
+    assert not detector.is_suspected(t_ns)

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -46,3 +47,54 @@ def test_a_clock_that_is_set_back_starts_a_new_deadline() -> None:
     deadline.record_arrived(10**9)
     assert deadline.elapse(0) == 0
     assert deadline.elapse(150) == 1
+
+
+@pytest.mark.parametrize(("t_ns", "missed"), [(149, 0), (150, 1), (249, 1), (250, 2)])
+def test_a_record_that_comes_late_returns_what_was_missed(t_ns: int, missed: int) -> None:
+    """As if the time had been looked at just before it."""
+    deadline = ReceptionDeadline(CYCLE)
+    assert deadline.record_arrived(0) == 0
+    assert deadline.record_arrived(t_ns) == missed
+    assert deadline.elapse(t_ns + 149) == 0
+    assert deadline.elapse(t_ns + 150) == 1
+
+
+def test_a_backlog_out_of_order_is_not_counted_again() -> None:
+    """The record that is due with the last missed cycle, then one before it."""
+    deadline = ReceptionDeadline(CYCLE)
+    deadline.record_arrived(0)
+    assert deadline.elapse(1000) == 9
+    assert [deadline.record_arrived(t) for t in (900, 800)] == [0, 0]
+    assert deadline.elapse(1049) == 0
+
+
+@pytest.mark.parametrize("looks", [False, True])
+def test_a_record_with_an_earlier_time_is_followed_by_the_next_cycle(looks: bool) -> None:
+    """Nothing was missed before it, so it has the deadline of any record."""
+    deadline = ReceptionDeadline(CYCLE)
+    deadline.record_arrived(1000)
+    if looks:
+        assert deadline.elapse(1100) == 0
+    assert deadline.record_arrived(900) == 0
+    assert deadline.elapse(1049) == 0
+    assert deadline.elapse(1050) == 1
+
+
+@pytest.mark.parametrize(("t_ns", "due_ns"), [(900, 1150), (899, 1049)])
+def test_a_clock_is_set_back_by_more_than_a_cycle(t_ns: int, due_ns: int) -> None:
+    """Relative to the last record; less is the jitter of time stamps."""
+    deadline = ReceptionDeadline(CYCLE)
+    deadline.record_arrived(1000)
+    assert deadline.elapse(t_ns) == 0
+    assert deadline.elapse(due_ns - 1) == 0
+    assert deadline.elapse(due_ns) == 1
+
+
+def test_after_the_clock_is_set_back_nothing_was_counted() -> None:
+    """A record moves the deadline in either direction again."""
+    deadline = ReceptionDeadline(CYCLE)
+    deadline.record_arrived(0)
+    assert deadline.elapse(1000) == 9
+    assert deadline.elapse(100) == 0
+    assert deadline.record_arrived(50) == 0
+    assert deadline.elapse(200) == 1

@@ -53,6 +53,15 @@ def test_a_line_becomes_stale() -> None:
         assert view.usable == (not stale and state is VALID)
 
 
+def test_a_line_is_not_usable_before_the_state_is_valid() -> None:
+    """After the first line it is INIT, whatever the age of the line."""
+    monitor = Monitor(default_codec().decoder())
+    *_, answer = [monitor.feed(frame.can_id, frame.data, 0) for frame in frames(0)]
+    view = monitor.latest(SLOT, 0)
+    assert view.line is answer
+    assert (view.state, view.stale, view.two_senders, view.usable) == (INIT, False, False, False)
+
+
 def test_the_caller_defines_stale() -> None:
     """By a number of cycles, and by the cycle time of the decoder."""
     monitor = Monitor(default_codec().decoder())

@@ -265,3 +265,35 @@ def test_senders_that_take_turns_are_two(lost_in_pause: int, two_senders: bool) 
             counters[turn % 2] += 1
         counters[turn % 2] += lost_in_pause
     assert slot.two_senders is two_senders
+
+
+def fast_slot(lines: int, pace: int) -> tuple[SequenceCheck, int]:
+    """Return a check of a sender of so many lines, ``pace`` in a cycle, and the last time."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in range(lines):
+        assert slot.received(k % 256, k, k * CYCLE // pace) is None
+        slot.delivered(1)
+    return slot, (lines - 1) * CYCLE // pace
+
+
+@pytest.mark.parametrize(
+    ("lines", "pace", "cycles", "most"),
+    [
+        pytest.param(400, 10, 4, 41, id="ten-times-faster"),
+        pytest.param(400, 20, 4, 41, id="no-more-than-that"),
+        pytest.param(400, 1, 9, 16, id="as-the-dbc-says"),
+        pytest.param(9, 5, 9, 20, id="after-eight-intervals"),
+    ],
+)
+def test_how_many_lines_a_fast_sender_may_lose(
+    lines: int, pace: int, cycles: int, most: int
+) -> None:
+    """As many as it can send in the time, by the mean interval of about eight lines.
+
+    The mean begins with the cycle. After eight intervals of 1/5 of it, 0.34 = (7/8)^8 of that is
+    left: 0.47 cycles, so 9 cycles are ceil(9 / 0.47 + 0.5) = 20 lines.
+    """
+    for ahead in (most, most + 1):
+        slot, t_ns = fast_slot(lines, pace)
+        reason = slot.received((lines - 1 + ahead) % 256, -1, t_ns + cycles * CYCLE)
+        assert reason is (None if ahead == most else Reason.STALE)

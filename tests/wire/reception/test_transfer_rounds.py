@@ -146,6 +146,19 @@ def test_a_late_page_0_of_an_older_transfer_does_no_harm() -> None:
     assert (mixing.mixed, mixing.complete) == (0, [19])
 
 
+@pytest.mark.parametrize(("later", "newest"), [(16, 1), (112, 1), (128, 0), (240, 0)])
+def test_of_two_counters_half_a_round_apart_the_first_is_kept(later: int, newest: int) -> None:
+    """A counter is newer if it is ahead by less than half of the counter modulus."""
+    mixing = Mixing()
+    records = (3, 3 + later)
+    for record in records:
+        mixing.feed(record, 0)
+    for page in range(1, PAGES):
+        mixing.feed(records[newest], page)
+    assert mixing.reassembler.counts == {Reason.REPLACED: 1}
+    assert mixing.complete == [records[newest]]
+
+
 @pytest.mark.parametrize("later", range(1, 16))
 def test_a_good_record_ends_transfers_of_the_previous_round(later: int) -> None:
     """Whatever the time: half of the IDs later at the latest, and so before its ID comes again."""
