@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...errors import IllPosedError
-from ...line import MapLine, Slot
+from ...line import MapLine
 from ...scene import Scene
 from ..message.layout import Layout
 from ..message.pose_records import ConditionalRecord
@@ -166,7 +166,6 @@ class SceneReceiver:
         """Return the line of a conditional record that has joined its pose error."""
         scene = self._joint(joined.epoch.pose, [joined.line])
         if scene is None:
-            del joined.epoch.lines[Slot(joined.slot)]
             self._counts[Reason.CONTENT] += joined.frames
             return Reason.CONTENT
         return ReceivedLine(scene.lines[0], joined.frames)

@@ -19,7 +19,7 @@ from scene_streams import (
 )
 
 from maplines_can import Kind, MapLine, Monitor, Slot
-from maplines_can.wire import POSE, Decoder, E2EState, Frame, Reason
+from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Reason
 from maplines_can.wire.message.frames import FrameWriter
 from maplines_can.wire.message.pose_records import (
     ConditionalRecord,
@@ -28,6 +28,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecords,
 )
 from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.reception.settings import decoder_settings
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 
@@ -320,3 +321,65 @@ def test_a_line_without_a_valid_range_is_in_no_scene() -> None:
     received = decoder.scene()
     assert received is not None
     assert [line.slot for line in received.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
+
+
+def test_a_fast_sender_of_scenes_may_lose_many() -> None:
+    """Its rate is learnt, so that the line after 40 lost ones is new: 8 cycles of the DBC."""
+    forger, decoder = Forger(), codec_of(CONDITIONAL).decoder()
+    for counter in [*range(40), 80, 81]:
+        frames = forger.frames({}, {Slot.EGO_LEFT: {}}, counter)
+        answers, _ = feed(decoder, frames, counter * PERIOD_NS // 5)
+        # After a sequence break a line joins later pose errors only.
+        assert isinstance(answers[-1], MapLine) is (counter != 80)
+    assert decoder.counts == {Reason.POSE: len(frames[Slot.EGO_LEFT])}
+
+
+def test_after_a_sequence_break_of_a_slot_its_lines_wait_for_a_later_pose_error() -> None:
+    """Of conditional and of full records; those of the other slots join."""
+    for dbc in (CONDITIONAL, COMPLETE):
+        codec, (first,) = codec_of(dbc), cycles(dbc, 1)
+        counters = {POSE: 1} | dict.fromkeys(SLOTS, 1) | {Slot.EGO_RIGHT: 41}
+        far = codec.encode_scene(road_scene(SLOTS), counters=counters)
+        decoder = codec.decoder()
+        feed(decoder, first, 0)
+        feed(decoder, far, 40 * PERIOD_NS)
+        assert decoder.checks[Slot.EGO_RIGHT].status is ProfileStatus.WRONGSEQUENCE
+        scene = decoder.scene()
+        assert scene is not None
+        assert scene.t_ns == 40 * PERIOD_NS
+        assert [line.slot for line in scene.scene.lines] == [Slot.EGO_LEFT, Slot.NEXT_LEFT]
+
+
+@pytest.mark.parametrize("components", [1, 2])
+def test_a_mixture_is_in_no_scene(components: int) -> None:
+    """Even if a sender states the counter of its last component in the pose error."""
+    codec, counters = codec_of(COMPLETE), {POSE: 0, Slot.EGO_LEFT: components - 1}
+    (line,) = road_scene(SLOTS[:1]).lines
+    weights = np.full((1, components), 1 / components)
+    payloads = codec.encode_mixtures(
+        weights,
+        np.tile(line.gaussian.mean, (1, components, 1)),
+        np.tile(line.gaussian.cov, (1, components, 1, 1)),
+        slot=line.slot,
+        counter=[0],
+        x_min=line.x_min,
+        x_max=line.x_max,
+    )[0]
+    frames = codec.encode_scene(road_scene(SLOTS[:1]), counters=counters)
+    frames[line.slot] = [f for payload in payloads for f in codec.frames(payload, line.slot)]
+    decoder = codec.decoder()
+    answers, _ = feed(decoder, frames, 0)
+    assert isinstance(answers[-1], MapLine)
+    assert (decoder.scene() is not None) is (components == 1)
+
+
+def test_a_decoder_without_scenes_drops_lines_that_need_a_pose_error() -> None:
+    """They are counted, each with its frames."""
+    layout = codec_of(CONDITIONAL).layout
+    records, settings_ = ConditionalRecords(layout), decoder_settings(layout)
+    decoder = Decoder(layout, lambda data, slot, _: records.read(data, slot), None, *settings_)
+    frames = Forger().frames({}, {Slot.EGO_LEFT: {}})
+    answers, _ = feed(decoder, frames, 0)
+    poses = len(frames[POSE])
+    assert answers == [Reason.FOREIGN] * poses + [Reason.PENDING, Reason.POSE]
+    assert decoder.counts == {Reason.FOREIGN: poses, Reason.POSE: 2}
