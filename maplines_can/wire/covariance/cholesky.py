@@ -137,7 +137,7 @@ class CholeskyCode(CovarianceCode):
         L: list[list[Array]] = []
         A: list[list[Array]] = []
         decoded: list[list[Array]] = []
-        saturated = np.zeros(len(S[0][0]), dtype=bool)
+        lifts: list[NDArray[np.bool_]] = []
         for i, (table, pivot) in enumerate(
             zip(self.factor.sigmas, self.factor.pivots, strict=True)
         ):
@@ -159,7 +159,7 @@ class CholeskyCode(CovarianceCode):
             # The target takes over a lifted pivot, so the entries below it become smaller.
             lifted = chosen > nearest
             exact = np.where(lifted, sigma, exact)
-            saturated |= lifted
+            lifts.append(lifted)
             raw[pivot.name] = chosen
             decoded.append([*row, sigma])
             L.append([*target, exact])
@@ -167,7 +167,7 @@ class CholeskyCode(CovarianceCode):
                 [(target[j] - sum(row[k] * A[k][j] for k in range(j, i))) / sigma for j in range(i)]
                 + [exact / sigma]
             )
-        return raw, decoded, saturated
+        return raw, decoded, np.logical_or.reduce(lifts)
 
     def _choose_ratios(
         self, i: int, target: list[Array], sigma: Array, A: list[list[Array]], raw: dict[str, Array]

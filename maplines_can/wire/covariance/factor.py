@@ -80,13 +80,14 @@ class CholeskyFactor:
         self.sigmas = [exp2_table(signal) for signal in self.pivots]
 
     def _largest_condition(self) -> float:
-        """Return a bound on the condition number of the correlation matrix of any bits."""
+        """Return the largest trace of the inverse correlation matrix of any bits.
+
+        The condition number is at most this times the number of rows.
+        """
         reach = np.zeros((len(self.ratios), len(self.ratios)))
         for i, ratios in enumerate(self.ratios):
             reach[i, :i] = [max(map(abs, ratio.reach)) for ratio in ratios]
-        inverse = np.linalg.inv(
-            np.eye(len(reach)) - reach
-        )  # of the unit factor, with the worst signs
+        inverse = np.linalg.inv(np.eye(len(reach)) - reach)  # with the worst signs
         norm = np.sqrt(1 + (reach**2).sum(axis=1))
         return float(((inverse * norm) ** 2).sum())
 

@@ -98,3 +98,16 @@ def test_only_the_lines_concerned_lack() -> None:
     assert lacking[0, 0, 0] == pytest.approx(lacking[1, 0, 0])
     assert 0.15 <= lacking[0, 0, 0] <= 0.2  # twice u^2, less what is covered
     assert np.abs(lacking[2]).max() <= 1e-6
+
+
+@pytest.mark.parametrize("excess", [-2e-6, -5e-7, 0.0, 1e-3])
+def test_a_sum_covers_with_a_slack(excess: float) -> None:
+    """Of a millionth of the own covariance; what is added makes it two."""
+    J = own = np.eye(4)[None]
+    true = np.diag([1 + excess, 0.5, 0.5, 0.5])
+    lacking = uncovered(true, np.zeros((4, 4)), own, J)
+    assert (lacking is None) is (excess < -1e-6)
+    if lacking is not None:
+        assert excess + 1e-6 < lacking[0, 0, 0] < excess + 2.1e-6
+        assert np.abs(lacking[0, 1:]).max() < 1e-9
+        assert uncovered(true, np.zeros((4, 4)), own + lacking, J) is None
