@@ -55,15 +55,15 @@ def test_the_times_of_lines_and_of_the_pose_error(
     layout = Layout.from_dbc(path)
     assert layout.pose is not None
     factor = 1 if cycle_attribute else 2
-    for settings, timeout_ms, cycle_ms in (
-        ({}, 75 * factor, 50 * factor),
-        ({"cycle_ms": 200}, 300, 200),
-        ({"cycle_ms": 10}, 25 * factor, 10),
-        ({"timeout_ms": 7}, 7, 50 * factor),
+    for given, timeout_ms, cycle_ms in (
+        ((None, None), 75 * factor, 50 * factor),
+        ((None, 200), 300, 200),
+        ((None, 10), 25 * factor, 10),
+        ((7, None), 7, 50 * factor),
     ):
         times = timeout_ms * 1_000_000, cycle_ms * 1_000_000
-        assert pose_settings(layout.pose, **settings) == times
-        timeouts, cycles, _ = decoder_settings(layout, **settings)
+        assert pose_settings(layout.pose, *given) == times
+        timeouts, cycles, _ = decoder_settings(layout, *given)
         assert set(zip(timeouts.values(), cycles.values(), strict=True)) == {times}
 
 

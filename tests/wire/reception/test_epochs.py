@@ -299,7 +299,7 @@ def test_old_pose_errors_are_forgotten(t_ns: int) -> None:
     epochs.expire(500)
     assert len(epochs.epochs) == 1
     epochs.expire(t_ns)
-    assert epochs.epochs == ()
+    assert not epochs.epochs
 
 
 @pytest.mark.parametrize("t_ns", [1301, 699])

@@ -338,7 +338,7 @@ def test_after_a_sequence_break_of_a_slot_its_lines_wait_for_a_later_pose_error(
     """Of conditional and of full records; those of the other slots join."""
     for dbc in (CONDITIONAL, COMPLETE):
         codec, (first,) = codec_of(dbc), cycles(dbc, 1)
-        counters = {POSE: 1} | dict.fromkeys(SLOTS, 1) | {Slot.EGO_RIGHT: 41}
+        counters: dict[Any, int] = dict.fromkeys([POSE, *SLOTS], 1) | {Slot.EGO_RIGHT: 41}
         far = codec.encode_scene(road_scene(SLOTS), counters=counters)
         decoder = codec.decoder()
         feed(decoder, first, 0)
@@ -353,7 +353,8 @@ def test_after_a_sequence_break_of_a_slot_its_lines_wait_for_a_later_pose_error(
 @pytest.mark.parametrize("components", [1, 2])
 def test_a_mixture_is_in_no_scene(components: int) -> None:
     """Even if a sender states the counter of its last component in the pose error."""
-    codec, counters = codec_of(COMPLETE), {POSE: 0, Slot.EGO_LEFT: components - 1}
+    codec = codec_of(COMPLETE)
+    counters: dict[Any, int] = {POSE: 0, Slot.EGO_LEFT: components - 1}
     (line,) = road_scene(SLOTS[:1]).lines
     weights = np.full((1, components), 1 / components)
     payloads = codec.encode_mixtures(
