@@ -384,3 +384,24 @@ def test_a_decoder_without_scenes_drops_lines_that_need_a_pose_error() -> None:
     poses = len(frames[POSE])
     assert answers == [Reason.FOREIGN] * poses + [Reason.PENDING, Reason.POSE]
     assert decoder.counts == {Reason.FOREIGN: poses, Reason.POSE: 2}
+
+
+@pytest.mark.parametrize(("ahead", "is_new"), [(16, True), (17, False)])
+def test_a_line_of_a_scene_is_one_record(ahead: int, is_new: bool) -> None:
+    """After 9 cycles it may be ahead by max_delta_counter, as a line that is no mixture."""
+    forger, decoder = Forger(), codec_of(CONDITIONAL).decoder()
+    first, later = (forger.frames({}, {Slot.EGO_LEFT: {}}, n)[Slot.EGO_LEFT] for n in (0, ahead))
+    feed(decoder, {Slot.EGO_LEFT: first}, 0)
+    answers, _ = feed(decoder, {Slot.EGO_LEFT: later}, 9 * PERIOD_NS)
+    assert answers[-1] is (Reason.PENDING if is_new else Reason.STALE)
+
+
+def test_a_pose_error_that_is_not_complete_times_out() -> None:
+    """After 1.5 cycles; its frames are counted with those of lines."""
+    decoder = codec_of(CONDITIONAL).decoder()
+    (frames,) = cycles(CONDITIONAL, 1)
+    feed(decoder, {POSE: frames[POSE][:1]}, 0)
+    decoder.expire(3 * PERIOD_NS // 2)
+    assert (decoder.pending, decoder.counts) == (1, {})
+    decoder.expire(3 * PERIOD_NS // 2 + 1)
+    assert (decoder.pending, decoder.counts) == (0, {Reason.TIMEOUT: 1})
