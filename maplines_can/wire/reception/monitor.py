@@ -52,7 +52,8 @@ class SceneView(NamedTuple):
     """The newest scene at the consumer's call."""
 
     scene: Scene | None  #: the lines of it received so far; None before the first
-    age: float  #: from the time of the pose to now [s]; infinite if too old, or unknown
+    #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
+    age: float
     stale: bool  #: no pose error came for some cycle times
     state: E2EState  #: of the pose error
     status: ProfileStatus | None  #: of the last check of a pose error; None before the first
@@ -65,8 +66,7 @@ class SceneView(NamedTuple):
         This is so if the E2E state of the pose error is VALID, it is not stale, and its age is
         finite. Whether a slot is VALID, ``Monitor.latest`` tells.
         """
-        known = self.scene is not None and math.isfinite(self.age)
-        return known and self.state is E2EState.VALID and not self.stale
+        return math.isfinite(self.age) and self.state is E2EState.VALID and not self.stale
 
 
 class Monitor:
