@@ -256,7 +256,7 @@ class Reassembler(Generic[Key, Content]):
                 del complete[other]
             # A dict keeps the order of insertion, so these began before this record.
             begun_before = takewhile(lambda i: i != own, list(self._incomplete[slot]))
-            for other in [i for i in begun_before if 0 < (i - own) % self._transfer_ids <= half]:
+            for other in [i for i in begun_before if (i - own) % self._transfer_ids <= half]:
                 self._drop(slot, other, Reason.INCOMPLETE)
         return record
 

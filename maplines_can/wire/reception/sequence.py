@@ -154,10 +154,11 @@ class SequenceCheck:
         self._max_delta, self._modulus, self._pages = config.max_delta_counter, modulus, pages
         self._window_ns = config.window_size_valid * cycle_ns
         self._last: int | None = None  # counter of the last new record
-        self._new_ns = 0  # its time
+        self._new_ns: int  # its time, if there is one
         self._run: _Run | None = None  # records behind it since then
         self._left: int | None = None  # last counter before the sequence break
-        self._span = 1  # records of the line delivered last; 1 while a later line is incomplete
+        # Records of the line delivered last; 1 while a later line is incomplete.
+        self._span: int
         self._longest_line = 1  # greatest number of records of a line so far
         self._duplicated_frames = 0  # since the last new record
         self._line_ns = float(cycle_ns)  # mean time between two lines in sequence

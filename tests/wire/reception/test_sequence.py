@@ -297,3 +297,44 @@ def test_how_many_lines_a_fast_sender_may_lose(
         slot, t_ns = fast_slot(lines, pace)
         reason = slot.received((lines - 1 + ahead) % 256, -1, t_ns + cycles * CYCLE)
         assert reason is (None if ahead == most else Reason.STALE)
+
+
+def test_a_repeated_record_is_one_of_the_last_line() -> None:
+    """Of two records, if they were a line; of a line that is not complete, only the last one."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    wrong, repeated = ProfileStatus.WRONGSEQUENCE, ProfileStatus.REPEATED
+    for k in range(10):
+        slot.received(k, k, k * CYCLE)
+    for is_line, counter, status in (
+        (False, 8, wrong),
+        (False, 9, repeated),
+        (True, 7, wrong),
+        (True, 8, repeated),
+        (True, 9, repeated),
+    ):
+        if is_line:
+            slot.delivered(2)
+        assert slot.received(counter, counter, 10 * CYCLE) is Reason.DUPLICATE
+        assert slot.status is status
+
+
+@pytest.mark.parametrize(("behind", "two_senders"), [(1, True), (16, True), (17, False)])
+def test_duplicates_of_recent_records_are_those_of_a_second_sender(
+    behind: int, two_senders: bool
+) -> None:
+    """Farther back they may be those of a sender that restarted in a car that stands."""
+    slot = SequenceCheck(E2EConfig(), 256, 4, CYCLE)
+    for k in range(120):
+        slot.received(k, k, k * CYCLE)
+        if k >= behind:
+            reason = slot.received(k - behind, k - behind, k * CYCLE + 10 * MS)
+            assert reason is Reason.DUPLICATE
+    assert slot.two_senders is two_senders
+
+
+@pytest.mark.parametrize(("first", "is_restart"), [(0, True), (15, True), (16, False)])
+def test_a_restart_begins_with_a_low_counter(first: int, is_restart: bool) -> None:
+    """Up to 15 of its first records may be lost; others are those of a late queue."""
+    slot, t_ns = slot_at(60), 10_000 * MS
+    reasons = [slot.received(first + i, -1 - i, t_ns + (1 + i) * CYCLE) for i in range(3)]
+    assert reasons == [Reason.STALE, Reason.STALE, None if is_restart else Reason.STALE]
