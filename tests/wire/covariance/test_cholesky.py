@@ -164,3 +164,12 @@ def test_ratios_that_are_too_large_are_refused() -> None:
     CholeskyCode(pose_layout(*names, step=limit * (1 - 1e-3)), rows)
     with pytest.raises(LayoutError, match=r"could have the condition number 1e\+13"):
         CholeskyCode(pose_layout(*names, step=limit * (1 + 1e-3)), rows)
+
+
+def test_the_widest_covariance_is_reached() -> None:
+    """One of nearly that size is covered; one that no factor can hold overflows nowhere."""
+    widest = CODE.decode_one(CODE.widest())
+    huge = np.diag([1e300, 1.0, 1.0, 1.0])
+    with np.errstate(all="raise"):
+        coded = CODE.encode(np.array([0.99 * widest, huge]), LAYOUT.resolution)
+    assert coded.covered.tolist() == [True, False]
