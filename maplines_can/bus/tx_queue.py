@@ -229,8 +229,7 @@ class TxQueue:
         self, lines: Sequence[MapLine], counters: Mapping[Owner, int] | None = None
     ) -> list[list[Frame]]:
         known = self._counters if counters is None else counters
-        slots = {slot: known.get(slot, 0) for slot in Slot}
-        return self._codec.encode_lines(lines, fd=self._fd, counters=slots)
+        return self._codec.encode_lines(lines, fd=self._fd, counters=known)
 
     def _line_again(
         self, own: Published, counters: Mapping[Owner, int], latest: float

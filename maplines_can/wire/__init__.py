@@ -4,9 +4,9 @@ from .codec import CODES, Codec
 from .message.dbc_reader import default_dbc_path
 from .message.frames import Frame
 from .message.layout import Layout
-from .message.pose_layout import POSE
+from .message.pose_layout import POSE, Owner
 from .message.reader import Batch
-from .message.scene_writer import Owner, PreparedScene
+from .message.scene_writer import PreparedScene
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier

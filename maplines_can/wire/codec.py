@@ -15,17 +15,17 @@ from ..line import MapLine, Slot
 from ..scene import Scene
 from .covariance import CholeskyCode, CovarianceCode, SceneCode
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
-from .message.complete_records import CompleteRecords, record_reading
+from .message.complete_records import CompleteRecords, complete_records, record_reading
 from .message.dbc_reader import Database, default_dbc_path
 from .message.frames import Frame, FrameWriter
 from .message.layout import POSE_CONDITIONAL, Layout
-from .message.pose_layout import POSE, PoseLayout
+from .message.pose_layout import Owner, PoseLayout
 from .message.reader import Batch, DecodedRecord
 from .message.scene_reader import SceneReader
-from .message.scene_writer import Owner, PreparedScene, SceneWriter
+from .message.scene_writer import PreparedScene, SceneWriter
 from .message.validation import checked_gaussians, checked_mixtures, checked_payloads
 from .protection.e2e_state import E2EConfig
-from .protection.secoc import Authenticator, Verifier, check_freshness
+from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
 from .reception.decoder import Decoder
 from .reception.poses import PoseReceiver
@@ -89,12 +89,8 @@ class Codec:
             )
         #: Code of the covariance that the DBC names.
         self.covariance = codes[layout.covariance_code](layout)
-        self._complete = (
-            None if layout.is_conditional else CompleteRecords.of(layout, self.covariance)
-        )
+        self._complete = complete_records(layout, self.covariance)
         self._frame_writer = FrameWriter(layout, authenticator)
-        if authenticator is not None and layout.secured is not None:
-            check_freshness(authenticator, layout.secured)
         self._scene_code = None if layout.pose is None else SceneCode(layout.pose, layout)
         self._counters: Counter[Owner] = Counter()
 
@@ -260,7 +256,7 @@ class Codec:
         lines: Sequence[MapLine],
         *,
         fd: bool = False,
-        counters: Mapping[Slot, int] | None = None,
+        counters: Mapping[Owner, int] | None = None,
     ) -> list[list[Frame]]:
         """Return the frames of each line; encoding many takes hardly longer than encoding one.
 
@@ -273,15 +269,14 @@ class Codec:
         if not lines:
             return []
         writer = self._complete_records().line_writer
-        first = {slot: self._counters[slot] for slot in Slot} if counters is None else counters
+        first = self._counters if counters is None else counters
         records_of_lines, following = writer.write(lines, first)
         frames = [
             [frame for record in records for frame in self.frames(record, line.slot, fd=fd)]
             for line, records in zip(lines, records_of_lines, strict=True)
         ]
         if counters is None:
-            for slot, counter in following.items():  # |= would keep the greater one
-                self._counters[slot] = counter
+            self._counters = following
         return frames
 
     def prepare_scene(self, scene: Scene, *, fd: bool = False) -> PreparedScene:
@@ -334,12 +329,8 @@ class Codec:
         records, following = self._scene_writer.write(prepared, first, age)
         if counters is None:
             self._counters = following
-        return {
-            owner: self._frame_writer.write_pose(record, fd)
-            if owner == POSE
-            else self._frame_writer.write(record, owner, fd)
-            for owner, record in records.items()
-        }
+        write = self._frame_writer.write
+        return {owner: write(record, owner, fd) for owner, record in records.items()}
 
     def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
         """Return the frames of one record; each authenticated frame has its own freshness value."""
@@ -360,9 +351,7 @@ class Codec:
                 f"{self.layout.source} has no message of the pose error (MapLinePose), so lines "
                 "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
             )
-        complete = self._complete
-        lines = None if complete is None else (complete.line_writer, complete.writer)
-        return SceneWriter(self.layout, self.layout.pose, self._scene_code, lines)
+        return SceneWriter(self.layout, self.layout.pose, self._scene_code, self._complete)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""

@@ -25,14 +25,18 @@ class CompleteRecords(NamedTuple):
     line_writer: LineWriter
     reader: RecordReader
 
-    @classmethod
-    def of(cls, layout: Layout, covariance: CovarianceCode) -> CompleteRecords:
-        """Return the writers and the reader of a layout with its covariance code."""
-        packing = Packing(list(layout.signals.values()), layout.record_bytes)
-        writer = RecordWriter(layout, packing, covariance)
-        mixture_writer = MixtureWriter(writer)
-        reader = RecordReader(layout, packing, covariance)
-        return cls(writer, mixture_writer, LineWriter(writer, mixture_writer), reader)
+
+def complete_records(layout: Layout, covariance: CovarianceCode) -> CompleteRecords | None:
+    """Return the writers and the reader of a layout; None if its records are conditional."""
+    if layout.is_conditional:
+        return None
+    packing = Packing(list(layout.signals.values()), layout.record_bytes)
+    writer = RecordWriter(layout, packing, covariance)
+    mixture_writer = MixtureWriter(writer)
+    line_writer = LineWriter(writer, mixture_writer)
+    return CompleteRecords(
+        writer, mixture_writer, line_writer, RecordReader(layout, packing, covariance)
+    )
 
 
 def record_reading(

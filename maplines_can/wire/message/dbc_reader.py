@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from importlib import resources
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import cantools
 from cantools.database.can import Database, Message
@@ -26,7 +26,7 @@ from .dbc_messages import (
     secured_layout,
     to_signal,
 )
-from .pose_layout import POSE, PoseLayout
+from .pose_layout import POSE, Owner, PoseLayout
 from .requirements import bits_of, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
 from .slot_messages import SecuredLayout, SlotMessages
@@ -53,9 +53,6 @@ class DbcContent(NamedTuple):
     covariance_code: str
     secured: SecuredLayout | None
     pose: PoseLayout | None
-
-
-_Owner = Slot | Literal["pose"]
 
 
 def default_dbc_path(name: str = "maplines.dbc") -> Path:
@@ -124,8 +121,8 @@ def content_of(database: Database, source: str) -> DbcContent:
     Raises:
         LayoutError: it does not describe a map line.
     """
-    records: dict[_Owner, dict[str, dict[str, Signal]]] = {}
-    messages: dict[_Owner, dict[FrameFormat, Message]] = {}
+    records: dict[Owner, dict[str, dict[str, Signal]]] = {}
+    messages: dict[Owner, dict[FrameFormat, Message]] = {}
     for message in database.messages:
         if (owner := _owner(message, source)) is None:
             continue
@@ -160,7 +157,7 @@ def content_of(database: Database, source: str) -> DbcContent:
     )
 
 
-def _owner(message: Message, source: str) -> _Owner | None:
+def _owner(message: Message, source: str) -> Owner | None:
     """Return the slot or the pose error whose record a message has; None if it has none."""
     where = f"{source}: message {message.name}"
     number, pose = attribute(message, "MapLineSlot"), attribute(message, "MapLinePose")
@@ -175,7 +172,7 @@ def _owner(message: Message, source: str) -> _Owner | None:
     return Slot(integer(number, f"{where}: MapLineSlot", len(Slot) - 1))
 
 
-def _name(owner: _Owner) -> str:
+def _name(owner: Owner) -> str:
     return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
 
 

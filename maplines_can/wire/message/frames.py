@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ...errors import EncodeError, LayoutError
-from ...line import Slot
-from ..protection.secoc import Authenticator
+from ..protection.secoc import Authenticator, check_freshness
 from .layout import Layout
+from .pose_layout import POSE, Owner
 from .signals import PAGE_BYTES
 from .slot_messages import RecordMessages, SecuredLayout
 
@@ -25,26 +25,31 @@ class FrameWriter:
     """Writer of the frames of a record; with an authenticator, all frames are authenticated.
 
     Raises:
-        LayoutError: there is an authenticator, but the DBC has no authenticated message.
+        LayoutError: there is an authenticator, but the DBC has no authenticated message, or its
+            freshness value is too short.
     """
 
     def __init__(self, layout: Layout, authenticator: Authenticator | None) -> None:
-        if authenticator is not None and layout.secured is None:
-            raise LayoutError(
-                f"{layout.source} has no authenticated message (SecOCDataId), and classic CAN and "
-                "plain CAN FD are not authenticated; take maplines-secoc.dbc, or no key"
-            )
+        if authenticator is not None:
+            if layout.secured is None:
+                raise LayoutError(
+                    f"{layout.source} has no authenticated message (SecOCDataId), and classic CAN "
+                    "and plain CAN FD are not authenticated; take maplines-secoc.dbc, or no key"
+                )
+            check_freshness(authenticator, layout.secured)
         self._layout, self._authenticator = layout, authenticator
 
-    def write(self, record: bytes, slot: Slot, fd: bool) -> list[Frame]:
-        """Return the frames of a record of a line.
+    def write(self, record: bytes, owner: Owner, fd: bool) -> list[Frame]:
+        """Return the frames of a record of a line, or of the pose error.
 
         Raises:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
                 authenticator.
         """
-        messages = self._layout.messages.get(slot)
-        return self._write(record, messages, self._layout.secured, f"slot {slot!r}", fd)
+        if owner == POSE:
+            return self.write_pose(record, fd)
+        messages = self._layout.messages.get(owner)
+        return self._write(record, messages, self._layout.secured, f"slot {owner!r}", fd)
 
     def write_pose(self, record: bytes, fd: bool) -> list[Frame]:
         """Return the frames of a record of the pose error; raises as ``write``."""

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...gaussian import Gaussian
-from ...line import MapLine, Slot
+from ...line import MapLine
 from .attributes import RecordAttributes
 from .components import MixtureWriter
+from .pose_layout import Owner
 from .validation import CheckedGaussians
 from .writer import RecordWriter
 
@@ -37,15 +38,16 @@ class LineWriter:
         self._counters = 2 ** writer.layout["Counter"].length
 
     def write(
-        self, lines: Sequence[MapLine], counters: Mapping[Slot, int]
-    ) -> tuple[list[list[NDArray[np.uint8]]], Counter[Slot]]:
+        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
+    ) -> tuple[list[list[NDArray[np.uint8]]], Counter[Owner]]:
         """Return the records of each line, and the counters that follow them.
 
-        The counters are of the next record of each slot; 0 if there is none.
+        The counters are of the next record of each slot; 0 if there is none. That of the pose error
+        does not change.
         """
         records_of_lines = [self._records(line) for line in lines]
         records = [record for records in records_of_lines for record in records]
-        following = Counter(counters)
+        following: Counter[Owner] = Counter(counters)
         counter = []
         for record in records:
             slot = record.line.slot

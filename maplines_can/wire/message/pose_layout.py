@@ -15,6 +15,8 @@ from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.
 POSE: Literal["pose"] = "pose"
+#: Owner of a record: a slot, or the pose error.
+Owner = Slot | Literal["pose"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

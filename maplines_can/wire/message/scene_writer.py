@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from ...errors import EncodeError
 from ...line import Slot
 from ...scene import Scene
 from ..covariance.scene_code import EncodedScene, SceneCode
+from .complete_records import CompleteRecords
 from .layout import Layout
-from .line_writer import LineWriter
-from .pose_layout import POSE, PoseLayout
+from .pose_layout import POSE, Owner, PoseLayout
 from .pose_records import (
     ConditionalRecord,
     ConditionalRecords,
@@ -24,10 +23,7 @@ from .pose_records import (
     absent_counter,
 )
 from .signals import OWN_SIGNALS, slot_title
-from .writer import RecordWriter, up
-
-#: Owner of a record: a slot, or the pose error.
-Owner = Slot | Literal["pose"]
+from .writer import up
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +57,7 @@ class SceneWriter:
         layout: of the records of lines.
         pose: of the record of the pose error.
         code: of both.
-        lines: writers of lines and of single records, if these are not conditional.
+        complete: writers of the records of lines; None if these are conditional.
     """
 
     def __init__(
@@ -69,11 +65,10 @@ class SceneWriter:
         layout: Layout,
         pose: PoseLayout,
         code: SceneCode,
-        lines: tuple[LineWriter, RecordWriter] | None,
+        complete: CompleteRecords | None,
     ) -> None:
         self._layout, self._pose, self._code = layout, pose, code
-        self._lines = lines[0] if lines else None
-        self._writer = lines[1] if lines else None
+        self._complete = complete
         self._pose_records = PoseRecords(pose)
         self._records = ConditionalRecords(layout) if layout.is_conditional else None
         self._modulus = 2 ** layout["Counter"].length
@@ -92,11 +87,11 @@ class SceneWriter:
         for line in scene.lines:
             if line.slot not in self._layout.messages:
                 raise EncodeError(f"{self._layout.source} has no message for slot {line.slot!r}")
-        if self._writer is None:
+        if self._complete is None:
             encoded = self._code.encode(scene, full=full)
             sent = tuple(scene.lines[place].slot for place in encoded.lines)
             return PreparedScene(scene, encoded, sent)
-        raw = [self._writer.raw_mean_and_range(line) for line in scene.lines]
+        raw = [self._complete.writer.raw_mean_and_range(line) for line in scene.lines]
         encoded = self._code.encode_levels(scene, raw)
         return PreparedScene(scene, encoded, tuple(line.slot for line in scene.lines))
 
@@ -125,12 +120,10 @@ class SceneWriter:
                 record = ConditionalRecord(members[line.slot], counter, line.kind, line.slot)
                 own[line.slot] = self._records.write(record)
                 following[line.slot] = (counter + 1) % self._modulus
-        elif self._lines is not None and sent:
+        elif self._complete is not None and sent:
             aged = [replace(line, age=ages[line.slot]) for line in sent]
-            first = {slot: n for slot, n in counters.items() if isinstance(slot, Slot)}
-            records, after = self._lines.write(aged, first)
+            records, following = self._complete.line_writer.write(aged, counters)
             own |= {line.slot: of[0].tobytes() for line, of in zip(aged, records, strict=True)}
-            following.update({slot: after[slot] - following[slot] for slot in after})
         stated = {}
         for slot, signal in self._pose.counters.items():
             bits, then = signal.length, following[slot]
