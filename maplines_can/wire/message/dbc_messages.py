@@ -13,7 +13,7 @@ from cantools.database.can import Signal as DbcSignal
 
 from ...errors import LayoutError
 from .requirements import LEAST_FRESHNESS_BYTES, REQUIREMENTS, check
-from .signals import PAGE_BYTES, SECURED_SIGNALS, Signal
+from .signals import PAGE_BYTES, SECURED_SIGNALS, Signal, all_raw
 from .slot_messages import FD_LENGTHS, LONGEST_MS, RecordMessages, SecuredLayout
 
 
@@ -101,7 +101,7 @@ def secured_layout(message: Message, source: str) -> SecuredLayout:
         if (
             signal is None
             or odd_bits
-            or not 1 <= size <= most
+            or size > most
             or signal.start != 8 * end + (7 if motorola else 0)
             or not (motorola or size == 1)
         ):
@@ -120,10 +120,10 @@ def integer(value: Any, what: str, most: int) -> int:
     """Return the value of an attribute as an integer from 0 to ``most``."""
     try:
         number = int(value)
-        number = number if isinstance(value, str) or number == value else -1
+        valid = (isinstance(value, str) or number == value) and 0 <= number <= most
     except (ValueError, TypeError, OverflowError):
-        number = -1
-    if not 0 <= number <= most:
+        valid = False
+    if not valid:
         raise LayoutError(f"{what} must be a whole number from 0 to {most}, got {value!r}")
     return number
 
@@ -140,25 +140,25 @@ def low_bits(signal: Signal, name: str, length: int) -> Signal:
 def to_signal(signal: DbcSignal) -> Signal:
     """Convert a cantools signal to a `Signal`; ``requirements`` checks those of the record."""
     factor, offset = float(signal.scale), float(signal.offset)
-    converted = Signal(
+    signed = bool(signal.is_signed and not signal.is_float)
+    low, high = all_raw(signal.length, signed)
+    bounds = (signal.minimum, signal.maximum)
+    if None not in bounds and not signal.is_float:  # the DBC's range, if it is narrower
+        with np.errstate(all="ignore"):
+            ends = np.nan_to_num((np.array(bounds, dtype=float) - offset) / factor)
+        first, last = ends if factor > 0 else ends[::-1]
+        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
+        low, high = max(low, math.ceil(first - slack)), min(high, math.floor(last + slack))
+    return Signal(
         name=signal.name,
         start=signal.start,
         length=signal.length,
         big_endian=signal.byte_order == "big_endian",
-        signed=bool(signal.is_signed and not signal.is_float),
+        signed=signed,
         factor=factor,
         offset=offset,
         unit=signal.unit or "",
-        raw_min=0,
-        raw_max=0,
+        raw_min=low,
+        raw_max=high,
         is_float=bool(signal.is_float),
     )
-    low, high = converted.all_raw
-    bounds = (signal.minimum, signal.maximum)
-    if None not in bounds and factor and not signal.is_float:  # the DBC's range, if it is narrower
-        with np.errstate(all="ignore"):
-            ends = (np.array(bounds, dtype=float) - offset) / factor
-        ends = np.nan_to_num(ends[:: 1 if factor > 0 else -1]).clip(-(2.0**65), 2.0**65)
-        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
-        low, high = max(low, math.ceil(ends[0] - slack)), min(high, math.floor(ends[1] + slack))
-    return replace(converted, raw_min=low, raw_max=high)

@@ -71,7 +71,7 @@ SLOT_COUNTER = "*Counter"
 
 def _weights_add_up(signal: Signal) -> bool:
     steps = round(1 / signal.factor)
-    exact = np.array([1 / steps, 1.0]) if steps else np.zeros(1)
+    exact = np.array([1 / steps, 1.0] if steps else [0.0])
     raw = signal.raw(exact)
     in_range = (signal.limited(raw) == raw).all()
     decoded = signal.physical(raw)
@@ -261,7 +261,7 @@ RELATIONS: Sequence[Relation] = (
     Relation(
         "ComponentWeight",
         "at least as many steps as the greatest ComponentCount",
-        lambda signals: 1.5 / signals["ComponentWeight"].factor > _most_components(signals),
+        lambda signals: round(1 / signals["ComponentWeight"].factor) >= _most_components(signals),
         "give it a smaller factor, or narrow the range of ComponentCount",
     ),
 )
@@ -296,7 +296,7 @@ def check_record(
     record = set(range(8 * PAGE_BYTES * len(pages_of(signals))))
     for name, signal in signals.items():
         bits = bits_of(signal)
-        if not bits <= record:
+        if bits - record:
             raise LayoutError(f"{source}: signal {name} must lie in the record's pages of 8 bytes")
         if name == f"{TRANSFER_ID}0" and bits <= bits_of(signals["Counter"]):
             continue  # the low bits of the counter

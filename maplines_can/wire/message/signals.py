@@ -93,8 +93,7 @@ class Signal:
     @property
     def all_raw(self) -> tuple[int, int]:
         """Least and greatest raw value of any bits, including those outside the DBC's range."""
-        least = -(2 ** (self.length - 1)) if self.signed else 0
-        return least, least + 2**self.length - 1
+        return all_raw(self.length, self.signed)
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -107,6 +106,12 @@ class Signal:
         """Least and greatest physical value."""
         low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
         return float(low), float(high)
+
+
+def all_raw(length: int, signed: bool) -> tuple[int, int]:
+    """Return the least and the greatest integer of a number of bits."""
+    least = -(2 ** (length - 1)) if signed else 0
+    return least, least + 2**length - 1
 
 
 def slot_title(slot: Slot) -> str:

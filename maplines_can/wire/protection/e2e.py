@@ -7,8 +7,8 @@ from binascii import crc_hqx
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-#: Bytes of the header: CRC (little-endian), then the counter.
-CRC_BYTES, HEADER_BYTES = 2, 3
+#: Bytes of the CRC (little-endian), which the counter follows.
+CRC_BYTES = 2
 
 
 def _table() -> NDArray[np.uint16]:

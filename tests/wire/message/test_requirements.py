@@ -1,10 +1,13 @@
 """Requirements on the signals of a record, at their edges."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
+from scene_layouts import layout_of, pose_layout_of
 
 from maplines_can.errors import LayoutError
+from maplines_can.line import Slot
 from maplines_can.wire import Layout
 from maplines_can.wire.message.requirements import REQUIREMENTS, check, check_record
 from maplines_can.wire.message.signals import Signal
@@ -84,3 +87,132 @@ def test_a_transfer_id_lies_in_its_page(name: str, start: int, words: str) -> No
     """Anywhere in it, where no other signal is."""
     with pytest.raises(LayoutError, match=words):
         check_record({**SIGNALS, name: replace(SIGNALS[name], start=start)}, "my.dbc")
+
+
+POSE = pose_layout_of("maplines-pose.dbc").signals
+LEVELS = Layout.from_dbc().pose.signals  # type: ignore[union-attr]
+CONDITIONAL = layout_of("maplines-pose.dbc").signals
+
+
+@pytest.mark.parametrize(
+    ("signals", "name", "change", "words"),
+    [
+        # numbers that are sent unchanged
+        pytest.param(SIGNALS, "Crc", {"length": 15, "raw_max": 2**15 - 1}, "16 bits", id="crc-15"),
+        pytest.param(SIGNALS, "Crc", {"big_endian": True, "start": 7}, "Intel", id="crc-motorola"),
+        pytest.param(SIGNALS, "Crc", {"start": 1}, "a byte boundary", id="crc-at-bit-1"),
+        pytest.param(SIGNALS, "Crc", {"raw_max": 65534}, "the range of all its", id="crc-range"),
+        pytest.param(SIGNALS, "Kind", {"raw_max": 6}, "holds 0 to 7", id="kind-to-6"),
+        pytest.param(SIGNALS, "Status", {"raw_max": 5}, "", id="status-to-5"),
+        pytest.param(SIGNALS, "Status", {"raw_min": 1}, "holds 0 to 5", id="status-from-1"),
+        pytest.param(SIGNALS, "ComponentIndex", {"factor": 2.0}, "factor 1 and", id="index-factor"),
+        pytest.param(SIGNALS, "ComponentCount", {"offset": 0.5}, "whole offset", id="count-offset"),
+        pytest.param(SIGNALS, "ComponentCount", {"factor": 2.0}, "factor 1 and", id="count-factor"),
+        pytest.param(SIGNALS, "ComponentCount", {"raw_min": 1}, "holds 1;", id="count-from-2"),
+        pytest.param(CONDITIONAL, "HasCovariance", {"raw_max": 0}, "holds 0 to 1", id="flag"),
+        # quantities
+        pytest.param(SIGNALS, "YOff", {"length": 53}, "overlap", id="53-bits"),
+        pytest.param(SIGNALS, "YOff", {"length": 54}, "at most 53 bits", id="54-bits"),
+        pytest.param(SIGNALS, "C1", {"factor": 1e-30}, "", id="least-factor"),
+        pytest.param(SIGNALS, "C1", {"factor": 9.9e-31}, "other than 0", id="less-than-least"),
+        pytest.param(SIGNALS, "C1", {"factor": -1e-30}, "", id="least-negative-factor"),
+        pytest.param(SIGNALS, "YOff", {"offset": 1e30}, "", id="farthest"),
+        pytest.param(SIGNALS, "YOff", {"offset": -1.01e30}, "values up to", id="beyond"),
+        pytest.param(SIGNALS, "YOff", {"raw_min": 5, "raw_max": 5}, "", id="one-value"),
+        pytest.param(SIGNALS, "YOff", {"raw_min": 6, "raw_max": 5}, "contains a val", id="none"),
+        pytest.param(SIGNALS, "YOff", {"unit": ""}, "", id="no-unit"),
+        pytest.param(SIGNALS, "YOff", {"unit": "cm"}, 'the unit "m"', id="centimetres"),
+        pytest.param(SIGNALS, "ComponentWeight", {"unit": "-"}, "", id="dimensionless"),
+        pytest.param(SIGNALS, "Age", {"offset": -1.0}, "0 ms or more", id="age-from-minus-1"),
+        pytest.param(SIGNALS, "Age", {"raw_min": 29}, "", id="three-ages"),
+        pytest.param(SIGNALS, "Age", {"raw_min": 30}, "at least three values", id="two-ages"),
+        # levels, also those of each slot in the pose error
+        pytest.param(POSE, "MapOffset", {"raw_min": 1}, "raw values 0 and 1", id="level-from-1"),
+        pytest.param(POSE, "MapOffset", {"raw_max": 0}, "raw values 0 and 1", id="level-to-0"),
+        pytest.param(POSE, "MapOffset", {"raw_max": 1}, "", id="level-to-1"),
+        pytest.param(LEVELS, "RouteOwnLateral", {"signed": True}, "unsigned", id="slot-level"),
+        pytest.param(
+            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -200.0}, "", id="octave-200"
+        ),
+        pytest.param(
+            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -201.0}, "-200 to 200", id="201"
+        ),
+        # counters of slots
+        pytest.param(POSE, "RouteCounter", {"length": 2, "raw_max": 3}, "3 bits or", id="2-bits"),
+        pytest.param(POSE, "RouteCounter", {"raw_max": 6}, "the range of all", id="counter-to-6"),
+        # several signals together
+        pytest.param(SIGNALS, "Page0", {"raw_max": 2}, "number all pages", id="pages-to-2"),
+        pytest.param(SIGNALS, "Page2", {"length": 1, "raw_max": 1}, "same bits", id="short-page"),
+        pytest.param(SIGNALS, "Page1", {"start": 190}, "same bits in each page", id="page-of-2"),
+        pytest.param(SIGNALS, "TransferId3", {"length": 3, "raw_max": 7}, "same len", id="ids"),
+        pytest.param(
+            SIGNALS, "Counter", {"length": 4, "raw_max": 15}, "", id="counter-as-transfer-id"
+        ),
+        pytest.param(SIGNALS, "ComponentIndex", {"raw_max": 6}, "ComponentCount minus", id="6"),
+        pytest.param(SIGNALS, "XMax", {"raw_max": 0, "offset": -20.0}, "no valid r", id="x-equal"),
+        pytest.param(SIGNALS, "XMax", {"raw_max": 0, "offset": -19.0}, "", id="x-above"),
+        # places
+        pytest.param(SIGNALS, "Inflation", {"start": 254}, "within|must lie in", id="beyond-end"),
+        pytest.param(SIGNALS, "Inflation", {"start": 248}, "overlap", id="over-another"),
+    ],
+)
+def test_a_signal_of_a_record_at_the_edge(
+    signals: Any, name: str, change: dict[str, Any], words: str
+) -> None:
+    """Accepted at the edge, and refused with the reason one beyond it."""
+    record = {**signals, name: replace(signals[name], **change)}
+    if words:
+        with pytest.raises(LayoutError, match=words):
+            check_record(record, "my.dbc")
+    else:
+        check_record(record, "my.dbc")
+
+
+@pytest.mark.parametrize(("steps", "accepted"), [(7, False), (8, True)])
+def test_each_component_needs_a_step_of_weight(steps: int, accepted: bool) -> None:
+    """Eight components of a seventh do not add up to 1."""
+    factor = round(1 / steps, 12)
+    weight = replace(
+        SIGNALS["ComponentWeight"], factor=factor, offset=1 - factor * (steps - 1),
+        raw_max=steps - 1,
+    )  # fmt: skip
+    assert not refusal(weight)
+    record = {**SIGNALS, "ComponentWeight": weight}
+    if accepted:
+        check_record(record, "my.dbc")
+    else:
+        with pytest.raises(LayoutError, match="at least as many steps as the greatest"):
+            check_record(record, "my.dbc")
+
+
+@pytest.mark.parametrize(("bits", "accepted"), [(16, False), (24, True), (56, True)])
+def test_a_freshness_value_has_3_bytes_or_more(bits: int, accepted: bool) -> None:
+    freshness = Signal("Freshness", 0, bits, False, False, 1.0, 0.0, "us", 0, 2**bits - 1)
+    assert ("3 bytes or more" not in refusal(freshness)) is accepted
+
+
+@pytest.mark.parametrize(("bits", "accepted"), [(2, False), (3, True), (4, True)])
+def test_a_counter_of_a_slot_is_no_longer_than_that_of_its_records(
+    bits: int, accepted: bool
+) -> None:
+    """Its low bits are what the pose error states; here it has 3."""
+    pose = pose_layout_of("maplines-pose.dbc")
+    counters = {Slot.ROUTE: replace(SIGNALS["Counter"], length=bits)}
+    if accepted:
+        pose.check_slots(counters, levels=False)
+    else:
+        with pytest.raises(LayoutError, match=r"RouteCounter .* at most 2 bits"):
+            pose.check_slots(counters, levels=False)
+    with pytest.raises(LayoutError, match="RouteOwnLateral" if accepted else "RouteCounter"):
+        pose.check_slots(counters, levels=True)
+
+
+def test_a_record_of_the_pose_error_without_one_of_its_pages_is_refused() -> None:
+    """Pages 0 and 2 are not a record; neither is one without pages."""
+    pose = pose_layout_of("maplines-pose.dbc")
+    later = {"Page1": "Page2", "TransferId1": "TransferId2"}
+    signals = {later.get(name, name): signal for name, signal in pose.signals.items()}
+    with pytest.raises(LayoutError, match=r"numbered 0, 1, ..., got \[0, 2\]"):
+        replace(pose, signals=signals)
+    with pytest.raises(LayoutError, match=r"numbered 0, 1, ..., got \[\]"):
+        replace(pose, signals={n: s for n, s in signals.items() if not n.startswith("Page")})
