@@ -264,6 +264,17 @@ def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise
         assert sent.x_min <= line.x_min <= line.x_max <= sent.x_max
 
 
+def test_a_decoded_range_is_hardly_shorter_than_the_one_sent() -> None:
+    """Its ends are multiples of 0.1 m, moved inwards, and the levels cost little."""
+    scene = road_scene(SLOTS[:2], radius=100.0)
+    for line in received(codec_of(CONDITIONAL), scene).lines:
+        sent = scene.line(line.slot)
+        assert sent.x_min <= line.x_min < sent.x_min + 0.15
+        assert sent.x_max - 0.15 < line.x_max <= sent.x_max
+        for end in (line.x_min, line.x_max):
+            assert 10 * end == pytest.approx(round(10 * end), abs=1e-9)
+
+
 def without_pose(dbc: str) -> str:
     """Return the text of a DBC without its messages of the pose error, as it was before them."""
     text = default_dbc_path(dbc).read_text()

@@ -1,10 +1,13 @@
 """DBCs that would exhaust memory or time."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from maplines_can.errors import LayoutError
 from maplines_can.wire import Layout
-from maplines_can.wire.message.dbc_reader import default_dbc_path
+from maplines_can.wire.message.dbc_reader import default_dbc_path, read_text
 
 MESSAGE = "BO_ 0 M: 8 E\n"
 SIGNAL = '@1+ (1,0) [0|15] "" E\n'
@@ -37,3 +40,16 @@ def test_large_numbers_elsewhere_are_accepted() -> None:
     text = default_dbc_path().read_text(encoding="cp1252")
     place = text.index("BO_ ")
     assert Layout.from_text(text[:place] + extra.replace(comments, "") + text[place:] + comments)
+
+
+def test_a_file_of_64_megabytes_is_read_and_a_larger_one_is_not(tmp_path: Path) -> None:
+    """A pipe or a device may never end."""
+    path = tmp_path / "large.dbc"
+    path.touch()
+    for size in (64 * 10**6, 64 * 10**6 + 1):
+        os.truncate(path, size)
+        if size > 64 * 10**6:
+            with pytest.raises(LayoutError, match=r"large\.dbc: is too large: .* 64,000,000 bytes"):
+                read_text(path)
+        else:
+            assert len(read_text(path)) == size

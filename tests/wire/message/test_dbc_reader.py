@@ -175,6 +175,7 @@ def of_message(number: int, pattern: str, replacement: str) -> tuple[str, str]:
             [of_message(840, " SG_ Kind :", " SG_ Kind M :")], "must not have a multiplexer",
             id="fd-multiplexer",
         ),
+        pytest.param([("EgoLeft: 8", "EgoLeft: 16")], "8 bytes, got 16", id="long-page"),
         pytest.param([("EgoLeftFd: 48", "EgoLeftFd: 50")], "got 50 bytes", id="fd-length"),
         pytest.param(
             [(r" SG_ Page(\d) ", r" SG_ Number\1 ")], "must have pages of 8 bytes", id="no-pages"
@@ -301,6 +302,18 @@ def test_a_signal_is_in_one_page(multiplexers: str, words: str) -> None:
     )
     with pytest.raises(LayoutError, match=words):
         Layout.from_text(text)
+
+
+def test_classic_can_alone() -> None:
+    """A DBC without CAN FD messages; its pages are numbered by the multiplexer."""
+    text = edit(ORIGINAL, (r'BA_ "(MapLineSlot|E2EDataId|SecOCDataId)" BO_ 84[0189] .*\n', ""))
+    layout = Layout.from_text(text)
+    left = layout.messages[Slot.EGO_LEFT]
+    assert (left.can_id, left.name, left.data_id) == (832, "EgoLeft", 19776)
+    assert (left.fd_can_id, left.fd_is_extended, left.fd_length) == (None, False, 0)
+    assert (left.secured_can_id, left.secured_is_extended, layout.secured) == (None, False, None)
+    assert left.ids == {(832, False): False}
+    assert left.secured_ids == layout.data_id_of_secured == {}
 
 
 def test_only_messages_of_map_lines_need_their_own_can_id() -> None:

@@ -24,6 +24,7 @@ from maplines_can.wire.message.pose_records import (
 )
 from maplines_can.wire.message.raw_records import RawRecords
 from maplines_can.wire.message.record_layout import RecordLayout
+from maplines_can.wire.protection.e2e import record_crc_one
 
 DBCS = ["maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc"]
 CONDITIONAL = Layout.from_dbc(default_dbc_path("maplines-pose.dbc"))
@@ -204,3 +205,75 @@ def test_many_records_at_once_are_as_one_by_one(pages: int) -> None:
         assert values == {name: int(array[i]) for name, array in decoded.items()}
     payloads[:, 3] ^= 1
     assert not records.unpack(payloads, data_ids)[1].any()
+
+
+def moved(**changes: dict[str, int]) -> Layout:
+    """The conditional layout with some signals changed."""
+    signals = {name: replace(CONDITIONAL[name], **change) for name, change in changes.items()}  # type: ignore[arg-type]
+    return replace(CONDITIONAL, signals={**CONDITIONAL.signals, **signals})
+
+
+def test_records_of_one_form_have_a_covariance_or_not() -> None:
+    """If a signal of the short record is in the last page, both have all pages."""
+    lines = ConditionalRecords(moved(HasCovariance={"start": 250}))
+    for raw in (SHORT | LEVELS, LONG):
+        record = ConditionalRecord(raw, 5, Kind.SOLID, Slot.CENTRE)
+        payload = lines.write(record)
+        assert len(payload) == 32
+        assert lines.read(payload, Slot.CENTRE) == record
+
+
+def test_a_kind_that_has_no_meaning_is_rejected() -> None:
+    """A signal of 4 bits holds 8, one more than the last kind; it is neither sent nor read."""
+    layout = moved(Kind={"start": 176, "length": 4, "raw_max": 15})
+    lines, data_id = ConditionalRecords(layout), layout.messages[Slot.CENTRE].data_id
+    last = ConditionalRecord(SHORT | LEVELS, 5, max(Kind), Slot.CENTRE)
+    assert lines.read(lines.write(last), Slot.CENTRE) == last
+    raw = SHORT | LEVELS | {"Kind": max(Kind) + 1}
+    payload = RawRecords(layout, layout.short_pages).pack_one(raw, 5, data_id)
+    assert lines.read(payload, Slot.CENTRE) is Reason.CONTENT
+
+
+@pytest.mark.parametrize("first", ["YOff", "PivotC1", "RatioBetaYOff"])
+def test_the_first_signal_of_a_page_is_in_it(first: str) -> None:
+    """Of 2 pages of 4, those signals belong to the record that start in them."""
+    records = RawRecords(CONDITIONAL, 2)
+    raw = {name: signal.raw_max for name, signal in CONDITIONAL.signals.items()}
+    unpacked = records.unpack_one(records.pack_one(raw, 3, 0x4D60), 0x4D60)
+    assert isinstance(unpacked, dict)
+    assert (first in unpacked) is (CONDITIONAL[first].start < 128)
+
+
+@pytest.mark.parametrize("name", ["Page0", "Page1", "TransferId1", "Page3", "TransferId3"])
+def test_pages_of_several_records_are_mixed(name: str) -> None:
+    """Also if the checksum over them is correct, one by one and many at once."""
+    data_id = CONDITIONAL.messages[Slot.CENTRE].data_id
+    payload = bytearray(LINES.write(ConditionalRecord(LONG, 77, Kind.SOLID, Slot.CENTRE)))
+    payload[CONDITIONAL[name].start // 8] ^= 1 << CONDITIONAL[name].start % 8
+    payload[:2] = record_crc_one(bytes(payload), data_id).to_bytes(2, "little")
+    records = RawRecords(CONDITIONAL)
+    assert records.unpack_one(bytes(payload), data_id) is Reason.MIXED
+    array = np.frombuffer(bytes(payload), np.uint8)[None]
+    assert not records.unpack(array, np.array([data_id], np.uint16))[1].any()
+
+
+def test_a_damaged_record_of_the_pose_error_is_rejected() -> None:
+    """By its length or its checksum."""
+    layout = pose_of("maplines-pose.dbc")
+    records = PoseRecords(layout)
+    raw = {name: layout[name].raw_min for name in raws_names(layout)}
+    payload = records.write(PoseRecord(raw, 0, dict.fromkeys(Slot, 1)))
+    assert isinstance(records.read(payload), PoseRecord)
+    assert records.read(payload[:-1]) is Reason.LENGTH
+    assert records.read(payload[:5] + bytes([payload[5] ^ 4]) + payload[6:]) is Reason.CRC
+
+
+def test_a_pose_record_has_no_counter_of_a_slot_that_the_dbc_lacks() -> None:
+    """Neither one more nor none at all."""
+    pose = pose_of("maplines-pose.dbc")
+    signals = {name: s for name, s in pose.signals.items() if name != "RouteCounter"}
+    layout = replace(pose, signals=signals)
+    raw = {name: layout[name].raw_min for name in raws_names(layout)}
+    for slots, words in ((tuple(Slot), r"got EGO_LEFT, .*, ROUTE$"), ((), "got no slot$")):
+        with pytest.raises(EncodeError, match=words):
+            PoseRecords(layout).write(PoseRecord(raw, 0, dict.fromkeys(slots, 1)))

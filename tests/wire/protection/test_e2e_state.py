@@ -250,6 +250,14 @@ def test_a_state_machine_reports_the_numbers_of_autosar() -> None:
     assert [int(machine.step(LETTERS[s])) for s in "noooeee"] == [2, 3, 3, 0, 0, 0, 4]
 
 
+def test_the_check_reports_the_numbers_of_profile_5() -> None:
+    """OK, REPEATED, OKSOMELOST and WRONGSEQUENCE; the state machine takes them as numbers."""
+    assert [int(check(counter, 7, 3)) for counter in (8, 7, 9, 11)] == [0x00, 0x08, 0x20, 0x40]
+    machine = StateMachine(SMALL)
+    given = (0x01, 0x07, 0x00, 0x07, 0x07)
+    assert [machine.step(ProfileStatus(n)) for n in given] == [NODATA, NODATA, INIT, INIT, INVALID]
+
+
 def test_states_and_results_have_the_numbers_of_autosar() -> None:
     """PRS_E2EProtocol R20-11: E2E_SMStateType and E2E_P05CheckStatusType."""
     assert {state.name: state.value for state in E2EState} == {
