@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from secoc_streams import (
     AES_256,
+    LAYOUT,
     SECRET,
     check_no_secret,
     check_traceback,
@@ -22,6 +23,7 @@ from secoc_streams import (
 from maplines_can.bus import key_from_env, key_from_file
 from maplines_can.errors import EncodeError, KeyMaterialError, MissingExtraError
 from maplines_can.wire import Authenticator, Key
+from maplines_can.wire.protection.key import shown
 
 ROOT = Path(__file__).parents[3]
 
@@ -185,3 +187,67 @@ def test_item_10_hex_digits_in_bytes_are_no_key(text: str, end: str) -> None:
 def test_random_bytes_are_a_key() -> None:
     """Even if nearly all of them are hex digits."""
     assert Key(SECRET.hex().encode()[:31] + b"g").key_id == 1
+
+
+def test_the_least_and_the_greatest_key_id() -> None:
+    assert [Key(SECRET, key_id).key_id for key_id in (0, 255)] == [0, 255]
+    for key_id in (-1, 256):
+        with pytest.raises(KeyMaterialError, match=f"from 0 to 255, got {key_id}"):
+            Key(SECRET, key_id)
+
+
+@pytest.mark.parametrize("length", [0, 15, 17, 31, 33])
+def test_a_key_has_16_or_32_bytes(length: int) -> None:
+    """And twice as many hex digits."""
+    with pytest.raises(KeyMaterialError, match=f"16 or 32 bytes .*, got {length}$"):
+        Key(AES_256[:1].ljust(length, b"\xff") if length else b"")
+    digits = (2 * length + 1) * "5"
+    with pytest.raises(KeyMaterialError, match=f"32 or 64 hex digits .* {len(digits)} characters$"):
+        Key.from_hex(digits)
+
+
+def test_hex_digits_may_have_space_around_them_and_not_within() -> None:
+    """A file ends with a new line."""
+    assert Key.from_hex(f" {SECRET.hex()}\n", 7) == Key(SECRET, 7)
+    with pytest.raises(KeyMaterialError, match="got 32 characters, not all of them hex digits"):
+        Key.from_hex(f"{SECRET.hex()[:15]} {SECRET.hex()[16:]}")
+
+
+def test_two_keys_are_equal_if_secret_and_key_id_are() -> None:
+    key = Key(SECRET, 7)
+    assert key == Key(bytearray(SECRET), 7)
+    assert hash(key) == hash(Key(SECRET, 7))
+    assert key not in (Key(SECRET, 8), Key(AES_256[:16], 7), SECRET)
+
+
+def test_a_truncated_mac_is_verified() -> None:
+    """Its first bytes; any other is refused."""
+    key = Key(SECRET)
+    mac = key.mac(b"record")
+    assert key.verify(mac[:8], b"record")
+    assert not key.verify(mac[8:], b"record")
+    assert not key.verify(mac[:8], b"other")
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_number_that_may_be_a_secret_is_not_shown(sign: int) -> None:
+    """64 bits and more."""
+    assert shown(sign * (2**64 - 1)) == str(sign * (2**64 - 1))
+    assert shown(sign * 2**64) == "an int of 65 bits"
+
+
+@pytest.mark.parametrize("most", [0, 2**63 - 1])
+def test_a_freshness_value_at_the_ends_of_its_range(most: int) -> None:
+    """``not_before`` may be either; after the greatest one, nothing can be sent."""
+    keys = Authenticator(Key(SECRET), clock=lambda: 1000 * (2**63 - 1), not_before=most)
+    if most:
+        with pytest.raises(EncodeError, match="freshness must be"):
+            keys.secure(bytes(32), 1, LAYOUT)
+    else:
+        assert len(keys.secure(bytes(32), 1, LAYOUT)) == LAYOUT.length
+        assert keys.last_sent == 2**63 - 1
+
+
+def test_the_shortest_window_is_a_microsecond() -> None:
+    assert Authenticator(Key(SECRET), window_ns=1000).window == 1
+    assert Authenticator(Key(SECRET), window_ns=1999).window == 1

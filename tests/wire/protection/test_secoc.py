@@ -211,7 +211,7 @@ def test_a_recording_to_a_receiver_that_has_just_started(clock: Any, lines: Any)
 
 @pytest.mark.parametrize(
     ("ahead_ns", "answer"),
-    [(-S - MS, "AGE"), (-S, "line"), (0, "line"), (S, "line"), (S + MS, "AGE")],
+    [(-S - US, "AGE"), (-S, "line"), (0, "line"), (S, "line"), (S + US, "AGE")],
 )
 def test_the_window_about_the_current_time(
     clock: Any, lines: Any, ahead_ns: Any, answer: str
@@ -244,6 +244,7 @@ def test_a_freshness_value_that_is_too_short_is_refused(tmp_path: Path, n: int) 
         pytest.param(3, None, S, "3 bytes, but without a clock 7 are needed", id="3-no-clock"),
         pytest.param(4, None, S, "silence of 4294.97 s", id="4-no-clock"),
         pytest.param(6, None, S, "give the authenticator a clock", id="6-no-clock"),
+        pytest.param(3, Clock(), 8_388_608_000, "window_ns of 8388607000 at most", id="one-more"),
         pytest.param(3, Clock(), 9 * S, "repeat after 16.7772 s.* 8388607000 at most", id="window"),
     ],
 )
@@ -473,6 +474,7 @@ def test_the_key_in_use_cannot_be_retired(clock: Any, lines: Any) -> None:
         (lambda _: Authenticator(), "needs a key or more"),
         (lambda _: Authenticator(Key(SECRET, 1), Key(OTHER, 1)), r"key_id 1 is taken by Key\("),
         (lambda _: Authenticator(Key(SECRET), window_ns=0), "must be at least 1000 ns .* got 0;"),
+        (lambda _: Authenticator(Key(SECRET), window_ns=999), "at least 1000 ns .* got 999;"),
         (lambda _: Authenticator(Key(SECRET), window_ns=1), "a second is 1_000_000_000"),
         (lambda _: Authenticator(Key(SECRET), window_ns=float("inf")), "window_ns must .* got inf"),  # type: ignore[arg-type]
         (lambda _: Authenticator(Key(SECRET), window_ns=float("nan")), "window_ns must .* got nan"),  # type: ignore[arg-type]
