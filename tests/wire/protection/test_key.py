@@ -215,7 +215,7 @@ def test_hex_digits_may_have_space_around_them_and_not_within() -> None:
 
 def test_two_keys_are_equal_if_secret_and_key_id_are() -> None:
     key = Key(SECRET, 7)
-    assert key == Key(bytearray(SECRET), 7)
+    assert key == Key(bytearray(SECRET), 7)  # type: ignore[arg-type]
     assert hash(key) == hash(Key(SECRET, 7))
     assert key not in (Key(SECRET, 8), Key(AES_256[:16], 7), SECRET)
 
