@@ -251,7 +251,7 @@ def test_each_message_has_its_own_length_of_the_can_id() -> None:
     extended = [(rf"\b{n}\b", str(0x80000000 | 0x18FF0000 | n)) for n in (832, 848)]
     messages = Layout.from_text(edit(ORIGINAL, *extended)).messages
     left, right = (messages[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT))
-    assert not (right.is_extended or right.fd_is_extended or right.secured_is_extended)
+    assert (right.is_extended, right.fd_is_extended, right.secured_is_extended) == (False,) * 3
     assert (left.can_id, left.is_extended) == (0x18FF0000 | 832, True)
     assert (left.fd_can_id, left.fd_is_extended) == (840, False)
     assert (left.secured_can_id, left.secured_is_extended) == (0x18FF0000 | 848, True)
