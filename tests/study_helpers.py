@@ -12,7 +12,8 @@ from maplines_can.study.sweep.tables import TABLES, read_table
 def small(**changes: Any) -> Any:
     """Return a study of 400 Gaussians in 8 chunks."""
     values = {"codes": ("Cholesky", "Sigmas"), "finer_bits": (0,), "n": 400, "chunk_size": 50}
-    values |= {"sets": [DrawnSet("road")], "fields_n": 0, "limit_n": 0, "seed": 3}
+    values |= {"sets": [DrawnSet("road")], "fields_n": 0, "limit_n": 0}
+    values |= {"scenes_n": 0, "seed": 3}
     return Study(**(values | changes))  # type: ignore[arg-type]
 
 

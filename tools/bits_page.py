@@ -3,11 +3,13 @@
 
     maplines study run --out sweep --n 200000
     python tools/bits_page.py sweep
+    python tools/bits_page.py sweep --only scenes     one of the tables
 
 Run it in the project's environment: python3 tools/run.py python tools/bits_page.py sweep
 """
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,32 +19,44 @@ from reporting import fill_tables, parser_of
 
 from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
+from maplines_can.study.scenes.carriers import WITH_POSE
+from maplines_can.study.scenes.table import HEAD, cells_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003
 SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range")
 TARGETS = (1e-2, 1e-3, 1e-4)
+#: Codes that docs/bits.md compares on scenes.
+SCENE_CODES = ("Cholesky", "Float32", *WITH_POSE)
 
 
 def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("folder", type=Path, help="directory that 'maplines study run --out' wrote")
-    folder = parser.parse_args().folder
-    names = ("summary", "fields", "terms", "limit")
-    summary, fields, terms, limit = (
+    parser.add_argument("--only", metavar="NAME", help="write only the table of this name")
+    options = parser.parse_args()
+    folder, only = options.folder, options.only
+    names = ("summary", "fields", "terms", "limit", "scenes")
+    summary, fields, terms, limit, scenes = (
         pq.read_table(folder / f"{name}.parquet").to_pylist() for name in names
     )
     n, seed = summary[0]["n"], summary[0]["seed"]
-    sections = {
-        "source": f"    maplines study run --out sweep --n {n} --seed {seed}\n"
-        "    python tools/bits_page.py sweep",
-        "paper": codes([row for row in summary if row["set"] == "paper"]),
-        "road": codes([row for row in summary if row["set"] == "road"]),
-        "theory": theory(summary, terms),
-        "limit": over_the_limit(summary, limit),
-        "fields": of_fields(fields),
-        "designs": designs(),
+    makers: dict[str, Callable[[], str]] = {
+        "source": lambda: (
+            f"    maplines study run --out sweep --n {n} --seed {seed}\n"
+            "    python tools/bits_page.py sweep"
+        ),
+        "paper": lambda: codes([row for row in summary if row["set"] == "paper"]),
+        "road": lambda: codes([row for row in summary if row["set"] == "road"]),
+        "theory": lambda: theory(summary, terms),
+        "limit": lambda: over_the_limit(summary, limit),
+        "scenes": lambda: of_scenes(scenes),
+        "fields": lambda: of_fields(fields),
+        "designs": designs,
     }
+    if only is not None and only not in makers:
+        parser.error(f"there is no table {only}; choose from {', '.join(makers)}")
+    sections = {name: make() for name, make in makers.items() if only in (None, name)}
     PAGE.write_text(fill_tables(PAGE.read_text(), "bits_page.py", sections))
     print(f"docs/{PAGE.name}: written")
     return 0
@@ -50,7 +64,7 @@ def main() -> int:
 
 def table(head: Any, rows: Any) -> Any:
     """Return a Markdown table whose first column is text."""
-    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    lines = [[*head], ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
@@ -129,6 +143,16 @@ def over_the_limit(summary: Any, limit: Any) -> Any:
                 ]
             )
     return table(["set and KL", "bits of the default code", "limit [bit]", "over the limit"], body)
+
+
+def of_scenes(scenes: Any) -> Any:
+    """Return the codes whose joint covariances have a limit, and what it is."""
+    body = []
+    for row in scenes:
+        if row["code"] in SCENE_CODES:
+            cells = cells_of(row)
+            body.append([f"{cells[0]}, {row['lines']} lines", *cells[1:]])
+    return table(HEAD, body)
 
 
 def of_fields(fields: Any) -> Any:

@@ -34,7 +34,8 @@ def test_the_command_prints_the_summary(
 ) -> None:
     """As text or as JSON; the second run has nothing left to do."""
     pytest.importorskip("pyarrow")
-    monkeypatch.setattr("maplines_can.cli.study.DEFAULTS", {"fields_n": 0, "limit_n": 0})
+    sizes = {"fields_n": 0, "limit_n": 0, "scenes_n": 0}
+    monkeypatch.setattr("maplines_can.cli.study.DEFAULTS", sizes)
     status, seen = command("--out", tmp_path / "out", *SMALL)
     text = capsys.readouterr().out
 
@@ -43,7 +44,7 @@ def test_the_command_prints_the_summary(
     assert "road: 200 Gaussians" in text
     assert "over its theory" in text
     status, seen = command("--out", tmp_path / "out", *SMALL, "--json")
-    rows = json.loads(capsys.readouterr().out)
+    rows = json.loads(capsys.readouterr().out)["summary"]
     assert status == 0
     assert seen == [(200, 200)]
     assert [(row["code"], row["finer_bits"]) for row in rows] == [("Cholesky", -1), ("Cholesky", 0)]

@@ -9,6 +9,7 @@ from typing import Any
 from ...errors import missing_extra
 from ..codes import CODES
 from ..metrics import LATERAL_X
+from ..scenes.table import HEAD, cells_of
 from .tables import (
     LARGEST_KL,
     SUMMARY,
@@ -37,7 +38,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
 
     Args:
         folder: with the sweep's tables, ``summary.parquet``, ``fields.parquet``,
-            ``worst.parquet`` and ``limit.parquet``.
+            ``worst.parquet``, ``limit.parquet`` and ``scenes.parquet``.
         out_path: the HTML file; its folder is created if it does not exist.
         title: of the page.
 
@@ -106,6 +107,8 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         "not_definite": NOT_DEFINITE,
         "saturation": SATURATION,
         "largest_kl": LARGEST_KL,
+        "scene_heads": HEAD,
+        "scene_cells": cells_of,
     }
     html = environment.get_template("report.html.j2").render(
         title=title,

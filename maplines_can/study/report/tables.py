@@ -48,17 +48,24 @@ COLUMNS: dict[str, list[str]] = {
         *(f"{side}cov_{i}{j}" for side in ("", "decoded_") for i in range(4) for j in range(4)),
     ],
     "limit": ["set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"],
+    "scenes": [
+        *("lines", "code", "scenes", "has_joint", "frames", "mean_bits", "joint_bits"),
+        *("limit_bits", "over_bits", "not_positive_definite", "overconfident"),
+        *("kl_line_mean", "kl_line_p99", "kl_joint_mean", "all_entries"),
+        *("width_p50", "width_p99", "centre_p50", "centre_p99"),
+    ],
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Tables:
-    """The four tables of a sweep, as rows."""
+    """The tables of a sweep, as rows."""
 
     summary: list[Row]
     fields: list[Row]
     worst: list[Row]
     limit: list[Row]
+    scenes: list[Row]
 
     @property
     def sets(self) -> list[str]:

@@ -22,8 +22,10 @@ from ..sets import LineSet
 DEFAULT_CODE = next(iter(CODES))
 #: What of a Gaussian the rate-distortion limit is computed for.
 LIMIT_PARTS = ("all", "covariance")
+#: Scenes in a chunk, and numbers of their lines.
+SCENES_IN_A_CHUNK, SCENE_LINES = 20, (4, 8)
 #: Version of the files of a study; a study of another version is another study.
-FORMAT = 2
+FORMAT = 3
 
 
 class Plan(NamedTuple):
@@ -52,9 +54,11 @@ class Study:
     chunk_size: int = 10_000  #: Gaussians at a time
     fields_n: int = 100_000  #: Gaussians of each set for the table ``fields``
     limit_n: int = 20_000  #: Gaussians of each set for the table ``limit``; 0 for none
+    scenes_n: int = 400  #: scenes of each number of lines for the table ``scenes``; 0 for none
 
     def __post_init__(self) -> None:
         minima = {"n": 1, "seed": 0, "chunk_size": 1, "fields_n": 0, "limit_n": 0}
+        minima["scenes_n"] = 0
         for name, least in minima.items():
             if getattr(self, name) < least:
                 raise StudyError(f"{name} must be {least} or more, got {getattr(self, name)}")
@@ -105,7 +109,16 @@ class Study:
             for part in LIMIT_PARTS if self.limit_n else ():
                 weights[limit_key(place, part)] = min(self.limit_n, sum(sizes))
             weights |= {chunk_key(place, index): size for index, size in enumerate(sizes)}
+        for lines, sizes in self.scene_sizes.items():
+            weights |= {scenes_key(lines, i): lines * size for i, size in enumerate(sizes)}
         return weights
+
+    @property
+    def scene_sizes(self) -> dict[int, list[int]]:
+        """Number of scenes in each chunk, by the number of their lines."""
+        starts = range(0, self.scenes_n, SCENES_IN_A_CHUNK)
+        sizes = [min(SCENES_IN_A_CHUNK, self.scenes_n - start) for start in starts]
+        return dict.fromkeys(SCENE_LINES if sizes else (), sizes)
 
 
 def _has_widths(code: str) -> bool:
@@ -124,6 +137,11 @@ def chunk_key(place: int, index: int) -> str:
 def limit_key(place: int, part: str) -> str:
     """Return the key of the task that computes the limit of a set."""
     return f"{place}-limit-{part}"
+
+
+def scenes_key(lines: int, index: int) -> str:
+    """Return the key of the task of a chunk of scenes, from the number of their lines."""
+    return f"scenes-{lines}-{index:06d}"
 
 
 @lru_cache(maxsize=256)

@@ -2,7 +2,7 @@
 
 ``summary``: codes at their widths. ``fields``: the default code with a bit more or less in one
 field. ``terms``: the part of each field in its divergence. ``worst``: the worst cases. ``limit``:
-the rate-distortion limit of each set.
+the rate-distortion limit of each set. ``scenes``: codes on scenes, with the joint limit.
 """
 
 from __future__ import annotations
@@ -17,10 +17,21 @@ from ...line import Status
 from ..codes import CODES
 from ..files import arrow
 from ..metrics import LATERAL_X, Figure, Score
+from ..scenes import table as scene_table
 from ..sets import LineSet
 from ..text_table import aligned
 from .directory import StudyDirectory
-from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key, theory
+from .plan import (
+    DEFAULT_CODE,
+    LIMIT_PARTS,
+    Plan,
+    Study,
+    chunk_key,
+    codec_of,
+    limit_key,
+    scenes_key,
+    theory,
+)
 from .tasks import WORST
 
 #: Outcomes whose shares are in the tables; "clipped" are means that were clipped to their range.
@@ -48,6 +59,9 @@ def write_tables(study: Study, directory: StudyDirectory) -> None:
         for part in LIMIT_PARTS if study.limit_n else ():
             result = directory.result(limit_key(place, part))
             rows["limit"] += [{"set": line_set.name, "part": part} | row for row in result["rows"]]
+    for lines, sizes in study.scene_sizes.items():
+        keys = (scenes_key(lines, index) for index in range(len(sizes)))
+        rows["scenes"] += scene_table.rows(lines, map(directory.result, keys))
     for name, of_table in rows.items():
         directory.write(f"{name}.parquet", _as_parquet(of_table, SCHEMAS[name]))
 
@@ -189,8 +203,8 @@ _TYPES = {
     **dict.fromkeys(("set", "code", "field", "status", "part", "caveat"), "string"),
     **dict.fromkeys(("finer_bits", "delta_bits", "n", "seed", "rank"), "int64"),
     **dict.fromkeys(("covariance_bits", "record_bits", "classic_frames"), "int64"),
-    **dict.fromkeys(("samples", "dimension"), "int64"),
-    **dict.fromkeys(("definite_guarantee", "covering_guarantee"), "bool"),
+    **dict.fromkeys(("samples", "dimension", "lines", "scenes", "limit_dimension"), "int64"),
+    **dict.fromkeys(("definite_guarantee", "covering_guarantee", "has_joint"), "bool"),
 }
 _WIDTHS = ("covariance_bits", "record_bits", "classic_frames")
 _OF_LATERAL = ("mean_error_rms", "mean_error_max", "sigma_ratio_min", "sigma_ratio_p50")
@@ -221,6 +235,13 @@ SCHEMAS = {
         *("set", "part", "entropy_bits", "se_bits", "bias_bits", "kl", "bits"),
         *("samples", "dimension", "caveat"),
     ),
+    "scenes": _schema(
+        *("lines", "code", "scenes", "has_joint", "frames", "mean_bits", "joint_bits"),
+        *("limit_kl", "limit_bits", "limit_se_bits", "limit_dimension", "over_bits"),
+        *("not_positive_definite", "overconfident", "left_out", "all_entries"),
+        *("kl_line_mean", "kl_line_p99", "kl_joint_mean"),
+        *("width_p50", "width_p99", "centre_p50", "centre_p99"),
+    ),
 }
 TABLES = tuple(SCHEMAS)
 
@@ -247,12 +268,13 @@ _HEAD = (
 )
 
 
-def summary_text(summary: Sequence[Row], terms: Sequence[Row]) -> str:
+def summary_text(summary: Sequence[Row], terms: Sequence[Row], scenes: Sequence[Row] = ()) -> str:
     """Format cost and quality of each code as plain text, of the default code at all widths.
 
     Args:
         summary: rows of that table.
         terms: rows of that table.
+        scenes: rows of that table.
     """
     lines: list[str] = []
     for name in dict.fromkeys(row["set"] for row in summary):
@@ -270,6 +292,8 @@ def summary_text(summary: Sequence[Row], terms: Sequence[Row]) -> str:
         f"that were clipped to their range, which the covariance covers. lost: "
         f"{Status.OUT_OF_RANGE.name}.",
     ]
+    if scenes:
+        lines += ["", scene_table.text(scenes)]
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""The tasks of a study: a chunk through all codes and widths, and the limit of a set."""
+"""The tasks of a study: a chunk through all codes and widths, scenes, and the limit of a set."""
 
 from __future__ import annotations
 
@@ -17,7 +17,16 @@ from ...wire.message.packing import Packing
 from ..metrics import Figure, Score, evaluate, kl_terms
 from ..sets import Chunk, Gaussians
 from .engines import Result, Task
-from .plan import DEFAULT_CODE, LIMIT_PARTS, Plan, Study, chunk_key, codec_of, limit_key
+from .plan import (
+    DEFAULT_CODE,
+    LIMIT_PARTS,
+    Plan,
+    Study,
+    chunk_key,
+    codec_of,
+    limit_key,
+    scenes_key,
+)
 
 #: Number of worst cases to keep.
 WORST = 5
@@ -40,6 +49,10 @@ def tasks_of(study: Study, done: set[str]) -> Iterator[Task]:
         n = min(study.limit_n, int(rows[-1]))
         for part in parts:
             yield Task(limit_key(place, part), partial(_limit_result, first, n, part, study.seed))
+    for lines, scene_sizes in study.scene_sizes.items():
+        for index, size in enumerate(scene_sizes):
+            if (key := scenes_key(lines, index)) not in done:
+                yield Task(key, partial(_scenes, lines, index, size, study.codes, study.seed))
     for place, line_set in enumerate(study.sets):
         start = 0
         sizes = line_set.sizes(study.n, study.chunk_size)
@@ -157,6 +170,13 @@ class _Trial:
             for i in rows
             if self.good[i]
         ]
+
+
+def _scenes(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> Result:
+    """Return the figures of a chunk of scenes."""
+    from ..scenes.table import chunk
+
+    return chunk(lines, index, n, codes, seed)
 
 
 def _limit_result(chunks: Sequence[Chunk], n: int, part: str, seed: int) -> Result:

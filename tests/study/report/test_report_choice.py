@@ -26,7 +26,8 @@ def row(code: str, frames: int, kl: float, **more: Any) -> dict[str, Any]:
 
 
 def chosen(*rows: dict[str, Any]) -> list[tuple[str, str]]:
-    return [(choice.advice, choice.reason) for choice in choices(Tables(list(rows), [], [], []))]
+    tables = Tables(list(rows), [], [], [], [])
+    return [(choice.advice, choice.reason) for choice in choices(tables)]
 
 
 def test_item_12_the_least_kl_of_the_valid_codes_is_chosen() -> None:

@@ -63,11 +63,27 @@ def test_every_code_set_and_section_is_there(page: Any) -> None:
     """Each code has a toggle, each set and section a figure."""
     toggles = [a["value"] for t, a in page.elements if a.get("data-controls") == "code"]
     assert toggles == USED
-    assert [a for t, a in page.elements if t == "h2"] == [{}] * 8
+    assert [a for t, a in page.elements if t == "h2"] == [{}] * 9
     figures = [a for t, a in page.elements if t == "figure"]
     assert len(figures) == 6 * len(SETS)
     assert all(SETS[int(a["data-set"])] in a["aria-label"] for a in figures)
-    assert len([a for t, a in page.elements if t == "table"]) == 1 + 7 * len(SETS)
+    assert len([a for t, a in page.elements if t == "table"]) == 3 + 7 * len(SETS)
+
+
+def test_codes_on_scenes_are_shown_with_their_bits_over_the_joint_limit(
+    page: Any, rows: Any, tmp_path: Path
+) -> None:
+    """For 4 and 8 lines; without scenes the page says that there are none."""
+    text = page.text()
+
+    assert "40 scenes of 4 lines" in text
+    assert "".join(("Cholesky", "32.0", "616", "840", "30", "810", "0", "100 %")) in text
+    assert "".join(("PoseConditional", "32.0", "616", "840", "30", "810", "0", "0")) in text
+    none = write(tmp_path / "none", rows)
+    columns = pq.read_schema(none / "scenes.parquet")
+    pq.write_table(columns.empty_table(), none / "scenes.parquet")
+    text = Page(write_report(none, tmp_path / "none.html").read_text("utf-8")).text()
+    assert "Scenes: lines of one pose The sweep did not compute this." in text
 
 
 def test_a_name_is_text_and_never_markup(page: Any, report: Any) -> None:
@@ -143,7 +159,7 @@ def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
 
     study = Study(
         [line_set("paper")], codes=("Cholesky", "Linear"), finer_bits=(0,), n=200, chunk_size=200,
-        fields_n=200, limit_n=0,
+        fields_n=200, limit_n=0, scenes_n=1,
     )  # fmt: skip
     run_study(study, tmp_path / "sweep", jobs=1)
 

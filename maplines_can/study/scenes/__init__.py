@@ -1,0 +1,1 @@
+"""Scenes of lines: a source of random ones, what codes make of them, and the fewest bits."""

@@ -1,0 +1,179 @@
+"""What codes make of scenes: records of single lines, and records with the pose error.
+
+A record of a single line says nothing of the others, so its receiver takes lines as independent.
+With the pose error, a receiver has the joint covariance: from complete records with levels in the
+Pose message, or from records that are conditional on the pose error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from ...line import Status, lateral_jacobian
+from ...scene import Scene
+from ...wire import Codec, PreparedScene
+from ...wire.message.layout import PARAMETER_SIGNALS, Layout
+from ..codes import CODES
+from ..dbc.pose_spec import CONDITIONAL
+from ..dbc.record_spec import DEFAULT, dbc_writer_for
+
+Array = NDArray[np.float64]
+
+#: Records with the pose error, by the name of the code.
+WITH_POSE = {"Cholesky and Pose": DEFAULT, CONDITIONAL.covariance_code: CONDITIONAL}
+#: Where width and centre of the ego lane are compared [m].
+X = 20.0
+#: Signals that are no part of the joint covariance.
+_OTHERS = {*PARAMETER_SIGNALS, "XMin", "XMax", "CorrelationTime"}
+
+
+@lru_cache
+def codec_of(code: str) -> Codec:
+    """Return the codec of a code, a name of ``CODES`` or of ``WITH_POSE``."""
+    writer = WITH_POSE[code] if code in WITH_POSE else dbc_writer_for(code)
+    return Codec(Layout.from_text(writer.dbc(), "the study's DBC"), codes=CODES)
+
+
+def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
+    """Yield the figures of each scene as sent by a code.
+
+    Args:
+        code: a name of ``CODES`` or of ``WITH_POSE``.
+        scenes: the scenes, with at least the lines of the ego lane as the first two.
+    """
+    codec = codec_of(code)
+    if code in WITH_POSE:
+        yield from (with_pose(codec, scene) for scene in scenes)
+    else:
+        yield from _independent(codec, scenes)
+
+
+def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
+    """Return the figures of a scene as sent by a codec with a message of the pose error."""
+    prepared = codec.prepare_scene(scene)
+    frames = sum(map(len, codec.encode_scene(prepared).values()))
+    decoded = prepared.encoded.decoded
+    lines = len(prepared.sent_slots)
+    row = {
+        "frames": frames,
+        "mean_bits": lines * _bits(codec, PARAMETER_SIGNALS),
+        "joint_bits": joint_bits(codec, prepared),
+        "left_out": len(scene.lines) - len(prepared.members),
+        "all_entries": _with_all_entries(prepared) if codec.layout.is_conditional else lines,
+    }
+    if decoded is None:
+        return row
+    places = np.array(list(prepared.encoded.lines))
+    return row | compare(scene, places, decoded.means, decoded.cov, codec.layout.resolution)
+
+
+def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
+    """Return the bits of a scene's joint covariance: of the pose error, and of each line."""
+    layout, encoded = codec.layout, prepared.encoded
+    pose = layout.pose
+    if pose is None:
+        raise ValueError("the DBC has no message of the pose error")
+    own = [name for raw in encoded.lines.values() for name in raw if name not in _OTHERS]
+    bits = sum(pose[name].length for name in encoded.pose if name not in _OTHERS)
+    if layout.is_conditional:
+        return bits + _bits(codec, [*own, *["HasCovariance"] * len(encoded.lines)])
+    levels = [name for name in pose.signals if name.startswith("EgoLeftOwn")]
+    each = sum(pose[name].length for name in levels)
+    single = sum(signal.length for signal in codec.covariance.signals)
+    return bits + each * len(encoded.lines) + single * len(prepared.sent_slots)
+
+
+def _bits(codec: Codec, names: Sequence[str]) -> int:
+    return sum(codec.layout[name].length for name in names)
+
+
+def _with_all_entries(prepared: PreparedScene) -> int:
+    return sum("Inflation" in raw for raw in prepared.encoded.lines.values())
+
+
+def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
+    means = np.concatenate([scene.means for scene in scenes])
+    covs = np.array([line.gaussian.cov for scene in scenes for line in scene.lines])
+    batch = codec.decode_batch(codec.encode_batch(means, covs))
+    good = batch.accepted & (batch.status != Status.OUT_OF_RANGE)
+    bits = sum(signal.length for signal in codec.covariance.signals)
+    start = 0
+    for scene in scenes:
+        lines = len(scene.lines)
+        here = start + np.flatnonzero(good[start : start + lines])
+        row = {
+            "frames": lines * codec.layout.pages,
+            "mean_bits": lines * _bits(codec, PARAMETER_SIGNALS),
+            "joint_bits": lines * bits,
+            "left_out": lines - len(here),
+            "all_entries": lines,
+        }
+        if len(here):
+            cov = block_diag(*batch.cov[here])
+            row |= compare(scene, here - start, batch.mean[here], cov, codec.resolution)
+        start += lines
+        yield row
+
+
+def compare(
+    scene: Scene, places: NDArray[np.intp], means: Array, cov: Array, resolution: Array
+) -> dict[str, Any]:
+    """Return the figures of a decoded scene against the covered target.
+
+    The covered target is the true joint covariance, plus the square of the errors of the means and
+    the resolution of the means.
+
+    Args:
+        scene: the scene as sent.
+        places: (L,) places of the decoded lines in it.
+        means: (L, 4) decoded means.
+        cov: (4 L, 4 L) decoded joint covariance.
+        resolution: (4,) variances of the rounding errors of the means.
+    """
+    keep = (4 * places[:, None] + np.arange(4)).ravel()
+    d = (means - scene.means[places]).ravel()
+    error = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
+    target = error + np.diag(np.tile(resolution, len(places)))
+    blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(places))]
+    definite, kl = _divergence(target, cov)
+    row = {
+        "not_positive_definite": not definite,
+        "overconfident": not definite or _largest_ratio(error, cov) > 1,
+        "kl_joint": kl,
+        "kl_lines": [_divergence(target[block], cov[block])[1] for block in blocks],
+    }
+    if [*places[:2]] == [0, 1] and all(line.x_min <= X <= line.x_max for line in scene.lines[:2]):
+        left, right = lateral_jacobian(means[:2], X)
+        for name, J in (("width", [*left, *-right]), ("centre", [*left / 2, *right / 2])):
+            variances = [np.dot(J, S[:8, :8] @ J) for S in (cov, target)]
+            row[name] = math.sqrt(max(0.0, variances[0] / variances[1]))
+    return row
+
+
+def _divergence(true: Array, decoded: Array) -> tuple[bool, float]:
+    """Return whether a decoded covariance is definite, and the KL; infinite if it is not."""
+    scale = np.sqrt(true.diagonal())
+    A, B = (S / scale / scale[:, None] for S in (true, decoded))
+    try:
+        L = np.linalg.cholesky(B)
+    except np.linalg.LinAlgError:
+        return False, math.inf
+    half = np.linalg.solve(L, np.linalg.cholesky(A))
+    log_det = 2 * np.linalg.slogdet(half)[1]
+    return True, float(((half**2).sum() - len(true) - log_det) / 2)
+
+
+def _largest_ratio(error: Array, decoded: Array) -> float:
+    """Return the largest eigenvalue of an error in the metric of a decoded covariance."""
+    scale = np.sqrt(decoded.diagonal())
+    L = np.linalg.cholesky(decoded / scale / scale[:, None])
+    half = np.linalg.solve(L, error / scale / scale[:, None])
+    W = np.linalg.solve(L, half.T)
+    return float(np.linalg.eigvalsh((W + W.T) / 2)[-1])

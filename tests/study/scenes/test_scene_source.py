@@ -1,0 +1,131 @@
+"""Random scenes: their parameters, the information about them, and the joint limit."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
+from maplines_can.seen_lines import SeenLines
+from maplines_can.study.scenes.source import (
+    box,
+    information,
+    joint_limit,
+    point_noise,
+    pose_cov,
+    random_scene,
+)
+from maplines_can.wire import Codec
+
+LINES = 3
+RESOLUTION = Codec.from_dbc().layout.resolution
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Any:
+    return random_scene(LINES, np.random.default_rng(4))
+
+
+def test_a_scene_has_the_pose_error_of_its_parameters(drawn: Any) -> None:
+    """In the ego frame; the car may stand anywhere and in any direction."""
+    assert len(drawn.scene.lines) == LINES
+    assert np.allclose(drawn.scene.pose_error.cov, pose_cov(drawn.theta), rtol=1e-9, atol=1e-12)
+    error = drawn.scene.map_error
+    assert (error.point_sigma, error.offset_sigma) == tuple(np.exp(drawn.theta[6:8]))
+    assert (box(LINES)[:, 0] <= drawn.theta).all()
+    assert (drawn.theta <= box(LINES)[:, 1]).all()
+
+
+def test_the_middle_of_the_box_is_the_production_pose() -> None:
+    """Without correlations; 10 cm along, 20 cm across, 0.2 deg."""
+    cov = pose_cov(box(0).mean(axis=1))
+
+    assert np.allclose(cov, np.diag([0.1, 0.2, math.radians(0.2)]) ** 2, rtol=1e-9, atol=0)
+
+
+def test_one_seed_gives_the_same_scenes() -> None:
+    """And another one gives others."""
+    first, again, other = (random_scene(2, np.random.default_rng(seed)) for seed in (1, 1, 2))
+
+    assert np.array_equal(first.scene.cov, again.scene.cov)
+    assert not np.array_equal(first.theta, other.theta)
+
+
+@pytest.mark.parametrize("spacing", [2.0, 7.0, 20.0])
+def test_noise_of_points_is_that_of_a_scene(spacing: float) -> None:
+    """On a straight road, without other errors of the map; up to the place of the points."""
+    x = np.arange(-100, 200, spacing)
+    line = Polyline(np.column_stack([x, np.full_like(x, 1.75)]))
+    ego = Gaussian(np.zeros(3), pose_cov(box(0).mean(axis=1)))
+
+    def scene(point_sigma: float) -> Any:
+        error = MapError(point_sigma=point_sigma)
+        return map_scene({Slot.EGO_LEFT: line}, ego, map_error=error)
+
+    fine, coarse = scene(0.05), scene(0.1)
+    assert np.array_equal(fine.fit_ranges, coarse.fit_ranges)
+    expected = (coarse.cov - fine.cov) / (0.1**2 - 0.05**2)
+    noise = point_noise(fine.means[0], fine.fit_ranges[0], spacing)
+
+    assert np.allclose(noise.diagonal(), expected.diagonal(), rtol=0.25, atol=0)
+
+
+def test_information_is_the_curvature_of_the_divergence(drawn: Any) -> None:
+    """2 KL = d^T F d for small changes of the parameters of the pose error."""
+    scene, theta = drawn
+    seen = SeenLines(scene.means, scene.fit_ranges)
+    true = scene.cov + np.diag(np.tile(RESOLUTION, LINES))
+    d = np.r_[0.01, -0.02, 0.015, 0.02, -0.01, 0.01]
+    moved = true + seen.spread(pose_cov(theta + np.r_[d, np.zeros(2 + LINES)]))
+    moved -= seen.spread(pose_cov(theta))
+    ratio = np.linalg.solve(moved, true)
+    kl = (np.trace(ratio) - len(true) - np.linalg.slogdet(ratio)[1]) / 2
+    F = information(drawn, RESOLUTION)
+
+    assert 2 * kl == pytest.approx(d @ F[:6, :6] @ d, rel=0.05)
+    assert np.linalg.eigvalsh(F)[0] >= -1e-9 * np.linalg.eigvalsh(F)[-1]
+
+
+def test_information_about_the_map_sums_up(drawn: Any) -> None:
+    """To scale the whole covariance is to scale the pose error, and all errors of the map."""
+    F = information(drawn, np.zeros(4))
+    scale = np.r_[np.ones(3), np.zeros(3), 1, 1, np.zeros(LINES)]
+
+    # 1/2 tr (2 I)^2 = 2 * 12 parameters, if the cubic had no misfit
+    assert scale @ F @ scale == pytest.approx(2 * 4 * LINES, rel=0.1)
+
+
+def test_the_limit_of_independent_parameters_is_known() -> None:
+    """The widths of the box are its entropy; F is the same in all scenes."""
+    n = 8 + 2
+    F = np.tile(np.diag(np.geomspace(1e4, 1e6, n)), (5, 1, 1))
+    limit = joint_limit(F, 1e-3)
+    entropy = np.log2(np.diff(box(2), axis=1)).sum() + np.log2(np.geomspace(1e4, 1e6, n)).sum() / 2
+    bits = entropy - n / 2 * math.log2(2 * math.pi * math.e * 2e-3 / n)
+
+    assert limit.dimension == n
+    assert limit.bits(1e-3) == pytest.approx(bits)
+    assert limit.entropy_se_bits == pytest.approx(0, abs=1e-12)
+
+
+def test_parameters_that_cannot_be_seen_take_no_bits() -> None:
+    """They would make the bound minus infinity."""
+    F = np.tile(np.eye(9) * 1e5, (3, 1, 1))
+    whole = joint_limit(F, 1e-3)
+    F[:, 2] = F[:, :, 2] = 0
+    F[:, 2, 2] = 1e-12
+    less = joint_limit(F, 1e-3)
+
+    assert (whole.dimension, less.dimension) == (9, 8)
+    assert 0 < less.bits(1e-3) < whole.bits(1e-3)
+
+
+def test_a_lower_divergence_takes_more_bits(drawn: Any) -> None:
+    """Half a bit for each parameter that counts and each factor of 2."""
+    F = information(drawn, RESOLUTION)[None]
+    fine, coarse = joint_limit(F, 1e-6), joint_limit(F, 2e-6)
+
+    assert fine.dimension == coarse.dimension
+    more = float(fine.bits(1e-6) - coarse.bits(2e-6))
+    assert more == pytest.approx(fine.dimension / 2)

@@ -1,0 +1,85 @@
+"""The table of codes on scenes, alone and in a study."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from study_helpers import small, tables
+
+from maplines_can.study.scenes.source import box
+from maplines_can.study.scenes.table import figures, text
+from maplines_can.study.sweep import plan
+from maplines_can.study.sweep.run import run_study
+from maplines_can.study.sweep.tables import SCHEMAS, summary_text
+
+#: Information of three scenes of two lines.
+F = np.tile(np.eye(10) * 1e6, (3, 1, 1))
+
+
+def scene(kl: float = 1e-3, **changes: Any) -> Any:
+    """Return the figures of one scene."""
+    row = {"frames": 6, "mean_bits": 126, "joint_bits": 101, "left_out": 0, "all_entries": 1}
+    row |= {"not_positive_definite": False, "overconfident": False}
+    return row | {"kl_joint": 3 * kl, "kl_lines": [kl, kl], "width": 1.02, "centre": 1.01} | changes
+
+
+def test_bits_over_the_limit_are_at_the_divergence_of_the_joint() -> None:
+    """Of records of single lines, at the sum of those of the lines."""
+    rows = [scene(), scene(2e-3), scene(3e-3)]
+    joint = figures("PoseConditional", 2, rows, F)
+    apart = figures("Cholesky", 2, rows, F)
+
+    assert (joint["limit_kl"], apart["limit_kl"]) == (pytest.approx(6e-3), pytest.approx(4e-3))
+    assert joint["limit_dimension"] == len(box(2))
+    assert joint["over_bits"] == pytest.approx(101 - joint["limit_bits"])
+    assert apart["limit_bits"] - joint["limit_bits"] == pytest.approx(5 * np.log2(1.5))
+    assert (joint["has_joint"], apart["has_joint"]) == (True, False)
+    assert (joint["all_entries"], joint["kl_line_mean"]) == (0.5, pytest.approx(2e-3))
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        pytest.param(scene(1e7), id="divergence-too-large"),
+        pytest.param(scene(not_positive_definite=True, kl_joint=np.inf), id="indefinite"),
+    ],
+)
+def test_there_is_no_limit_at_low_rates_or_for_a_part_of_the_scenes(bad: Any) -> None:
+    """Its columns are missing, and their cells are empty."""
+    row = figures("Linear", 2, [scene(), bad], F) | {"lines": 2, "code": "Linear"}
+
+    assert "limit_bits" not in row
+    assert "  -  " in text([row])
+
+
+def test_a_scene_without_a_line_has_no_figures() -> None:
+    """None of its lines fits the message."""
+    empty = {"frames": 2, "mean_bits": 0, "joint_bits": 63, "left_out": 2, "all_entries": 0}
+    row = figures("PoseConditional", 2, [empty], F)
+
+    assert row["kl_line_mean"] is row["overconfident"] is row["width_p99"] is None
+    assert row["left_out"] == 1
+
+
+def test_a_study_compares_codes_on_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In chunks, with the two codes that send the pose error."""
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr(plan, "SCENES_IN_A_CHUNK", 2)
+    monkeypatch.setattr(plan, "SCENE_LINES", (2, 3))
+    study = small(n=50, codes=("Cholesky",), scenes_n=3)
+    progress: list[Any] = []
+    result = tables(run_study(study, tmp_path, jobs=1, progress=lambda *at: progress.append(at)))
+    rows = {(row["lines"], row["code"]): row for row in result["scenes"]}
+
+    codes = ("Cholesky", "Cholesky and Pose", "PoseConditional")
+    assert list(rows) == [(lines, code) for lines in (2, 3) for code in codes]
+    for row in rows.values():
+        assert row["scenes"] == 3
+        assert row.keys() == SCHEMAS["scenes"].keys()
+    assert rows[2, "Cholesky"]["overconfident"] == 1
+    assert rows[2, "PoseConditional"]["overconfident"] == 0
+    assert rows[3, "PoseConditional"]["over_bits"] < rows[3, "Cholesky"]["over_bits"]
+    assert progress[-1] == (50 + 3 * 2 + 3 * 3,) * 2
+    of_scenes = summary_text(result["summary"], result["terms"], result["scenes"])
+    assert "3 scenes of 2 lines" in of_scenes
