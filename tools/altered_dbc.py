@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Load altered DBCs, and print how many of each field are right, refused and wrong.
 
-    altered_dbc.py                     all fields and alterations, in four minutes
+    altered_dbc.py                     all fields and alterations, in ten minutes
     altered_dbc.py Status Age --json   some fields, as JSON with the text of each refusal
+    altered_dbc.py Pose.Age            a field of the pose error, or of Conditional records
 
 An altered DBC is refused if loading it raises a LayoutError that names the signal or a message. It
 is right if cantools decodes the same values from all frames as the codec, and all lines arrive as
@@ -17,18 +18,47 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import cantools
-from dbc_alterations import SLOTS, Alteration, fields, of_field, of_messages
+from dbc_alterations import (
+    SLOTS,
+    Alteration,
+    conditional_original,
+    fields,
+    fields_of,
+    of_field,
+    of_field_in,
+    of_messages,
+    pose_original,
+)
 from dbc_witness import check_codec
+from pose_witness import check_conditional, check_pose
 from reporting import parser_of, progress
 
 from maplines_can.errors import LayoutError
 from maplines_can.wire import Codec, Layout
+from maplines_can.wire.message.dbc_reader import parse_database
 
 MESSAGES = "messages"
+#: Most records in a row of the pose error and of conditional records.
+SCENE_RECORDS = 8
+
+
+class SceneRecord(NamedTuple):
+    """Kind of record of a scene, whose fields are altered."""
+
+    original: Callable[[], str]  #: the text of the DBC
+    message: str  #: one of its messages
+    messages: str  #: all of its messages, as a regular expression
+    check: Callable[[Layout, Any, int], None]
+
+
+KINDS = {
+    "Pose": SceneRecord(pose_original, "Pose", "Pose(Fd)?", check_pose),
+    "Conditional": SceneRecord(conditional_original, "EgoLeft", r"Ego\w+", check_conditional),
+}
 
 
 class Outcome(NamedTuple):
@@ -41,18 +71,26 @@ class Outcome(NamedTuple):
 
 def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outcome:
     """Load an altered DBC and check it; ``records`` are sent in a row in each frame format."""
+    kind, _, field = alteration.field.rpartition(".")
     try:
-        codec = Codec(Layout.from_text(alteration.text, "DBC"))
+        if kind:
+            database: Any = parse_database(alteration.text, "DBC")  # once, as it takes the time
+            codec = Codec(Layout.from_dbc(database))
+        else:
+            codec = Codec(Layout.from_text(alteration.text, "DBC"))
+            database = cantools.database.load_string(alteration.text, "dbc")
     except LayoutError as error:
-        named = (alteration.field, SLOTS[0].name, "EgoLeft")
+        named = (field, SLOTS[0].name, KINDS[kind].message if kind else "EgoLeft")
         if alteration.field == MESSAGES or any(name in str(error) for name in named):
             return Outcome(alteration, "refused", str(error))
         return Outcome(alteration, "wrong", f"the refusal names no signal or message: {error}")
     except Exception as error:  # noqa: BLE001 - any other error is a wrong result
         return Outcome(alteration, "wrong", f"loading raises {error!r}")
-    database = cantools.database.load_string(alteration.text, "dbc")
     try:
-        check_codec(codec, database, records, lines)  # type: ignore[arg-type]
+        if kind:
+            KINDS[kind].check(codec.layout, database, min(records, SCENE_RECORDS))
+        else:
+            check_codec(codec, database, records, lines)
     except Exception as error:  # noqa: BLE001
         return Outcome(alteration, "wrong", f"{type(error).__name__}: {error}")
     return Outcome(alteration, "right")
@@ -60,17 +98,30 @@ def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outc
 
 def alterations_of(field: str) -> Iterator[Alteration]:
     """Yield the alterations of a signal, or of messages."""
+    kind, _, signal = field.rpartition(".")
+    if kind:
+        altered = of_field_in(KINDS[kind].original(), signal, KINDS[kind].messages)
+        return (alteration._replace(field=field) for alteration in altered)
     return of_messages() if field == MESSAGES else of_field(field)
+
+
+def scene_fields() -> list[str]:
+    """Return the fields of the pose error and of conditional records, after their kind."""
+    return [
+        f"{name}.{field}"
+        for name, kind in KINDS.items()
+        for field in fields_of(kind.original(), kind.message)
+    ]
 
 
 def table(outcomes: dict[str, list[Outcome]]) -> str:
     """Return the counts of each field and their sum as text."""
     rows = {field: [o.result for o in group] for field, group in outcomes.items()}
     rows["all"] = [result for results in rows.values() for result in results]
-    lines = [f"{'field':<16}{'tried':>8}{'right':>8}{'refused':>9}{'wrong':>8}"]
+    lines = [f"{'field':<28}{'tried':>8}{'right':>8}{'refused':>9}{'wrong':>8}"]
     for field, results in rows.items():
         right, refused, wrong = (results.count(name) for name in ("right", "refused", "wrong"))
-        lines.append(f"{field:<16}{len(results):>8}{right:>8}{refused:>9}{wrong:>8}")
+        lines.append(f"{field:<28}{len(results):>8}{right:>8}{refused:>9}{wrong:>8}")
     return "\n".join(lines)
 
 
@@ -81,7 +132,7 @@ def main() -> int:
     parser.add_argument("--records", type=int, default=300, help="records in a row (default: 300)")
     parser.add_argument("--json", action="store_true", help="print each alteration as JSON")
     options = parser.parse_args()
-    known = [MESSAGES, *fields()]
+    known = [MESSAGES, *fields(), *scene_fields()]
     if unknown := [field for field in options.field if field not in known]:
         parser.error(f"there is no field {', '.join(unknown)}; choose from {', '.join(known)}")
     outcomes = {}

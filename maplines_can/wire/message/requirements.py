@@ -24,7 +24,6 @@ from .requirement import (
     NUMBER,
     POSITIVE,
     QUANTITY,
-    SCALE,
     SOME_RANGE,
     UNSIGNED,
     WHOLE_METRES,
@@ -144,7 +143,15 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "HasCovariance": (*NUMBER, holds(0, 1)),
     "OwnLateral": LEVEL,
     "OwnPoints": LEVEL,
-    "OwnSpacing": SCALE,
+    "OwnSpacing": (
+        *(*QUANTITY, UNSIGNED, POSITIVE, unit("octave")),
+        Requirement(
+            "values from -12 to 2 for any bits",
+            # Points that are farther apart bend no line; the work grows with their number.
+            lambda s: s.reach[0] >= -12 and s.reach[1] <= 2,
+            "correct factor and offset",
+        ),
+    ),
     "CorrelationTime": LEVEL,
     "MapOffset": LEVEL,
     "MapHeading": LEVEL,

@@ -1,0 +1,126 @@
+"""Check of records of the pose error and of conditional records against cantools."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from dbc_witness import CYCLE_NS, WrongResultError
+
+from maplines_can.line import Kind, Slot
+from maplines_can.wire import E2EConfig, Layout
+from maplines_can.wire.covariance import CholeskyCode
+from maplines_can.wire.message.frames import Frame, FrameWriter
+from maplines_can.wire.message.pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+)
+from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS
+from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
+from maplines_can.wire.reception.reassembly import Reassembler, Record
+from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+
+
+def require(holds: Any, message: str) -> None:
+    """Raise WrongResultError if a result is not right."""
+    if not holds:
+        raise WrongResultError(message)
+
+
+def decoded(database: Any, frames: list[Frame]) -> dict[str, float]:
+    """Return the physical values of the frames of a record, as cantools decodes them."""
+    signals: dict[str, float] = {}
+    for frame in frames:
+        message = database.get_message_by_frame_id(frame.can_id)
+        signals |= message.decode(frame.data, decode_choices=False)
+    return signals
+
+
+def check_signals(layout: Any, raw: dict[str, int], signals: dict[str, float]) -> None:
+    """Compare raw values with the physical values of cantools."""
+    for name, value in raw.items():
+        own = layout[name].physical_one(value)
+        close = math.isclose(own, signals[name], rel_tol=1e-12, abs_tol=1e-12)
+        require(close, f"{name} is {own:g}, and {signals[name]:g} by cantools")
+
+
+def drawn(layout: Any, names: list[str], rng: np.random.Generator) -> dict[str, int]:
+    """Return random raw values in the ranges of the signals."""
+    return {n: int(rng.integers(layout[n].raw_min, layout[n].raw_max + 1)) for n in names}
+
+
+def check_pose(layout: Layout, database: Any, count: int) -> None:
+    """Send records of the pose error in both frame formats.
+
+    Raises:
+        WrongResultError: a record is not received as sent, or cantools decodes other values.
+    """
+    pose = layout.pose
+    if pose is None:
+        raise WrongResultError("there is no message of the pose error")
+    covariance = CholeskyCode(pose, POSE_ROWS)
+    records, writer = PoseRecords(pose), FrameWriter(layout, None)
+    names = ["Age", "CorrelationTime", "MapOffset", "MapHeading"]
+    names += [signal.name for signal in covariance.signals]
+    names += [f"{slot}{name}" for slot in ("EgoLeft", "EgoRight") for name in OWN_SIGNALS]
+    rng = np.random.default_rng(3)
+    for fd in (False, True):
+        receiver = PoseReceiver(pose, None, *pose_settings(pose), E2EConfig())
+        for i in range(count):
+            counters = {slot: int(rng.integers(256)) for slot in pose.counters}
+            number = i % 2 ** pose["Counter"].length
+            record = PoseRecord(drawn(pose, names, rng), number, counters)
+            frames = writer.write_pose(records.write(record), fd)
+            got = [receiver.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
+            if not isinstance(got, ReceivedPose):
+                raise WrongResultError(f"a pose error is dropped: {got}")
+            found = got.record
+            require((found.raw, found.counter) == (record.raw, number), f"{found} of {record}")
+            signals = decoded(database, frames)
+            check_signals(pose, dict(record.raw), signals)
+            for slot, signal in pose.counters.items():
+                low = counters[slot] % 2**signal.length
+                require(low == signals[signal.name], f"{signal.name} by cantools")
+                require(low == found.slot_counters[slot], signal.name)
+            least = np.linalg.eigvalsh(_correlation(covariance.decode_one(record.raw)))[0]
+            require(least > 0, "the covariance is not positive definite")
+
+
+def check_conditional(layout: Layout, database: Any, count: int) -> None:
+    """Send conditional records of both forms in both frame formats.
+
+    Raises:
+        WrongResultError: a record is not received as sent, or cantools decodes other values.
+    """
+    covariance = CholeskyCode(layout)
+    records, writer = ConditionalRecords(layout), FrameWriter(layout, None)
+    rng = np.random.default_rng(4)
+    for fd in (False, True):
+        state: Reassembler[Slot, ConditionalRecord] = Reassembler(
+            layout, lambda data, slot, _: records.read(data, slot), decoder_settings(layout)[0]
+        )
+        for i in range(count):
+            raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS], rng)
+            raw |= {"XMin": layout["XMin"].raw_min, "XMax": layout["XMax"].raw_max}
+            if i % 2:
+                raw |= drawn(layout, [signal.name for signal in covariance.signals], rng)
+                raw |= dict.fromkeys(OWN_SIGNALS, 0)
+            number = i % 2 ** layout["Counter"].length
+            record = ConditionalRecord(raw, number, Kind(i % 8), Slot.EGO_RIGHT)
+            frames = writer.write(records.write(record), record.slot, fd)
+            got = [state.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
+            if not isinstance(got, Record):
+                raise WrongResultError(f"a line is dropped: {got}")
+            require(got.content == record, f"{got.content} of {record}")
+            signals = decoded(database, frames)
+            check_signals(layout, raw, signals)
+            own = signals["Kind"], signals["HasCovariance"]
+            require(own == (i % 8, i % 2), f"Kind and HasCovariance are {own} by cantools")
+
+
+def _correlation(cov: Any) -> Any:
+    sigma = np.sqrt(cov.diagonal())
+    return cov / np.outer(sigma, sigma)
