@@ -10,12 +10,13 @@ import pytest
 from maplines_can.wire.reception import epochs
 
 
-def test_no_joint_is_wrong() -> None:
-    """With all kinds of faults; scenes are received under each of them."""
-    result = tool.measure({"numbered": tool.NumberedRecords()}, tool.DISTURBANCES, 900, seed=1)
+@pytest.mark.parametrize("dbc", tool.CARRIERS.values())
+def test_no_joint_is_wrong(dbc: str) -> None:
+    """With all kinds of faults and both carriers; scenes are received under each of them."""
+    result = tool.measure({"": tool.NumberedRecords(dbc)}, tool.DISTURBANCES, 900, seed=1)
     assert result["met"]
     for one in tool.DISTURBANCES:
-        assert result[f"numbered: {one.name}"]["scenes"] > 20
+        assert result[f": {one.name}"]["scenes"] > 20
 
 
 @pytest.mark.parametrize(("dbc", "fd"), [(tool.CONDITIONAL, False), (tool.COMPLETE, True)])
@@ -25,7 +26,8 @@ def test_the_whole_chain(dbc: str, fd: bool) -> None:
     assert result["sum"]["scenes"] > 20
 
 
-def test_a_wrong_joint_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("dbc", tool.CARRIERS.values())
+def test_a_wrong_joint_is_found(dbc: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """If the counters of lines were ignored, the tool would notice."""
 
     def first(self: Any, slot: Any, counter: int, t_ns: int) -> Any:
@@ -33,7 +35,7 @@ def test_a_wrong_joint_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
         return fitting[0] if fitting else None
 
     monkeypatch.setattr(epochs.EpochAssembler, "_epoch_of", first)
-    chain = tool.NumberedRecords()
+    chain = tool.NumberedRecords(dbc)
     result = tool.measure({"": chain}, tool.DISTURBANCES[5:6], 200, seed=1)
     assert result["sum"]["wrong_joints"] > 10
     assert not result["met"]

@@ -27,12 +27,14 @@ from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
+from fuzz_targets import valid_record
 from reporting import bar, parser_of, report
 
-from maplines_can import Codec, Gaussian, Kind, MapError, Polyline, Scene, Slot, map_scene
+from maplines_can import Codec, Gaussian, Kind, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.wire import POSE, Decoder, Frame, Owner, default_dbc_path
 from maplines_can.wire.message.frames import FrameWriter
+from maplines_can.wire.message.packing import Packing
 from maplines_can.wire.message.pose_records import (
     ConditionalRecord,
     ConditionalRecords,
@@ -40,6 +42,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecords,
     absent_counter,
 )
+from maplines_can.wire.message.signals import OWN_SIGNALS, slot_title
 
 PERIOD, FRAME = 0.05, 0.00025  #: [s]
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
@@ -48,6 +51,7 @@ RUN = 2000
 #: Numbers of cycles in a record, and different scenes of ``chain``.
 NUMBERS, SCENES = 2**16, 24
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
+CARRIERS = {"conditional": CONDITIONAL, "full records": COMPLETE}
 
 
 class Disturbance(NamedTuple):
@@ -128,17 +132,27 @@ class Source:
 class NumberedRecords:
     """Records that are made once, with the number of the cycle in place of some raw values."""
 
-    def __init__(self) -> None:
-        codec = codec_of(CONDITIONAL)
+    def __init__(self, dbc: str = CONDITIONAL) -> None:
+        codec = codec_of(dbc)
         pose = codec.layout.pose
         if pose is None:
-            raise ValueError(f"{CONDITIONAL} has no message of the pose error")
-        prepared = codec.prepare_scene(road_scene(0))
+            raise ValueError(f"{dbc} has no message of the pose error")
+        scene = road_scene(0)
+        prepared = codec.prepare_scene(scene)
         self._pose_raw = {**prepared.encoded.pose, "Age": 1}
+        self._poses, self._frames = PoseRecords(pose), FrameWriter(codec.layout, None)
+        self._codec, self._c0 = codec, codec.layout["C0"]
         self._line_raw = dict(prepared.encoded.lines[0])
-        self._poses, self._lines = PoseRecords(pose), ConditionalRecords(codec.layout)
-        self._frames = FrameWriter(codec.layout, None)
-        self._codec = codec
+        self._lines: ConditionalRecords | None = None
+        self._template: tuple[Packing, bytes] | None = None  # of complete records
+        if codec.layout.is_conditional:
+            self._lines = ConditionalRecords(codec.layout)
+        else:
+            levels = (f"{slot_title(slot)}{name}" for slot in Slot for name in OWN_SIGNALS)
+            self._pose_raw |= dict.fromkeys(levels, 0)
+            packing = Packing(list(codec.layout.signals.values()), codec.layout.record_bytes)
+            (frame,) = codec.encode(scene.lines[0], fd=True)
+            self._template = packing, frame.data
 
     def write(
         self, number: int, slots: Sequence[Slot], counters: Counter[Owner]
@@ -155,12 +169,29 @@ class NumberedRecords:
         pose = self._poses.write(PoseRecord(raw, counters[POSE] % 256, stated))
         frames: dict[Owner, list[Frame]] = {POSE: self._frames.write_pose(pose, False)}
         for slot in slots:
-            line_raw = self._line_raw | {"C0": number - NUMBERS // 2}
-            line = ConditionalRecord(line_raw, counters[slot] % 256, Kind.SOLID, slot)
-            frames[slot] = self._frames.write(self._lines.write(line), slot, False)
+            record = self._record(slot, counters[slot] % 256, number - NUMBERS // 2)
+            frames[slot] = self._frames.write(record, slot, False)
         for owner in frames:
             counters[owner] += 1
         return frames
+
+    def _record(self, slot: Slot, counter: int, c0: int) -> bytes:
+        """Return the record of a line with a raw value of C0."""
+        if self._lines is not None:
+            line = ConditionalRecord(self._line_raw | {"C0": c0}, counter, Kind.SOLID, slot)
+            return self._lines.write(line)
+        if self._template is None:
+            raise ValueError("the records are neither conditional nor complete")
+        packing, template = self._template
+        return valid_record(self._codec, packing, template, slot, counter, C0=c0)
+
+    def _number(self, content: Any) -> int:
+        """Return the number in a line: a conditional record, or a line of a complete one."""
+        if isinstance(content, MapLine):
+            c0 = int(self._c0.raw(content.gaussian.mean[2]))
+        else:
+            c0 = content.raw["C0"]
+        return c0 + NUMBERS // 2
 
     def decoder(self) -> Any:
         """Return a decoder whose scenes are the numbers of their records."""
@@ -171,7 +202,7 @@ class NumberedRecords:
     def scene(self, pose: PoseRecord, t_ns: int, members: Sequence[Any]) -> Any:
         """Return the numbers of a scene; called by the receiver of scenes."""
         number = pose.raw["PivotAlong"] + 512 * pose.raw["PivotAcross"]
-        numbers = [one.content.raw["C0"] + NUMBERS // 2 for one in members]
+        numbers = [self._number(one.content) for one in members]
         lines = [SimpleNamespace(slot=one.content.slot) for one in members]
         return SimpleNamespace(number=number, numbers=numbers, lines=lines, t_ns=t_ns)
 
@@ -325,11 +356,10 @@ def main() -> int:
     started = time.perf_counter()
     if arguments.what == "chain":
         chains: dict[str, Any] = {
-            "conditional": WholeChain(CONDITIONAL, fd=False),
-            "full records": WholeChain(COMPLETE, fd=True),
+            name: WholeChain(dbc, fd=dbc == COMPLETE) for name, dbc in CARRIERS.items()
         }
     else:
-        chains = {"numbered": NumberedRecords()}
+        chains = {name: NumberedRecords(dbc) for name, dbc in CARRIERS.items()}
     disturbances = LIMITS if arguments.what == "limits" else DISTURBANCES
     result = measure(chains, disturbances, n, arguments.seed)
     if arguments.what == "limits":
