@@ -13,6 +13,8 @@ import numpy as np
 
 from ..line import PARAMETERS
 from ..study.design.plan import MOST_FRAMES, Targets
+from ..study.design.result import Design
+from ..study.design.scenes import SceneDesign, design_scenes
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
 from .parsing import number, positive
@@ -43,6 +45,10 @@ With any design, each decoded covariance is positive definite and covers the one
 Lines unlike those of the set are covered too, by a covariance that is wider than necessary (status
 SATURATED), or are reported as OUT_OF_RANGE.
 
+With --scenes: the Pose message and the records that are conditional on it, as in maplines-pose.dbc,
+for random scenes of 4 lines. --max-kl is then that of a line; without it, the widths are those of
+maplines-pose.dbc, and the figures say what each of their bits is for. The ranges stay as they are.
+
 Figures are given twice: predicted, from the steps and ranges of the fields; measured, through the
 DBC and the codec on lines that the search has not seen.
 """
@@ -52,7 +58,10 @@ examples:
   maplines design --max-kl 1e-3 --set road --range y_off=16,beta=0.35 --out lean.dbc
   maplines design --frames 4 --set both --keep-mean --json
   maplines demo --dbc short.dbc
+  maplines design --scenes --max-kl 1e-2 --out lean-pose.dbc
 """
+#: Scenes for the search, if --n does not say otherwise.
+SCENES_N, LINES_N = 60, 5000
 HELD_OUT_SEED = 1_000_003
 
 
@@ -78,6 +87,11 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         help=f"number of classic CAN frames of a line, 1 to {MOST_FRAMES}",
     )
     add("--max-kl", type=positive, metavar="X", help="largest divergence [nat]")
+    add(
+        "--scenes",
+        action="store_true",
+        help="design the Pose message and the records that are conditional on it",
+    )
     add(
         "--set",
         dest="lines",
@@ -121,11 +135,11 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
     )
     add(
         "--n",
-        type=number(int, 100, 10**6),
-        default=5000,
+        type=number(int, 10, 10**6),
         metavar="N",
         help="lines of each set for the search, and as many for the figures, 100 or more; few "
-        "lines determine the ends of the ranges poorly (default: 5000)",
+        f"lines determine the ends of the ranges poorly (default: {LINES_N}); with --scenes, "
+        f"scenes, 10 or more (default: {SCENES_N})",
     )
     add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
     add("--out", default="design.dbc", metavar="FILE", help="the DBC (default: design.dbc)")
@@ -135,6 +149,35 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
 
 
 def _run(arguments: argparse.Namespace, bar: Bar) -> int:
+    if Path(arguments.out).suffix.lower() != ".dbc":
+        raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
+    if arguments.n is None:
+        arguments.n = SCENES_N if arguments.scenes else LINES_N
+    result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)
+    dbc, page = result.write(arguments.out, _command(arguments))
+    if arguments.json:
+        print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
+    else:
+        print(result.text())
+        print(f"\n{dbc}: the message layout\n{page}: its description")
+    return 0
+
+
+def _scenes(arguments: argparse.Namespace, bar: Bar) -> SceneDesign:
+    """Return the design of records that are conditional on the pose error."""
+    if arguments.frames or arguments.ranges or arguments.sigmas or arguments.keep_mean:
+        raise ValueError(
+            "--scenes must not be given with --frames, --range, --sigma or --keep-mean: the ranges "
+            "and the frames are those of maplines-pose.dbc"
+        )
+    with bar(" %") as update:
+        return design_scenes(
+            arguments.max_kl, n=arguments.n, seed=arguments.seed, progress=_percent(update)
+        )
+
+
+def _lines_alone(arguments: argparse.Namespace, bar: Bar) -> Design:
+    """Return the design of records with a covariance of their own."""
     targets = Targets(
         frames=arguments.frames,
         max_kl=arguments.max_kl,
@@ -144,18 +187,9 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         max_lateral=arguments.max_lateral,
         max_saturated=arguments.max_saturated,
     )
-    if Path(arguments.out).suffix.lower() != ".dbc":
-        raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
     sets, held_out = _lines(arguments)
     with bar(" %") as update:
-        result = design(sets, targets, held_out=held_out, progress=_percent(update))
-    dbc, page = result.write(arguments.out, _command(arguments))
-    if arguments.json:
-        print(json.dumps(result.as_dict() | {"dbc": str(dbc), "page": str(page)}, indent=2))
-    else:
-        print(result.text())
-        print(f"\n{dbc}: the message layout\n{page}: its description")
-    return 0
+        return design(sets, targets, held_out=held_out, progress=_percent(update))
 
 
 def _percent(update: Callable[[int, int], None]) -> Callable[[float, float], None]:
@@ -180,6 +214,10 @@ def _lines(
 def _command(arguments: argparse.Namespace) -> str:
     """Return the command that repeats the design."""
     words = ["maplines", "design"]
+    if arguments.scenes:
+        words += ["--scenes"] + (["--max-kl", f"{arguments.max_kl:g}"] if arguments.max_kl else [])
+        words += ["--n", str(arguments.n), "--seed", str(arguments.seed), "--out"]
+        return shlex.join([*words, Path(arguments.out).name])
     for flag, value in (
         ("--frames", arguments.frames),
         ("--max-kl", arguments.max_kl),
