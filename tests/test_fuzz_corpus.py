@@ -4,6 +4,7 @@ from collections import Counter
 from pathlib import Path
 
 import fuzz_inputs
+import fuzz_scenes
 import fuzz_targets
 import pytest
 
@@ -11,7 +12,7 @@ from maplines_can.wire import Monitor, Reason
 
 ROOT = Path(__file__).parents[1]
 CORPUS = ROOT / "tests" / "corpus"
-TARGETS = ("decoder", "logs", "dbc")
+TARGETS = fuzz_scenes.ALL_TARGETS
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -20,11 +21,12 @@ def test_the_corpus_passes(target: str) -> None:
     outcomes = Counter[str]()
     for path in sorted((CORPUS / target).iterdir()):
         try:
-            outcomes += fuzz_targets.TARGETS[target](path.read_bytes())
+            outcomes += TARGETS[target](path.read_bytes())
         except Exception as error:
             raise AssertionError(f"{path.relative_to(ROOT)}: {error!r}") from error
     good, bad = {
         "decoder": ("line", "CRC"),
+        "scenes": ("scene", "CRC"),
         "logs": ("line", "LogError"),
         "dbc": ("layout", "LayoutError"),
     }[target]
@@ -39,7 +41,7 @@ def test_the_seeds_pass(target: str) -> None:
     assert seeds
     for seed in seeds:
         assert len(seed) <= fuzz_inputs.MOST[target]
-        fuzz_targets.TARGETS[target](seed)
+        TARGETS[target](seed)
 
 
 def test_a_broken_invariant_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 """Fuzz the parsers of external input, guided by coverage, and update the corpus.
 
     fuzz.py decoder --seconds 600   frames into the state of a receiver
+    fuzz.py scenes --seconds 600    pose errors and lines that belong to them
     fuzz.py logs --seconds 600      log files of all formats
     fuzz.py dbc --seconds 600       the text of a DBC
     fuzz.py TARGET --seconds 0      only replay the corpus
@@ -40,9 +41,16 @@ from typing import Any
 from reporting import parser_of
 
 CORPUS = Path(__file__).resolve().parents[1] / "tests" / "corpus"
-TARGETS = ("decoder", "logs", "dbc")
+TARGETS = ("decoder", "scenes", "logs", "dbc")
 #: Modules whose branches guide the fuzzer.
-INSTRUMENTED = ("maplines_can", "can.io", "cantools.database", "textparser", "fuzz_targets")
+INSTRUMENTED = (
+    "maplines_can",
+    "can.io",
+    "cantools.database",
+    "textparser",
+    "fuzz_targets",
+    "fuzz_scenes",
+)
 #: Folders whose lines count in the choice of the corpus.
 COVERED = ("/maplines_can/", "/can/io/", "/cantools/database/can/")
 #: Largest corpus of a target: files, bytes.
@@ -128,10 +136,10 @@ def fuzz(target: str, seconds: int, seed: int, work: Path) -> int:
 
     with atheris.instrument_imports(include=list(INSTRUMENTED)):
         import fuzz_inputs
-        import fuzz_targets
+        import fuzz_scenes
     for number, content in enumerate(fuzz_inputs.SEEDS[target]()):
         (work / "inputs" / f"seed-{number}").write_bytes(content)
-    attempt = guarded(fuzz_targets.TARGETS[target], work / "defects")
+    attempt = guarded(fuzz_scenes.ALL_TARGETS[target], work / "defects")
     mutate = fuzz_inputs.MUTATORS.get(target)
     most = fuzz_inputs.MOST[target]
 
@@ -184,9 +192,9 @@ def contents(folders: Iterable[Path]) -> list[bytes]:
 
 def replay(target: str, folders: Iterable[Path], defects: Path) -> dict[str, float]:
     """Run the target once with each input."""
-    import fuzz_targets
+    import fuzz_scenes
 
-    attempt = guarded(fuzz_targets.TARGETS[target], defects)
+    attempt = guarded(fuzz_scenes.ALL_TARGETS[target], defects)
     start, inputs = time.monotonic(), contents(folders)
     for content in inputs:
         attempt(content)
@@ -229,9 +237,9 @@ def minimize(target: str, folders: Iterable[Path], kept: Path) -> dict[str, int]
 
     The choice is greedy: most new steps per byte first.
     """
-    import fuzz_targets
+    import fuzz_scenes
 
-    run = fuzz_targets.TARGETS[target]
+    run = fuzz_scenes.ALL_TARGETS[target]
     inputs = contents(folders)
     run(inputs[-1])  # initialization that happens only once must not count
     steps = {content: coverage_of(run, content) for content in inputs}

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import can
 import numpy as np
+from fuzz_scenes import DBCS
 from fuzz_targets import CODES, SUFFIXES, codec_of, valid_record
 
 from maplines_can.line import Slot
@@ -35,6 +36,23 @@ def decoder_seeds() -> Iterator[bytes]:
         yield start + bytes([1, 1, 3]) + rng.randbytes(size) + bytes([6, 0, 14, 0, 9, 0])
         yield start + bytes([4, 0, 3]) + rng.randbytes(2 * size) + bytes([53, 60, 0, 7])
         yield start + bytes([1, 2, 0x2D]) + rng.randbytes(size) + record
+
+
+def scenes_seeds() -> Iterator[bytes]:
+    """Yield inputs of scenes: cycles in order, with loss, late frames, and records alone."""
+    rng = random.Random(2)  # noqa: S311 - not a secret
+    for dbc in range(len(DBCS)):
+        for fd in (0, 8):
+            for order in (0x0F, 0x02, 0x1F, 0x5F):
+                cycles = [
+                    bytes([0x10 | fd, *[1, 0, 0, 0, 0, 0, 0, 1]])
+                    + rng.randbytes(3 * 32)
+                    + bytes([order])
+                    for _ in range(3)
+                ]
+                yield bytes([dbc]) + b"".join(cycles)
+        alone = bytes([3]) + rng.randbytes(9 + 32) + bytes([4, 2, 7]) + rng.randbytes(32)
+        yield bytes([dbc]) + alone + bytes([6, 0, 14, 1, 9, 5, 30, 0, 7]) + alone
 
 
 # ---- logs --------------------------------------------------------------------------------
@@ -192,10 +210,11 @@ def mutate(text: str, words: Sequence[str], seed: int) -> str:
 
 SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
     "decoder": decoder_seeds,
+    "scenes": scenes_seeds,
     "logs": logs_seeds,
     "dbc": dbc_seeds,
 }
 #: Mutators of the targets for which mutated bytes would hardly pass the first check.
 MUTATORS: dict[str, Callable[[bytes, int], bytes]] = {"dbc": mutate_dbc, "logs": mutate_log}
 #: Maximum length of an input [bytes].
-MOST = {"decoder": 1024, "logs": 6144, "dbc": 16_384}
+MOST = {"decoder": 1024, "scenes": 1024, "logs": 6144, "dbc": 16_384}

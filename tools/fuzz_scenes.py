@@ -1,0 +1,198 @@
+"""Target of the fuzzer for the pose error and the lines that belong to it; see fuzz.py."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from fuzz_targets import (
+    MS,
+    STEPS,
+    TARGETS,
+    Bytes,
+    check_line,
+    outcome_of,
+    require,
+    valid_record,
+)
+
+from maplines_can.line import MapLine, Slot
+from maplines_can.wire import POSE, Codec, Decoder, Frame, Monitor, Reason, default_dbc_path
+from maplines_can.wire.covariance import CholeskyCode
+from maplines_can.wire.message.frames import FrameWriter
+from maplines_can.wire.message.packing import Packing
+from maplines_can.wire.message.pose_layout import PoseLayout
+from maplines_can.wire.message.pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+)
+from maplines_can.wire.message.record_layout import RecordLayout
+from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+
+#: DBCs with records that are conditional on the pose error, and with complete records.
+DBCS = ("maplines-pose.dbc", "maplines.dbc")
+#: Signals of a pose error that its writer fills in.
+_FILLED = re.compile(r"^(Crc|Page|TransferId)|Counter$")
+
+
+class Parts(NamedTuple):
+    """Codec of a DBC, and what makes its records."""
+
+    codec: Codec
+    packing: Packing
+    pose: PoseLayout
+    poses: PoseRecords
+    lines: ConditionalRecords | None  #: None if the records are complete
+    frames: FrameWriter
+
+
+@cache
+def parts_of(dbc: str) -> Parts:
+    """Return the codec of a DBC, and what makes its records."""
+    codec = Codec.from_dbc(default_dbc_path(dbc))
+    layout = codec.layout
+    if layout.pose is None:
+        raise ValueError(f"{dbc} has no message of the pose error")
+    packing = Packing(list(layout.signals.values()), layout.record_bytes)
+    lines = ConditionalRecords(layout) if layout.is_conditional else None
+    frames = FrameWriter(layout, None)
+    return Parts(codec, packing, layout.pose, PoseRecords(layout.pose), lines, frames)
+
+
+def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:
+    """Return raw values in the ranges of all signals, from any bytes."""
+    bits = int.from_bytes(content * 2, "little")
+    raw = {}
+    for name, signal in layout.signals.items():
+        bits, value = divmod(bits, signal.raw_max - signal.raw_min + 1)
+        raw[name] = signal.raw_min + value
+    return raw
+
+
+def pose_frames(parts: Parts, content: bytes, counters: dict[Any, int], fd: bool) -> list[Frame]:
+    """Return the frames of a pose error with any content that states these counters."""
+    stated = {slot: counters.get(slot, 0) % 8 for slot in parts.pose.counters}
+    values = drawn(parts.pose, content)
+    raw = {name: value for name, value in values.items() if not _FILLED.search(name)}
+    record = PoseRecord(raw, counters.get(POSE, 0) % 256, stated)
+    return parts.frames.write_pose(parts.poses.write(record), fd)
+
+
+def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool) -> list[Frame]:
+    """Return the frames of a line with any content that passes all checks of the protection."""
+    layout = parts.codec.layout
+    if parts.lines is None:
+        signals = {"ComponentIndex": 0, "ComponentCount": 0, "ComponentWeight": 31}
+        record = valid_record(parts.codec, parts.packing, content, slot, counter, **signals)
+        return parts.frames.write(record, slot, fd)
+    raw = drawn(layout, content)
+    kind, is_full = raw["Kind"], raw["HasCovariance"]
+    names = {*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS}
+    if is_full:
+        names |= {signal.name for signal in CholeskyCode(layout).signals}
+    raw = {name: raw[name] for name in names} | (dict.fromkeys(OWN_SIGNALS, 0) if is_full else {})
+    low, high = (layout[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+    if low >= high:  # an empty range is not written
+        raw["XMin"], raw["XMax"] = layout["XMin"].raw_min, layout["XMax"].raw_max
+    of_slot = ConditionalRecord(raw, counter, kind, slot)  # type: ignore[arg-type]
+    return parts.frames.write(parts.lines.write(of_slot), slot, fd)
+
+
+def scenes(data: bytes) -> Counter[str]:
+    """Feed pose errors and lines of any content to a receiver, in order and not.
+
+    Invariants: nothing raises. All frames are counted. Lines and joint covariances are finite and
+    positive definite. The lines of a scene are of different slots.
+    """
+    take = Bytes(data)
+    parts = parts_of(DBCS[take.byte() % len(DBCS)])
+    state = parts.codec.decoder(timeout_ms=20.0)
+    monitor, t_ns = Monitor(state), 0
+    outcomes, counters = Counter[str](), Counter[Any]()
+    fed: list[tuple[int, bytes]] = []
+
+    def feed(can_id: int, payload: bytes) -> None:
+        answer = monitor.feed(can_id, payload, t_ns)
+        fed.append((can_id, payload))
+        check_counts(state, len(fed))
+        for one in (answer, *monitor.further):
+            if isinstance(one, MapLine):
+                check_line(one)
+            else:
+                require(isinstance(one, Reason), f"the answer is {one!r}")
+        outcomes[outcome_of(answer)] += 1
+
+    while take.left > 0:
+        op = take.byte()
+        t_ns += STEPS[op >> 4 & 3]
+        what, fd = op & 7, bool(op & 8)
+        if what <= 2:  # a cycle: the pose error, and the lines whose counters it states
+            slots = [slot for slot in Slot if take.byte() & 1 or slot == Slot(what)][:3]
+            frames = pose_frames(parts, take.take(32), counters, fd)
+            for slot in slots:
+                frames += line_frames(parts, take.take(32), slot, counters[slot] % 256, fd)
+            order = take.byte()  # lost, and late
+            lost = order % 16
+            frames = frames[order >> 4 :] + frames[: order >> 4]
+            for frame in [*frames[:lost], *frames[lost + 1 :]]:
+                feed(frame.can_id, frame.data)
+            counters.update([*slots, POSE])
+        elif what == 3:  # a pose error alone, with any counters
+            wrong = {owner: take.byte() for owner in (POSE, *Slot)}
+            for frame in pose_frames(parts, take.take(32), wrong, fd):
+                feed(frame.can_id, frame.data)
+        elif what == 4:  # a line alone, with any counter
+            slot, counter = Slot(take.byte() % 8), take.byte()
+            for frame in line_frames(parts, take.take(32), slot, counter, fd):
+                feed(frame.can_id, frame.data)
+        elif what == 5:  # a step in time, forward or backward
+            t_ns += int.from_bytes(take.take(2), "little", signed=True) * MS
+        elif what == 6 and fed:  # an earlier frame, unchanged or with a flipped bit
+            can_id, payload = fed[-1 - take.byte() % len(fed)]
+            if op & 8 and payload:
+                bit = take.byte() % (8 * len(payload))
+                flipped = bytearray(payload)
+                flipped[bit // 8] ^= 1 << bit % 8
+                payload = bytes(flipped)
+            feed(can_id, payload)
+        elif what == 7:
+            state.expire(t_ns)
+            check_counts(state, len(fed))
+        outcomes["scene"] += check_scene(monitor, t_ns)
+    state.expire(t_ns + 10**18)
+    check_counts(state, len(fed))
+    require(state.pending == 0, f"{state.pending} frames stay pending")
+    return outcomes
+
+
+def check_counts(state: Decoder, frames: int) -> None:
+    """Check that each frame is part of a line or pose error, dropped with a reason, or pending."""
+    total = state.line_frames + state.pose_frames + sum(state.counts.values()) + state.pending
+    require(state.frames == frames == total, f"{frames} frames fed, {total} accounted for")
+    require(min(state.counts.values(), default=0) >= 0, "a count is negative")
+
+
+def check_scene(monitor: Monitor, t_ns: int) -> bool:
+    """Check the newest scene; return whether there is one with lines."""
+    scene = monitor.latest_scene(t_ns).scene
+    if scene is None or not scene.lines:
+        return False
+    require(len(scene.index) == len(scene.lines), "a slot is twice in a scene")
+    require(np.isfinite(scene.cov).all(), "the joint covariance is not finite")
+    sigma = np.sqrt(scene.cov.diagonal())
+    require((sigma > 0).all(), f"the sigmas of the joint are {sigma}")
+    least = np.linalg.eigvalsh(scene.cov / sigma / sigma[:, None])[0]
+    require(least > -1e-12, f"the joint covariance is not positive definite: {least:g}")
+    for line in scene.lines:
+        check_line(line)
+    return True
+
+
+#: All targets of the fuzzer.
+ALL_TARGETS: dict[str, Callable[[bytes], Counter[str]]] = {**TARGETS, "scenes": scenes}
