@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import missing_extra
+from ..figures.panels import new_figure
 from ..figures.picture import COLOURS
 from .evaluation import QUANTILE, REQUIREMENTS, Accuracy, slots_of
 from .truth import PLACES
@@ -34,11 +34,7 @@ def draw_accuracy(accuracy: Accuracy, path: str | Path) -> None:
         OSError: the file cannot be written.
         ValueError: the format is not supported.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise missing_extra("a picture needs matplotlib", "plot") from error
-    figure = Figure(figsize=(11, 9), layout="constrained")
+    figure = new_figure(11, 9)
     rows = figure.add_gridspec(3, 3, height_ratios=(1.3, 1, 1))
     for i, quantity in enumerate(("lateral", "heading", "curvature")):
         _draw_quantity(figure.add_subplot(rows[0, i]), accuracy, quantity)

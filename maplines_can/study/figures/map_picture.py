@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import missing_extra
 from ...line import Kind
 from ...maps import Lane, LaneType, Map
+from .panels import new_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
 SURFACES: dict[str, tuple[str, frozenset[LaneType]]] = {
@@ -89,10 +89,6 @@ def draw_map(found: Map, path: str | Path) -> None:
         OSError: the file cannot be written.
         ValueError: the format is not supported.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise missing_extra("a picture needs matplotlib", "plot") from error
     lines = [line for lane in found.lanes.values() for line in (lane.left, lane.right)]
     lines += found.polylines.values()
     low = np.min([line.points.min(axis=0) for line in lines], axis=0)
@@ -107,7 +103,7 @@ def draw_map(found: Map, path: str | Path) -> None:
         inches = width + DETAIL, max(height, DETAIL)
     else:
         inches = max(width, LEAST_WIDTH), height
-    figure = Figure(figsize=(inches[0] + 1.0, inches[1] + 1.6), layout="constrained")
+    figure = new_figure(inches[0] + 1.0, inches[1] + 1.6)
     if has_detail:
         overview, detail = figure.subplots(1, 2, width_ratios=[width, DETAIL])
         corner = _busiest(drivable) - WINDOW / 2

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import missing_extra
 from ...gaussian import Gaussian
 from ...line import lateral
 
@@ -87,6 +88,19 @@ def place_inset(ax: Any, view: View) -> Any:
     inset.set_xticks([])
     inset.set_yticks([])
     return inset
+
+
+def new_figure(width: float, height: float) -> Any:
+    """Return an empty ``matplotlib.figure.Figure`` of a size [inch].
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise missing_extra("a picture needs matplotlib", "plot") from error
+    return Figure(figsize=(width, height), layout="constrained")
 
 
 def draw_lines(

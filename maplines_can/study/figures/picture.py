@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import missing_extra
 from ...gaussian import Gaussian
 from ...line import MapLine
 from ...scenarios import Scenario
 from ..round_trip import RoundTrip
-from .panels import Z99, ellipse
+from .panels import Z99, ellipse, new_figure
 
 #: Okabe and Ito's colours, which colour-blind readers can distinguish.
 COLOURS = (
@@ -29,12 +28,9 @@ def draw_round_trip(trip: RoundTrip, scenario: Scenario, path: str | Path) -> No
         OSError: the file cannot be written.
         ValueError: the format is not supported.
     """
-    try:
-        from matplotlib.figure import Figure
-        from matplotlib.lines import Line2D
-    except ImportError as error:
-        raise missing_extra("a picture needs matplotlib", "plot") from error
-    figure = Figure(figsize=(10, 6.2), layout="constrained")
+    figure = new_figure(10, 6.2)
+    from matplotlib.lines import Line2D  # after new_figure, which says what is missing
+
     axes = figure.subplots(2, 1, height_ratios=[3, 1.25], sharex=True)
     for colour, line in zip(COLOURS, trip.true_lines, strict=False):
         _draw_line(axes, line, colour, trip.received_lines.get(line.slot.name))
