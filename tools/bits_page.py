@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+from joint_figures import RATES, bus_load
 from reporting import fill_tables, parser_of
 
 from maplines_can.study.design.plan import Targets
@@ -151,8 +152,9 @@ def of_scenes(scenes: Any) -> Any:
     for row in scenes:
         if row["code"] in SCENE_CODES:
             cells = cells_of(row)
-            body.append([f"{cells[0]}, {row['lines']} lines", *cells[1:]])
-    return table(HEAD, body)
+            loads = [f"{100 * (bus_load(row['frames'], rate) or 0):.1f} %" for rate in RATES]
+            body.append([f"{cells[0]}, {row['lines']} lines", cells[1], *loads, *cells[2:]])
+    return table([*HEAD[:2], *(f"load at {rate} Hz" for rate in RATES), *HEAD[2:]], body)
 
 
 def of_fields(fields: Any) -> Any:
