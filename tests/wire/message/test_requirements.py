@@ -134,12 +134,12 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -12.0}, "", id="spacing-12"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -12.5}, "-12 to 2", id="12.5"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -12.5}, "-12 to 1.5", id="12.5"),
         pytest.param(
-            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -13.0}, "-12 to 2", id="13"
+            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -13.0}, "-12 to 1.5", id="13"
         ),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -5.5}, "", id="spacing-to-2"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -5.0}, "-12 to 2", id="to-2.5"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -6.0}, "", id="to-1.5"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -5.5}, "-12 to 1.5", id="to-2"),
         # counters of slots
         pytest.param(POSE, "RouteCounter", {"length": 2, "raw_max": 3}, "3 bits or", id="2-bits"),
         pytest.param(POSE, "RouteCounter", {"raw_max": 6}, "the range of all", id="counter-to-6"),
