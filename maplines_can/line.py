@@ -315,16 +315,35 @@ def _ends_text(ends: NDArray[np.float64]) -> str:
     return f"{ends:g}" if ends.ndim == 0 else str(ends)
 
 
+def _quartic(nodes: NDArray[np.float64], root: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return T_4 at (K,) nodes less its fit by a cubic, with (K, 1) roots of the weights."""
+    Q, _ = np.linalg.qr(root * nodes[:, None] ** np.arange(4))
+    T_4 = root[:, 0] * (8 * nodes**4 - 8 * nodes**2 + 1)
+    return np.asarray((T_4 - Q @ (Q.T @ T_4)) / root[:, 0])
+
+
 @np.errstate(over="ignore", invalid="ignore")
 def transform_line_or_nan(
     parameters: ArrayLike,
     displacement: ArrayLike,
     window: tuple[ArrayLike, ArrayLike],
     points: int = 32,
+    *,
+    quartic: ArrayLike = 0.0,
+    end_weight: float = 1.0,
 ) -> NDArray[np.float64]:
     """Transform lines as ``transform_line`` does, with a row of NaN in place of IllPosedError.
 
     The ends of the window may be (...,) arrays.
+
+    Args:
+        parameters: see ``transform_line``.
+        displacement: see ``transform_line``.
+        window: see ``transform_line``.
+        points: see ``transform_line``.
+        quartic: (...,) coefficients of the Chebyshev polynomial T_4 over the window that the lines
+            have beside their cubics [m]. What of T_4 is itself a cubic is not meant.
+        end_weight: weight of each end in the fit; that of the other points is 1.
     """
     x_min, x_max = (floats(end, "window") for end in window)
     if points < 4 or not (np.isfinite(x_min) & np.isfinite(x_max) & (x_min < x_max)).all():
@@ -342,7 +361,10 @@ def transform_line_or_nan(
     if poses.shape[-1:] != (3,):
         raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")
     dx, dy, heading = (poses[..., i, None] for i in range(3))
-    s, t = x - dx, lateral(lines[..., None, :], x) - dy  # (..., points)
+    root = np.ones((points, 1))
+    root[[0, -1]] = math.sqrt(end_weight)
+    bend = floats(quartic, "quartic")[..., None] * _quartic(nodes, root)
+    s, t = x - dx, lateral(lines[..., None, :], x) + bend - dy  # (..., points)
     c, d = np.cos(heading), np.sin(heading)
     u, v = c * s + d * t, c * t - d * s
     advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])
@@ -353,8 +375,8 @@ def transform_line_or_nan(
     centre = (u.max(axis=-1) + u.min(axis=-1)) / 2
     half = (u.max(axis=-1) - u.min(axis=-1)) / 2
     w = (u - centre[..., None]) / half[..., None]
-    Q, R = np.linalg.qr(w[..., None] ** np.arange(4))
-    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ v[..., None])[..., 0]
+    Q, R = np.linalg.qr(root * w[..., None] ** np.arange(4))
+    q = np.linalg.solve(R, np.swapaxes(Q, -1, -2) @ (root * v[..., None]))[..., 0]
     fitted = line_of_cubic(np.moveaxis(q, -1, 0), centre, half)
     fitted[ill_posed] = np.nan
     return fitted

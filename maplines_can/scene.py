@@ -72,6 +72,8 @@ class Scene:
             [m].
         map_error: error of the map as far as it is known; None if it is not.
         left_out: reasons of the lines that are not in the scene, by slot.
+        quartics: (L,) coefficients of the Chebyshev polynomial T_4 that the cubics leave of the
+            lines in their fit ranges [m]; 0 if they are empty. See ``SeenLines``.
 
     Raises:
         ValueError: a shape is wrong, two lines have the same slot, a line has a mixture, a
@@ -95,6 +97,7 @@ class Scene:
     fit_ranges: NDArray[np.float64]
     map_error: MapError | None = None
     left_out: Mapping[Slot, LeftOut] = field(default_factory=dict)
+    quartics: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         lines = tuple(self.lines)
@@ -107,7 +110,13 @@ class Scene:
                 f"lines must not be mixtures, but that of {_name(mixtures[0])} is; a receiver "
                 "splits the pose error itself"
             )
-        for name, shape in (("cov", (N * len(lines),) * 2), ("fit_ranges", (len(lines), 2))):
+        if not len(self.quartics):
+            object.__setattr__(self, "quartics", np.zeros(len(lines)))
+        for name, shape in (
+            ("cov", (N * len(lines),) * 2),
+            ("fit_ranges", (len(lines), 2)),
+            ("quartics", (len(lines),)),
+        ):
             values = np.array(floats(getattr(self, name), name)).reshape(
                 shape if not lines else np.shape(getattr(self, name))
             )
@@ -124,6 +133,8 @@ class Scene:
             )
         if not (np.isfinite(self.fit_ranges).all() and (np.diff(self.fit_ranges) > 0).all()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
+        if not np.isfinite(self.quartics).all():
+            raise ValueError(f"quartics must be finite, got {self.quartics!r} m")
 
     @cached_property
     def index(self) -> dict[Slot, int]:

@@ -16,8 +16,13 @@ from .line import lateral, transform_line_or_nan
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
 MARGIN = 3.0
-#: Points of a line to which a cubic is fitted from another pose.
-POINTS = 16
+#: Points of a line of the map to which a cubic is fitted, in the normalised variable w. They are
+#: denser near the ends of the range, as the extrema of a Chebyshev polynomial, so that the largest
+#: deviation of the least-squares fit is near the least possible one.
+NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
+#: Points of a line to which a cubic is fitted from another pose, and the weight of both ends. It
+#: gives them the share of the whole that they have among ``NODES``.
+POINTS, END_WEIGHT = 16, 0.62
 #: Halvings of the distance to a pose at which a line is no function of x; then it has a value.
 HALVINGS = 60
 
@@ -56,13 +61,15 @@ def extended(
 class SeenLines:
     """Function from a displacement of the car to the cubics that lines are, seen from there.
 
-    The lines are given as cubics. For each displacement, points of them are transformed to the
-    new frame, and cubics are fitted (see ``transform_line``). Where a line is not a function of x,
-    its value is extrapolated.
+    The lines are given as cubics, and most of what these leave of the lines of the map: a multiple
+    of the Chebyshev polynomial T_4. It matters to a line in a bend that is seen from a turned car.
+    For each displacement, points of the lines are transformed to the new frame, and cubics are
+    fitted (see ``transform_line``). Where a line is not a function of x, its value is extrapolated.
 
     Args:
         means: (L, 4) lines [m, rad, 1/m, 1/m^2].
         fit_ranges: (L, 2) ranges in which cubics are fitted to them [m].
+        quartics: (L,) coefficients of T_4 in these ranges [m]; None for 0.
 
     Raises:
         ValueError: a shape is wrong, or a range is empty.
@@ -73,7 +80,9 @@ class SeenLines:
     array([ 1.25, -2.25])
     """
 
-    def __init__(self, means: ArrayLike, fit_ranges: ArrayLike) -> None:
+    def __init__(
+        self, means: ArrayLike, fit_ranges: ArrayLike, quartics: ArrayLike | None = None
+    ) -> None:
         self.means, self.fit_ranges = floats(means, "means"), floats(fit_ranges, "fit_ranges")
         lines = len(self.means)
         if self.means.shape != (lines, 4) or self.fit_ranges.shape != (lines, 2):
@@ -81,12 +90,26 @@ class SeenLines:
                 "means must be (L, 4) and fit_ranges (L, 2), got "
                 f"{self.means.shape} and {self.fit_ranges.shape}"
             )
+        self.quartics = floats(np.zeros(lines) if quartics is None else quartics, "quartics")
+        if self.quartics.shape != (lines,):
+            raise ValueError(f"quartics must be (L,), got {self.quartics.shape}")
         if np.isnan(self._values(np.zeros((1, 3)))).any():
             raise IllPosedError("a line is nearly perpendicular to the x axis in its range")
 
     def _values(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
-        window = tuple(self.fit_ranges.T)
-        return transform_line_or_nan(self.means, displacements[:, None], window, POINTS)
+        return self._seen(self.means, displacements[:, None])
+
+    def _seen(
+        self, means: NDArray[np.float64], displacement: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        return transform_line_or_nan(
+            means,
+            displacement,
+            (self.fit_ranges[:, 0], self.fit_ranges[:, 1]),
+            POINTS,
+            quartic=self.quartics,
+            end_weight=END_WEIGHT,
+        )
 
     def __call__(self, displacements: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines seen after (N, 3) displacements [m, m, rad]."""
@@ -107,9 +130,9 @@ class SeenLines:
         """
         shift = self(_sigma_points(P))[1:].mean(axis=0) - self.means
         centred = self.means - shift
-        window = tuple(self.fit_ranges.T)
-        is_function = ~np.isnan(transform_line_or_nan(centred, np.zeros(3), window, POINTS)[:, :1])
-        return SeenLines(np.where(is_function, centred, self.means), self.fit_ranges)
+        is_function = ~np.isnan(self._seen(centred, np.zeros(3))[:, :1])
+        means = np.where(is_function, centred, self.means)
+        return SeenLines(means, self.fit_ranges, self.quartics)
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.

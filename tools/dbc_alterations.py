@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from maplines_can.line import Slot
-from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS, own_points, own_spacing
+from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
 from maplines_can.wire.message.signals import SECURED_SIGNALS
 
@@ -174,7 +174,7 @@ def original(*slots: Slot) -> str:
 
 def pose_original() -> str:
     """Return the text of a DBC with complete lines and the pose error, with free pages."""
-    levels = POSE_WITH_LEVELS.pages[2][: 3 * len(SLOTS)]
+    levels = POSE_WITH_LEVELS.pages[2]
     pose = replace(POSE_WITH_LEVELS, pages=(*POSE_WITH_LEVELS.pages[:2], levels, (), ()))
     return _without_comments(replace(DEFAULT, slots=SLOTS, pose=pose).dbc())
 
@@ -182,9 +182,9 @@ def pose_original() -> str:
 def conditional_original() -> str:
     """Return the text of a DBC with lines that are conditional on the pose, with a free page."""
     first, second, third, fourth = CONDITIONAL.pages
-    levels = (own_points(), own_spacing())
-    head = (tuple(spec for spec in page if spec not in levels) for page in (first, second))
-    pages = (*head, (*third, *levels), fourth, ())
+    levels = [spec for spec in second if spec.name == "OwnSpacing"]
+    rest = (first[-1], *(spec for spec in second if spec not in levels))
+    pages = (first[:-1], rest, (*third, *levels), fourth, ())
     text = replace(CONDITIONAL, slots=SLOTS, pages=pages, first_secured_can_id=None).dbc()
     return _without_comments(text)
 

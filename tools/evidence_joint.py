@@ -51,7 +51,7 @@ from maplines_can.propagation import map_scene
 from maplines_can.wire import Codec
 from maplines_can.wire.covariance.joint import block_diagonal
 from maplines_can.wire.covariance.own_levels import bases
-from maplines_can.wire.covariance.scene_code import DecodedLines, EncodedScene
+from maplines_can.wire.covariance.scene_code import RESOLUTION, DecodedLines, EncodedScene
 from maplines_can.wire.message.signals import PARAMETER_SIGNALS
 
 #: Range of the standard deviations of the map error: of the points and of the offset [m].
@@ -155,7 +155,7 @@ def measure(number: int, settings: Settings) -> Figures:
         truth = true_part(one.scene, list(sent.lines))
         if not check(carrier, truth, decoded, figures.counts, number < settings.exact):
             continue
-        compare(truth, decoded, code.resolution, add)
+        compare(truth, decoded, add)
         if number < settings.witnessed:
             witness(one, truth, decoded, settings.draws, [settings.seed, number, 1], add)
     return figures
@@ -209,12 +209,11 @@ def check(
     return True
 
 
-def compare(
-    truth: Truth, decoded: DecodedLines, resolution: Array, add: Callable[..., None]
-) -> None:
+def compare(truth: Truth, decoded: DecodedLines, add: Callable[..., None]) -> None:
     """Add the divergence of the lines and the ratios of standard deviations."""
-    true = truth.cov + np.diag(np.tile(resolution, len(truth.lines)))
-    inverse = np.linalg.inv(bases(decoded.means, decoded.fit_ranges))
+    J = bases(decoded.means, decoded.fit_ranges)
+    true = truth.cov + RESOLUTION**2 * block_diagonal(J @ J.swapaxes(1, 2))
+    inverse = np.linalg.inv(J)
     for i, line in enumerate(truth.lines):
         block = np.s_[4 * i : 4 * i + 4]
         S, C = (inverse[i] @ cov[block, block] @ inverse[i].T for cov in (true, decoded.cov))
@@ -225,8 +224,8 @@ def compare(
         ratio = (g @ decoded.cov[block, block] @ g) / (g @ true[block, block] @ g)
         add("lateral at 80 m", float(np.sqrt(ratio)))
     for x in common_places(truth):
-        for what, J in directions(decoded.means[:2], x).items():
-            sigma, least = (np.sqrt(J @ cov[:8, :8] @ J) for cov in (decoded.cov, true))
+        for what, g in directions(decoded.means[:2], x).items():
+            sigma, least = (np.sqrt(g @ cov[:8, :8] @ g) for cov in (decoded.cov, true))
             add(what, float(sigma / least))
             add(f"{what}, excess", 1000 * float(sigma - least))
 

@@ -42,7 +42,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecords,
     absent_counter,
 )
-from maplines_can.wire.message.signals import OWN_SIGNALS, slot_title
+from maplines_can.wire.message.signals import SLOT_SIGNALS, slot_title
 
 PERIOD, FRAME = 0.05, 0.00025  #: [s]
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
@@ -148,7 +148,7 @@ class NumberedRecords:
         if codec.layout.is_conditional:
             self._lines = ConditionalRecords(codec.layout)
         else:
-            levels = (f"{slot_title(slot)}{name}" for slot in Slot for name in OWN_SIGNALS)
+            levels = (f"{slot_title(slot)}{name}" for slot in Slot for name in SLOT_SIGNALS)
             self._pose_raw |= dict.fromkeys(levels, 0)
             packing = Packing(list(codec.layout.signals.values()), codec.layout.record_bytes)
             (frame,) = codec.encode(scene.lines[0], fd=True)

@@ -93,7 +93,7 @@ def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool
         return parts.frames.write(record, slot, fd)
     raw = drawn(layout, content)
     kind, is_full = raw["Kind"], raw["HasCovariance"]
-    names = {*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS}
+    names = {*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS}
     if is_full:
         names |= {signal.name for signal in CholeskyCode(layout).signals}
     raw = {name: raw[name] for name in names} | (dict.fromkeys(OWN_SIGNALS, 0) if is_full else {})

@@ -18,7 +18,12 @@ from maplines_can.wire.message.pose_records import (
     PoseRecord,
     PoseRecords,
 )
-from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS
+from maplines_can.wire.message.signals import (
+    OWN_SIGNALS,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    SLOT_SIGNALS,
+)
 from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
@@ -65,7 +70,7 @@ def check_pose(layout: Layout, database: Any, count: int) -> None:
     records, writer = PoseRecords(pose), FrameWriter(layout, None)
     names = ["Age", "CorrelationTime", "MapOffset", "MapHeading"]
     names += [signal.name for signal in covariance.signals]
-    names += [f"{slot}{name}" for slot in ("EgoLeft", "EgoRight") for name in OWN_SIGNALS]
+    names += [f"{slot}{name}" for slot in ("EgoLeft", "EgoRight") for name in SLOT_SIGNALS]
     rng = np.random.default_rng(3)
     for fd in (False, True):
         receiver = PoseReceiver(pose, None, *pose_settings(pose), E2EConfig())
@@ -103,7 +108,7 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
             layout, lambda data, slot, _: records.read(data, slot), decoder_settings(layout)[0]
         )
         for i in range(count):
-            raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS], rng)
+            raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS], rng)
             raw |= {"XMin": layout["XMin"].raw_min, "XMax": layout["XMax"].raw_max}
             if i % 2:
                 raw |= drawn(layout, [signal.name for signal in covariance.signals], rng)

@@ -96,7 +96,8 @@ def map_scene(
     if not kept.any():
         return replace(none, left_out=left_out)
     function = ExtendedRefit(refit, kept)
-    mean, cov = (transform or SigmaPoints()).moments(_Flat(function), ego)
+    pose = Gaussian(np.zeros(3), pose_error.cov)
+    mean, cov = (transform or SigmaPoints()).moments(_Flat(function, ego.mean), pose)
     # From the means that are sent, as a receiver does.
     x_ranges = valid_ranges(
         mean.reshape(-1, N), refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
@@ -107,16 +108,31 @@ def map_scene(
         MapLine(slot, Gaussian(mean[b], cov[b, b]), kind=lines[slot].kind, x_min=low, x_max=high)
         for slot, b, (low, high) in zip(given, blocks, x_ranges.tolist(), strict=True)
     ]
-    return Scene(tuple(found), cov, pose_error, refit.x_range[kept], map_error, left_out)
+    return Scene(
+        tuple(found),
+        cov,
+        pose_error,
+        refit.x_range[kept],
+        map_error,
+        left_out,
+        refit.quartic[kept],
+    )
 
 
 class _Flat:
-    """The parameters of all lines as one output, so that a transform gives their joint moments."""
+    """The parameters of all lines as one output, so that a transform gives their joint moments.
 
-    def __init__(self, function: ExtendedRefit) -> None:
-        self._function = function
+    They are functions of the displacement in the ego frame, as at a receiver: so both take the same
+    sigma points.
+    """
+
+    def __init__(self, function: ExtendedRefit, pose: NDArray[np.float64]) -> None:
+        self._function, self._pose = function, pose
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        self._to_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         own = function.noise_cov
         self.noise_cov = None if own is None else block_diag(*own)
 
-    def __call__(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
+        poses = self._pose + displacements @ self._to_map
         return self._function(poses).reshape(len(poses), -1)

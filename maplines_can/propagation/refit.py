@@ -14,7 +14,8 @@ from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
 from ..map_error import MapError
 from ..polyline import MAX_TURN, Polyline, Stretches, stretches
-from .valid_range import NODES, longest_ranges
+from ..seen_lines import NODES
+from .valid_range import longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
@@ -131,6 +132,13 @@ class Refit:
     def is_across(self) -> NDArray[np.bool_]:
         """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
         return (2 * self._half < self._least_advance).reshape(self._trailing)
+
+    @property
+    def quartic(self) -> NDArray[np.float64]:
+        """(), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m]."""
+        y = self.points[..., 1]
+        T = np.polynomial.chebyshev.chebvander(NODES, 4)
+        return np.asarray((y @ np.linalg.pinv(T)[4]).reshape(self._trailing))
 
     @property
     def misfit(self) -> NDArray[np.float64]:

@@ -45,7 +45,8 @@ def scene_mixture(
     (3, True)
     """
     i = scene.index[scene.line(slot).slot]
-    seen = SeenLines(scene.means[i : i + 1], scene.fit_ranges[i : i + 1])
+    line = slice(i, i + 1)
+    seen = SeenLines(scene.means[line], scene.fit_ranges[line], scene.quartics[line])
     block = slice(N * i, N * i + N)
     P = scene.pose_error.cov
     own = nearest_covariance(_symmetric(scene.cov[block, block] - seen.spread(P)))

@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..polyline import Stretches
+from ..seen_lines import NODES
 
-#: Points at which a line is fitted. They are denser near the ends of the range, as the extrema of
-#: a Chebyshev polynomial, so that the largest deviation of the least-squares fit is near the
-#: least possible one.
-NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
-#: The same for the search, which fits many ranges.
+#: As ``NODES``, for the search, which fits many ranges.
 _COARSE = np.cos(np.pi * np.arange(32) / 31)[::-1]
 #: Starts of the ranges that are tried, as shares of the way from the car back to the window's end.
 _STARTS = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8, 1.0])

@@ -35,9 +35,10 @@ _CORRELATION_TIME = SignalSpec(
     about="log2 of the time [s] after which the pose error has lost its correlation to 1/e. The "
           "raw value 0 means unknown: take the errors of all cycles as the same.",
     why="0.35 to 45 s in steps of 41 %; a smoothed pose keeps its error for seconds")
-_RATIOS = tuple(
-    ratio_signal(row, column, 8, 1 / 32, why="a correlation of 0.97 for equal units")
-    for row, column in (("Across", "Along"), ("Heading", "Along"), ("Heading", "Across"))
+_RATIOS = (
+    ratio_signal("Across", "Along", 7, 1 / 32, why="a correlation of 0.89"),
+    ratio_signal("Heading", "Along", 7, 1 / 32, why="a correlation of 0.89"),
+    ratio_signal("Heading", "Across", 8, 1 / 32, why="a correlation of 0.97: drift across a lane"),
 )
 _INFLATION = SignalSpec(
     name="Inflation", bits=3, factor=0.0124, unit="octave",
@@ -46,10 +47,10 @@ _INFLATION = SignalSpec(
     why="steps of 0.9 % of the variance, up to 6.2 %, as in a record with a covariance")
 _MAP_LEVELS = (
     SignalSpec(
-        name="MapOffset", bits=4, factor=0.5, offset=-8, unit="octave", choices={0: "NONE"},
-        about="log2 of the standard deviation [m] of the lateral offset of each line on the map, "
-              "independent from line to line. The raw value 0 means none.",
-        why="0.6 cm to 0.7 m in steps of 41 %; the levels of the lines are finer"),
+        name="MapOffset", bits=6, factor=0.125, offset=-8, unit="octave", choices={0: "NONE"},
+        about="log2 of the standard deviation [m] of the offset of each line on the map, in any "
+              "direction, independent from line to line. The raw value 0 means none.",
+        why="4 mm to 0.9 m in steps of 9 %: no level of a line has the shape of a shift along it"),
     SignalSpec(
         name="MapHeading", bits=5, factor=0.25, offset=-13, unit="octave", choices={0: "NONE"},
         about="log2 of the standard deviation [rad] of the heading of each line on the map, "
@@ -67,34 +68,46 @@ def _counter_of(slot: Slot) -> SignalSpec:
         why="tells apart the records of eight cycles; receivers look three cycles back and ahead")
 
 
-def own_lateral(name: str = "") -> SignalSpec:
-    """Return the signal of the lateral level of a slot, or of the record that has the signal."""
+def _level(name: str, bits: int, about: str, why: str) -> SignalSpec:
     return SignalSpec(
-        name=f"{name}OwnLateral", bits=7, factor=0.08, offset=-11, unit="octave",
-        choices={0: "NONE"},
-        about="log2 of the standard deviation [m] of the lateral position that the line has of its "
-              "own: it does not come from the pose error. The raw value 0 means none.",
-        why="0.5 mm to 56 cm in steps of 6 %")
+        name=name, bits=bits, factor=0.12 if bits > 5 else 0.24, offset=-9.5, unit="octave",
+        choices={0: "NONE"}, about=f"log2 of the standard deviation [m] of {about} The raw value "
+        "0 means none.", why=f"1.4 mm to 25 cm in steps of {why}")
 
 
-def own_points(name: str = "") -> SignalSpec:
-    """Return the signal of the level of point noise."""
-    return SignalSpec(
-        name=f"{name}OwnPoints", bits=7, factor=0.08, offset=-11, unit="octave",
-        choices={0: "NONE"},
-        about="log2 of the standard deviation [m] of the points of the line about the cubic, each "
-              "by itself. The raw value 0 means none.",
-        why="0.5 mm to 56 cm in steps of 6 %: as the lateral level")
-
-
-def own_spacing(name: str = "") -> SignalSpec:
-    """Return the signal of the spacing of these points."""
-    return SignalSpec(
-        name=f"{name}OwnSpacing", bits=4, factor=0.5, offset=-7, unit="octave",
-        about="log2 of the distance of these points along x, in half lengths of the fit range.",
-        why="1/128 to 1.4 half lengths in steps of 41 %")
-
-
+#: What a line has of its own, and how it differs from its cubic.
+_OWN = (
+    _level(
+        "OwnLateral", 6,
+        "the lateral position that the line has of its own: it does not come from the pose error.",
+        "9 %"),
+    _level(
+        "OwnPoints", 5,
+        "the points of the line, each by itself, in any direction.",
+        "18 %; with OwnSpacing it is finer"),
+    SignalSpec(
+        name="OwnSpacing", bits=8, factor=0.025, offset=-5, unit="octave",
+        about="log2 of the distance of these points along the line, in halves of its length over "
+              "the fit range. By the fraction of the raw value times the golden ratio, 1.618..., "
+              "the first point is ahead of the range's start, in such distances.",
+        why="1/32 to 2.6 half lengths, with a phase that is near any phase"),
+    SignalSpec(
+        name="Quartic", bits=3, factor=2**-5, unit="m", signed=True,
+        about="Coefficient of the Chebyshev polynomial T_4 over the fit range that the cubic "
+              "leaves of the line. It serves to see the line from another pose.",
+        why="a cubic leaves at most 10 cm of its line"),
+)
+#: How far the fit range exceeds the stated range, which is the valid range.
+_FIT = (
+    SignalSpec(
+        name="FitBehind", bits=3, unit="m",
+        about="Distance by which the range to which the cubic was fitted begins before XMin.",
+        why="XMin is rounded to 4 m, and leaves room for the error of the pose"),
+    SignalSpec(
+        name="FitAhead", bits=4, unit="m",
+        about="Distance by which the range to which the cubic was fitted ends beyond XMax.",
+        why="XMax is rounded to 4 m, and leaves room for the error of the pose"),
+)
 _POSE_PAGES = (
     (_CRC, _COUNTER, *_PIVOTS, AGE, _MAP_LEVELS[1]),
     (*_RATIOS, _INFLATION, _MAP_LEVELS[0], _CORRELATION_TIME, *map(_counter_of, Slot)),
@@ -102,11 +115,11 @@ _POSE_PAGES = (
 
 
 def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
-    """Return the levels of slots whose records have no room for them."""
+    """Return what slots have of their own, whose records have no room for it."""
     return tuple(
-        signal(slot_title(slot))
+        replace(spec, name=slot_title(slot) + spec.name)
         for slot in slots
-        for signal in (own_lateral, own_points, own_spacing)
+        for spec in (*_OWN, *_FIT)
     )
 
 
@@ -114,7 +127,7 @@ def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
 POSE = PoseSpec(_POSE_PAGES)
 #: The same beside complete records; it has what the lines have of their own, too.
 POSE_WITH_LEVELS = PoseSpec(
-    (*_POSE_PAGES, *(_own_page(list(Slot)[i : i + 3]) for i in range(0, len(Slot), 3)))
+    (*_POSE_PAGES, *(_own_page(list(Slot)[i : i + 2]) for i in range(0, len(Slot), 2)))
 )
 
 # ---- records that are conditional on the pose -------------------------------------------
@@ -126,22 +139,22 @@ _LINE_COUNTER = SignalSpec(
     why="profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz")
 _MEAN = (
     SignalSpec(
-        name="YOff", bits=15, factor=2**-9, unit="m", signed=True,
+        name="YOff", bits=14, factor=2**-8, unit="m", signed=True,
         about="Lateral offset of the line at x = 0, positive to the left.",
-        why="half a step is 1 mm; +-32 m holds four lanes to either side"),
+        why="half a step is 2 mm; +-32 m holds four lanes to either side"),
     SignalSpec(
-        name="Beta", bits=15, factor=2**-15, unit="rad", signed=True,
+        name="Beta", bits=14, factor=2**-14, unit="rad", signed=True,
         about="Heading of the line relative to the car, positive to the left; tan(Beta) is the "
               "slope.",
-        why="half a step is 1.2 mm at 80 m; +-28.6 deg"),
+        why="half a step is 2.4 mm at 80 m; +-28.6 deg"),
     SignalSpec(
-        name="C0", bits=16, factor=2**-18, unit="1/m", signed=True,
+        name="C0", bits=15, factor=2**-17, unit="1/m", signed=True,
         about="Curvature at x = 0: the second derivative of y(x), positive to the left.",
-        why="half a step is 6 mm at 80 m; +-0.125 1/m is a radius of 8 m"),
+        why="half a step is 1.2 cm at 80 m, less YOff and Beta; +-0.125 1/m is a radius of 8 m"),
     SignalSpec(
-        name="C1", bits=17, factor=2**-21, unit="1/m^2", signed=True,
+        name="C1", bits=16, factor=2**-20, unit="1/m^2", signed=True,
         about="Curvature rate: the third derivative of y(x).",
-        why="half a step is 2 cm at 80 m; the sigma of its rounding is added to the covariance"),
+        why="half a step is 4 cm at 80 m, for most of which the others make up"),
 )
 _HAS_COVARIANCE = SignalSpec(
     name="HasCovariance", bits=1,
@@ -164,8 +177,8 @@ _COVARIANCE = covariance_signals("Cholesky")
 #: The writer of ``dbc/maplines-pose.dbc``.
 CONDITIONAL = DbcWriter(
     pages=(
-        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, own_spacing()),
-        (*_MEAN[2:], *_FIT_RANGE, own_lateral(), own_points()),
+        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, _OWN[0]),
+        (*_MEAN[2:], *_FIT_RANGE, *_OWN[1:]),
         _COVARIANCE[:5],
         _COVARIANCE[5:],
     ),

@@ -19,7 +19,11 @@ from scipy.linalg import block_diag
 from ...line import Status, lateral_jacobian
 from ...scene import Scene
 from ...wire import Codec, PreparedScene
+from ...wire.covariance.joint import block_diagonal
+from ...wire.covariance.own_levels import bases
+from ...wire.covariance.scene_code import RESOLUTION
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
+from ...wire.message.signals import OWN_SIGNALS
 from ..codes import CODES
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
@@ -71,7 +75,7 @@ def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
     if decoded is None:
         return row
     places = np.array(list(prepared.encoded.lines))
-    return row | compare(scene, places, decoded.means, decoded.cov, codec.layout.resolution)
+    return row | compare(scene, places, decoded.means, decoded.cov)
 
 
 def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
@@ -84,8 +88,7 @@ def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
     bits = sum(pose[name].length for name in encoded.pose if name not in _OTHERS)
     if layout.is_conditional:
         return bits + _bits(codec, [*own, *["HasCovariance"] * len(encoded.lines)])
-    levels = [name for name in pose.signals if name.startswith("EgoLeftOwn")]
-    each = sum(pose[name].length for name in levels)
+    each = sum(pose[f"EgoLeft{name}"].length for name in (*OWN_SIGNALS, "Quartic"))
     single = sum(signal.length for signal in codec.covariance.signals)
     return bits + each * len(encoded.lines) + single * len(prepared.sent_slots)
 
@@ -117,30 +120,30 @@ def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, An
         }
         if len(here):
             cov = block_diag(*batch.cov[here])
-            row |= compare(scene, here - start, batch.mean[here], cov, codec.resolution)
+            row |= compare(scene, here - start, batch.mean[here], cov)
         start += lines
         yield row
 
 
 def compare(
-    scene: Scene, places: NDArray[np.intp], means: Array, cov: Array, resolution: Array
+    scene: Scene, places: NDArray[np.intp], means: Array, cov: Array
 ) -> dict[str, Any]:
     """Return the figures of a decoded scene against the covered target.
 
     The covered target is the true joint covariance, plus the square of the errors of the means and
-    the resolution of the means.
+    the resolution of a line.
 
     Args:
         scene: the scene as sent.
         places: (L,) places of the decoded lines in it.
         means: (L, 4) decoded means.
         cov: (4 L, 4 L) decoded joint covariance.
-        resolution: (4,) variances of the rounding errors of the means.
     """
     keep = (4 * places[:, None] + np.arange(4)).ravel()
     d = (means - scene.means[places]).ravel()
     error = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
-    target = error + np.diag(np.tile(resolution, len(places)))
+    J = bases(means, scene.fit_ranges[places])
+    target = error + RESOLUTION**2 * block_diagonal(J @ J.swapaxes(1, 2))
     blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(places))]
     definite, kl = _divergence(target, cov)
     row = {

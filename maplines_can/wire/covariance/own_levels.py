@@ -4,36 +4,45 @@ What a line has of its own, apart from the error of the pose, has a known struct
 the cubic and a common offset of the map move the line sideways, independent errors of the map
 points bend it. So its covariance is modelled as
 
-    a^2 e e^T + p^2 N(spacing)
+    a^2 e e^T + p^2 N(spacing, phase)
 
 with e the direction of y_off and N the covariance of a cubic through points with independent unit
-errors. N depends on the spacing of the points in relation to the range in which the cubic is
-fitted. In the coefficients of the normalised variable w, -1 to 1 in that range, it is a table of a
-4x4 matrix for each level of the spacing.
+errors in any direction. They are at equal distances along the line. The first one is ahead of the
+end of the range by a phase, a share of that distance. One raw value k stands for both: the phase is
+the fraction of k times the golden ratio. So next to any spacing and phase there is a level, and
+where the points are dense, and the phase does not matter, the spacings are fine.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...line import line_of_cubic
+from ...seen_lines import NODES
 from ..message.signals import Signal
 from .code import Array
 
-#: Points at which a line is fitted, in the normalised variable.
-NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
-#: Positions of the map points relative to the range, over which N is averaged [spacings].
-PHASES = (0.0, 0.25, 0.5, 0.75)
 #: Raw values above the least one of the points' level that are tried.
-TRIED = np.array([1, 2, 3, 5, 8])
+TRIED = np.array([0, 1, 2, 3, 5])
+#: Spacings for which all of them are tried: the best ones for the second.
+CHOSEN = 24
+#: Chebyshev polynomials T_0 .. T_3, by columns, in terms of w^0 .. w^3.
+CHEBYSHEV = np.array([[1.0, 0, -1, 0], [0, 1, 0, -3], [0, 0, 2, 0], [0, 0, 0, 4]])
+#: More than any level squared [m^2].
+BEYOND = 1e100
+GOLDEN_RATIO = (1 + 5**0.5) / 2
+#: (4, K) matrix from values at the nodes to the coefficients of their cubic fit.
+_FIT = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3))
 
 
 def bases(means: Array, fit_ranges: Array) -> Array:
-    """Return the (L, 4, 4) derivatives of lines with respect to their coefficients of w^0 .. w^3.
+    """Return the (L, 4, 4) derivatives of lines with respect to their coefficients of T_0 .. T_3.
+
+    These are Chebyshev polynomials in the normalised variable w, -1 to 1 in the range. An error of
+    1 m of any coefficient moves the line by up to 1 m.
 
     Args:
         means: (L, 4) lines.
@@ -41,31 +50,39 @@ def bases(means: Array, fit_ranges: Array) -> Array:
     """
     centre, half = fit_ranges.mean(axis=1), np.diff(fit_ranges, axis=1)[:, 0] / 2
     shape = (4, 4, len(means))
-    q = np.broadcast_to(np.eye(4)[:, :, None], shape)
+    q = np.broadcast_to(CHEBYSHEV[:, :, None], shape)
     J = line_of_cubic(q, np.broadcast_to(centre, shape[1:]), np.broadcast_to(half, shape[1:]))
     J = J.transpose(1, 2, 0).copy()  # (L, parameters, coefficients)
     J[:, 1] = np.tan(J[:, 1]) * np.cos(means[:, 1, None]) ** 2
     return J
 
 
-@lru_cache
-def point_noise(spacing: float) -> Array:
-    """Return the (4, 4) covariance of the coefficients of w^0 .. w^3 for unit errors of points.
+def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> Array:
+    """Return the (S, 4, 4) covariances of the coefficients of T_0 .. T_3 for unit errors of points.
 
-    ``spacing`` is their distance in units of half the range.
+    Args:
+        mean: (4,) line.
+        fit_range: (2,) [m].
+        spacing: (S,) distances of the points along the line, in halves of its length.
+        phase: (S,) of these distances, by how much the first point is ahead of the range's start.
     """
-    V = np.linalg.pinv(np.vander(NODES, 4, increasing=True))
-    cov = np.zeros((4, 4))
-    for phase in PHASES:
-        position = (NODES + 1) / spacing + phase
-        below = np.floor(position).astype(int)
-        share = position - below
-        W = np.zeros((len(NODES), below[-1] + 2))
-        W[np.arange(len(NODES)), below] = 1 - share
-        W[np.arange(len(NODES)), below + 1] = share
-        VW = V @ W
-        cov += VW @ VW.T / len(PHASES)
-    return cov
+    x = fit_range.mean() + np.ptp(fit_range) / 2 * NODES
+    stretch = np.hypot(1.0, np.tan(mean[1]) + x * (mean[2] + x * mean[3] / 2))
+    along = np.append(0.0, np.cumsum(np.diff(x) * (stretch[1:] + stretch[:-1])))
+    place = 2 * along / along[-1] / spacing[:, None] + phase[:, None]  # (S, K)
+    below = place.astype(np.int64)
+    share = place - below
+    points = int(below[:, -1].max()) + 2
+    below += points * np.arange(len(spacing))[:, None]
+    W = np.empty((len(spacing), 4, points))
+    # An error across the line acts on y by the factor ``stretch``.
+    for i, row in enumerate(_FIT * stretch):
+        ends = [np.ravel(row * (1 - share)), np.ravel(row * share)]
+        both = [
+            np.bincount(below.ravel() + k, end, len(spacing) * points) for k, end in enumerate(ends)
+        ]
+        W[:, i] = (both[0] + both[1]).reshape(len(spacing), points)
+    return np.asarray(W @ W.swapaxes(1, 2))
 
 
 class OwnLevels:
@@ -74,30 +91,45 @@ class OwnLevels:
     Args:
         lateral: signal of log2 a [m]; the raw value 0 means a = 0.
         points: signal of log2 p [m]; the raw value 0 means p = 0.
-        spacing: signal of log2 of the spacing.
+        spacing: signal of log2 of the spacing; its raw values stand for the phase, too.
     """
 
     def __init__(self, lateral: Signal, points: Signal, spacing: Signal) -> None:
         self.lateral, self.points, self.spacing = lateral, points, spacing
-        raws = np.arange(spacing.raw_min, spacing.raw_max + 1)
-        self._noise = np.array([point_noise(2.0**level) for level in spacing.physical(raws)])
-        self._whitening = np.linalg.inv(np.linalg.cholesky(self._noise[:, 1:, 1:]))
 
-    def decode(self, raw: Mapping[str, NDArray[np.int64]], J: Array) -> Array:
-        """Return the (L, 4, 4) covariances of (L,) raw values by signal.
+    def noise(self, means: Array, fit_ranges: Array) -> Array:
+        """Return the (L, S, 4, 4) N of lines for all raw values of the spacing, as for ``encode``.
 
-        ``J`` are the (L, 4, 4) derivatives of ``bases``.
+        Args:
+            means: (L, 4) lines.
+            fit_ranges: (L, 2) ranges [m].
         """
-        cov = np.zeros((len(J), 4, 4))
+        raw = np.arange(self.spacing.raw_min, self.spacing.raw_max + 1)
+        lines = zip(means, fit_ranges, strict=True)
+        return np.array([point_noise(*line, *self._arrangement(raw)) for line in lines])
+
+    def _arrangement(self, raw: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Return spacings and phases."""
+        raw = raw.clip(self.spacing.raw_min, self.spacing.raw_max)
+        return np.exp2(self.spacing.physical(raw)), np.asarray(raw * GOLDEN_RATIO % 1.0)
+
+    def decode(
+        self, raw: Mapping[str, NDArray[np.int64]], means: Array, fit_ranges: Array
+    ) -> Array:
+        """Return the (L, 4, 4) covariances of (L,) raw values by signal."""
+        J = bases(means, fit_ranges)
         p = _level(self.points, raw[self.points.name])
-        place = raw[self.spacing.name] - self.spacing.raw_min
-        noise = self._noise.take(place, axis=0, mode="clip")
-        cov += J @ (p[:, None, None] ** 2 * noise) @ J.swapaxes(1, 2)
+        arranged = zip(*self._arrangement(raw[self.spacing.name]), strict=True)
+        noise = [
+            point_noise(mean, fit_range, *np.reshape(one, (2, 1)))[0]
+            for mean, fit_range, one in zip(means, fit_ranges, arranged, strict=True)
+        ]
+        cov = J @ (p[:, None, None] ** 2 * np.reshape(noise, (-1, 4, 4))) @ J.swapaxes(1, 2)
         cov[:, 0, 0] += _level(self.lateral, raw[self.lateral.name]) ** 2
-        return (cov + cov.swapaxes(1, 2)) / 2
+        return np.asarray(cov + cov.swapaxes(1, 2)) / 2
 
     def encode(
-        self, target: Array, rest: Array, J: Array, resolution: Array
+        self, target: Array, rest: Array, J: Array, noise: Array, floor: float
     ) -> tuple[dict[str, NDArray[np.int64]], Array]:
         """Return raw values whose covariances cover targets, and the divergence that they cost.
 
@@ -108,52 +140,79 @@ class OwnLevels:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
             rest: (L, 4, 4) the other part of the covariance of the lines: that of the pose.
             J: (L, 4, 4) derivatives of ``bases``.
-            resolution: (4,) variances of the mean's rounding error, for the divergence: rest +
-                target may be singular.
+            noise: (L, S, 4, 4) that of ``noise``.
+            floor: variance of the coefficients in addition, for the divergence: rest + target may
+                be singular [m^2].
 
         Returns:
-            (L,) raw values by signal, and the (L,) KL from rest + target + resolution to rest +
-            the decoded covariance [nat], infinite if no levels cover the target.
+            (L,) raw values by signal, and the (L,) KL from rest + target + floor to rest + the
+            decoded covariance [nat], infinite if no levels cover the target.
         """
         inverse = np.linalg.inv(J)
-        E = inverse @ target @ inverse.swapaxes(1, 2)  # in coefficients of w
+        E = inverse @ target @ inverse.swapaxes(1, 2)  # in coefficients of T_0 .. T_3
         C = inverse @ rest @ inverse.swapaxes(1, 2)
-        E, C = (E + E.swapaxes(1, 2)) / 2, (C + C.swapaxes(1, 2)) / 2
-        whitened = (
-            self._whitening @ E[:, None, 1:, 1:] @ self._whitening.swapaxes(1, 2)
-        )  # (L, S, 3, 3)
+        E, C = (((X + X.swapaxes(1, 2)) / 2)[:, None, None] for X in (E, C))
+        true = C + E + floor * np.eye(4)
+        # That of points far apart may be singular.
+        whitening = np.linalg.inv(np.linalg.cholesky(noise[..., 1:, 1:] + 1e-6 * np.eye(3)))
+        whitened = whitening @ E[:, 0, :, 1:, 1:] @ whitening.swapaxes(-1, -2)  # (L, S, 3, 3)
         least = np.linalg.eigvalsh(whitened)[..., -1].clip(1e-30)
-        raw_p = np.floor(_raw(self.points, np.sqrt(least)))[..., None] + TRIED  # (L, S, T)
-        raw_p = raw_p.clip(self.points.raw_min + 1)
-        p = _level(self.points, raw_p)
-        M = p[..., None, None] ** 2 * self._noise[:, None] - E[:, None, None]  # (L, S, T, 4, 4)
-        solved = np.linalg.solve(M[..., 1:, 1:], M[..., 1:, :1])[..., 0]
-        short = (M[..., 0, 1:] * solved).sum(axis=-1) - M[..., 0, 0]
-        raw_a = np.where(
-            short > 0, np.ceil(_raw(self.lateral, np.sqrt(short.clip(1e-30)))).clip(1), 0
+        least_raw = np.ceil(_raw(self.points, np.sqrt(least))).clip(self.points.raw_min + 1)
+        lines = np.arange(len(E))[:, None]
+        _, _, kl = self._cost(E, C, true, noise, least_raw[..., None] + TRIED[1:2])
+        chosen = kl[..., 0].argsort(axis=1, kind="stable")[:, :CHOSEN]
+        raw_p, raw_a, kl = self._cost(
+            E, C, true, noise[lines, chosen], least_raw[lines, chosen][..., None] + TRIED
         )
-        decoded = C[:, None, None] + M + E[:, None, None]
-        decoded[..., 0, 0] += _level(self.lateral, raw_a) ** 2
-        floor = (inverse * resolution) @ inverse.swapaxes(1, 2)
-        kl = _divergence((C + E + floor)[:, None, None], decoded)
-        possible = (raw_p <= self.points.raw_max) & (raw_a <= self.lateral.raw_max)
-        kl = np.where(possible & np.isfinite(kl), kl, np.inf).reshape(len(E), -1)
-        best = kl.argmin(axis=1)
-        rows = np.arange(len(E))
-        shape = raw_p.shape
+        best = kl.reshape(len(E), -1).argmin(axis=1)
+        at = (lines[:, 0], *np.unravel_index(best, kl.shape[1:]))
         raw = {
-            self.lateral.name: raw_a.reshape(len(E), -1)[rows, best],
-            self.points.name: raw_p.reshape(len(E), -1)[rows, best],
-            self.spacing.name: best // shape[-1] + self.spacing.raw_min,
+            self.lateral: raw_a[at],
+            self.points: raw_p[at],
+            self.spacing: chosen[at[:2]] + self.spacing.raw_min,
         }
-        limited = {
-            signal.name: signal.limited(raw[signal.name]).astype(np.int64)
-            for signal in (self.lateral, self.points, self.spacing)
-        }
-        return limited, kl[rows, best]
+        limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
+        return limited, kl[at]
+
+    def _cost(
+        self, E: Array, C: Array, true: Array, noise: Array, raw_p: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return raw levels of points and lateral levels that cover targets E, and their KL.
+
+        E, C and true are (L, 1, 1, 4, 4), the noise is (L, S, 4, 4), the others are (L, S, T).
+        """
+        p = _level(self.points, raw_p)
+        M = p[..., None, None] ** 2 * noise[:, :, None] - E  # (L, S, T, 4, 4)
+        short = _shortfall(M)
+        level_a = _raw(self.lateral, np.sqrt(short.clip(1e-30)))
+        raw_a = np.where(short > 0, np.ceil(level_a).clip(1), 0)
+        decoded = C + M + E
+        decoded[..., 0, 0] += _level(self.lateral, raw_a) ** 2
+        kl = _divergence(true, decoded)
+        possible = (raw_p <= self.points.raw_max) & (raw_a <= self.lateral.raw_max)
+        return raw_p, raw_a, np.where(possible & np.isfinite(kl), kl, np.inf)
 
 
-def _level(signal: Signal, raw: NDArray[np.int64]) -> Array:
+@np.errstate(invalid="ignore", divide="ignore", over="ignore")
+def _shortfall(M: Array) -> Array:
+    """Return what to add to entry (0, 0) of (..., 4, 4) matrices to make them semidefinite.
+
+    It is beyond all levels if nothing does: the rest of the matrix is not definite.
+    """
+    # The Cholesky factor of the rest, with the last row of a 4x4 matrix that ends with entry 0.
+    a, b, c = M[..., 1, 1], M[..., 2, 1], M[..., 3, 1]
+    d, e, f = M[..., 2, 2], M[..., 3, 2], M[..., 3, 3]
+    g, h, i = M[..., 0, 1], M[..., 0, 2], M[..., 0, 3]
+    d1 = d - b * b / a
+    e1, h1 = e - b * c / a, h - b * g / a
+    f2 = f - c * c / a - e1 * e1 / d1
+    i2 = i - c * g / a - e1 * h1 / d1
+    short = g * g / a + h1 * h1 / d1 + i2 * i2 / f2 - M[..., 0, 0]
+    definite = (a > 0) & (d1 > 0) & (f2 > 0) & np.isfinite(short)
+    return np.where(definite, short, BEYOND)
+
+
+def _level(signal: Signal, raw: NDArray[np.int64] | Array) -> Array:
     """Return the levels of raw values: 0 for 0, else 2 to the power of the physical value."""
     return np.where(raw == 0, 0.0, np.exp2(signal.physical(raw)))
 
@@ -167,9 +226,10 @@ def _raw(signal: Signal, level: Array) -> Array:
 def _divergence(true: Array, decoded: Array) -> Array:
     """Return the (...,) KL of zero-mean Gaussians with (..., n, n) covariances [nat]."""
     n = true.shape[-1]
-    ratio = np.linalg.solve(decoded, np.broadcast_to(true, decoded.shape))
-    trace = np.trace(ratio, axis1=-2, axis2=-1)
     sign, log_det = np.linalg.slogdet(decoded)
+    regular = np.where((sign > 0)[..., None, None], decoded, np.eye(n))
+    ratio = np.linalg.solve(regular, np.broadcast_to(true, decoded.shape))
+    trace = np.trace(ratio, axis1=-2, axis2=-1)
     true_sign, true_log_det = np.linalg.slogdet(true)
     kl = (trace - n + log_det - true_log_det) / 2
     return np.where((sign > 0) & (true_sign > 0), kl, np.inf)

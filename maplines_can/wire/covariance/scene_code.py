@@ -33,7 +33,13 @@ from ...line import Slot, lateral_jacobian
 from ...scene import Scene
 from ...seen_lines import SeenLines
 from ..message.record_layout import RecordLayout
-from ..message.signals import OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, Signal, slot_title
+from ..message.signals import (
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    SLOT_SIGNALS,
+    Signal,
+    slot_title,
+)
 from .cholesky import CholeskyCode
 from .code import Array
 from .joint import block_diagonal, blocks, positive_part, uncovered
@@ -47,6 +53,13 @@ ORDER = (3, 2, 0, 1)
 LEVELS_KL = 0.01
 #: Largest ratio of a standard deviation of what a line has of its own, with levels to without.
 LEVELS_RATIO = 1.1
+#: Standard deviation of the coefficients of ``bases`` that D_i of levels has at least: about that
+#: of the rounding errors of the means [m].
+RESOLUTION = 2.0**-9
+#: Factor on the covariance of the pose error that is covered. A line that is rounded depends on the
+#: pose a little differently; what that does is much less, but not little to what lines have of
+#: their own.
+POSE_SLACK = 1.002
 #: Repetitions of the enlargement of D_i.
 TRIALS = 12
 #: Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
@@ -72,6 +85,7 @@ class DecodedLines(NamedTuple):
     fit_ranges: Array  #: (L, 2) [m]
     own_covs: Array  #: (L, 4, 4) D_i
     cov: Array  #: (4 L, 4 L) C
+    quartics: Array  #: (L,) coefficients of T_4 [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,20 +117,17 @@ class SceneCode:
         self._time, self._offset, self._heading = (
             pose[name] for name in ("CorrelationTime", "MapOffset", "MapHeading")
         )
-        self._mean = [line[name] for name in PARAMETER_SIGNALS]
-        self._range = [line["XMin"], line["XMax"]]
         #: Whether the records of lines are conditional on the pose.
         self.is_conditional = FORM in line.signals
         prefix = "" if self.is_conditional else slot_title(Slot.EGO_LEFT)
         levels = line if self.is_conditional else pose
-        self._levels = OwnLevels(
-            *(replace(levels[prefix + name], name=name) for name in OWN_SIGNALS)
-        )
+        self._mean = [line[name] for name in PARAMETER_SIGNALS]
+        self._range = [line["XMin"], line["XMax"]]
+        names = SLOT_SIGNALS[:4] if self.is_conditional else SLOT_SIGNALS
+        own = [replace(levels[prefix + name], name=name) for name in names]
+        self._levels = OwnLevels(*own[:3])
+        self._quartic, self._fit = own[3], own[4:]
         self._own_code = CholeskyCode(line) if self.is_conditional else None
-        #: (4,) variances of the rounding errors of the means.
-        self.resolution = np.array([signal.factor**2 / 12 for signal in self._mean])
-        pivots = dict(zip(self.pose_code.factor.order, self.pose_code.factor.pivots, strict=True))
-        self._pose_resolution = np.array([4.0 ** pivots[i].physical_range[0] for i in range(3)])
 
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
         """Return the content of a Pose record from its raw values by signal."""
@@ -147,15 +158,15 @@ class SceneCode:
             name: np.array([line.get(name, 0) for line in lines], dtype=np.int64) for name in names
         }
         raw[FORM] = np.array([self._is_full(line) for line in lines], dtype=np.int64)
-        means, fit_ranges = self._decode_means(raw)
+        means, fit_ranges, quartics = self._decode_lines(raw)
         if not (fit_ranges[:, 0] < fit_ranges[:, 1]).all():
             raise IllPosedError("the range of a line is empty")
-        seen = SeenLines(means, fit_ranges)
-        own = self._decode_own(raw, bases(means, fit_ranges), self._common(seen, pose))
+        seen = SeenLines(means, fit_ranges, quartics)
+        own = self._decode_own(raw, seen, self._common(seen, pose))
         cov = seen.spread(pose.cov) + block_diagonal(own)
         cov = (cov + cov.T) / 2
         cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
-        return DecodedLines(means, fit_ranges, own, cov)
+        return DecodedLines(means, fit_ranges, own, cov, quartics)
 
     def encode(self, scene: Scene, *, full: bool = False) -> EncodedScene:
         """Encode a scene for records that are conditional on the pose.
@@ -191,7 +202,8 @@ class SceneCode:
             s.name: np.array([line[s.name] if line else 0 for line in lines], dtype=np.int64)
             for s in signals
         }
-        fits = np.array([line is not None for line in lines], dtype=bool)
+        low, high = (s.physical(raw[s.name]) for s in self._range)
+        fits = np.array([line is not None for line in lines], dtype=bool) & (low < high)
         return self._encode(scene, raw, fits, False)
 
     def _encode(
@@ -201,7 +213,8 @@ class SceneCode:
         pose_raw = self._encode_pose(scene)
         pose = self.decode_pose(pose_raw)
         if raw:
-            d = scene.means - self._decode_means(raw)[0]
+            raw |= self._encode_shapes(scene, raw)
+            d = scene.means - self._decode_lines(raw)[0]
             size = np.maximum(np.sqrt(scene.cov.diagonal()).reshape(d.shape), np.abs(d))
             fits = fits & (size <= LARGEST).all(axis=1)
         places = np.flatnonzero(fits)
@@ -231,7 +244,7 @@ class SceneCode:
 
     def _encode_pose(self, scene: Scene) -> dict[str, int]:
         error = scene.pose_error
-        coded = self.pose_code.encode(error.cov[None], self._pose_resolution)
+        coded = self.pose_code.encode(POSE_SLACK * error.cov[None], _floor(self.pose_code))
         if not coded.covered[0]:
             sigma = np.sqrt(error.cov.diagonal())
             raise EncodeError(
@@ -240,7 +253,7 @@ class SceneCode:
             )
         raw = {name: int(values[0]) for name, values in coded.raw.items()}
         known = scene.map_error
-        raw[self._offset.name] = _level_below(self._offset, known.offset_sigma if known else 0.0)
+        raw[self._offset.name] = _level_above(self._offset, known.offset_sigma if known else 0.0)
         raw[self._heading.name] = _level_above(self._heading, known.heading_sigma if known else 0.0)
         raw[self._time.name] = 0
         if math.isfinite(error.correlation_time):
@@ -279,6 +292,17 @@ class SceneCode:
             z[:, row] = (error - expected) / L[:, row, row]
         return raw, fits
 
+    def _encode_shapes(
+        self, scene: Scene, raw: Mapping[str, NDArray[np.int64]]
+    ) -> dict[str, NDArray[np.int64]]:
+        """Return the (L,) raw values of T_4, and of the fit range beyond a stated valid range."""
+        values = [(self._quartic, scene.quartics)]
+        if self._fit:
+            low, high = (s.physical(raw[s.name]) for s in self._range)
+            behind, ahead = low - scene.fit_ranges[:, 0], scene.fit_ranges[:, 1] - high
+            values += zip(self._fit, (behind, ahead), strict=True)
+        return {s.name: s.limited(s.raw(value)).astype(np.int64) for s, value in values}
+
     def _encode_own(
         self,
         scene: Scene,
@@ -288,52 +312,64 @@ class SceneCode:
         full: bool,
     ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
         """Return the raw values of the D_i of (L,) lines, and which of them are covered."""
-        means, fit_ranges = self._decode_means(lines)
-        good = np.array([_is_function(*line) for line in zip(means, fit_ranges, strict=True)])
+        means, fit_ranges, quartics = self._decode_lines(lines)
+        good = np.array(
+            [_is_function(*line) for line in zip(means, fit_ranges, quartics, strict=True)]
+        )
         if not good.all():
             return {}, good
         keep = (4 * places[:, None] + np.arange(4)).ravel()
         d = (scene.means[places] - means).ravel()
         true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
-        seen = SeenLines(means, fit_ranges)
-        rest = blocks(seen.spread(scene.pose_error.cov))
+        seen = SeenLines(means, fit_ranges, quartics)
+        noise = self._levels.noise(means, fit_ranges)
+        exact = SeenLines(scene.means[places], scene.fit_ranges[places], scene.quartics[places])
+        rest = blocks(exact.spread(scene.pose_error.cov))
         J, common = bases(means, fit_ranges), self._common(seen, pose)
-        missing = positive_part(blocks(true) - rest, J)
+        least = RESOLUTION**2 * J @ J.swapaxes(1, 2)
+        error = d.reshape(-1, 4, 1)
+        missing = positive_part(blocks(scene.cov[np.ix_(keep, keep)]) - rest, J)
+        missing += error @ error.swapaxes(1, 2)
         is_full = np.full(len(means), full)
         spread = seen.spread(pose.cov)
         for trial in range(TRIALS):
-            raw, kl = self._levels.encode(missing - common, rest + common, J, self.resolution)
-            if trial == 0 and self._own_code is not None:
-                by_levels = self._levels.decode(raw, J) + common
-                ratio = _worst_ratio(by_levels, missing + common, means, fit_ranges)
+            raw, kl = self._levels.encode(missing - common, rest + common, J, noise, RESOLUTION**2)
+            if self._own_code is not None:
+                by_levels = self._levels.decode(raw, means, fit_ranges) + common
+                ratio = _worst_ratio(by_levels, missing + least, means, fit_ranges)
                 is_full |= (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
             covered = np.isfinite(kl)
             if self._own_code is not None:
                 is_full |= ~covered
-                coded = self._own_code.encode(missing, self.resolution)
+                coded = self._own_code.encode(missing + least, _floor(self._own_code))
                 covered = ~is_full | coded.covered
                 raw = {name: np.where(is_full, 0, values) for name, values in raw.items()}
                 raw |= {name: np.where(is_full, values, 0) for name, values in coded.raw.items()}
                 raw[FORM] = is_full.astype(np.int64)
             if not covered.all():
                 return raw, covered
-            lacking = uncovered(true, spread, self._decode_own(raw, J, common), J)
+            lacking = uncovered(true, spread, self._decode_own(raw, seen, common), J)
             if lacking is None:
                 return raw, covered
             missing = missing + 2.0**trial * lacking
         return raw, np.zeros(len(means), dtype=bool)
 
-    def _decode_means(self, raw: Mapping[str, NDArray[np.int64]]) -> tuple[Array, Array]:
-        """Return the (L, 4) means and (L, 2) ranges."""
+    def _decode_lines(self, raw: Mapping[str, NDArray[np.int64]]) -> tuple[Array, Array, Array]:
+        """Return the (L, 4) means, (L, 2) fit ranges and (L,) quartics."""
         means, fit_ranges = (
             np.stack([s.physical(raw[s.name]) for s in signals], axis=-1)
             for signals in (self._mean, self._range)
         )
-        return means, fit_ranges
+        if self._fit:
+            behind, ahead = (s.physical(raw[s.name]) for s in self._fit)
+            fit_ranges += np.column_stack([-behind, ahead])
+        return means, fit_ranges, np.asarray(self._quartic.physical(raw[self._quartic.name]))
 
-    def _decode_own(self, raw: Mapping[str, NDArray[np.int64]], J: Array, common: Array) -> Array:
+    def _decode_own(
+        self, raw: Mapping[str, NDArray[np.int64]], seen: SeenLines, common: Array
+    ) -> Array:
         """Return the (L, 4, 4) D_i of (L,) raw values."""
-        own = self._levels.decode(raw, J) + common
+        own = self._levels.decode(raw, seen.means, seen.fit_ranges) + common
         if self._own_code is not None and (full := raw[FORM] == 1).any():
             signals = self._own_code.signals
             own[full] = self._own_code.decode({s.name: raw[s.name][full] for s in signals})
@@ -342,8 +378,16 @@ class SceneCode:
     def _common(self, seen: SeenLines, pose: DecodedPose) -> Array:
         """Return the (L, 4, 4) covariances that the levels of a scene's map error stand for."""
         sigma = np.array([pose.offset_sigma, pose.offset_sigma, pose.heading_sigma])
-        J = seen.jacobian() * sigma if sigma.any() else np.zeros((len(seen.means), 4, 3))
-        return np.asarray(J @ J.swapaxes(1, 2)) + np.diag(self.resolution)
+        J = RESOLUTION * bases(seen.means, seen.fit_ranges)
+        if sigma.any():
+            J = np.concatenate([J, seen.jacobian() * sigma], axis=2)
+        return np.asarray(J @ J.swapaxes(1, 2))
+
+
+def _floor(code: CholeskyCode) -> Array:
+    """Return the least variances that a code can decode to, for targets that are singular."""
+    pivots = dict(zip(code.factor.order, code.factor.pivots, strict=True))
+    return np.array([4.0 ** pivots[i].physical_range[0] for i in range(len(pivots))])
 
 
 def _worst_ratio(own: Array, true: Array, means: Array, fit_ranges: Array) -> Array:
@@ -362,23 +406,15 @@ def _worst_ratio(own: Array, true: Array, means: Array, fit_ranges: Array) -> Ar
     return np.sqrt((variances[0] / variances[1]).max(axis=1))
 
 
-def _is_function(mean: Array, fit_range: Array) -> bool:
+def _is_function(mean: Array, fit_range: Array, quartic: float) -> bool:
     """Return whether a line has a range, and is a function of x seen from other poses."""
     if not fit_range[0] < fit_range[1]:  # it may be too short for the steps of the message
         return False
     try:
-        SeenLines(mean[None], fit_range[None])
+        SeenLines(mean[None], fit_range[None], [quartic])
     except IllPosedError:
         return False
     return True
-
-
-def _level_below(signal: Signal, sigma: float) -> int:
-    """Return the raw value of the greatest level up to sigma; 0 if there is none."""
-    if sigma <= 0:
-        return 0
-    raw = math.floor((math.log2(sigma) - signal.offset) / signal.factor + 1e-9)
-    return min(max(raw, 0), signal.raw_max)
 
 
 def _level_above(signal: Signal, sigma: float) -> int:

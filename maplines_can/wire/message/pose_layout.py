@@ -10,7 +10,7 @@ from typing import ClassVar, Literal
 from ...line import Slot
 from .record_layout import RecordLayout
 from .requirements import check_record
-from .signals import OWN_SIGNALS, POSE_SIGNALS, Signal, slot_title
+from .signals import POSE_SIGNALS, SLOT_SIGNALS, Signal, slot_title
 from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.
@@ -80,5 +80,5 @@ class PoseLayout(RecordLayout):
                 raise self.error(
                     own, f"at most {counter.length} bits, as the Counter of {title}", "shorten it"
                 )
-            for name in OWN_SIGNALS if levels else ():
+            for name in SLOT_SIGNALS if levels else ():
                 self[f"{title}{name}"]

@@ -13,7 +13,14 @@ from .layout import Layout
 from .pose_layout import PoseLayout
 from .raw_records import RawRecords
 from .record_layout import RecordLayout
-from .signals import OWN_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, POSE_SIGNALS, slot_title
+from .signals import (
+    OWN_SIGNALS,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    POSE_SIGNALS,
+    SLOT_SIGNALS,
+    slot_title,
+)
 
 #: Signals that the writers of records fill in.
 _FILLED = ("Crc", "Counter", "Kind", "HasCovariance")
@@ -41,8 +48,8 @@ class ConditionalRecord:
     """One record of a line that is conditional on the pose error.
 
     Args:
-        raw: raw values by signal: mean, fit range and ``OWN_SIGNALS``; with the signals of the
-            covariance, the record has all pages.
+        raw: raw values by signal: mean, fit range, Quartic and ``OWN_SIGNALS``; with the signals
+            of the covariance, the record has all pages.
         counter: E2E counter.
         kind: kind of the line.
         slot: line slot.
@@ -79,7 +86,7 @@ class PoseRecords:
         self._records = RawRecords(layout)
         self._data_id = layout.messages.data_id
         self._counter_names = {slot: signal.name for slot, signal in layout.counters.items()}
-        levels = [f"{slot_title(slot)}{name}" for slot in Slot for name in OWN_SIGNALS]
+        levels = [f"{slot_title(slot)}{name}" for slot in Slot for name in SLOT_SIGNALS]
         self._names = [
             *(name for name in POSE_SIGNALS if name not in _FILLED),
             *_covariance_names(layout, POSE_ROWS),
@@ -124,7 +131,7 @@ class ConditionalRecords:
         self._layout = layout
         self._long, self._short = RawRecords(layout), RawRecords(layout, layout.short_pages)
         self._covariance = _covariance_names(layout, PARAMETER_SIGNALS)
-        self._own = ("XMin", "XMax", *PARAMETER_SIGNALS, *OWN_SIGNALS)
+        self._own = ("XMin", "XMax", "Quartic", *PARAMETER_SIGNALS, *OWN_SIGNALS)
 
     def write(self, record: ConditionalRecord) -> bytes:
         """Return the bytes of a record.

@@ -136,11 +136,27 @@ LEVEL = (
         "widen the signal and its range [min|max]",
     ),
 )
+#: Requirements of a spacing of points: a line has not too many of them.
+SPACING = (
+    *SCALE,
+    Requirement(
+        "values from -10 to 10 for any bits",
+        lambda s: bool(np.abs(s.reach).max() <= 10),
+        "correct factor and offset",
+    ),
+)
 #: Requirement of an end of a range that is sent exactly.
 WHOLE_METRES = Requirement(
     "factor 1 and a whole offset",
     lambda s: s.factor == 1 and s.offset.is_integer(),
     "write (1,-32) for metres from -32 on",
+)
+#: Requirements of a distance in whole metres.
+DISTANCE = (
+    *QUANTITY,
+    UNSIGNED,
+    unit("m"),
+    Requirement("factor 1 and offset 0", lambda s: (s.factor, s.offset) == (1, 0), "write (1,0)"),
 )
 
 

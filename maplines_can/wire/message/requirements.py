@@ -17,6 +17,7 @@ from ...line import Kind, Slot, Status
 from .packing import pieces_of
 from .requirement import (
     BYTES,
+    DISTANCE,
     EXACT,
     FINITE,
     INTEGER,
@@ -25,6 +26,7 @@ from .requirement import (
     POSITIVE,
     QUANTITY,
     SOME_RANGE,
+    SPACING,
     UNSIGNED,
     WHOLE_METRES,
     WHOLE_RANGE,
@@ -36,7 +38,7 @@ from .requirement import (
     length,
     unit,
 )
-from .signals import OWN_SIGNALS, PAGE, PAGE_BYTES, TRANSFER_ID, Signal, slot_title
+from .signals import PAGE, PAGE_BYTES, SLOT_SIGNALS, TRANSFER_ID, Signal, slot_title
 
 __all__ = [
     "CONDITIONAL_REQUIREMENTS",
@@ -143,15 +145,10 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "HasCovariance": (*NUMBER, holds(0, 1)),
     "OwnLateral": LEVEL,
     "OwnPoints": LEVEL,
-    "OwnSpacing": (
-        *(*QUANTITY, UNSIGNED, POSITIVE, unit("octave")),
-        Requirement(
-            "values from -12 to 1.5 for any bits",
-            # Points that are farther apart bend no line; the work grows with their number.
-            lambda s: s.reach[0] >= -12 and s.reach[1] <= 1.5,
-            "correct factor and offset",
-        ),
-    ),
+    "OwnSpacing": SPACING,
+    "Quartic": (*QUANTITY, POSITIVE, unit("m")),
+    "FitBehind": DISTANCE,
+    "FitAhead": DISTANCE,
     "CorrelationTime": LEVEL,
     "MapOffset": LEVEL,
     "MapHeading": LEVEL,
@@ -199,7 +196,7 @@ def _named(signals: Mapping[str, Signal], name: str) -> list[Signal]:
     if name in (PAGE, TRANSFER_ID):
         return _each(signals, name)
     names = [name]
-    if name in OWN_SIGNALS:
+    if name in SLOT_SIGNALS:
         names += [f"{slot_title(slot)}{name}" for slot in Slot]
     elif name == SLOT_COUNTER:
         names = [f"{slot_title(slot)}Counter" for slot in Slot]

@@ -17,7 +17,7 @@ from ..covariance.scene_code import SceneCode
 from .layout import Layout
 from .pose_layout import PoseLayout
 from .pose_records import ConditionalRecord, PoseRecord
-from .signals import OWN_SIGNALS, PARAMETER_SIGNALS, slot_title
+from .signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
 
 #: Multiple of which the ends of the valid range are, moved inwards, so that a range that is
 #: computed from decoded values does not exceed that of the sender [m].
@@ -99,7 +99,14 @@ class SceneReader:
                     t_ns=line_ns,
                 )
             )
-        return Scene(tuple(lines), decoded.cov, error, decoded.fit_ranges, map_error)
+        return Scene(
+            tuple(lines),
+            decoded.cov,
+            error,
+            decoded.fit_ranges,
+            map_error,
+            quartics=decoded.quartics,
+        )
 
     def age(self, pose: PoseRecord) -> float:
         """Return the age of a pose error when it was sent [s]; infinite if it is too old."""
@@ -113,4 +120,4 @@ class SceneReader:
         values = [*content.gaussian.mean, content.x_min, content.x_max]
         raw = {s.name: int(s.raw(x)) for s, x in zip(self._signals, values, strict=True)}
         prefix = slot_title(Slot(content.slot))
-        return raw | {name: pose[prefix + name] for name in OWN_SIGNALS}
+        return raw | {name: pose[prefix + name] for name in SLOT_SIGNALS}

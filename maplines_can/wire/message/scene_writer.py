@@ -22,7 +22,7 @@ from .pose_records import (
     PoseRecords,
     absent_counter,
 )
-from .signals import OWN_SIGNALS, slot_title
+from .signals import SLOT_SIGNALS, slot_title
 from .writer import up
 
 
@@ -143,7 +143,7 @@ class SceneWriter:
         return {
             f"{slot_title(slot)}{name}": members[slot][name] if slot in members else 0
             for slot in self._pose.counters
-            for name in OWN_SIGNALS
+            for name in SLOT_SIGNALS
         }
 
     def _raw_age(self, age: float) -> int:

@@ -23,15 +23,16 @@ HEADER_SIGNALS = (
 #: Signals that a record has instead, if its covariance is conditional on the pose error.
 CONDITIONAL_SIGNALS = (
     *("Crc", "Counter", "Kind", "XMin", "XMax"),
-    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing"),
+    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic"),
 )
 #: Signals that every record of the pose error has in addition to page numbers and covariance.
 POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHeading")
 #: Rows of the covariance of the pose error.
 POSE_ROWS = ("Along", "Across", "Heading")
-#: What a line has of its own: signals of a conditional record, or with the name of a slot before
-#: them, of the pose error.
+#: Levels of what a line has of its own: signals of a conditional record.
 OWN_SIGNALS = ("OwnLateral", "OwnPoints", "OwnSpacing")
+#: Signals of the pose error, with the name of a slot before them, if its records are complete.
+SLOT_SIGNALS = (*OWN_SIGNALS, "Quartic", "FitBehind", "FitAhead")
 #: Signals at the end of an authenticated message, in this order, with their largest size [byte].
 SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
 

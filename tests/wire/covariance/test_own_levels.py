@@ -13,14 +13,42 @@ from strategies import covariances, mild_lines, symmetric
 
 from maplines_can import Gaussian
 from maplines_can.line import lateral, lateral_jacobian, line_of_cubic
-from maplines_can.wire.covariance.own_levels import NODES, OwnLevels, bases, point_noise
+from maplines_can.seen_lines import NODES
+from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, bases, point_noise
 
 LINE = layout_of("maplines-pose.dbc")
 SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnSpacing"))
 LEVELS = OwnLevels(*SIGNALS)
-#: Derivatives for which the parameters are the coefficients of w^0 .. w^3 [m].
-EYE = np.eye(4)[None]
-RESOLUTION = np.array([2**-9, 2**-15, 2**-18, 2**-21]) ** 2 / 12
+#: A straight line, and its derivatives with respect to the coefficients of T_0 .. T_3 [m].
+STRAIGHT = np.zeros((1, 4)), np.array([[-20.0, 80.0]])
+BASIS = bases(*STRAIGHT)
+FLOOR = 1e-6
+#: Spacings and phases of all raw values.
+RAWS = np.arange(SIGNALS[2].raw_max + 1)
+SPACINGS, PHASES = 2.0 ** SIGNALS[2].physical(RAWS), RAWS * GOLDEN_RATIO % 1
+
+
+def straight_noise(spacing: Any, phase: Any = 0.0) -> Any:
+    """(4, 4) covariance of the coefficients of T_0 .. T_3 of a straight line."""
+    return point_noise(
+        np.zeros(4), np.array([-20.0, 80.0]), np.array([spacing]), np.array([phase])
+    )[0]
+
+
+def encoded(code: Any, target: Any, rest: Any, floor: float = 0.0) -> Any:
+    """Raw values and KL for (L, 4, 4) targets in coefficients of a straight line."""
+    n = len(target)
+    noise = code.noise(*STRAIGHT).repeat(n, 0)
+    turned = BASIS @ target @ BASIS.swapaxes(1, 2), BASIS @ rest @ BASIS.swapaxes(1, 2)
+    return code.encode(*turned, BASIS.repeat(n, 0), noise, floor)
+
+
+def in_metres(code: Any, raw: Any) -> Any:
+    """Decoded covariances of straight lines in the coefficients of T_0 .. T_3."""
+    n = len(raw[SIGNALS[0].name])
+    inverse = np.linalg.inv(BASIS)
+    decoded = code.decode(raw, STRAIGHT[0].repeat(n, 0), STRAIGHT[1].repeat(n, 0))
+    return inverse @ decoded @ inverse.swapaxes(1, 2)
 
 
 def ranges() -> Any:
@@ -32,12 +60,12 @@ def ranges() -> Any:
 
 @given(mild_lines(), ranges())
 def test_bases_are_the_derivatives_of_a_line(mean: Any, window: Any) -> None:
-    """The lateral position at x changes by w^k, for coefficients at w = (x - centre) / half."""
+    """The lateral position at x changes by T_k(w), at w = (x - centre) / half."""
     J = bases(mean[None], window[None])[0]
     x = np.linspace(window[0], window[1], 5)
     w = (x - window.mean()) / (np.ptp(window) / 2)
     got = lateral_jacobian(mean, x) @ J
-    assert np.allclose(got, w[:, None] ** np.arange(4), atol=1e-9)
+    assert np.allclose(got, np.polynomial.chebyshev.chebvander(w, 3), atol=1e-9)
 
 
 @given(mild_lines(), ranges())
@@ -54,9 +82,20 @@ def test_bases_move_the_line_itself(mean: Any, window: Any) -> None:
             slopes[2] * half**3 / 6,
         ]
     )
-    step = 1e-5
+    step, T = (
+        1e-5,
+        np.array(
+            [
+                np.polynomial.Chebyshev.basis(k)
+                .convert(kind=np.polynomial.Polynomial)
+                .coef.tolist()
+                + [0] * (3 - k)
+                for k in range(4)
+            ]
+        ).T,
+    )
     ends = [
-        line_of_cubic(q[:, None] + sign * step * np.eye(4), np.full(4, centre), np.full(4, half))
+        line_of_cubic(q[:, None] + sign * step * T, np.full(4, centre), np.full(4, half))
         for sign in (1, -1)
     ]
     expected = (ends[0] - ends[1]).T / (2 * step)
@@ -64,80 +103,103 @@ def test_bases_move_the_line_itself(mean: Any, window: Any) -> None:
     assert np.allclose(J, expected, rtol=1e-4, atol=1e-4 * np.abs(J).max(axis=1, keepdims=True))
 
 
-@pytest.mark.parametrize("spacing", [2**-6, 0.1, 0.5, 1.0, 2**0.5])
-def test_point_noise_is_that_of_fits_through_noisy_points(spacing: float) -> None:
-    """Points with independent unit errors, a polyline through them, and a cubic through that.
+@pytest.mark.parametrize("phase", [0.0, 0.4])
+@pytest.mark.parametrize("spacing", [2**-5, 0.1, 0.5, 0.9, 2**0.5])
+def test_point_noise_is_that_of_fits_through_noisy_points(spacing: float, phase: float) -> None:
+    """Points of a sloping line with independent unit errors across it, a polyline, and its fit.
 
-    The mean of the four positions of the points; 5 standard errors of 20 000 draws each.
+    5 standard errors of 20 000 draws.
     """
-    n, rng = 20_000, np.random.default_rng(7)
-    cov = np.zeros((4, 4))
-    for phase in (0.0, 0.25, 0.5, 0.75):
-        points = np.arange(-1 - phase * spacing, 1 + 2 * spacing, spacing)
-        noise = rng.standard_normal((n, len(points)))
-        at_nodes = np.array([np.interp(NODES, points, row) for row in noise])
-        fitted = np.polynomial.polynomial.polyfit(NODES, at_nodes.T, 3)
-        cov += np.cov(fitted) / 4
+    n, rng, slope = 20_000, np.random.default_rng(7), 0.5
+    line, ends = np.array([1.0, np.arctan(slope), 0.0, 0.0]), np.array([-20.0, 80.0])
+    points = np.arange(-1 - phase * spacing, 1 + 2 * spacing, spacing)
+    # An error e across a line moves it by e / cos(slope angle) along y.
+    noise = rng.standard_normal((n, len(points))) * np.hypot(1, slope)
+    at_nodes = np.array([np.interp(NODES, points, row) for row in noise])
+    fitted = np.polynomial.chebyshev.chebfit(NODES, at_nodes.T, 3)
+    cov = np.cov(fitted)
     scale = np.sqrt(cov.diagonal())
-    error = np.abs(point_noise(spacing) - cov) / np.outer(scale, scale)
-    assert error.max() <= 5 * (2 / (4 * n)) ** 0.5
+    got = point_noise(line, ends, np.array([spacing]), np.array([phase]))[0]
+    assert (np.abs(got - cov) / np.outer(scale, scale)).max() <= 5 * (2 / n) ** 0.5
+
+
+def test_points_are_at_equal_distances_along_a_bend() -> None:
+    """By the arc length of a fine polyline, with the errors across the line at its points."""
+    line, ends = np.array([0.0, 0.0, 1 / 60, 0.0]), np.array([0.0, 50.0])
+    spacing, phase = 0.3, 0.25
+    x = np.linspace(0.0, 50.0, 200_001)
+    y, slope = x**2 / 120, x / 60
+    along = np.append(0.0, np.hypot(np.diff(x), np.diff(y)).cumsum())
+    nodes = np.interp(25 + 25 * NODES, x, 2 * along / along[-1])
+    points = np.arange(-phase * spacing, 2 + 2 * spacing, spacing)
+    W = np.array([np.interp(nodes, points, row) for row in np.eye(len(points))]).T
+    W *= np.hypot(1, np.interp(25 + 25 * NODES, x, slope))[:, None]
+    fitted = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3)) @ W
+    got = point_noise(line, ends, np.array([spacing]), np.array([phase]))[0]
+    expected = fitted @ fitted.T
+    assert np.allclose(got, expected, atol=1e-3 * expected.max())
 
 
 @pytest.mark.parametrize("spacing", [0.25, 0.125])
 def test_denser_points_average_more_noise(spacing: float) -> None:
     """Half the spacing at most halves the variance: the nodes at the ends use few points."""
-    ratio = point_noise(spacing).diagonal() / point_noise(spacing / 2).diagonal()
-    assert ((ratio > 1.3) & (ratio < 2)).all()
+    ratio = straight_noise(spacing).diagonal() / straight_noise(spacing / 2).diagonal()
+    assert ((ratio > 1.2) & (ratio < 2.1)).all()
+
+
+def test_there_is_a_level_near_any_spacing_and_phase() -> None:
+    """Within 10 % of the spacing and an eighth of it, but at both ends."""
+    for spacing in 2.0 ** np.arange(-4.5, 1.0, 0.1):
+        for phase in np.arange(0, 1, 0.05):
+            near = np.abs(np.log(SPACINGS / spacing)) < 0.1
+            turned = np.abs((PHASES - phase + 0.5) % 1 - 0.5)
+            assert turned[near].min() <= 0.125
 
 
 def test_the_raw_value_0_is_no_level() -> None:
     zero = {signal.name: np.array([0]) for signal in SIGNALS}
-    assert not LEVELS.decode(zero, EYE).any()
-    lateral_only = LEVELS.decode(zero | {"OwnLateral": np.array([50])}, EYE)[0]
+    assert not LEVELS.decode(zero, *STRAIGHT).any()
+    lateral_only = LEVELS.decode(zero | {"OwnLateral": np.array([50])}, *STRAIGHT)[0]
     assert lateral_only[0, 0] == pytest.approx(4.0 ** SIGNALS[0].physical_one(50))
     assert np.count_nonzero(lateral_only) == 1
-    points = LEVELS.decode(zero | {"OwnPoints": np.array([50]), "OwnSpacing": np.array([4])}, EYE)[
-        0
-    ]
-    level, spacing = SIGNALS[1].physical_one(50), SIGNALS[2].physical_one(4)
-    assert np.allclose(points, 4.0**level * point_noise(2.0**spacing), rtol=1e-12)
+    raw = zero | {"OwnPoints": np.array([20]), "OwnSpacing": np.array([100])}
+    expected = 4.0 ** SIGNALS[1].physical_one(20) * straight_noise(SPACINGS[100], PHASES[100])
+    assert np.allclose(in_metres(LEVELS, raw)[0], expected, rtol=1e-9, atol=1e-15)
 
 
 @given(st.data(), mild_lines(), ranges())
 def test_any_bits_are_positive_semidefinite(data: Any, mean: Any, window: Any) -> None:
     raw = {s.name: np.array([data.draw(st.integers(*s.all_raw))]) for s in SIGNALS}
-    J = bases(mean[None], window[None])
-    decoded = LEVELS.decode(raw, J)[0]
+    decoded = LEVELS.decode(raw, mean[None], window[None])[0]
     assert np.array_equal(decoded, decoded.T)
-    inverse = np.linalg.inv(J[0])
-    in_metres = inverse @ decoded @ inverse.T
-    assert np.linalg.eigvalsh(in_metres)[0] >= -1e-9 * np.abs(in_metres).max()
+    inverse = np.linalg.inv(bases(mean[None], window[None])[0])
+    metres = inverse @ decoded @ inverse.T
+    assert np.linalg.eigvalsh(metres)[0] >= -1e-9 * np.abs(metres).max()
 
 
 @given(symmetric(), covariances(4, (1e-6, 1e-3, 1.0)), st.floats(-8, 2), mild_lines(), ranges())
 def test_decoded_levels_cover_any_symmetric_target(
     target: Any, rest: Any, exponent: float, mean: Any, window: Any
 ) -> None:
-    """Or the divergence is infinite; it is that from target + resolution, beside the rest."""
-    J = bases(mean[None], window[None])
-    scale = 10.0**exponent / max(1e-30, np.abs(target).max())
-    target, rest = J @ (scale * target) @ J.swapaxes(1, 2), J @ rest @ J.swapaxes(1, 2)
-    raw, kl = LEVELS.encode(target, rest, J, RESOLUTION)
+    """Or the divergence is infinite; it is that from target + floor, beside the rest."""
+    line = mean[None], window[None]
+    J = bases(*line)
+    target = 10.0**exponent / max(1e-30, np.abs(target).max()) * target
+    turned = [J @ matrix @ J.swapaxes(1, 2) for matrix in (target, rest)]
+    raw, kl = LEVELS.encode(turned[0], turned[1], J, LEVELS.noise(*line), FLOOR)
     for signal in SIGNALS:
         assert signal.raw_min <= raw[signal.name][0] <= signal.raw_max
     if np.isinf(kl[0]):
         return
     inverse = np.linalg.inv(J[0])
-    decoded, target, rest = (
-        inverse @ matrix[0] @ inverse.T for matrix in (LEVELS.decode(raw, J), target, rest)
-    )
+    decoded = inverse @ LEVELS.decode(raw, *line)[0] @ inverse.T
     least = np.linalg.eigvalsh(decoded - target)[0]
     assert least >= -1e-7 * max(np.abs(target).max(), np.abs(decoded).max())
-    true = rest + target + inverse @ np.diag(RESOLUTION) @ inverse.T
-    true, decoded, rest = ((matrix + matrix.T) / 2 for matrix in (true, decoded, rest))
+    true = rest + target + FLOOR * np.eye(4)
+    true, decoded = ((matrix + matrix.T) / 2 for matrix in (true, decoded + rest))
     eigenvalues = np.linalg.eigvalsh(true)
     if eigenvalues[0] > 1e-6 * eigenvalues[-1]:
-        expected = Gaussian(np.zeros(4), true).kl(Gaussian(np.zeros(4), rest + decoded))
+        expected = Gaussian(np.zeros(4), true).kl(Gaussian(np.zeros(4), decoded))
         assert kl[0] == pytest.approx(expected, rel=1e-5, abs=1e-7)
 
 
@@ -147,18 +209,20 @@ def test_a_target_beyond_the_levels_is_not_covered(size: float) -> None:
     for i in range(4):
         target = np.zeros((1, 4, 4))
         target[0, i, i] = size
-        assert LEVELS.encode(target, EYE, EYE, RESOLUTION)[1] == np.inf
+        assert encoded(LEVELS, target, np.eye(4)[None], FLOOR)[1] == np.inf
 
 
 def test_a_target_of_the_family_costs_at_most_a_step() -> None:
     """Covariances of levels between those of the code, beside no other part."""
-    rng, n = np.random.default_rng(3), 200
-    a = 2.0 ** rng.uniform(-8, -2, n)
-    p = 2.0 ** rng.uniform(-8, -4.5, n)
-    spacing = 2.0 ** SIGNALS[2].physical(rng.integers(0, 16, n))
-    target = p[:, None, None] ** 2 * np.array([point_noise(s) for s in spacing])
+    rng, n = np.random.default_rng(3), 50
+    a = 2.0 ** rng.uniform(-6, -2.5, n)
+    p = 2.0 ** rng.uniform(-7, -4, n)
+    chosen = rng.integers(0, 200, n)
+    target = p[:, None, None] ** 2 * np.array(
+        [straight_noise(SPACINGS[k], PHASES[k]) for k in chosen]
+    )
     target[:, 0, 0] += a**2
-    _, kl = LEVELS.encode(target, np.zeros((n, 4, 4)), np.tile(EYE, (n, 1, 1)), np.zeros(4))
+    _, kl = encoded(LEVELS, target, np.zeros((n, 4, 4)))
     # A level that is too large by d octaves costs (2^-2d - 1) / 2 + d ln 2 in each direction.
     steps = 2 * SIGNALS[1].factor, SIGNALS[0].factor
     step = [(4.0**-d - 1) / 2 + d * np.log(2) for d in steps]
@@ -170,18 +234,23 @@ def test_the_levels_are_nearly_the_best_of_all() -> None:
     """Against all combinations of coarse signals that cover the target."""
     coarse = tuple(
         replace(signal, length=4, factor=factor, offset=offset, raw_min=0, raw_max=15)
-        for signal, factor, offset in zip(SIGNALS, (0.5, 0.5, 0.5), (-9, -9, -7), strict=True)
+        for signal, factor, offset in zip(SIGNALS, (0.5, 0.5, 0.4), (-9, -9, -5), strict=True)
     )
     code = OwnLevels(*coarse)
     raws = np.array([raw for raw in product(range(16), repeat=3) if raw[1]]).T
-    every = code.decode(dict(zip((s.name for s in coarse), raws, strict=True)), EYE.repeat(3840, 0))
+    a, p = (
+        np.where(raw > 0, 2.0 ** s.physical(raw), 0.0)
+        for s, raw in zip(coarse, raws[:2], strict=False)
+    )
+    every = p[:, None, None] ** 2 * code.noise(*STRAIGHT)[0, raws[2]]
+    every[:, 0, 0] += a**2
     rng = np.random.default_rng(5)
     rest = np.diag([1e-2, 1e-3, 1e-4, 1e-4])
     for _ in range(30):
         A = rng.standard_normal((4, 4)) * [[0.05], [0.02], [0.02], [0.01]]
         target = A @ A.T
-        _, kl = code.encode(target[None], rest[None], EYE, np.zeros(4))
+        _, kl = encoded(code, target[None], rest[None])
         covering = every[np.linalg.eigvalsh(every - target)[:, 0] >= 0]
         true = Gaussian(np.zeros(4), rest + target)
-        best = min(true.kl(Gaussian(np.zeros(4), rest + cov)) for cov in covering)
+        best = min(true.kl(Gaussian(np.zeros(4), rest + (c + c.T) / 2)) for c in covering)
         assert best - 1e-9 <= kl[0] <= 1.2 * best + 0.01

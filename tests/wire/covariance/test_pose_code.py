@@ -56,23 +56,23 @@ def test_the_correlation_time_is_rounded_to_the_nearest_level(
     ("sigma", "offset", "heading"),
     [
         (0.0, 0, 0),
-        (1e-9, 0, 1),
-        (2**-12.75, 0, 1),
-        (2**-12.74, 0, 2),
-        (2**-7.51, 0, 22),
-        (2**-7.5, 1, 22),
-        (2**-7.49, 1, 23),
-        (2**-3.5, 9, 31),
-        (1e9, 15, 31),
+        (1e-9, 1, 1),
+        (2**-12.75, 1, 1),
+        (2**-12.74, 1, 2),
+        (2**-7.876, 1, 21),
+        (2**-7.875, 1, 21),
+        (2**-7.5, 4, 22),
+        (2**-7.49, 5, 23),
+        (2**-3.5, 36, 31),
+        (1e9, 63, 31),
     ],
 )
 def test_the_levels_of_the_map_error(sigma: float, offset: int, heading: int) -> None:
-    """The offset is rounded down: the levels of the lines can do the rest. No level of a line has
-    the shape of a rotation, so the heading is rounded up."""
+    """Both are rounded up: no level of a line has the shape of a shift along it or a rotation."""
     sent = CODE.encode(pose_of(PRODUCTION, MapError(0.0, sigma, sigma)))
     assert (sent.pose["MapOffset"], sent.pose["MapHeading"]) == (offset, heading)
     pose = CODE.decode_pose(sent.pose)
-    assert pose.offset_sigma <= sigma * (1 + 1e-6)
+    assert pose.offset_sigma >= min(sigma, 2**-0.125) * (1 - 1e-6)
     assert pose.heading_sigma >= min(sigma, 2**-5.25) * (1 - 1e-6)
 
 

@@ -101,8 +101,8 @@ def test_a_conditional_record_has_two_or_four_pages(
     assert LINES.read(payload, slot) == record
 
 
-SHORT = {"XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9}
-LEVELS = {"OwnLateral": 50, "OwnPoints": 40, "OwnSpacing": 3}
+SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9}
+LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
 WIDE = {name: s.raw_max for name, s in CONDITIONAL.signals.items() if name[:4] in ("Pivo", "Rati")}
 LONG = SHORT | dict.fromkeys(LEVELS, 0) | WIDE | {"Inflation": 2}
 
@@ -143,7 +143,7 @@ def test_values_that_no_sender_may_send_are_rejected(change: dict[str, int]) -> 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"YOff": 2**14}, "signal YOff: the raw value 16384 is not from -16384 to 16383"),
+        ({"YOff": 2**13}, "signal YOff: the raw value 8192 is not from -8192 to 8191"),
         ({"OwnLateral": -1}, "signal OwnLateral"),
         ({"Status": 1}, "Status differ"),
         ({"PivotC0": 1}, "PivotBeta, PivotC1"),

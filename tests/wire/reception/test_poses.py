@@ -42,8 +42,8 @@ LAYOUTS = {
 }
 LAYOUT = LAYOUTS["maplines-pose.dbc"]
 RECORDS = ConditionalRecords(LAYOUT)
-LEVELS = {"OwnLateral": 50, "OwnPoints": 40, "OwnSpacing": 3}
-SHORT = {"XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
+LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
+SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
 LONG = SHORT | dict.fromkeys(LEVELS, 0)
 LONG |= {n: s.raw_max for n, s in LAYOUT.signals.items() if n[:4] in ("Pivo", "Rati", "Infl")}
 

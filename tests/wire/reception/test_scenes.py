@@ -149,7 +149,7 @@ class Forger:
         prepared = codec.prepare_scene(road_scene(SLOTS), fd=True)
         self.pose_raw = {**prepared.encoded.pose, "Age": 3}
         self.long_raw = dict(prepared.encoded.lines[0])
-        of_own = (*PARAMETER_SIGNALS, "XMin", "XMax", *OWN_SIGNALS)
+        of_own = (*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS)
         self.line_raw = {name: self.long_raw[name] for name in of_own}
 
     def frames(
