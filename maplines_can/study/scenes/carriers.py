@@ -19,14 +19,13 @@ from scipy.linalg import block_diag
 from ...line import Status, lateral_jacobian
 from ...scene import Scene
 from ...wire import Codec, PreparedScene
-from ...wire.covariance.joint import block_diagonal
-from ...wire.covariance.own_levels import bases
 from ...wire.covariance.scene_code import RESOLUTION
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from ...wire.message.signals import OWN_SIGNALS
 from ..codes import CODES
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
+from .source import noise_floor
 
 Array = NDArray[np.float64]
 
@@ -126,7 +125,11 @@ def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, An
 
 
 def compare(
-    scene: Scene, places: NDArray[np.intp], means: Array, cov: Array
+    scene: Scene,
+    places: NDArray[np.intp],
+    means: Array,
+    cov: Array,
+    resolution: float = RESOLUTION,
 ) -> dict[str, Any]:
     """Return the figures of a decoded scene against the covered target.
 
@@ -138,12 +141,12 @@ def compare(
         places: (L,) places of the decoded lines in it.
         means: (L, 4) decoded means.
         cov: (4 L, 4 L) decoded joint covariance.
+        resolution: standard deviation in each coefficient of ``bases`` [m].
     """
     keep = (4 * places[:, None] + np.arange(4)).ravel()
     d = (means - scene.means[places]).ravel()
     error = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
-    J = bases(means, scene.fit_ranges[places])
-    target = error + RESOLUTION**2 * block_diagonal(J @ J.swapaxes(1, 2))
+    target = error + noise_floor(means, scene.fit_ranges[places], resolution)
     blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(places))]
     definite, kl = _divergence(target, cov)
     row = {

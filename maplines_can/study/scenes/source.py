@@ -32,6 +32,8 @@ from ...propagation import MapError, map_scene
 from ...scene import Scene
 from ...seen_lines import SeenLines
 from ...street_shapes import Piece, Street
+from ...wire.covariance.joint import block_diagonal
+from ...wire.covariance.own_levels import bases
 from ..sweep.limit import Limit
 
 Array = NDArray[np.float64]
@@ -108,17 +110,25 @@ def random_scene(lines: int, rng: np.random.Generator) -> RandomScene:
             return RandomScene(scene, theta)
 
 
-def information(drawn: RandomScene, resolution: Array) -> Array:
+def noise_floor(means: Array, fit_ranges: Array, resolution: float) -> Array:
+    """Return the (4 L, 4 L) covariance of errors of a size in each coefficient of ``bases``."""
+    J = bases(means, fit_ranges)
+    return block_diagonal(resolution**2 * J @ J.swapaxes(1, 2))
+
+
+def information(drawn: RandomScene, resolution: float) -> Array:
     """Return the (n, n) Fisher information F of the parameters of a scene.
 
     Args:
         drawn: the scene.
-        resolution: (4,) variances of the rounding errors of means, added to its covariance.
+        resolution: standard deviation in each coefficient of ``bases``, added to its covariance
+            [m].
     """
     scene, theta = drawn
     seen = SeenLines(scene.means, scene.fit_ranges)
     count = 4 * len(scene.lines)
-    W = np.linalg.inv(np.linalg.cholesky(scene.cov + np.diag(np.tile(resolution, count // 4))))
+    floor = noise_floor(scene.means, scene.fit_ranges, resolution)
+    W = np.linalg.inv(np.linalg.cholesky(scene.cov + floor))
     dC = np.zeros((len(theta), count, count))
     for k in range(6):
         step = STEP * np.eye(len(theta))[k]

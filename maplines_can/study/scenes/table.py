@@ -7,14 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from ...wire.covariance.scene_code import RESOLUTION
 from ..text_table import aligned
-from .carriers import WITH_POSE, codec_of, evaluations
+from .carriers import WITH_POSE, evaluations
 from .source import information, joint_limit, random_scene
 
 Row = dict[str, Any]
 
-#: The code whose resolution of the means is added to true covariances at the limit.
-FINEST = "Cholesky"
 #: The limit holds at high rates only: at this many bits for each parameter and more.
 LEAST_RATE = 1.0
 
@@ -31,10 +30,9 @@ def chunk(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> di
     """
     rng = np.random.default_rng([seed, lines, index])
     drawn = [random_scene(lines, rng) for _ in range(n)]
-    resolution = codec_of(FINEST).resolution
     scenes = [one.scene for one in drawn]
     return {
-        "information": [information(one, resolution).tolist() for one in drawn],
+        "information": [information(one, RESOLUTION).tolist() for one in drawn],
         "codes": {code: list(evaluations(code, scenes)) for code in (*codes, *WITH_POSE)},
     }
 

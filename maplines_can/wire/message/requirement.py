@@ -115,18 +115,25 @@ QUANTITY = (INTEGER, EXACT, FINITE, SOME_RANGE)
 NUMBER = (INTEGER, UNSIGNED, IDENTITY, EXACT, SOME_RANGE)
 #: Requirements of whole bytes.
 BYTES = (INTEGER, UNSIGNED, IDENTITY)
-#: Requirements of the exponent of 2 of a scale.
-SCALE = (
-    *QUANTITY,
-    UNSIGNED,
-    POSITIVE,
-    unit("octave"),
-    Requirement(
-        f"values from -{FARTHEST_OCTAVE} to {FARTHEST_OCTAVE} for any bits",
-        lambda s: bool(np.abs(s.reach).max() <= FARTHEST_OCTAVE),
-        "correct factor and offset",
-    ),
-)
+
+
+def scale(farthest: int) -> tuple[Requirement, ...]:
+    """Return the requirements of the exponent of 2 of a scale."""
+    return (
+        *QUANTITY,
+        UNSIGNED,
+        POSITIVE,
+        unit("octave"),
+        Requirement(
+            f"values from -{farthest} to {farthest} for any bits",
+            lambda s: bool(np.abs(s.reach).max() <= farthest),
+            "correct factor and offset",
+        ),
+    )
+
+
+#: Requirements of the exponent of 2 of a standard deviation or a time.
+SCALE = scale(FARTHEST_OCTAVE)
 #: Requirements of a scale whose raw value 0 means that there is none, or that it is unknown.
 LEVEL = (
     *SCALE,
@@ -137,14 +144,7 @@ LEVEL = (
     ),
 )
 #: Requirements of a spacing of points: a line has not too many of them.
-SPACING = (
-    *SCALE,
-    Requirement(
-        "values from -10 to 10 for any bits",
-        lambda s: bool(np.abs(s.reach).max() <= 10),
-        "correct factor and offset",
-    ),
-)
+SPACING = scale(10)
 #: Requirement of an end of a range that is sent exactly.
 WHOLE_METRES = Requirement(
     "factor 1 and a whole offset",

@@ -39,8 +39,8 @@ def test_bits_and_frames_are_those_of_the_dbcs(figures: Any) -> None:
     for lines, row in zip((2, 3, 4), figures["Cholesky and Pose"], strict=True):
         pose = codec_of("Cholesky and Pose").layout.pose
         assert pose is not None
-        levels = sum(pose[f"EgoLeft{name}"].length for name in ("OwnLateral", "OwnPoints"))
-        levels += pose["EgoLeftOwnSpacing"].length
+        names = ("OwnLateral", "OwnPoints", "OwnSpacing", "Quartic")
+        levels = sum(pose[f"EgoLeft{name}"].length for name in names)
         own = sum(
             signal.length
             for name, signal in pose.signals.items()
@@ -53,7 +53,8 @@ def test_bits_and_frames_are_those_of_the_dbcs(figures: Any) -> None:
 def test_a_conditional_record_with_levels_takes_fewer_bits(figures: Any) -> None:
     """One with all entries takes those of a covariance more."""
     layout = codec_of("PoseConditional").layout
-    levels = 1 + sum(layout[f"Own{name}"].length for name in ("Lateral", "Points", "Spacing"))
+    names = ("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic")
+    levels = sum(layout[name].length for name in names)
     assert layout.pose is not None
     pose = sum(
         signal.length
@@ -84,7 +85,7 @@ def scene_of(pose_sigma: float, own_sigma: float) -> Scene:
 def test_the_same_covariance_has_no_divergence() -> None:
     """Its sigmas have the ratio 1."""
     scene = scene_of(0.2, 0.05)
-    row = compare(scene, np.arange(2), scene.means, scene.cov * (1 + 1e-9), np.zeros(4))
+    row = compare(scene, np.arange(2), scene.means, scene.cov * (1 + 1e-9), 0.0)
 
     assert row["kl_joint"] == pytest.approx(0, abs=1e-12)
     assert not row["overconfident"]
@@ -97,7 +98,7 @@ def test_independent_lines_have_the_divergence_of_their_correlation() -> None:
     scene = scene_of(pose, own)
     apart = scene.cov.copy()
     apart[:4, 4:] = apart[4:, :4] = 0
-    row = compare(scene, np.arange(2), scene.means, apart, np.zeros(4))
+    row = compare(scene, np.arange(2), scene.means, apart, 0.0)
     r = pose**2 / (pose**2 + own**2)
 
     assert row["kl_joint"] == pytest.approx(-math.log(1 - r**2) / 2)
@@ -112,7 +113,7 @@ def test_errors_of_means_must_be_covered() -> None:
     scene = scene_of(0.2, 0.05)
     means = scene.means + np.array([0.03, 0, 0, 0])
 
-    assert compare(scene, np.arange(2), means, scene.cov * 1.001, np.zeros(4))["overconfident"]
+    assert compare(scene, np.arange(2), means, scene.cov * 1.001, 0.0)["overconfident"]
 
 
 def test_an_indefinite_covariance_is_none() -> None:
@@ -120,7 +121,7 @@ def test_an_indefinite_covariance_is_none() -> None:
     scene = scene_of(0.2, 0.05)
     cov = scene.cov.copy()
     cov[0, 4] = cov[4, 0] = 2 * cov[0, 0]
-    row = compare(scene, np.arange(2), scene.means, cov, np.zeros(4))
+    row = compare(scene, np.arange(2), scene.means, cov, 0.0)
 
     assert row["not_positive_definite"]
     assert row["overconfident"]

@@ -12,14 +12,14 @@ from maplines_can.study.scenes.source import (
     box,
     information,
     joint_limit,
+    noise_floor,
     point_noise,
     pose_cov,
     random_scene,
 )
-from maplines_can.wire import Codec
+from maplines_can.wire.covariance.scene_code import RESOLUTION
 
 LINES = 3
-RESOLUTION = Codec.from_dbc().layout.resolution
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +75,7 @@ def test_information_is_the_curvature_of_the_divergence(drawn: Any) -> None:
     """2 KL = d^T F d for small changes of the parameters of the pose error."""
     scene, theta = drawn
     seen = SeenLines(scene.means, scene.fit_ranges)
-    true = scene.cov + np.diag(np.tile(RESOLUTION, LINES))
+    true = scene.cov + noise_floor(scene.means, scene.fit_ranges, RESOLUTION)
     d = np.r_[0.01, -0.02, 0.015, 0.02, -0.01, 0.01]
     moved = true + seen.spread(pose_cov(theta + np.r_[d, np.zeros(2 + LINES)]))
     moved -= seen.spread(pose_cov(theta))
@@ -89,7 +89,7 @@ def test_information_is_the_curvature_of_the_divergence(drawn: Any) -> None:
 
 def test_information_about_the_map_sums_up(drawn: Any) -> None:
     """To scale the whole covariance is to scale the pose error, and all errors of the map."""
-    F = information(drawn, np.zeros(4))
+    F = information(drawn, 0.0)
     scale = np.r_[np.ones(3), np.zeros(3), 1, 1, np.zeros(LINES)]
 
     # 1/2 tr (2 I)^2 = 2 * 12 parameters, if the cubic had no misfit

@@ -133,13 +133,13 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(LEVELS, "RouteOwnLateral", {"signed": True}, "unsigned", id="slot-level"),
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -12.0}, "", id="spacing-12"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -12.5}, "-12 to 1.5", id="12.5"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.0}, "", id="spacing-10"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.01}, "-10 to 10", id="10.01"),
         pytest.param(
-            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -13.0}, "-12 to 1.5", id="13"
+            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -200.0}, "-10 to 10", id="reach"
         ),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -6.0}, "", id="to-1.5"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -5.5}, "-12 to 1.5", id="to-2"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.625}, "", id="to-10"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.63}, "-10 to 10", id="to-10.005"),
         # counters of slots
         pytest.param(POSE, "RouteCounter", {"length": 2, "raw_max": 3}, "3 bits or", id="2-bits"),
         pytest.param(POSE, "RouteCounter", {"raw_max": 6}, "the range of all", id="counter-to-6"),
