@@ -23,12 +23,13 @@ propagation.nonlinearity propagation.quadrature propagation.sigma_points propaga
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation.map_scene propagation.scene_mixture
 propagation
-maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model maps.tracking
-maps.town
+maps.landmarks maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model
+maps.tracking maps.town
 maps.xml_tree maps.projection
 maps.lanelets maps.lanelet_tags maps.osm maps.lanelet2 maps.commonroad maps.points
 maps.opendrive.profiles maps.opendrive.reference_line maps.opendrive.attributes
-maps.opendrive.lane_section maps.opendrive.road maps.opendrive.boundaries maps.opendrive.links
+maps.opendrive.lane_section maps.opendrive.road maps.opendrive.landmarks
+maps.opendrive.boundaries maps.opendrive.links
 maps.opendrive.reader maps.opendrive
 maps.load maps.tour maps
 wire.reasons
@@ -55,9 +56,13 @@ bus.background bus.driver_errors bus.keys bus.load bus.log_writer bus.logs bus.s
 bus.socketcan bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue
 bus.transmitter bus
 ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.columns ego.records
-ego.recorded ego.route_drive ego
+ego.recorded ego.route_drive
+ego.localisation.sensor_errors ego.localisation.motion_model ego.localisation.measurements
+ego.localisation.localisation_layer ego.localisation.association
+ego.localisation.observation_models ego.localisation.correlation ego.localisation.filter
+ego.localisation ego.simulated_sensors ego.simulated_localisation ego
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
-cli.sending cli.stderr
+cli.sending cli.stderr cli.stated_pose
 cli.driving cli.ways cli cli.__main__ cli.accuracy cli.claims cli.decode cli.demo cli.design
 cli.drive cli.figures cli.map_info cli.receive cli.send cli.study
 __main__

@@ -30,8 +30,10 @@ from xodr_writer import (
     JunctionSpec,
     LaneSpec,
     Neighbour,
+    PoleRow,
     RoadSpec,
     SectionSpec,
+    Sign,
     Width,
     blend,
     constant,
@@ -45,6 +47,13 @@ PROJECTION = "+proj=tmerc +lat_0=48.7 +lon_0=9.1 +k=1 +x_0=0 +y_0=0 +ellps=WGS84
 STREET, SIDEWALK, WIDENED = 3.25, 2.0, 4.75
 FAST, RAMP, MEDIAN, SHOULDER = 3.75, 3.5, 1.5, 2.5
 RING = 5.0
+
+#: Distance of poles and signs from the edge of the road, of poles from each other along a street
+#: and along the motorway, and of signs from the ends of a road [m].
+VERGE, POLES, MOTORWAY_POLES, SIGN = 0.5, 32.0, 90.0, 6.0
+
+#: Offset of the poles of the motorway, beyond an additional lane at the right [m].
+OUTER = MEDIAN + 3 * FAST + SHOULDER + VERGE
 
 #: Distance from the middle of a junction to its arms [m].
 JUNCTION, RAMP_JUNCTION, ROUNDABOUT = 15.0, 20.0, 40.0
@@ -179,7 +188,7 @@ def add_motorway(made: Town) -> None:
     for i, line in enumerate(lines):
         road = RoadSpec(
             i + 1, "Motorway", line, sections[i], 120, "motorway", before=links[i][0],
-            after=links[i][1],
+            after=links[i][1], poles=[PoleRow(30.0, MOTORWAY_POLES, t) for t in (-OUTER, OUTER)],
         )  # fmt: skip
         made.add(road)
 
@@ -308,7 +317,14 @@ def street(
     line = through([Vertex(*vertex) for vertex in vertices])
     section = SectionSpec(0.0, lanes, centre="broken")
     ends = Neighbour(junctions_before), Neighbour(junction_after)
-    return RoadSpec(road_id, name, line, [section], limit, "town", -1, *ends)
+    left = STREET + SIDEWALK + VERGE
+    right_side = -max(width[1] for width in right) - SIDEWALK - VERGE
+    # The lamps on one side stand between those on the other.
+    poles = PoleRow(10.0, POLES, left), PoleRow(10.0 + POLES / 2, POLES, right_side)
+    signs = Sign(SIGN, right_side), Sign(line.length - SIGN, left)
+    return RoadSpec(
+        road_id, name, line, [section], limit, "town", -1, *ends, poles=poles, signs=signs
+    )
 
 
 def crossing(

@@ -49,6 +49,21 @@ class SectionSpec:
     centre: str = "none"
 
 
+class PoleRow(NamedTuple):
+    """Poles at even distances along a road."""
+
+    start: float  #: s of the first one [m]
+    distance: float  #: between two of them [m]
+    t: float  #: offset from the reference line, positive to the left [m]
+
+
+class Sign(NamedTuple):
+    """Traffic sign beside a road."""
+
+    s: float  #: [m]
+    t: float  #: offset from the reference line, positive to the left [m]
+
+
 class Neighbour(NamedTuple):
     """Road or junction at an end of a road, and the lane that continues each lane there."""
 
@@ -70,6 +85,8 @@ class RoadSpec:
     junction: int = -1
     before: Neighbour | None = None
     after: Neighbour | None = None
+    poles: Sequence[PoleRow] = ()
+    signs: Sequence[Sign] = ()
 
 
 class Arm(NamedTuple):
@@ -166,7 +183,35 @@ def _road(road: RoadSpec) -> list[str]:
         before = {b: a for a, b in road.sections[i - 1].following.items()} if i else ends[0]
         after = section.following if i + 1 < len(road.sections) else ends[1]
         lines += _section(section, before, after)
-    return [*lines, "</lanes>", "</road>"]
+    return [*lines, "</lanes>", *_poles(road), *_signs(road), "</road>"]
+
+
+def _poles(road: RoadSpec) -> list[str]:
+    if not road.poles:
+        return []
+    lines = ["<objects>"]
+    for i, (start, distance, t) in enumerate(road.poles):
+        length = road.line.length - 2 * start
+        lines.append(
+            f'<object type="pole" id="{i}" s="{_text(start)}" t="{_text(t)}" zOffset="0" '
+            f'radius="0.08" height="6">'
+            f'<repeat s="{_text(start)}" length="{_text(length)}" distance="{_text(distance)}" '
+            f'tStart="{_text(t)}" tEnd="{_text(t)}" zOffsetStart="0" zOffsetEnd="0"/></object>'
+        )
+    return [*lines, "</objects>"]
+
+
+def _signs(road: RoadSpec) -> list[str]:
+    if not road.signs:
+        return []
+    lines = ["<signals>"]
+    for i, (s, t) in enumerate(road.signs):
+        direction = "+" if t < 0 else "-"
+        lines.append(
+            f'<signal s="{_text(s)}" t="{_text(t)}" id="{i}" dynamic="no" '
+            f'orientation="{direction}" zOffset="2" type="274" subtype="{road.limit}"/>'
+        )
+    return [*lines, "</signals>"]
 
 
 def _neighbour(tag: str, other: Neighbour | None) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import time
 import uuid
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ import numpy as np
 
 from ..bus import LogWriter, frame_time
 from ..bus.log_writer import check_log_path
-from ..ego import LineSource, PoseSource, RecordedDrive, SimulatedDrive, State
+from ..ego import LineSource, State
 from ..ego.line_source import WINDOW, ChooseComponents
 from ..gaussian import Gaussian
 from ..line import LeftOut, Slot
@@ -38,7 +37,7 @@ from .options import (
     fault_opener,
     keyed_codec,
 )
-from .output import faults_text, pose_errors_text
+from .output import counts_text, faults_text, pose_errors_text
 from .parsing import add_command, number, seconds
 from .scene_sending import check_scene_load, sends_scenes
 from .sending import (
@@ -49,16 +48,10 @@ from .sending import (
     line_nonlinearity,
     map_error_of,
 )
+from .stated_pose import StatedPose, add_stated_pose, check_stated_pose, stated_pose_of
 from .stderr import note, progress_bar
 from .ways import TOUR, add_way, check_way, states_of, way_of
 
-#: Standard deviations of the stated pose: along [m], across [m], heading [deg].
-SIGMA = (0.3, 0.1, 0.2)
-
-#: Correlation time of the errors of the stated pose [s].
-CORRELATION_TIME = 10.0
-#: Least correlation time that is stated [s].
-LEAST_TIME = 1e-3
 #: Share of cycles off the map above which the drive may be of another one.
 MOST_OFF_MAP = 0.1
 
@@ -68,7 +61,8 @@ print the counters.
 
 The drive follows --route, or is recorded in a file (--drive), or leads {TOUR / 1000:g} km through
 the map on a route chosen at random (--seed). The car knows its pose with errors of the standard
-deviations --sigma, correlated in time; each line is sent as the Gaussian that follows from them.
+deviations --sigma, correlated in time, or from a localisation (--localise); each line is sent as
+the Gaussian that follows from them.
 
 By default the lines are sent in real time on a bus within this process; choose another one by
 --interface and --channel. With --as-fast-as-possible there is no bus, only --record: the log has
@@ -99,22 +93,7 @@ def add_drive(commands: Any) -> None:
         + ", ".join(slot.name.lower().replace("_", " ") for slot in Slot)
         + " (default: 4)",
     )
-    add(
-        "--sigma",
-        type=_sigma,
-        metavar="ALONG,ACROSS,HEADING",
-        help="standard deviations of the pose that the car knows [m, m, deg] (default: "
-        f"{','.join(f'{value:g}' for value in SIGMA)}; or those of --drive, whose poses are then "
-        "sent as they are)",
-    )
-    add(
-        "--correlation-time",
-        type=number(float, 0, 1e9),
-        metavar="S",
-        help="time in which the correlation of the pose errors falls to 1/e [s], which is also "
-        f"sent with the pose error (default: {CORRELATION_TIME:g}; unknown for the errors of "
-        "--drive)",
-    )
+    add_stated_pose(parser)
     add_line_model(parser)
     add(
         "--seed",
@@ -153,6 +132,7 @@ def _drive(arguments: argparse.Namespace) -> int:
             "--record for a log"
         )
     check_way(arguments)
+    check_stated_pose(arguments)
     _check_overwriting(arguments)
     clock_ns = time.time_ns()
 
@@ -171,7 +151,8 @@ def _drive(arguments: argparse.Namespace) -> int:
     way, route = way_of(found, arguments)
     states = states_of(way, arguments)
     as_scene = sends_scenes(codec, arguments)
-    source = _source(found, way, route, slots, components, arguments, as_scene=as_scene)
+    stated = stated_pose_of(found, way, arguments)
+    source = _source(found, stated, route, slots, components, arguments, as_scene=as_scene)
     counters = Counters()
     with ExitStack() as stack:
         truth = None
@@ -207,6 +188,8 @@ def _drive(arguments: argparse.Namespace) -> int:
     if counters.stopped:
         note(f"stopped by Ctrl-C after {result['seconds']:.1f} s of the drive")
     result |= {"record": arguments.record, "truth": path}
+    if stated.localisation is not None:
+        result["measurements"] = stated.localisation.counts()
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
     return 0
 
@@ -279,7 +262,7 @@ def _free_load(arguments: argparse.Namespace) -> float:
 
 def _source(
     found: Map,
-    way: SimulatedDrive | RecordedDrive,
+    stated: StatedPose,
     route: Route | None,
     slots: tuple[Slot, ...],
     components: int | ChooseComponents,
@@ -287,28 +270,15 @@ def _source(
     *,
     as_scene: bool,
 ) -> LineSource:
-    """Return the source of the lines, with the pose errors of the options."""
-    time = arguments.correlation_time
-    if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
-        note(
-            "the poses and covariances of --drive are sent as they are; the truth has the same "
-            "poses, so there are no errors to be seen; --sigma adds some"
-        )
-        stated = lambda t, _: way.stated(t)  # noqa: E731
-        time = math.inf if time is None else time
-    else:
-        time = CORRELATION_TIME if time is None else time
-        sigma = SIGMA if arguments.sigma is None else arguments.sigma
-        stated = PoseSource((*sigma[:2], math.radians(sigma[2])), time, arguments.seed).pose
+    """Return the source of the lines around the pose that the car knows."""
     return LineSource(
         found,
-        stated,
+        stated.pose,
         slots,
         route,
         map_error=map_error_of(arguments),
         components=components,
-        # Errors that are independent from cycle to cycle have no correlation time of 0.
-        correlation_time=max(time, LEAST_TIME) if as_scene else None,
+        correlation_time=stated.correlation_time if as_scene else None,
     )
 
 
@@ -382,18 +352,7 @@ def _text(result: dict[str, Any]) -> str:
             f"truth     {result['truth']}; in {other} cycles the car was on another lane than it "
             "believed"
         )
+    for source, counts in result.get("measurements", {}).items():
+        rows.append(f"{source:<10}{counts_text(counts)}")
     rows += [f"log       {result['record']}"] * bool(result["record"])
     return "\n".join(rows)
-
-
-def _sigma(text: str) -> tuple[float, float, float]:
-    """Argparse type of ``--sigma``."""
-    parse = number(float, 0, 1000)
-    parts = text.split(",")
-    if len(parts) != 3:
-        raise argparse.ArgumentTypeError(
-            f"must be three numbers ALONG,ACROSS,HEADING [m, m, deg], such as 0.3,0.1,0.2, "
-            f"got {text!r}"
-        )
-    along, across, heading = (float(parse(part)) for part in parts)
-    return along, across, heading

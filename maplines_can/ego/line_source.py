@@ -49,8 +49,9 @@ class LineSource:
         map_error: error of the map.
         components: number of mixture components of each line, 1 to 8, or a function that chooses
             it in each cycle.
-        correlation_time: of the pose error [s], infinite if it is unknown; the cycles then have
-            the joint covariance of their lines, which have one component each. None: they do not.
+        correlation_time: of the pose error [s], or a function that returns it in each cycle;
+            infinite if it is unknown. The cycles then have the joint covariance of their lines,
+            which have one component each. None: they do not.
 
     >>> from maplines_can import PoseSource, maps, Polyline
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
@@ -71,7 +72,7 @@ class LineSource:
         window: tuple[float, float] = WINDOW,
         map_error: MapError | None = None,
         components: int | ChooseComponents = 1,
-        correlation_time: float | None = None,
+        correlation_time: float | Callable[[], float] | None = None,
     ) -> None:
         if correlation_time is not None and components != 1:
             raise ValueError(
@@ -101,7 +102,7 @@ class LineSource:
             joint = map_scene(
                 chosen,
                 stated,
-                correlation_time=time,
+                correlation_time=time() if callable(time) else time,
                 window=self._window,
                 map_error=self._map_error,
             )

@@ -1,5 +1,6 @@
 """Maps: lanes with their boundary lines, from files of several formats."""
 
+from .landmarks import Landmark, LandmarkKind
 from .load import load
 from .matching import LaneMatch
 from .model import Lane, LaneType, Map, Road, Skipped
@@ -10,6 +11,8 @@ from .tracking import LaneTracker, Scene
 from .view import link_gaps
 
 __all__ = [
+    "Landmark",
+    "LandmarkKind",
     "Lane",
     "LaneChange",
     "LaneMatch",

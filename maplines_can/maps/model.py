@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..errors import RouteError
 from ..line import Slot
 from ..polyline import Polyline
+from .landmarks import Landmark
 from .lane import Lane, LaneType, Road, Skipped
 from .matching import LaneIndex, LaneMatch
 from .routing import Route, shortest_route
@@ -33,6 +34,7 @@ class Map:
         name: name of the file or of the map.
         left_hand_traffic: whether most roads have left-hand traffic.
         polylines: lines of the file that belong to no lane, by their ids.
+        landmarks: poles and signs beside the roads, as far as they are read: those of OpenDRIVE.
 
     Raises:
         ValueError: a key differs from the id of its value, or an id leads nowhere.
@@ -45,6 +47,7 @@ class Map:
     name: str = ""
     left_hand_traffic: bool = False
     polylines: Mapping[str, Polyline] = field(default_factory=dict)
+    landmarks: tuple[Landmark, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "polylines", MappingProxyType(dict(self.polylines)))

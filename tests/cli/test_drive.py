@@ -396,3 +396,25 @@ def test_the_text_tells_losses() -> None:
     assert "in 3 cycles the car was on another lane" in text
     assert "3 left out, because this machine was late" in text
     assert json.dumps("a.blf")[1:-1] in text
+
+
+def test_the_pose_of_a_localisation_is_sent(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With its correlation time; the measurements are counted."""
+    log = tmp_path / "drive.log"
+    options = ["--localise", "--dbc", "maplines-pose.dbc", "--record", str(log)]
+    result = run(capsys, town(tmp_path), *FAST, *options)
+    assert result["measurements"]["odometry"]["USED"] > 300
+    assert result["measurements"]["line"]["USED"] > 50
+    assert result["pose_errors"] == 160
+    assert main(["drive", town(tmp_path), *FAST[:-1], "2", "--localise"]) == 0
+    assert "odometry" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", [["--sigma", "1,1,1"], ["--correlation-time", "3"]])
+def test_a_localisation_has_its_own_errors(
+    capsys: pytest.CaptureFixture[str], option: list[str]
+) -> None:
+    assert main(["drive", *FAST, "--localise", *option]) != 0
+    assert "--localise gives the errors of the pose itself" in capsys.readouterr().err

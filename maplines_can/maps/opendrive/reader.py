@@ -15,18 +15,20 @@ import numpy as np
 from ...errors import MapFileError
 from ...line import Kind
 from ...polyline import Polyline
+from ..landmarks import Landmark
 from ..lane import SkippedList
 from ..model import Lane, Map, Road, Skipped
 from ..xml_tree import Document, Element
 from .attributes import UnusableError
 from .boundaries import SAME, Boundaries, SamplingError, sampled
+from .landmarks import read_landmarks
 from .lane_section import LaneRecord
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
 from .reference_line import Complex
 from .road import RoadRecord, read_road
 
-#: Elements that say nothing of lanes.
-_IGNORED = {"elevationProfile", "objects", "railroad", "signals", "surface", "userData"}
+#: Elements that say nothing of lanes or landmarks.
+_IGNORED = {"elevationProfile", "railroad", "surface", "userData"}
 
 T = TypeVar("T")
 #: Returns a lane, given its ``successors`` and ``predecessors``.
@@ -64,6 +66,7 @@ class _Reader:
         self.skipped: list[Skipped] = SkippedList()
         self.lanes: dict[LaneKey, UnlinkedLane] = {}
         self._roads: dict[str, Road] = {}
+        self._landmarks: list[Landmark] = []
         self._topology: dict[str, RoadTopology] = {}
         self._connections: list[Connection] = []
         self._left_hand = 0
@@ -102,6 +105,7 @@ class _Reader:
         if not lanes:
             raise UnusableError(element, "it has no lanes with a length")
         self.lanes |= lanes
+        self._landmarks += read_landmarks(element, road, self.skipped)
         self._left_hand += road.is_left_hand
         ends = np.array([road.sections[0].s, road.reference.end])
         (first, last), _ = road.reference(ends, ends)
@@ -195,6 +199,7 @@ class _Reader:
             projection=self._projection,
             name=name,
             left_hand_traffic=2 * self._left_hand > len(self._roads),
+            landmarks=tuple(self._landmarks),
         )
 
 

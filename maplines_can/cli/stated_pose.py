@@ -1,0 +1,117 @@
+"""Options of ``drive`` for the pose that the car knows: its errors, or its localisation."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..ego import (
+    LocalisationLayer,
+    PoseSource,
+    RecordedDrive,
+    SimulatedDrive,
+    SimulatedLocalisation,
+)
+from ..gaussian import Gaussian
+from ..maps import Map
+from .parsing import number
+from .stderr import note
+
+#: Standard deviations of the stated pose: along [m], across [m], heading [deg].
+SIGMA = (0.3, 0.1, 0.2)
+
+#: Correlation time of the errors of the stated pose [s].
+CORRELATION_TIME = 10.0
+#: Least correlation time that is stated [s]: errors that are independent from cycle to cycle have
+#: none of 0.
+LEAST_TIME = 1e-3
+
+
+class StatedPose(NamedTuple):
+    """Pose that the car knows."""
+
+    pose: Callable[[float, NDArray[np.float64]], Gaussian]  #: at a time [s], by the true pose
+    correlation_time: Callable[[], float]  #: of its error [s]
+    localisation: SimulatedLocalisation | None = None
+
+
+def add_stated_pose(parser: argparse.ArgumentParser) -> None:
+    """Add ``--sigma``, ``--correlation-time`` and ``--localise``."""
+    parser.add_argument(
+        "--sigma",
+        type=_sigma,
+        metavar="ALONG,ACROSS,HEADING",
+        help="standard deviations of the pose that the car knows [m, m, deg] (default: "
+        f"{','.join(f'{value:g}' for value in SIGMA)}; or those of --drive, whose poses are then "
+        "sent as they are)",
+    )
+    parser.add_argument(
+        "--correlation-time",
+        type=number(float, 0, 1e9),
+        metavar="S",
+        help="time in which the correlation of the pose errors falls to 1/e [s], which is also "
+        f"sent with the pose error (default: {CORRELATION_TIME:g}; unknown for the errors of "
+        "--drive)",
+    )
+    parser.add_argument(
+        "--localise",
+        action="store_true",
+        help="take the pose from a Kalman filter on simulated sensors: GNSS, wheel speed, yaw "
+        "rate, and a camera that sees lines and landmarks; it gives the covariance and the "
+        "correlation time",
+    )
+
+
+def check_stated_pose(arguments: argparse.Namespace) -> None:
+    """Raise ValueError if ``--localise`` is given with what it replaces."""
+    given = arguments.sigma is not None or arguments.correlation_time is not None
+    if arguments.localise and given:
+        raise ValueError(
+            "--localise gives the errors of the pose itself; leave out --sigma and "
+            "--correlation-time"
+        )
+
+
+def stated_pose_of(
+    found: Map, way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace
+) -> StatedPose:
+    """Return the pose that the car knows, by the options."""
+    if arguments.localise:
+        source = SimulatedLocalisation(way, LocalisationLayer(found), seed=arguments.seed)
+        return StatedPose(source.pose, lambda: max(source.correlation_time, LEAST_TIME), source)
+    time = arguments.correlation_time
+    if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
+        note(
+            "the poses and covariances of --drive are sent as they are; the truth has the same "
+            "poses, so there are no errors to be seen; --sigma adds some"
+        )
+        return StatedPose(lambda t, _: way.stated(t), lambda: _sent(time, math.inf))
+    sigma = SIGMA if arguments.sigma is None else arguments.sigma
+    errors = PoseSource(
+        (*sigma[:2], math.radians(sigma[2])),
+        CORRELATION_TIME if time is None else time,
+        arguments.seed,
+    )
+    return StatedPose(errors.pose, lambda: _sent(time, CORRELATION_TIME))
+
+
+def _sent(time: float | None, default: float) -> float:
+    return max(default if time is None else time, LEAST_TIME)
+
+
+def _sigma(text: str) -> tuple[float, float, float]:
+    """Argparse type of ``--sigma``."""
+    parse: Callable[[str], Any] = number(float, 0, 1000)
+    parts = text.split(",")
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(
+            f"must be three numbers ALONG,ACROSS,HEADING [m, m, deg], such as 0.3,0.1,0.2, "
+            f"got {text!r}"
+        )
+    along, across, heading = (float(parse(part)) for part in parts)
+    return along, across, heading

@@ -1,0 +1,85 @@
+"""Association of what a car sees with what its map has, by Mahalanobis distance."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+Array = NDArray[np.float64]
+
+#: Probability that the gate rejects a good measurement.
+FALSE_ALARM = 1e-3
+#: The second candidate must be this many times less likely than the first one.
+LEAST_RATIO = 100.0
+
+
+class Verdict(IntEnum):
+    """What became of a measurement."""
+
+    MISSING = 0  #: there is none
+    USED = 1
+    OUTLIER = 2  #: its innovation is beyond the gate
+    AMBIGUOUS = 3  #: two candidates of the map are nearly as likely
+    UNMATCHED = 4  #: the map has no candidate near it
+    TOO_LATE = 5  #: it is older than the history
+    NO_ODOMETRY = 6  #: it is too far ahead of the last odometry
+    UNCONFIRMED = 7  #: the pose is so uncertain that another one must confirm it, but none does
+    INVALID = 8  #: it is not finite
+
+
+#: Gates of the squared Mahalanobis distance by the number of values.
+GATES = {m: float(chdtri(m, FALSE_ALARM)) for m in (2, 3, 4)}
+
+
+def squared_distance(residual: Array, S: Array) -> Array:
+    """Return (...,) squared Mahalanobis distances of (..., m) residuals."""
+    return np.asarray((residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=-1))
+
+
+def associate(
+    count: int,
+    of: NDArray[np.intp],
+    squared: Array,
+    log_det: Array,
+    place: Array,
+    same: float,
+    gate: float,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the nearest candidate of each measurement, and the verdict on it.
+
+    Nearest is that of the greatest likelihood: least squared distance plus log det S. A second
+    candidate within the distance ``same`` of it is taken for the same object, such as the
+    boundary that two lanes have in common.
+
+    Args:
+        count: number n of measurements.
+        of: (k,) measurement of each candidate, ascending.
+        squared: (k,) squared Mahalanobis distances.
+        log_det: (k,) of the covariances of the residuals.
+        place: (k, d) of the candidates, to compare them [m].
+        same: [m].
+        gate: of the squared distance.
+
+    Returns:
+        (n,) indices of candidates, 0 without one; (n,) ``Verdict`` without MISSING.
+    """
+    best = np.zeros(count, dtype=np.intp)
+    verdict = np.full(count, Verdict.UNMATCHED, dtype=np.intp)
+    if not len(of):
+        return best, verdict
+    cost = squared + log_det
+    order = np.lexsort((cost, of))
+    first = order[np.append(True, np.diff(of[order]) > 0)]
+    some = of[first]
+    best[some] = first
+    verdict[some] = np.where(squared[first] <= gate, Verdict.USED, Verdict.OUTLIER)
+    is_other = np.linalg.norm(place - place[best[of]], axis=1) > same
+    rival = np.full(count, np.inf)
+    np.minimum.at(rival, of[is_other], cost[is_other])
+    close = rival[some] - cost[first] < 2 * np.log(LEAST_RATIO)
+    ambiguous = some[close & (squared[first] <= gate)]
+    verdict[ambiguous] = Verdict.AMBIGUOUS
+    return best, verdict

@@ -1,0 +1,122 @@
+"""State of the localisation, and its prediction by wheel speed and yaw rate.
+
+    x, y, heading   pose in the map frame [m, m, rad]
+    e_v             error of the wheel speed [m/s]
+    b               bias of the yaw rate [rad/s]
+    k               error of the wheel scale
+    g_e, g_n        error of the GNSS position [m]
+    c_y, c_b        errors of the camera: lateral [m], direction [rad]
+
+The wheel speed v_w and the yaw rate w_m drive the prediction, as those of an inertial sensor do in
+an error-state filter:
+
+    v = (1 + k) v_w - e_v,   w = w_m - b
+    d/dt (x, y, heading) = (v cos heading, v sin heading, w)
+
+The speed is no state of its own with the wheel speed as its measurement: that would need a process
+noise for what the driver does, which is not white, and the innovations would be as wrong as it is.
+Its error e_v is a state instead. All errors are Gauss-Markov processes (``SensorErrors``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .sensor_errors import SensorErrors
+
+Array = NDArray[np.float64]
+
+X, Y, HEADING, SPEED, YAW_RATE, SCALE = range(6)
+#: Number of states.
+N = 10
+POSE, GNSS, CAMERA = slice(0, 3), slice(6, 8), slice(8, 10)
+#: Gauss-Markov processes.
+ERRORS = slice(3, N)
+
+
+def initial(pose: Array, cov: Array, errors: SensorErrors) -> tuple[Array, Array]:
+    """Return (n, N) means and (n, N, N) covariances for (n, 3) poses with (n, 3, 3) covariances."""
+    mean, full = np.zeros((len(pose), N)), np.zeros((len(pose), N, N))
+    mean[:, POSE] = pose
+    full[:, POSE, POSE] = cov
+    full[:, ERRORS, ERRORS] = np.diag(errors.sigmas**2)
+    return mean, full
+
+
+def speed_of(mean: Array, wheel_speed: Array) -> Array:
+    """Return the (n,) speeds for (n, N) states and (n,) wheel speeds [m/s]."""
+    return np.asarray((1 + mean[:, SCALE]) * wheel_speed - mean[:, SPEED])
+
+
+def predict(
+    mean: Array, cov: Array, wheel_speed: Array, yaw_rate: Array, dt: float, errors: SensorErrors
+) -> tuple[Array, Array, Array]:
+    """Return states, covariances and transition matrices after a time step.
+
+    Args:
+        mean: (n, N).
+        cov: (n, N, N).
+        wheel_speed: (n,) mean over the step [m/s].
+        yaw_rate: (n,) mean over the step [rad/s].
+        dt: [s], of some 10 ms.
+        errors: of the sensors.
+
+    Returns:
+        (n, N) means, (n, N, N) covariances, (n, N, N) transition matrices F.
+    """
+    v = speed_of(mean, wheel_speed)
+    turn = (yaw_rate - mean[:, YAW_RATE]) * dt
+    middle = mean[:, HEADING] + turn / 2
+    c, s = np.cos(middle), np.sin(middle)
+    phi = np.exp(-dt / errors.times)
+    after = mean.copy()
+    after[:, X] += v * dt * c
+    after[:, Y] += v * dt * s
+    after[:, HEADING] += turn
+    after[:, ERRORS] *= phi
+
+    F = np.zeros((len(mean), N, N))
+    F[:, range(N), range(N)] = np.append(np.ones(3), phi)
+    for row, along, across in ((X, c, -s), (Y, s, c)):
+        F[:, row, HEADING] = v * dt * across
+        F[:, row, SPEED] = -along * dt
+        F[:, row, YAW_RATE] = -v * dt**2 / 2 * across
+        F[:, row, SCALE] = wheel_speed * dt * along
+    F[:, HEADING, YAW_RATE] = -dt
+    moved = F @ cov @ F.transpose(0, 2, 1)
+    moved[:, HEADING, HEADING] += errors.yaw_rate_noise**2 * dt
+    rows = range(3, N)
+    moved[:, rows, rows] += errors.sigmas**2 * -np.expm1(-2 * dt / errors.times)
+    return after, moved, F
+
+
+def update(
+    mean: Array, cov: Array, residual: Array, H: Array, R: Array, used: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Return states, covariances and reductions I - K H after B measurements of m values each.
+
+    Args:
+        mean: (n, N).
+        cov: (n, N, N).
+        residual: (n, B, m) measurements less their predictions.
+        H: (n, B, m, N) Jacobians of the predictions.
+        R: (n, B, m, m) covariances of the measurements, which are independent of each other.
+        used: (n, B) which of them to use.
+
+    Returns:
+        (n, N) means, (n, N, N) covariances, (n, N, N) matrices I - K H.
+    """
+    n, B, m = residual.shape
+    residual = np.where(used[..., None], residual, 0.0).reshape(n, B * m)
+    H = np.where(used[..., None, None], H, 0.0).reshape(n, B * m, N)
+    PHt = cov @ H.transpose(0, 2, 1)
+    S = H @ PHt
+    for b in range(B):
+        own = slice(m * b, m * b + m)
+        S[:, own, own] += R[:, b]
+    K = PHt @ np.linalg.inv(S)
+    reduction = np.eye(N) - K @ H
+    after = cov - K @ PHt.transpose(0, 2, 1)
+    after = (after + after.transpose(0, 2, 1)) / 2
+    return mean + (K @ residual[..., None])[..., 0], after, reduction

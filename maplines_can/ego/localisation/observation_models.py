@@ -1,0 +1,250 @@
+"""Innovations of the observations: residuals with their Jacobians, and what they are of.
+
+An observation has blocks, each with its own verdict: a GNSS position, each line of the camera, each
+landmark, a pose.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...line import Kind
+from .association import GATES, Verdict, associate, squared_distance
+from .localisation_layer import LocalisationLayer
+from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
+from .motion_model import CAMERA, GNSS, HEADING, POSE, N, X, Y
+
+Array = NDArray[np.float64]
+Verdicts = NDArray[np.intp]
+
+#: Lines whose offsets differ by less are the same one [m].
+SAME_LINE = 0.3
+#: Landmarks that are closer to each other are the same one, and farthest from the place where it
+#: is seen that one is looked for [m].
+SAME_LANDMARK, LANDMARK_REACH = 0.05, 10.0
+#: Ratio of the covariance of an innovation to that of the measurement beyond which another
+#: measurement must confirm it.
+WIDE = 5.0
+
+
+class Innovation(NamedTuple):
+    """Residuals of n cars: B blocks of m values each. Blocks that are not used are 0."""
+
+    source: str  #: "gnss", "line", "landmark" or "pose"
+    residual: Array  #: (n, B, m) measurement less its prediction
+    H: Array  #: (n, B, m, N) Jacobian of the prediction
+    R: Array  #: (n, B, m, m) covariance of the measurement
+    S: Array  #: (n, B, m, m) covariance of the residual
+    verdict: Verdicts  #: (n, B)
+
+    @property
+    def squared(self) -> Array:
+        """(n, B) normalised innovations squared (NIS)."""
+        return squared_distance(self.residual, self.S)
+
+
+def innovation(
+    observation: Observation, mean: Array, cov: Array, layer: LocalisationLayer | None
+) -> Innovation:
+    """Return the innovation of an observation.
+
+    Args:
+        observation: of n cars.
+        mean: (n, N) states.
+        cov: (n, N, N).
+        layer: of the map; without it, lines and landmarks have no candidates.
+    """
+    if isinstance(observation, GnssFix):
+        return _gnss(observation, mean, cov)
+    if isinstance(observation, PoseFix):
+        return _pose(observation, mean, cov)
+    if isinstance(observation, CameraLines):
+        return confirmed(_lines(observation, mean, cov, layer), cov)
+    return confirmed(_landmarks(observation, mean, cov, layer), cov)
+
+
+def confirmed(found: Innovation, cov: Array) -> Innovation:
+    """Return an innovation without the blocks that are not confirmed.
+
+    Where the pose is uncertain, the gate is wide, so that something false passes it, and pulls the
+    pose far away. So a block whose innovation covariance S exceeds ``WIDE`` R in some direction
+    must agree with another block: both together must pass the gate of the joint innovation (joint
+    compatibility, Neira and Tardos 2001), to which an error of the pose is common.
+    """
+    n, B, m = found.residual.shape
+    used = found.verdict == Verdict.USED
+    root = np.linalg.inv(np.linalg.cholesky(found.R))
+    spread = np.linalg.eigvalsh(root @ found.S @ root.swapaxes(-1, -2))[..., -1]
+    doubtful = used & (spread > WIDE)
+    if not doubtful.any():
+        return found
+    is_confirmed = ~doubtful
+    H = found.H @ cov[:, None]
+    for i in range(B):
+        for j in range(i):
+            S = np.empty((n, 2 * m, 2 * m))
+            S[:, :m, :m], S[:, m:, m:] = found.S[:, i], found.S[:, j]
+            S[:, :m, m:] = H[:, i] @ found.H[:, j].swapaxes(-1, -2)
+            S[:, m:, :m] = S[:, :m, m:].swapaxes(-1, -2)
+            both = np.concatenate([found.residual[:, i], found.residual[:, j]], axis=-1)
+            agree = used[:, i] & used[:, j] & (squared_distance(both, S) <= GATES[2 * m])
+            is_confirmed[:, i] |= agree
+            is_confirmed[:, j] |= agree
+    verdict = np.where(is_confirmed, found.verdict, Verdict.UNCONFIRMED)
+    return found._replace(verdict=verdict)
+
+
+def _gnss(fix: GnssFix, mean: Array, cov: Array) -> Innovation:
+    H = np.zeros((len(mean), 2, N))
+    H[:, :, X : Y + 1] = H[:, :, GNSS] = np.eye(2)
+    residual = fix.position - mean[:, :HEADING] - mean[:, GNSS]
+    return _direct("gnss", residual, H, cov, fix.cov)
+
+
+def _pose(fix: PoseFix, mean: Array, cov: Array) -> Innovation:
+    H = np.zeros((len(mean), 3, N))
+    H[:, :, POSE] = np.eye(3)
+    residual = fix.pose - mean[:, POSE]
+    residual[:, 2] = (residual[:, 2] + np.pi) % (2 * np.pi) - np.pi
+    return _direct("pose", residual, H, cov, fix.cov)
+
+
+def _direct(source: str, residual: Array, H: Array, cov: Array, R: Array) -> Innovation:
+    """Return the innovation of a measurement that needs no association."""
+    S = H @ cov @ H.transpose(0, 2, 1) + R
+    given = np.asarray(np.isfinite(residual).all(axis=1))
+    residual = np.where(given[:, None], residual, 0.0)
+    inside = squared_distance(residual, S) <= GATES[residual.shape[1]]
+    verdict = np.where(given, np.where(inside, Verdict.USED, Verdict.OUTLIER), Verdict.MISSING)
+    R = np.broadcast_to(R, S.shape)
+    return Innovation(
+        source, residual[:, None], H[:, None], R[:, None], S[:, None], verdict[:, None]
+    )
+
+
+def _lines(
+    lines: CameraLines, mean: Array, cov: Array, layer: LocalisationLayer | None
+) -> Innovation:
+    seen = np.stack([lines.offset, lines.heading], axis=-1)  # (n, B, 2)
+    n, B = lines.offset.shape
+    R = np.broadcast_to(lines.cov, (n, B, 2, 2))
+    given = np.asarray(np.isfinite(seen).all(axis=-1))
+    if layer is None:
+        return _unmatched("line", given, R)
+    beside = layer.lines_beside(mean[:, POSE])
+    # Each block of each car with each line beside this car, in the order of blocks n B.
+    car, block = (a.ravel() for a in np.broadcast_arrays(beside.car[:, None], np.arange(B)))
+    row = np.repeat(np.arange(len(beside.car)), B)
+    kind = lines.kind[car, block]
+    fits = given[car, block] & ((kind == Kind.UNKNOWN) | (kind == beside.kind[row]))
+    order = np.flatnonzero(fits)
+    order = order[np.argsort(car[order] * B + block[order], kind="stable")]
+    car, block, row = car[order], block[order], row[order]
+    expected = np.stack([beside.offset[row], beside.heading[row]], axis=-1)
+    H = line_jacobian(expected, beside.curvature[row], mean[car, HEADING])
+    residual = seen[car, block] - expected - mean[car, CAMERA]
+    place = expected[:, :1]
+    return _associated("line", car, block, residual, H, cov, R, given, place, SAME_LINE)
+
+
+def line_jacobian(expected: Array, curvature: Array, heading: Array) -> Array:
+    """Return the (k, 2, N) Jacobian of y_off and beta of lines beside a car.
+
+    A car that moves by a ahead, by l to the left and turns by h sees, to first order,
+
+        y_off + tan(beta) a - l - tan(beta) y_off h
+        beta + c0 cos^2(beta) (a - y_off h) - h
+
+    Args:
+        expected: (k, 2) y_off [m], beta [rad].
+        curvature: (k,) c0 [1/m].
+        heading: (k,) of the cars [rad].
+    """
+    y, slope = expected[:, 0], np.tan(expected[:, 1])
+    bend = curvature * np.cos(expected[:, 1]) ** 2
+    c, s = np.cos(heading), np.sin(heading)
+    H = np.zeros((len(expected), 2, N))
+    H[:, 0, X], H[:, 0, Y] = slope * c + s, slope * s - c
+    H[:, 0, HEADING] = -slope * y
+    H[:, 1, X], H[:, 1, Y] = bend * c, bend * s
+    H[:, 1, HEADING] = -1 - bend * y
+    H[:, :, CAMERA] = np.eye(2)
+    return H
+
+
+def _landmarks(
+    seen: SeenLandmarks, mean: Array, cov: Array, layer: LocalisationLayer | None
+) -> Innovation:
+    B = seen.position.shape[1]
+    given = np.asarray(np.isfinite(seen.position).all(axis=-1))
+    R = np.where(given[..., None, None], seen.cov, np.eye(2))
+    if layer is None:
+        return _unmatched("landmark", given, R)
+    c, s = np.cos(mean[:, HEADING, None]), np.sin(mean[:, HEADING, None])
+    x, y = seen.position[..., 0], seen.position[..., 1]
+    in_map = mean[:, None, :HEADING] + np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    flat, place = layer.landmarks_near(in_map.reshape(-1, 2), LANDMARK_REACH)
+    car, block = np.divmod(flat, B)
+    c, s, d = c[car, 0], s[car, 0], place - mean[car, :HEADING]
+    expected = np.stack([c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]], axis=-1)
+    H = np.zeros((len(car), 2, N))
+    H[:, 0, X], H[:, 0, Y], H[:, 0, HEADING] = -c, -s, expected[:, 1]
+    H[:, 1, X], H[:, 1, Y], H[:, 1, HEADING] = s, -c, -expected[:, 0]
+    residual = seen.position[car, block] - expected
+    return _associated("landmark", car, block, residual, H, cov, R, given, place, SAME_LANDMARK)
+
+
+def _associated(
+    source: str,
+    car: NDArray[np.intp],
+    block: NDArray[np.intp],
+    residual: Array,
+    H: Array,
+    cov: Array,
+    R: Array,
+    given: NDArray[np.bool_],
+    place: Array,
+    same: float,
+) -> Innovation:
+    """Return the innovations of the nearest candidates of k: see ``associate``.
+
+    Args:
+        source: of the innovation.
+        car: (k,) of each candidate, ascending.
+        block: (k,) likewise, ascending within a car.
+        residual: (k, 2).
+        H: (k, 2, N).
+        cov: (n, N, N).
+        R: (n, B, 2, 2).
+        given: (n, B) whether there is a measurement.
+        place: (k, d) of the candidates [m].
+        same: distance within which candidates are the same object [m].
+    """
+    full = _unmatched(source, given, R)
+    n, B = given.shape
+    S = H @ cov[car] @ H.transpose(0, 2, 1) + R[car, block]
+    best, verdict = associate(
+        n * B,
+        car * B + block,
+        squared_distance(residual, S),
+        np.log(np.linalg.det(S)),
+        place,
+        same,
+        GATES[2],
+    )
+    verdict = verdict.reshape(n, B)
+    found = given & (verdict != Verdict.UNMATCHED)
+    for array, values in ((full.residual, residual), (full.H, H), (full.S, S)):
+        array[found] = values[best.reshape(n, B)[found]]
+    full.verdict[found] = verdict[found]
+    return full
+
+
+def _unmatched(source: str, given: NDArray[np.bool_], R: Array) -> Innovation:
+    """Return the innovations of (n, B) blocks for which the map has nothing."""
+    verdict = np.where(given, Verdict.UNMATCHED, Verdict.MISSING)
+    shape = given.shape
+    return Innovation(source, np.zeros((*shape, 2)), np.zeros((*shape, 2, N)), R, R.copy(), verdict)

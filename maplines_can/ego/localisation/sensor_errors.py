@@ -1,0 +1,84 @@
+"""Errors of the sensors of a localisation: each a first-order Gauss-Markov process."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class GaussMarkov(NamedTuple):
+    """First-order Gauss-Markov process.
+
+    Its autocorrelation falls to 1/e within the correlation time (Maybeck, Stochastic Models,
+    Estimation and Control, vol. 1, section 4.11).
+    """
+
+    sigma: float  #: standard deviation, in the unit of the error; 0 for no such error
+    time: float = math.inf  #: correlation time [s]; infinite for a constant error
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Errors of the sensors: what is correlated in time, and the white noise of the yaw rate.
+
+    The white noise of the other sensors comes with each measurement, as its covariance. The
+    defaults are those of a production car with a single-frequency GNSS receiver.
+
+    Args:
+        speed: of the wheel speed, such as by slip [m/s].
+        yaw_rate: bias of the yaw rate [rad/s].
+        wheel_scale: relative error of the wheel radius: true speed over wheel speed, less 1.
+        gnss: of the GNSS position, to the east and to the north alike [m].
+        camera_offset: common to the lateral positions of all lines that the camera sees [m].
+        camera_heading: common to their directions [rad].
+        yaw_rate_noise: density of the white noise of the yaw rate (angle random walk)
+            [rad/s / sqrt(Hz)].
+
+    Raises:
+        ValueError: a standard deviation is negative, or a correlation time is not positive.
+    """
+
+    speed: GaussMarkov = GaussMarkov(0.05, 1.0)
+    yaw_rate: GaussMarkov = GaussMarkov(math.radians(0.2), 1000.0)
+    wheel_scale: GaussMarkov = GaussMarkov(0.01, 3600.0)
+    gnss: GaussMarkov = GaussMarkov(1.5, 60.0)
+    camera_offset: GaussMarkov = GaussMarkov(0.05, 20.0)
+    camera_heading: GaussMarkov = GaussMarkov(math.radians(0.1), 100.0)
+    yaw_rate_noise: float = math.radians(0.02)
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            sigma, time = value if isinstance(value, tuple) else (value, math.inf)
+            if not (0 <= sigma < math.inf and time > 0):
+                raise ValueError(
+                    f"{field.name} must have a finite standard deviation of 0 or more and a "
+                    f"correlation time of more than 0 s, got {value!r}"
+                )
+
+    @property
+    def processes(self) -> tuple[GaussMarkov, ...]:
+        """Gauss-Markov processes in the order of the states of the filter."""
+        return (
+            self.speed,
+            self.yaw_rate,
+            self.wheel_scale,
+            self.gnss,
+            self.gnss,
+            self.camera_offset,
+            self.camera_heading,
+        )
+
+    @property
+    def sigmas(self) -> NDArray[np.float64]:
+        """(7,) standard deviations of the processes."""
+        return np.array([process.sigma for process in self.processes])
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """(7,) correlation times of the processes [s]."""
+        return np.array([process.time for process in self.processes])

@@ -1,0 +1,100 @@
+"""A localisation on simulated sensors knows its own error; without the GNSS bias it does not."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from lane_maps import lane, network
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from maplines_can import Polyline, Slot
+from maplines_can.ego import (
+    GaussMarkov,
+    GnssFix,
+    LineSource,
+    Localisation,
+    LocalisationLayer,
+    SensorSetup,
+    SimulatedDrive,
+    SimulatedLocalisation,
+    simulated_measurements,
+)
+from maplines_can.line import Kind
+from maplines_can.maps import Landmark, LandmarkKind
+
+#: A straight motorway at 30 m/s, with a pole every 200 m.
+ROAD = [[0, 0], [1500, 0]]
+DRIVE = SimulatedDrive(Polyline(ROAD), 30.0, start_speed=30.0, end_speed=30.0)
+POLES = tuple(Landmark(str(x), LandmarkKind.POLE, x, 8.0) for x in range(100, 1500, 200))
+MAP = network(
+    lane("1", length=1500.0, kinds=(Kind.DASHED, Kind.SOLID)),
+    lane("2", length=1500.0, t=3.5, kinds=(Kind.SOLID, Kind.DASHED)),
+    rows=["2 1"],
+    landmarks=POLES,
+)
+LAYER = LocalisationLayer(MAP)
+SIGMA = np.array([1.0, 1.0, math.radians(1.0)])
+CARS = 20
+
+
+def nees(*, with_bias: bool = True, **settings: Any) -> NDArray[np.float64]:
+    """Return the (k, CARS) normalised errors squared in steps of 2 s."""
+    setup = SensorSetup(camera_rate=5.0, **settings)
+    rng = np.random.default_rng(4)
+    arrivals = simulated_measurements(DRIVE, LAYER, setup, rng, CARS, (0.0, 30.0))
+    start = DRIVE.at(0.0).pose + SIGMA * rng.standard_normal((CARS, 3))
+    errors, extra = setup.errors, 0.0
+    if not with_bias:
+        errors, extra = replace(errors, gnss=GaussMarkov(0.0)), errors.gnss.sigma**2
+    localisation = Localisation(start, 0.0, errors, LAYER, cov=np.diag(SIGMA**2))
+    found, due = [], 2.0
+    for t, one in arrivals:
+        if isinstance(one, GnssFix):
+            one = one._replace(cov=one.cov + extra * np.eye(2))
+        localisation.add(one)
+        if t >= due and localisation.t >= due:
+            due += 2.0
+            poses = localisation.poses()
+            e = poses.mean - DRIVE.at(localisation.t).pose
+            found.append((e * np.linalg.solve(poses.cov, e[..., None])[..., 0]).sum(axis=-1))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("outages", [(), ((8.0, 26.0),)], ids=["motorway", "tunnel"])
+def test_the_error_is_consistent(outages: Any) -> None:
+    """The mean over cars at each time within its bounds, of 1e-4 each."""
+    found = nees(gnss_outages=outages).mean(axis=1)
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], 3 * CARS) / CARS
+    assert ((low < found) & (found < high)).all()
+
+
+def test_without_the_gnss_bias_it_is_not() -> None:
+    assert nees(with_bias=False).mean() > 2 * 3
+
+
+def test_the_stated_pose_drives_a_line_source() -> None:
+    """Its scenes have the covariance of the filter and its correlation time."""
+    source = SimulatedLocalisation(DRIVE, LAYER, seed=2)
+    lines = LineSource(
+        MAP, source.pose, (Slot.EGO_LEFT,), correlation_time=lambda: source.correlation_time
+    )
+    for t in np.arange(0.1, 6.0, 0.05):
+        cycle = lines.cycle(t, DRIVE.at(t).pose)
+    assert cycle.joint is not None
+    error = cycle.joint.pose_error
+    assert error.correlation_time == source.correlation_time < 60
+    assert np.sqrt(error.cov.diagonal())[1] == pytest.approx(cycle.stated.sigma[1], rel=1e-3)
+    assert cycle.stated.sigma[1] < 0.1
+    assert source.counts()["line"]["USED"] > 50
+
+
+def test_the_seed_gives_the_poses() -> None:
+    means = []
+    for seed in (1, 1, 2):
+        source = SimulatedLocalisation(DRIVE, LAYER, seed=seed)
+        means.append(source.pose(2.0).mean)
+    assert (means[0] == means[1]).all()
+    assert (means[0] != means[2]).all()

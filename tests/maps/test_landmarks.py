@@ -1,0 +1,109 @@
+"""Landmarks of OpenDRIVE maps: where objects and signals stand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from xodr_files import geometry, read_map, reasons, road, section
+
+from maplines_can.maps import LandmarkKind, load, town_path
+
+ARC = geometry('<arc curvature="0.01"/>', length=100.0)
+
+
+def with_objects(objects: str = "", signals: str = "", plan: str = geometry()) -> Any:
+    """Return the map of a road of 100 m with objects and signals."""
+    content = f"<objects>{objects}</objects><signals>{signals}</signals>"
+    return read_map(road(plan=plan).replace("</road>", f"{content}</road>"))
+
+
+def pole(attributes: str, content: str = "", kind: str = "pole") -> str:
+    return f'<object type="{kind}" {attributes}>{content}</object>'
+
+
+@pytest.mark.parametrize("kind", ["pole", "tree", "streetLamp"])
+def test_a_pole_stands_beside_the_reference_line(kind: str) -> None:
+    """At s along it and t to the left of it."""
+    (found,) = with_objects(pole('id="7" s="30" t="5"', kind=kind)).landmarks
+    assert (found.id, found.kind, found.x, found.y) == ("1:pole:7", LandmarkKind.POLE, 30.0, 5.0)
+
+
+def test_the_offset_is_normal_to_a_curve() -> None:
+    """On the arc of radius 100 m around (0, 100), after a quarter of a rad."""
+    (found,) = with_objects(signals='<signal id="a" s="25" t="-4"/>', plan=ARC).landmarks
+    assert found.kind is LandmarkKind.SIGN
+    assert (found.x, found.y) == pytest.approx((104 * np.sin(0.25), 100 - 104 * np.cos(0.25)))
+
+
+def test_a_repeated_object_is_a_row() -> None:
+    """Its offset changes linearly; the last one is at the end of the length."""
+    repeat = '<repeat s="10" length="60" distance="20" tStart="4" tEnd="7"/>'
+    found = with_objects(pole('id="1" s="0" t="0"', repeat)).landmarks
+    assert [(one.x, one.y) for one in found] == [(10, 4), (30, 5), (50, 6), (70, 7)]
+    assert len({one.id for one in found}) == 4
+
+
+def test_a_row_ends_with_the_road() -> None:
+    repeat = '<repeat s="10" length="1e9" distance="40" tStart="4" tEnd="4"/>'
+    assert [one.x for one in with_objects(pole('id="1"', repeat)).landmarks] == [10, 50, 90]
+
+
+@pytest.mark.parametrize("kind", ["building", "parkingSpace", "none", ""])
+def test_other_objects_are_no_landmarks(kind: str) -> None:
+    assert with_objects(pole('id="1" s="0" t="0"', kind=kind)).landmarks == ()
+
+
+@pytest.mark.parametrize(
+    ("attributes", "content", "why"),
+    [
+        pytest.param('id="1" t="0"', "", "s is missing", id="no-s"),
+        pytest.param('id="1" s="5"', "", "t is missing", id="no-t"),
+        pytest.param('s="5" t="0"', "", "needs an id", id="no-id"),
+        pytest.param('id="1" s="100.1" t="0"', "", "s must be from", id="beyond-the-road"),
+        pytest.param('id="1" s="-1" t="0"', "", "s must be from", id="before-the-road"),
+        pytest.param('id="1" s="nan" t="0"', "", "finite", id="nan"),
+        pytest.param(
+            'id="1"', '<repeat s="0" length="9" distance="0" tStart="1"/>', "more than 0", id="zero"
+        ),
+        pytest.param(
+            'id="1"',
+            '<repeat s="0" length="99" distance="1e-6" tStart="1"/>',
+            "more than 10000",
+            id="too-many",
+        ),
+        pytest.param(
+            'id="1"', '<repeat s="0" length="-1" distance="1" tStart="1"/>', "length", id="negative"
+        ),
+    ],
+)
+def test_a_bad_object_is_skipped(attributes: str, content: str, why: str) -> None:
+    """With a reason; the road and the other objects are used."""
+    found = with_objects(pole(attributes, content) + pole('id="good" s="1" t="1"'))
+    assert [one.id for one in found.landmarks] == ["1:pole:good"]
+    assert len(found.lanes) == 2
+    (reason,) = reasons(found)
+    assert why in reason
+
+
+def test_an_unusable_road_has_no_landmarks() -> None:
+    """Its objects have no place."""
+    one = pole('id="1" s="1" t="1"')
+    objects = f"<objects>{one}</objects></road>"
+    bad = road(section(), road_id="2", plan="").replace("</road>", objects)
+    assert read_map(road(), bad).landmarks == ()
+
+
+def test_the_town_has_landmarks_beside_its_streets() -> None:
+    """None stands on a lane; all are near one."""
+    town = load(town_path())
+    places = np.array([(one.x, one.y) for one in town.landmarks])
+    assert len({one.id for one in town.landmarks}) == len(places) == 300
+    lanes = [lane for lane in town.lanes.values() if lane.type.is_drivable]
+    centres = np.vstack([lane.centre.resampled(0.5).points for lane in lanes])
+    width = np.concatenate(
+        [np.full(len(lane.centre.resampled(0.5).points), lane.width) for lane in lanes]
+    )
+    distance, nearest = cKDTree(centres).query(places)
+    assert (distance > width[nearest] / 2 + 0.4).all()
+    assert distance.max() < 15
