@@ -60,7 +60,9 @@ ego.recorded ego.route_drive
 ego.localisation.sensor_errors ego.localisation.motion_model ego.localisation.measurements
 ego.localisation.localisation_layer ego.localisation.association
 ego.localisation.observation_models ego.localisation.correlation ego.localisation.filter
-ego.localisation ego.simulated_sensors ego.simulated_localisation ego
+ego.localisation ego.simulated_sensors ego.simulated_localisation
+ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
+ego.scan_matching ego
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
 cli.driving cli.ways cli cli.__main__ cli.accuracy cli.claims cli.decode cli.demo cli.design
@@ -89,6 +91,7 @@ DOORS = {
     "distributed": {"study"},
     "pyarrow": {"study"},
     "lanelet2": {"maps"},
+    "small_gicp": {"ego"},
 }
 
 

@@ -27,6 +27,7 @@ from road_alignment import Alignment, Piece, Pose, Vertex, between, through
 from xodr_writer import (
     Arm,
     ConnectionSpec,
+    HouseRow,
     JunctionSpec,
     LaneSpec,
     Neighbour,
@@ -52,6 +53,9 @@ RING = 5.0
 #: and along the motorway, and of signs from the ends of a road [m].
 VERGE, POLES, MOTORWAY_POLES, SIGN = 0.5, 32.0, 90.0, 6.0
 
+#: Houses: distance from the sidewalk, from each other and from the ends of a street, and their
+#: lengths on the left and on the right of it, and their width [m].
+YARD, HOUSES, HOUSE_END, LEFT_HOUSE, RIGHT_HOUSE, HOUSE_WIDTH = 2.0, 24.0, 20.0, 15.0, 11.0, 8.0
 #: Offset of the poles of the motorway, beyond an additional lane at the right [m].
 OUTER = MEDIAN + 3 * FAST + SHOULDER + VERGE
 
@@ -322,9 +326,32 @@ def street(
     # The lamps on one side stand between those on the other.
     poles = PoleRow(10.0, POLES, left), PoleRow(10.0 + POLES / 2, POLES, right_side)
     signs = Sign(SIGN, right_side), Sign(line.length - SIGN, left)
-    return RoadSpec(
-        road_id, name, line, [section], limit, "town", -1, *ends, poles=poles, signs=signs
-    )
+    rows = houses(line, left, right_side) if verge == "sidewalk" else []
+    return RoadSpec(road_id, name, line, [section], limit, "town", -1, *ends, poles, signs, rows)
+
+
+def houses(line: Alignment, left: float, right: float) -> list[HouseRow]:
+    """Return the rows of houses beside the straight pieces of a street.
+
+    Args:
+        line: of the street.
+        left: offset of the poles on its left [m].
+        right: that on its right, negative.
+    """
+    rows = []
+    s = 0.0
+    for piece in line.pieces:
+        begin, end = s + HOUSE_END, s + piece.length - HOUSE_END
+        s += piece.length
+        if piece.first == piece.last == 0 and begin < end:
+            across = YARD + HOUSE_WIDTH / 2
+            # Those on one side stand between those on the other.
+            rows.append(HouseRow(begin, end, HOUSES, left + across, LEFT_HOUSE, HOUSE_WIDTH))
+            if begin + HOUSES / 2 < end:
+                first = begin + HOUSES / 2
+                row = HouseRow(first, end, HOUSES, right - across, RIGHT_HOUSE, HOUSE_WIDTH)
+                rows.append(row)
+    return rows
 
 
 def crossing(

@@ -57,6 +57,17 @@ class PoleRow(NamedTuple):
     t: float  #: offset from the reference line, positive to the left [m]
 
 
+class HouseRow(NamedTuple):
+    """Houses at even distances along a road."""
+
+    start: float  #: s of the middle of the first one [m]
+    end: float  #: s that no middle exceeds [m]
+    distance: float  #: between the middles of two of them [m]
+    t: float  #: offset of their middles from the reference line, positive to the left [m]
+    length: float  #: along the road [m]
+    width: float  #: across the road [m]
+
+
 class Sign(NamedTuple):
     """Traffic sign beside a road."""
 
@@ -87,6 +98,7 @@ class RoadSpec:
     after: Neighbour | None = None
     poles: Sequence[PoleRow] = ()
     signs: Sequence[Sign] = ()
+    houses: Sequence[HouseRow] = ()
 
 
 class Arm(NamedTuple):
@@ -183,13 +195,22 @@ def _road(road: RoadSpec) -> list[str]:
         before = {b: a for a, b in road.sections[i - 1].following.items()} if i else ends[0]
         after = section.following if i + 1 < len(road.sections) else ends[1]
         lines += _section(section, before, after)
-    return [*lines, "</lanes>", *_poles(road), *_signs(road), "</road>"]
+    return [*lines, "</lanes>", *_objects(road), *_signs(road), "</road>"]
 
 
-def _poles(road: RoadSpec) -> list[str]:
-    if not road.poles:
+def _objects(road: RoadSpec) -> list[str]:
+    if not road.poles and not road.houses:
         return []
     lines = ["<objects>"]
+    for i, house in enumerate(road.houses, len(road.poles)):
+        lines.append(
+            f'<object type="building" id="{i}" s="{_text(house.start)}" t="{_text(house.t)}" '
+            f'zOffset="0" hdg="0" length="{_text(house.length)}" width="{_text(house.width)}" '
+            f'height="9"><repeat s="{_text(house.start)}" '
+            f'length="{_text(house.end - house.start)}" distance="{_text(house.distance)}" '
+            f'tStart="{_text(house.t)}" tEnd="{_text(house.t)}" zOffsetStart="0" zOffsetEnd="0"/>'
+            "</object>"
+        )
     for i, (start, distance, t) in enumerate(road.poles):
         length = road.line.length - 2 * start
         lines.append(

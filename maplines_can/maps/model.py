@@ -35,6 +35,7 @@ class Map:
         left_hand_traffic: whether most roads have left-hand traffic.
         polylines: lines of the file that belong to no lane, by their ids.
         landmarks: poles and signs beside the roads, as far as they are read: those of OpenDRIVE.
+        buildings: closed outlines of buildings, likewise.
 
     Raises:
         ValueError: a key differs from the id of its value, or an id leads nowhere.
@@ -48,6 +49,7 @@ class Map:
     left_hand_traffic: bool = False
     polylines: Mapping[str, Polyline] = field(default_factory=dict)
     landmarks: tuple[Landmark, ...] = ()
+    buildings: tuple[Polyline, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "polylines", MappingProxyType(dict(self.polylines)))

@@ -107,3 +107,42 @@ def test_the_town_has_landmarks_beside_its_streets() -> None:
     distance, nearest = cKDTree(centres).query(places)
     assert (distance > width[nearest] / 2 + 0.4).all()
     assert distance.max() < 15
+
+
+def building(attributes: str, content: str = "") -> str:
+    return f'<object type="building" {attributes}>{content}</object>'
+
+
+def test_a_building_is_a_rectangle() -> None:
+    """Its length is along the road, turned by its heading, and its outline is closed."""
+    found = with_objects(building('id="1" s="30" t="10" length="12" width="8" hdg="0"'))
+    (outline,) = found.buildings
+    assert sorted(map(tuple, outline.points[:4])) == [(24, 6), (24, 14), (36, 6), (36, 14)]
+    assert (outline.points[0] == outline.points[-1]).all()
+    (turned,) = with_objects(
+        building(f'id="1" s="30" t="10" length="12" width="8" hdg="{np.pi / 2}"')
+    ).buildings
+    corners = sorted(map(tuple, turned.points[:4].round(9)))
+    assert corners == [(26, 4), (26, 16), (34, 4), (34, 16)]
+
+
+def test_buildings_are_repeated() -> None:
+    repeat = '<repeat s="10" length="50" distance="25" tStart="9" tEnd="9"/>'
+    found = with_objects(building('id="1" length="4" width="4"', repeat))
+    assert [outline.points[:4, 0].mean() for outline in found.buildings] == [10, 35, 60]
+
+
+def test_a_building_without_a_size_is_skipped() -> None:
+    found = with_objects(building('id="1" s="30" t="10"'))
+    assert found.buildings == ()
+    assert "length is missing" in reasons(found)[0]
+
+
+def test_the_houses_of_the_town_stand_beside_its_streets() -> None:
+    """None reaches a lane."""
+    town = load(town_path())
+    walls = np.vstack([outline.resampled(0.5).points for outline in town.buildings])
+    lanes = [lane for lane in town.lanes.values() if lane.type.is_drivable]
+    centres = np.vstack([lane.centre.resampled(0.5).points for lane in lanes])
+    assert len(town.buildings) == 79
+    assert cKDTree(centres).query(walls)[0].min() > 5

@@ -1,4 +1,4 @@
-"""Landmarks of an OpenDRIVE road: its poles and trees, and its signals."""
+"""Landmarks of an OpenDRIVE road: its poles and trees, its signals, and its buildings."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ...polyline import Polyline
 from ..landmarks import Landmark, LandmarkKind
 from ..model import Skipped
 from ..xml_tree import Element
@@ -16,6 +17,9 @@ from .road import RoadRecord
 
 #: Types of objects that are landmarks; a street lamp is one of OpenDRIVE 1.4.
 POLES = frozenset({"pole", "streetLamp", "tree"})
+BUILDING = "building"
+#: Longest side of a building [m].
+MOST_LENGTH = 1000.0
 #: Most landmarks of one <repeat>; more are a mistake in the file.
 MOST_REPEATS = 10_000
 
@@ -35,8 +39,7 @@ def read_landmarks(
         road: what is read of it.
         skipped: takes what is not used.
     """
-    objects = [one for group in element.all("objects") for one in group.all("object")]
-    poles = [one for one in objects if one.get("type") in POLES]
+    poles = [one for one in _objects(element) if one.get("type") in POLES]
     signs = [one for group in element.all("signals") for one in group.all("signal")]
     read = partial(_places, road)
     for kind, upright in ((LandmarkKind.POLE, poles), (LandmarkKind.SIGN, signs)):
@@ -47,6 +50,40 @@ def read_landmarks(
                 number_ = f":{i}" if len(points) > 1 else ""
                 id_ = f"{road.id}:{kind}:{name}{number_}"
                 yield Landmark(id_, kind, float(point.real), float(point.imag))
+
+
+def read_buildings(
+    element: Element, road: RoadRecord, skipped: list[Skipped]
+) -> Iterator[Polyline]:
+    """Yield the outlines of the buildings beside a road: rectangles of their length and width.
+
+    A building with <repeat> is a row of them. Other outlines are not read.
+
+    Args:
+        element: of the road.
+        road: what is read of it.
+        skipped: takes what is not used.
+    """
+
+    def read(one: Element) -> tuple[Places, complex, float]:
+        length, width = (number(one, name, least=0.1, most=MOST_LENGTH) for name in _SIDES)
+        return _places(road, one)[1], complex(length, width) / 2, number(one, "hdg", 0.0)
+
+    found = [one for one in _objects(element) if one.get("type") == BUILDING]
+    for places, half, heading in attempt(read, found, skipped):
+        position, tangent = road.reference(places[:, 0], places[:, 0])
+        centre = position + 1j * tangent * places[:, 1]
+        corners = np.array([half, -half.conjugate(), -half, half.conjugate(), half])
+        outlines = centre[:, None] + (tangent * np.exp(1j * heading))[:, None] * corners
+        for outline in outlines:
+            yield Polyline(np.column_stack([outline.real, outline.imag]))
+
+
+_SIDES = ("length", "width")
+
+
+def _objects(element: Element) -> list[Element]:
+    return [one for group in element.all("objects") for one in group.all("object")]
 
 
 def _places(road: RoadRecord, element: Element) -> tuple[str, Places]:

@@ -21,7 +21,7 @@ from ..model import Lane, Map, Road, Skipped
 from ..xml_tree import Document, Element
 from .attributes import UnusableError
 from .boundaries import SAME, Boundaries, SamplingError, sampled
-from .landmarks import read_landmarks
+from .landmarks import read_buildings, read_landmarks
 from .lane_section import LaneRecord
 from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
 from .reference_line import Complex
@@ -67,6 +67,7 @@ class _Reader:
         self.lanes: dict[LaneKey, UnlinkedLane] = {}
         self._roads: dict[str, Road] = {}
         self._landmarks: list[Landmark] = []
+        self._buildings: list[Polyline] = []
         self._topology: dict[str, RoadTopology] = {}
         self._connections: list[Connection] = []
         self._left_hand = 0
@@ -106,6 +107,7 @@ class _Reader:
             raise UnusableError(element, "it has no lanes with a length")
         self.lanes |= lanes
         self._landmarks += read_landmarks(element, road, self.skipped)
+        self._buildings += read_buildings(element, road, self.skipped)
         self._left_hand += road.is_left_hand
         ends = np.array([road.sections[0].s, road.reference.end])
         (first, last), _ = road.reference(ends, ends)
@@ -200,6 +202,7 @@ class _Reader:
             name=name,
             left_hand_traffic=2 * self._left_hand > len(self._roads),
             landmarks=tuple(self._landmarks),
+            buildings=tuple(self._buildings),
         )
 
 
