@@ -1,0 +1,1 @@
+"""Consumers of received lines: what a car does with them."""

@@ -1,0 +1,234 @@
+"""Plausibility check: received map lines against the lines of a camera."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from ..gaussian import Gaussian
+from ..line import MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
+from ..propagation.motion import Motion
+from ..scene import Scene
+from .consistency import ConsistencyTest, ResidualModel, positive_part, threshold
+
+#: Distances ahead at which lines are compared, less where a line is shorter [m].
+STATIONS = (2.0, 20.0)
+#: Shortest distance between both [m].
+LEAST_LENGTH = 4.0
+#: Lines are compared beside the car and ahead, not behind [m].
+BEHIND = -2.0
+#: Least standard deviation of what a map line has of its own [m].
+OWN_SIGMA = 0.01
+#: Correlation time that is used if the stated one is longer or unknown [s].
+LONGEST_TIME = 60.0
+#: Within this time the state is forgotten [s].
+LONGEST_GAP = 10 * LONGEST_TIME
+#: Probability that the remaining lines are less plausible than the limit for ``Check.suspect``.
+REMAINING = 1e-3
+
+
+class Outcome(StrEnum):
+    """Result of a check."""
+
+    CONSISTENT = "map lines and camera lines agree"
+    INCONSISTENT = "map lines and camera lines contradict each other"
+    UNCHECKED = "there is no map line that the camera sees, too"
+
+
+class Check(NamedTuple):
+    """Result of the check in one cycle."""
+
+    outcome: Outcome
+    raised: bool  #: the contradiction begins in this cycle
+    statistic: float  #: the largest one of this cycle, in units of its threshold
+    slots: tuple[Slot, ...]  #: lines that were compared
+    suspect: Slot | None  #: the line without which there is no contradiction
+
+
+@dataclass(frozen=True)
+class CameraBias:
+    """Standard deviations of the lasting errors of a camera, common to its lines.
+
+    They are not in the covariances of its lines, which are those of one image.
+
+    Args:
+        offset: [m].
+        heading: [rad].
+    """
+
+    offset: float = 0.03
+    heading: float = 0.002
+
+    def __post_init__(self) -> None:
+        for name, unit in (("offset", "m"), ("heading", "rad")):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"{name} must be finite and 0 {unit} or more, got {getattr(self, name)!r}"
+                )
+
+    @property
+    def cov(self) -> NDArray[np.float64]:
+        """(3, 3) covariance of the equivalent pose error: along, across, heading."""
+        return np.diag([0.0, self.offset**2, self.heading**2])
+
+
+@dataclass
+class PlausibilityCheck:
+    """Check of received map lines against the lines of a camera, once per image.
+
+    Compared are the lateral positions 2 m and 20 m ahead, or less if a line is shorter. Their
+    differences are due to the pose error of the scene, which all lines share for its correlation
+    time, to what each map line has of its own, to a bias of the camera, and to the noise of the
+    image. See ``ConsistencyTest`` for the test and ``ResidualFilter`` for the model.
+
+    What a map line has of its own is taken to last for any time from 1 s to 30 s, and the bias of
+    the camera for 30 s.
+
+    Args:
+        false_alarms: expected number [1/h].
+        camera_bias: lasting errors of the camera.
+
+    Raises:
+        ValueError: the number is not more than 0 and at most 10.
+
+    >>> from maplines_can.scene import PoseError
+    >>> pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2, correlation_time=5.0)
+    >>> line = MapLine(0, Gaussian([1.75, 0, 0, 0], np.diag([0.011, 4e-6, 0, 0])))
+    >>> scene = Scene([line], line.gaussian.cov, pose, [[-20, 80]])
+    >>> check = PlausibilityCheck(false_alarms=0.01)
+    >>> seen = np.diag([0.05, 0.003, 1e-4, 1e-6]) ** 2
+    >>> check.update(0.0, scene, {Slot.EGO_LEFT: Gaussian([1.70, 0, 0, 0], seen)}).outcome.name
+    'CONSISTENT'
+    >>> check.update(0.05, scene, {Slot.EGO_LEFT: Gaussian([1.15, 0, 0, 0], seen)}).outcome.name
+    'INCONSISTENT'
+    """
+
+    false_alarms: float = 0.01
+    camera_bias: CameraBias = field(default_factory=CameraBias)
+
+    def __post_init__(self) -> None:
+        self._test = ConsistencyTest(self.false_alarms)
+        self._t = self._compared = -math.inf
+        self._turn = 0.0  # of the car since the last comparison [rad]
+
+    def update(
+        self,
+        t: float,
+        scene: Scene | None,
+        camera: Mapping[Slot, Gaussian | MapLine],
+        displacement: Gaussian | None = None,
+        motion: Motion | None = None,
+    ) -> Check:
+        """Compare the lines of an image.
+
+        Args:
+            t: time of the image, later than that of the last one [s].
+            scene: received map lines; None if there are none that are usable.
+            camera: lines in the image, in the ego frame of its time, with the covariances of their
+                noise. Of a ``MapLine``, the valid range counts.
+            displacement: of the car from the time of the scene's pose to that of the image, from
+                ``Motion.over``; None for none.
+            motion: of the car since the last image; None for straight ahead.
+
+        Raises:
+            ValueError: the time is not finite, or not later than the last one.
+        """
+        if not self._t < t < math.inf:
+            raise ValueError(f"t must be finite and later than {self._t:g} s, got {t!r}")
+        if motion is not None and self._t > -math.inf:
+            self._turn += motion.yaw_rate * (t - self._t)
+        self._t = t
+        compared = None if scene is None else residuals(scene, camera, displacement)
+        if scene is None or compared is None:
+            return Check(Outcome.UNCHECKED, False, 0.0, (), None)
+        slots, z, model = compared
+        bias = model.H @ self.camera_bias.cov @ model.H.T
+        model = model._replace(slow_cov=model.slow_cov + bias)
+        keys = tuple((slot, i) for slot in slots for i in range(2))
+        verdict = self._test.step(
+            z,
+            model,
+            min(t - self._compared, LONGEST_GAP),
+            min(scene.pose_error.correlation_time, LONGEST_TIME),
+            self._turn,
+            keys,
+        )
+        self._compared, self._turn = t, 0.0
+        alarm = bool(verdict.alarm)
+        return Check(
+            Outcome.INCONSISTENT if alarm else Outcome.CONSISTENT,
+            bool(verdict.raised),
+            float(verdict.statistic),
+            slots,
+            suspect_of(z, model, slots) if alarm else None,
+        )
+
+
+def residuals(
+    scene: Scene,
+    camera: Mapping[Slot, Gaussian | MapLine],
+    displacement: Gaussian | None = None,
+) -> tuple[tuple[Slot, ...], NDArray[np.float64], ResidualModel] | None:
+    """Return what map lines differ from camera lines, with the model of the differences.
+
+    Returns:
+        The L slots of both, (2 L,) lateral differences [m], near and far by slot, and their model;
+        None if there is no such slot.
+    """
+    P = scene.pose_error.cov
+    slots, z, H, own, noise = [], [], [], [], []
+    move = np.zeros(3) if displacement is None else displacement.mean
+    moved = np.zeros((3, 3)) if displacement is None else displacement.cov
+    for line in scene.lines:
+        seen = camera.get(line.slot)
+        if seen is None or not line.is_usable:
+            continue
+        gaussian = seen.gaussian if isinstance(seen, MapLine) else seen
+        window = (line.x_min, line.x_max)
+        mean = transform_line_or_nan(line.gaussian.mean, move, window)
+        low, high = window[0] - move[0], window[1] - move[0]
+        if isinstance(seen, MapLine):
+            low, high = max(low, seen.x_min), min(high, seen.x_max)
+        x = np.array([max(low, min(STATIONS[0], high - LEAST_LENGTH)), min(high, STATIONS[1])])
+        if np.isnan(mean).any() or x[0] < BEHIND or x[1] - x[0] < LEAST_LENGTH:
+            continue
+        y, J = lateral(mean, x), lateral_jacobian(mean, x)
+        slope = (lateral(mean, x + 0.1) - lateral(mean, x - 0.1)) / 0.2
+        # A pose that is wrong by (along, across, heading) shifts the line by this at x.
+        J_y_pose = np.column_stack([slope, -np.ones(2), -(x + y * slope)])
+        J_cam = lateral_jacobian(gaussian.mean, x)
+        slots.append(line.slot)
+        z.append(y - lateral(gaussian.mean, x))
+        H.append(J_y_pose)
+        own.append(
+            positive_part(J @ line.gaussian.cov @ J.T - J_y_pose @ P @ J_y_pose.T)
+            + OWN_SIGMA**2 * np.eye(2)
+        )
+        noise.append(J_cam @ gaussian.cov @ J_cam.T + J_y_pose @ moved @ J_y_pose.T)
+    if not slots:
+        return None
+    own_cov = block_diag(*own)
+    model = ResidualModel(np.vstack(H), P, own_cov, own_cov, block_diag(*noise))
+    return tuple(slots), np.concatenate(z), model
+
+
+def suspect_of(
+    z: NDArray[np.float64], model: ResidualModel, slots: tuple[Slot, ...]
+) -> Slot | None:
+    """Return the only line without which the residuals are plausible; None if there is not one."""
+    cov = model.marginal
+    found = []
+    for i, slot in enumerate(slots):
+        others = [k for k in range(len(z)) if k // 2 != i]
+        rest = z[others]
+        square = rest @ np.linalg.solve(cov[np.ix_(others, others)], rest)
+        if others and square < threshold(REMAINING, len(others)):
+            found.append(slot)
+    return found[0] if len(found) == 1 else None

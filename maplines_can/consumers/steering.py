@@ -1,0 +1,321 @@
+"""Lane keeping on received lines: curvature and speed demand, slowing down and handing over."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_discrete_are
+
+from ..line import Slot
+from ..propagation.motion import Motion
+from ..scene import Scene
+from .path import Path, lane_path
+
+#: Horizon of the preview [s].
+HORIZON = 2.0
+#: The gains are computed for speeds in these steps [m/s], at least the first one.
+SPEED_STEP = 0.5
+#: Errors that weigh the same in the cost: of the offset [m], of the heading [rad], and of the
+#: lateral jerk by which they are corrected [m/s^3].
+COST = (0.2, 0.05, 2.0)
+#: Longest age of a line that is followed [s].
+OLDEST = 0.5
+
+
+class State(StrEnum):
+    """State of the lane keeping."""
+
+    DRIVING = "driving at the set speed"
+    SLOWING = "driving below the set speed"
+    HANDOVER = "the driver has to take over; the car brakes"
+
+
+class Reason(StrEnum):
+    """Reason for which the car does not drive at the set speed."""
+
+    NONE = "none"
+    CURVE = "the lateral acceleration in a curve"
+    RANGE = "the lines are valid for less than the stopping distance"
+    BAND = "the lateral position ahead is too uncertain"
+    NO_LINES = "there is no usable line of the ego lane"
+    OFF_LANE = "the car is too far from the middle of the lane"
+    TIGHT = "the curve is tighter than the car can steer"
+
+
+class Command(NamedTuple):
+    """Demands of the lane keeping."""
+
+    curvature: float  #: of the path of the rear axle, positive to the left [1/m]
+    speed: float  #: [m/s]
+    state: State
+    reason: Reason
+    path: Path | None  #: as known when the actuator reacts; None if there is none
+
+
+@dataclass(frozen=True)
+class SteeringLimits:
+    """Car and limits of the lane keeping.
+
+    Args:
+        acceleration: [m/s^2].
+        deceleration: by which it slows down for what is ahead [m/s^2].
+        lateral_acceleration: in curves [m/s^2].
+        curvature: the largest one that the car can steer [1/m].
+        curvature_rate: the largest change of the demand [1/m/s].
+        delay: of the actuator [s].
+        lag: time constant of the actuator [s].
+        reaction: time until the car brakes, for the stopping distance [s].
+        preview: time ahead for which the lateral position must be known [s].
+        sigma: largest standard deviation of the lateral position [m]. The default is a third of
+            what a car of 1.8 m has beside it in a lane of 3.5 m.
+        offset: largest offset from the path [m].
+        least_speed: the car hands over rather than drive slower [m/s].
+
+    Raises:
+        ValueError: a value is not positive and finite; delay, lag and reaction may be 0.
+    """
+
+    acceleration: float = 1.5
+    deceleration: float = 2.5
+    lateral_acceleration: float = 2.0
+    curvature: float = 0.2
+    curvature_rate: float = 0.2
+    delay: float = 0.1
+    lag: float = 0.1
+    reaction: float = 0.3
+    preview: float = 1.0
+    sigma: float = 0.28
+    offset: float = 1.2
+    least_speed: float = 1.5
+
+    def __post_init__(self) -> None:
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            may_be_zero = name in {"delay", "lag", "reaction"}
+            if not (0 < value < math.inf or (value == 0 and may_be_zero)):
+                least = "0 or more" if may_be_zero else "more than 0"
+                raise ValueError(f"{name} must be finite and {least}, got {value!r}")
+
+
+@dataclass
+class LaneSteering:
+    """Lane keeping on received lines, with a speed that they permit.
+
+    The path is the middle of the ego lane (``lane_path``), as of the time at which the actuator
+    reacts. It is followed by preview control (``preview_gains``). The speed is the largest one from
+    which the car can slow down to what the path permits:
+
+    - in curves, the lateral acceleration;
+    - it must be able to stop where the valid range of the lines ends;
+    - the lateral position must be known within ``limits.sigma`` for ``limits.preview`` ahead.
+
+    ::
+
+                    limited by curve, range or band
+        DRIVING  <------------------------------->  SLOWING
+            |                                          |
+            |  no line for 0.5 s, the band too wide at the car, range or band too short even for
+            |  the least speed, car off the lane, curve too tight
+            v                                          v
+        HANDOVER   until ``reset``; follows the path while there is one, and brakes to a stop
+
+    It begins in HANDOVER, and drives as soon as the lines permit.
+
+    Args:
+        limits: of the car.
+        period: time between two updates [s].
+    """
+
+    limits: SteeringLimits = field(default_factory=SteeringLimits)
+    period: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 < self.period <= 0.2:
+            raise ValueError(f"period must be more than 0 and up to 0.2 s, got {self.period!r}")
+        self.reset()
+
+    def reset(self) -> None:
+        """Drive again after a handover."""
+        self._known: tuple[Scene, float] | None = None  # the last scene, and the time of its pose
+        self._width: float | None = None
+        self._curvature: float | None = None  # the last demand
+        self._speed: float | None = None
+        self._handover = Reason.NONE
+        self._engaged = False  # whether it has driven yet
+
+    def update(
+        self,
+        t: float,
+        scene: Scene | None,
+        age: float,
+        motion: Motion,
+        set_speed: float,
+        route: Slot | None = None,
+    ) -> Command:
+        """Return the demands for the next period.
+
+        Args:
+            t: time [s].
+            scene: received lines; None if there are none that are usable.
+            age: time from the pose of the scene to ``t`` [s].
+            motion: of the car.
+            set_speed: speed that the car shall have if nothing limits it [m/s].
+            route: slot of a line to follow itself, as in a lane change; None for the ego lane.
+        """
+        limits = self.limits
+        speed = max(motion.speed, 0.0)
+        actual = motion.yaw_rate / speed if speed > 0.5 else self._curvature or 0.0
+        if self._curvature is None:
+            self._curvature = actual
+        if self._speed is None:
+            self._speed = speed
+        if scene is not None and scene.lines:
+            self._known = scene, t - age
+        path = None
+        # Until the actuator reacts, the curvature tends to the last demand.
+        rest = 0.0 if limits.lag == 0 else math.exp(-limits.delay / limits.lag)
+        then = self._curvature + (actual - self._curvature) * rest
+        if self._known is not None and (since := t - self._known[1]) <= OLDEST:
+            # The car turns as measured, and from now on by the mean curvature.
+            time = since + limits.delay
+            turn = since * actual + limits.delay * (actual + then) / 2
+            mean = Motion(speed, speed * turn / max(time, 1e-9), motion.cov)
+            path, self._width = lane_path(self._known[0], mean.over(time), self._width, route)
+        reason, fastest = self._fastest(path, speed, set_speed)
+        if self._handover is not Reason.NONE:
+            state, reason, fastest = State.HANDOVER, self._handover, 0.0
+        elif fastest == 0.0 and reason is not Reason.NONE:
+            state, self._handover = State.HANDOVER, reason if self._engaged else Reason.NONE
+        else:
+            state = State.DRIVING if reason is Reason.NONE else State.SLOWING
+            self._engaged = True
+        brake = limits.deceleration * (1.5 if state is State.HANDOVER else 1.0)
+        slower = self._speed - brake * self.period
+        self._speed = min(max(fastest, slower), self._speed + limits.acceleration * self.period)
+        if path is not None:
+            self._steer(path, speed, then)
+        return Command(self._curvature, self._speed, state, reason, path)
+
+    def _steer(self, path: Path, speed: float, curvature: float) -> None:
+        """Advance the curvature demand by preview control, within its limits."""
+        limits, last = self.limits, self._curvature or 0.0
+        steps = max(1, round(speed / SPEED_STEP))
+        K, F = preview_gains(steps * SPEED_STEP, self.period, limits.lag)
+        ahead = path.curvature_at(np.linspace(0.0, speed * self.period * (len(F) - 1), len(F)))
+        x = np.array([path.offset, path.heading, curvature, last])
+        change = float(-K @ x + F @ ahead)
+        most = limits.curvature_rate * self.period
+        demand = last + min(max(change, -most), most)
+        self._curvature = min(max(demand, -limits.curvature), limits.curvature)
+
+    def _fastest(self, path: Path | None, speed: float, set_speed: float) -> tuple[Reason, float]:
+        """Return the largest speed now, and what limits it; 0 m/s for a handover."""
+        limits = self.limits
+        if path is None:
+            return Reason.NO_LINES, 0.0
+        if abs(path.offset) > limits.offset:
+            return Reason.OFF_LANE, 0.0
+        known = path.sigma <= limits.sigma
+        if not known[0]:
+            return Reason.BAND, 0.0
+        sure = path.reach if known.all() else float(path.s[known.argmin() - 1])
+        speeds = {
+            Reason.NONE: set_speed,
+            Reason.RANGE: _stopping_speed(path.reach, limits),
+            Reason.BAND: math.inf if known.all() else sure / limits.preview,
+        }
+        bend = np.abs(path.curvature)
+        stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
+        if (bend[path.s <= stopping] > limits.curvature).any():
+            return Reason.TIGHT, 0.0
+        with np.errstate(divide="ignore"):
+            squared = limits.lateral_acceleration / bend
+        squared += 2 * limits.deceleration * np.maximum(path.s - speed * limits.reaction, 0.0)
+        speeds[Reason.CURVE] = math.sqrt(float(squared.min()))
+        reason = min(speeds, key=lambda key: speeds[key])
+        fastest = speeds[reason]
+        return reason, fastest if fastest >= limits.least_speed or reason is Reason.NONE else 0.0
+
+
+def _stopping_speed(distance: float, limits: SteeringLimits) -> float:
+    """Return the speed whose stopping distance this is: v t + v^2 / 2 a = s [m/s].
+
+    >>> round(_stopping_speed(12.0, SteeringLimits(reaction=0.2, deceleration=5.0)), 6)
+    10.0
+    """
+    a, t = limits.deceleration, limits.reaction
+    return math.sqrt((a * t) ** 2 + 2 * a * distance) - a * t
+
+
+class Gains(NamedTuple):
+    """Gains of the change of the curvature demand: ``-feedback x + preview r``."""
+
+    feedback: NDArray[np.float64]  #: (4,) of offset, heading, curvature, and the last demand
+    preview: NDArray[np.float64]  #: (n,) of the curvatures of the path at the next n steps
+
+
+@lru_cache(256)
+def preview_gains(speed: float, period: float, lag: float) -> Gains:
+    """Return the gains of optimal preview control at a speed.
+
+    The state x is the offset from the path, the heading relative to it, the curvature of the car
+    and its demand; u is the change of the demand, r the curvature of the path:
+
+        x' = A x + B u + D r,   minimise  sum  (e / e0)^2 + (psi / psi0)^2 + (u / u0)^2
+
+    With the solution P of the Riccati equation and the closed loop M = A - B K,
+
+        u = -K x - (R + B^T P B)^-1 B^T (P D r_0 + M^T P D r_1 + (M^T)^2 P D r_2 + ...)
+
+    (Tomizuka and Whitney, J. Dyn. Sys. 97, 1975, for known future references). Beyond the horizon,
+    r is the last one.
+
+    Args:
+        speed: more than 0 [m/s].
+        period: [s].
+        lag: time constant of the actuator [s].
+
+    >>> K, F = preview_gains(10.0, 0.05, 0.1)
+    >>> bool(abs(F.sum() - K[2:].sum()) < 1e-9)  # in a circle the car stays on the path
+    True
+    """
+    A, B, D = model(speed, period, lag)
+    jerk = COST[2] * period / max(speed, 2.0) ** 2
+    Q, R = np.diag([COST[0] ** -2, COST[1] ** -2, 0.0, 0.0]), np.array([[jerk**-2]])
+    P = solve_discrete_are(A, B, Q, R)
+    inverse = np.linalg.inv(R + B.T @ P @ B)
+    K = inverse @ B.T @ P @ A
+    M = A - B @ K
+    steps = max(2, round(HORIZON / period))
+    v = P @ D
+    gains = np.empty(steps)
+    for i in range(steps - 1):
+        gains[i] = -(inverse @ B.T @ v).item()
+        v = M.T @ v
+    gains[-1] = -(inverse @ B.T @ np.linalg.solve(np.eye(4) - M.T, v)).item()
+    return Gains(K[0], gains)
+
+
+def model(
+    speed: float, period: float, lag: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return A (4, 4), B (4, 1) and D (4, 1) of ``preview_gains``."""
+    step = speed * period
+    decay = 0.0 if lag == 0 else math.exp(-period / lag)
+    A = np.array(
+        [
+            [1, step, step**2 / 2, 0],
+            [0, 1, step, 0],
+            [0, 0, decay, 1 - decay],
+            [0, 0, 0, 1],
+        ],
+        dtype=float,
+    )
+    B = np.array([[0.0], [0.0], [1 - decay], [1.0]])
+    return A, B, np.array([[-(step**2) / 2], [-step], [0.0], [0.0]])
