@@ -66,7 +66,8 @@ ego.scan_matching ego
 consumers consumers.consistency consumers.plausibility consumers.path consumers.steering
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
-cli.driving cli.ways cli cli.__main__ cli.accuracy cli.claims cli.decode cli.demo cli.design
+cli.driving cli.ways cli.consume_input cli.consume_check cli.consume_steer
+cli cli.__main__ cli.accuracy cli.claims cli.consume cli.decode cli.demo cli.design
 cli.drive cli.figures cli.map_info cli.receive cli.send cli.study
 __main__
 """.split()  # noqa: SIM905 - a list of so many would take a line each

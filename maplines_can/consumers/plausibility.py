@@ -49,7 +49,8 @@ class Check(NamedTuple):
     raised: bool  #: the contradiction begins in this cycle
     statistic: float  #: the largest one of this cycle, in units of its threshold
     slots: tuple[Slot, ...]  #: lines that were compared
-    suspect: Slot | None  #: the line without which there is no contradiction
+    #: in an alarm, the only line without which this cycle is plausible, if there is one
+    suspect: Slot | None
 
 
 @dataclass(frozen=True)
@@ -224,11 +225,15 @@ def suspect_of(
 ) -> Slot | None:
     """Return the only line without which the residuals are plausible; None if there is not one."""
     cov = model.marginal
-    found = []
-    for i, slot in enumerate(slots):
-        others = [k for k in range(len(z)) if k // 2 != i]
-        rest = z[others]
-        square = rest @ np.linalg.solve(cov[np.ix_(others, others)], rest)
-        if others and square < threshold(REMAINING, len(others)):
-            found.append(slot)
+
+    def is_plausible(kept: list[int]) -> bool:
+        square = z[kept] @ np.linalg.solve(cov[np.ix_(kept, kept)], z[kept])
+        return bool(square < threshold(REMAINING, len(kept)))
+
+    every = range(len(z))
+    if len(slots) < 2 or is_plausible([*every]):
+        return None
+    found = [
+        slot for i, slot in enumerate(slots) if is_plausible([k for k in every if k // 2 != i])
+    ]
     return found[0] if len(found) == 1 else None

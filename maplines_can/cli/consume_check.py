@@ -1,0 +1,195 @@
+"""The command ``maplines consume check``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
+from ..gaussian import Gaussian
+from ..line import MapLine, Slot, transform_line_or_nan
+from ..propagation import Motion, pose_time_ns
+from .consume_input import PERIOD, SENDER, Cycle, add_input, cycles, lines_of_log
+from .options import codec_from
+from .parsing import add_command, number
+from .stderr import note
+
+#: Noise of the lines of the simulated camera [m, rad, 1/m, 1/m^2].
+CAMERA_SIGMA = (0.05, 0.003, 2e-4, 2e-6)
+#: Oldest camera line that is compared [s].
+OLDEST = 0.15
+
+
+class Image(NamedTuple):
+    """Lines of a camera."""
+
+    lines: dict[Slot, Gaussian | MapLine]
+    since: float  #: time since the pose of the scene [s]
+
+
+#: Newest image in a cycle.
+Camera = Callable[[Cycle], Image]
+
+DESCRIPTION = """\
+Compare received map lines with the lines of a camera, and print whether they contradict each other.
+The number of false alarms per hour is as designed. The exit status is 3 if there was an alarm.
+
+--camera reads the lines of a camera from a second log, of the same clock, with the messages of this
+project. --simulate simulates a camera at the pose that the lines state, with the stated pose error;
+--shift moves its lines to the side from a time on, as if the map were shifted the other way."""
+
+
+def add_check(commands: Any) -> None:
+    """Add the sub-command ``check``."""
+    example = "maplines consume check --log drive.blf --simulate --shift 0.5"
+    parser = add_command(commands, "check", _check, DESCRIPTION, example)
+    add_input(parser, "results")
+    add = parser.add_argument
+    camera = parser.add_mutually_exclusive_group(required=True)
+    camera.add_argument("--camera", metavar="FILE", help="log with the lines of a camera")
+    camera.add_argument("--simulate", action="store_true", help="simulate a camera")
+    add("--camera-dbc", metavar="FILE", help="DBC of --camera (default: maplines.dbc)")
+    add(
+        "--shift",
+        type=number(float, -10, 10),
+        default=0.0,
+        metavar="Y",
+        help="shift of the lines of the simulated camera, to the left [m] (default: 0)",
+    )
+    add(
+        "--shift-at",
+        type=number(float, 0, 1e6),
+        default=5.0,
+        metavar="S",
+        help="time from which --shift applies [s] (default: 5)",
+    )
+    add("--seed", type=number(int, 0, 2**32), default=0, help="of the simulation (default: 0)")
+    add(
+        "--false-alarms",
+        type=number(float, 1e-9, 10),
+        default=0.01,
+        metavar="N",
+        help="expected number of false alarms per hour, 1e-9 to 10 (default: 0.01)",
+    )
+    add(
+        "--speed",
+        type=number(float, 0, 70),
+        default=0.0,
+        metavar="V",
+        help="speed of the car [m/s], to move map lines to the time of the image (default: 0)",
+    )
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    if arguments.camera and not arguments.log:
+        raise ValueError("--camera needs --log, a log of the map lines of the same clock")
+    if arguments.simulate and arguments.camera_dbc:
+        raise ValueError("--camera-dbc is that of --camera; leave it out with --simulate")
+    check = PlausibilityCheck(arguments.false_alarms)
+    camera = _simulated(arguments) if arguments.simulate else _recorded(arguments)
+    motion = Motion(arguments.speed, 0.0)
+    counts: Counter[Outcome] = Counter()
+    alarms, due, last = 0, 0.0, None
+    for cycle in cycles(arguments):
+        t, scene = cycle.t, cycle.view.scene if cycle.view.usable else None
+        lines, since = Image({}, 0.0) if scene is None else camera(cycle)
+        result = check.update(t, scene, lines, motion.over(since))
+        counts[result.outcome] += 1
+        alarms += result.raised
+        if result.outcome is not last or t >= due - 1e-9:
+            _print(t, result, as_json=arguments.json)
+            last, due = result.outcome, t + arguments.every
+    note(
+        f"{alarms} alarms; "
+        + ", ".join(f"{counts[outcome]} cycles {outcome.name}" for outcome in Outcome)
+    )
+    if counts[Outcome.UNCHECKED] == counts.total():
+        note(
+            "error: nothing was compared: there was no usable scene with a line that the camera "
+            f"sees, too; {SENDER}"
+        )
+        return 1
+    return 3 if alarms else 0
+
+
+def _simulated(arguments: argparse.Namespace) -> Camera:
+    """Return a camera at a pose that differs from the stated one by a Gauss-Markov error."""
+    rng = np.random.default_rng(arguments.seed)
+    error: NDArray[np.float64] | None = None  # in units of the stated covariance
+    noise = np.diag(np.square(CAMERA_SIGMA))
+
+    def image(cycle: Cycle) -> Image:
+        nonlocal error
+        scene = cycle.view.scene
+        if scene is None:
+            return Image({}, 0.0)
+        rho = math.exp(-PERIOD / scene.pose_error.correlation_time)
+        new = rng.standard_normal(3)
+        error = new if error is None else rho * error + math.sqrt(1 - rho**2) * new
+        # The true pose in the frame of the stated one.
+        true = -Gaussian(np.zeros(3), scene.pose_error.cov).root @ error
+        lines: dict[Slot, Gaussian | MapLine] = {}
+        for line in scene.lines:
+            mean = transform_line_or_nan(line.gaussian.mean, true, (line.x_min, line.x_max))
+            if np.isnan(mean).any():
+                continue
+            mean = mean + rng.standard_normal(4) * CAMERA_SIGMA
+            mean[0] += arguments.shift * (cycle.t >= arguments.shift_at)
+            lines[line.slot] = MapLine(
+                line.slot, Gaussian(mean, noise), x_min=line.x_min, x_max=line.x_max
+            )
+        return Image(lines, 0.0)
+
+    return image
+
+
+def _recorded(arguments: argparse.Namespace) -> Camera:
+    """Return a camera whose lines are in a log of their own."""
+    lines = lines_of_log(arguments.camera, codec_from(arguments.camera_dbc), arguments)
+    waiting = next(lines, None)
+    known: dict[Slot, MapLine] = {}
+
+    def image(cycle: Cycle) -> Image:
+        nonlocal waiting
+        while waiting is not None and (waiting.t_ns or 0) <= cycle.now_ns:
+            known[waiting.slot] = waiting
+            waiting = next(lines, None)
+        newest = max((pose_time_ns(line) for line in known.values() if line.is_usable), default=0)
+        fresh: dict[Slot, Gaussian | MapLine] = {
+            slot: line
+            for slot, line in known.items()
+            if line.is_usable and newest - pose_time_ns(line) < 1e9 * PERIOD
+        }
+        age = (cycle.now_ns - newest) / 1e9
+        return Image(fresh if age <= OLDEST else {}, cycle.view.age - age)
+
+    return image
+
+
+def _print(t: float, result: Check, *, as_json: bool) -> None:
+    suspect = None if result.suspect is None else result.suspect.name
+    if as_json:
+        row = {
+            "t": round(t, 3),
+            "outcome": result.outcome.name,
+            "raised": result.raised,
+            "statistic": result.statistic,
+            "lines": [slot.name for slot in result.slots],
+            "suspect": suspect,
+        }
+        print(json.dumps(row), flush=True)
+        return
+    lines = ", ".join(slot.name.lower().replace("_", " ") for slot in result.slots)
+    print(
+        f"{t:8.2f} s  {result.outcome.name:<13}statistic {result.statistic:5.2f} of its threshold"
+        + f"  {lines}" * bool(lines)
+        + (f"; suspect: {suspect}" if suspect else ""),
+        flush=True,
+    )

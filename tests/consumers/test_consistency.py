@@ -1,0 +1,185 @@
+"""Whiteness, chi-square thresholds and false alarms per hour of the consistency test."""
+
+import math
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.linalg import block_diag
+from scipy.stats import chi2, kstest
+
+from maplines_can.consumers.consistency import (
+    FAST,
+    SLOW,
+    ConsistencyTest,
+    ResidualFilter,
+    ResidualModel,
+    threshold,
+    window_lengths,
+)
+
+DT, T = 0.05, 5.0
+X = np.array([2.0, 20.0])
+H = np.column_stack([np.zeros(2), -np.ones(2), -X])
+MODEL = ResidualModel(
+    H,
+    np.diag([0.3, 0.1, 0.003]) ** 2,
+    np.diag([0.02, 0.03]) ** 2,
+    np.diag([0.03, 0.05]) ** 2,
+    np.diag([0.05, 0.08]) ** 2,
+)
+
+
+def drawn(steps: int, cars: int, seed: int = 0, model: ResidualModel = MODEL) -> np.ndarray:
+    """(steps, cars, n) residuals, drawn from the definition of the model."""
+    rng = np.random.default_rng(seed)
+    z = np.zeros((steps, cars, len(model.H)))
+    for cov, time, J in (
+        (model.pose_cov, T, model.H),
+        (model.fast_cov, FAST, np.eye(2)),
+        (model.slow_cov, SLOW, np.eye(2)),
+    ):
+        rho, root = math.exp(-DT / time), np.linalg.cholesky(cov)
+        error = rng.standard_normal((cars, len(cov))) @ root.T
+        for k in range(steps):
+            z[k] += error @ J.T
+            noise = rng.standard_normal((cars, len(cov))) @ root.T
+            error = rho * error + math.sqrt(1 - rho**2) * noise
+    return z + rng.standard_normal(z.shape) @ np.linalg.cholesky(model.noise_cov).T
+
+
+def test_the_first_innovation_has_the_marginal_covariance() -> None:
+    filter_ = ResidualFilter()
+    filter_.predict(MODEL, math.inf, T)
+    z = np.array([0.4, -0.3])
+    w = filter_.update(z, MODEL.noise_cov)
+    assert w @ w == pytest.approx(z @ np.linalg.solve(MODEL.marginal, z))
+
+
+def test_innovations_agree_with_filterpy() -> None:
+    n = 2
+    S = block_diag(MODEL.pose_cov, MODEL.fast_cov, MODEL.slow_cov)
+    phi = np.diag(np.exp(-DT / np.repeat([T, FAST, SLOW], [3, n, n])))
+    peer = KalmanFilter(dim_x=3 + 2 * n, dim_z=n)
+    peer.x, peer.P, peer.F, peer.Q = np.zeros((7, 1)), S, phi, S - phi @ S @ phi.T
+    peer.H, peer.R = np.hstack([H, np.eye(n), np.eye(n)]), MODEL.noise_cov
+    ours = ResidualFilter()
+    for k, z in enumerate(drawn(50, 1)[:, 0]):
+        ours.predict(MODEL, DT if k else math.inf, T)
+        w = ours.update(z, MODEL.noise_cov)
+        if k:
+            peer.predict()
+        peer.update(z[:, None])
+        expected = float((peer.y.T @ np.linalg.inv(peer.S) @ peer.y).item())
+        assert w @ w == pytest.approx(expected, rel=1e-6)
+
+
+def test_innovations_are_white_and_standard_normal() -> None:
+    filter_ = ResidualFilter((2000,))
+    found = []
+    for z in drawn(60, 2000):
+        filter_.predict(MODEL, DT, T)
+        found.append(filter_.update(z, MODEL.noise_cov))
+    w = np.array(found)
+    assert kstest(w[-1].ravel(), "norm").pvalue > 1e-3
+    for lag in (1, 2, 20):
+        correlation = (w[lag:] * w[:-lag]).mean()
+        assert abs(correlation) < 4 / math.sqrt(w[lag:].size)
+
+
+def test_the_marginal_covariance_is_kept_where_it_changes() -> None:
+    """The covariance of the first innovation after a change and of a new filter are the same."""
+    wider = MODEL._replace(pose_cov=4 * MODEL.pose_cov)
+    filter_ = ResidualFilter()
+    for model in (MODEL, wider, MODEL):
+        filter_.predict(model, DT, T)
+    fresh = ResidualFilter()
+    fresh.predict(MODEL, math.inf, T)
+    z = np.array([0.4, -0.3])
+    assert filter_.update(z, MODEL.noise_cov) == pytest.approx(fresh.update(z, MODEL.noise_cov))
+
+
+def test_a_turn_rotates_the_pose_error() -> None:
+    """After a right angle, what was known across is along: the lateral error is unknown again."""
+    isotropic = MODEL._replace(
+        pose_cov=np.diag([0.2, 0.2, 0.001]) ** 2,
+        fast_cov=1e-6 * np.eye(2),
+        slow_cov=1e-6 * np.eye(2),
+    )
+    sizes = []
+    for turn in (0.0, math.pi / 2):
+        filter_ = ResidualFilter()
+        for k in range(50):
+            filter_.predict(isotropic, DT, 1e6, turn if k == 49 else 0.0)
+            w = filter_.update(np.array([0.3, 0.3]), isotropic.noise_cov)
+        sizes.append(float(w @ w))
+    assert sizes[0] < 0.5 < 2 < sizes[1]
+
+
+@given(p=st.floats(1e-9, 0.5), n=st.integers(1, 16))
+def test_the_threshold_is_that_of_scipy(p: float, n: int) -> None:
+    assert threshold(p, n) == pytest.approx(chi2.isf(p, n), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("time", "longest"),
+    [
+        pytest.param(0.01, 0.125, id="shorter-than-a-cycle"),
+        pytest.param(1.0, 8.0, id="1s"),
+        pytest.param(5.0, 32.0, id="5s"),
+        pytest.param(30.0, 128.0, id="30s"),
+    ],
+)
+def test_the_longest_window_has_some_correlation_times(time: float, longest: float) -> None:
+    assert window_lengths(time)[-1] == longest
+
+
+def test_false_alarms_are_as_designed() -> None:
+    """At 10 per hour, 600 cars for 75 s should have 125, within 4 sigma."""
+    cars, steps, rate = 600, 1500, 10.0
+    test, number = ConsistencyTest(rate, (cars,)), 0
+    calm = 0.0
+    for z in drawn(steps, cars, seed=3):
+        verdict = test.step(z, MODEL, DT, T)
+        number += int(verdict.raised.sum())
+        calm += (~verdict.alarm).sum() * DT / 3600
+    assert abs(number - rate * calm) < 4 * math.sqrt(rate * calm)
+
+
+def test_a_step_is_found_at_once_and_stays() -> None:
+    """A shift by 5 sigma of the noise-free errors; the alarm does not end while it lasts."""
+    test = ConsistencyTest(0.01, (100,))
+    z = drawn(1200, 100, seed=4)
+    z[100:] += 0.6
+    alarms = np.array([test.step(row, MODEL, DT, T).alarm for row in z])
+    assert not alarms[:100].any()
+    assert alarms[102:].all()
+
+
+def test_an_alarm_ends_after_the_longest_window() -> None:
+    test = ConsistencyTest(0.01)
+    rows = drawn(2000, 1, seed=5)[:, 0]
+    rows[10] += 3.0
+    alarm = np.array([bool(test.step(row, MODEL, DT, T).alarm) for row in rows])
+    (last,) = np.flatnonzero(np.diff(alarm.astype(int)) < 0)
+    assert alarm[10]
+    assert not alarm[:10].any()
+    # The filter has to forget the outlier, which fails once more in the windows that contain it.
+    assert 32.0 <= (last - 10) * DT < 66.0
+
+
+def test_a_lasting_error_is_found_by_the_sums_only() -> None:
+    """Present from the beginning, 3 sigma: no innovation alone shows it, the sums do."""
+    z = drawn(2560, 50, seed=6) + 0.45
+    test = ConsistencyTest(0.01, (50,))
+    alarms = np.array([test.step(row, MODEL, DT, T).alarm for row in z])
+    assert alarms[0].mean() < 0.1
+    assert alarms[-1].mean() > 0.9
+
+
+@pytest.mark.parametrize("rate", [0.0, -1.0, 10.1, math.nan, math.inf])
+def test_wrong_rates_raise(rate: float) -> None:
+    with pytest.raises(ValueError, match="false_alarms must be more than 0 and up to 10"):
+        ConsistencyTest(rate)

@@ -1,0 +1,170 @@
+"""Check of scenes against camera lines: faults, missing lines, the suspect."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers.plausibility import (
+    CameraBias,
+    Outcome,
+    PlausibilityCheck,
+    residuals,
+)
+
+LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
+NOISE = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
+SIGMA = np.array([0.3, 0.1, 0.003])
+
+
+def lane_scene(pose_error: Any = (0, 0, 0), bend: float = 0.0, time: float = 5.0) -> Scene:
+    """Scene of a lane of constant curvature, as seen from a pose that is wrong."""
+    x = np.linspace(-40, 120, 161)
+    lines = {
+        slot: Polyline(np.column_stack([x, y + bend * x**2 / 2]))
+        for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))
+    }
+    ego = Gaussian(np.array(pose_error, float), np.diag(SIGMA**2))
+    return map_scene(lines, ego, correlation_time=time, map_error=MapError(0.03, 0.03, 0.0005))
+
+
+def camera(scene: Scene, **shifts: float) -> dict[Slot, Gaussian]:
+    """Lines of a camera, as in the scene but for shifts of the offsets by slot name."""
+    return {
+        line.slot: Gaussian(
+            line.gaussian.mean + np.eye(4)[0] * shifts.get(line.slot.name, 0.0), NOISE
+        )
+        for line in scene.lines
+    }
+
+
+def test_residuals_follow_the_pose_error() -> None:
+    """The model's H times the pose error is what the lines move by, in a bend as well."""
+    error = np.array([0.2, 0.05, 0.002])
+    true, wrong = lane_scene(bend=0.02), lane_scene(error, bend=0.02)
+    compared = residuals(wrong, camera(true))
+    assert compared is not None
+    slots, z, model = compared
+    assert slots == (LEFT, RIGHT)
+    assert z == pytest.approx(model.H @ error, abs=0.015)
+
+
+def test_residuals_take_the_displacement_into_account() -> None:
+    """A camera image 0.5 m further on, with the car turned: the lines are seen from there."""
+    bend = lane_scene(bend=0.01)
+    moved = lane_scene((0.5, 0.1, 0.01), bend=0.01)
+    displacement = Gaussian([0.5, 0.1, 0.01], np.zeros((3, 3)))
+    compared = residuals(bend, camera(moved), displacement)
+    assert compared is not None
+    assert compared[1] == pytest.approx(np.zeros(4), abs=2e-3)
+
+
+def test_the_marginal_covers_that_of_the_scene() -> None:
+    scene = lane_scene()
+    compared = residuals(scene, camera(scene))
+    assert compared is not None
+    _, _, model = compared
+    near, far = (scene.lateral({LEFT: 1.0}, x).sigma ** 2 for x in (2.0, 20.0))
+    found = model.H @ model.pose_cov @ model.H.T + model.fast_cov
+    assert found.diagonal()[:2] == pytest.approx([near + 1e-4, far + 1e-4], rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("shifts", "suspect"),
+    [
+        pytest.param({"EGO_LEFT": -3.5}, LEFT, id="left-of-next-lane"),
+        pytest.param({"EGO_RIGHT": 3.5}, RIGHT, id="right-of-next-lane"),
+        pytest.param({"EGO_LEFT": 0.8, "EGO_RIGHT": 0.8}, None, id="common-shift"),
+    ],
+)
+def test_faults_are_found_in_the_first_image(shifts: dict[str, float], suspect: Any) -> None:
+    scene = lane_scene()
+    check = PlausibilityCheck()
+    for k in range(20):
+        assert check.update(0.05 * k, scene, camera(scene)).outcome is Outcome.CONSISTENT
+    found = check.update(1.0, scene, camera(scene, **shifts))
+    assert (found.outcome, found.raised) == (Outcome.INCONSISTENT, True)
+    assert found.suspect is suspect
+    assert found.statistic > 1
+    later = check.update(1.05, scene, camera(scene, **shifts))
+    assert (later.outcome, later.raised) == (Outcome.INCONSISTENT, False)
+
+
+def test_agreement_with_noise() -> None:
+    scene = lane_scene(time=math.inf)
+    check, rng = PlausibilityCheck(), np.random.default_rng(0)
+    for k in range(300):
+        noise = rng.multivariate_normal(np.zeros(4), NOISE)
+        seen = {s: Gaussian(g.mean + noise, NOISE) for s, g in camera(scene).items()}
+        assert check.update(0.05 * k, scene, seen).outcome is Outcome.CONSISTENT
+
+
+@pytest.mark.parametrize(
+    ("scene", "seen"),
+    [
+        pytest.param(None, {}, id="no-scene"),
+        pytest.param(lane_scene(), {}, id="no-camera"),
+        pytest.param(lane_scene(), {Slot.NEXT_LEFT: Gaussian([5, 0, 0, 0], NOISE)}, id="others"),
+        pytest.param(
+            lane_scene(),
+            {LEFT: MapLine(LEFT, Gaussian([1.75, 0, 0, 0], NOISE), x_min=0, x_max=3.9)},
+            id="camera-line-too-short",
+        ),
+    ],
+)
+def test_without_a_common_line_nothing_is_checked(scene: Any, seen: Any) -> None:
+    found = PlausibilityCheck().update(0.0, scene, seen)
+    assert (found.outcome, found.slots) == (Outcome.UNCHECKED, ())
+
+
+def test_lines_come_and_go_without_an_alarm() -> None:
+    both = lane_scene()
+    one = replace(
+        both,
+        lines=both.lines[:1],
+        cov=both.cov[:4, :4],
+        fit_ranges=both.fit_ranges[:1],
+    )
+    check = PlausibilityCheck()
+    found = [check.update(0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]
+    assert {check.outcome for check in found} == {Outcome.CONSISTENT}
+    assert {check.slots for check in found} == {(LEFT, RIGHT), (LEFT,)}
+
+
+def test_the_motion_of_an_outage_counts() -> None:
+    """Turned by 90 deg without a camera: the lateral pose error may be another one now."""
+
+    def statistic(yaw_rate: float) -> float:
+        check = PlausibilityCheck(camera_bias=CameraBias(0.0, 0.0))
+        scene, t = lane_scene(time=50.0), 0.0
+        scene = replace(
+            scene, pose_error=replace(scene.pose_error, cov=np.diag([0.5, 0.5, 0.003]) ** 2)
+        )
+        for _ in range(40):
+            t += 0.05
+            check.update(t, scene, camera(scene, EGO_LEFT=0.2, EGO_RIGHT=0.2))
+        for _ in range(10):
+            t += 0.05
+            check.update(t, None, {}, motion=Motion(5.0, yaw_rate))
+        t += 0.05
+        return check.update(t, scene, camera(scene, EGO_LEFT=-0.4, EGO_RIGHT=-0.4)).statistic
+
+    assert statistic(math.pi) < 1 < statistic(0.0)
+
+
+def test_time_must_increase() -> None:
+    check = PlausibilityCheck()
+    check.update(1.0, None, {})
+    for t in (1.0, 0.5, math.nan, math.inf):
+        with pytest.raises(ValueError, match="t must be finite and later than 1 s"):
+            check.update(t, None, {})
+
+
+@pytest.mark.parametrize("name", ["offset", "heading"])
+@pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])
+def test_wrong_biases_raise(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be finite and 0"):
+        CameraBias(**{name: value})

@@ -1,0 +1,208 @@
+"""Preview control against a brute-force optimum, and speeds and states of the lane keeping."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from maplines_can import STREETS, Gaussian, MapLine, Motion, Scene, Slot, map_scene
+from maplines_can.consumers.steering import (
+    COST,
+    LaneSteering,
+    Reason,
+    State,
+    SteeringLimits,
+    model,
+    preview_gains,
+)
+from maplines_can.scene import PoseError
+
+LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
+POSE = PoseError(np.diag([0.1, 0.1, 0.003]) ** 2)
+
+
+def straight(sigma: float = 0.05, reach: float = 80.0, offset: float = 0.0) -> Scene:
+    """Scene of a straight lane."""
+    cov = np.diag([sigma, 1e-4, 1e-7, 1e-9]) ** 2
+    lines = [
+        MapLine(slot, Gaussian([y + offset, 0, 0, 0], cov), x_min=-4.0, x_max=reach)
+        for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))
+    ]
+    return Scene(lines, np.kron(np.eye(2), cov), POSE, [[-4, reach]] * 2)
+
+
+def driven(
+    steering: LaneSteering, scenes: Sequence[Scene | None], speed: float = 10.0, first: float = 0.0
+) -> list[Any]:
+    """Commands in successive periods, of a car that drives straight ahead."""
+    return [
+        steering.update(first + 0.05 * k, scene, 0.05, Motion(speed, 0.0), 13.9)
+        for k, scene in enumerate(scenes)
+    ]
+
+
+@pytest.mark.parametrize("speed", [0.5, 4.0, 14.0, 30.0])
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_gains_are_those_of_the_optimum_over_a_long_horizon(speed: float, lag: float) -> None:
+    """Least squares over all inputs of 600 steps, for an offset and a curvature ahead."""
+    period, steps = 0.05, 600
+    A, B, D = model(speed, period, lag)
+    bends = np.zeros(steps)
+    bends[10:30] = 0.01
+    x0 = np.array([0.3, -0.02, 0.001, 0.002])
+    jerk = COST[2] * period / max(speed, 2.0) ** 2
+    # x_k = free_k + sum of responses to the inputs
+    free, responses = [], []
+    x, impulse = x0.copy(), B[:, 0].copy()
+    for k in range(steps):
+        x = A @ x + D[:, 0] * bends[k]
+        free.append(x[:2])
+        responses.append(impulse[:2])
+        impulse = A @ impulse
+    scale = np.array([1 / COST[0], 1 / COST[1]])
+    rows = np.zeros((steps, 2, steps))
+    for k in range(steps):
+        rows[k, :, : k + 1] = np.array(responses[: k + 1])[::-1].T
+    lhs = np.vstack([(rows * scale[None, :, None]).reshape(-1, steps), np.eye(steps) / jerk])
+    rhs = np.concatenate([-(np.array(free) * scale).ravel(), np.zeros(steps)])
+    u = np.linalg.lstsq(lhs, rhs, rcond=None)[0]
+    K, F = preview_gains(speed, period, lag)
+    ours = -K @ x0 + F @ bends[: len(F)]
+    tolerance = 2e-3 if speed > 1 else 0.2  # at a crawl, 30 s are not enough
+    assert ours == pytest.approx(u[0], rel=tolerance, abs=1e-6)
+
+
+def test_the_feedback_is_that_of_scipy() -> None:
+    A, B, _ = model(10.0, 0.05, 0.1)
+    jerk = COST[2] * 0.05 / 100
+    Q, R = np.diag([COST[0] ** -2, COST[1] ** -2, 0, 0]), np.array([[jerk**-2]])
+    P = solve_discrete_are(A, B, Q, R)
+    K = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    assert preview_gains(10.0, 0.05, 0.1).feedback == pytest.approx(K[0])
+    assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1
+
+
+@pytest.mark.parametrize(
+    ("offset", "sign"), [pytest.param(0.5, 1, id="to-the-left"), pytest.param(-0.5, -1, id="right")]
+)
+def test_the_car_steers_to_the_middle(offset: float, sign: int) -> None:
+    """Lines that are shifted to the left mean a car to the right of the middle."""
+    command = driven(LaneSteering(), [straight(offset=offset)] * 3)[-1]
+    assert command.curvature * sign > 0
+    assert command.path.offset == pytest.approx(-offset, abs=0.01)  # it has begun to turn
+
+
+def test_the_demand_is_limited() -> None:
+    limits = SteeringLimits(curvature=0.01, curvature_rate=0.02)
+    commands = driven(LaneSteering(limits), [straight(offset=1.1)] * 40, speed=3.0)
+    demands = np.array([0.0] + [command.curvature for command in commands])
+    assert np.abs(np.diff(demands)).max() <= 0.02 * 0.05 + 1e-12
+    assert np.abs(demands).max() == pytest.approx(0.01)
+
+
+def test_the_set_speed_is_reached_by_the_acceleration() -> None:
+    commands = driven(LaneSteering(), [straight()] * 60)
+    speeds = [command.speed for command in commands]
+    assert speeds[0] == pytest.approx(10.0 + 1.5 * 0.05)
+    assert speeds[-1] == 13.9
+    assert {command.state for command in commands} == {State.DRIVING}
+
+
+def test_it_can_stop_where_the_lines_end() -> None:
+    """The speed and deceleration lead to a stop within the reach, with the reaction time."""
+    command = driven(LaneSteering(), [straight(reach=20.0)], speed=10.0)[-1]
+    assert (command.state, command.reason) == (State.SLOWING, Reason.RANGE)
+    limits = SteeringLimits()
+    reach = command.path.reach
+    v = LaneSteering()._fastest(command.path, 10.0, 13.9)[1]
+    stopping = v * limits.reaction + v**2 / (2 * limits.deceleration)
+    assert stopping == pytest.approx(reach)
+
+
+def test_it_slows_down_where_the_band_is_too_wide() -> None:
+    wide = straight(sigma=0.05)
+    cov = np.diag([0.05, 0.02, 1e-7, 1e-9]) ** 2  # 0.28 m at 13.8 m
+    lines = [replace(line, gaussian=Gaussian(line.gaussian.mean, cov)) for line in wide.lines]
+    wide = replace(wide, lines=lines, cov=np.kron(np.eye(2), cov))
+    command = driven(LaneSteering(), [wide] * 40, speed=12.0)[-1]
+    assert (command.state, command.reason) == (State.SLOWING, Reason.BAND)
+    assert command.speed == pytest.approx(13.7 - 12 * 0.15, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("scene", "reason"),
+    [
+        pytest.param(straight(sigma=0.3), Reason.BAND, id="band-at-the-car"),
+        pytest.param(straight(reach=2.3), Reason.RANGE, id="lines-too-short"),
+        pytest.param(straight(offset=1.3), Reason.OFF_LANE, id="off-the-lane"),
+    ],
+)
+def test_it_hands_over_for_good(scene: Scene, reason: Reason) -> None:
+    """The driver has to take over; good lines do not change that, a reset does."""
+    steering = LaneSteering()
+    driven(steering, [straight()] * 3)
+    (command,) = driven(steering, [scene], first=0.15)
+    assert (command.state, command.reason) == (State.HANDOVER, reason)
+    later = driven(steering, [straight()] * 200, first=0.2)
+    assert {c.state for c in later} == {State.HANDOVER}
+    assert later[-1].speed == 0.0
+    steering.reset()
+    assert driven(steering, [straight()], first=20.0)[0].state is State.DRIVING
+
+
+def test_it_hands_over_after_half_a_second_without_lines() -> None:
+    steering = LaneSteering()
+    driven(steering, [straight()] * 5)
+    commands = driven(steering, [None] * 20, first=0.25)
+    states = [command.state for command in commands]
+    first = states.index(State.HANDOVER)
+    assert first == 9  # the last pose was 0.05 s before the last of the five cycles
+    assert commands[first].reason is Reason.NO_LINES
+    # Until then, it follows the last lines, which come nearer.
+    reaches = [command.path.reach for command in commands[:first]]
+    assert np.diff(reaches) == pytest.approx([-0.5] * (first - 1))
+
+
+def test_it_begins_with_the_first_lines() -> None:
+    steering = LaneSteering()
+    commands = driven(steering, [None] * 5 + [straight()] * 2)
+    assert [c.state for c in commands] == [State.HANDOVER] * 5 + [State.DRIVING] * 2
+
+
+def corner_path(speed: float) -> Any:
+    lines = {slot: STREETS["roundabout-12m"].lines[slot] for slot in (LEFT, RIGHT)}
+    scene = map_scene(
+        lines, Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2), window=(-4, 60)
+    )
+    return LaneSteering().update(0.0, scene, 0.05, Motion(speed, speed / 12), 13.9)
+
+
+def test_curves_limit_the_lateral_acceleration() -> None:
+    command = corner_path(4.0)
+    assert command.reason is Reason.CURVE
+    fastest = LaneSteering()._fastest(command.path, 4.0, 13.9)[1]
+    worst = np.abs(command.path.curvature).max()
+    assert math.sqrt(2.0 / worst) <= fastest + 1e-9 <= math.sqrt(2.0 * 12) * 1.1
+
+
+def test_a_curve_that_is_too_tight_is_handed_over() -> None:
+    path = corner_path(4.0).path
+    steering = LaneSteering(SteeringLimits(curvature=1 / 15))
+    assert steering._fastest(path, 4.0, 13.9) == (Reason.TIGHT, 0.0)
+
+
+@pytest.mark.parametrize("name", SteeringLimits.__dataclass_fields__)
+@pytest.mark.parametrize("value", [-0.1, math.inf, math.nan])
+def test_wrong_limits_raise(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} must be finite and"):
+        SteeringLimits(**{name: value})
+
+
+@pytest.mark.parametrize("period", [0.0, 0.21, math.nan])
+def test_wrong_periods_raise(period: float) -> None:
+    with pytest.raises(ValueError, match="period must be more than 0"):
+        LaneSteering(period=period)
