@@ -65,6 +65,8 @@ DETECTION_RATE = 0.01  #: designed false alarms when faults are detected [1/h]
 POSE_SIGMA = (0.3, 0.1, math.radians(0.2))
 CAMERA_SIGMA = (0.05, 0.003, 2e-4, 2e-6)
 SPEED = 15.0
+#: Time that each car drives [s].
+HOUR = 3600.0
 #: Cars at a time.
 CHUNK = 1000
 #: Allowed deviation in standard deviations.
@@ -207,7 +209,7 @@ def false_alarms(
         test = ConsistencyTest(rate, (cars,))
         count = np.zeros(cars)
         warm = round(3 * time / DT)
-        for k in range(warm + round(3600 / DT)):
+        for k in range(warm + round(HOUR / DT)):
             verdict = test.step(errors.next(), model, DT, time)
             if k >= warm:
                 count += verdict.raised
@@ -280,7 +282,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     model, x = model_of_lane()
     rng = np.random.default_rng(arguments.seed)
     rows: dict[str, Any] = {}
-    steps = sum(round((3600 + 3 * time) / DT) for time in TIMES) * len(RATES)
+    steps = sum(round((HOUR + 3 * time) / DT) for time in TIMES) * len(RATES)
     met = True
     with bar(steps * arguments.hours, "images", unit_scale=True) as shown:
         for time in TIMES:

@@ -116,7 +116,7 @@ def test_one_boundary_is_enough_if_the_width_is_known() -> None:
 
 def test_the_line_of_the_route_is_followed_itself() -> None:
     route = line([3.5, 0.1, 0, 0], Slot.ROUTE)
-    scene = Scene([route], COV, seen("exit").pose_error, [[-4, 80]])
+    scene = Scene((route,), COV, seen("exit").pose_error, np.array([[-4.0, 80.0]]))
     path, _ = lane_path(scene, STILL, route=Slot.ROUTE)
     assert path is not None
     assert path.heading == pytest.approx(-0.1)
@@ -125,8 +125,9 @@ def test_the_line_of_the_route_is_followed_itself() -> None:
 
 @pytest.mark.parametrize("half", [0.9, 3.1])
 def test_no_lane_of_an_impossible_width(half: float) -> None:
-    lines = [line([half, 0, 0, 0], LEFT), line([-half, 0, 0, 0], RIGHT)]
-    scene = Scene(lines, np.kron(np.eye(2), COV), seen("exit").pose_error, [[-4, 80]] * 2)
+    lines = (line([half, 0, 0, 0], LEFT), line([-half, 0, 0, 0], RIGHT))
+    ranges = np.array([[-4.0, 80.0]] * 2)
+    scene = Scene(lines, np.kron(np.eye(2), COV), seen("exit").pose_error, ranges)
     assert width_of(scene) == pytest.approx(2 * half)
     assert lane_path(scene, STILL) == (None, None)
 

@@ -28,11 +28,11 @@ POSE = PoseError(np.diag([0.1, 0.1, 0.003]) ** 2)
 def straight(sigma: float = 0.05, reach: float = 80.0, offset: float = 0.0) -> Scene:
     """Scene of a straight lane."""
     cov = np.diag([sigma, 1e-4, 1e-7, 1e-9]) ** 2
-    lines = [
+    lines = tuple(
         MapLine(slot, Gaussian([y + offset, 0, 0, 0], cov), x_min=-4.0, x_max=reach)
         for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))
-    ]
-    return Scene(lines, np.kron(np.eye(2), cov), POSE, [[-4, reach]] * 2)
+    )
+    return Scene(lines, np.kron(np.eye(2), cov), POSE, np.array([[-4.0, reach]] * 2))
 
 
 def driven(
@@ -126,7 +126,7 @@ def test_it_can_stop_where_the_lines_end() -> None:
 def test_it_slows_down_where_the_band_is_too_wide() -> None:
     wide = straight(sigma=0.05)
     cov = np.diag([0.05, 0.02, 1e-7, 1e-9]) ** 2  # 0.28 m at 13.8 m
-    lines = [replace(line, gaussian=Gaussian(line.gaussian.mean, cov)) for line in wide.lines]
+    lines = tuple(replace(line, gaussian=Gaussian(line.gaussian.mean, cov)) for line in wide.lines)
     wide = replace(wide, lines=lines, cov=np.kron(np.eye(2), cov))
     command = driven(LaneSteering(), [wide] * 40, speed=12.0)[-1]
     assert (command.state, command.reason) == (State.SLOWING, Reason.BAND)

@@ -1,0 +1,72 @@
+"""Car, localisation and a short closed loop."""
+
+import math
+
+import numpy as np
+import pytest
+
+from maplines_can import STREETS
+from maplines_can.consumers.steering import Reason, State
+from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street
+
+SIGMA = (0.3, 0.1, 0.003)
+
+
+def test_a_constant_demand_gives_a_circle() -> None:
+    """After the actuator has settled, the car is on a circle of the demanded curvature."""
+    car = Car(np.zeros(3), 5.0)
+    car.drive(0.1, 5.0, 3.0)
+    before = car.pose.copy()
+    car.drive(0.1, 5.0, 2 * math.pi * 10 / 5.0)
+    assert car.curvature == pytest.approx(0.1, rel=1e-6)
+    assert car.pose[:2] == pytest.approx(before[:2], abs=0.05)
+    assert car.pose[2] - before[2] == pytest.approx(2 * math.pi, rel=1e-3)
+
+
+def test_the_steering_has_a_delay_and_a_rate() -> None:
+    car = Car(np.zeros(3), 5.0)
+    car.drive(0.2, 5.0, 0.1)
+    assert car.angle == 0.0
+    car.drive(0.2, 5.0, 0.2)
+    assert car.angle == pytest.approx(0.2 * Car.most_rate)
+    car.drive(10.0, 5.0, 5.0)
+    assert car.angle == Car.most_angle
+
+
+def test_the_car_brakes_to_a_stop() -> None:
+    car = Car(np.zeros(3), 10.0)
+    car.drive(0.0, 0.0, 20.0)
+    assert 0 <= car.speed < 1e-3
+    assert car.pose[0] > 10**2 / (2 * Car.most_deceleration)
+
+
+def test_dead_reckoning_errors_have_the_stated_covariance() -> None:
+    """400 outages of 10 s on a street with a bend: the normalised error squared is 3."""
+    squares = []
+    for seed in range(400):
+        source = Localisation(SIGMA, outages=((0.0, 99.0),), seed=seed)
+        pose = np.zeros(3)
+        for k in range(21):
+            if k:
+                turn = 0.1 if k < 10 else 0.0
+                way = 5.0
+                heading = pose[2] + turn / 2
+                pose = pose + np.array([way * math.cos(heading), way * math.sin(heading), turn])
+            stated = source.pose(0.5 * k, pose)
+        error = stated.mean - pose
+        squares.append(error @ np.linalg.solve(stated.cov, error))
+    assert np.mean(squares) == pytest.approx(3.0, abs=4 * math.sqrt(6 / 400))
+    assert stated.sigma[2] == pytest.approx(math.hypot(SIGMA[2], 10 * DRIFT[1]))
+
+
+def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
+    loop = on_street(STREETS["roundabout-12m"].lines, Localisation((0.05, 0.02, 0.001)).pose)
+    loop.line_outages = ((2.5, 99.0),)
+    moments = loop.run()
+    assert max(abs(m.error) for m in moments) < 0.3
+    driving = next(m for m in moments if m.state is not State.HANDOVER)
+    assert driving.t < 0.5
+    handover = next(m for m in moments if m.t > driving.t and m.state is State.HANDOVER)
+    assert 2.9 < handover.t < 3.1
+    assert handover.reason is Reason.NO_LINES
+    assert moments[-1].speed < 0.05
