@@ -8,15 +8,24 @@ from typing import Any
 from .consume_check import add_check
 from .consume_steer import add_steer
 
-#: Functions that add a sub-command, by its name.
-CONSUMERS = {"steer": add_steer, "check": add_check}
+#: Functions that add a sub-command.
+CONSUMERS = (add_steer, add_check)
+
+DESCRIPTION = """\
+Use received lines as a car does, from a bus or from a log:
+
+  steer   follow the ego lane: demanded curvature and speed
+  check   compare the lines with those of a camera"""
 
 
 def add_consume(commands: Any) -> None:
     """Add the command ``consume`` with its sub-commands."""
     parser: argparse.ArgumentParser = commands.add_parser(
-        "consume", description="Use received lines as a car does."
+        "consume",
+        description=DESCRIPTION,
+        epilog="example: maplines consume check --log drive.blf --simulate",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     consumers = parser.add_subparsers(title="consumers", required=True, metavar="CONSUMER")
-    for add in CONSUMERS.values():
+    for add in CONSUMERS:
         add(consumers)
