@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from ..gaussian import Gaussian
 from ..line import Slot
 from ..propagation.motion import Motion
 from ..scene import Scene
@@ -24,8 +25,8 @@ SPEED_STEP = 0.5
 #: Errors that weigh the same in the cost: of the offset [m], of the heading [rad], and of the
 #: lateral jerk by which they are corrected [m/s^3].
 COST = (0.2, 0.05, 2.0)
-#: Longest age of a line that is followed [s].
-OLDEST = 0.5
+#: Longest age of a line that is followed, and in a handover, until the car has stopped [s].
+OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
 
 
 class State(StrEnum):
@@ -123,7 +124,7 @@ class LaneSteering:
             |  no line for 0.5 s, the band too wide at the car, range or band too short even for
             |  the least speed, car off the lane, curve too tight
             v                                          v
-        HANDOVER   until ``reset``; follows the path while there is one, and brakes to a stop
+        HANDOVER   until ``reset``; follows the last path by odometry, and brakes to a stop
 
     It begins in HANDOVER, and drives as soon as the lines permit.
 
@@ -142,7 +143,10 @@ class LaneSteering:
 
     def reset(self) -> None:
         """Drive again after a handover."""
-        self._known: tuple[Scene, float] | None = None  # the last scene, and the time of its pose
+        self._known: Scene | None = None  # the last one
+        self._since = 0.0  # time since its pose [s]
+        self._moved = np.zeros(3)  # displacement of the car since then
+        self._t = -math.inf
         self._width: float | None = None
         self._curvature: float | None = None  # the last demand
         self._speed: float | None = None
@@ -161,7 +165,7 @@ class LaneSteering:
         """Return the demands for the next period.
 
         Args:
-            t: time [s].
+            t: time, later than that of the last update [s].
             scene: received lines; None if there are none that are usable.
             age: time from the pose of the scene to ``t`` [s].
             motion: of the car.
@@ -176,17 +180,22 @@ class LaneSteering:
         if self._speed is None:
             self._speed = speed
         if scene is not None and scene.lines:
-            self._known = scene, t - age
+            self._known, self._since, self._moved = scene, age, motion.over(age).mean
+        elif self._known is not None:
+            dt = t - self._t
+            self._since += dt
+            self._moved = _composed(self._moved, motion.over(dt).mean)
+        self._t = t
         path = None
         # Until the actuator reacts, the curvature tends to the last demand.
         rest = 0.0 if limits.lag == 0 else math.exp(-limits.delay / limits.lag)
         then = self._curvature + (actual - self._curvature) * rest
-        if self._known is not None and (since := t - self._known[1]) <= OLDEST:
-            # The car turns as measured, and from now on by the mean curvature.
-            time = since + limits.delay
-            turn = since * actual + limits.delay * (actual + then) / 2
-            mean = Motion(speed, speed * turn / max(time, 1e-9), motion.cov)
-            path, self._width = lane_path(self._known[0], mean.over(time), self._width, route)
+        oldest = OLDEST if self._handover is Reason.NONE else OLDEST_IN_HANDOVER
+        if self._known is not None and self._since <= oldest:
+            ahead = Motion(speed, speed * (actual + then) / 2).over(limits.delay).mean
+            odometry = motion.over(self._since + limits.delay)
+            moved = Gaussian.trusted(_composed(self._moved, ahead), odometry.cov)
+            path, self._width = lane_path(self._known, moved, self._width, route)
         reason, fastest = self._fastest(path, speed, set_speed)
         if self._handover is not Reason.NONE:
             state, reason, fastest = State.HANDOVER, self._handover, 0.0
@@ -251,6 +260,12 @@ def _stopping_speed(distance: float, limits: SteeringLimits) -> float:
     """
     a, t = limits.deceleration, limits.reaction
     return math.sqrt((a * t) ** 2 + 2 * a * distance) - a * t
+
+
+def _composed(pose: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose (x, y, heading) after a further displacement in its frame."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    return pose + np.array([c * step[0] - s * step[1], s * step[0] + c * step[1], step[2]])
 
 
 class Gains(NamedTuple):

@@ -165,6 +165,8 @@ def test_it_hands_over_after_half_a_second_without_lines() -> None:
     # Until then, it follows the last lines, which come nearer.
     reaches = [command.path.reach for command in commands[:first]]
     assert np.diff(reaches) == pytest.approx([-0.5] * (first - 1))
+    # It brakes along them by odometry.
+    assert commands[-1].path.reach == pytest.approx(reaches[0] - 19 * 0.5)
 
 
 def test_it_begins_with_the_first_lines() -> None:
