@@ -160,6 +160,8 @@ class ConsistencyTest:
     and they add up to the designed one. Single innovations detect what jumps; the sums, what grows
     or lasts.
 
+    Each set of residuals has windows of its own, in the time in which it is seen.
+
     An alarm lasts until no test has failed for the longest window. A fault that lasts fails in it
     again, so it is one alarm.
 
@@ -180,7 +182,7 @@ class ConsistencyTest:
         self._rate = false_alarms / HOUR
         self._batch = batch
         self._filter = ResidualFilter(batch)
-        self._windows = _Windows(np.empty(0), batch, 0)
+        self._windows: dict[object, _Windows] = {}
         self._calm = np.full(batch, np.inf)  # time since a test failed [s]
 
     def step(
@@ -205,11 +207,13 @@ class ConsistencyTest:
         self._filter.predict(model, dt, correlation_time, turn, keys)
         w = self._filter.update(z, model.noise_cov)
         lengths = window_lengths(correlation_time)
-        if not np.array_equal(lengths, self._windows.lengths) or w.shape[-1] != self._windows.n:
-            self._windows = _Windows(lengths, self._batch, w.shape[-1])
+        # Lines that come and go do not begin the windows of the others anew.
+        key = (w.shape[-1] if keys is None else keys), len(lengths)
+        if key not in self._windows:
+            self._windows[key] = _Windows(lengths, self._batch, w.shape[-1])
         share = self._rate / (len(lengths) + 1)
         single = (w**2).sum(axis=-1) / threshold(share * min(dt, SHORTEST), w.shape[-1])
-        statistic = np.maximum(single, self._windows.add(w, dt, share))
+        statistic = np.maximum(single, self._windows[key].add(w, dt, share))
         failed = statistic > 1
         alarmed = self._calm <= lengths[-1]
         self._calm = np.where(failed, 0.0, self._calm + dt)

@@ -171,7 +171,14 @@ class LaneSteering:
             motion: of the car.
             set_speed: speed that the car shall have if nothing limits it [m/s].
             route: slot of a line to follow itself, as in a lane change; None for the ego lane.
+
+        Raises:
+            ValueError: the time is not finite or not later, or the set speed is out of range.
         """
+        if not self._t < t < math.inf:
+            raise ValueError(f"t must be finite and later than {self._t:g} s, got {t!r}")
+        if not 0 <= set_speed < math.inf:
+            raise ValueError(f"set_speed must be finite and 0 m/s or more, got {set_speed!r}")
         limits = self.limits
         speed = max(motion.speed, 0.0)
         actual = motion.yaw_rate / speed if speed > 0.5 else self._curvature or 0.0

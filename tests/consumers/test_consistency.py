@@ -183,3 +183,19 @@ def test_a_lasting_error_is_found_by_the_sums_only() -> None:
 def test_wrong_rates_raise(rate: float) -> None:
     with pytest.raises(ValueError, match="false_alarms must be more than 0 and up to 10"):
         ConsistencyTest(rate)
+
+
+def test_lines_that_come_and_go_do_not_hide_a_lasting_error() -> None:
+    """The first line is always seen, the second one every other second; both are wrong for long."""
+    z = drawn(3000, 1, seed=7)[:, 0] + 0.6
+    one = ResidualModel(H[:1], MODEL.pose_cov, *(cov[:1, :1] for cov in MODEL[2:]))
+    test = ConsistencyTest(0.01)
+    alarms = [
+        bool(
+            test.step(row, MODEL, DT, T, keys=(0, 1)).alarm
+            if k // 20 % 2
+            else test.step(row[:1], one, DT, T, keys=(0,)).alarm
+        )
+        for k, row in enumerate(z)
+    ]
+    assert alarms[-1]

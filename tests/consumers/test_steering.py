@@ -208,3 +208,14 @@ def test_wrong_limits_raise(name: str, value: float) -> None:
 def test_wrong_periods_raise(period: float) -> None:
     with pytest.raises(ValueError, match="period must be more than 0"):
         LaneSteering(period=period)
+
+
+def test_wrong_updates_raise() -> None:
+    steering = LaneSteering()
+    driven(steering, [straight()], first=1.0)
+    for t in (1.0, 0.5, math.nan, math.inf):
+        with pytest.raises(ValueError, match="t must be finite and later than 1 s"):
+            steering.update(t, None, math.inf, Motion(10.0, 0.0), 13.9)
+    for set_speed in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="set_speed must be finite and 0"):
+            steering.update(2.0, None, math.inf, Motion(10.0, 0.0), set_speed)
