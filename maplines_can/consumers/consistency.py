@@ -31,8 +31,8 @@ class ResidualModel(NamedTuple):
 
     The error ``delta`` of the pose lasts for its correlation time, ``f`` for ``FAST`` and ``g`` for
     ``SLOW``; ``v`` is white. An error of a line whose correlation time is not known, but between
-    both, is in ``f`` and in ``g`` with its full covariance: then the sum of their spectra is not
-    less than its own.
+    both, is in ``f`` and in ``g`` with its full covariance: then the sum of their spectra is at
+    least 0.7 of its own at each frequency, and mostly more than it.
     """
 
     H: NDArray[np.float64]  #: (n, 3) derivative with respect to along, across and heading
