@@ -63,10 +63,11 @@ ego.localisation.observation_models ego.localisation.correlation ego.localisatio
 ego.localisation ego.simulated_sensors ego.simulated_localisation
 ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
 ego.scan_matching ego
-consumers consumers.consistency consumers.plausibility consumers.path consumers.steering
+consumers.consistency consumers.plausibility consumers.path consumers.steering
+consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
-cli.driving cli.ways cli.consume_input cli.consume_check cli.consume_steer
+cli.driving cli.ways cli.consume_input cli.consume_check cli.consume_steer cli.consume_fusion
 cli cli.__main__ cli.accuracy cli.claims cli.consume cli.decode cli.demo cli.design
 cli.drive cli.figures cli.map_info cli.receive cli.send cli.study
 __main__
@@ -80,7 +81,7 @@ LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.codes"),
     ("cli.map_info", "study.figures.map_picture"),
     ("cli.drive", "study.drives.truth"), ("cli.driving", "study.drives.truth"),
-    ("cli.driving", "testing"),
+    ("cli.driving", "testing"), ("cli.consume_fusion", "study.fusion.stream"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {

@@ -31,7 +31,7 @@ COMMANDS = {
     "decode": ("decode", "print the lines in a log file"),
     "map": ("map_info", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
-    "consume": ("consume", "use received lines as a car does: steer, check"),
+    "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
     "scenarios": ("scenarios", "list the scenes that can be sent"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),

@@ -90,7 +90,7 @@ class LaneFusion:
         source: SceneSource | None = None,
         *,
         handling: Handling | None = None,
-        error_frame: Literal["map", "ego"] = "map",
+        error_frame: Literal["map", "ego"] = "ego",
         bias_sigma: tuple[float, float, float, float] = BIAS_SIGMA,
         bias_time: float = BIAS_TIME,
     ) -> None:

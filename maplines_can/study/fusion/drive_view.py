@@ -27,7 +27,7 @@ PLACES = (0.0, 20.0, 40.0)
 #: Window in which a camera fits a cubic [m], with this deviation at most [m], and the range that
 #: it has to see [m].
 CAMERA_WINDOW, CAMERA_MISFIT, CAMERA_RANGE = (0.0, 50.0), 0.03, 25.0
-_COLUMNS = [Y_PLACES.index(int(x)) for x in PLACES]
+COLUMNS = [Y_PLACES.index(int(x)) for x in PLACES]
 #: Time from the pose to the first frame, and from frame to frame [s].
 AGE, FRAME = 0.02, 0.00025
 
@@ -79,7 +79,7 @@ def drive_view(
     for k, pose in enumerate(state.pose):
         seen = tracker.lines(pose)
         lines = {slot: seen.lines[slot] for slot in LANE if slot in seen.lines}
-        view.true[k] = true_lines(lines, LANE, pose)[:, _COLUMNS]
+        view.true[k] = true_lines(lines, LANE, pose)[:, COLUMNS]
         view.seen[k] = camera_lines(lines, pose)
         ego = Gaussian(pose, turned(pose_cov, pose[2]))
         scene = map_scene(lines, ego, map_error=map_error, correlation_time=1.0)

@@ -1,0 +1,271 @@
+"""The command ``maplines consume fusion``."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..bus import Link, Receiver, read_log
+from ..consumers import FusedLane, LaneFusion
+from ..consumers.integrity import RISKS, multiplier
+from ..line import MapLine
+from ..propagation import Motion
+from ..wire import Codec, Monitor
+from .options import (
+    add_bus,
+    add_codec,
+    add_cycle,
+    add_json,
+    add_transfer_timeout,
+    bus_settings,
+    decoder_of,
+    keyed_codec,
+)
+from .output import LANE, LANE_X
+from .parsing import add_command, number, seconds
+from .stderr import note, with_progress
+
+#: Time between two steps of the fusion, and two rows [s].
+STEP, ROW = 0.05, 1.0
+#: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
+UNKNOWN_MOTION = Motion.with_sigma(15.0, 0.0, (10.0, 0.3))
+#: Standard deviations of a known motion [m/s, rad/s].
+MOTION_SIGMA = (0.1, 0.005)
+#: Correlation time and start of the simulated drive [s].
+SIMULATED_TIME, SIMULATED_START = 5.0, 20.0
+
+DESCRIPTION = """\
+Fuse the scenes of a bus or of a log into the ego lane, and print its centre and its width once a
+second, with standard deviations and protection levels: bounds that the error of the centre exceeds
+with a risk of 1e-5 and 1e-7 in an hour.
+
+The fusion needs the motion of the car between scenes: --motion, or --speed. Without it, the lane is
+about that of the newest scene. --simulate drives through the town of this package instead, with a
+simulated camera that fails after a third of the drive, and prints the true errors as well."""
+
+
+class Epoch(NamedTuple):
+    """Inputs of one step."""
+
+    t_ns: int
+    motion: Motion
+    camera: list[MapLine]
+    true_centre: Any = None  #: (3,) at ``LANE_X`` [m], if it is known
+
+
+def add_fusion(consumers: Any) -> None:
+    """Add the consumer ``fusion``."""
+    example = "maplines consume fusion --simulate --seconds 30"
+    parser = add_command(consumers, "fusion", _fusion, DESCRIPTION, example)
+    parser.add_argument(
+        "log", nargs="?", metavar="LOG", help="log file (default: receive from the bus)"
+    )
+    parser.add_argument("--simulate", action="store_true", help="simulate a car with a camera")
+    parser.add_argument(
+        "--seconds", type=seconds, metavar="S", help="stop after this time [s] (default: never)"
+    )
+    parser.add_argument(
+        "--motion",
+        metavar="FILE",
+        help="CSV table of the motion with columns time [s], on the clock of the log, speed [m/s] "
+        "and yaw_rate [rad/s], such as the truth of maplines drive",
+    )
+    parser.add_argument(
+        "--speed", type=number(float, -100, 100), metavar="M/S", help="constant speed [m/s]"
+    )
+    parser.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
+    add_bus(parser)
+    add_codec(parser)
+    add_cycle(parser)
+    add_transfer_timeout(parser)
+    add_json(parser, "each row")
+
+
+def _fusion(arguments: argparse.Namespace) -> int:
+    if arguments.simulate and (arguments.log or arguments.motion or arguments.speed is not None):
+        raise ValueError("--simulate has a car of its own; leave out LOG, --motion and --speed")
+    if arguments.dbc is None and not arguments.keys:
+        arguments.dbc = "maplines-pose.dbc" if arguments.simulate else None
+    codec = keyed_codec(arguments, clock=None if arguments.log else time.time_ns)
+    if codec.layout.pose is None:
+        raise ValueError(
+            f"{codec.layout.source} has no message of the pose error (MapLinePose), so there are "
+            "no scenes to fuse; take the --dbc of the sender"
+        )
+    if arguments.simulate:
+        return _print_rows(_simulated(arguments, codec), arguments)
+    if arguments.log:
+        return _print_rows(_of_log(arguments, codec), arguments)
+    return _print_rows(_of_bus(arguments, codec), arguments)
+
+
+def _print_rows(
+    epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace
+) -> int:
+    """Fuse, and print a row in each second; return the exit status."""
+    start = last = None
+    rows = 0
+    try:
+        for fusion, epoch in epochs:
+            lane = fusion.step(epoch.t_ns, epoch.motion, epoch.camera)
+            start = epoch.t_ns if start is None else start
+            if last is None or epoch.t_ns - last >= round(1e9 * ROW):
+                last = epoch.t_ns
+                row = lane_dict(lane, epoch)
+                print(json.dumps(row) if arguments.json else lane_text(row), flush=True)
+                rows += lane.scene is not None
+            if arguments.seconds is not None and epoch.t_ns - start >= 1e9 * arguments.seconds:
+                break
+    except KeyboardInterrupt:
+        pass
+    if not rows:
+        note("error: no scene with a line of the ego lane was received")
+        return 1
+    return 0
+
+
+def _of_bus(
+    arguments: argparse.Namespace, codec: Codec
+) -> Iterator[tuple[LaneFusion, Epoch]]:
+    """Yield an epoch in each step of the clock."""
+    motion = _motion_of(arguments)
+    with (
+        Link(**bus_settings(arguments)) as link,
+        Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
+    ):
+        note(f"listening on {link.name}; stop with Ctrl-C")
+        fusion = LaneFusion(receiver)
+        while True:
+            time.sleep(STEP)
+            t_ns = time.time_ns()
+            yield fusion, Epoch(t_ns, motion(t_ns), [])
+
+
+def _of_log(
+    arguments: argparse.Namespace, codec: Codec
+) -> Iterator[tuple[LaneFusion, Epoch]]:
+    """Yield an epoch in each step of the time stamps of a log."""
+    motion = _motion_of(arguments)
+    monitor = Monitor(decoder_of(codec, arguments))
+    fusion = LaneFusion(monitor)
+    due = None
+    for frame in with_progress(read_log(arguments.log), " frames"):
+        if not frame.has_time:
+            raise ValueError(f"{arguments.log} has no time stamps; use candump -L")
+        monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+        due = frame.t_ns + round(1e9 * STEP) if due is None else due
+        if frame.t_ns >= due:
+            yield fusion, Epoch(frame.t_ns, motion(frame.t_ns), [])
+            due = frame.t_ns + round(1e9 * STEP)
+
+
+def _simulated(
+    arguments: argparse.Namespace, codec: Codec
+) -> Iterator[tuple[LaneFusion, Epoch]]:
+    """Yield the epochs of a simulated car in the town."""
+    from ..ego import drive_along
+    from ..maps import load, town_path, town_tour
+    from ..study.fusion.stream import CarStream
+
+    found = load(town_path())
+    route = town_tour(found)
+    drive = drive_along(found, route)
+    stream = CarStream(found, route, drive, codec, SIMULATED_TIME, arguments.seed)
+    length = 60.0 if arguments.seconds is None else arguments.seconds
+    end = min(SIMULATED_START + length, drive.duration - 1.0)
+    fusion = None
+    for moment in stream(SIMULATED_START, end, 1 / STEP):
+        fusion = fusion or LaneFusion(moment.monitor)
+        true = moment.true.mean(axis=0)
+        yield fusion, Epoch(moment.t_ns, moment.motion, moment.camera, true)
+
+
+def _motion_of(arguments: argparse.Namespace) -> Any:
+    """Return a function from the time [ns] to the motion."""
+    if arguments.motion is None:
+        known = UNKNOWN_MOTION
+        if arguments.speed is not None:
+            sigma = (MOTION_SIGMA[0], math.sqrt(UNKNOWN_MOTION.cov[1, 1]))
+            known = Motion.with_sigma(arguments.speed, 0.0, sigma)
+        return lambda _: known
+    with open(arguments.motion, newline="") as file:
+        rows = [*csv.DictReader(file)]
+    try:
+        t, speed, yaw_rate = (
+            np.array([float(row[name]) for row in rows]) for name in ("time", "speed", "yaw_rate")
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"--motion {arguments.motion} must be CSV with numbers in the columns time, speed and "
+            f"yaw_rate; the first problem: {error}"
+        ) from error
+    if not len(t) or not (np.diff(t) > 0).all():
+        raise ValueError(f"--motion {arguments.motion} must have rows with increasing time")
+
+    def motion(t_ns: int) -> Motion:
+        if not t[0] - 1 <= t_ns / 1e9 <= t[-1] + 1:
+            return UNKNOWN_MOTION
+        at = (float(np.interp(t_ns / 1e9, t, values)) for values in (speed, yaw_rate))
+        return Motion.with_sigma(*at, MOTION_SIGMA)
+
+    return motion
+
+
+def lane_dict(lane: FusedLane, epoch: Epoch) -> dict[str, Any]:
+    """Return a fused lane, for JSON."""
+    row: dict[str, Any] = {
+        "t": lane.t_ns / 1e9,
+        "map_age": lane.map_age if math.isfinite(lane.map_age) else None,
+        "camera": [slot.name for slot in lane.used],
+        "rejected": [slot.name for slot in lane.rejected],
+        "centre": [],
+    }
+    if lane.scene is None:
+        return row
+    low, high = lane.scene.x_range(LANE)
+    T = lane.scene.pose_error.correlation_time
+    for i, x in enumerate(LANE_X):
+        if not low <= x <= high:
+            continue
+        centre, width = lane.scene.centre(x), lane.scene.width(x)
+        sigma = float(centre.sigma)
+        at = {
+            "x": x,
+            "value": float(centre.value),
+            "sigma": sigma,
+            # An unknown correlation time may be any: 0 is the worst case for a risk.
+            "protection_level": {
+                f"{risk:g}": sigma * multiplier(risk, T if math.isfinite(T) else 0.0)
+                for risk in RISKS
+            },
+            "width": float(width.value),
+            "width_sigma": float(width.sigma),
+        }
+        if epoch.true_centre is not None and np.isfinite(epoch.true_centre[i]):
+            at["error"] = float(centre.value - epoch.true_centre[i])
+        row["centre"].append(at)
+    return row
+
+
+def lane_text(row: dict[str, Any]) -> str:
+    """Return a fused lane as one row of text."""
+    head = f"{row['t']:.1f}  "
+    if not row["centre"]:
+        return f"{head}no lane"
+    places = [
+        f"at {at['x']:g} m {at['value']:+.2f} ± {at['sigma']:.2f} m"
+        + (f" (error {at['error']:+.2f})" if "error" in at else "")
+        + f", level {at['protection_level']['1e-05']:.2f}/{at['protection_level']['1e-07']:.2f} m"
+        for at in row["centre"]
+    ]
+    first = row["centre"][0]
+    width = f"width {first['width']:.2f} ± {first['width_sigma']:.2f} m"
+    camera = {0: "no camera", 1: "one camera line", 2: "camera"}[len(row["camera"])]
+    return f"{head}{'; '.join(places)}; {width}; {camera}"

@@ -1,0 +1,1 @@
+"""Verification of protection levels: importance sampling of rare errors, Stanford diagram."""
