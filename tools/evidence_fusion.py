@@ -9,17 +9,18 @@ Run it in the environment of the project: python3 tools/run.py python tools/evid
 
 fusion: cars drive two stretches of the tour of the shipped town, in the streets and on the
 motorway. Each has pose errors, a map error, a camera with a bias, false lines and an outage, and
-odometry with a biased yaw rate of its own. The covariance of what a received line has of its own is
-that of lines that were encoded and decoded. NEES is the squared error of the lane centre in units of
-its variance: the mean over cars and time, where 1 is right. The upper bound is that of the mean of
-as many cars at one time (95 %, two-sided chi-square).
+odometry with a biased yaw rate of its own. The covariance of what a received line has of its own
+is that of lines that were encoded and decoded. NEES is the squared error of the lane centre in
+units of its variance: the mean over cars and time, where 1 is right. The upper bound is that of the
+mean of as many cars at one time (95 %, two-sided chi-square).
 
 received: each car drives another part of the tour. All scenes are encoded with maplines-pose.dbc
 and decoded; a fusion runs on them. NEES for each degree of freedom, of single lines at a place, of
 both lines together at all places, and of the fused lane centre. The decoded covariance covers the
 true one, so there is an upper bound only.
 
-The exit status is 1 if a right way exceeds a bound, or a wrong one with independent cycles does not.
+The exit status is 1 if a right way exceeds a bound, or if a wrong one with independent cycles does
+not.
 """
 
 from __future__ import annotations
@@ -92,7 +93,9 @@ def received(arguments: argparse.Namespace, errors: Errors) -> dict[str, Any]:
     drive = drive_along(found, route)
     codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
     starts = np.linspace(10.0, drive.duration - DRIVE - 10.0, arguments.seeds)
-    single, joint, fused = (np.full((arguments.seeds, *shape), np.nan) for shape in ((3,), (), (3,)))
+    single, joint, fused = (
+        np.full((arguments.seeds, *shape), np.nan) for shape in ((3,), (), (3,))
+    )
     scenes = 0
     for seed in progress(range(arguments.seeds), "received"):
         values: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
@@ -167,10 +170,12 @@ def misses_of(result: dict[str, Any], bound: float) -> list[str]:
                 if "joint, cycles independent" in way and not worst > bound:
                     misses.append(f"{stretch}, {T}, {way}: NEES is only {worst:g}")
     figures = result.get("received", {})
-    for name in ("single lines", "joint", "fused lane centre"):
-        if name in figures and not np.nanmax(figures[name]) <= bound:
-            misses.append(f"received, {name}: NEES {figures[name]}")
-    return misses
+    names = ("single lines", "joint", "fused lane centre")
+    return misses + [
+        f"received, {name}: NEES {figures[name]}"
+        for name in names
+        if name in figures and not np.nanmax(figures[name]) <= bound
+    ]
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -85,7 +85,13 @@ def views(arguments: argparse.Namespace, errors: Errors) -> dict[str, Any]:
     cov = np.diag(np.square(errors.pose_sigma))
     return {
         name: drive_view(
-            found, route, drive, np.arange(start, start + arguments.seconds, 0.1), codec, cov, stated
+            found,
+            route,
+            drive,
+            np.arange(start, start + arguments.seconds, 0.1),
+            codec,
+            cov,
+            stated,
         )
         for name, (start, _) in progress(STRETCHES.items(), "views")
     }
@@ -95,7 +101,9 @@ def in_scenes(arguments: argparse.Namespace, errors: Errors, view: Any) -> dict[
     """Return the tails of received scenes, relative to those of a normal variable."""
     result: dict[str, Any] = {}
     for place, x in enumerate(PLACES):
-        known = np.flatnonzero(view.valid[:, place] & np.isfinite(view.true[:, :, place]).all(axis=1))
+        known = np.flatnonzero(
+            view.valid[:, place] & np.isfinite(view.true[:, :, place]).all(axis=1)
+        )
         for risk in RISKS:
             K = multiplier(risk, DIAGRAM[0])
             tails = [

@@ -106,9 +106,7 @@ def _fusion(arguments: argparse.Namespace) -> int:
     return _print_rows(_of_bus(arguments, codec), arguments)
 
 
-def _print_rows(
-    epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace
-) -> int:
+def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace) -> int:
     """Fuse, and print a row in each second; return the exit status."""
     start = last = None
     rows = 0
@@ -131,9 +129,7 @@ def _print_rows(
     return 0
 
 
-def _of_bus(
-    arguments: argparse.Namespace, codec: Codec
-) -> Iterator[tuple[LaneFusion, Epoch]]:
+def _of_bus(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield an epoch in each step of the clock."""
     motion = _motion_of(arguments)
     with (
@@ -148,9 +144,7 @@ def _of_bus(
             yield fusion, Epoch(t_ns, motion(t_ns), [])
 
 
-def _of_log(
-    arguments: argparse.Namespace, codec: Codec
-) -> Iterator[tuple[LaneFusion, Epoch]]:
+def _of_log(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield an epoch in each step of the time stamps of a log."""
     motion = _motion_of(arguments)
     monitor = Monitor(decoder_of(codec, arguments))
@@ -166,9 +160,7 @@ def _of_log(
             due = frame.t_ns + round(1e9 * STEP)
 
 
-def _simulated(
-    arguments: argparse.Namespace, codec: Codec
-) -> Iterator[tuple[LaneFusion, Epoch]]:
+def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield the epochs of a simulated car in the town."""
     from ..ego import drive_along
     from ..maps import load, town_path, town_tour

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -77,7 +78,7 @@ class LaneFilter:
         shape: tuple[int, ...] = (),
     ) -> None:
         sizes = np.cumsum([0, N, errors, N, BIASES])
-        self.lane, self.u, self.v, self.b = (slice(*ends) for ends in zip(sizes[:-1], sizes[1:]))
+        self.lane, self.u, self.v, self.b = (slice(*ends) for ends in pairwise(sizes))
         n = int(sizes[-1])
         self._estimated = np.ones(n)
         self._estimated[self.v] = 0
@@ -203,9 +204,7 @@ class LaneFilter:
         H[..., range(N), range(N)] = used
         return H
 
-    def _update(
-        self, z: Array, H: Array, R: Array, used: Array, gate: float = np.inf
-    ) -> Array:
+    def _update(self, z: Array, H: Array, R: Array, used: Array, gate: float = np.inf) -> Array:
         r, S, PH = self._innovation(z, H, R, used)
         passed = squared_distance(r, S) <= gate
         K = np.linalg.solve(S, PH.mT).mT
@@ -268,7 +267,7 @@ def move_lines(lines: Array, displacement: Array, windows: Array) -> tuple[Array
     J[..., 0, 2], J[..., 0, 3] = x**2 / 2, x**3 / 6
     J[..., 1, 2], J[..., 1, 3], J[..., 2, 3] = cos2 * x, cos2 * x**2 / 2, x
     G = np.zeros((*lines.shape, 3))
-    G[..., 0, 0], G[..., 0, 1] = np.tan(moved[..., 1]), -1.0
+    G[..., 0, 0], G[..., 0, 1] = np.tan(moved[..., 1] + displacement[..., None, 2]), -1.0
     G[..., 1, 0], G[..., 1, 2] = cos2 * moved[..., 2], -1.0
     G[..., 2, 0] = moved[..., 3]
     return moved, J, G

@@ -207,7 +207,9 @@ class LaneFusion:
         used = np.isin(np.arange(N), rows)
         for slot, fit in zip(slots, seen.fit_ranges, strict=True):
             line = scene.line(slot)
-            self._set_range(slot, fit - moved.mean[0], np.array([line.x_min, line.x_max]) - moved.mean[0])
+            self._set_range(
+                slot, fit - moved.mean[0], np.array([line.x_min, line.x_max]) - moved.mean[0]
+            )
         self._filter.update_map(z, loading, cov, None, used)
 
     def _fuse_camera(self, line: MapLine, now_ns: int, motion: Motion) -> bool | None:

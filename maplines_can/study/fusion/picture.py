@@ -29,7 +29,9 @@ def draw(times: Mapping[str, Mapping[str, Any]], bound: float, path: str | PathL
     at, height = PLACES.index(PLACE), 0.8 / len(times)
     figure = Figure(figsize=(10, 5), layout="constrained")
     panels = figure.subplots(1, 2, sharey=True)
-    for axes, what, unit in zip(panels, ("rms", "nees"), ("RMS of the error [m]", "NEES"), strict=True):
+    for axes, what, unit in zip(
+        panels, ("rms", "nees"), ("RMS of the error [m]", "NEES"), strict=True
+    ):
         for i, (T, figures) in enumerate(times.items()):
             rows = np.arange(len(ways)) + (i - (len(times) - 1) / 2) * height
             values = [figures[way][what][at] for way in ways]

@@ -57,12 +57,14 @@ class MapFilter(Protocol):
 
     def predict(
         self, displacement: Array, cov: Array, dt: float, windows: Array, correlation_time: float
-    ) -> None: ...
+    ) -> None:
+        """Predict the lines; see ``LaneFilter``."""
 
     def update_scene(self, lines: Array, loading: Array, own: Array) -> None:
         """Update with (S, 8) lines, the (S, 8, 3) loading and the (S, 8, 8) own covariance."""
 
-    def update_camera(self, lines: Array, cov: Array, used: Array) -> Array: ...
+    def update_camera(self, lines: Array, cov: Array, used: Array) -> Array:
+        """Update with camera lines; see ``LaneFilter``."""
 
 
 class Track(NamedTuple):
@@ -164,7 +166,7 @@ class Simulation:
         )
 
     def _motion(self, k: int, scale: Array, gyro: Array, rng: Any) -> tuple[Array, Array]:
-        """Return the (S, 3) displacements since the last cycle as measured, and their covariance."""
+        """Return the (S, 3) measured displacements since the last cycle, and their covariance."""
         state, e = self.view.state, self.errors
         dt = float(state.t[k] - state.t[k - 1])
         speed, rate = state.speed[k - 1 : k + 1].mean(), state.yaw_rate[k - 1 : k + 1].mean()

@@ -79,7 +79,10 @@ class CarStream:
         e, rng, dt = self._errors, self._rng, 1 / rate
         monitor = Monitor(self._codec.decoder(cycle_ms=1000 * dt))
         bias = GaussMarkov(rng, (3,))
-        scale, gyro = 1 + e.speed_scale * rng.standard_normal(), e.yaw_rate_bias * rng.standard_normal()
+        scale, gyro = (
+            1 + e.speed_scale * rng.standard_normal(),
+            e.yaw_rate_bias * rng.standard_normal(),
+        )
         outage = start + np.array(e.outage) * (end - start)
         error = MapError(e.map_local[0], e.map_offset, e.map_heading)
         for t in np.arange(start, end, dt):

@@ -106,6 +106,7 @@ class SplitFused:
         self, displacement: Array, cov: Array, dt: float, windows: Array, correlation_time: float
     ) -> None:
         """Predict the lines; see ``LaneFilter``."""
+        del correlation_time
         S = len(self.mean)
         moved, J_lines, J_move = move_lines(self.mean.reshape(S, 2, 4), displacement, windows)
         F, G = np.zeros((S, N, N)), J_move.reshape(S, N, 3)
@@ -177,9 +178,7 @@ def lateral_variance(cov: Array) -> Array:
     """Return the (S,) sum of the variances of both lines at ``PLACES`` ahead of the car."""
     x = np.array(PLACES)
     J = np.column_stack([np.ones(3), x, x**2 / 2, x**3 / 6])
-    return sum(
-        np.einsum("xi,sij,xj->s", J, cov[:, one, one], J) for one in (slice(4), slice(4, 8))
-    )
+    return sum(np.einsum("xi,sij,xj->s", J, cov[:, one, one], J) for one in (slice(4), slice(4, 8)))
 
 
 #: Filters for a number of cars, by name: those that are right, then those that are not.

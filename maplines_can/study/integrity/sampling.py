@@ -104,7 +104,9 @@ def tail_probability(
         return np.asarray(lateral(lines, x).mean(axis=1))
 
     step = 1e-3
-    gradient = np.array([centre(step * s)[0] for s in np.eye(3)[:, None]]) - centre(np.zeros((1, 3)))
+    gradient = np.array([centre(step * s)[0] for s in np.eye(3)[:, None]]) - centre(
+        np.zeros((1, 3))
+    )
     gradient /= step
     J = np.tile([1.0, x, x**2 / 2, x**3 / 6], 2) / 2
     sigma = math.sqrt(gradient @ gradient + J @ view.own[k] @ J)

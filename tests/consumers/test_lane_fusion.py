@@ -1,0 +1,201 @@
+"""Lane fusion on scenes that were encoded and decoded, in a simulated car."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can import (
+    Codec,
+    Gaussian,
+    MapError,
+    MapLine,
+    Monitor,
+    Motion,
+    Polyline,
+    Slot,
+    map_scene,
+)
+from maplines_can.consumers import FusedLane, LaneFusion
+from maplines_can.wire import default_dbc_path
+
+LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+P = np.diag([0.3, 0.2, 0.003]) ** 2
+CYCLE = 50_000_000
+CAMERA_COV = np.diag([0.05, 0.005, 5e-4, 2e-5]) ** 2
+
+
+class Car:
+    """Car that drives straight ahead in the middle of a lane of 3.5 m, and is off its pose."""
+
+    def __init__(self, across: float = 0.0, time: float = 10.0, speed: float = 10.0) -> None:
+        self.codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+        self.monitor = Monitor(self.codec.decoder())
+        self.across, self.time, self.speed, self.cycle = across, time, speed, 0
+        self.slots: tuple[Slot, ...] = LANE
+
+    def send(self) -> int:
+        """Send the next scene; return the time after it."""
+        x = self.cycle * self.speed * CYCLE / 1e9
+        lines = {
+            slot: Polyline([[x - 200, y], [x + 300, y]])
+            for slot, y in zip(LANE, (1.75, -1.75), strict=True)
+            if slot in self.slots
+        }
+        scene = map_scene(
+            lines,
+            Gaussian([x, self.across, 0], P),
+            map_error=MapError(0.02, 0.05),
+            correlation_time=self.time,
+        )
+        t_ns = self.cycle * CYCLE
+        for frames in self.codec.encode_scene(scene, age=0.0).values():
+            for frame in frames:
+                self.monitor.feed(frame.can_id, frame.data, t_ns)
+                t_ns += 250_000
+        self.cycle += 1
+        return t_ns
+
+    def run(self, fusion: LaneFusion, cycles: int, camera: Any = ()) -> FusedLane:
+        for _ in range(cycles):
+            lane = fusion.step(self.send(), Motion.with_sigma(self.speed, 0, (0.1, 0.002)), camera)
+        return lane
+
+
+def camera(y: float = 0.0) -> list[MapLine]:
+    means = ([side * 1.75 + y, 0, 0, 0] for side in (1, -1))
+    pairs = zip(LANE, means, strict=True)
+    return [MapLine(slot, Gaussian(mean, CAMERA_COV), x_max=50.0) for slot, mean in pairs]
+
+
+def test_scenes_with_one_pose_error_do_not_average() -> None:
+    """After 3 s with a correlation time of 10 s, about one error was seen."""
+    car = Car(across=0.3)
+    lane = car.run(LaneFusion(car.monitor), 60)
+    assert lane.scene is not None
+    centre = lane.scene.centre(0.0)
+    assert centre.value == pytest.approx(-0.3, abs=0.05)
+    assert 0.14 < centre.sigma < 0.21
+    assert lane.scene.width(0.0).value == pytest.approx(3.5, abs=0.02)
+    assert lane.map_age < 0.1
+
+
+def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
+    """Two seconds after the camera has failed, the lane is still near the truth."""
+    car = Car(across=0.3, time=30.0)
+    fusion = LaneFusion(car.monitor)
+    lane = car.run(fusion, 60, camera())
+    assert lane.used == LANE
+    assert lane.pose_error is not None
+    assert lane.pose_error.mean[1] == pytest.approx(0.3, abs=0.1)
+    lane = car.run(fusion, 40)
+    assert lane.scene is not None
+    assert lane.scene.centre(20.0).value == pytest.approx(0.0, abs=0.12)
+    assert lane.scene.centre(0.0).sigma < 0.12
+
+
+def test_an_unknown_correlation_time_gives_a_schmidt_filter() -> None:
+    car = Car(across=0.3, time=np.inf)
+    lane = car.run(LaneFusion(car.monitor), 40, camera())
+    assert lane.pose_error is not None
+    assert not lane.pose_error.mean.any()
+    assert lane.pose_error.sigma[1] == pytest.approx(0.2, rel=0.05)
+    car = Car(across=0.3, time=np.inf)
+    lane = car.run(LaneFusion(car.monitor, handling="state"), 40, camera())
+    assert lane.pose_error is not None
+    assert lane.pose_error.mean[1] > 0.1
+
+
+def test_a_false_camera_line_is_rejected() -> None:
+    car = Car()
+    fusion = LaneFusion(car.monitor)
+    car.run(fusion, 20, camera())
+    false = [camera(1.5)[0], camera()[1]]
+    lane = car.run(fusion, 1, false)
+    assert lane.used == (Slot.EGO_RIGHT,)
+    assert lane.rejected == (Slot.EGO_LEFT,)
+
+
+def test_without_scenes_the_lane_becomes_less_certain_and_ends() -> None:
+    car = Car()
+    fusion = LaneFusion(car.monitor)
+    lane = car.run(fusion, 20)
+    assert lane.scene is not None
+    sigma, x_max = lane.scene.centre(0.0).sigma, lane.scene.x_range(LANE)[1]
+    t_ns, scene = lane.t_ns, lane.scene
+    for k in range(1, 60):
+        lane = fusion.step(t_ns + k * CYCLE, Motion.with_sigma(10.0, 0, (0.1, 0.02)))
+        scene = lane.scene or scene
+    assert scene.centre(0.0).sigma > sigma
+    assert scene.x_range(LANE)[1] == pytest.approx(x_max - 29.5, abs=0.6)
+    for k in range(60, 200):
+        lane = fusion.step(t_ns + k * CYCLE, Motion(10.0, 0))
+    assert lane.scene is None
+
+
+def test_a_long_gap_starts_again() -> None:
+    car = Car()
+    fusion = LaneFusion(car.monitor)
+    lane = car.run(fusion, 20)
+    assert fusion.step(lane.t_ns + 10**10, Motion(10.0, 0)).scene is None
+
+
+def test_one_line_alone_leaves_the_other_one_unknown() -> None:
+    car = Car()
+    car.slots = LANE[:1]
+    lane = car.run(LaneFusion(car.monitor), 20)
+    assert lane.scene is not None
+    assert lane.scene.line(LANE[0]).y_sigma(0.0) < 0.25
+    assert lane.scene.line(LANE[1]).y_sigma(0.0) > 10
+
+
+def test_a_scene_is_used_once() -> None:
+    """Steps without a new scene change nothing while the car stands."""
+    car = Car(speed=0.0)
+    fusion = LaneFusion(car.monitor)
+    lane = car.run(fusion, 20)
+    again = fusion.step(lane.t_ns, Motion(0, 0))
+    assert lane.scene is not None
+    assert again.scene is not None
+    assert np.array_equal(lane.scene.cov, again.scene.cov)
+
+
+@pytest.mark.parametrize("frame", ["map", "ego"])
+def test_both_error_frames_work_in_a_turn(frame: Any) -> None:
+    car = Car()
+    fusion = LaneFusion(car.monitor, error_frame=frame)
+    car.run(fusion, 20)
+    lane = fusion.step(car.send(), Motion(10.0, 0.1))
+    assert lane.scene is not None
+    assert np.isfinite(lane.scene.cov).all()
+
+
+def test_an_old_camera_line_is_not_used() -> None:
+    fusion = LaneFusion()
+    old = [MapLine(Slot.EGO_LEFT, Gaussian([1.75, 0, 0, 0], CAMERA_COV), age=0.6)]
+    lane = fusion.step(0, Motion(0, 0), old)
+    assert lane == FusedLane(0, None, None, np.inf, (), ())
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: LaneFusion(error_frame="sky"), "error_frame must be"),  # type: ignore[arg-type]
+        (lambda: LaneFusion(handling="none"), "handling must be"),  # type: ignore[arg-type]
+        (lambda: LaneFusion(bias_sigma=(0, 0, 0, -1)), "bias_sigma must be 4 numbers"),
+        (lambda: LaneFusion(bias_time=0), "bias_time must be more than 0 s"),
+    ],
+)
+def test_wrong_settings(call: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
+
+
+def test_time_does_not_run_backwards_and_slots_are_of_the_lane() -> None:
+    fusion = LaneFusion()
+    fusion.step(100, Motion(0, 0))
+    with pytest.raises(ValueError, match="now_ns must be 100 or later, got 99"):
+        fusion.step(99, Motion(0, 0))
+    other = [MapLine(Slot.CENTRE, Gaussian([0, 0, 0, 0], CAMERA_COV))]
+    with pytest.raises(ValueError, match="must be of EGO_LEFT or EGO_RIGHT, got CENTRE"):
+        fusion.step(100, Motion(0, 0), other)
