@@ -204,8 +204,9 @@ def _motion_of(arguments: argparse.Namespace) -> Any:
     def motion(t_ns: int) -> Motion:
         if not t[0] - 1 <= t_ns / 1e9 <= t[-1] + 1:
             return UNKNOWN_MOTION
-        at = (float(np.interp(t_ns / 1e9, t, values)) for values in (speed, yaw_rate))
-        return Motion.with_sigma(*at, MOTION_SIGMA)
+        now = t_ns / 1e9
+        at_speed, at_rate = (float(np.interp(now, t, values)) for values in (speed, yaw_rate))
+        return Motion.with_sigma(at_speed, at_rate, MOTION_SIGMA)
 
     return motion
 

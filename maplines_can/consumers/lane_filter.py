@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..line import transform_line_or_nan
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: Lines of the lane: left and right.
 LINES = 2
@@ -136,7 +137,7 @@ class LaneFilter:
         self.cov = M @ self.cov @ M.mT
 
     def update_map(
-        self, lines: Array, loading: Array, own: Array, noise: Array | None, used: Array
+        self, lines: Array, loading: Array, own: Array, noise: Array | None, used: Mask
     ) -> None:
         """Update with the lines of a scene.
 
@@ -155,7 +156,7 @@ class LaneFilter:
         self._admit_change(lines, H, noise, used)
         self._update(lines, H, noise, used)
 
-    def update_camera(self, lines: Array, cov: Array, used: Array, gate: float = GATE) -> Array:
+    def update_camera(self, lines: Array, cov: Array, used: Mask, gate: float = GATE) -> Mask:
         """Update with the lines of a camera; those beyond the gate are not used.
 
         Args:
@@ -181,7 +182,7 @@ class LaneFilter:
             used[..., i] &= self._update(z, H, R, rows, gate)
         return used
 
-    def _admit_change(self, z: Array, H: Array, R: Array, used: Array) -> None:
+    def _admit_change(self, z: Array, H: Array, R: Array, used: Mask) -> None:
         """Add process noise along the innovation where a scene does not fit the prediction.
 
         This is so where the road changes its shape, since a cubic then fits another range, and at
@@ -192,19 +193,19 @@ class LaneFilter:
         r = r * misfits[..., None]
         self.cov[..., :N, :N] += r[..., :, None] * r[..., None, :]
 
-    def _innovation(self, z: Array, H: Array, R: Array, used: Array) -> tuple[Array, Array, Array]:
+    def _innovation(self, z: Array, H: Array, R: Array, used: Mask) -> tuple[Array, Array, Array]:
         """Return the innovation, its covariance, and that of the variables with it."""
         both = used[..., None] & used[..., None, :]
         r = np.where(used, z - (H @ self.mean[..., None])[..., 0], 0.0)
         PH = self.cov @ H.mT
         return r, H @ PH + np.where(both, R, np.eye(N)), PH
 
-    def _rows(self, used: Array) -> Array:
+    def _rows(self, used: Mask) -> Array:
         H = np.zeros((*used.shape[:-1], N, self.mean.shape[-1]))
         H[..., range(N), range(N)] = used
         return H
 
-    def _update(self, z: Array, H: Array, R: Array, used: Array, gate: float = np.inf) -> Array:
+    def _update(self, z: Array, H: Array, R: Array, used: Mask, gate: float = np.inf) -> Mask:
         r, S, PH = self._innovation(z, H, R, used)
         passed = squared_distance(r, S) <= gate
         K = np.linalg.solve(S, PH.mT).mT
@@ -230,7 +231,7 @@ def roots(covs: Array) -> Array:
     more[..., [2, 6], [2, 6]] += MISFIT**2
     variance = np.einsum("...ii->...i", more)
     more[..., range(N), range(N)] += 1e-9 * variance + 1e-24  # they may be singular
-    return np.linalg.cholesky(more)
+    return np.asarray(np.linalg.cholesky(more), dtype=float)
 
 
 def road_noise(distance: Array, dt: float) -> Array:

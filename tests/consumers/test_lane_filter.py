@@ -12,6 +12,7 @@ from maplines_can.consumers.lane_filter import (
     CHANGE,
     GATE,
     UNKNOWN,
+    Handling,
     LaneFilter,
     N,
     move_lines,
@@ -90,8 +91,9 @@ def test_the_update_is_that_of_the_joint_gaussian() -> None:
     prior = np.diag(UNKNOWN**2)
     R = loading() @ loading().T + roots(OWN) @ roots(OWN).T + 0.25 * OWN
     expected = prior - prior @ np.linalg.solve(prior + R, prior)
-    for handling in ("state", "consider"):
-        lane_filter = LaneFilter(handling=handling)  # type: ignore[arg-type]
+    handlings: tuple[Handling, ...] = ("state", "consider")
+    for handling in handlings:
+        lane_filter = LaneFilter(handling=handling)
         lane_filter.update_map(LANE, loading(), OWN, None, ALL)
         assert lane_filter.cov[:N, :N] == pytest.approx(expected, rel=1e-5, abs=1e-12)
         assert lane_filter.mean[:N] == pytest.approx(LANE, rel=1e-3, abs=1e-4)
@@ -150,10 +152,8 @@ def test_many_cars_at_once_are_the_same_as_one_by_one() -> None:
     together = LaneFilter(shape=(3,))
     moved = np.tile([1.0, 0.0, 0.01], (3, 1))
     for _ in range(3):
-        together.update_map(
-            LANE + offsets, *(np.tile(a, (3, 1, 1)) for a in (loading(), OWN)), None,
-            np.ones((3, N), dtype=bool),
-        )  # fmt: skip
+        many = np.tile(loading(), (3, 1, 1)), np.tile(OWN, (3, 1, 1))
+        together.update_map(LANE + offsets, many[0], many[1], None, np.ones((3, N), dtype=bool))
         together.predict(moved, np.zeros((3, 3, 3)), 0.05, np.tile(WINDOWS, (3, 1, 1)), 5.0)
     for i in range(3):
         alone = LaneFilter()

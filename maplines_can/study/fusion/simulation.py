@@ -63,7 +63,7 @@ class MapFilter(Protocol):
     def update_scene(self, lines: Array, loading: Array, own: Array) -> None:
         """Update with (S, 8) lines, the (S, 8, 3) loading and the (S, 8, 8) own covariance."""
 
-    def update_camera(self, lines: Array, cov: Array, used: Array) -> Array:
+    def update_camera(self, lines: Array, cov: Array, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Update with camera lines; see ``LaneFilter``."""
 
 

@@ -14,6 +14,7 @@ from ...consumers.lane_filter import (
     NOISE_SHARE,
     UNKNOWN,
     LaneFilter,
+    Mask,
     N,
     move_lines,
     road_noise,
@@ -62,7 +63,7 @@ class Fused(LaneFilter):
         else:
             self.update_map(lines, loading, own, None, used)
 
-    def update_camera(self, lines: Array, cov: Array, used: Array, gate: float = GATE) -> Array:
+    def update_camera(self, lines: Array, cov: Array, used: Mask, gate: float = GATE) -> Mask:
         """Update with camera lines; see ``LaneFilter``."""
         return super().update_camera(lines, cov, used, gate)
 
@@ -134,7 +135,7 @@ class SplitFused:
         self._correlated = self._correlated + r[:, :, None] * r[:, None, :]
         self._update(lines, correlated, noise, np.ones(len(lines), dtype=bool))
 
-    def update_camera(self, lines: Array, cov: Array, used: Array) -> Array:
+    def update_camera(self, lines: Array, cov: Array, used: Mask) -> Mask:
         """Update with camera lines; see ``LaneFilter``."""
         used = np.array(used)
         bias = np.diag(np.append(np.square(BIAS_SIGMA[:3]), 0.0))
@@ -151,7 +152,7 @@ class SplitFused:
             self._update(z, correlated, noise, used[:, i])
         return used
 
-    def _update(self, z: Array, correlated: Array, noise: Array, used: Array) -> None:
+    def _update(self, z: Array, correlated: Array, noise: Array, used: Mask) -> None:
         best = np.full(len(z), np.inf)
         found = self.mean, self._independent, self._correlated
         for weight in self.WEIGHTS:
@@ -185,7 +186,7 @@ def lateral_variance(cov: Array) -> Array:
 RIGHT: dict[str, Callable[[int], MapFilter]] = {
     "pose error as state": lambda cars: Fused(cars),
     "Schmidt filter": lambda cars: Fused(cars, is_considered=True),
-    "split covariance intersection": SplitFused,
+    "split covariance intersection": lambda cars: SplitFused(cars),
 }
 WRONG: dict[str, Callable[[int], MapFilter]] = {
     "joint, cycles independent": lambda cars: Fused(cars, is_white=True),

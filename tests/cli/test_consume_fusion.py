@@ -1,0 +1,87 @@
+"""The command maplines consume fusion."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drive_files import run
+
+from maplines_can.cli import main
+
+
+def rows(text: str) -> list[Any]:
+    return [json.loads(row) for row in text.splitlines()]
+
+
+def test_a_simulated_car(capsys: pytest.CaptureFixture[str]) -> None:
+    """The errors are within the levels; the camera fails after a third."""
+    arguments = ["--simulate", "--seconds", "3", "--json"]
+    assert main(["consume", "fusion", *arguments]) == 0
+    found = rows(capsys.readouterr().out)
+    assert len(found) == 3
+    assert found[0]["camera"] == ["EGO_LEFT", "EGO_RIGHT"]
+    assert found[1]["camera"] == []
+    for row in found[1:]:
+        for at in row["centre"]:
+            assert abs(at["error"]) < at["protection_level"]["1e-05"]
+            assert at["protection_level"]["1e-05"] < at["protection_level"]["1e-07"]
+            assert at["width"] == pytest.approx(3.3, abs=0.3)
+
+
+def test_a_log_with_the_motion_of_its_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, truth = tmp_path / "drive.log", tmp_path / "truth.csv"
+    options = ["--seconds", "2.5", "--lines", "2", "--truth", str(truth)]
+    options += ["--dbc", "maplines-pose.dbc", "--record", str(log)]
+    run(capsys, "--as-fast-as-possible", *options)
+    command = ["consume", "fusion", str(log), "--dbc", "maplines-pose.dbc"]
+    assert main([*command, "--json", "--motion", str(truth)]) == 0
+    found = rows(capsys.readouterr().out)
+    assert 2 <= len(found) <= 3
+    assert found[-1]["map_age"] < 0.2
+    assert found[-1]["centre"][0]["sigma"] < 0.3
+    assert main(command) == 0  # the motion is unknown
+    assert "level" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--simulate", "--speed", "10"], "--simulate has a car of its own"),
+        (["x.log", "--dbc", "maplines-pose.dbc"], "there is no such file"),
+        (["x.log", "--motion", "none.csv", "--dbc", "maplines-pose.dbc"], "none.csv"),
+    ],
+)
+def test_wrong_use(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["consume", "fusion", *arguments]) == 1
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("time,speed\n1,2\n", "yaw_rate"),
+        ("time,speed,yaw_rate\n1,x,0\n", "could not convert"),
+        ("time,speed,yaw_rate\n1,1,0\n1,1,0\n", "increasing time"),
+        ("time,speed,yaw_rate\n", "increasing time"),
+    ],
+)
+def test_a_wrong_table_of_the_motion(
+    text: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "motion.csv"
+    table.write_text(text)
+    log = tmp_path / "empty.log"
+    log.write_text("(1.0) can0 123#00\n")
+    arguments = [str(log), "--motion", str(table), "--dbc", "maplines-pose.dbc"]
+    assert main(["consume", "fusion", *arguments]) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_nothing_received(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "empty.log"
+    log.write_text("(1.0) can0 123#00\n")
+    assert main(["consume", "fusion", str(log), "--dbc", "maplines-pose.dbc"]) == 1
+    assert "no scene" in capsys.readouterr().err
