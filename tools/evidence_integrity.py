@@ -107,7 +107,9 @@ def in_scenes(arguments: argparse.Namespace, errors: Errors, view: Any) -> dict[
         for risk in RISKS:
             K = multiplier(risk, DIAGRAM[0])
             tails = [
-                tail_probability(view, k, place, K, errors, arguments.draws, arguments.seed).value
+                tail_probability(
+                    view, k, place, K, errors, arguments.draws, arguments.seed + int(k)
+                ).value
                 for k in known[:: max(1, len(known) // arguments.scenes)]
             ]
             ratio = np.array(tails) / nominal(K)

@@ -41,6 +41,10 @@ NOISE_SHARE = 0.25
 MISFIT = 7e-5
 #: Standard deviations of the biases, and their correlation time [s].
 BIAS_SIGMA, BIAS_TIME = (0.05, 0.003, 5e-5, 0.002), 100.0
+#: In a corner no cubic follows the road, so the one of the next cycle is another one: standard
+#: deviations of its offset [m] and heading [rad] in ``CORNER_LENGTH`` [m], reached at this rate of
+#: the curvature [1/m^2].
+CORNER, CORNER_LENGTH, CORNER_RATE = (0.1, 0.05), 5.0, 0.01
 #: Points of a line that is moved to the next ego frame.
 POINTS = 8
 
@@ -125,6 +129,13 @@ class LaneFilter:
         P = F @ self.cov @ F.mT
         P[..., :N, :N] += G @ cov @ G.mT + road_noise(displacement[..., 0], dt)
         P[..., range(N, n), range(N, n)] += 1 - keep[N:] ** 2
+        rate = np.abs(moved[..., 3]).max(axis=-1)
+        corner = (
+            (rate / CORNER_RATE).clip(max=1) ** 2 * np.abs(displacement[..., 0]) / CORNER_LENGTH
+        )
+        for i, sigma in enumerate(CORNER):
+            both = np.ix_([i, 4 + i], [i, 4 + i])
+            P[(..., *both)] += (corner * sigma**2)[..., None, None]
         self.cov = P
 
     def turn_errors(self, Q: Array) -> None:

@@ -61,7 +61,7 @@ class LaneFusion:
 
     A camera line is the line plus a bias that lasts, plus noise with the covariance of the line. A
     line beyond the gate, such as a crack of the road, is not used. A scene is always used: where it
-    does not fit, the road or the lane has changed.
+    does not fit, the road or the lane has changed. The lane begins with the first scene.
 
     Args:
         source: of the scenes; None for camera lines only.
@@ -213,8 +213,9 @@ class LaneFusion:
         self._filter.update_map(z, loading, cov, None, used)
 
     def _fuse_camera(self, line: MapLine, now_ns: int, motion: Motion) -> bool | None:
-        """Return whether a camera line was used; None if it is too old or not usable."""
-        if not line.is_usable:
+        """Return whether a camera line was used; None if it is too old, or before the scenes."""
+        # The first camera line may be a false one, and no gate would find it.
+        if not line.is_usable or (self._source is not None and self._map_ns is None):
             return None
         age = line.age if line.t_ns is None else (now_ns - pose_time_ns(line)) / 1e9
         if not 0 <= age <= MAX_AGE:

@@ -80,10 +80,10 @@ def tail_probability(
 ) -> Probability:
     """Estimate P(|error| > K sigma) of the lane centre of a received scene.
 
-    Pose errors are drawn about the most likely ones that make the error K sigma to either side
-    (mean shift), and weighted by the ratio of the densities. The error is that of the cubics seen
-    from the erroneous pose, with the error of the map, so it need not be linear or Gaussian; sigma
-    is that of the decoded covariance.
+    Errors of pose and map are drawn about the most likely ones that make the error K sigma to
+    either side (mean shift), and weighted by the ratio of the densities. The error is that of the
+    cubics seen from the erroneous pose, so it need not be linear or Gaussian; sigma is that of the
+    decoded covariance.
 
     Args:
         view: of a drive.
@@ -104,18 +104,17 @@ def tail_probability(
         return np.asarray(lateral(lines, x).mean(axis=1))
 
     step = 1e-3
-    gradient = np.array([centre(step * s)[0] for s in np.eye(3)[:, None]]) - centre(
-        np.zeros((1, 3))
-    )
+    steps = np.vstack([np.zeros(3), step * np.eye(3)])
+    gradient = centre(steps)[1:] - centre(steps)[0]
     gradient /= step
     J = np.tile([1.0, x, x**2 / 2, x**3 / 6], 2) / 2
     sigma = math.sqrt(gradient @ gradient + J @ view.own[k] @ J)
-    shift = K * sigma * gradient / (gradient @ gradient)
+    own = np.array([errors.map_offset, errors.map_heading * x]) / math.sqrt(2)
+    direction = np.append(gradient, own)
+    shift = K * sigma * direction / (direction @ direction)
     side = rng.choice([-1.0, 1.0], draws)[:, None]
-    u = side * shift + rng.standard_normal((draws, 3))
-    own = rng.standard_normal((draws, 2)) * errors.map_offset
-    own += x * rng.standard_normal((draws, 2)) * errors.map_heading
-    error = centre(u) + own.mean(axis=1) - view.true[k, :, place].mean()
+    u = side * shift + rng.standard_normal((draws, 5))
+    error = centre(u[:, :3]) + u[:, 3:] @ own - view.true[k, :, place].mean()
     error = np.where(np.isnan(error), np.inf, error)  # no line: counts as exceeded
     log_ratio = u @ shift - shift @ shift / 2, -(u @ shift) - shift @ shift / 2
     weights = 1 / (0.5 * np.exp(log_ratio[0]) + 0.5 * np.exp(log_ratio[1]))
