@@ -89,7 +89,8 @@ def test_too_low_a_level_is_found(tool: Any, monkeypatch: pytest.MonkeyPatch) ->
     import evidence_integrity
 
     del tool
-    true = evidence_integrity.multiplier
+    from maplines_can.consumers.integrity import multiplier as true
+
     monkeypatch.setattr(evidence_integrity, "multiplier", lambda *a: 0.9 * true(*a))
     monkeypatch.setattr(evidence_integrity, "TIMES", (1.0,))
     found = evidence_integrity.in_time(type("Arguments", (), {"seed": 1, "draws": 300})())

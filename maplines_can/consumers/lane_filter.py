@@ -134,8 +134,8 @@ class LaneFilter:
             (rate / CORNER_RATE).clip(max=1) ** 2 * np.abs(displacement[..., 0]) / CORNER_LENGTH
         )
         for i, sigma in enumerate(CORNER):
-            both = np.ix_([i, 4 + i], [i, 4 + i])
-            P[(..., *both)] += (corner * sigma**2)[..., None, None]
+            both = np.isin(np.arange(n), (i, 4 + i))
+            P += (corner * sigma**2)[..., None, None] * (both[:, None] & both)
         self.cov = P
 
     def turn_errors(self, Q: Array) -> None:

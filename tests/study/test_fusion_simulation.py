@@ -17,7 +17,7 @@ CARS = 40
 
 def straight(n: int = 100, dt: float = 0.2, speed: float = 15.0) -> DriveView:
     """A straight road whose lines the receiver knows exactly but for the stated errors."""
-    t = dt * np.arange(n)
+    t = np.asarray(dt * np.arange(n), dtype=float)
     pose = np.column_stack([speed * t, np.zeros(n), np.zeros(n)])
     lines = np.tile([[1.75, 0, 0, 0], [-1.75, 0, 0, 0]], (n, 1, 1))
     e = Errors()

@@ -52,8 +52,13 @@ class Errors:
 class MapFilter(Protocol):
     """Filter that the simulation runs; see ``LaneFilter``."""
 
-    mean: Array
-    cov: Array
+    @property
+    def mean(self) -> Array:
+        """(S, n) of both lines, and of what the filter estimates besides."""
+
+    @property
+    def cov(self) -> Array:
+        """(S, n, n) covariance."""
 
     def predict(
         self, displacement: Array, cov: Array, dt: float, windows: Array, correlation_time: float
