@@ -93,9 +93,7 @@ def received(arguments: argparse.Namespace, errors: Errors) -> dict[str, Any]:
     drive = drive_along(found, route)
     codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
     starts = np.linspace(10.0, drive.duration - DRIVE - 10.0, arguments.seeds)
-    single, joint, fused = (
-        np.full((arguments.seeds, *shape), np.nan) for shape in ((3,), (), (3,))
-    )
+    single, joint, fused = np.full((3, arguments.seeds, len(PLACES)), np.nan)
     scenes = 0
     for seed in progress(range(arguments.seeds), "received"):
         values: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
