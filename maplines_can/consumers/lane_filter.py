@@ -35,7 +35,7 @@ CHANGE = 15.51
 GATE = 18.47
 #: Share of the variances of what map lines have of their own that is new in each cycle, such as
 #: rounding; it is added to them.
-NOISE_SHARE = 0.25
+NOISE_SHARE = 1.0
 #: The cubic of a scene and that of a camera may both miss the road ahead: standard deviation of
 #: the curvature of a map line, in addition to its own covariance [1/m].
 MISFIT = 7e-5
@@ -44,7 +44,7 @@ BIAS_SIGMA, BIAS_TIME = (0.05, 0.003, 5e-5, 0.002), 100.0
 #: In a corner no cubic follows the road, so the one of the next cycle is another one: standard
 #: deviations of its offset [m] and heading [rad] in ``CORNER_LENGTH`` [m], reached at this rate of
 #: the curvature [1/m^2].
-CORNER, CORNER_LENGTH, CORNER_RATE = (0.1, 0.05), 5.0, 0.01
+CORNER, CORNER_LENGTH, CORNER_RATE = (0.1, 0.05), 5.0, 0.001
 #: Points of a line that is moved to the next ego frame.
 POINTS = 8
 

@@ -11,6 +11,7 @@ from maplines_can import lateral, lateral_jacobian, transform_line
 from maplines_can.consumers.lane_filter import (
     CHANGE,
     GATE,
+    NOISE_SHARE,
     UNKNOWN,
     Handling,
     LaneFilter,
@@ -89,7 +90,7 @@ def test_scenes_with_new_pose_errors_average() -> None:
 def test_the_update_is_that_of_the_joint_gaussian() -> None:
     """With the pose error as a state; a Schmidt filter gives the same lane for one scene."""
     prior = np.diag(UNKNOWN**2)
-    R = loading() @ loading().T + roots(OWN) @ roots(OWN).T + 0.25 * OWN
+    R = loading() @ loading().T + roots(OWN) @ roots(OWN).T + NOISE_SHARE * OWN
     expected = prior - prior @ np.linalg.solve(prior + R, prior)
     handlings: tuple[Handling, ...] = ("state", "consider")
     for handling in handlings:
