@@ -15,13 +15,13 @@ def rows(text: str) -> list[Any]:
 
 
 def test_a_simulated_car(capsys: pytest.CaptureFixture[str]) -> None:
-    """The errors are within the levels; the camera fails after a third."""
-    arguments = ["--simulate", "--seconds", "3", "--json"]
+    """The errors are within the levels; the camera fails after a third of the drive."""
+    arguments = ["--simulate", "--seconds", "4", "--json"]
     assert main(["consume", "fusion", *arguments]) == 0
     found = rows(capsys.readouterr().out)
-    assert len(found) == 3
-    assert found[0]["camera"] == ["EGO_LEFT", "EGO_RIGHT"]
-    assert found[1]["camera"] == []
+    assert len(found) == 4
+    assert found[1]["camera"] == ["EGO_LEFT", "EGO_RIGHT"]
+    assert found[2]["camera"] == []
     for row in found[1:]:
         for at in row["centre"]:
             assert abs(at["error"]) < at["protection_level"]["1e-05"]
