@@ -85,7 +85,8 @@ class TxQueue:
     dropped, the counters have no gap: they advance when a transfer is taken.
 
     The lines of a scene belong to one pose error. They are encoded together when that is due, and
-    sent at their deadlines after it. A line whose pose error was skipped is not sent. All counters
+    sent at their deadlines after it, or later: a line that missed its deadline is still sent if the
+    next pose error is not. A line whose pose error was skipped is not sent. All counters
     advance when the pose error is taken: it states those of its lines, so none of them may be used
     again, even if a line is then skipped or dropped.
 
@@ -177,12 +178,13 @@ class TxQueue:
         """
         while (due := self._schedule.take(now)) is not None:
             transfer = self._ahead.pop(due.key, None)
-            if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
-                if self._scene is None:
+            if self._scene is None:
+                if transfer is None or transfer.deadline != due.deadline:  # of a skipped deadline
                     self._encode(due.key, due.deadline)
-                elif due.key == POSE:
-                    self._encode_scene(self._scene, due.deadline)
-                transfer = self._ahead.pop(due.key, None)
+                    transfer = self._ahead.pop(due.key)
+            elif due.key == POSE:
+                self._encode_scene(self._scene, due.deadline)
+                transfer = self._ahead.pop(POSE)
             if transfer is None:
                 continue  # of a scene whose pose error was not sent
             self._counters[due.key] += transfer.records

@@ -393,6 +393,21 @@ def test_a_deadline_that_was_skipped_is_encoded_again() -> None:
     assert age_of(late[ROUTE]) == pytest.approx(1.875 * T + 0.004)
 
 
+def test_a_line_that_missed_its_deadlines_is_sent_if_its_pose_error_was() -> None:
+    """Even the next deadline is over. On a busy machine, the last lines would never be sent."""
+    tx_queue = queue_of(count=2)
+    put(tx_queue, ("scene", LEFT, ROUTE), 0)
+    assert owners(taken(tx_queue, 0, 0.5)) == [POSE, LEFT]
+    now = T0 + 1.9375 * T
+    late = tx_queue.take(now)
+    assert late is not None
+    assert (late.owner, late.deadline, late.skipped) == (ROUTE, T0 + 0.875 * T, 1)
+    assert counters([late], ROUTE) == [0]
+    assert age_of(tx_queue.renew(late, now)) == pytest.approx(now - T0 + now - late.deadline)
+    assert owners(taken(tx_queue, 1.9375, 3)) == [POSE, LEFT]
+    assert tx_queue.over
+
+
 def test_a_skipped_pose_error_takes_its_lines_with_it() -> None:
     """Until the next one, they have nothing to belong to; the thread is not blocked by them."""
     tx_queue = queue_of()
