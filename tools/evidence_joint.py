@@ -15,9 +15,9 @@ dbc/maplines.dbc with levels in the Pose message.
 Definite: the decoded joint covariance has a Cholesky factor. Overconfident: it does not cover the
 true joint covariance plus the square of the errors of the means. Both are counted in floating point
 for all scenes, in exact arithmetic for some. Ratios of standard deviations are those of the decoded
-joint to the true one plus the resolution of the means; width, centre and difference of the
+joint to the true one plus 2 mm of resolution; width, centre and difference of the
 directions are those of the first two lines, where both are valid. KL is that of a line, from the
-true covariance plus the resolution to the decoded block. The excess of a standard deviation is the
+true covariance plus that resolution to the decoded block. The excess of a standard deviation is the
 decoded one less the true one with the resolution, 99 %.
 
 The witness draws poses and errors of the map, moves the points of the map, and measures where both

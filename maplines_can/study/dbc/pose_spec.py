@@ -52,10 +52,11 @@ _MAP_LEVELS = (
               "direction, independent from line to line. The raw value 0 means none.",
         why="4 mm to 0.9 m in steps of 9 %: no level of a line has the shape of a shift along it"),
     SignalSpec(
-        name="MapHeading", bits=5, factor=0.25, offset=-13, unit="octave", choices={0: "NONE"},
+        name="MapHeading", bits=5, factor=0.125, offset=-12, unit="octave", choices={0: "NONE"},
         about="log2 of the standard deviation [rad] of the heading of each line on the map, "
               "independent from line to line. The raw value 0 means none.",
-        why="0.01 to 1.5 deg in steps of 19 %: no level of a line has the shape of a rotation"),
+        why="0.015 to 0.2 deg in steps of 9 %: no level of a line has the shape of a rotation, and "
+            "with coarser steps most lines would need all entries"),
 )
 
 

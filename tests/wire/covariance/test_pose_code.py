@@ -57,12 +57,13 @@ def test_the_correlation_time_is_rounded_to_the_nearest_level(
     [
         (0.0, 0, 0),
         (1e-9, 1, 1),
-        (2**-12.75, 1, 1),
-        (2**-12.74, 1, 2),
-        (2**-7.876, 1, 21),
-        (2**-7.875, 1, 21),
-        (2**-7.5, 4, 22),
-        (2**-7.49, 5, 23),
+        (2**-11.875, 1, 1),
+        (2**-11.87, 1, 2),
+        (2**-9.5, 1, 20),
+        (2**-9.49, 1, 21),
+        (2**-7.875, 1, 31),
+        (2**-7.5, 4, 31),
+        (2**-7.49, 5, 31),
         (2**-3.5, 36, 31),
         (1e9, 63, 31),
     ],
@@ -73,7 +74,7 @@ def test_the_levels_of_the_map_error(sigma: float, offset: int, heading: int) ->
     assert (sent.pose["MapOffset"], sent.pose["MapHeading"]) == (offset, heading)
     pose = CODE.decode_pose(sent.pose)
     assert pose.offset_sigma >= min(sigma, 2**-0.125) * (1 - 1e-6)
-    assert pose.heading_sigma >= min(sigma, 2**-5.25) * (1 - 1e-6)
+    assert pose.heading_sigma >= min(sigma, 2**-8.125) * (1 - 1e-6)
 
 
 @given(covariances(3))
