@@ -74,7 +74,8 @@ def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
     if decoded is None:
         return row
     places = np.array(list(prepared.encoded.lines))
-    return row | compare(scene, places, decoded.means, decoded.cov)
+    floor = noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)
+    return row | compare(scene, places, decoded.means, decoded.cov, floor)
 
 
 def joint_bits(codec: Codec, prepared: PreparedScene) -> int:
@@ -119,7 +120,8 @@ def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, An
         }
         if len(here):
             cov = block_diag(*batch.cov[here])
-            row |= compare(scene, here - start, batch.mean[here], cov)
+            floor = np.diag(np.tile(codec.resolution, len(here)))
+            row |= compare(scene, here - start, batch.mean[here], cov, floor)
         start += lines
         yield row
 
@@ -129,24 +131,24 @@ def compare(
     places: NDArray[np.intp],
     means: Array,
     cov: Array,
-    resolution: float = RESOLUTION,
+    floor: Array,
 ) -> dict[str, Any]:
     """Return the figures of a decoded scene against the covered target.
 
     The covered target is the true joint covariance, plus the square of the errors of the means and
-    the resolution of a line.
+    the resolution of the means.
 
     Args:
         scene: the scene as sent.
         places: (L,) places of the decoded lines in it.
         means: (L, 4) decoded means.
         cov: (4 L, 4 L) decoded joint covariance.
-        resolution: standard deviation in each coefficient of ``bases`` [m].
+        floor: (4 L, 4 L) covariance of the resolution of the means.
     """
     keep = (4 * places[:, None] + np.arange(4)).ravel()
     d = (means - scene.means[places]).ravel()
     error = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
-    target = error + noise_floor(means, scene.fit_ranges[places], resolution)
+    target = error + floor
     blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(places))]
     definite, kl = _divergence(target, cov)
     row = {

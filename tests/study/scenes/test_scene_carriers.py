@@ -11,6 +11,7 @@ from maplines_can.study.scenes.carriers import WITH_POSE, codec_of, compare, eva
 from maplines_can.study.scenes.source import random_scene
 
 SEPARATE = ("Cholesky", "Sigmas")
+NOTHING = np.zeros((8, 8))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +86,7 @@ def scene_of(pose_sigma: float, own_sigma: float) -> Scene:
 def test_the_same_covariance_has_no_divergence() -> None:
     """Its sigmas have the ratio 1."""
     scene = scene_of(0.2, 0.05)
-    row = compare(scene, np.arange(2), scene.means, scene.cov * (1 + 1e-9), 0.0)
+    row = compare(scene, np.arange(2), scene.means, scene.cov * (1 + 1e-9), NOTHING)
 
     assert row["kl_joint"] == pytest.approx(0, abs=1e-12)
     assert not row["overconfident"]
@@ -98,7 +99,7 @@ def test_independent_lines_have_the_divergence_of_their_correlation() -> None:
     scene = scene_of(pose, own)
     apart = scene.cov.copy()
     apart[:4, 4:] = apart[4:, :4] = 0
-    row = compare(scene, np.arange(2), scene.means, apart, 0.0)
+    row = compare(scene, np.arange(2), scene.means, apart, NOTHING)
     r = pose**2 / (pose**2 + own**2)
 
     assert row["kl_joint"] == pytest.approx(-math.log(1 - r**2) / 2)
@@ -113,7 +114,7 @@ def test_errors_of_means_must_be_covered() -> None:
     scene = scene_of(0.2, 0.05)
     means = scene.means + np.array([0.03, 0, 0, 0])
 
-    assert compare(scene, np.arange(2), means, scene.cov * 1.001, 0.0)["overconfident"]
+    assert compare(scene, np.arange(2), means, scene.cov * 1.001, NOTHING)["overconfident"]
 
 
 def test_an_indefinite_covariance_is_none() -> None:
@@ -121,7 +122,7 @@ def test_an_indefinite_covariance_is_none() -> None:
     scene = scene_of(0.2, 0.05)
     cov = scene.cov.copy()
     cov[0, 4] = cov[4, 0] = 2 * cov[0, 0]
-    row = compare(scene, np.arange(2), scene.means, cov, 0.0)
+    row = compare(scene, np.arange(2), scene.means, cov, NOTHING)
 
     assert row["not_positive_definite"]
     assert row["overconfident"]
