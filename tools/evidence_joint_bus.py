@@ -49,7 +49,7 @@ SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
 #: Cycles of one run: with one kind of faults and one receiver.
 RUN = 2000
 #: Numbers of cycles in a record, and different scenes of ``chain``.
-NUMBERS, SCENES = 2**16, 24
+NUMBERS, SCENES = 2**15, 24
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
 CARRIERS = {"conditional": CONDITIONAL, "full records": COMPLETE}
 

@@ -322,7 +322,7 @@ class Codec:
         >>> scene = map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
         >>> codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
         >>> {owner: len(frames) for owner, frames in codec.encode_scene(scene).items()}
-        {'pose': 2, <Slot.EGO_LEFT: 0>: 4}
+        {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
         """
         prepared = self.prepare_scene(scene, fd=fd) if isinstance(scene, Scene) else scene
         first = self._counters if counters is None else counters

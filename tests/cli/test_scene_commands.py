@@ -461,7 +461,7 @@ def test_the_name_of_a_dbc_of_this_package_is_enough(
         ("send --interface virtual --pose-error --components 2", "leave out --components"),
         ("drive --dbc maplines-pose.dbc --components 2", "maplines-pose.dbc: lines are sent with"),
         ("demo --correlation-time 3", "add --pose-error, or take --dbc maplines-pose.dbc"),
-        ("demo --pose-error --max-load 0.05", "4 lines and the pose error take up to 11.3 %"),
+        ("demo --pose-error --max-load 0.05", "4 lines and the pose error take up to 11.9 %"),
         ("drive --dbc maplines-pose.dbc --max-load 0.05", "take up to 9.72 % of the bus at 20 Hz"),
         ("demo --pose-error --dbc {dbc}", "edited.dbc has no message of the pose error"),
         ("decode --scenes --dbc {dbc} none.log", "--scenes: .*edited.dbc has no message of the"),

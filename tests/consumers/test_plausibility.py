@@ -127,6 +127,7 @@ def test_lines_come_and_go_without_an_alarm() -> None:
         lines=both.lines[:1],
         cov=both.cov[:4, :4],
         fit_ranges=both.fit_ranges[:1],
+        quartics=both.quartics[:1],
     )
     check = PlausibilityCheck()
     found = [check.update(0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]

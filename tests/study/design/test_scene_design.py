@@ -33,7 +33,7 @@ def test_the_fields_are_those_of_pose_error_mean_and_levels() -> None:
 
 def test_fewer_bits_cover_the_same_range() -> None:
     """The DBC is valid, and its steps are wider."""
-    writer = writer_of(SHIPPED | {"C1": 15, "PivotAcross": 7})
+    writer = writer_of(SHIPPED | {"C1": SHIPPED["C1"] - 2, "PivotAcross": 7})
     layout, old = Layout.from_text(writer.dbc()), Layout.from_text(CONDITIONAL.dbc())
 
     assert layout["C1"].factor == 4 * old["C1"].factor
