@@ -18,7 +18,7 @@ from .pose_source import PoseSource
 from .recorded import RecordedDrive
 from .route_drive import drive_along
 from .simulated_localisation import SimulatedLocalisation
-from .simulated_sensors import SensorSetup, simulated_measurements
+from .simulated_sensors import SensorSetup, SimulatedSensors, simulated_measurements
 
 __all__ = [
     "CameraLines",
@@ -37,6 +37,7 @@ __all__ = [
     "SensorSetup",
     "SimulatedDrive",
     "SimulatedLocalisation",
+    "SimulatedSensors",
     "State",
     "check_on_map",
     "drive_along",

@@ -6,13 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import itemgetter
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..line import Kind
-from .drive import SimulatedDrive, even_times
+from .drive import SimulatedDrive, State, even_times
 from .localisation import (
     CameraLines,
     GaussMarkov,
@@ -80,6 +80,152 @@ class Arrival(NamedTuple):
     measurement: Measurement
 
 
+class Way(Protocol):
+    """True motion of a car: a drive, or what is known so far of a car in a closed loop."""
+
+    def at(self, t: ArrayLike, /) -> State:
+        """Return pose and motion at (k,) times [s]."""
+
+
+class SimulatedSensors:
+    """Sensors of n cars on the same way, with independent errors that continue from call to call.
+
+    Args:
+        layer: of the map on which the cars drive, without errors.
+        setup: of the sensors.
+        rng: random numbers.
+        n: number of cars.
+        start: time of the first measurements [s].
+    """
+
+    def __init__(
+        self,
+        layer: LocalisationLayer,
+        setup: SensorSetup,
+        rng: np.random.Generator,
+        n: int = 1,
+        start: float = 0.0,
+    ) -> None:
+        self._layer, self._setup, self._rng, self._n = layer, setup, rng, n
+        self._start = start
+        self._taken = dict.fromkeys(("odometry", "gnss", "camera"), 0)
+        errors = setup.errors
+
+        def process(one: GaussMarkov, rate: float, *shape: int) -> ErrorProcess:
+            return ErrorProcess(one, 1 / rate, (n, *shape), rng)
+
+        self._slip = process(errors.speed, setup.odometry_rate)
+        self._scale = process(errors.wheel_scale, setup.odometry_rate)
+        self._yaw_bias = process(errors.yaw_rate, setup.odometry_rate)
+        self._gnss_bias = process(errors.gnss, setup.gnss_rate, 2)
+        self._camera_offset = process(errors.camera_offset, setup.camera_rate, 1)
+        self._camera_heading = process(errors.camera_heading, setup.camera_rate, 1)
+        self._dropouts = [_Dropouts(start, *setup.line_dropout) for _ in range(n)]
+
+    def measure(self, way: Way, end: float) -> list[Arrival]:
+        """Return the measurements since the last call, up to a time [s], as they arrive.
+
+        Args:
+            way: true poses, known for that time.
+            end: time of the last measurements [s].
+        """
+        setup = self._setup
+        arrivals = [Arrival(one.t, one) for one in self._odometry(way, end)]
+        arrivals += [Arrival(one.t + setup.gnss_latency, one) for one in self._gnss(way, end)]
+        first, frames = self._times("camera", setup.camera_rate, end)
+        seen: list[Measurement] = [*self._lines(way, frames)]
+        seldom = frames[-first % 5 :: 5]
+        seen += self._landmarks(way, seldom[_outside(seldom, setup.landmark_outages)])
+        arrivals += [Arrival(one.t + setup.camera_latency, one) for one in seen]
+        return sorted(arrivals, key=itemgetter(0))
+
+    def _times(self, sensor: str, rate: float, end: float) -> tuple[int, Array]:
+        """Return the number of the first time since the last call, and the times [s]."""
+        first = self._taken[sensor]
+        times = even_times(self._start, end, rate)[first:]
+        self._taken[sensor] += len(times)
+        return first, times
+
+    def _odometry(self, way: Way, end: float) -> list[Odometry]:
+        setup = self._setup
+        _, t = self._times("odometry", setup.odometry_rate, end)
+        if not len(t):
+            return []
+        state, k = way.at(t), len(t)
+        slip, scale, bias = (one.next(k) for one in (self._slip, self._scale, self._yaw_bias))
+        density = setup.errors.yaw_rate_noise * math.sqrt(setup.odometry_rate)
+        white = density * self._rng.standard_normal(bias.shape)
+        speed, rate = (state.speed + slip) / (1 + scale), state.yaw_rate + bias + white
+        return [Odometry(float(one), v, w) for one, v, w in zip(t, speed.T, rate.T, strict=True)]
+
+    def _gnss(self, way: Way, end: float) -> list[GnssFix]:
+        setup = self._setup
+        _, t = self._times("gnss", setup.gnss_rate, end)
+        if not len(t):
+            return []
+        bias = self._gnss_bias.next(len(t))
+        white = setup.gnss_sigma * self._rng.standard_normal(bias.shape)
+        position = way.at(t).pose[:, :2].T + bias + white
+        cov = setup.gnss_sigma**2 * np.eye(2)
+        seen = np.flatnonzero(_outside(t, setup.gnss_outages))
+        return [GnssFix(float(t[k]), position[:, :, k], cov) for k in seen]
+
+    def _lines(self, way: Way, t: Array) -> list[CameraLines]:
+        """Return the nearest line on the left and on the right at each time."""
+        if not len(t):
+            return []
+        setup, rng, n = self._setup, self._rng, self._n
+        beside = self._layer.lines_beside(way.at(t).pose)
+        true, kind = np.full((2, 2, len(t)), np.nan), np.zeros((2, len(t)), dtype=np.intp)
+        for side, sign in enumerate((1, -1)):
+            rows = np.flatnonzero(sign * beside.offset > 0)
+            rows = rows[np.lexsort((np.abs(beside.offset[rows]), beside.car[rows]))]
+            rows = rows[np.append(True, np.diff(beside.car[rows]) > 0)[: len(rows)]]
+            true[:, side, beside.car[rows]] = beside.offset[rows], beside.heading[rows]
+            kind[side, beside.car[rows]] = beside.kind[rows]
+        sigma, shape = setup.line_sigma, (n, 2, len(t))
+        offset = true[0] + self._camera_offset.next(len(t))
+        heading = true[1] + self._camera_heading.next(len(t))
+        offset = offset + sigma[0] * rng.standard_normal(shape)
+        heading = heading + sigma[1] * rng.standard_normal(shape)
+        is_false = rng.random(shape) < setup.false_lines
+        offset = np.where(is_false, offset + rng.uniform(-3, 3, shape), offset)
+        out = np.array([one.hides(t, rng) for one in self._dropouts])
+        out |= ~_outside(t, setup.line_outages)
+        offset[out[:, None].repeat(2, axis=1)] = np.nan
+        kinds = np.where(rng.random(shape) < setup.unknown_kinds, int(Kind.UNKNOWN), kind)
+        cov = np.diag(np.square(sigma))
+        return [
+            CameraLines(float(one), offset[..., k], heading[..., k], kinds[..., k], cov)
+            for k, one in enumerate(t)
+        ]
+
+    def _landmarks(self, way: Way, t: Array) -> list[SeenLandmarks]:
+        """Return the landmarks ahead that are nearest, at each time."""
+        found = []
+        poses = way.at(t).pose if len(t) else []
+        setup, rng, n = self._setup, self._rng, self._n
+        sigma, most, reach = setup.landmark_sigma, setup.most_landmarks, setup.landmark_range
+        for time, pose in zip(t, poses, strict=True):
+            _, places = self._layer.landmarks_near(pose[None, :2], reach)
+            dx, dy = (places - pose[:2]).T
+            distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx) - pose[2]
+            bearing = (bearing + np.pi) % (2 * np.pi) - np.pi
+            ahead = np.flatnonzero(np.abs(bearing) <= setup.landmark_angle)
+            ahead = ahead[np.argsort(distance[ahead])][:most]
+            shape = (n, most)
+            true = np.full((2, most), np.nan)
+            true[:, : len(ahead)] = distance[ahead], bearing[ahead]
+            is_false = rng.random(shape) < setup.false_landmarks
+            r = np.where(is_false, rng.uniform(3, reach, shape), true[0])
+            angle = np.where(is_false, rng.uniform(-1, 1, shape) * setup.landmark_angle, true[1])
+            r[(rng.random(shape) < setup.missed_landmarks) & ~is_false] = np.nan
+            noise = rng.standard_normal((2, *shape))
+            r, angle = r + sigma[0] * noise[0], angle + sigma[1] * noise[1]
+            found.append(seen_landmarks(float(time), r, angle, sigma))
+        return found
+
+
 def simulated_measurements(
     way: SimulatedDrive | RecordedDrive,
     layer: LocalisationLayer,
@@ -102,151 +248,67 @@ def simulated_measurements(
         ValueError: a time of ``span`` is not in the drive.
     """
     start, end = span or (way.start, way.end)
-
-    def times(rate: float) -> Array:
-        return even_times(start, end, rate)
-
-    frames = times(setup.camera_rate)
-    odometry = _odometry(way, setup, rng, n, times(setup.odometry_rate))
-    gnss = _gnss(way, setup, rng, n, times(setup.gnss_rate))
-    lines = _lines(way, layer, setup, rng, n, frames)
-    seldom = frames[::5][_outside(frames[::5], setup.landmark_outages)]
-    landmarks = _landmarks(way, layer, setup, rng, n, seldom)
-    arrivals = [Arrival(one.t, one) for one in odometry]
-    arrivals += [Arrival(one.t + setup.gnss_latency, one) for one in gnss]
-    arrivals += [Arrival(one.t + setup.camera_latency, one) for one in lines]
-    arrivals += [Arrival(one.t + setup.camera_latency, one) for one in landmarks]
-    return sorted(arrivals, key=itemgetter(0))
+    return SimulatedSensors(layer, setup, rng, n, start).measure(way, end)
 
 
-def gauss_markov(
-    process: GaussMarkov, times: Array, shape: tuple[int, ...], rng: np.random.Generator
-) -> Array:
-    """Return (*shape, k) errors at (k,) even times [s], stationary from the first one on."""
-    found = rng.standard_normal((len(times), *shape))
-    dt = times[1] - times[0] if len(times) > 1 else 0.0
-    phi = math.exp(-dt / process.time)
-    found[1:] *= math.sqrt(-math.expm1(-2 * dt / process.time))
-    for i in range(1, len(times)):
-        found[i] += phi * found[i - 1]
-    return np.asarray(process.sigma * np.moveaxis(found, 0, -1))
+class ErrorProcess:
+    """Gauss-Markov process of errors at even times, stationary from the first one on.
+
+    Args:
+        process: the process.
+        dt: time between two errors [s].
+        shape: of the errors at one time.
+        rng: random numbers.
+    """
+
+    def __init__(
+        self, process: GaussMarkov, dt: float, shape: tuple[int, ...], rng: np.random.Generator
+    ) -> None:
+        self._process, self._dt, self._shape, self._rng = process, dt, shape, rng
+        self._last: Array | None = None  # in units of sigma
+
+    def next(self, k: int) -> Array:
+        """Return the (*shape, k) errors at the next k times, 1 or more."""
+        share = self._dt / self._process.time
+        phi, white = math.exp(-share), math.sqrt(-math.expm1(-2 * share))
+        found = self._rng.standard_normal((k, *self._shape))
+        first = 1 if self._last is None else 0
+        found[first:] *= white
+        if self._last is not None:
+            found[0] += phi * self._last
+        for i in range(1, k):
+            found[i] += phi * found[i - 1]
+        self._last = found[-1].copy()
+        return np.asarray(self._process.sigma * np.moveaxis(found, 0, -1))
 
 
-def _odometry(
-    way: SimulatedDrive | RecordedDrive,
-    setup: SensorSetup,
-    rng: np.random.Generator,
-    n: int,
-    t: Array,
-) -> list[Odometry]:
-    errors, state = setup.errors, way.at(t)
-    slip = gauss_markov(errors.speed, t, (n,), rng)
-    scale = gauss_markov(errors.wheel_scale, t, (n,), rng)
-    bias = gauss_markov(errors.yaw_rate, t, (n,), rng)
-    white = errors.yaw_rate_noise * math.sqrt(setup.odometry_rate) * rng.standard_normal(bias.shape)
-    speed, rate = (state.speed + slip) / (1 + scale), state.yaw_rate + bias + white
-    return [Odometry(float(one), v, w) for one, v, w in zip(t, speed.T, rate.T, strict=True)]
+class _Dropouts:
+    """Outages of a camera at random times; times between and durations are exponential.
 
+    Args:
+        start: of the drive [s].
+        between, duration: mean times [s].
+    """
 
-def _gnss(
-    way: SimulatedDrive | RecordedDrive,
-    setup: SensorSetup,
-    rng: np.random.Generator,
-    n: int,
-    t: Array,
-) -> list[GnssFix]:
-    bias = gauss_markov(setup.errors.gnss, t, (n, 2), rng)
-    white = setup.gnss_sigma * rng.standard_normal((n, 2, len(t)))
-    position = way.at(t).pose[:, :2].T + bias + white
-    cov = setup.gnss_sigma**2 * np.eye(2)
-    seen = np.flatnonzero(_outside(t, setup.gnss_outages))
-    return [GnssFix(float(t[k]), position[:, :, k], cov) for k in seen]
+    def __init__(self, start: float, between: float, duration: float) -> None:
+        self._between, self._duration = between, duration
+        self._start, self._next = start, math.nan
+        self._outages: list[tuple[float, float]] = []
+
+    def hides(self, t: Array, rng: np.random.Generator) -> NDArray[np.bool_]:
+        """Return (k,) whether there is an outage at times not earlier than before [s]."""
+        if math.isnan(self._next):
+            self._next = self._start + rng.exponential(self._between)
+        while self._next < t[-1]:
+            end = self._next + rng.exponential(self._duration)
+            self._outages.append((self._next, end))
+            self._next = end + rng.exponential(self._between)
+        return ~_outside(t, self._outages)
 
 
 def _outside(t: Array, outages: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
     """Return (k,) whether times are in none of the outages."""
     return np.array([not any(begin <= one < end for begin, end in outages) for one in t], bool)
-
-
-def _lines(
-    way: SimulatedDrive | RecordedDrive,
-    layer: LocalisationLayer,
-    setup: SensorSetup,
-    rng: np.random.Generator,
-    n: int,
-    t: Array,
-) -> list[CameraLines]:
-    """Return the nearest line on the left and on the right at each time."""
-    beside = layer.lines_beside(way.at(t).pose)
-    true, kind = np.full((2, 2, len(t)), np.nan), np.zeros((2, len(t)), dtype=np.intp)
-    for side, sign in enumerate((1, -1)):
-        rows = np.flatnonzero(sign * beside.offset > 0)
-        rows = rows[np.lexsort((np.abs(beside.offset[rows]), beside.car[rows]))]
-        rows = rows[np.append(True, np.diff(beside.car[rows]) > 0)[: len(rows)]]
-        true[:, side, beside.car[rows]] = beside.offset[rows], beside.heading[rows]
-        kind[side, beside.car[rows]] = beside.kind[rows]
-    errors, sigma = setup.errors, setup.line_sigma
-    shape = (n, 2, len(t))
-    offset = true[0] + gauss_markov(errors.camera_offset, t, (n, 1), rng)
-    heading = true[1] + gauss_markov(errors.camera_heading, t, (n, 1), rng)
-    offset = offset + sigma[0] * rng.standard_normal(shape)
-    heading = heading + sigma[1] * rng.standard_normal(shape)
-    is_false = rng.random(shape) < setup.false_lines
-    offset = np.where(is_false, offset + rng.uniform(-3, 3, shape), offset)
-    out = _dropouts(setup.line_dropout, t, n, rng) | ~_outside(t, setup.line_outages)
-    offset[out[:, None].repeat(2, axis=1)] = np.nan
-    kinds = np.where(rng.random(shape) < setup.unknown_kinds, int(Kind.UNKNOWN), kind)
-    cov = np.diag(np.square(sigma))
-    return [
-        CameraLines(float(one), offset[..., k], heading[..., k], kinds[..., k], cov)
-        for k, one in enumerate(t)
-    ]
-
-
-def _dropouts(
-    law: tuple[float, float], t: Array, n: int, rng: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Return (n, k) whether there is an outage; times between and durations are exponential."""
-    between, duration = law
-    out = np.zeros((n, len(t)), dtype=bool)
-    for row in out:
-        at = t[0] + rng.exponential(between)
-        while at < t[-1]:
-            end = at + rng.exponential(duration)
-            row |= (at <= t) & (t < end)
-            at = end + rng.exponential(between)
-    return out
-
-
-def _landmarks(
-    way: SimulatedDrive | RecordedDrive,
-    layer: LocalisationLayer,
-    setup: SensorSetup,
-    rng: np.random.Generator,
-    n: int,
-    t: Array,
-) -> list[SeenLandmarks]:
-    """Return the landmarks ahead that are nearest, at each time."""
-    found = []
-    sigma, most, reach = setup.landmark_sigma, setup.most_landmarks, setup.landmark_range
-    for time, pose in zip(t, way.at(t).pose, strict=True):
-        _, places = layer.landmarks_near(pose[None, :2], reach)
-        dx, dy = (places - pose[:2]).T
-        distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx) - pose[2]
-        bearing = (bearing + np.pi) % (2 * np.pi) - np.pi
-        ahead = np.flatnonzero(np.abs(bearing) <= setup.landmark_angle)
-        ahead = ahead[np.argsort(distance[ahead])][:most]
-        shape = (n, most)
-        true = np.full((2, most), np.nan)
-        true[:, : len(ahead)] = distance[ahead], bearing[ahead]
-        is_false = rng.random(shape) < setup.false_landmarks
-        r = np.where(is_false, rng.uniform(3, reach, shape), true[0])
-        angle = np.where(is_false, rng.uniform(-1, 1, shape) * setup.landmark_angle, true[1])
-        r[(rng.random(shape) < setup.missed_landmarks) & ~is_false] = np.nan
-        noise = rng.standard_normal((2, *shape))
-        r, angle = r + sigma[0] * noise[0], angle + sigma[1] * noise[1]
-        found.append(seen_landmarks(float(time), r, angle, sigma))
-    return found
 
 
 def seen_landmarks(

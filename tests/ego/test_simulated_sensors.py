@@ -19,9 +19,10 @@ from maplines_can.ego import (
     SensorErrors,
     SensorSetup,
     SimulatedDrive,
+    SimulatedSensors,
     simulated_measurements,
 )
-from maplines_can.ego.simulated_sensors import gauss_markov
+from maplines_can.ego.simulated_sensors import ErrorProcess
 from maplines_can.line import Kind
 from maplines_can.maps import Landmark, LandmarkKind
 
@@ -53,10 +54,10 @@ def of(arrivals: list[Any], kind: type) -> list[Any]:
 def test_the_errors_are_gauss_markov() -> None:
     """Their variance is constant, and their correlation over 2 s with 4 s is exp(-1/2)."""
     t = np.arange(0.0, 30.0, 0.5)
-    e = gauss_markov(GaussMarkov(1.5, 4.0), t, (4000,), np.random.default_rng(1))
+    e = ErrorProcess(GaussMarkov(1.5, 4.0), 0.5, (4000,), np.random.default_rng(1)).next(len(t))
     assert e.std(axis=0) == pytest.approx(np.full(len(t), 1.5), rel=0.06)
     assert (e[:, 40] * e[:, 44]).mean() / 1.5**2 == pytest.approx(math.exp(-0.5), abs=0.06)
-    constant = gauss_markov(GaussMarkov(2.0), t, (3,), np.random.default_rng(1))
+    constant = ErrorProcess(GaussMarkov(2.0), 0.5, (3,), np.random.default_rng(1)).next(len(t))
     assert (constant == constant[:, :1]).all()
 
 
@@ -133,3 +134,23 @@ def test_the_share_of_false_and_missing_lines() -> None:
     assert 0.02 < missing < 0.12
     off = np.abs(lines[np.isfinite(lines)].reshape(-1, 1) - [1.75, -1.75]).min(axis=1) > 0.4
     assert off.mean() == pytest.approx(SETUP.false_lines * (1 - 0.4 / 3), rel=0.25)
+
+
+def test_the_errors_continue_from_call_to_call() -> None:
+    """In a closed loop the way is known bit by bit: the times are the same, the bias remains."""
+    constant = replace(EXACT.errors, gnss=GaussMarkov(2.0), camera_offset=GaussMarkov(0.1))
+    setup = replace(EXACT, errors=constant, line_dropout=(3.0, 2.0))
+    sensors = SimulatedSensors(LAYER, setup, np.random.default_rng(1))
+    parts = [sensors.measure(DRIVE, end) for end in np.arange(0.0, 10.0, 0.05)]
+    arrivals = [one for part in parts for one in part]
+    whole = made(setup, span=(0.0, 9.95))
+    for kind in (GnssFix, Odometry, CameraLines, SeenLandmarks):
+        times = [one.t for one in of(arrivals, kind)]
+        assert times == pytest.approx([one.t for one in of(whole, kind)])
+    bias = [x.position[0] - DRIVE.at(x.t).pose[:2] for x in of(arrivals, GnssFix)]
+    assert np.ptp(bias, axis=0) == pytest.approx([0.0, 0.0], abs=1e-9)
+    assert abs(np.mean(bias)) > 0.1
+    seen = np.array([x.offset[0, 0] for x in of(arrivals, CameraLines)])
+    assert np.ptp(seen[np.isfinite(seen)]) == pytest.approx(0.0, abs=1e-9)
+    out = np.flatnonzero(np.diff(np.isnan(seen)))
+    assert 2 <= len(out) < 20  # some outages, each of many images
