@@ -203,7 +203,7 @@ class SimulatedSensors:
     def _landmarks(self, way: Way, t: Array) -> list[SeenLandmarks]:
         """Return the landmarks ahead that are nearest, at each time."""
         found = []
-        poses = way.at(t).pose if len(t) else []
+        poses = way.at(t).pose if len(t) else np.empty((0, 3))
         setup, rng, n = self._setup, self._rng, self._n
         sigma, most, reach = setup.landmark_sigma, setup.most_landmarks, setup.landmark_range
         for time, pose in zip(t, poses, strict=True):

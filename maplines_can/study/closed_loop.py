@@ -253,7 +253,7 @@ class ClosedLoop:
         codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
         monitor = Monitor(codec.decoder())
         random = np.random.default_rng(self.seed)
-        place = _Place(self.line.points, self.line.distance)
+        place = Place(self.line.points, self.line.distance)
         car = Car(place.pose(self.way[0]), 0.0)
         moments: list[Moment] = []
         demands = (0.0, 0.0)
@@ -317,7 +317,7 @@ def without(scene: Scene, slot: Slot) -> Scene:
     return replace(scene, lines=lines, cov=cov, fit_ranges=scene.fit_ranges[keep])
 
 
-class _Place:
+class Place:
     """Distance along a line of a pose that follows it.
 
     Args:

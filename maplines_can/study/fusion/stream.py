@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -106,7 +106,7 @@ class CarStream:
             seen_bias = bias.step(dt / e.bias_time) * e.camera_bias
             camera = []
             if self._has_camera and not outage[0] <= t < outage[1]:
-                camera = self._camera(true, state.pose, seen_bias)
+                camera = camera_view(true, state.pose, seen_bias, e, rng)
             view = monitor.latest_scene(t_ns)
             is_new = view.received is not None and view.received.t_ns > round(1e9 * t)
             c, s = math.cos(state.pose[2]), math.sin(state.pose[2])
@@ -142,17 +142,31 @@ class CarStream:
             self._offsets[key] = own + local
         return Polyline(line.points + self._offsets[key], line.kind)
 
-    def _camera(self, lines: dict[Slot, Polyline], pose: Array, bias: Array) -> list[MapLine]:
-        """Return the lines that the camera sees."""
-        e, rng = self._errors, self._rng
-        seen = camera_lines(lines, pose)
-        if np.isnan(seen).any():
-            return []
-        found = []
-        for slot, mean in zip(LANE, seen, strict=True):
-            y = mean + rng.standard_normal(4) * e.camera_sigma + np.append(bias, 0.0)
-            if rng.random() < e.false_lines:
-                y[0] += rng.choice([-1, 1]) * rng.uniform(0.5, 2.0)
-            cov = np.diag(np.square(e.camera_sigma))
-            found.append(MapLine(slot, Gaussian(y, cov), x_max=CAMERA_WINDOW[1] / 2))
-        return found
+
+def camera_view(
+    lines: Mapping[Slot, Polyline],
+    pose: Array,
+    bias: Array,
+    errors: Errors,
+    rng: np.random.Generator,
+) -> list[MapLine]:
+    """Return the lines of the ego lane that a camera sees, with its errors.
+
+    Args:
+        lines: true ones.
+        pose: (3,) true one.
+        bias: (3,) of the camera now: offset [m], heading [rad], curvature [1/m].
+        errors: their sizes.
+        rng: random numbers.
+    """
+    seen = camera_lines(lines, pose)
+    if np.isnan(seen).any():
+        return []
+    found = []
+    for slot, mean in zip(LANE, seen, strict=True):
+        y = mean + rng.standard_normal(4) * errors.camera_sigma + np.append(bias, 0.0)
+        if rng.random() < errors.false_lines:
+            y[0] += rng.choice([-1, 1]) * rng.uniform(0.5, 2.0)
+        cov = np.diag(np.square(errors.camera_sigma))
+        found.append(MapLine(slot, Gaussian(y, cov), x_max=CAMERA_WINDOW[1] / 2))
+    return found

@@ -1,0 +1,72 @@
+"""tools/evidence_chain.py: the first seconds of the chain without waiting, and its figures."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).parents[1] / "tools"
+SECONDS = 2.0
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The tool as a module."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    import evidence_chain
+
+    return evidence_chain
+
+
+def test_the_car_starts_by_received_lines(tool: Any) -> None:
+    """It drives off in its lane, and nothing is lost; the figures are those of the seed."""
+    found = tool.simulated(SECONDS, seed=1)
+    assert found["met"]
+    assert found["cycles"] == 20 * SECONDS
+    assert found["sender"]["lines"] == found["receiver"]["lines"] == 3 * 20 * SECONDS
+    assert found["km"] > 0.001
+    assert found["error of the car [m]"]["max"] < 0.3
+    assert found["share of the time driven by the lines"] > 0.5
+    assert found["age of the lines, median and 95 % [s]"] == [0.044, 0.044]
+
+
+def moment(tool: Any, error: float, state: str) -> Any:
+    from chain_parts import Moment
+
+    centre = np.full((3, 2), np.nan)
+    return Moment(0.0, 0.0, error, tool.State[state], "BAND", 0.05, centre)
+
+
+@pytest.mark.parametrize(
+    ("moments", "arrived", "met", "handovers"),
+    [
+        pytest.param([(0.1, "DRIVING")] * 3, 30, True, 0, id="in-the-lane"),
+        pytest.param([(0.1, "DRIVING"), (0.9, "SLOWING")], 30, False, 0, id="off-the-lane"),
+        pytest.param([(0.1, "DRIVING"), (0.9, "HANDOVER")], 30, True, 1, id="handed-over"),
+        pytest.param([(0.1, "DRIVING")] * 3, 29, False, 0, id="a-line-lost"),
+        pytest.param([(0.1, "HANDOVER")] * 3, 30, False, 0, id="never-driven"),
+    ],
+)
+def test_what_is_met(
+    tool: Any, moments: Any, arrived: int, met: bool, handovers: int, monkeypatch: Any
+) -> None:
+    monkeypatch.setattr(tool, "fused_nees", lambda _: np.ones(3))
+    consumer = SimpleNamespace(
+        moments=[moment(tool, *one) for one in moments], world=SimpleNamespace(t=1.0)
+    )
+    sent, received = {"lines": 30, "frames": 90}, {"lines": arrived, "frames": 90}
+    found = tool.figures_of(consumer, sent, received)
+    assert found["met"] is met
+    assert found["handovers"] == handovers
+
+
+def test_the_shares_of_a_core_add_up(tool: Any) -> None:
+    sender = {"all": 5.0, "simulation": 1.0, "localisation": 1.5, "lines": 2.0}
+    receiver = {"all": 3.0, "simulation": 0.5, "fusion": 1.0, "steering": 0.5}
+    found = tool.shares_of(sender, receiver, 10.0)
+    assert found["sender"] == pytest.approx(0.4)
+    assert sum(found["sender: its parts"].values()) == pytest.approx(0.4)
+    assert found["receiver: its parts"]["reception"] == pytest.approx(0.1)
+    assert found["receiver: simulation"] == pytest.approx(0.05)
