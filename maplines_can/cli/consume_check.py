@@ -39,7 +39,8 @@ Camera = Callable[[Cycle], Image]
 
 DESCRIPTION = """\
 Compare received map lines with the lines of a camera, and print whether they contradict each other.
-The number of false alarms per hour is as designed. The exit status is 3 if there was an alarm.
+The number of false alarms per hour is as designed. The exit status is 3 if there was an alarm. A
+change of the outcome has a row of its own.
 
 --camera reads the lines of a camera from a second log, of the same clock, with the messages of this
 project. --simulate simulates a camera at the pose that the lines state, with the stated pose error;
@@ -48,7 +49,7 @@ project. --simulate simulates a camera at the pose that the lines state, with th
 
 def add_check(commands: Any) -> None:
     """Add the sub-command ``check``."""
-    example = "maplines consume check --log drive.blf --simulate --shift 0.5"
+    example = "maplines consume check drive.blf --simulate --shift 0.5"
     parser = add_command(commands, "check", _check, DESCRIPTION, example)
     add_input(parser, "results")
     add = parser.add_argument
@@ -89,7 +90,7 @@ def add_check(commands: Any) -> None:
 
 def _check(arguments: argparse.Namespace) -> int:
     if arguments.camera and not arguments.log:
-        raise ValueError("--camera needs --log, a log of the map lines of the same clock")
+        raise ValueError("--camera needs LOG, a log of the map lines of the same clock")
     if arguments.simulate and arguments.camera_dbc:
         raise ValueError("--camera-dbc is that of --camera; leave it out with --simulate")
     check = PlausibilityCheck(arguments.false_alarms)

@@ -6,34 +6,21 @@ import argparse
 import csv
 import json
 import math
-import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..bus import Link, Receiver, read_log
 from ..consumers import FusedLane, LaneFusion
 from ..consumers.integrity import RISKS, multiplier
 from ..line import MapLine
 from ..propagation import Motion
-from ..wire import Codec, Monitor
-from .options import (
-    add_bus,
-    add_codec,
-    add_cycle,
-    add_json,
-    add_transfer_timeout,
-    bus_settings,
-    decoder_of,
-    keyed_codec,
-)
+from ..wire import Codec
+from .consume_input import PERIOD, SENDER, add_input, cycles, scene_codec
 from .output import LANE, LANE_X
-from .parsing import add_command, number, seconds
-from .stderr import note, with_progress
+from .parsing import add_command, number
+from .stderr import note
 
-#: Time between two steps of the fusion, and two rows [s].
-STEP, ROW = 0.05, 1.0
 #: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
 UNKNOWN_MOTION = Motion.with_sigma(15.0, 0.0, (10.0, 0.3))
 #: Standard deviations of a known motion [m/s, rad/s].
@@ -42,9 +29,9 @@ MOTION_SIGMA = (0.1, 0.005)
 SIMULATED_TIME, SIMULATED_START = 5.0, 20.0
 
 DESCRIPTION = """\
-Fuse the scenes of a bus or of a log into the ego lane, and print its centre and its width once a
-second, with standard deviations and protection levels: bounds that the error of the centre exceeds
-with a risk of 1e-5 and 1e-7 in an hour.
+Fuse the scenes of a bus or of a log into the ego lane, and print its centre and its width every
+second (--every), with standard deviations and protection levels: bounds that the error of the
+centre exceeds with a risk of 1e-5 and 1e-7 in an hour.
 
 The fusion needs the motion of the car between scenes: --motion, or --speed. Without it, the lane is
 about that of the newest scene. --simulate drives through the town of this package instead, with a
@@ -64,13 +51,8 @@ def add_fusion(consumers: Any) -> None:
     """Add the consumer ``fusion``."""
     example = "maplines consume fusion --simulate --seconds 30"
     parser = add_command(consumers, "fusion", _fusion, DESCRIPTION, example)
-    parser.add_argument(
-        "log", nargs="?", metavar="LOG", help="log file (default: receive from the bus)"
-    )
+    add_input(parser, "the lane")
     parser.add_argument("--simulate", action="store_true", help="simulate a car with a camera")
-    parser.add_argument(
-        "--seconds", type=seconds, metavar="S", help="stop after this time [s] (default: never)"
-    )
     parser.add_argument(
         "--motion",
         metavar="FILE",
@@ -81,11 +63,6 @@ def add_fusion(consumers: Any) -> None:
         "--speed", type=number(float, -100, 100), metavar="M/S", help="constant speed [m/s]"
     )
     parser.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
-    add_bus(parser)
-    add_codec(parser)
-    add_cycle(parser)
-    add_transfer_timeout(parser)
-    add_json(parser, "each row")
 
 
 def _fusion(arguments: argparse.Namespace) -> int:
@@ -93,71 +70,37 @@ def _fusion(arguments: argparse.Namespace) -> int:
         raise ValueError("--simulate has a car of its own; leave out LOG, --motion and --speed")
     if arguments.dbc is None and not arguments.keys:
         arguments.dbc = "maplines-pose.dbc" if arguments.simulate else None
-    codec = keyed_codec(arguments, clock=None if arguments.log else time.time_ns)
-    if codec.layout.pose is None:
-        raise ValueError(
-            f"{codec.layout.source} has no message of the pose error (MapLinePose), so there are "
-            "no scenes to fuse; take the --dbc of the sender"
-        )
     if arguments.simulate:
-        return _print_rows(_simulated(arguments, codec), arguments)
-    if arguments.log:
-        return _print_rows(_of_log(arguments, codec), arguments)
-    return _print_rows(_of_bus(arguments, codec), arguments)
+        return _print_rows(_simulated(arguments, scene_codec(arguments)), arguments)
+    return _print_rows(_received(arguments), arguments)
 
 
 def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace) -> int:
-    """Fuse, and print a row in each second; return the exit status."""
-    start = last = None
+    """Fuse, and print rows; return the exit status."""
+    last = None
     rows = 0
     try:
         for fusion, epoch in epochs:
             lane = fusion.step(epoch.t_ns, epoch.motion, epoch.camera)
-            start = epoch.t_ns if start is None else start
-            if last is None or epoch.t_ns - last >= round(1e9 * ROW):
+            if last is None or epoch.t_ns - last >= round(1e9 * arguments.every) - 1:
                 last = epoch.t_ns
                 row = lane_dict(lane, epoch)
                 print(json.dumps(row) if arguments.json else lane_text(row), flush=True)
                 rows += lane.scene is not None
-            if arguments.seconds is not None and epoch.t_ns - start >= 1e9 * arguments.seconds:
-                break
     except KeyboardInterrupt:
         pass
     if not rows:
-        note("error: no scene with a line of the ego lane was received")
+        note(f"error: no scene with a line of the ego lane was received; {SENDER}")
         return 1
     return 0
 
 
-def _of_bus(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
-    """Yield an epoch in each step of the clock."""
-    motion = _motion_of(arguments)
-    with (
-        Link(**bus_settings(arguments)) as link,
-        Receiver(link, decoder_of(codec, arguments), can_ids=codec.can_ids) as receiver,
-    ):
-        note(f"listening on {link.name}; stop with Ctrl-C")
-        fusion = LaneFusion(receiver)
-        while True:
-            time.sleep(STEP)
-            t_ns = time.time_ns()
-            yield fusion, Epoch(t_ns, motion(t_ns), [])
-
-
-def _of_log(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
-    """Yield an epoch in each step of the time stamps of a log."""
-    motion = _motion_of(arguments)
-    monitor = Monitor(decoder_of(codec, arguments))
-    fusion = LaneFusion(monitor)
-    due = None
-    for frame in with_progress(read_log(arguments.log), " frames"):
-        if not frame.has_time:
-            raise ValueError(f"{arguments.log} has no time stamps; use candump -L")
-        monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-        due = frame.t_ns + round(1e9 * STEP) if due is None else due
-        if frame.t_ns >= due:
-            yield fusion, Epoch(frame.t_ns, motion(frame.t_ns), [])
-            due = frame.t_ns + round(1e9 * STEP)
+def _received(arguments: argparse.Namespace) -> Iterator[tuple[LaneFusion, Epoch]]:
+    """Yield the epochs of a bus or of a log."""
+    motion, fusion = _motion_of(arguments), None
+    for cycle in cycles(arguments):
+        fusion = fusion or LaneFusion(cycle.source)
+        yield fusion, Epoch(cycle.now_ns, motion(cycle.now_ns), [])
 
 
 def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
@@ -173,7 +116,7 @@ def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[La
     length = 60.0 if arguments.seconds is None else arguments.seconds
     end = min(SIMULATED_START + length, drive.duration - 1.0)
     fusion = None
-    for moment in stream(SIMULATED_START, end, 1 / STEP):
+    for moment in stream(SIMULATED_START, end, 1 / PERIOD):
         fusion = fusion or LaneFusion(moment.monitor)
         true = moment.true.mean(axis=0)
         yield fusion, Epoch(moment.t_ns, moment.motion, moment.camera, true)

@@ -20,12 +20,13 @@ as demanded.
 
 The car slows down in curves, where the valid range of the lines is shorter than its stopping
 distance, and where the lateral position ahead is too uncertain. It hands over to the driver if that
-does not suffice, or if there is no usable line; then it brakes to a stop."""
+does not suffice, or if there is no usable line; then it brakes to a stop. A change of the state has
+a row of its own."""
 
 
 def add_steer(commands: Any) -> None:
     """Add the sub-command ``steer``."""
-    example = "maplines consume steer --log drive.blf --set-speed 13.9"
+    example = "maplines consume steer drive.blf --set-speed 13.9"
     parser = add_command(commands, "steer", _steer, DESCRIPTION, example)
     add_input(parser, "demands")
     parser.add_argument(
@@ -42,7 +43,7 @@ def _steer(arguments: argparse.Namespace) -> int:
     motion = Motion(arguments.set_speed, 0.0)
     state: State | None = None
     due, engaged = 0.0, False
-    for t, _, view in cycles(arguments):
+    for t, _, view, _ in cycles(arguments):
         scene = view.scene if view.usable else None
         command = steering.update(t, scene, view.age, motion, arguments.set_speed)
         motion = Motion(command.speed, command.speed * command.curvature)

@@ -61,7 +61,7 @@ def rows(capsys: pytest.CaptureFixture[str], *options: object) -> tuple[int, lis
 
 
 def test_steer_drives_until_the_lines_stop(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    status, found, _ = rows(capsys, "steer", "--log", drive, "--set-speed", 10)
+    status, found, _ = rows(capsys, "steer", drive, "--set-speed", 10)
     assert status == 0
     states = [row["state"] for row in found]
     assert states[0] == "HANDOVER"  # nothing has come yet
@@ -77,7 +77,7 @@ def test_steer_drives_until_the_lines_stop(drive: Path, capsys: pytest.CaptureFi
 
 def test_steer_prints_each_period_as_text(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--dbc", DBC, "--every", "0.05", "--seconds", "2"]
-    assert main(["consume", "steer", "--log", str(drive), *options]) == 0
+    assert main(["consume", "steer", str(drive), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 40
     assert "no usable line of the ego lane" in lines[0]
@@ -90,7 +90,7 @@ def test_check_with_a_simulated_camera(
     drive: Path, capsys: pytest.CaptureFixture[str], shift: float
 ) -> None:
     options = ["--simulate", "--shift", shift, "--shift-at", 3]
-    status, found, err = rows(capsys, "check", "--log", drive, *options)
+    status, found, err = rows(capsys, "check", drive, *options)
     raised = [row["t"] for row in found if row["raised"]]
     assert status == (3 if shift else 0)
     assert raised == ([pytest.approx(3.0, abs=0.11)] if shift else [])
@@ -100,7 +100,7 @@ def test_check_with_a_simulated_camera(
 def test_check_with_the_log_of_a_camera(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Its lines jump after 3 s. When the map lines have stopped, nothing is checked."""
     camera = drive.with_name("camera.log")
-    status, found, _ = rows(capsys, "check", "--log", drive, "--camera", camera)
+    status, found, _ = rows(capsys, "check", drive, "--camera", camera)
     assert status == 3
     assert [row["t"] for row in found if row["raised"]] == [pytest.approx(3.05, abs=0.11)]
     assert found[-1]["outcome"] == "UNCHECKED"
@@ -121,7 +121,7 @@ def test_lines_without_a_pose_error_are_an_error(
 ) -> None:
     camera = drive.with_name("camera.log")
     given = [option.replace("PLAIN", "maplines.dbc") for option in options]
-    assert main(["consume", *given, "--log", str(camera)]) == 1
+    assert main(["consume", *given, str(camera)]) == 1
     err = capsys.readouterr().err
     assert message in err
     assert "--pose-error" in err
@@ -129,12 +129,12 @@ def test_lines_without_a_pose_error_are_an_error(
 
 def test_a_camera_needs_a_log(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["consume", "check", "--camera", str(drive), "--dbc", DBC]) == 1
-    assert "--camera needs --log" in capsys.readouterr().err
+    assert "--camera needs LOG" in capsys.readouterr().err
 
 
 def test_the_dbc_of_a_simulated_camera_is_an_error(
     drive: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ["--simulate", "--camera-dbc", DBC, "--log", str(drive)]
+    options = ["--simulate", "--camera-dbc", DBC, str(drive)]
     assert main(["consume", "check", *options]) == 1
     assert "--camera-dbc is that of --camera" in capsys.readouterr().err
