@@ -39,6 +39,7 @@ import os
 import socket
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from itertools import pairwise
 from multiprocessing.connection import Connection
@@ -243,7 +244,7 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
         },
         "share of the time driven by the lines": len(automatic) / len(moments),
         "handovers": len(handovers),
-        "reasons of the handovers": handovers,
+        "reasons of the handovers": dict(Counter(handovers)),
         "largest error in a handover [m]": max(braking, default=0.0),
         "age of the lines, median and 95 % [s]": np.quantile(ages, [0.5, 0.95]).round(3).tolist(),
         "NEES of the fused lane at 0, 20, 40 m": fused_nees(consumer).round(2).tolist(),
