@@ -32,7 +32,7 @@ RISKS = (1e-5, 1e-7)
 #: Time between two looks at the error [s].
 PERIOD = 0.05
 #: Lateral alert limit of a car in a lane of a local street and of a motorway [m] (Reid et al.,
-#: Localization Requirements for Autonomous Vehicles, 2019).
+#: Localization Requirements for Autonomous Vehicles, SAE Int. J. CAV 2(3), 2019, arXiv:1906.01061).
 ALERT_LIMITS = {"street": 0.29, "motorway": 0.57}
 #: Nodes of the quadrature.
 NODES = 100
