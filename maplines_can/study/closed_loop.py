@@ -314,7 +314,13 @@ def without(scene: Scene, slot: Slot) -> Scene:
     keep = [i for i, line in enumerate(scene.lines) if line.slot != slot]
     lines = tuple(scene.lines[i] for i in keep)
     cov = scene.joint([line.slot for line in lines]).cov if lines else np.zeros((0, 0))
-    return replace(scene, lines=lines, cov=cov, fit_ranges=scene.fit_ranges[keep])
+    return replace(
+        scene,
+        lines=lines,
+        cov=cov,
+        fit_ranges=scene.fit_ranges[keep],
+        quartics=scene.quartics[keep],
+    )
 
 
 class Place:
