@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
@@ -20,6 +21,8 @@ MOST_GAP = 4.0
 BEHIND = -3.0
 #: Largest product of curvature and distance to the line; at 1 the parallel line has a cusp.
 MOST_BEND = 0.9
+#: Rest of a line that is a cubic.
+EXACT = Chebyshev([0.0])
 #: Least lane width of a received scene, and the largest one [m].
 WIDTHS = (2.0, 6.0)
 
@@ -61,16 +64,24 @@ class Path(NamedTuple):
         )
 
 
-def path_beside(line: MapLine, distance: float, displacement: Gaussian) -> Path | None:
+def path_beside(
+    line: MapLine,
+    distance: float,
+    displacement: Gaussian,
+    rest: Chebyshev = EXACT,
+) -> Path | None:
     """Return the path parallel to a line, as seen after a displacement of the car.
 
-    The points of the line, its directions and its curvatures are those of the cubic. They are
-    moved to the new ego frame as they are, without another fit, so corners stay what they are.
+    The points of the line, its directions and its curvatures are those of the cubic and of what
+    it leaves. They are moved to the new ego frame as they are, without another fit, so corners stay
+    what they are.
 
     Args:
         line: a line that is usable.
         distance: of the path to the left of the line [m].
         displacement: the new pose in the ego frame of the line (x [m], y [m], heading [rad]).
+        rest: what the cubic leaves of the line, in the range in which it was fitted [m]. It goes
+            on straight beyond.
 
     Returns:
         The path from the point that is nearest to the car; None if the car has passed its end,
@@ -87,12 +98,16 @@ def path_beside(line: MapLine, distance: float, displacement: Gaussian) -> Path 
     low = min(line.x_min, BEHIND)
     x = np.linspace(low, line.x_max, max(2, round((line.x_max - low) / SPACING) + 1))
     _, beta, c0, c1 = line.gaussian.mean
-    slope = np.tan(beta) + x * (c0 + x * c1 / 2)
+    inside = x.clip(*rest.domain)
+    rest_slope = rest.deriv()(inside)
+    slope = np.tan(beta) + x * (c0 + x * c1 / 2) + rest_slope
     norm = np.hypot(1.0, slope)
-    bend = (c0 + c1 * x) / norm**3
+    rest_bend = np.where(inside == x, rest.deriv(2)(inside), 0.0)
+    bend = (c0 + c1 * x + rest_bend) / norm**3
+    y = line.y(x) + rest(inside) + rest_slope * (x - inside)
     tangent = np.column_stack([1 / norm, slope / norm])
     normal = tangent[:, ::-1] * [-1.0, 1.0]
-    points = np.column_stack([x, line.y(x)]) + distance * normal
+    points = np.column_stack([x, y]) + distance * normal
     bend = bend / (1 - (bend * distance).clip(max=MOST_BEND))
     # Lateral means across the path, and so does the displacement of the car.
     J = lateral_jacobian(line.gaussian.mean, x) / norm[:, None]
@@ -129,7 +144,8 @@ def lane_path(
     """Return the path in the middle of the ego lane, and the width of the lane.
 
     Each boundary gives the path at half the width beside it; of two, it is their mean. Where one
-    of them ends, as the inner one does in a corner, the other one continues.
+    of them ends, as the inner one does in a corner, the other one continues. A cubic may be 10 cm
+    off its line; most of this is in the quartics of the scene, which are added to it.
 
     Args:
         scene: lines.
@@ -141,16 +157,21 @@ def lane_path(
         The path, None if there is none; and the width, None if it is unknown.
     """
     given = scene.index
+
+    def beside(slot: Slot, distance: float) -> Path | None:
+        i = given[slot]
+        rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
+        return path_beside(scene.lines[i], distance, displacement, rest)
+
     if route is not None:
-        line = scene.line(route) if route in given else None
-        return (None if line is None else path_beside(line, 0.0, displacement)), width
+        return (beside(route, 0.0) if route in given else None), width
     ego = [slot for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT) if slot in given]
     if len(ego) == 2:
         width = width_of(scene)
     if width is None or not WIDTHS[0] <= width <= WIDTHS[1]:
         return None, None
     sides = {Slot.EGO_LEFT: -width / 2, Slot.EGO_RIGHT: width / 2}
-    paths = [path_beside(scene.line(slot), sides[slot], displacement) for slot in ego]
+    paths = [beside(slot, sides[slot]) for slot in ego]
     return mean_path([path for path in paths if path is not None]), width
 
 

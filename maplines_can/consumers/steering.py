@@ -24,7 +24,10 @@ HORIZON = 2.0
 SPEED_STEP = 0.5
 #: Errors that weigh the same in the cost: of the offset [m], of the heading [rad], and of the
 #: lateral jerk by which they are corrected [m/s^3].
-COST = (0.2, 0.05, 2.0)
+COST = (0.05, 0.05, 3.0)
+#: Length over which a curve must be too tight to steer [m]. The curvature of a polynomial is the
+#: least certain at the ends of its range, such as beside a car that leaves a corner.
+BEND = 2.0
 #: Longest age of a line that is followed, and in a handover, until the car has stopped [s].
 OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
 
@@ -248,7 +251,7 @@ class LaneSteering:
         }
         bend = np.abs(path.curvature)
         stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
-        if (bend[path.s <= stopping] > limits.curvature).any():
+        if (_mean_bend(path)[path.s <= stopping] > limits.curvature).any():
             return Reason.TIGHT, 0.0
         with np.errstate(divide="ignore"):
             squared = limits.lateral_acceleration / bend
@@ -257,6 +260,13 @@ class LaneSteering:
         reason = min(speeds, key=lambda key: speeds[key])
         fastest = speeds[reason]
         return reason, fastest if fastest >= limits.least_speed or reason is Reason.NONE else 0.0
+
+
+def _mean_bend(path: Path) -> NDArray[np.float64]:
+    """Return the (n,) absolute curvature of a path, mean over the next ``BEND`` metres [1/m]."""
+    s, k = path.s, path.curvature
+    turn = np.append(0.0, np.cumsum((k[1:] + k[:-1]) / 2 * np.diff(s)))
+    return np.abs(np.interp(s + BEND, s, turn) - turn) / BEND
 
 
 def _stopping_speed(distance: float, limits: SteeringLimits) -> float:

@@ -1,12 +1,14 @@
 """Paths beside lines against circles and straight lines."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.polynomial import Chebyshev
 
 from maplines_can import STREETS, Gaussian, MapLine, Scene, Slot, map_scene
 from maplines_can.consumers.path import lane_path, mean_path, path_beside, width_of
@@ -52,6 +54,49 @@ def test_the_curvature_beside_a_bend_is_that_of_the_parallel(bend: float) -> Non
     assert path is not None
     assert 1 / path.curvature[0] == pytest.approx(1 / bend + 1.75, rel=1e-3)
     assert path.offset == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("x", [0.0, 7.3, 31.0])
+@pytest.mark.parametrize("quartic", [0.06, -0.03])
+def test_the_rest_of_a_cubic_is_part_of_the_path(x: float, quartic: float) -> None:
+    """Against the closed form of T_4 in the fit range, beside any point of it."""
+    low, high = -4.0, 36.0
+    rest = Chebyshev([0, 0, 0, 0, quartic], domain=[low, high])
+    given = line([0, 0, 0, 0], x_min=low, x_max=high)
+    path = path_beside(given, 0.0, Gaussian([x, 0, 0], np.zeros((3, 3))), rest)
+    assert path is not None
+    u, du = (2 * x - low - high) / (high - low), 2 / (high - low)
+    assert path.offset == pytest.approx(-quartic * (8 * u**4 - 8 * u**2 + 1), abs=1e-3)
+    assert path.heading == pytest.approx(-quartic * (32 * u**3 - 16 * u) * du, abs=1e-3)
+    assert path.curvature[0] == pytest.approx(quartic * (96 * u**2 - 16) * du**2, abs=1e-3)
+
+
+def test_the_rest_goes_on_straight_beyond_its_range() -> None:
+    rest = Chebyshev([0, 0, 0, 0, 0.05], domain=[5.0, 25.0])
+    path = path_beside(line([0, 0, 0, 0], x_min=3.0, x_max=25.0), 0.0, STILL, rest)
+    assert path is not None
+    slope = -16 * 0.05 * 2 / 20
+    expected = -(0.05 - 5.0 * slope) * math.cos(math.atan(slope))
+    assert path.offset == pytest.approx(expected, abs=2e-2)
+    assert path.heading == pytest.approx(-math.atan(slope), abs=1e-9)
+    assert path.curvature[path.s < 4.0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_quartics_bring_the_path_closer_to_the_lane() -> None:
+    """Along a street with a corner of 8 m, the middle of the lane is where the car is."""
+    lines = {slot: STREETS["corner"].lines[slot] for slot in (LEFT, RIGHT)}
+    centre = STREETS["corner"].lines[Slot.CENTRE]
+    offsets = []
+    for along in np.arange(30.0, 90.0, 1.5):
+        at = np.array([along - 0.1, along, along + 0.1])
+        x, y = (np.interp(at, centre.distance, values) for values in centre.points.T)
+        pose = [x[1], y[1], math.atan2(y[2] - y[0], x[2] - x[0])]
+        scene = map_scene(lines, Gaussian(pose, np.diag([1e-6] * 3) ** 2), window=(-4.0, 80.0))
+        cubics = replace(scene, quartics=np.zeros(len(scene.lines)))
+        paths = [lane_path(given, STILL, 3.5)[0] for given in (scene, cubics)]
+        offsets.append([path.offset for path in paths if path is not None])
+    with_quartics, without = np.sqrt(np.mean(np.square(offsets), axis=0))
+    assert with_quartics < 0.6 * without
 
 
 def test_the_standard_deviation_is_across_the_path() -> None:

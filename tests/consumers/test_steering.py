@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from maplines_can import STREETS, Gaussian, MapLine, Motion, Scene, Slot, map_scene
+from maplines_can.consumers.path import Path
 from maplines_can.consumers.steering import (
     COST,
     LaneSteering,
@@ -195,6 +196,14 @@ def test_a_curve_that_is_too_tight_is_handed_over() -> None:
     path = corner_path(4.0).path
     steering = LaneSteering(SteeringLimits(curvature=1 / 15))
     assert steering._fastest(path, 4.0, 13.9) == (Reason.TIGHT, 0.0)
+
+
+@pytest.mark.parametrize(("length", "reason"), [(0.5, Reason.NONE), (3.0, Reason.TIGHT)])
+def test_a_short_peak_of_the_curvature_is_no_tight_curve(length: float, reason: Reason) -> None:
+    """As at the end of a cubic, beside a car that leaves a corner."""
+    s = np.linspace(0.0, 20.0, 81)
+    path = Path(0.0, 0.0, s, np.where(s <= length, 0.25, 0.0), np.full(81, 0.05))
+    assert LaneSteering()._fastest(path, 2.0, 2.0)[0] is reason
 
 
 @pytest.mark.parametrize("name", SteeringLimits.__dataclass_fields__)

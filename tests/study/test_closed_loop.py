@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from maplines_can import STREETS
+from maplines_can import STREETS, Gaussian, Slot, map_scene
 from maplines_can.consumers.steering import Reason, State
-from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street
+from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street, without
 
 SIGMA = (0.3, 0.1, 0.003)
 
@@ -70,3 +70,22 @@ def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
     assert 2.9 < handover.t < 3.1
     assert handover.reason is Reason.NO_LINES
     assert moments[-1].speed < 0.05
+
+
+def test_a_car_that_knows_its_pose_follows_a_corner_within_centimetres() -> None:
+    exact = Localisation((1e-6, 1e-6, 1e-6)).pose
+    loop = on_street(STREETS["corner"].lines, exact)
+    loop.way = (53.0, 88.0)  # the corner is from 60 m to 72 m
+    moments = loop.run()
+    assert moments[-1].along > 77.0
+    assert np.quantile([abs(m.error) for m in moments], 0.95) < 0.06
+
+
+def test_a_scene_without_a_line_keeps_what_belongs_to_the_others() -> None:
+    lines = {slot: STREETS["corner"].lines[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT)}
+    scene = map_scene(lines, Gaussian([20.0, 0.0, 0.0], np.diag([0.1, 0.1, 0.001]) ** 2))
+    rest = without(scene, Slot.EGO_LEFT)
+    assert [line.slot for line in rest.lines] == [Slot.EGO_RIGHT]
+    assert rest.quartics == pytest.approx(scene.quartics[1:])
+    assert rest.fit_ranges == pytest.approx(scene.fit_ranges[1:])
+    assert rest.cov == pytest.approx(scene.cov[4:, 4:])
