@@ -44,5 +44,6 @@ def draw(times: Mapping[str, Mapping[str, Any]], bound: float, path: str | PathL
     panels[1].axvline(bound, color="black", lw=1, ls=":", label="upper 95 % bound of the runs")
     panels[0].set_yticks(np.arange(len(ways)), ways)
     panels[0].invert_yaxis()
-    panels[1].legend(frameon=False, fontsize=8, loc="lower right")
+    handles = panels[1].get_legend_handles_labels()
+    figure.legend(*handles, frameon=False, fontsize=8, loc="outside upper center", ncols=4)
     figure.savefig(path, dpi=110)
