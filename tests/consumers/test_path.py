@@ -86,7 +86,7 @@ def test_the_quartics_bring_the_path_closer_to_the_lane() -> None:
     """Along a street with a corner of 8 m, the middle of the lane is where the car is."""
     lines = {slot: STREETS["corner"].lines[slot] for slot in (LEFT, RIGHT)}
     centre = STREETS["corner"].lines[Slot.CENTRE]
-    offsets = []
+    errors = []
     for along in np.arange(30.0, 90.0, 1.5):
         at = np.array([along - 0.1, along, along + 0.1])
         x, y = (np.interp(at, centre.distance, values) for values in centre.points.T)
@@ -94,9 +94,9 @@ def test_the_quartics_bring_the_path_closer_to_the_lane() -> None:
         scene = map_scene(lines, Gaussian(pose, np.diag([1e-6] * 3) ** 2), window=(-4.0, 80.0))
         cubics = replace(scene, quartics=np.zeros(len(scene.lines)))
         paths = [lane_path(given, STILL, 3.5)[0] for given in (scene, cubics)]
-        offsets.append([path.offset for path in paths if path is not None])
-    with_quartics, without = np.sqrt(np.mean(np.square(offsets), axis=0))
-    assert with_quartics < 0.6 * without
+        errors.append([(path.offset, path.heading) for path in paths if path is not None])
+    with_quartics, without = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert (with_quartics < 0.8 * without).all()
 
 
 def test_the_standard_deviation_is_across_the_path() -> None:
