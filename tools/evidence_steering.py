@@ -12,7 +12,8 @@ and decoded; the lane keeping sees them 40 ms later. The tour has 11.9 km: stree
 roundabout, a motorway with four lane changes. Shapes: a corner of 8 m and a roundabout of 12 m.
 
     production   sigma of 0.3 m along, 0.1 m across, 0.2 deg, correlated for 10 s
-    precise      0.06 m along, 0.02 m across, 0.05 deg: 95 % of the lateral errors within 5 cm
+    precise      0.06 m along, 0.02 m across, 0.05 deg: 95 % of its lateral errors within 5 cm
+    rtk          0.01 m along and across, 0.05 deg
 
 The error is the lateral distance of the rear axle from the middle of the lane. The control error is
 this, less the lateral error of the stated pose, which no control can know. In the lane: a car of
@@ -53,6 +54,7 @@ from maplines_can.study.closed_loop import (
 LOCALISATIONS = {
     "production": (0.3, 0.1, math.radians(0.2)),
     "precise": (0.06, 0.02, math.radians(0.05)),
+    "rtk": (0.01, 0.01, math.radians(0.05)),
 }
 #: Largest distance from the middle of the lane at which the car is in it [m].
 IN_LANE = (3.5 - 1.8) / 2
