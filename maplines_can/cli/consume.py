@@ -23,6 +23,7 @@ def add_consume(commands: Any) -> None:
     parser = commands.add_parser(
         "consume",
         description=f"{DESCRIPTION}\n\nconsumers:{rows}",
+        epilog="example: maplines consume fusion --simulate --seconds 10",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     consumers = parser.add_subparsers(required=True, metavar="CONSUMER")
