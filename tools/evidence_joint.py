@@ -48,6 +48,7 @@ from scene_layouts import COMPLETE, layout_of, pose_layout_of, scene_code
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot
 from maplines_can.line import lateral_jacobian
 from maplines_can.propagation import map_scene
+from maplines_can.study.scenes.source import noise_floor
 from maplines_can.wire import Codec
 from maplines_can.wire.covariance.joint import block_diagonal
 from maplines_can.wire.covariance.own_levels import bases
@@ -211,9 +212,8 @@ def check(
 
 def compare(truth: Truth, decoded: DecodedLines, add: Callable[..., None]) -> None:
     """Add the divergence of the lines and the ratios of standard deviations."""
-    J = bases(decoded.means, decoded.fit_ranges)
-    true = truth.cov + RESOLUTION**2 * block_diagonal(J @ J.swapaxes(1, 2))
-    inverse = np.linalg.inv(J)
+    inverse = np.linalg.inv(bases(decoded.means, decoded.fit_ranges))
+    true = truth.cov + noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)
     for i, line in enumerate(truth.lines):
         block = np.s_[4 * i : 4 * i + 4]
         S, C = (inverse[i] @ cov[block, block] @ inverse[i].T for cov in (true, decoded.cov))

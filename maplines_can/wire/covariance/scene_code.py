@@ -14,7 +14,7 @@ decodes what it encodes. P' covers P. D_i covers what C lacks without it. If tog
 cover the scene, since the lines differ from f_i in different ways, the D_i of the lines concerned
 are enlarged until they do.
 
-D_i has one of two forms. ``OwnLevels`` takes 18 bits and suffices for most lines whose map error
+D_i has one of two forms. ``OwnLevels`` takes 19 bits and suffices for most lines whose map error
 is known. The form with all entries takes as many bits as the covariance of a line by itself.
 """
 
