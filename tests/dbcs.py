@@ -6,7 +6,9 @@ import re
 from functools import cache
 from pathlib import Path
 
-from maplines_can.wire import Codec
+from scene_layouts import layout_of
+
+from maplines_can.wire import Authenticator, Codec
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 
@@ -14,7 +16,14 @@ DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 @cache
 def default_codec() -> Codec:
     """The codec of maplines.dbc, loaded once; for tests that leave its counters alone."""
-    return Codec.from_dbc()
+    return new_codec()
+
+
+def new_codec(authenticator: Authenticator | None = None) -> Codec:
+    """``Codec.from_dbc(None, authenticator)`` of a DBC that is loaded once."""
+    return Codec(
+        layout_of("maplines-secoc.dbc" if authenticator else "maplines.dbc"), authenticator
+    )
 
 
 def edited(tmp_path: Path, *edits: tuple[str, str]) -> Path:

@@ -7,9 +7,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from scene_layouts import layout_of
 
 from maplines_can import Codec, Gaussian, MapError, Monitor, Polyline, Scene, Slot, map_scene
-from maplines_can.wire import Authenticator, Decoder, Frame, Key, default_dbc_path
+from maplines_can.wire import Authenticator, Decoder, Frame, Key
 
 #: Offsets of the lines from the car [m].
 OFFSETS = {
@@ -31,13 +32,18 @@ PERIOD_NS, FRAME_NS = 50_000_000, 250_000
 @cache
 def codec_of(dbc: str) -> Codec:
     """Return the codec of one of the project's DBCs, for tests that leave its counters alone."""
-    return Codec.from_dbc(default_dbc_path(dbc))
+    return new_codec(dbc)
+
+
+def new_codec(dbc: str) -> Codec:
+    """Return a codec of one of the project's DBCs with counters of its own."""
+    return Codec(layout_of(dbc))
 
 
 def authenticated_codec(dbc: str) -> Codec:
     """Return a codec with a key."""
     key = Key(bytes(range(16)), key_id=1)
-    return Codec.from_dbc(default_dbc_path(dbc), Authenticator(key, clock=lambda: 10**18))
+    return Codec(layout_of(dbc), Authenticator(key, clock=lambda: 10**18))
 
 
 def road_scene(

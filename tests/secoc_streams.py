@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
+from dbcs import new_codec
 
-from maplines_can import Codec, MapLine
+from maplines_can import MapLine
 from maplines_can.wire import Authenticator, Key
 from maplines_can.wire.message.slot_messages import SecuredLayout
 
@@ -29,7 +30,7 @@ class Clock:
 
 
 def codec_of(*keys: Any, clock: Any = None, **rest: Any) -> Any:
-    return Codec.from_dbc(None, Authenticator(*(keys or (Key(SECRET),)), clock=clock, **rest))
+    return new_codec(Authenticator(*(keys or (Key(SECRET),)), clock=clock, **rest))
 
 
 def feed(decoder: Any, frames: Any, t_ns: Any = NOW, step_ns: Any = 50 * MS) -> Any:

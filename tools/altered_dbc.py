@@ -17,11 +17,13 @@ The exit status is 1 if a result is wrong.
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
-import cantools
+from cantools.database.can import Database, Message
 from dbc_alterations import (
     SLOTS,
     Alteration,
@@ -31,6 +33,7 @@ from dbc_alterations import (
     of_field,
     of_field_in,
     of_messages,
+    part,
     pose_original,
 )
 from dbc_witness import check_codec
@@ -47,16 +50,32 @@ SCENE_RECORDS = 8
 
 
 class SceneRecord(NamedTuple):
-    """Kind of record of a scene, whose fields are altered."""
+    """Kind of record of a scene, whose fields are altered.
+
+    Its alterations have the altered messages only, since loading the DBC takes most of the time.
+    """
 
     original: Callable[[], str]  #: the text of the DBC
     message: str  #: one of its messages
     messages: str  #: all of its messages, as a regular expression
     check: Callable[[Layout, Any, int], None]
 
+    def loaded(self, text: str) -> Database:
+        """Return the database of the altered messages, and of the others in CAN FD frames."""
+        database = parse_database(text, "DBC")
+        database.messages.extend(_others(self))
+        return database
+
+
+@cache
+def _others(kind: SceneRecord) -> list[Message]:
+    """Return the CAN FD messages of the original that no alteration changes."""
+    whole = parse_database(kind.original(), "DBC").messages
+    return [m for m in whole if m.is_fd and not re.fullmatch(kind.messages, m.name)]
+
 
 KINDS = {
-    "Pose": SceneRecord(pose_original, "Pose", "Pose(Fd)?", check_pose),
+    "Pose": SceneRecord(pose_original, "Pose", "Pose(?:Fd)?", check_pose),
     "Conditional": SceneRecord(conditional_original, "EgoLeft", r"Ego\w+", check_conditional),
 }
 
@@ -73,12 +92,9 @@ def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outc
     """Load an altered DBC and check it; ``records`` are sent in a row in each frame format."""
     kind, _, field = alteration.field.rpartition(".")
     try:
-        if kind:
-            database: Any = parse_database(alteration.text, "DBC")  # once, as it takes the time
-            codec = Codec(Layout.from_dbc(database))
-        else:
-            codec = Codec(Layout.from_text(alteration.text, "DBC"))
-            database = cantools.database.load_string(alteration.text, "dbc")
+        text = alteration.text
+        database = KINDS[kind].loaded(text) if kind else parse_database(text, "DBC")
+        codec = Codec(Layout.from_dbc(database))
     except LayoutError as error:
         named = (field, SLOTS[0].name, KINDS[kind].message if kind else "EgoLeft")
         if alteration.field == MESSAGES or any(name in str(error) for name in named):
@@ -100,7 +116,8 @@ def alterations_of(field: str) -> Iterator[Alteration]:
     """Yield the alterations of a signal, or of messages."""
     kind, _, signal = field.rpartition(".")
     if kind:
-        altered = of_field_in(KINDS[kind].original(), signal, KINDS[kind].messages)
+        record = KINDS[kind]
+        altered = of_field_in(part(record.original(), record.messages), signal, record.messages)
         return (alteration._replace(field=field) for alteration in altered)
     return of_messages() if field == MESSAGES else of_field(field)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import NamedTuple
 
 from maplines_can.line import Slot
@@ -53,6 +54,7 @@ class SignalLine:
     rest: str
 
     @classmethod
+    @cache
     def parse(cls, line: str) -> SignalLine | None:
         """Return the signal of a line of a DBC; None if it has none."""
         found = _SIGNAL.fullmatch(line)
@@ -160,6 +162,7 @@ CHANGES: dict[str, Change] = {
 }  # fmt: skip
 
 
+@cache
 def original(*slots: Slot) -> str:
     """Return the text of the original, with these slots."""
     first, second, third, fourth = DEFAULT.pages
@@ -172,6 +175,7 @@ def original(*slots: Slot) -> str:
     return _without_comments(text)
 
 
+@cache
 def pose_original() -> str:
     """Return the text of a DBC with complete lines and the pose error, with free pages."""
     levels = POSE_WITH_LEVELS.pages[2]
@@ -179,13 +183,14 @@ def pose_original() -> str:
     return _without_comments(replace(DEFAULT, slots=SLOTS, pose=pose).dbc())
 
 
+@cache
 def conditional_original() -> str:
-    """Return the text of a DBC with lines that are conditional on the pose, with a free page."""
+    """Return the text of a DBC with a line that is conditional on the pose, with a free page."""
     first, second, third, fourth = CONDITIONAL.pages
     levels = [spec for spec in second if spec.name == "OwnSpacing"]
     rest = (first[-1], *(spec for spec in second if spec not in levels))
     pages = (first[:-1], rest, (*third, *levels), fourth, ())
-    text = replace(CONDITIONAL, slots=SLOTS, pages=pages, first_secured_can_id=None).dbc()
+    text = replace(CONDITIONAL, slots=SLOTS[:1], pages=pages, first_secured_can_id=None).dbc()
     return _without_comments(text)
 
 
@@ -275,6 +280,11 @@ def _without(text: str, message: str) -> str:
         text = re.sub(rf"^BO_ {can_id} .*?\n\n", "", text, flags=re.M | re.S)
         text = re.sub(rf"^(?:BA_|VAL_)[^\n]* {can_id} [^;]*;\n", "", text, flags=re.M)
     return text
+
+
+def part(text: str, message: str) -> str:
+    """Return the text with only those messages whose names match."""
+    return _without(text, rf"(?!(?:{message}):)\w+")
 
 
 def _without_comments(text: str) -> str:

@@ -9,9 +9,10 @@ A mutant is a copy of the tree with one change to a comparison, an operator, a n
 a default, a call or an assignment (see mutants.py). It is killed if a test fails or does not end.
 The checkout itself is not changed.
 
-All tests are run once to record the lines that each of them covers. A mutant is then tested by
+The tests are run once to record the lines that each of them covers. A mutant is then tested by
 those that cover its lines, the fastest first, until one fails. --budget limits their time, so a
-mutant that only slower tests would kill survives.
+mutant that only slower tests would kill survives. So does one that only the tests of altered DBCs
+(test_an_altered_*) would kill: they are left out, since to record them takes most of the time.
 
 The sample has mutants of each file, in proportion to their number; each seed gives another sample.
 tools/mutation_survivors.toml has the reasons for accepted survivors. An accepted survivor still

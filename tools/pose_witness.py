@@ -102,7 +102,7 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
     """
     covariance = CholeskyCode(layout)
     records, writer = ConditionalRecords(layout), FrameWriter(layout, None)
-    rng = np.random.default_rng(4)
+    rng, slot = np.random.default_rng(4), min(layout.messages)
     for fd in (False, True):
         state: Reassembler[Slot, ConditionalRecord] = Reassembler(
             layout, lambda data, slot, _: records.read(data, slot), decoder_settings(layout)[0]
@@ -114,7 +114,7 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
                 raw |= drawn(layout, [signal.name for signal in covariance.signals], rng)
                 raw |= dict.fromkeys(OWN_SIGNALS, 0)
             number = i % 2 ** layout["Counter"].length
-            record = ConditionalRecord(raw, number, Kind(i % 8), Slot.EGO_RIGHT)
+            record = ConditionalRecord(raw, number, Kind(i % 8), slot)
             frames = writer.write(records.write(record), record.slot, fd)
             got = [state.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
             if not isinstance(got, Record):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import edited
+from dbcs import edited, new_codec
 from fake_bus import FULL, Clock, FakeOpener, map_line
 
 from maplines_can import Codec, Link, MapLine, Monitor, Motion, Slot, Transmitter, predict_to
@@ -101,7 +101,7 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(
 ) -> None:
     """At every moment a usable line is as old as it says, and predicts the truth."""
     rng = np.random.default_rng(seed)
-    bench = make_bench(Codec.from_dbc(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
+    bench = make_bench(new_codec(), rng, lateness=rng.choice([0, 0.002, 0.02]), loss=0.05)
     hang = rng.uniform(1.0, 2.0)
     pose, produced, used, motion = 0.0, 0.0, 0, Motion(SPEED, 0.0)
     bound = codec.layout.max_age + STALE_CYCLES * PERIOD
@@ -134,7 +134,7 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(
 
 def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
     """The next good line is enough: the slot stayed VALID."""
-    bench = make_bench(Codec.from_dbc(), np.random.default_rng(0))
+    bench = make_bench(new_codec(), np.random.default_rng(0))
     bench.transmitter.publish(map_line())
     bench.run(2.0)
     assert not bench.monitor.latest(SLOT, bench.now_ns).usable
@@ -148,7 +148,7 @@ def test_item_1_max_age_is_the_greatest_age_that_is_sent(
     make_bench: Any, max_age: float | None
 ) -> None:
     """Beyond it the age is "too old"; such lines are counted."""
-    bench = make_bench(Codec.from_dbc(), np.random.default_rng(1), max_age=max_age)
+    bench = make_bench(new_codec(), np.random.default_rng(1), max_age=max_age)
     bench.transmitter.publish(map_line(age=0.01))
     bench.run(1.0)
     ages = [line.age for line in bench.lines]
@@ -203,9 +203,7 @@ def test_item_1_the_age_covers_the_wait_for_the_transmit_queue(
     make_bench: Any, monkeypatch: pytest.MonkeyPatch, full: int
 ) -> None:
     """A line that waits is encoded again before its first frame, with the same counter."""
-    bench = make_bench(
-        Codec.from_dbc(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full
-    )
+    bench = make_bench(new_codec(), np.random.default_rng(3), script=[None] * 4 + [FULL] * full)
     monkeypatch.setattr("maplines_can.bus.transmitter.time", sleeper := Sleeper(bench.clock))
     bench.transmitter.publish(map_line())
     for _ in range(3):
@@ -256,7 +254,7 @@ def test_item_1_a_mixture_is_as_old_as_its_components(codec: Codec, ages: Any) -
 
 def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
     """It is sent and received, VALID and new."""
-    bench = make_bench(Codec.from_dbc(), np.random.default_rng(4))
+    bench = make_bench(new_codec(), np.random.default_rng(4))
     for k in range(20):
         bench.transmitter.publish(map_line(y=1000.0))
         bench.run(PERIOD * k)
@@ -271,7 +269,7 @@ def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
 
 def test_item_10_a_line_retracted_and_published_again_is_not_lost(make_bench: Any) -> None:
     """Whatever was encoded ahead: the counters have no gap, and nothing is dropped."""
-    bench = make_bench(Codec.from_dbc(), np.random.default_rng(5))
+    bench = make_bench(new_codec(), np.random.default_rng(5))
     for k in range(40):
         bench.transmitter.publish(map_line(slot) for slot in Slot)
         bench.run(bench.time + bench.rng.uniform(0, PERIOD))
@@ -286,7 +284,7 @@ def test_item_10_a_line_retracted_and_published_again_is_not_lost(make_bench: An
 def test_item_10_publish_after_stop_raises() -> None:
     """Nothing would be sent; there is nothing left to retract."""
     with Link(FakeOpener()) as link:
-        transmitter = Transmitter(link, Codec.from_dbc())
+        transmitter = Transmitter(link, new_codec())
         transmitter.publish(map_line())  # before the start
         with transmitter:
             pass

@@ -8,7 +8,7 @@ from typing import Any
 
 import can
 import pytest
-from dbcs import default_codec
+from dbcs import default_codec, new_codec
 from fake_bus import GONE, LONG, FakeBus, FakeTime, collect, map_line, message_of, wait_until
 from fake_codec import PAGES, FakeCodec
 from hypothesis import given
@@ -18,7 +18,7 @@ from scene_streams import CONDITIONAL, codec_of, road_scene
 import maplines_can
 from maplines_can.bus import LineListener, Receiver
 from maplines_can.line import Slot
-from maplines_can.wire import POSE, Codec, E2EState
+from maplines_can.wire import POSE, E2EState
 
 POLL = 0.02  #: after which a notifier sees that it shall stop [s]
 
@@ -42,7 +42,7 @@ def send(bus: Any, codec: Any, *lines: Any, **rest: Any) -> None:
 def test_item_3_a_notifier_passes_lines_to_a_listener(buses: Any) -> None:
     """As with a receiver: queue, newest line, states and counters."""
     out, back = buses
-    codec = Codec.from_dbc()
+    codec = new_codec()
     listener = maplines_can.LineListener(codec.decoder())
     with can.Notifier(back, [listener], timeout=POLL):
         for k in range(9):
@@ -167,7 +167,7 @@ def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None
 
 def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
     """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
-    codec, path = Codec.from_dbc(), tmp_path / "drive.asc"
+    codec, path = new_codec(), tmp_path / "drive.asc"
     with can.Logger(path) as logger:
         for k in range(9):
             for frame in codec.encode(map_line()):

@@ -6,11 +6,12 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
+from dbcs import new_codec
 from fake_bus import FakeOpener, wait_until
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can import Codec, Link, MapLine, Slot, Transmitter, read_log
+from maplines_can import Link, MapLine, Slot, Transmitter, read_log
 from maplines_can.bus import LogWriter
 from maplines_can.bus.log_writer import message_of
 from maplines_can.errors import LogError, MissingExtraError
@@ -118,7 +119,7 @@ def test_close_may_be_called_again(tmp_path: Path) -> None:
 def test_a_transmitter_tells_each_frame_that_was_sent() -> None:
     """All frames of a line, in order."""
     opener, sent = FakeOpener(), list[Frame]()
-    codec = Codec.from_dbc()
+    codec = new_codec()
     line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
     with Link(opener) as link:
         transmitter = Transmitter(link, codec, period=0.01, count=3, on_sent=sent.append)

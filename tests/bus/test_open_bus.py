@@ -6,6 +6,7 @@ from typing import Any
 
 import can
 import pytest
+from dbcs import new_codec
 from fake_bus import (
     FRAME,
     GONE,
@@ -30,7 +31,7 @@ HOUR_MS = 3_600_000  #: a time-out of the reassembly that no busy machine exceed
 @pytest.mark.parametrize("fd", [False, True])
 def test_item_3_lines_pass_over_buses_that_are_open(channel: str, kind: Any, fd: bool) -> None:
     """They are still open afterwards."""
-    codec = Codec.from_dbc()
+    codec = new_codec()
     with (
         kind(interface="virtual", channel=channel) as out,
         kind(interface="virtual", channel=channel) as back,
@@ -207,10 +208,10 @@ def test_a_given_bus_gets_its_own_filters_back(channel: str) -> None:
             can.Bus(interface="virtual", channel=channel, can_filters=own) as bus,
             can.Bus(interface="virtual", channel=channel) as other,
         ):
-            with Receiver(bus, Codec.from_dbc().decoder()):
+            with Receiver(bus, new_codec().decoder()):
                 assert {entry["can_id"] for entry in bus.filters or ()} > {832}
             assert bus.filters == own
-            with Receiver(bus, Codec.from_dbc().decoder(), can_ids=None):
+            with Receiver(bus, new_codec().decoder(), can_ids=None):
                 assert bus.filters == own
             assert bus.filters == own
             other.send(can.Message(arbitration_id=1, is_extended_id=False))

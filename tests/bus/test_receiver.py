@@ -9,6 +9,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from dbcs import new_codec
 from fake_bus import (
     LONG,
     FakeTime,
@@ -179,7 +180,7 @@ def test_the_latest_line_of_a_backlog_is_not_new(
 ) -> None:
     """The sender has died; then the receiver starts, and reads a backlog from the queue."""
     monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
-    codec = Codec.from_dbc()
+    codec = new_codec()
     with (
         Link(interface="virtual", channel=channel, preserve_timestamps=True) as sender,
         Link(interface="virtual", channel=channel) as late,

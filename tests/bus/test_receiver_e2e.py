@@ -4,18 +4,18 @@ import threading
 from typing import Any
 
 import pytest
-from dbcs import default_codec
+from dbcs import default_codec, new_codec
 from e2e_streams import MS, SLOT, frames
 from fake_bus import FakeTime, collect, message_of, wait_until
 
-from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can import Link, MapLine, Receiver, Transmitter
 from maplines_can.bus import Sent
 from maplines_can.wire import E2EState
 
 
 def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
     """Many threads at once request the newest line: VALID while lines are received, then stale."""
-    codec, wrong = Codec.from_dbc(), []
+    codec, wrong = new_codec(), []
     # With lines at 50 Hz and no time-out: a busy machine is no fault here.
     decoder = codec.decoder(cycle_ms=100, timeout_ms=3_600_000)
     with Receiver(links[1], decoder) as receiver:

@@ -11,7 +11,14 @@ import can
 import numpy as np
 import pytest
 from fake_bus import FULL, GONE, Clock, FakeOpener, FakeTime, map_line
-from scene_streams import COMPLETE, CONDITIONAL, authenticated_codec, codec_of, road_scene
+from scene_streams import (
+    COMPLETE,
+    CONDITIONAL,
+    authenticated_codec,
+    codec_of,
+    new_codec,
+    road_scene,
+)
 
 from maplines_can import (
     Codec,
@@ -26,7 +33,7 @@ from maplines_can import (
 )
 from maplines_can.bus import LineListener
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE
-from maplines_can.wire import POSE, E2EState, ProfileStatus, SceneView, default_dbc_path
+from maplines_can.wire import POSE, E2EState, ProfileStatus, SceneView
 from maplines_can.wire.reception.monitor import STALE_CYCLES
 
 PERIOD = 0.05
@@ -469,7 +476,7 @@ def test_a_count_of_deadlines_ends(make_bench: Any) -> None:
 
 def test_the_scene_of_a_listener() -> None:
     """By the clock of the frames' time stamps, or at the given time."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    codec = new_codec(CONDITIONAL)
     listener = LineListener(codec.decoder())
     prepared = codec.prepare_scene(scene_of())
     t = 1000.0
@@ -497,7 +504,7 @@ def test_the_scene_of_a_listener() -> None:
 
 def test_lines_that_waited_reach_the_consumer() -> None:
     """All lines that a late pose error completes go to the queue of a listener, or its callback."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    codec = new_codec(CONDITIONAL)
     frames = codec.encode_scene(scene_of())
     late = [frame for slot in SLOTS for frame in frames[slot]] + frames[POSE]
     got: list[MapLine] = []

@@ -9,6 +9,7 @@ from typing import Any
 
 import can
 import pytest
+from dbcs import new_codec
 from fake_bus import (
     FULL,
     GONE,
@@ -33,7 +34,7 @@ from maplines_can.bus.transmitter import TransmitterStats
 from maplines_can.errors import BusError, EncodeError
 from maplines_can.line import LeftOut, MapLineList, Slot
 from maplines_can.scene import Scene
-from maplines_can.wire import POSE, Codec, Frame, PreparedScene
+from maplines_can.wire import POSE, Frame, PreparedScene
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
@@ -273,7 +274,7 @@ def test_udp_multicast_carries_lines() -> None:
 @pytest.mark.parametrize("fd", [False, True])
 def test_lines_of_the_real_codec(link: Any, other: Any, fd: bool) -> None:
     """End to end: nothing rejected, nothing lost, every value as sent to within a millimetre."""
-    codec = Codec.from_dbc()
+    codec = new_codec()
     sent = [map_line(slot, y=slot / 7, age=0.02) for slot in Slot]
     decoder = codec.decoder(timeout_ms=3_600_000)  # a busy machine is no fault here
     with Receiver(other, decoder) as receiver:

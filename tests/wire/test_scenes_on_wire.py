@@ -23,6 +23,7 @@ from scene_streams import (
     authenticated_codec,
     codec_of,
     feed,
+    new_codec,
     road_scene,
 )
 
@@ -182,7 +183,7 @@ def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
 @pytest.mark.parametrize("dbc", ALL)
 def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
     """A sender that alternates scenes of different slots: each scene has the lines of its cycle."""
-    codec = Codec.from_dbc(default_dbc_path(dbc))
+    codec = new_codec(dbc)
     plans = [SLOTS, SLOTS[:1], SLOTS[1:], (), SLOTS[:2]]
     empty = Scene((), np.zeros((0, 0)), road_scene().pose_error, np.zeros((0, 2)))
     prepared = [codec.prepare_scene(road_scene(slots) if slots else empty) for slots in plans]
@@ -203,7 +204,7 @@ def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
 
 def test_counters_of_the_codec_have_no_gap() -> None:
     """Each slot and the pose error counts by itself, modulo 256."""
-    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    codec = new_codec(CONDITIONAL)
     prepared = codec.prepare_scene(road_scene(SLOTS[:1]))
     seen: dict[Any, list[int]] = {POSE: [], Slot.EGO_LEFT: []}
     for _ in range(260):
@@ -215,7 +216,7 @@ def test_counters_of_the_codec_have_no_gap() -> None:
 
 def test_counters_of_plain_lines_and_scenes_go_on() -> None:
     """They wrap around, too."""
-    codec = Codec.from_dbc(default_dbc_path(COMPLETE))
+    codec = new_codec(COMPLETE)
     scene = road_scene(SLOTS[:1])
     prepared = codec.prepare_scene(scene)
     counters = []
@@ -355,7 +356,7 @@ def faulty_stream(codec: Codec, faults: str, cycles: int, fd: bool) -> Iterator[
 )
 def test_every_frame_is_accounted_for(dbc: str, fd: bool, faults: str) -> None:
     """At any time; and each scene covers what was sent."""
-    codec = Codec.from_dbc(default_dbc_path(dbc))
+    codec = new_codec(dbc)
     decoder: Decoder = codec.decoder()
     sent, scenes = road_scene(SLOTS), 0
     for n, (frame, t_ns) in zip(count(1), faulty_stream(codec, faults, 60, fd), strict=False):

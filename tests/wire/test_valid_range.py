@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import edited
+from dbcs import edited, new_codec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -83,7 +83,7 @@ def test_item_4_each_component_of_a_mixture(ends: Any, usable: bool) -> None:
     """All have the range of their line."""
     components = tuple(Gaussian(np.array([y, 0, 0, 0]), COV) for y in (-0.1, 0.1))
     mixture = GaussianMixture(np.array([0.5, 0.5]), components)
-    codec = Codec.from_dbc()
+    codec = new_codec()
     line = MapLine.of_mixture(Slot.ROUTE, mixture, x_min=ends[0], x_max=ends[1])
     decoder = codec.decoder()
     *_, received = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]

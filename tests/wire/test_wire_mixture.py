@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import default_codec
+from dbcs import default_codec, new_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -100,7 +100,7 @@ def sent_lines(n: Any, k: Any, seed: int = 3) -> Iterator[Any]:
 @pytest.mark.parametrize("fd", [False, True])
 def test_a_mixture_round_trip(fd: bool) -> None:
     """The line is delivered with its last component, with the decoded mixture and its moments."""
-    codec = Codec.from_dbc()
+    codec = new_codec()
     decoder = codec.decoder()
     (line,) = sent_lines(1, 5)
     frames = codec.encode(line, fd=fd)
@@ -121,7 +121,7 @@ def test_a_mixture_round_trip(fd: bool) -> None:
 def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: bool) -> None:
     """Under loss, duplication and reordering each delivered mixture was sent, and only once."""
     rng = np.random.default_rng(seed)
-    codec = Codec.from_dbc()
+    codec = new_codec()
     sent = list(sent_lines(12, k, seed=seed % 1000))
     expected = {}
     stream = []
@@ -148,7 +148,7 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
 
 def test_an_incomplete_mixture_times_out() -> None:
     """Its frames are counted, and the next line is delivered."""
-    codec = Codec.from_dbc()
+    codec = new_codec()
     decoder = codec.decoder(timeout_ms=50)
     first, second = (codec.encode(line) for line in sent_lines(2, 3))
     for i, frame in enumerate(first[:8]):
@@ -165,7 +165,7 @@ def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     weights, means, covs = random_mixtures(1, 8, seed=3)
     components = tuple(Gaussian(mean, cov) for mean, cov in zip(means[0], covs[0], strict=True))
     line = MapLine.of_mixture(Slot.EGO_LEFT, GaussianMixture(weights[0], components))
-    codec = Codec.from_dbc()
+    codec = new_codec()
     decoder = codec.decoder(timeout_ms=25)
     frames = codec.encode(line)
     answers = [decoder.feed(f.can_id, f.data, i * 1_080_000) for i, f in enumerate(frames)]

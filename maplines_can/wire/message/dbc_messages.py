@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 from enum import Enum
 from typing import Any
 
-import numpy as np
 from cantools.database.can import Message
 from cantools.database.can import Signal as DbcSignal
 
@@ -142,10 +142,9 @@ def to_signal(signal: DbcSignal) -> Signal:
     factor, offset = float(signal.scale), float(signal.offset)
     signed = bool(signal.is_signed and not signal.is_float)
     low, high = all_raw(signal.length, signed)
-    bounds = (signal.minimum, signal.maximum)
-    if None not in bounds and not signal.is_float:  # the DBC's range, if it is narrower
-        with np.errstate(all="ignore"):
-            ends = np.nan_to_num((np.array(bounds, dtype=float) - offset) / factor)
+    bounds = [bound for bound in (signal.minimum, signal.maximum) if bound is not None]
+    if len(bounds) == 2 and factor != 0 and not signal.is_float:  # the DBC's range, if narrower
+        ends = [_finite((float(bound) - offset) / factor) for bound in bounds]
         first, last = ends if factor > 0 else ends[::-1]
         slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
         low, high = max(low, math.ceil(first - slack)), min(high, math.floor(last + slack))
@@ -162,3 +161,9 @@ def to_signal(signal: DbcSignal) -> Signal:
         raw_max=high,
         is_float=bool(signal.is_float),
     )
+
+
+def _finite(value: float) -> float:
+    """Return the finite number nearest to a value; 0 for NaN."""
+    most = sys.float_info.max
+    return 0.0 if math.isnan(value) else max(-most, min(value, most))

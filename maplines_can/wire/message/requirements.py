@@ -178,12 +178,12 @@ CONDITIONAL_REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "XMin": (WHOLE_METRES,),
     "XMax": (WHOLE_METRES,),
 }
+_PAGE_OF = re.compile(rf"{PAGE}(\d+)")
 
 
 def pages_of(names: Iterable[str]) -> list[int]:
     """Return the numbers of the pages of a record, from its signals, in ascending order."""
-    found = (re.fullmatch(f"{PAGE}(\\d+)", name) for name in names)
-    return sorted(int(match[1]) for match in found if match)
+    return sorted(int(match[1]) for match in map(_PAGE_OF.fullmatch, names) if match)
 
 
 def _each(signals: Mapping[str, Signal], name: str) -> list[Signal]:

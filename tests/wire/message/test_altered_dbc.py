@@ -23,16 +23,17 @@ from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.wire import Layout
 
 ROOT = Path(__file__).parents[3]
-#: Fields for which it matters that counters wrap.
-COUNTED = ("Counter", "Page", "TransferId", "Component")
+#: Records in a row for the fields for which it matters that a number wraps: all numbers of the
+#: counter, and those of the transfer ID, which has 4 bits, twice.
+RECORDS = {"Counter": 300, "TransferId": 300, "Page": 40, "Component": 40}
 
 
 @pytest.mark.parametrize("field", [altered_dbc.MESSAGES, *fields()])
 def test_an_altered_dbc_gives_a_right_result_or_a_refusal(field: str) -> None:
-    """Each alteration of a field. With those of the counters, 300 records are sent in a row."""
-    counted = field.startswith(COUNTED)
+    """Each alteration of a field. With those of counters, many records are sent in a row."""
+    records = next((n for name, n in RECORDS.items() if field.startswith(name)), 0)
     outcomes = [
-        altered_dbc.outcome(alteration, records=300 if counted else 0, lines=16)
+        altered_dbc.outcome(alteration, records, lines=16)
         for alteration in altered_dbc.alterations_of(field)
     ]
     wrong = [(o.alteration.name, o.text) for o in outcomes if o.result == "wrong"]

@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cantools
 import numpy as np
 import pytest
+from dbcs import new_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import scene_lines
@@ -47,7 +49,7 @@ def test_every_byte_of_a_frame_is_as_documented(clock: Any, lines: Any) -> None:
     """Record, key ID, time in microseconds and MAC, computed independently from the same line."""
     codec = codec_of(Key(SECRET, key_id=9), clock=clock)
     (frame,) = codec.encode(lines[0], fd=True)
-    (plain,) = Codec.from_dbc().encode(lines[0], fd=True)
+    (plain,) = new_codec().encode(lines[0], fd=True)
     assert (frame.can_id, frame.is_fd, len(frame.data)) == (0x350, True, 48)
     freshness = NOW // US
     assert frame.data[:33] == plain.data + b"\x09"
@@ -224,18 +226,17 @@ def test_the_window_about_the_current_time(
     assert receiver.feed(good.can_id, good.data, NOW + S) is not Reason.AGE
 
 
-def with_freshness(tmp_path: Path, n: int, mac_bytes: int = 8) -> Path:
-    """A DBC with n bytes of freshness value."""
-    path = tmp_path / f"freshness{n}.dbc"
-    path.write_text(replace(SECURED, freshness_bytes=n, mac_bytes=mac_bytes).dbc())
-    return path
+@cache
+def with_freshness(n: int) -> Layout:
+    """The layout of a DBC with n bytes of freshness value."""
+    return Layout.from_text(replace(SECURED, freshness_bytes=n).dbc())
 
 
 @pytest.mark.parametrize("n", [1, 2])
-def test_a_freshness_value_that_is_too_short_is_refused(tmp_path: Path, n: int) -> None:
+def test_a_freshness_value_that_is_too_short_is_refused(n: int) -> None:
     """Item 8: 2 bytes of microseconds last 65 ms, so no line would be accepted."""
     with pytest.raises(LayoutError, match=r"Freshness is .*needs 3 bytes or more; widen it"):
-        Layout.from_dbc(with_freshness(tmp_path, n))
+        with_freshness(n)
 
 
 @pytest.mark.parametrize(
@@ -249,12 +250,12 @@ def test_a_freshness_value_that_is_too_short_is_refused(tmp_path: Path, n: int) 
     ],
 )
 def test_a_freshness_value_that_could_not_be_completed_is_refused(
-    tmp_path: Path, n: int, clock: Any, window_ns: int, words: str
+    n: int, clock: Any, window_ns: int, words: str
 ) -> None:
     """Item 8: without a clock, or with too wide a window, when the codec is made."""
     keys = Authenticator(Key(SECRET), clock=clock, window_ns=window_ns)
     with pytest.raises(LayoutError, match=words):
-        Codec.from_dbc(with_freshness(tmp_path, n), keys)
+        Codec(with_freshness(n), keys)
     with pytest.raises(LayoutError, match=words):
         Verifier(keys, SecuredLayout(41 + n, n, 8))
 
@@ -272,17 +273,16 @@ def test_a_freshness_value_that_could_not_be_completed_is_refused(
     ],
 )
 def test_what_is_accepted_works(
-    tmp_path: Path, lines: Any, n: int, window_ns: int, offset: float, gaps_s: Any
+    lines: Any, n: int, window_ns: int, offset: float, gaps_s: Any
 ) -> None:
     """Item 8: with a clock that is off by up to the window, each frame is accepted, and only once.
 
     So it is after lost frames and any silence.
     """
-    path = with_freshness(tmp_path, n)
     own, other = Clock(), Clock()
-    sender = Codec.from_dbc(path, Authenticator(Key(SECRET), clock=own))
+    sender = Codec(with_freshness(n), Authenticator(Key(SECRET), clock=own))
     receiver = Authenticator(Key(SECRET), clock=other, window_ns=window_ns)
-    verify = Codec.from_dbc(path, receiver).verifier()
+    verify = Codec(with_freshness(n), receiver).verifier()
     assert verify is not None
     for gap_s in gaps_s:
         own.now += round(gap_s * S)
@@ -335,7 +335,7 @@ def test_a_frame_without_a_mac_is_rejected(clock: Any, lines: Any, fd: bool) -> 
     assert names(feed(decoder, good)) == ["line"] * 20
     assert decoder.checks[Slot.EGO_LEFT].state is E2EState.VALID
     before = decoder.checks[Slot.EGO_LEFT].stats()
-    plain = Codec.from_dbc()
+    plain = new_codec()
     without_mac = [frame for _ in range(20) for frame in plain.encode(lines[0], fd=fd)]
     damaged = [frame._replace(data=b"?") for frame in [*without_mac, *good]]
     answers = feed(decoder, without_mac + damaged, clock.now, step_ns=1)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from dbcs import default_codec
+from dbcs import default_codec, new_codec
 from e2e_streams import CYCLE, MS, SLOT, frames
 
-from maplines_can import Codec, MapLine, Monitor
+from maplines_can import MapLine, Monitor
 from maplines_can.wire import E2EState
 
 VALID, NODATA, INIT, INVALID = E2EState
@@ -29,7 +29,7 @@ def test_a_slot_with_two_senders_is_not_usable(every: int) -> None:
 
 def test_a_line_becomes_stale() -> None:
     """After three cycles; its age counts from its pose, and the state changes at 275 ms."""
-    codec = Codec.from_dbc()
+    codec = new_codec()
     monitor = Monitor(codec.decoder())
     before = monitor.latest(SLOT, 0)
     assert before == (SLOT, None, np.inf, True, NODATA, None, False)
