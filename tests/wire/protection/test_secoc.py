@@ -284,10 +284,12 @@ def test_what_is_accepted_works(
     receiver = Authenticator(Key(SECRET), clock=other, window_ns=window_ns)
     verify = Codec(with_freshness(n), receiver).verifier()
     assert verify is not None
+    line = lines[0]
+    (record,) = sender.encode_batch(line.gaussian.mean[None], line.gaussian.cov[None])
     for gap_s in gaps_s:
         own.now += round(gap_s * S)
         other.now = own.now + US * round(offset * window_ns / US)
-        (frame,) = sender.encode(lines[0], fd=True)
+        (frame,) = sender.frames(record, line.slot, fd=True)
         assert isinstance(verify(frame.data, DATA_ID), bytes)
         assert verify(frame.data, DATA_ID) is Reason.REPLAY
 

@@ -271,7 +271,7 @@ def test_two_senders_are_found_under_other_conditions(apart: int, offset_ms: int
     assert two_senders(default_codec().decoder(), offset_ms, apart, **how).two_senders
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(
     st.integers(0, 2**32), st.booleans(), st.sampled_from([1, 1, 3]), st.sampled_from([0.05, 0.3])
 )
