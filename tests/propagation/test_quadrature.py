@@ -96,18 +96,18 @@ def test_points_of_small_weight_without_a_value_are_excluded() -> None:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_quadrature_agrees_with_a_million_draws(name: Any) -> None:
+def test_quadrature_agrees_with_draws(name: Any) -> None:
     """Mean and variance of two lines within 5 standard errors, from the fourth moment."""
     scene = SCENARIOS[name]
     lines = [scene.lines[slot] for slot in (Slot.EGO_RIGHT, Slot.NEXT_LEFT)]
     refit = Refit(lines, scene.ego.mean, scene.window, **PAPER)
-    samples = without_warnings(MonteCarlo(1_000_000, seed=7).samples, refit, scene.ego)
+    samples = without_warnings(MonteCarlo(250_000, seed=7).samples, refit, scene.ego)
     mean, cov = without_warnings(Quadrature().moments, refit, scene.ego)
     off = samples.values - mean
     square = off * off
     n, variance = len(off), square.mean(axis=0)
     of_variance = np.sqrt(((square * square).mean(axis=0) - variance**2) / n)
 
-    assert samples.ill_posed <= 50  # beyond 4 sigma of the street turn with 10 deg
+    assert samples.ill_posed <= 20  # beyond 4 sigma of the street turn with 10 deg: 8 on average
     assert (np.abs(off.mean(axis=0)) <= 5 * np.sqrt(variance / n)).all()
     assert (np.abs(np.diagonal(cov, axis1=1, axis2=2) - variance) <= 5 * of_variance).all()
