@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,11 +28,18 @@ def line(slot: Slot, y: float, age: float = 0.0) -> MapLine:
     return MapLine(slot, Gaussian([y, 0, 0, 0], 0.01 * np.eye(4)), x_min=-8, x_max=80, age=age)
 
 
-def test_the_slots_of_a_lane_change_are_right(tmp_path: Path) -> None:
-    """On the motorway; the exit status tells."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """The folder of a lane change on the motorway, and the process that recorded it."""
+    folder = tmp_path_factory.mktemp("drive")
     command = [sys.executable, str(TOOLS / "evidence_drives.py"), "--simulated", "--json"]
-    command += ["--route", "3:0:-4..3:0:-3", "--folder", str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+    command += ["--route", "3:0:-4..3:0:-3", "--folder", str(folder)]
+    return folder, subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
+
+
+def test_the_slots_of_a_lane_change_are_right(recorded: Any) -> None:
+    """The exit status tells."""
+    _, done = recorded
     result = json.loads(done.stdout)
     assert done.returncode == 0, done.stdout + done.stderr
     slots = result["slots"]
@@ -43,22 +49,18 @@ def test_the_slots_of_a_lane_change_are_right(tmp_path: Path) -> None:
     assert slots["moments at which slots change"] == slots["all slots right after it"]
 
 
-def test_a_wrong_slot_is_found(tmp_path: Path, tool: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_slot_is_found(recorded: Any, tool: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """If ego left and ego right are exchanged from the middle of the drive on."""
     found = maps.load(maps.town_path())
     route = found.route("3:0:-4", "3:0:-3")
-    arguments = SimpleNamespace(
-        simulated=True, seed=0, rate=20.0, fd=False, seconds=None, route="3:0:-4..3:0:-3"
-    )
-    tool.transmit(arguments, tmp_path)
-    assert tool.slots_of(tmp_path, found, route)["met"]
-    lines = tool.decoded(tmp_path / "drive.log")
+    folder, _ = recorded
+    lines = tool.decoded(folder / "drive.log")
     exchanged = {Slot.EGO_LEFT: Slot.EGO_RIGHT, Slot.EGO_RIGHT: Slot.EGO_LEFT}
     for i, one in enumerate(lines):
         if 2 * i > len(lines) and one.slot in exchanged:
             lines[i] = replace(one, slot=exchanged[one.slot])
     monkeypatch.setattr(tool, "decoded", lambda _: lines)
-    result = tool.slots_of(tmp_path, found, route)
+    result = tool.slots_of(folder, found, route)
     assert result["wrong"]
     assert not result["met"]
 

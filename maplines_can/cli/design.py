@@ -151,6 +151,8 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
 def _run(arguments: argparse.Namespace, bar: Bar) -> int:
     if Path(arguments.out).suffix.lower() != ".dbc":
         raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
+    if not Path(arguments.out).parent.is_dir():  # the search takes long
+        raise ValueError(f"--out must be in a folder that exists, got {arguments.out!r}")
     if arguments.n is None:
         arguments.n = SCENES_N if arguments.scenes else LINES_N
     result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)

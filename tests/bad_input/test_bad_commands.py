@@ -283,7 +283,7 @@ def error_line(stderr: str) -> str:
         ("design --frames 999", 2, "--frames.*'999'"),
         ("design --max-kl 0", 2, "--max-kl.*'0'"),
         ("design --max-kl nan", 2, "--max-kl.*'nan'"),
-        ("design --max-kl 1e-300 --n 100 --set road --out {d}/x.dbc", 1, "--max-kl.*1e-300"),
+        ("design --frames 3 --max-kl 1e-300 --n 100 --set road", 1, "--max-kl.*1e-300"),
         ("design --frames 4 --n 1", 2, "--n.*'1'"),
         ("design --frames 4 --seed -1 --out {d}/x.dbc", 2, "--seed.*'-1'"),
         ("design --frames 4 --set nowhere", 1, "nowhere"),

@@ -11,10 +11,11 @@ from maplines_can.scenarios import SCENARIOS, STREETS
 
 
 def test_figures_are_written_to_the_folder(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every figure is there in both formats; other tests check what they show."""
     pytest.importorskip("matplotlib")
+    monkeypatch.setattr("maplines_can.study.figures.paper.DPI", 20)
     assert main(["figures", "--out", str(tmp_path), "--samples", "1000", "--json"]) == 0
     paths = json.loads(capsys.readouterr().out)
     assert {Path(path).suffix for path in paths} == {".png", ".svg"}
@@ -23,7 +24,7 @@ def test_figures_are_written_to_the_folder(
 
 def test_claims_as_csv(capsys: pytest.CaptureFixture[str]) -> None:
     """There is a row for each representation, before and after the bus."""
-    arguments = ["claims", "--scenario", "production", "--samples", "20000", "--format", "csv"]
+    arguments = ["claims", "--scenario", "production", "--samples", "1000", "--format", "csv"]
     assert main(arguments) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
     assert {row["wire"] for row in rows} == {"before", "after"}

@@ -56,7 +56,7 @@ def test_any_covariance_is_covered_or_out_of_range(
 @pytest.mark.parametrize("make", [paper, road])
 def test_the_sets_stay_within_the_bounds_of_the_design(codec: Any, make: Any) -> None:
     """KL, saturation, lateral error and sigma ratio, for pose error alone and with map error."""
-    means, covs = make(4000, seed=11)
+    means, covs = make(1500, seed=11)
     batch, evaluation = check_guarantee(codec, means, covs)
     assert evaluation.kl_covered.mean() <= 5e-3
     assert np.quantile(evaluation.kl_covered, 0.99) <= 1.2e-2
@@ -167,7 +167,7 @@ def test_wider_pivots_replace_a_small_inflation(tmp_path: Path) -> None:
     """If the DBC has hardly any inflation, the pivots are lifted instead."""
     starved = (r"(Inflation[^:]*: \d+\|3@1\+ )\([^)]*\) \[[^]]*\]", r"\1(0.001,0) [0|0.007]")
     codec = Codec.from_dbc(edited(tmp_path, starved))
-    batch, _ = check_guarantee(codec, *road(2000, seed=7))
+    batch, _ = check_guarantee(codec, *road(500, seed=7))
     assert (batch.status == Status.FULL).mean() > 0.9
 
 

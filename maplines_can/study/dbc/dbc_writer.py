@@ -96,6 +96,11 @@ class DbcWriter:
 
     def dbc(self) -> str:
         """Return the text of the DBC."""
+        text = str(self.database().as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
+        return re.sub(r"^ SG_ .*$", _without_exponents, text, flags=re.MULTILINE)
+
+    def database(self) -> Database:
+        """Return the database of the DBC, from which ``Layout.from_dbc`` reads the same layout."""
         definitions = _attribute_definitions()
         if self.first_secured_can_id is None:
             del definitions["SecOCDataId"]
@@ -103,7 +108,7 @@ class DbcWriter:
             del definitions["MapLinePose"]
         network = {"BusType": "CAN FD", "CovarianceCode": self.covariance_code}
         messages = [message for slot in self.slots for message in self._messages(slot)]
-        database = Database(
+        return Database(
             messages=[*messages, *self._pose_messages()],
             nodes=[
                 Node("PositionEcu", "Knows the pose and the map, and sends the lines."),
@@ -114,8 +119,6 @@ class DbcWriter:
                 attributes=_attributes(network), attribute_definitions=definitions
             ),
         )
-        text = str(database.as_dbc_string(sort_signals=None)).replace("\r\n", "\n")
-        return re.sub(r"^ SG_ .*$", _without_exponents, text, flags=re.MULTILINE)
 
     def table(self) -> str:
         """Return the fields as a Markdown table, for the page beside the DBC."""

@@ -151,7 +151,7 @@ def _why(spec: SignalSpec, more: int) -> str:
 def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> Figures:
     """Send scenes with these widths."""
     writer = replace(writer_of(bits), slots=tuple(Slot)[:LINES])
-    codec = Codec(Layout.from_text(writer.dbc(), "the design"))
+    codec = Codec(Layout.from_dbc(writer.database()))
     rows = [with_pose(codec, scene) for scene in scenes]
     kl = [value for row in rows for value in row.get("kl_lines", ())]
     whole = not any(row["left_out"] for row in rows)

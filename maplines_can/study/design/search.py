@@ -139,8 +139,7 @@ def figures_of(codec: Codec, lines: Gaussians) -> Figures:
 
 def _codec(writer: DbcWriter) -> Codec:
     """Return the codec of a DBC, with one slot of eight, since all are alike."""
-    writer = replace(writer, slots=(Slot.EGO_LEFT,))
-    return Codec(Layout.from_text(writer.dbc(), "the DBC of the design"))
+    return Codec(Layout.from_dbc(replace(writer, slots=(Slot.EGO_LEFT,)).database()))
 
 
 class _Found(NamedTuple):

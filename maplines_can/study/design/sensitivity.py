@@ -133,10 +133,7 @@ class RatioSpread:
             zero: place of 0 in the range, from 0 to 1.
             price: added to the loss for a share of 1 beyond the ends [nat].
         """
-        ends = _ends(bits, np.array(factor), np.array(zero))
-        loss, beyond, beyond_loss = map(float, self._losses(np.array(factor), *ends, price))
-        unseen = float(_beyond(self._unseen, *ends)[0])
-        return Width(bits, factor, -factor * 2**bits * zero, loss, beyond, beyond_loss, unseen)
+        return self._widths(np.array([bits]), np.array([factor]), np.array([zero]), price)[0]
 
     def widths(self, price: float) -> list[Width]:
         """Return the widths with step and range of least loss, from MIN_BITS to MAX_BITS."""
@@ -146,12 +143,17 @@ class RatioSpread:
                 self._losses(factor, *_ends(bits, factor, ZEROS), 0.0)[:2]
                 for bits in range(MIN_BITS, MAX_BITS + 1)
             ]
-        widths = []
-        for bits, (loss, beyond) in enumerate(self._grids, MIN_BITS):
-            charged = loss + price * beyond
-            i, j = np.unravel_index(charged.argmin(), charged.shape)
-            widths.append(self.width(bits, float(STEPS[i]), float(ZEROS[j]), price))
-        return widths
+        charged = np.array([loss + price * beyond for loss, beyond in self._grids])
+        best = charged.reshape(len(charged), -1).argmin(axis=1)
+        i, j = np.unravel_index(best, charged.shape[1:])
+        return self._widths(np.arange(MIN_BITS, MAX_BITS + 1), STEPS[i], ZEROS[j], price)
+
+    def _widths(self, bits: Array, factor: Array, zero: Array, price: float) -> list[Width]:
+        """Return a width for each of the values."""
+        ends = _ends(bits, factor, zero)
+        offset, unseen = -factor * 2**bits * zero, _beyond(self._unseen, *ends)[0]
+        columns = (bits, factor, offset, *self._losses(factor, *ends, price), unseen)
+        return [Width(*row) for row in zip(*(c.tolist() for c in columns), strict=True)]
 
     def _losses(
         self, factor: Array, low: Array, high: Array, price: float
@@ -162,7 +164,7 @@ class RatioSpread:
         return np.where(np.minimum(low, high) < LEAST_END, np.inf, loss), beyond, beyond_loss
 
 
-def _ends(bits: int, factor: Array, zero: Array) -> tuple[Array, Array]:
+def _ends(bits: int | Array, factor: Array, zero: Array) -> tuple[Array, Array]:
     """Return the distances from 0 to the ends of the values that are rounded into a range."""
     return factor * (2**bits * zero + 0.5), factor * (2**bits * (1 - zero) - 0.5)
 

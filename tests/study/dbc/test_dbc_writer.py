@@ -10,6 +10,7 @@ import pytest
 
 from maplines_can.line import Kind, Slot, Status
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
+from maplines_can.study.dbc.pose_spec import CONDITIONAL
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
 from maplines_can.wire import Codec, Layout
 
@@ -75,6 +76,20 @@ def test_the_page_names_the_ids_of_the_dbc() -> None:
     for messages in Layout.from_dbc().messages.values():
         row = f"| 0x{messages.can_id:03X} | 0x{messages.fd_can_id:03X} | 0x{messages.data_id:04X} |"
         assert row in page
+
+
+@pytest.mark.parametrize("writer", [DEFAULT, CONDITIONAL])
+def test_the_database_has_the_layout_of_the_text(writer: DbcWriter) -> None:
+    """The numbers of the text are exact."""
+    own, read = Layout.from_dbc(writer.database()), Layout.from_text(writer.dbc())
+    assert own.signals == read.signals
+    assert own.messages == read.messages
+    assert own.secured == read.secured
+    assert own.covariance_code == read.covariance_code
+    poses = [layout.pose for layout in (own, read)]
+    assert len({pose is None for pose in poses}) == 1
+    parts = [(pose.signals, pose.messages, pose.secured) for pose in poses if pose]
+    assert parts[:1] == parts[1:]
 
 
 def test_a_page_that_is_too_full_is_refused() -> None:

@@ -43,7 +43,13 @@ def roads() -> Any:
 
 @pytest.fixture(scope="module")
 def others() -> Any:
-    return {"road": road(N, seed=4), "paper": paper(N, seed=4)}
+    return {"road": road(N, seed=4)}
+
+
+@pytest.fixture(scope="module")
+def unlike() -> Any:
+    """Other lines than those of the designs, by the name of their set."""
+    return {make.__name__: make(800, 9) for make in (paper, road, adversarial)}
 
 
 @pytest.fixture(scope="module")
@@ -96,11 +102,11 @@ def test_each_design_fills_its_frames(designs: Any, folder: Any, frames: Any) ->
 
 
 @pytest.mark.parametrize("frames", FRAMES)
-@pytest.mark.parametrize("make", [paper, road, adversarial])
-def test_no_design_is_overconfident(folder: Any, frames: Any, make: Any) -> None:
+@pytest.mark.parametrize("name", ["paper", "road", "adversarial"])
+def test_no_design_is_overconfident(folder: Any, unlike: Any, frames: Any, name: str) -> None:
     """On the set of the design, on another set, and on adversarial covariances."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
-    lines = make(800, 9)
+    lines = unlike[name]
     batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
     verdict = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
     assert batch.accepted.all()
@@ -110,11 +116,11 @@ def test_no_design_is_overconfident(folder: Any, frames: Any, make: Any) -> None
 
 @pytest.mark.parametrize("frames", FRAMES)
 def test_measured_figures_match_the_prediction(designs: Any, frames: Any) -> None:
-    """Mean and 99 % quantile of unseen lines within 25 %, saturation within a few lines."""
+    """Mean and 99 % quantile of unseen lines within 25 %, saturation within nine lines."""
     predicted, measured = designs[frames].predicted, designs[frames].measured["road"]
     assert measured.kl_mean == pytest.approx(predicted.kl_mean, rel=0.25)
     assert measured.kl_p99 == pytest.approx(predicted.kl_p99, rel=0.2)
-    assert measured.saturated <= predicted.saturated + 0.006
+    assert measured.saturated <= predicted.saturated + 9 / N
     assert 0.5 * predicted.lateral_error <= measured.lateral_error
     assert measured.lateral_error <= 1.15 * predicted.lateral_error  # a slope has a longer lever
 
@@ -211,16 +217,17 @@ def test_max_lateral_is_met(roads: Any) -> None:
     assert exact.measured["road"].lateral_error <= 1.15 * 0.002
 
 
-def test_a_design_is_reproducible(roads: Any) -> None:
-    """The same lines and targets give the same DBC."""
-    first, second = (a_design(roads, frames=3) for _ in range(2))
-    assert first.writer.dbc() == second.writer.dbc()
-    assert first.as_dict() == second.as_dict()
-
-
-def test_progress_ends_at_the_total(roads: Any) -> None:
-    seen = []
-    design(roads, Targets(frames=4), progress=lambda done, total: seen.append(done / total))
+def test_a_design_is_reproducible(roads: Any, others: Any, designs: Any) -> None:
+    """The same lines and targets give the same DBC; the progress ends at the total."""
+    seen: list[float] = []
+    again = design(
+        roads,
+        Targets(frames=4),
+        held_out=others,
+        progress=lambda done, total: seen.append(done / total),
+    )
+    assert again.writer.dbc() == designs[4].writer.dbc()
+    assert again.as_dict() == designs[4].as_dict()
     assert seen == sorted(seen)
     assert seen[-1] == 1
 
@@ -352,9 +359,9 @@ def test_the_command_writes_the_dbc_and_its_page(
 
 
 def test_the_command_reads_a_user_s_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], roads: Any
 ) -> None:
-    lines = road(600, seed=8)
+    lines = Gaussians(*(part[:300] for part in roads["road"]))
     np.savez(tmp_path / "own.npz", mean=lines.mean, cov=lines.cov)
     words = ["--frames", "3", "--set", str(tmp_path / "own.npz")]
     assert maplines(*words, "--out", str(tmp_path / "own.dbc")) == 0

@@ -44,6 +44,15 @@ def page(report: Any) -> Any:
     return Page(report.read_text("utf-8"))
 
 
+@pytest.fixture(scope="module")
+def one_set(rows: Any) -> Any:
+    """The tables of the first set alone."""
+    return {
+        name: [row for row in of_table if row.get("set", SETS[0]) == SETS[0]]
+        for name, of_table in rows.items()
+    }
+
+
 # ---- the file ---------------------------------------------------------------------
 
 
@@ -71,7 +80,7 @@ def test_every_code_set_and_section_is_there(page: Any) -> None:
 
 
 def test_codes_on_scenes_are_shown_with_their_bits_over_the_joint_limit(
-    page: Any, rows: Any, tmp_path: Path
+    page: Any, one_set: Any, tmp_path: Path
 ) -> None:
     """For 4 and 8 lines; without scenes the page says that there are none."""
     text = page.text()
@@ -79,7 +88,7 @@ def test_codes_on_scenes_are_shown_with_their_bits_over_the_joint_limit(
     assert "40 scenes of 4 lines" in text
     assert "Cholesky32.0616840308100100 %" in text
     assert "PoseConditional32.06168403081000" in text
-    none = write(tmp_path / "none", rows)
+    none = write(tmp_path / "none", one_set)
     columns = pq.read_schema(none / "scenes.parquet")
     pq.write_table(columns.empty_table(), none / "scenes.parquet")
     text = Page(write_report(none, tmp_path / "none.html").read_text("utf-8")).text()
@@ -91,12 +100,6 @@ def test_a_name_is_text_and_never_markup(page: Any, report: Any) -> None:
     assert all(tag not in ("img", "b") for tag, _ in page.elements)
     assert SETS[1] in page.text()
     assert "</script><img" not in report.read_text("utf-8")
-
-
-def test_title_is_escaped(folder: Any, tmp_path: Path) -> None:
-    text = write_report(folder, tmp_path / "a.html", title="a<b>&").read_text("utf-8")
-
-    assert "<title>a&lt;b&gt;&amp;</title>" in text
 
 
 def test_the_findings_are_those_of_the_tables(page: Any, folder: Any) -> None:
@@ -118,10 +121,10 @@ def test_the_findings_are_those_of_the_tables(page: Any, folder: Any) -> None:
     assert "nan" not in text.lower().replace("finance", "")
 
 
-def test_a_broken_guarantee_is_the_first_finding(rows: Any, tmp_path: Path) -> None:
-    summary = [dict(row) for row in rows["summary"]]
+def test_a_broken_guarantee_is_the_first_finding(one_set: Any, tmp_path: Path) -> None:
+    summary = [dict(row) for row in one_set["summary"]]
     summary[0]["overconfident"] = 0.01
-    folder = write(tmp_path / "sweep", rows, summary=summary)
+    folder = write(tmp_path / "sweep", one_set, summary=summary)
 
     text = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8")).text()
 
@@ -139,9 +142,9 @@ def test_the_limit_is_linear_in_log_kl(folder: Any) -> None:
     assert tables.limit_bits("another", 1e-3) is None
 
 
-def test_missing_sections_are_reported(rows: Any, tmp_path: Path) -> None:
+def test_missing_sections_are_reported(one_set: Any, tmp_path: Path) -> None:
     """A sweep without fields, worst cases and limit still gives a report."""
-    folder = write(tmp_path / "sweep", rows)
+    folder = write(tmp_path / "sweep", one_set)
     for name in ("fields", "worst", "limit"):
         schema = pq.read_schema(folder / f"{name}.parquet")
         pq.write_table(schema.empty_table(), folder / f"{name}.parquet")
@@ -169,12 +172,12 @@ def test_the_tables_of_a_sweep_are_read(tmp_path: Path) -> None:
 
 
 def test_item_12_the_page_leads_with_the_choice_and_defines_its_terms(
-    rows: Any, tmp_path: Any
+    one_set: Any, tmp_path: Any
 ) -> None:
     """Outliers do not reach the headline; every term has a definition; each plot has a legend."""
     summary = [each | ({"kl_mean": 1.9e10} if each["code"] == "Cholesky" else {})
-               for each in rows["summary"]]  # fmt: skip
-    folder = write(tmp_path / "sweep", rows, summary=summary)
+               for each in one_set["summary"]]  # fmt: skip
+    folder = write(tmp_path / "sweep", one_set, summary=summary)
     page = Page(write_report(folder, tmp_path / "a.html").read_text("utf-8"))
     text = page.text()
 
@@ -241,14 +244,16 @@ def test_a_missing_extra_is_named(
         write_report(folder, tmp_path / "report.html")
 
 
-def test_the_command(folder: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The command passes its arguments on; no column is listed twice."""
+def test_the_command(one_set: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command passes its arguments on, and the title is escaped; no column is listed twice."""
     parser = argparse.ArgumentParser()
     add_report(parser.add_subparsers())
     out = tmp_path / "report.html"
-    arguments = parser.parse_args(["report", str(folder), "--out", str(out), "--title", "mine"])
+    folder = write(tmp_path / "sweep", one_set)
+    arguments = parser.parse_args(["report", str(folder), "--out", str(out), "--title", "a<b>&"])
 
     assert arguments.run(arguments) == 0
-    assert "<h1>mine</h1>" in out.read_text("utf-8")
+    assert "<title>a&lt;b&gt;&amp;</title>" in out.read_text("utf-8")
+    assert "<h1>a&lt;b&gt;&amp;</h1>" in out.read_text("utf-8")
     assert "report.html: " in capsys.readouterr().err
     assert all(len(set(columns)) == len(columns) for columns in COLUMNS.values())

@@ -79,7 +79,7 @@ def test_fields_terms_and_limits(tmp_path: Path) -> None:
     """A bit more lowers the divergence; theory holds; too few samples give no limit."""
     pytest.importorskip("pyarrow")
     study = small(
-        codes=("Cholesky",), finer_bits=(0, 2), n=1700, chunk_size=850, fields_n=850, limit_n=1700
+        codes=("Cholesky",), finer_bits=(0, 2), n=1700, chunk_size=850, fields_n=400, limit_n=1700
     )
     result = tables(run_study(study, tmp_path / "out", jobs=1))
     fields = {(row["field"], row["delta_bits"]): row for row in result["fields"]}
