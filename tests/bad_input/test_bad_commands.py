@@ -329,7 +329,6 @@ def test_a_command_refuses_bad_input(
         "send --interface virtual --count 1 --rate 1000",
         "decode {d}/good.log",
         "decode {d}/good.log --csv",
-        "claims --scenario production --samples 1000",
         "scenarios",
         "scenarios --json",
         "study production --n 100",

@@ -8,22 +8,29 @@ import pytest
 
 from maplines_can.cli import main
 from maplines_can.scenarios import SCENARIOS, STREETS
+from maplines_can.study.figures import paper as figures
 
 
 def test_figures_are_written_to_the_folder(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every figure is there in both formats; other tests check what they show."""
+    """Of the figure that no test of the figures draws; they check what the others show."""
     pytest.importorskip("matplotlib")
-    monkeypatch.setattr("maplines_can.study.figures.paper.DPI", 20)
+    plans = [plan for plan in figures.FIGURES if plan.number == 8]
+    monkeypatch.setattr(figures, "FIGURES", plans)
+    monkeypatch.setattr(figures, "DPI", 30)
     assert main(["figures", "--out", str(tmp_path), "--samples", "1000", "--json"]) == 0
     paths = json.loads(capsys.readouterr().out)
-    assert {Path(path).suffix for path in paths} == {".png", ".svg"}
+    names = [plans[0].name(wire=wire) for wire in (False, True)]
+    assert [Path(path).name for path in paths] == [
+        f"{name}.{suffix}" for name in names for suffix in ("png", "svg")
+    ]
     assert all(Path(path).stat().st_size for path in paths)
 
 
-def test_claims_as_csv(capsys: pytest.CaptureFixture[str]) -> None:
+def test_claims_as_csv(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """There is a row for each representation, before and after the bus."""
+    monkeypatch.setattr("maplines_can.study.accuracy.evaluation.DRAWS", 2000)
     arguments = ["claims", "--scenario", "production", "--samples", "1000", "--format", "csv"]
     assert main(arguments) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))

@@ -41,7 +41,7 @@ _OTHERS = {*PARAMETER_SIGNALS, "XMin", "XMax", "CorrelationTime"}
 def codec_of(code: str) -> Codec:
     """Return the codec of a code, a name of ``CODES`` or of ``WITH_POSE``."""
     writer = WITH_POSE[code] if code in WITH_POSE else dbc_writer_for(code)
-    return Codec(Layout.from_text(writer.dbc(), "the study's DBC"), codes=CODES)
+    return Codec(Layout.from_dbc(writer.database()), codes=CODES)
 
 
 def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
 from typing import Any, NamedTuple
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import StudyError
+from ...line import Slot
 from ...wire import Codec
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
 from ..codes import CODES
@@ -146,11 +147,12 @@ def scenes_key(lines: int, index: int) -> str:
 
 @lru_cache(maxsize=256)
 def codec_of(plan: Plan) -> Codec:
-    """Return the codec of a plan, with a DBC of its own."""
+    """Return the codec of a plan, with a DBC of its own for one slot, since all are alike."""
     writer = dbc_writer_for(
         plan.code, plan.finer_bits, {plan.field: plan.delta_bits} if plan.field else None
     )
-    return Codec(Layout.from_text(writer.dbc(), "the study's DBC"), codes=CODES)
+    database = replace(writer, slots=(Slot.EGO_LEFT,)).database()
+    return Codec(Layout.from_dbc(database), codes=CODES)
 
 
 def theory(codec: Codec) -> dict[str, float]:

@@ -50,10 +50,16 @@ def rows() -> Any:
     return {(row.scenario, row.representation, row.wire): row for row in table}
 
 
-@pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> Any:
-    monkeypatch.setattr(evaluation, "DRAWS", 2000)
-    return lambda seed=0: accuracy_table([scenario("street-turn")], n=2000, seed=seed)
+def few(seed: int = 0, **options: Any) -> Any:
+    """Return the table of one scene from few samples."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluation, "DRAWS", 2000)
+        return accuracy_table([scenario("street-turn")], n=2000, seed=seed, **options)
+
+
+@pytest.fixture(scope="module")
+def table() -> Any:
+    return few()
 
 
 # -- definitions ----------------------------------------------------------------
@@ -181,32 +187,24 @@ def test_draws_beyond_the_grid_are_outside(true_gaussian: Any) -> None:
 # -- the table and its writers --------------------------------------------------
 
 
-def test_every_representation_before_and_after(few: Any) -> None:
+def test_the_same_seed_gives_the_same_table(table: Any) -> None:
+    """Of every representation, before and after the bus; progress is reported."""
     seen = []
-    rows = accuracy_table(
-        [scenario("street-turn")], n=2000, progress=lambda done, of: seen.append((done, of))
-    )
+    rows, other = few(progress=lambda done, of: seen.append((done, of))), few(seed=1)
 
+    for write in (as_csv, as_text, as_markdown):
+        assert write(rows) == write(table)
+        assert write(rows) != write(other)
     assert [row.representation for row in rows[::2]] == KINDS
     assert [row.wire for row in rows] == ["before", "after"] * len(KINDS)
     assert seen[-1] == (len(rows), len(rows))
 
 
-def test_the_same_seed_gives_the_same_table(few: Any) -> None:
-    one, two, other = few(), few(), few(seed=1)
-
-    for write in (as_csv, as_text, as_markdown):
-        assert write(one) == write(two)
-        assert write(one) != write(other)
-
-
-def test_csv_has_a_figure_and_an_error_in_each_column(few: Any) -> None:
-    rows = few()
-
-    read = list(csv.DictReader(io.StringIO(as_csv(rows))))
-    assert len(read) == len(rows)
+def test_csv_has_a_figure_and_an_error_in_each_column(table: Any) -> None:
+    read = list(csv.DictReader(io.StringIO(as_csv(table))))
+    assert len(read) == len(table)
     assert len(read[0]) == 3 + 2 * (5 + 4 + 4)
-    for line, row in zip(read, rows, strict=True):
+    for line, row in zip(read, table, strict=True):
         assert float(line["false_positives"]) == pytest.approx(row.false_positives, rel=1e-5)
         assert float(line["sigma_ratio_at_80m_se"]) == pytest.approx(
             row.sigma_ratio_se[3], rel=1e-5
@@ -215,13 +213,11 @@ def test_csv_has_a_figure_and_an_error_in_each_column(few: Any) -> None:
     assert read[0]["kl"] == "inf"
 
 
-def test_markdown_is_one_table_and_text_shows_every_row(few: Any) -> None:
-    rows = few()
-
-    lines = as_markdown(rows).splitlines()
-    assert len(lines) == len(rows) + 2
+def test_markdown_is_one_table_and_text_shows_every_row(table: Any) -> None:
+    lines = as_markdown(table).splitlines()
+    assert len(lines) == len(table) + 2
     assert len({line.count("|") for line in lines}) == 1
-    text = as_text(rows)
+    text = as_text(table)
     assert all(text.count(f"\n{kind} ") >= 6 for kind in KINDS)
 
 
