@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from ...wire.covariance.cholesky import MARGIN
 
 Array = NDArray[np.float64]
+Bits = NDArray[np.signedinteger[Any]]
 
 #: Cost of rounding with its inflation over that of rounding alone, in the limit of small steps.
 PIVOT_WEIGHT, RATIO_WEIGHT = 2.0, 2.6
@@ -148,7 +150,7 @@ class RatioSpread:
         i, j = np.unravel_index(best, charged.shape[1:])
         return self._widths(np.arange(MIN_BITS, MAX_BITS + 1), STEPS[i], ZEROS[j], price)
 
-    def _widths(self, bits: Array, factor: Array, zero: Array, price: float) -> list[Width]:
+    def _widths(self, bits: Bits, factor: Array, zero: Array, price: float) -> list[Width]:
         """Return a width for each of the values."""
         ends = _ends(bits, factor, zero)
         offset, unseen = -factor * 2**bits * zero, _beyond(self._unseen, *ends)[0]
@@ -164,7 +166,7 @@ class RatioSpread:
         return np.where(np.minimum(low, high) < LEAST_END, np.inf, loss), beyond, beyond_loss
 
 
-def _ends(bits: int | Array, factor: Array, zero: Array) -> tuple[Array, Array]:
+def _ends(bits: int | Bits, factor: Array, zero: Array) -> tuple[Array, Array]:
     """Return the distances from 0 to the ends of the values that are rounded into a range."""
     return factor * (2**bits * zero + 0.5), factor * (2**bits * (1 - zero) - 0.5)
 

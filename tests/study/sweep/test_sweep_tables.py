@@ -78,9 +78,12 @@ def test_clipped_means_have_figures_of_their_own(tmp_path: Path) -> None:
 def test_fields_terms_and_limits(tmp_path: Path) -> None:
     """A bit more lowers the divergence; theory holds; too few samples give no limit."""
     pytest.importorskip("pyarrow")
+    means, covs = road(1700, seed=8)  # a drawn set would be drawn for each part of the study
+    np.savez(tmp_path / "mine.npz", mean=means, cov=covs)
     study = small(
-        codes=("Cholesky",), finer_bits=(0, 2), n=1700, chunk_size=850, fields_n=400, limit_n=1700
-    )
+        sets=[line_set(str(tmp_path / "mine.npz"))], codes=("Cholesky",), finer_bits=(0, 2),
+        n=1700, chunk_size=850, fields_n=400, limit_n=1700,
+    )  # fmt: skip
     result = tables(run_study(study, tmp_path / "out", jobs=1))
     fields = {(row["field"], row["delta_bits"]): row for row in result["fields"]}
     limits = {(row["part"], row["kl"]): row for row in result["limit"]}
@@ -90,7 +93,8 @@ def test_fields_terms_and_limits(tmp_path: Path) -> None:
     more, less = fields["RatioC0C1", 1], fields["RatioC0C1", -1]
     assert more["kl_change_mean"] < -5 * more["kl_change_mean_se"] < 0
     assert less["kl_change_mean"] > 5 * less["kl_change_mean_se"] > 0
-    assert fields["C1", 1]["lateral_rms_80"] < fields["C1", -1]["lateral_rms_80"]
+    # 400 errors determine their rms to 4 %; the step of C1 hardly counts at 80 m.
+    assert fields["C0", 1]["lateral_rms_80"] < 0.7 * fields["C0", -1]["lateral_rms_80"]
     assert fine["finer_bits"] == 2
     error = 4 * fine["kl_before_inflation_mean_se"] / fine["kl_theory"]
     assert fine["kl_before_inflation_mean"] / fine["kl_theory"] == pytest.approx(1, abs=error)
