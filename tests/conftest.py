@@ -1,5 +1,13 @@
 """Fixtures of several test files."""
 
+# ruff: noqa: E402
+import os
+
+# Before NumPy is loaded: one thread for the small matrices of each test process. On a busy machine,
+# threads wait for each other for longer than they compute.
+for library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
 import time
 from collections.abc import Iterator
 from typing import Any
