@@ -52,11 +52,16 @@ class SeenLandmarks(NamedTuple):
 
 
 class PoseFix(NamedTuple):
-    """Pose in the map frame with its covariance, such as that of a scan matching."""
+    """Pose in the map frame with its covariance, such as that of a scan matching.
+
+    An error that it shares with the poses before and after it, such as that of the map, does not
+    average out: give its covariance as ``shared``, and not in ``cov``.
+    """
 
     t: float  #: [s]
     pose: Array  #: (n, 3) x [m], y [m], heading [rad]
-    cov: Array  #: (n, 3, 3) or (3, 3)
+    cov: Array  #: (n, 3, 3) or (3, 3), of its white noise
+    shared: Array | None = None  #: (n, 3, 3) or (3, 3), positive semidefinite; None for none
 
 
 Observation = GnssFix | CameraLines | SeenLandmarks | PoseFix

@@ -6,6 +6,7 @@
     k               error of the wheel scale
     g_e, g_n        error of the GNSS position [m]
     c_y, c_b        errors of the camera: lateral [m], direction [rad]
+    m_1, m_2, m_3   error that successive pose fixes share, in units of its covariance
 
 The wheel speed v_w and the yaw rate w_m drive the prediction, as those of an inertial sensor do in
 an error-state filter:
@@ -15,7 +16,8 @@ an error-state filter:
 
 The speed is no state of its own with the wheel speed as its measurement: that would need a process
 noise for what the driver does, which is not white, and the innovations would be as wrong as it is.
-Its error e_v is a state instead. All errors are Gauss-Markov processes (``SensorErrors``).
+Its error e_v is a state instead. All errors are Gauss-Markov processes (``SensorErrors``), those of
+the pose fixes over the way of the car: that of the map does not change while the car stands.
 """
 
 from __future__ import annotations
@@ -29,8 +31,8 @@ Array = NDArray[np.float64]
 
 X, Y, HEADING, SPEED, YAW_RATE, SCALE = range(6)
 #: Number of states.
-N = 10
-POSE, GNSS, CAMERA = slice(0, 3), slice(6, 8), slice(8, 10)
+N = 13
+POSE, GNSS, CAMERA, FIX = slice(0, 3), slice(6, 8), slice(8, 10), slice(10, 13)
 #: Gauss-Markov processes.
 ERRORS = slice(3, N)
 
@@ -69,7 +71,8 @@ def predict(
     turn = (yaw_rate - mean[:, YAW_RATE]) * dt
     middle = mean[:, HEADING] + turn / 2
     c, s = np.cos(middle), np.sin(middle)
-    phi = np.exp(-dt / errors.times)
+    phi = np.tile(np.exp(-dt / errors.times), (len(mean), 1))  # (n, N - 3)
+    phi[:, -3:] = np.exp(-np.abs(wheel_speed) * dt / errors.fix_distance)[:, None]
     after = mean.copy()
     after[:, X] += v * dt * c
     after[:, Y] += v * dt * s
@@ -77,7 +80,8 @@ def predict(
     after[:, ERRORS] *= phi
 
     F = np.zeros((len(mean), N, N))
-    F[:, range(N), range(N)] = np.append(np.ones(3), phi)
+    F[:, range(3), range(3)] = 1.0
+    F[:, range(3, N), range(3, N)] = phi
     for row, along, across in ((X, c, -s), (Y, s, c)):
         F[:, row, HEADING] = v * dt * across
         F[:, row, SPEED] = -along * dt
@@ -87,7 +91,7 @@ def predict(
     moved = F @ cov @ F.transpose(0, 2, 1)
     moved[:, HEADING, HEADING] += errors.yaw_rate_noise**2 * dt
     rows = range(3, N)
-    moved[:, rows, rows] += errors.sigmas**2 * -np.expm1(-2 * dt / errors.times)
+    moved[:, rows, rows] += errors.sigmas**2 * (1 - phi**2)
     return after, moved, F
 
 

@@ -15,7 +15,7 @@ from ...line import Kind
 from .association import GATES, Verdict, associate, squared_distance
 from .localisation_layer import LocalisationLayer
 from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
-from .motion_model import CAMERA, GNSS, HEADING, POSE, N, X, Y
+from .motion_model import CAMERA, FIX, GNSS, HEADING, POSE, N, X, Y
 
 Array = NDArray[np.float64]
 Verdicts = NDArray[np.intp]
@@ -108,6 +108,11 @@ def _pose(fix: PoseFix, mean: Array, cov: Array) -> Innovation:
     H = np.zeros((len(mean), 3, N))
     H[:, :, POSE] = np.eye(3)
     residual = fix.pose - mean[:, POSE]
+    if fix.shared is not None:
+        # The symmetric root changes as little as its covariance does from fix to fix.
+        values, vectors = np.linalg.eigh(fix.shared)
+        H[:, :, FIX] = root = (vectors * np.sqrt(values.clip(0))[..., None, :]) @ vectors.mT
+        residual = residual - (root @ mean[:, FIX, None])[..., 0]
     residual[:, 2] = (residual[:, 2] + np.pi) % (2 * np.pi) - np.pi
     return _direct("pose", residual, H, cov, fix.cov)
 

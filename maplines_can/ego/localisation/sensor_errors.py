@@ -35,6 +35,8 @@ class SensorErrors:
         gnss: of the GNSS position, to the east and to the north alike [m].
         camera_offset: common to the lateral positions of all lines that the camera sees [m].
         camera_heading: common to their directions [rad].
+        fix_distance: way of the car over which the autocorrelation of the error that successive
+            pose fixes share falls to 1/e [m]; see ``PoseFix``.
         yaw_rate_noise: density of the white noise of the yaw rate (angle random walk)
             [rad/s / sqrt(Hz)].
 
@@ -48,6 +50,7 @@ class SensorErrors:
     gnss: GaussMarkov = GaussMarkov(1.5, 60.0)
     camera_offset: GaussMarkov = GaussMarkov(0.05, 20.0)
     camera_heading: GaussMarkov = GaussMarkov(math.radians(0.1), 100.0)
+    fix_distance: float = 20.0
     yaw_rate_noise: float = math.radians(0.02)
 
     def __post_init__(self) -> None:
@@ -59,10 +62,12 @@ class SensorErrors:
                     f"{field.name} must have a finite standard deviation of 0 or more and a "
                     f"correlation time of more than 0 s, got {value!r}"
                 )
+        if not self.fix_distance > 0:
+            raise ValueError(f"fix_distance must be more than 0 m, got {self.fix_distance!r}")
 
     @property
     def processes(self) -> tuple[GaussMarkov, ...]:
-        """Gauss-Markov processes in the order of the states of the filter."""
+        """Processes in time, in the order of the states of the filter."""
         return (
             self.speed,
             self.yaw_rate,
@@ -75,10 +80,10 @@ class SensorErrors:
 
     @property
     def sigmas(self) -> NDArray[np.float64]:
-        """(7,) standard deviations of the processes."""
-        return np.array([process.sigma for process in self.processes])
+        """(10,) standard deviations of the processes, and 1 for the errors of the pose fixes."""
+        return np.array([*(process.sigma for process in self.processes), *[1.0] * 3])
 
     @property
     def times(self) -> NDArray[np.float64]:
-        """(7,) correlation times of the processes [s]."""
-        return np.array([process.time for process in self.processes])
+        """(10,) correlation times [s]; infinite for the pose fixes, which change with the way."""
+        return np.array([*(process.time for process in self.processes), *[math.inf] * 3])

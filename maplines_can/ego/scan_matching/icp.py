@@ -14,6 +14,7 @@ from .match import (
     MARGIN,
     MODEL_SIGMA,
     ScanMatch,
+    by_object,
     checked,
     jacobian,
     no_match,
@@ -37,6 +38,7 @@ def match_icp(
     scan: ArrayLike,
     start: ArrayLike,
     model_sigma: tuple[float, float, float] = MODEL_SIGMA,
+    map_error: float = 0.0,
 ) -> ScanMatch:
     """Return the pose at which a scan fits the map best, by point-to-plane ICP.
 
@@ -44,10 +46,11 @@ def match_icp(
         reference: surfaces of the map.
         scan: (m, 2) points in the ego frame [m].
         start: (3,) pose from which the search begins; within about 1 m and some degrees.
-        model_sigma: standard deviations of the errors of map and method: x, y [m], heading [rad].
+        model_sigma: standard deviations of what all scans have in common: x, y [m], heading [rad].
+        map_error: standard deviation of the place of each house and pole, in each direction [m].
 
     Raises:
-        ValueError: a shape is wrong, or a value is not finite.
+        ValueError: a shape is wrong, or a value is not finite or negative.
         MissingExtraError: small_gicp is not installed.
     """
     try:
@@ -75,11 +78,13 @@ def match_icp(
         )  # fmt: skip
         T, converged = found.T_target_source, bool(found.converged)
     pose = np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
-    gap, row = cKDTree(points).query(placed(scan, pose))
+    at = placed(scan, pose)
+    gap, row = cKDTree(points).query(at)
     used = gap <= DISTANCES[-1]
     n = normals[row[used]]
     g = (n[:, None] @ jacobian(scan[used], pose[2]))[:, 0]  # of the distance to the plane
-    residual = ((placed(scan[used], pose) - points[row[used]]) * n).sum(axis=1)
+    residual = ((at[used] - points[row[used]]) * n).sum(axis=1)
+    objects = reference.objects_at(at[used] + start[:2])
     pose[2] = start[2] + math.remainder(pose[2] - start[2], 2 * math.pi)
     return result(
         pose + np.array([*start[:2], 0.0]),
@@ -87,6 +92,8 @@ def match_icp(
         g.T @ g,
         scan,
         model_sigma,
+        pulls=by_object(objects, g[:, :, None] * n[:, None]),
+        map_error=map_error,
         used=len(g),
         converged=converged,
     )

@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 
 #: Fewest points of a scan, and fewest of them and least share that must match the map.
 LEAST_POINTS, LEAST_SHARE = 30, 0.5
-#: Standard deviations that are added to those from the noise of the points: x, y [m], heading
-#: [rad]. They are those of the map, whose errors all points of a wall share, and of the method.
+#: Standard deviations that are added to those from the points: x, y [m], heading [rad]. They are
+#: those of the method, and of what the whole map has in common.
 MODEL_SIGMA = (0.02, 0.02, 5e-4)
 #: Least curvature of the sum in any direction, as a share of its trace.
 LEAST_CURVATURE = 1e-9
@@ -29,12 +29,13 @@ class ScanMatch(NamedTuple):
 
     pose: Array  #: (3,) x [m], y [m], heading [rad]
     cov: Array  #: (3, 3); infinite variances if the scan does not determine the pose
+    shared: Array  #: (3, 3) part of ``cov`` that scans of the same surroundings have in common
     used: int  #: number of points that match the map
     is_valid: bool  #: whether the search converged, and enough of the points match the map
 
     def fix(self, t: float) -> PoseFix:
         """Return the measurement for ``Localisation`` at the time of the scan [s]."""
-        return PoseFix(t, self.pose[None], self.cov)
+        return PoseFix(t, self.pose[None], self.cov - self.shared, self.shared)
 
 
 def checked(scan: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
@@ -53,7 +54,7 @@ def checked(scan: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
 
 def no_match(start: Array, used: int = 0) -> ScanMatch:
     """Return the result of a matching that found no pose."""
-    return ScanMatch(start, np.diag([math.inf] * 3), used, is_valid=False)
+    return ScanMatch(start, np.diag([math.inf] * 3), np.zeros((3, 3)), used, is_valid=False)
 
 
 def placed(scan: Array, pose: Array) -> Array:
@@ -79,13 +80,18 @@ def result(
     scan: Array,
     model_sigma: tuple[float, float, float],
     *,
+    pulls: Array,
+    map_error: float,
     used: int,
     converged: bool = True,
 ) -> ScanMatch:
     """Return the match at the minimum of a sum over points.
 
     The covariance is H^-1 (sum g g') H^-1 with the gradients g of the terms (Huber 1967): their
-    scatter replaces a stated noise of the points. The variances of ``model_sigma`` are added.
+    scatter replaces a stated noise of the points. Two parts are shared by successive scans: the
+    variances of ``model_sigma``, and the error of the map. An object that stands off its place by d
+    moves the minimum by H^-1 A d, with the sum A of the pulls of its points; so the errors of many
+    objects around the car average out, and those of a few do not.
 
     Args:
         pose: (3,) at the minimum.
@@ -93,12 +99,30 @@ def result(
         hessian: (3, 3) of the sum.
         scan: (m, 2).
         model_sigma: standard deviations of x, y [m] and heading [rad].
+        pulls: (k, 3, 2) of each object: derivative of the sum of its gradients with respect to a
+            displacement of its points in the scan.
+        map_error: standard deviation of the place of each object, in each direction [m].
         used: number of points that match the map.
         converged: whether the search did.
+
+    Raises:
+        ValueError: ``map_error`` is negative or not finite.
     """
+    if not 0 <= map_error < math.inf:
+        raise ValueError(f"map_error must be finite and 0 m or more, got {map_error!r}")
     if np.linalg.eigvalsh(hessian)[0] <= LEAST_CURVATURE * np.trace(hessian):
         return no_match(pose, used)
     inverse = np.linalg.inv(hessian)
-    cov = inverse @ (gradients.T @ gradients) @ inverse + np.diag(np.square(model_sigma))
+    moved = map_error * inverse @ pulls  # (k, 3, 2)
+    shared = (moved @ moved.transpose(0, 2, 1)).sum(axis=0) + np.diag(np.square(model_sigma))
+    cov = inverse @ (gradients.T @ gradients) @ inverse + shared
     is_valid = converged and used >= max(LEAST_POINTS, LEAST_SHARE * len(scan))
-    return ScanMatch(pose, (cov + cov.T) / 2, used, is_valid)
+    return ScanMatch(pose, (cov + cov.T) / 2, (shared + shared.T) / 2, used, is_valid)
+
+
+def by_object(objects: NDArray[np.intp], pulls: Array) -> Array:
+    """Return the (k, 3, 2) sums of the (m, 3, 2) pulls of points over their objects."""
+    _, row = np.unique(objects, return_inverse=True)
+    sums = np.zeros((row.max(initial=-1) + 1, 3, 2))
+    np.add.at(sums, row, pulls)
+    return sums

@@ -12,6 +12,7 @@ from .match import (
     MARGIN,
     MODEL_SIGMA,
     ScanMatch,
+    by_object,
     checked,
     jacobian,
     no_match,
@@ -57,6 +58,7 @@ def match_ndt(
     scan: ArrayLike,
     start: ArrayLike,
     model_sigma: tuple[float, float, float] = MODEL_SIGMA,
+    map_error: float = 0.0,
 ) -> ScanMatch:
     """Return the pose at which a scan fits the map best, by NDT.
 
@@ -70,10 +72,11 @@ def match_ndt(
         reference: surfaces of the map.
         scan: (m, 2) points in the ego frame [m].
         start: (3,) pose from which the search begins; within about 1.5 m and some degrees.
-        model_sigma: standard deviations of the errors of map and method: x, y [m], heading [rad].
+        model_sigma: standard deviations of what all scans have in common: x, y [m], heading [rad].
+        map_error: standard deviation of the place of each house and pole, in each direction [m].
 
     Raises:
-        ValueError: a shape is wrong, or a value is not finite.
+        ValueError: a shape is wrong, or a value is not finite or negative.
     """
     scan, start = checked(scan, start)
     if len(scan) < LEAST_POINTS:
@@ -102,6 +105,8 @@ def match_ndt(
         score.hessian(pose),
         scan,
         model_sigma,
+        pulls=by_object(reference.objects_at(placed(scan, pose) + origin[:2]), score.pulls(pose)),
+        map_error=map_error,
         used=used,
         converged=is_last,
     )
@@ -131,6 +136,16 @@ class _Score:
             found += (e[:, None, None] * weighted[:, None] @ J)[:, 0]
             best = np.maximum(best, e)
         return found, int((best > LEAST_LIKELIHOOD).sum())
+
+    def pulls(self, pose: Array) -> Array:
+        """Return the (m, 3, 2) derivatives of the gradients with respect to the placed points."""
+        J, at = jacobian(self._scan, pose[2]), placed(self._scan, pose)
+        found = np.zeros((len(at), 3, 2))
+        for one in self._grids:
+            e, weighted, information = self._likelihood(at, one)
+            curvature = information - weighted[:, :, None] * weighted[:, None]
+            found += e[:, None, None] * (J.transpose(0, 2, 1) @ curvature)
+        return found
 
     def normal_matrix(self, pose: Array) -> Array:
         """Return the (3, 3) part of the Hessian that is positive semidefinite."""

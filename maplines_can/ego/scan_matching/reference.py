@@ -39,7 +39,10 @@ class ScanReference:
         end = np.concatenate([outline.points[1:] for outline in outlines])
         #: (k, 2, 2) begin and end of each segment [m].
         self.segments = np.stack([begin, end], axis=1)
-        self.points, self.normals = _sampled(self.segments)
+        self.points, self.normals, row = _sampled(self.segments)
+        self._objects = np.repeat(
+            np.arange(len(outlines)), [len(outline.points) - 1 for outline in outlines]
+        )[row]
         self._tree = cKDTree(self.points)
         self._middles = cKDTree(self.segments.mean(axis=1))
         self._longest = float(np.hypot(*(end - begin).T).max())
@@ -48,6 +51,10 @@ class ScanReference:
         """Return (m, 2) points within a distance [m] of a position, and their (m, 2) normals."""
         rows = self._tree.query_ball_point(position, reach)
         return self.points[rows], self.normals[rows]
+
+    def objects_at(self, points: Array) -> NDArray[np.intp]:
+        """Return the (m,) numbers of the houses and poles that are nearest to (m, 2) points."""
+        return np.asarray(self._objects[self._tree.query(points)[1]])
 
     def ranges(self, pose: Array, bearings: Array, most: float) -> Array:
         """Return the (b,) distances to the nearest surface along (b,) bearings [m].
@@ -82,8 +89,8 @@ def _pole(landmark: Landmark) -> Polyline:
     return Polyline(circle + np.array([landmark.x, landmark.y]))
 
 
-def _sampled(segments: Array) -> tuple[Array, Array]:
-    """Return points on segments, at most ``SPACING`` apart, and their normals."""
+def _sampled(segments: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Return points on segments, at most ``SPACING`` apart, their normals and their segments."""
     step = segments[:, 1] - segments[:, 0]
     length = np.hypot(*step.T)
     counts = np.maximum(1, np.ceil(length / SPACING)).astype(int)
@@ -91,7 +98,7 @@ def _sampled(segments: Array) -> tuple[Array, Array]:
     share = (np.arange(len(row)) - np.repeat(counts.cumsum() - counts, counts) + 0.5) / counts[row]
     points = segments[row, 0] + share[:, None] * step[row]
     normals = np.column_stack([-step[:, 1], step[:, 0]]) / length[:, None]
-    return points, normals[row]
+    return points, normals[row], row
 
 
 def simulated_scan(

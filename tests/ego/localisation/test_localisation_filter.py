@@ -228,6 +228,19 @@ def test_a_pose_fix_wraps_its_heading() -> None:
     assert found.ego().sigma[:2] == pytest.approx([0.1, 0.1], rel=0.02)
 
 
+def test_an_error_that_pose_fixes_share_does_not_average_out() -> None:
+    """While the car stands, the covariance is that of one common error and of the mean of n."""
+    shared = np.array([[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.0004]])
+    noise = np.diag([0.01, 0.01, 1e-4])
+    still = SensorErrors(*[GaussMarkov(0.0)] * 3, yaw_rate_noise=0)
+    found = Localisation(Gaussian(np.zeros(3), 100 * np.eye(3)), errors=still)
+    n = 20
+    for i in range(n):
+        found.add(Odometry(0.1 * i, np.zeros(1), np.zeros(1)))
+        found.add(PoseFix(0.1 * i, np.zeros((1, 3)), noise, shared))
+    assert found.ego().cov == pytest.approx(shared + noise / n, rel=2e-3, abs=1e-6)
+
+
 def test_the_pose_between_odometries_is_predicted() -> None:
     found = driven([odometry(i * DT) for i in range(11)])
     assert found.ego(0.25).mean == pytest.approx([2.5, 0, 0])

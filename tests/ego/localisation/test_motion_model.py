@@ -14,7 +14,7 @@ ONE = np.ones(1)
 
 def state(rng: np.random.Generator) -> np.ndarray:
     """Return a (1, N) state of ordinary values."""
-    scale = np.array([100, 100, 3, 0.1, 0.01, 0.02, 2, 2, 0.1, 0.01])
+    scale = np.array([100, 100, 3, 0.1, 0.01, 0.02, 2, 2, 0.1, 0.01, 1, 1, 1])
     return (scale * rng.standard_normal(N))[None]
 
 
@@ -45,13 +45,17 @@ def test_a_circle_is_followed() -> None:
 
 
 def test_the_errors_stay_stationary() -> None:
-    """Their variances are those of the processes at any time, and their means decay."""
+    """Their variances are those of the processes at any time, and their means decay.
+
+    That of the pose fixes decays with the way: here 150 m.
+    """
     mean, cov = initial(np.zeros((1, 3)), np.zeros((3, 3)), ERRORS)
     mean[0, 3:] = ERRORS.sigmas
     for _ in range(50):
         mean, cov, _ = predict(mean, cov, 10 * ONE, 0.1 * ONE, 0.3, ERRORS)
     assert cov[0].diagonal()[3:] == pytest.approx(ERRORS.sigmas**2)
-    assert mean[0, 3:] == pytest.approx(ERRORS.sigmas * np.exp(-15.0 / ERRORS.times))
+    decay = np.append(np.exp(-15.0 / ERRORS.times)[:-3], [math.exp(-150 / ERRORS.fix_distance)] * 3)
+    assert mean[0, 3:] == pytest.approx(ERRORS.sigmas * decay)
 
 
 def test_a_constant_error_remains() -> None:
@@ -65,6 +69,7 @@ def test_a_constant_error_remains() -> None:
 
 @pytest.mark.parametrize(
     "wrong", [{"gnss": GaussMarkov(-1.0, 1.0)}, {"speed": GaussMarkov(1.0, 0.0)},
+              {"fix_distance": 0.0}, {"fix_distance": math.nan},
               {"yaw_rate_noise": math.nan}, {"gnss": GaussMarkov(math.inf, 1.0)}],
 )  # fmt: skip
 def test_wrong_errors_are_refused(wrong: dict[str, GaussMarkov]) -> None:

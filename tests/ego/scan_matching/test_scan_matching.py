@@ -2,11 +2,13 @@
 
 import math
 import sys
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.stats import chi2
 from shapely.geometry import LineString, MultiLineString, Point
 
 from maplines_can import Gaussian, Polyline
@@ -172,6 +174,34 @@ def test_wrong_arguments_are_refused(scan: Any, start: Any, match: str) -> None:
 def test_a_map_without_surfaces_is_refused() -> None:
     with pytest.raises(ValueError, match="neither buildings nor landmarks"):
         ScanReference(Map({}, {}, name="empty"))
+
+
+@pytest.mark.parametrize("method", methods())
+def test_the_error_of_an_object_is_that_of_the_pose(method: Any) -> None:
+    """Where the scan sees one house only, from inside, the pose is off by as much as the house."""
+    room = ScanReference(Map({}, {}, buildings=(house(0, 0, 20, 14),)))
+    scan = simulated_scan(room, POSE, np.random.default_rng(3))
+    without, found = (matched(method, room, scan, POSE, (0.0, 0.0, 0.0), e) for e in (0.0, 0.2))
+    assert not without.shared.any()
+    assert found.shared == pytest.approx(np.diag([0.04, 0.04, 0.0]), rel=0.1, abs=2e-3)
+    assert found.cov - found.shared == pytest.approx(without.cov)
+    with pytest.raises(ValueError, match="map_error must be finite and 0 m or more"):
+        method(room, scan, POSE, map_error=-0.1)
+
+
+@pytest.mark.parametrize("method", methods())
+def test_errors_of_houses_are_in_the_covariance(method: Any) -> None:
+    """Each house stands off its place by 10 cm; the mean NEES over the maps is near 3."""
+    rng, squares = np.random.default_rng(4), []
+    for _ in range(12):
+        moved = [Polyline(one.points + rng.normal(0, 0.1, 2)) for one in STREET.buildings]
+        real = ScanReference(replace(STREET, buildings=tuple(moved)))
+        scan = simulated_scan(real, POSE, rng)
+        found = matched(method, REFERENCE, scan, POSE, (0.0, 0.0, 0.0), 0.1)
+        error = found.pose - POSE
+        squares.append(error @ np.linalg.solve(found.cov, error))
+    low, high = chi2.ppf([0.005, 0.995], 3 * len(squares)) / len(squares)
+    assert low < np.mean(squares) < high
 
 
 def test_the_filter_takes_the_pose() -> None:
