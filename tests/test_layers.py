@@ -67,7 +67,8 @@ consumers.consistency consumers.plausibility consumers.path consumers.steering
 consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
-cli.driving cli.ways cli.consume_input cli.consume_check cli.consume_steer cli.consume_fusion
+cli.driving cli.ways cli.consume_input cli.consume_camera cli.consume_motion
+cli.consume_check cli.consume_steer cli.consume_fusion
 cli cli.__main__ cli.accuracy cli.claims cli.consume cli.decode cli.demo cli.design
 cli.drive cli.figures cli.map_info cli.receive cli.send cli.study
 __main__
@@ -82,6 +83,7 @@ LAZY = {
     ("cli.map_info", "study.figures.map_picture"),
     ("cli.drive", "study.drives.truth"), ("cli.driving", "study.drives.truth"),
     ("cli.driving", "testing"), ("cli.consume_fusion", "study.fusion.stream"),
+    ("cli.consume_input", "study.files"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {

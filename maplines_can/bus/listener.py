@@ -221,6 +221,14 @@ class LineListener(can.Listener):
             known = now_ns is not None or self._stamps.is_settled
         return view if known else view._replace(age=float("inf"), stale=True)
 
+    def now_ns(self) -> int:
+        """Return the time now on the clock of the frames' time stamps [ns], as for `latest`.
+
+        Before the first frame, that is the time of this machine.
+        """
+        with self._changed:
+            return self._now(None) if self._frames else time.time_ns()
+
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
         """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         with self._changed:

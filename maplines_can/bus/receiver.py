@@ -107,6 +107,10 @@ class Receiver(BackgroundThread):
         """Return the newest scene with its state; see `LineListener.latest_scene`."""
         return self._listener.latest_scene(now_ns, stale_cycles=stale_cycles)
 
+    def now_ns(self) -> int:
+        """Return the time on the clock of the time stamps [ns]; see `LineListener.now_ns`."""
+        return self._listener.now_ns()
+
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
         """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         return self._listener.slots(now_ns)

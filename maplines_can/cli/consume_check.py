@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
 from ..gaussian import Gaussian
 from ..line import MapLine, Slot, transform_line_or_nan
-from ..propagation import Motion, pose_time_ns
-from .consume_input import PERIOD, SENDER, Cycle, add_input, cycles, lines_of_log
-from .options import codec_from
+from ..propagation import Motion
+from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
+from .consume_input import PERIOD, Cycle, Input, add_input
+from .consume_motion import add_motion, motion_of
 from .parsing import add_command, number
 from .stderr import note
 
@@ -34,16 +35,20 @@ class Image(NamedTuple):
     since: float  #: time since the pose of the scene [s]
 
 
-#: Newest image in a cycle.
-Camera = Callable[[Cycle], Image]
+#: Newest image in a cycle; None if it is that of the cycle before.
+Camera = Callable[[Cycle], Image | None]
 
-DESCRIPTION = """\
+DESCRIPTION = f"""\
 Compare received map lines with the lines of a camera, and print whether they contradict each other.
 The number of false alarms per hour is as designed. The exit status is 3 if there was an alarm. A
 change of the outcome has a row of its own.
 
---camera reads the lines of a camera from a second log, of the same clock, with the messages of this
-project. --simulate simulates a camera at the pose that the lines state, with the stated pose error;
+The motion of the car moves map lines to the time of the image; without --motion, --signals or
+--speed, the car stands.
+
+{COLUMNS}
+
+--simulate simulates a camera at the pose that the lines state, with the stated pose error;
 --shift moves its lines to the side from a time on, as if the map were shifted the other way."""
 
 
@@ -54,9 +59,8 @@ def add_check(commands: Any) -> None:
     add_input(parser, "results")
     add = parser.add_argument
     camera = parser.add_mutually_exclusive_group(required=True)
-    camera.add_argument("--camera", metavar="FILE", help="log with the lines of a camera")
     camera.add_argument("--simulate", action="store_true", help="simulate a camera")
-    add("--camera-dbc", metavar="FILE", help="DBC of --camera (default: maplines.dbc)")
+    add_camera(parser, camera)
     add(
         "--shift",
         type=number(float, -10, 10),
@@ -79,34 +83,30 @@ def add_check(commands: Any) -> None:
         metavar="N",
         help="expected number of false alarms per hour, 1e-9 to 10 (default: 0.01)",
     )
-    add(
-        "--speed",
-        type=number(float, 0, 70),
-        default=0.0,
-        metavar="V",
-        help="speed of the car [m/s], to move map lines to the time of the image (default: 0)",
-    )
+    add_motion(parser)
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    if arguments.camera and not arguments.log:
-        raise ValueError("--camera needs LOG, a log of the map lines of the same clock")
-    if arguments.simulate and arguments.camera_dbc:
-        raise ValueError("--camera-dbc is that of --camera; leave it out with --simulate")
-    check = PlausibilityCheck(arguments.false_alarms)
-    camera = _simulated(arguments) if arguments.simulate else _recorded(arguments)
-    motion = Motion(arguments.speed, 0.0)
+    check_camera(arguments)
     counts: Counter[Outcome] = Counter()
     alarms, due, last = 0, 0.0, None
-    for cycle in cycles(arguments):
-        t, scene = cycle.t, cycle.view.scene if cycle.view.usable else None
-        lines, since = Image({}, 0.0) if scene is None else camera(cycle)
-        result = check.update(t, scene, lines, motion.over(since))
-        counts[result.outcome] += 1
-        alarms += result.raised
-        if result.outcome is not last or t >= due - 1e-9:
-            _print(t, result, as_json=arguments.json)
-            last, due = result.outcome, t + arguments.every
+    motion = motion_of(arguments, Motion(0.0, 0.0))
+    source, check = Input(arguments), PlausibilityCheck(arguments.false_alarms)
+    with camera_of(arguments) as new_lines, source as cycles:
+        camera = _simulated(arguments) if arguments.simulate else _seen(new_lines)
+        for cycle in cycles:
+            t, scene = cycle.t, cycle.view.scene if cycle.view.usable else None
+            image, now = camera(cycle), motion(cycle.now_ns)
+            if image is None and scene is not None:
+                continue  # this image was compared before
+            lines, since = image or Image({}, 0.0)
+            moved = None if scene is None else now.over(since)
+            result = check.update(t, scene, lines, moved, now)
+            counts[result.outcome] += 1
+            alarms += result.raised
+            if result.outcome is not last or t >= due - 1e-9:
+                _print(t, result, as_json=arguments.json)
+                last, due = result.outcome, t + arguments.every
     note(
         f"{alarms} alarms; "
         + ", ".join(f"{counts[outcome]} cycles {outcome.name}" for outcome in Outcome)
@@ -114,7 +114,7 @@ def _check(arguments: argparse.Namespace) -> int:
     if counts[Outcome.UNCHECKED] == counts.total():
         note(
             "error: nothing was compared: there was no usable scene with a line that the camera "
-            f"sees, too; {SENDER}"
+            f"sees, too; {source.why_nothing()}"
         )
         return 1
     return 3 if alarms else 0
@@ -151,25 +151,22 @@ def _simulated(arguments: argparse.Namespace) -> Camera:
     return image
 
 
-def _recorded(arguments: argparse.Namespace) -> Camera:
-    """Return a camera whose lines are in a log of their own."""
-    lines = lines_of_log(arguments.camera, codec_from(arguments.camera_dbc), arguments)
-    waiting = next(lines, None)
-    known: dict[Slot, MapLine] = {}
+def _seen(new_lines: NewLines) -> Camera:
+    """Return a camera whose lines arrive one by one."""
+    known: dict[Slot, tuple[int, MapLine]] = {}  # with the time of each [ns]
 
-    def image(cycle: Cycle) -> Image:
-        nonlocal waiting
-        while waiting is not None and (waiting.t_ns or 0) <= cycle.now_ns:
-            known[waiting.slot] = waiting
-            waiting = next(lines, None)
-        newest = max((pose_time_ns(line) for line in known.values() if line.is_usable), default=0)
-        fresh: dict[Slot, Gaussian | MapLine] = {
-            slot: line
-            for slot, line in known.items()
-            if line.is_usable and newest - pose_time_ns(line) < 1e9 * PERIOD
-        }
+    def image(cycle: Cycle) -> Image | None:
+        arrived = new_lines(cycle.now_ns)
+        for line in arrived:
+            known[line.slot] = cycle.now_ns - round(1e9 * line.age), line
+        newest = max((t_ns for t_ns, _ in known.values()), default=0)
         age = (cycle.now_ns - newest) / 1e9
-        return Image(fresh if age <= OLDEST else {}, cycle.view.age - age)
+        if not known or age > OLDEST:
+            return Image({}, 0.0)
+        fresh: dict[Slot, Gaussian | MapLine] = {
+            slot: line for slot, (t_ns, line) in known.items() if newest - t_ns < 1e9 * PERIOD
+        }
+        return Image(fresh, cycle.view.age - age) if arrived else None
 
     return image
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,25 +15,29 @@ from ..consumers.integrity import RISKS, multiplier
 from ..line import MapLine
 from ..propagation import Motion
 from ..wire import Codec
-from .consume_input import PERIOD, SENDER, add_input, cycles, scene_codec
+from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
+from .consume_input import PERIOD, Cycle, Input, add_input, scene_codec
+from .consume_motion import add_motion, motion_of
 from .output import LANE, LANE_X
 from .parsing import add_command, number
 from .stderr import note
 
 #: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
 UNKNOWN_MOTION = Motion.with_sigma(15.0, 0.0, (10.0, 0.3))
-#: Standard deviations of a known motion [m/s, rad/s].
-MOTION_SIGMA = (0.1, 0.005)
 #: Correlation time and start of the simulated drive [s].
 SIMULATED_TIME, SIMULATED_START = 5.0, 20.0
 
-DESCRIPTION = """\
+DESCRIPTION = f"""\
 Fuse the scenes of a bus or of a log into the ego lane, and print its centre and its width every
 second (--every), with standard deviations and protection levels: bounds that the error of the
 centre exceeds with a risk of 1e-5 and 1e-7 in an hour.
 
-The fusion needs the motion of the car between scenes: --motion, or --speed. Without it, the lane is
-about that of the newest scene. --simulate drives through the town of this package instead, with a
+The fusion needs the motion of the car between scenes: --motion, --signals or --speed. Without it,
+the lane is about that of the newest scene. It takes the lines of a camera, if there is one.
+
+{COLUMNS}
+
+--simulate drives through the town of this package instead, with a
 simulated camera that fails after a third of the drive, and prints the true errors as well."""
 
 
@@ -53,54 +56,62 @@ def add_fusion(consumers: Any) -> None:
     parser = add_command(consumers, "fusion", _fusion, DESCRIPTION, example)
     add_input(parser, "the lane")
     parser.add_argument("--simulate", action="store_true", help="simulate a car with a camera")
-    parser.add_argument(
-        "--motion",
-        metavar="FILE",
-        help="CSV table of the motion with columns time [s], on the clock of the log, speed [m/s] "
-        "and yaw_rate [rad/s], such as the truth of maplines drive",
-    )
-    parser.add_argument(
-        "--speed", type=number(float, -100, 100), metavar="M/S", help="constant speed [m/s]"
-    )
+    add_camera(parser, parser.add_mutually_exclusive_group())
+    add_motion(parser)
     parser.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
 
 
 def _fusion(arguments: argparse.Namespace) -> int:
-    if arguments.simulate and (arguments.log or arguments.motion or arguments.speed is not None):
-        raise ValueError("--simulate has a car of its own; leave out LOG, --motion and --speed")
+    own = ("log", "motion", "signals", "speed", "camera", "camera_channel")
+    if arguments.simulate and any(getattr(arguments, name) is not None for name in own):
+        raise ValueError(
+            "--simulate has a car of its own; leave out LOG, --camera, --motion, --signals and "
+            "--speed"
+        )
+    check_camera(arguments)
     if arguments.dbc is None and not arguments.keys:
         arguments.dbc = "maplines-pose.dbc" if arguments.simulate else None
     if arguments.simulate:
-        return _print_rows(_simulated(arguments, scene_codec(arguments)), arguments)
-    return _print_rows(_received(arguments), arguments)
+        _print_rows(_simulated(arguments, scene_codec(arguments)), arguments)
+        return 0
+    motion, source = motion_of(arguments, UNKNOWN_MOTION), Input(arguments)
+    with camera_of(arguments) as camera, source as cycles:
+        rows = _print_rows(_epochs(cycles, motion, camera), arguments)
+    if not rows:
+        why = source.why_nothing()
+        note(f"error: no scene with a line of the ego lane was received; {why}")
+        return 1
+    return 0
 
 
 def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace) -> int:
-    """Fuse, and print rows; return the exit status."""
+    """Fuse until the end or Ctrl-C, and print rows; return the number of those with a lane."""
     last = None
     rows = 0
     try:
         for fusion, epoch in epochs:
             lane = fusion.step(epoch.t_ns, epoch.motion, epoch.camera)
-            if last is None or epoch.t_ns - last >= round(1e9 * arguments.every) - 1:
+            if last is None or abs(epoch.t_ns - last) >= round(1e9 * arguments.every) - 1:
                 last = epoch.t_ns
                 row = lane_dict(lane, epoch)
                 print(json.dumps(row) if arguments.json else lane_text(row), flush=True)
                 rows += lane.scene is not None
     except KeyboardInterrupt:
         pass
-    if not rows:
-        note(f"error: no scene with a line of the ego lane was received; {SENDER}")
-        return 1
-    return 0
+    return rows
 
 
-def _received(arguments: argparse.Namespace) -> Iterator[tuple[LaneFusion, Epoch]]:
+def _epochs(
+    cycles: Iterable[Cycle], motion: Callable[[int], Motion], camera: NewLines
+) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield the epochs of a bus or of a log."""
-    motion, fusion = _motion_of(arguments), None
-    for cycle in cycles(arguments):
-        fusion = fusion or LaneFusion(cycle.source)
-        yield fusion, Epoch(cycle.now_ns, motion(cycle.now_ns), [])
+    fusion, last = None, 0
+    for cycle in cycles:
+        if fusion is None or cycle.now_ns < last:  # the clock of the stamps was set back
+            fusion = LaneFusion(cycle.source)
+        last = cycle.now_ns
+        lines = [line for line in camera(last) if line.slot in LANE]
+        yield fusion, Epoch(last, motion(last), lines)
 
 
 def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
@@ -120,38 +131,6 @@ def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[La
         fusion = fusion or LaneFusion(moment.monitor)
         true = moment.true.mean(axis=0)
         yield fusion, Epoch(moment.t_ns, moment.motion, moment.camera, true)
-
-
-def _motion_of(arguments: argparse.Namespace) -> Any:
-    """Return a function from the time [ns] to the motion."""
-    if arguments.motion is None:
-        known = UNKNOWN_MOTION
-        if arguments.speed is not None:
-            sigma = (MOTION_SIGMA[0], math.sqrt(UNKNOWN_MOTION.cov[1, 1]))
-            known = Motion.with_sigma(arguments.speed, 0.0, sigma)
-        return lambda _: known
-    with open(arguments.motion, newline="") as file:
-        rows = [*csv.DictReader(file)]
-    try:
-        t, speed, yaw_rate = (
-            np.array([float(row[name]) for row in rows]) for name in ("time", "speed", "yaw_rate")
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"--motion {arguments.motion} must be CSV with numbers in the columns time, speed and "
-            f"yaw_rate; the first problem: {error}"
-        ) from error
-    if not len(t) or not (np.diff(t) > 0).all():
-        raise ValueError(f"--motion {arguments.motion} must have rows with increasing time")
-
-    def motion(t_ns: int) -> Motion:
-        if not t[0] - 1 <= t_ns / 1e9 <= t[-1] + 1:
-            return UNKNOWN_MOTION
-        now = t_ns / 1e9
-        at_speed, at_rate = (float(np.interp(now, t, values)) for values in (speed, yaw_rate))
-        return Motion.with_sigma(at_speed, at_rate, MOTION_SIGMA)
-
-    return motion
 
 
 def lane_dict(lane: FusedLane, epoch: Epoch) -> dict[str, Any]:

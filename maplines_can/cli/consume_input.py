@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import ExitStack
-from typing import NamedTuple
+from pathlib import Path
+from types import TracebackType
+from typing import Any, NamedTuple
 
 from ..bus import Link, Receiver, read_log
-from ..line import MapLine
 from ..wire import Codec, Monitor, SceneView
 from .options import (
     add_bus,
@@ -21,12 +23,13 @@ from .options import (
     decoder_of,
     keyed_codec,
 )
+from .output import counts_text
 from .parsing import number, seconds
 from .stderr import note, with_progress
 
 #: Period of the consumers [s].
 PERIOD = 0.05
-#: What to check if there is no scene.
+#: What to check if there are lines, but no scene.
 SENDER = (
     "the sender must send the pose error, too: --pose-error of drive or send, or --dbc "
     "maplines-pose.dbc on both sides"
@@ -60,25 +63,107 @@ class Cycle(NamedTuple):
     """One period of a consumer."""
 
     t: float  #: time since the first one [s]
-    now_ns: int  #: time, of a log on its clock [ns]
+    now_ns: int  #: time on the clock of the frames' time stamps [ns]
     view: SceneView
     source: Monitor | Receiver  #: from which it comes
 
 
-def cycles(arguments: argparse.Namespace) -> Iterator[Cycle]:
-    """Yield the newest scene 20 times a second, until the end or Ctrl-C.
+#: Time since the start of some clock [ns], and a cycle without its time.
+Found = tuple[int, int, SceneView, Monitor | Receiver]
+
+
+class Input:
+    """Newest scene of a bus or of a log, 20 times a second, until the end or Ctrl-C.
+
+    ``with`` returns the iterator over the cycles, and ends at Ctrl-C without an error.
 
     Raises:
         ValueError: the DBC has no message of the pose error.
     """
-    codec = scene_codec(arguments)
-    found = _from_log(codec, arguments) if arguments.log else _from_bus(codec, arguments)
-    first: int | None = None
-    for mono_ns, now_ns, source, view in found:
-        first = mono_ns if first is None else first
-        if arguments.seconds is not None and mono_ns - first >= arguments.seconds * 1e9:
-            return
-        yield Cycle((mono_ns - first) / 1e9, now_ns, view, source)
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        codec = scene_codec(arguments)
+        self._arguments, self._decoder = arguments, decoder_of(codec, arguments)
+
+    def __enter__(self) -> Generator[Cycle, None, None]:
+        self._cycles = self._counted()
+        return self._cycles
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool:
+        self._cycles.close()
+        return kind is KeyboardInterrupt
+
+    def why_nothing(self) -> str:
+        """Return what to check if no scene could be used; call it after the cycles."""
+        decoder = self._decoder
+        if not decoder.frames:
+            if self._arguments.log:
+                return "the log has no frame"
+            return (
+                "no frame of the messages of --dbc has arrived; check that the sender runs, on the "
+                "same --interface and --channel"
+                + ", and whether it sends CAN FD (--fd)"
+                * (not self._arguments.fd)
+            )
+        if not (decoder.lines or decoder.pose_errors):
+            counts = {reason.name: count for reason, count in decoder.counts.items()}
+            return (
+                f"none of {decoder.frames} frames completed a line (dropped: "
+                f"{counts_text(counts)}); check whether --dbc and the keys are those of the sender"
+            )
+        if not decoder.pose_errors:
+            return SENDER
+        return (
+            f"{decoder.lines} lines and {decoder.pose_errors} pose errors have been received; "
+            "check whether they are too old, incomplete or not of the ego lane: 'maplines receive' "
+            "and 'decode' print them"
+        )
+
+    def _counted(self) -> Generator[Cycle, None, None]:
+        first, most = None, self._arguments.seconds
+        found = self._from_log() if self._arguments.log else self._from_bus()
+        for mono_ns, now_ns, view, source in found:
+            first = mono_ns if first is None else first
+            if most is not None and mono_ns - first >= most * 1e9:
+                found.close()
+                return
+            yield Cycle((mono_ns - first) / 1e9, now_ns, view, source)
+
+    def _from_log(self) -> Generator[Found, None, None]:
+        path, monitor = self._arguments.log, Monitor(self._decoder)
+        step = round(PERIOD * 1e9)
+        due: int | None = None
+        for frame in with_progress(read_log(path), " frames"):
+            if not frame.has_time:
+                raise ValueError(f"LOG: {path} has no time stamps; record it with candump -L")
+            due = frame.t_ns + step if due is None else due
+            if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
+                due = frame.t_ns
+            while frame.t_ns >= due:
+                yield due, due, monitor.latest_scene(due), monitor
+                due += step
+            monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+        if due is not None:
+            yield due, due, monitor.latest_scene(due), monitor
+
+    def _from_bus(self) -> Generator[Found, None, None]:
+        with ExitStack() as stack:
+            link = stack.enter_context(Link(**bus_settings(self._arguments)))
+            receiver = stack.enter_context(Receiver(link, self._decoder, on_line=lambda _: None))
+            if not self._arguments.json:
+                note(f"listening on {link.name}; stop with Ctrl-C")
+            due = time.monotonic()
+            while True:
+                yield (
+                    time.monotonic_ns(), receiver.now_ns(), receiver.latest_scene(), receiver,
+                )  # fmt: skip
+                due = max(due + PERIOD, time.monotonic())
+                receiver.wait(max(0.0, due - time.monotonic()))
 
 
 def scene_codec(arguments: argparse.Namespace) -> Codec:
@@ -96,51 +181,21 @@ def scene_codec(arguments: argparse.Namespace) -> Codec:
     return codec
 
 
-def lines_of_log(path: str, codec: Codec, arguments: argparse.Namespace) -> Iterator[MapLine]:
-    """Yield the lines in a log, with their times."""
-    decoder = decoder_of(codec, arguments)
-    for frame in read_log(path):
-        found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-        if isinstance(found, MapLine):
-            yield found
-            yield from decoder.further
+def table_rows(path: str) -> list[dict[str, Any]]:
+    """Return the rows of a table with a header, .parquet or CSV.
 
+    Raises:
+        ValueError: the file is no such table.
+        OSError: it cannot be read.
+        MissingExtraError: .parquet without pyarrow.
+    """
+    if Path(path).suffix.lower() == ".parquet":
+        from ..study.files import arrow
 
-#: Time since the start of some clock [ns], time on the clock of the stamps [ns], source and scene.
-Found = tuple[int, int, Monitor | Receiver, SceneView]
-
-
-def _from_log(codec: Codec, arguments: argparse.Namespace) -> Iterator[Found]:
-    monitor = Monitor(decoder_of(codec, arguments))
-    step = round(PERIOD * 1e9)
-    due: int | None = None
-    for frame in with_progress(read_log(arguments.log), " frames"):
-        if not frame.has_time:
-            raise ValueError(f"LOG: {arguments.log} has no time stamps; record it with candump -L")
-        due = frame.t_ns + step if due is None else due
-        if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
-            due = frame.t_ns
-        while frame.t_ns >= due:
-            yield due, due, monitor, monitor.latest_scene(due)
-            due += step
-        monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-    if due is not None:
-        yield due, due, monitor, monitor.latest_scene(due)
-
-
-def _from_bus(codec: Codec, arguments: argparse.Namespace) -> Iterator[Found]:
-    with ExitStack() as stack:
-        link = stack.enter_context(Link(**bus_settings(arguments)))
-        receiver = stack.enter_context(
-            Receiver(link, decoder_of(codec, arguments), on_line=lambda _: None)
-        )
-        if not arguments.json:
-            note(f"listening on {link.name}; stop with Ctrl-C")
-        due = time.monotonic()
-        try:
-            while True:
-                yield time.monotonic_ns(), time.time_ns(), receiver, receiver.latest_scene()
-                due = max(due + PERIOD, time.monotonic())
-                receiver.wait(max(0.0, due - time.monotonic()))
-        except KeyboardInterrupt:
-            return
+        rows: list[dict[str, Any]] = arrow().parquet.read_table(path).to_pylist()
+        return rows
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            return [*csv.DictReader(file)]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: is not a CSV file: {error}") from error

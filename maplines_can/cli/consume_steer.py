@@ -9,7 +9,7 @@ from typing import Any
 
 from ..consumers.steering import Command, LaneSteering, State
 from ..propagation import Motion
-from .consume_input import PERIOD, SENDER, add_input, cycles
+from .consume_input import PERIOD, Input, add_input
 from .parsing import add_command, number
 from .stderr import note
 
@@ -43,16 +43,19 @@ def _steer(arguments: argparse.Namespace) -> int:
     motion = Motion(arguments.set_speed, 0.0)
     state: State | None = None
     due, engaged = 0.0, False
-    for t, _, view, _ in cycles(arguments):
-        scene = view.scene if view.usable else None
-        command = steering.update(t, scene, view.age, motion, arguments.set_speed)
-        motion = Motion(command.speed, command.speed * command.curvature)
-        engaged |= command.state is not State.HANDOVER
-        if command.state is not state or t >= due - 1e-9:
-            _print(t, command, as_json=arguments.json)
-            state, due = command.state, t + arguments.every
+    source = Input(arguments)
+    with source as cycles:
+        for t, _, view, _ in cycles:
+            scene = view.scene if view.usable else None
+            command = steering.update(t, scene, view.age, motion, arguments.set_speed)
+            motion = Motion(command.speed, command.speed * command.curvature)
+            engaged |= command.state is not State.HANDOVER
+            if command.state is not state or t >= due - 1e-9:
+                _print(t, command, as_json=arguments.json)
+                state, due = command.state, t + arguments.every
     if not engaged:
-        note(f"error: there was no usable scene with a boundary of the ego lane; {SENDER}")
+        why = source.why_nothing()
+        note(f"error: there was no usable scene with a boundary of the ego lane; {why}")
         return 1
     return 0
 

@@ -1,6 +1,8 @@
 """maplines consume steer and check, on a log of a drive."""
 
+import csv
 import json
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pytest
 
 from maplines_can import Codec, Gaussian, MapLine, Polyline, Slot, map_scene
 from maplines_can.cli import main
+from maplines_can.cli.consume_camera import _of_log, _of_table
 from maplines_can.wire import default_dbc_path
 
 DBC = "maplines-pose.dbc"
@@ -138,3 +141,140 @@ def test_the_dbc_of_a_simulated_camera_is_an_error(
     options = ["--simulate", "--camera-dbc", DBC, str(drive)]
     assert main(["consume", "check", *options]) == 1
     assert "--camera-dbc is that of --camera" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def camera_csv(drive: Path) -> Path:
+    """The lines of camera.log, as decode --csv prints them."""
+    path = drive.with_name("camera.csv")
+    with path.open("w") as out, redirect_stdout(out):
+        assert main(["decode", "--csv", str(drive.with_name("camera.log"))]) == 0
+    return path
+
+
+@pytest.mark.parametrize("kind", ["csv", "sigmas", "parquet"])
+def test_the_lines_of_a_table_are_those_of_the_log(
+    camera_csv: Path, tmp_path: Path, kind: str
+) -> None:
+    """As decode --csv writes it, with standard deviations, and as Parquet."""
+    path = camera_csv
+    with path.open() as file:
+        rows = [*csv.DictReader(file)]
+    names = ["y_off", "beta", "c0", "c1"]
+    table: dict[str, list[Any]] = {
+        name: [float(row[name]) for row in rows] for name in ["t", "x_min", "x_max", "age", *names]
+    }
+    table |= {f"sigma_{n}": [float(row[f"cov_{n}_{n}"]) ** 0.5 for row in rows] for n in names}
+    table["slot"] = [row["slot"] for row in rows]
+    if kind == "parquet":
+        pa = pytest.importorskip("pyarrow")
+        path = tmp_path / "camera.parquet"
+        pytest.importorskip("pyarrow.parquet").write_table(pa.table(table), path)
+    elif kind == "sigmas":
+        path = tmp_path / "camera.csv"
+        lines = zip(*table.values(), strict=True)
+        path.write_text("\n".join(",".join(map(str, row)) for row in [[*table], *lines]))
+    found = [*_of_table(str(path))]
+    expected = [*_of_log(str(camera_csv.with_name("camera.log")), Codec.from_dbc())]
+    assert len(found) == len(expected) == 2 * 20 * SECONDS
+    for one, other in zip(found, expected, strict=True):
+        assert (one.slot, one.x_min, one.x_max) == (other.slot, other.x_min, other.x_max)
+        assert one.t_ns == pytest.approx(other.t_ns, abs=1000)
+        assert one.age == other.age
+        assert one.gaussian.mean == pytest.approx(other.gaussian.mean)
+        assert one.gaussian.sigma == pytest.approx(other.gaussian.sigma)
+        if kind == "csv":
+            assert one.gaussian.cov == pytest.approx(other.gaussian.cov)
+
+
+def test_check_with_a_table_of_camera_lines(
+    drive: Path, camera_csv: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, found, _ = rows(capsys, "check", drive, "--camera", camera_csv, "--seconds", 3.5)
+    assert status == 3
+    assert [row["t"] for row in found if row["raised"]] == [pytest.approx(3.05, abs=0.11)]
+
+
+HEADER = "t,slot,y_off,beta,c0,c1,sigma_y_off,sigma_beta,sigma_c0,sigma_c1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,slot,y_off,beta,c0\n1,EGO_LEFT,1,0,0\n", "has no column c1"),
+        (HEADER.replace(",sigma_y_off", "") + "1,EGO_LEFT,1,0,0,0,1,1,1\n", "no column cov_y_off"),
+        (HEADER + "1,LEFT,1,0,0,0,1,1,1,1\n", "row 1: slot must be one of EGO_LEFT"),
+        (HEADER + "1,EGO_LEFT,x,0,0,0,1,1,1,1\n", "row 1: could not convert"),
+        (HEADER + "1,EGO_LEFT,1,0,0,0,-1,1,1,1\n", "row 1: "),
+        (HEADER + "1,EGO_LEFT,1,0,0,0\n", "has no line"),
+        (HEADER + "1,EGO_LEFT,,0,0,0,1,1,1,1\n", "1 rows without a finite value are skipped"),
+        (HEADER, "has no line"),
+        (HEADER + "\0" * 5, ""),
+    ],
+)
+def test_a_wrong_table_of_camera_lines_is_one_line(
+    drive: Path, tmp_path: Path, text: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "camera.csv"
+    path.write_text(text)
+    status, _, err = rows(capsys, "fusion", drive, "--camera", path)
+    assert status == 1
+    assert message in err
+    assert len([line for line in err.splitlines() if "error:" in line]) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["fusion", "--camera", "x.csv"], "--camera needs LOG"),
+        (["fusion", "LOG", "--camera-channel", "can1"], "--camera-channel is a bus"),
+        (["fusion", "--camera-dbc", "maplines.dbc"], "leave it out"),
+        (["fusion", "--motion", "x.csv"], "need LOG"),
+        (["fusion", "LOG", "--signals", "x.toml"], "go together"),
+        (["fusion", "LOG", "--signals", "x", "--signals-dbc", "y", "--speed", "1"], "leave it out"),
+        (["fusion", "LOG", "--camera", "none.csv"], "none.csv"),
+        (["fusion", "LOG", "--camera", "none.parquet"], "none.parquet"),
+        (["fusion", "--simulate", "--camera-channel", "can1"], "--simulate has a car of its own"),
+    ],
+)
+def test_options_that_do_not_fit(
+    drive: Path, options: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(drive) if option == "LOG" else option for option in options]
+    assert main(["consume", *given, "--dbc", DBC]) == 1
+    (error,) = [line for line in capsys.readouterr().err.splitlines() if "error:" in line]
+    assert message in error
+
+
+CAR_DBC = """\
+VERSION ""
+BU_: car
+BO_ 1 ESP: 4 car
+ SG_ VehicleSpeed : 0|16@1- (0.01,0) [0|0] "km/h" car
+ SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" car
+"""
+
+
+@pytest.mark.parametrize("consumer", ["fusion", "check"])
+def test_the_motion_of_the_signals_in_the_log(
+    drive: Path, tmp_path: Path, consumer: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The result is that of the same motion in a table."""
+    (tmp_path / "car.dbc").write_text(CAR_DBC)
+    names = 'speed_kmh = "ESP.VehicleSpeed"\nyaw_rate_deg_s = "YawRate"\n'
+    (tmp_path / "signals.toml").write_text(names)
+    (tmp_path / "motion.csv").write_text("time,speed,yaw_rate\n99,10,0.0\n110,10,0.0\n")
+    log = tmp_path / "both.log"
+    esp = (3600).to_bytes(2, "little") + bytes(2)
+    car = [f"({99 + k}.0) can0 001#{esp.hex()}" for k in range(12)]
+    frames = [line for line in drive.read_text().splitlines() if " 001#" not in line]
+    log.write_text(
+        "\n".join(sorted([*frames, *car], key=lambda row: float(row[1 : row.index(")")]))) + "\n"
+    )
+    signals = ["--signals", tmp_path / "signals.toml", "--signals-dbc", tmp_path / "car.dbc"]
+    simulate = ["--simulate"] if consumer == "check" else []
+    _, by_signals, err = rows(capsys, consumer, log, *simulate, *signals, "--seconds", 3)
+    assert "error" not in err
+    motion = ["--motion", tmp_path / "motion.csv"]
+    _, by_table, _ = rows(capsys, consumer, log, *simulate, *motion, "--seconds", 3)
+    assert by_signals == by_table

@@ -31,13 +31,9 @@ KINDS = (Kind.DASHED, Kind.SOLID)
 POLES = tuple(Landmark(str(x), LandmarkKind.POLE, x, 6.0) for x in range(10, 400, 30))
 LAYER = LocalisationLayer(network(lane("1", length=400.0, kinds=KINDS), landmarks=POLES))
 SETUP = SensorSetup()
+NONE = GaussMarkov(0.0)
 EXACT = SensorSetup(
-    errors=SensorErrors(
-        **{name: GaussMarkov(0.0) for name in (
-            "speed", "yaw_rate", "wheel_scale", "gnss", "camera_offset", "camera_heading",
-        )},
-        yaw_rate_noise=0.0,
-    ),
+    errors=SensorErrors(NONE, NONE, NONE, NONE, NONE, NONE, yaw_rate_noise=0.0),
     gnss_sigma=0.0, line_sigma=(0.0, 0.0), line_dropout=(1e9, 1.0), false_lines=0.0,
     unknown_kinds=0.0, landmark_sigma=(0.0, 0.0), missed_landmarks=0.0, false_landmarks=0.0,
 )  # fmt: skip

@@ -232,7 +232,8 @@ def test_an_error_that_pose_fixes_share_does_not_average_out() -> None:
     """While the car stands, the covariance is that of one common error and of the mean of n."""
     shared = np.array([[0.04, 0.01, 0], [0.01, 0.09, 0], [0, 0, 0.0004]])
     noise = np.diag([0.01, 0.01, 1e-4])
-    still = SensorErrors(*[GaussMarkov(0.0)] * 3, yaw_rate_noise=0)
+    none = GaussMarkov(0.0)
+    still = SensorErrors(none, none, none, yaw_rate_noise=0.0)
     found = Localisation(Gaussian(np.zeros(3), 100 * np.eye(3)), errors=still)
     n = 20
     for i in range(n):

@@ -1,0 +1,322 @@
+"""maplines consume on a live bus."""
+
+import json
+import re
+import threading
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from fake_bus import FakeTime, message_of, wait_until
+
+from maplines_can import (
+    Codec,
+    Gaussian,
+    Link,
+    MapLine,
+    Polyline,
+    Receiver,
+    Scene,
+    Slot,
+    Transmitter,
+    map_scene,
+)
+from maplines_can.cli import main
+from maplines_can.wire import default_dbc_path
+
+DBC = "maplines-pose.dbc"
+STEP_NS = 50_000_000
+NOISE = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
+
+
+@pytest.fixture(scope="module")
+def codec() -> Codec:
+    return Codec.from_dbc(default_dbc_path(DBC))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """A straight lane of 3.5 m."""
+    x = np.linspace(-50, 120, 35)
+    lines = {
+        slot: Polyline(np.column_stack([x, y + 0 * x]))
+        for slot, y in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+    }
+    ego = Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2)
+    return map_scene(lines, ego, correlation_time=5.0)
+
+
+def seen(scene: Scene, shift: float = 0.0) -> list[MapLine]:
+    """Return what a camera sees."""
+    return [
+        MapLine(line.slot, Gaussian(line.gaussian.mean + shift * np.eye(4)[0], NOISE), x_max=40.0)
+        for line in scene.lines
+    ]
+
+
+class Sender:
+    """Sender in step with the consumer: while that waits, it sends a cycle and sets the clock.
+
+    So what is received depends on no time of this machine.
+    """
+
+    def __init__(self, channel: str, clock: FakeTime) -> None:
+        self.channel, self.clock = channel, clock
+        self.send: Callable[[int, Any], None]
+        self.receivers: list[Receiver] = []
+        self._cycle = 0
+        self._buses: dict[str, can.BusABC] = {}
+        self._sent: dict[str, list[int]] = {}
+
+    def start(self, send: Callable[[int, Any], None]) -> None:
+        """Let the next consumer receive what a function sends in each cycle."""
+        self.send, self._cycle = send, 0
+        self.receivers.clear()
+        self._sent.clear()
+
+    def put(self, frames: Any, channel: str | None = None) -> None:
+        """Send frames, by default on the channel of the map lines."""
+        name = channel or self.channel
+        if name not in self._buses:
+            self._buses[name] = can.Bus(interface="virtual", channel=name, preserve_timestamps=True)
+        for frame in frames:
+            self._sent.setdefault(name, []).append(frame.can_id)
+            self._buses[name].send(message_of(frame, timestamp=self.clock.ns / 1e9))
+
+    def wait(self, *_: Any) -> bool:
+        """Stand in for ``Receiver.wait``, which a consumer calls once in each cycle."""
+        self.clock.ns += STEP_NS
+        self.send(self._cycle, self.put)
+        self._cycle += 1
+        for receiver in self.receivers:
+            sent = self._sent.get(receiver._link.name.split()[-1], [])
+            passed = sum(can_id in (receiver._can_ids or ()) for can_id in sent)
+            wait_until(lambda one=receiver, n=passed: one.stats().frames >= n)
+        return False
+
+    def close(self) -> None:
+        for bus in self._buses.values():
+            bus.shutdown()
+
+
+@pytest.fixture
+def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """``Sender.start``."""
+    clock, start = FakeTime(), Receiver.start
+    sender = Sender(channel, clock)
+
+    def started(receiver: Receiver) -> Receiver:
+        sender.receivers.append(receiver)
+        return start(receiver)
+
+    monkeypatch.setattr("maplines_can.bus.listener.time", clock)
+    monkeypatch.setattr("maplines_can.cli.consume_input.time", clock)
+    monkeypatch.setattr(Receiver, "start", started)
+    monkeypatch.setattr(Receiver, "wait", sender.wait)
+    yield sender.start
+    sender.close()
+
+
+def scenes_of(codec: Codec, scene: Scene, cycles: int = 10**6) -> Callable[[int, Any], None]:
+    """Return a function that sends the scene in each of the first cycles."""
+    prepared = codec.prepare_scene(scene)
+
+    def send(cycle: int, put: Any) -> None:
+        if cycle < cycles:
+            for frames in codec.encode_scene(prepared, age=0.02).values():
+                put(frames)
+
+    return send
+
+
+def rows(
+    capsys: pytest.CaptureFixture[str], channel: str, *options: object
+) -> tuple[int, list[Any], str]:
+    """Return status, rows and standard error of a consumer on the bus."""
+    bus = ["--interface", "virtual", "--channel", channel, "--json"]
+    given = [str(option) for option in options]
+    status = main(["consume", *given, *bus, *([] if "--dbc" in given else ["--dbc", DBC])])
+    out, err = capsys.readouterr()
+    return status, [json.loads(line) for line in out.splitlines()], err
+
+
+def test_steer_drives_until_the_lines_stop(
+    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sending(scenes_of(codec, scene, 40))
+    status, found, err = rows(capsys, channel, "steer", "--seconds", 4)
+    assert (status, err) == (0, "")
+    states = [row["state"] for row in found]
+    assert "DRIVING" in states[1:3]
+    assert (found[-1]["state"], found[-1]["reason"]) == ("HANDOVER", "NO_LINES")
+    (end,) = [row["t"] for row in found[2:] if row["state"] == "HANDOVER"][:1]
+    assert end == pytest.approx(2.0 + 0.5, abs=0.25)
+
+
+def test_fusion_with_the_camera_of_another_channel(
+    sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its lines are used from the scenes on, each once; without it, none are."""
+    send_scene, plain, lines = scenes_of(codec, scene), Codec.from_dbc(), seen(scene)
+    other = f"{channel}-camera"
+
+    def send(cycle: int, put: Any) -> None:
+        send_scene(cycle, put)
+        for line in lines if cycle % 2 == 0 else []:
+            put(plain.encode(line), other)
+
+    sending(send)
+    camera = ["--camera-channel", other]
+    status, found, err = rows(
+        capsys, channel, "fusion", *camera, "--speed", 0, "--seconds", 2, "--every", 0.05
+    )
+    assert (status, err) == (0, "")
+    used = [row["camera"] for row in found]
+    assert 15 <= sum(map(bool, used)) <= 20
+    assert all(not (one and other) for one, other in pairwise(used))
+    with_camera = found[-1]["centre"][0]["sigma"]
+    sending(send_scene)
+    status, found, _ = rows(capsys, channel, "fusion", "--speed", 0, "--seconds", 2)
+    assert status == 0
+    assert not any(row["camera"] for row in found)
+    assert with_camera < 0.7 * found[-1]["centre"][0]["sigma"]
+    assert found[-1]["centre"][0]["value"] == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1.0])
+def test_check_with_the_camera_of_another_channel(
+    sending: Any,
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    shift: float,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Its lines jump after 1.2 s. An image that has been compared is not compared again."""
+    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc()
+    before, after = seen(scene), seen(scene, shift)
+
+    def send(cycle: int, put: Any) -> None:
+        send_scene(cycle, put)
+        for line in (after if cycle >= 24 else before) if cycle % 2 == 0 else []:
+            put(plain.encode(line), f"{channel}-camera")
+
+    sending(send)
+    camera = ["--camera-channel", f"{channel}-camera"]
+    status, found, err = rows(capsys, channel, "check", *camera, "--seconds", 2.5)
+    raised = [row["t"] for row in found if row["raised"]]
+    assert status == (3 if shift else 0), err
+    assert raised == ([pytest.approx(1.3, abs=0.16)] if shift else [])
+    assert f"{len(raised)} alarms" in err
+    counts = re.search(r"(\d+) cycles CONSISTENT, (\d+) cycles INCONSISTENT", err)
+    assert counts is not None
+    assert 15 <= int(counts[1]) + int(counts[2]) <= 25
+
+
+CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
+
+
+@pytest.mark.parametrize("consumer", CONSUMERS)
+def test_real_time_with_a_transmitter_until_ctrl_c(
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    consumer: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Ctrl-C at the first row with a result: status 0, no traceback."""
+    module = f"maplines_can.cli.consume_{consumer[0]}"
+
+    def stop_at(is_result: Callable[..., bool], after: int = 0) -> Callable[..., str]:
+        count = 0
+
+        def stop(*arguments: Any, **_: Any) -> str:
+            nonlocal count
+            count += is_result(*arguments)
+            if count > after:
+                raise KeyboardInterrupt
+            return ""
+
+        return stop
+
+    if consumer[0] == "fusion":
+        monkeypatch.setattr(f"{module}.lane_text", stop_at(lambda row: bool(row["centre"]), 1))
+    elif consumer[0] == "steer":
+        is_driving = stop_at(lambda _, command: command.state.name != "HANDOVER")
+        monkeypatch.setattr(f"{module}._print", is_driving)
+    else:
+        is_compared = stop_at(lambda _, found: found.outcome.name == "CONSISTENT")
+        monkeypatch.setattr(f"{module}._print", is_compared)
+    done = threading.Event()
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, codec, period=0.05) as transmitter,
+    ):
+
+        def publish() -> None:
+            prepared = codec.prepare_scene(scene)
+            while not done.wait(0.02):
+                transmitter.publish(prepared)
+
+        thread = threading.Thread(target=publish)
+        thread.start()
+        try:
+            bus = ["--interface", "virtual", "--channel", channel, "--dbc", DBC]
+            status = main(["consume", *consumer, *bus, "--every", "0.05"])
+        finally:
+            done.set()
+            thread.join()
+    err = capsys.readouterr().err
+    assert (status, "error" in err) == (0, False), err
+
+
+@pytest.mark.parametrize("consumer", CONSUMERS)
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [
+        ("nothing", "no frame of the messages of --dbc has arrived; check .*--fd"),
+        ("others", "no frame of the messages of --dbc has arrived; check"),
+        ("damaged", r"none of \d+ frames completed a line \(dropped: .*\); check whether --dbc"),
+        ("lines", "the sender must send the pose error, too"),
+    ],
+)
+def test_a_bus_without_scenes_is_one_clear_line(
+    sending: Any,
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    consumer: list[str],
+    sent: str,
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of another DBC, or without the pose error; status 1."""
+    plain = [one for line in scene.lines for one in Codec.from_dbc().encode(line)]
+    own = [one for frames in codec.encode_scene(scene).values() for one in frames]
+    frames = {
+        "nothing": [],
+        "others": plain,
+        "damaged": [one._replace(data=bytes(len(one.data))) for one in own],
+        "lines": plain,
+    }[sent]
+    sending(lambda _, put: put(frames))
+    dbc = "maplines.dbc" if sent == "lines" else DBC
+    status, _, err = rows(capsys, channel, *consumer, "--seconds", 0.5, "--dbc", dbc)
+    assert status == 1
+    (error,) = [line for line in err.splitlines() if "error:" in line]
+    assert re.search(words, error), error
+
+
+@pytest.mark.parametrize("consumer", CONSUMERS)
+def test_a_bus_that_is_down_is_one_clear_line(
+    consumer: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    bus = ["--interface", "socketcan", "--channel", "nocan7", "--dbc", DBC]
+    assert main(["consume", *consumer, *bus]) == 1
+    (error,) = capsys.readouterr().err.splitlines()
+    assert "error:" in error
+    assert "nocan7" in error
