@@ -187,9 +187,8 @@ def pose_original() -> str:
 def conditional_original() -> str:
     """Return the text of a DBC with a line that is conditional on the pose, with a free page."""
     first, second, third, fourth = CONDITIONAL.pages
-    levels = [spec for spec in second if spec.name == "OwnSpacing"]
-    rest = (first[-1], *(spec for spec in second if spec not in levels))
-    pages = (first[:-1], rest, (*third, *levels), fourth, ())
+    moved = (first[-1], second[-1])
+    pages = (first[:-1], second[:-1], (*third, *moved), fourth, ())
     text = replace(CONDITIONAL, slots=SLOTS[:1], pages=pages, first_secured_can_id=None).dbc()
     return _without_comments(text)
 

@@ -140,22 +140,24 @@ _LINE_COUNTER = SignalSpec(
     why="profile 5 asks for 8 bits; 256 lines are 12.8 s at 20 Hz")
 _MEAN = (
     SignalSpec(
-        name="YOff", bits=14, factor=2**-8, unit="m", signed=True,
+        name="YOff", bits=13, factor=2**-7, unit="m", signed=True,
         about="Lateral offset of the line at x = 0, positive to the left.",
-        why="half a step is 2 mm; +-32 m holds four lanes to either side"),
+        why="half a step is 4 mm; +-32 m holds four lanes to either side"),
     SignalSpec(
-        name="Beta", bits=14, factor=2**-14, unit="rad", signed=True,
+        name="Beta", bits=13, factor=2**-13, unit="rad", signed=True,
         about="Heading of the line relative to the car, positive to the left; tan(Beta) is the "
               "slope.",
-        why="half a step is 2.4 mm at 80 m; +-28.6 deg"),
+        why="half a step is 5 mm at 80 m; +-28.6 deg"),
     SignalSpec(
-        name="C0", bits=15, factor=2**-17, unit="1/m", signed=True,
+        name="C0", bits=16, factor=2**-17, unit="1/m", signed=True,
         about="Curvature at x = 0: the second derivative of y(x), positive to the left.",
-        why="half a step is 1.2 cm at 80 m, less YOff and Beta; +-0.125 1/m is a radius of 8 m"),
+        why="half a step is 1.2 cm at 80 m, less YOff and Beta; +-0.25 1/m is a radius of 4 m, as "
+            "the inner line of a corner has"),
     SignalSpec(
-        name="C1", bits=16, factor=2**-20, unit="1/m^2", signed=True,
+        name="C1", bits=17, factor=2**-20, unit="1/m^2", signed=True,
         about="Curvature rate: the third derivative of y(x).",
-        why="half a step is 4 cm at 80 m, for most of which the others make up"),
+        why="half a step is 4 cm at 80 m, for most of which the others make up; +-0.0625 1/m^2 "
+            "turns into the tightest corner within 4 m"),
 )
 _HAS_COVARIANCE = SignalSpec(
     name="HasCovariance", bits=1,
@@ -178,8 +180,8 @@ _COVARIANCE = covariance_signals("Cholesky")
 #: The writer of ``dbc/maplines-pose.dbc``.
 CONDITIONAL = DbcWriter(
     pages=(
-        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, _OWN[0]),
-        (*_MEAN[2:], *_FIT_RANGE, *_OWN[1:]),
+        (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, _OWN[2]),
+        (*_MEAN[2:], *_FIT_RANGE, *_OWN[:2], _OWN[3]),
         _COVARIANCE[:5],
         _COVARIANCE[5:],
     ),

@@ -143,7 +143,7 @@ def test_values_that_no_sender_may_send_are_rejected(change: dict[str, int]) -> 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"YOff": 2**13}, "signal YOff: the raw value 8192 is not from -8192 to 8191"),
+        ({"YOff": 2**12}, "signal YOff: the raw value 4096 is not from -4096 to 4095"),
         ({"OwnLateral": -1}, "signal OwnLateral"),
         ({"Status": 1}, "Status differ"),
         ({"PivotC0": 1}, "PivotBeta, PivotC1"),
