@@ -15,6 +15,7 @@ from scipy.linalg import solve_discrete_are
 from ..gaussian import Gaussian
 from ..line import Slot
 from ..propagation.motion import Motion
+from ..propagation.refit import MAX_MISFIT
 from ..scene import Scene
 from .path import Path, lane_path
 
@@ -25,9 +26,10 @@ SPEED_STEP = 0.5
 #: Errors that weigh the same in the cost: of the offset [m], of the heading [rad], and of the
 #: lateral jerk by which they are corrected [m/s^3].
 COST = (0.05, 0.05, 3.0)
-#: Length over which a curve must be too tight to steer [m]. The curvature of a polynomial is the
-#: least certain at the ends of its range, such as beside a car that leaves a corner.
-BEND = 2.0
+#: Deviation from the path at the largest curvature of the car from which a curve is too tight [m]:
+#: received lines may be ``MAX_MISFIT`` to either side of the true ones. The curvature of their
+#: cubics may be far off at the ends of their ranges, such as beside a car that leaves a corner.
+CUT = 2 * MAX_MISFIT
 #: Longest age of a line that is followed, and in a handover, until the car has stopped [s].
 OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
 
@@ -249,10 +251,10 @@ class LaneSteering:
             Reason.RANGE: _stopping_speed(path.reach, limits),
             Reason.BAND: math.inf if known.all() else sure / limits.preview,
         }
-        bend = np.abs(path.curvature)
         stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
-        if (_mean_bend(path)[path.s <= stopping] > limits.curvature).any():
+        if _tight_from(path, limits.curvature) <= stopping:
             return Reason.TIGHT, 0.0
+        bend = np.abs(path.curvature).clip(max=limits.curvature)
         with np.errstate(divide="ignore"):
             squared = limits.lateral_acceleration / bend
         squared += 2 * limits.deceleration * np.maximum(path.s - speed * limits.reaction, 0.0)
@@ -262,11 +264,35 @@ class LaneSteering:
         return reason, fastest if fastest >= limits.least_speed or reason is Reason.NONE else 0.0
 
 
-def _mean_bend(path: Path) -> NDArray[np.float64]:
-    """Return the (n,) absolute curvature of a path, mean over the next ``BEND`` metres [1/m]."""
-    s, k = path.s, path.curvature
-    turn = np.append(0.0, np.cumsum((k[1:] + k[:-1]) / 2 * np.diff(s)))
-    return np.abs(np.interp(s + BEND, s, turn) - turn) / BEND
+def _tight_from(path: Path, largest: float) -> float:
+    """Return the distance along a path at which a curve begins that is too tight to steer [m].
+
+    From where the path bends more than the car can, the car turns at the largest curvature, until
+    it has the direction of the path again. The curve is too tight if the car is off the path by
+    more than ``CUT`` then.
+
+    Args:
+        path: to follow.
+        largest: curvature that the car can steer [1/m].
+
+    Returns:
+        The distance of the first such curve; infinite if there is none.
+
+    >>> s = np.linspace(0.0, 20.0, 81)
+    >>> path = Path(0.0, 0.0, s, np.where(s > 10.0, 0.25, 0.0), 0 * s)
+    >>> _tight_from(path, 0.2), _tight_from(path, 0.25)
+    (10.25, inf)
+    """
+    s, step = path.s, np.diff(path.s)
+    begins = [math.inf]
+    for side in (1, -1):
+        excess = side * path.curvature - largest
+        turned = np.append(0.0, np.cumsum((excess[1:] + excess[:-1]) / 2 * step))
+        lacking = turned - np.minimum.accumulate(turned)  # direction, less than that of the path
+        off = np.append(0.0, np.cumsum((lacking[1:] + lacking[:-1]) / 2 * step))
+        begin = np.maximum.accumulate(np.where(lacking == 0, np.arange(len(s)), 0))
+        begins += s[begin][off - off[begin] > CUT][:1].tolist()
+    return min(begins)
 
 
 def _stopping_speed(distance: float, limits: SteeringLimits) -> float:

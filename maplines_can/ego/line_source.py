@@ -13,6 +13,7 @@ from ..line import MapLineList, Slot
 from ..maps import LaneTracker, Map, Route, Scene
 from ..polyline import Polyline
 from ..propagation import MapError, map_lines, map_scene
+from ..propagation.refit import MAX_MISFIT
 from ..scene import Scene as LineScene
 
 #: Number of mixture components of each line, from the lines of the map and the stated pose.
@@ -52,6 +53,7 @@ class LineSource:
         correlation_time: of the pose error [s], or a function that returns it in each cycle;
             infinite if it is unknown. The cycles then have the joint covariance of their lines,
             which have one component each. None: they do not.
+        max_misfit: largest deviation of a cubic from its line [m].
 
     >>> from maplines_can import PoseSource, maps, Polyline
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
@@ -73,13 +75,14 @@ class LineSource:
         map_error: MapError | None = None,
         components: int | ChooseComponents = 1,
         correlation_time: float | Callable[[], float] | None = None,
+        max_misfit: float = MAX_MISFIT,
     ) -> None:
         if correlation_time is not None and components != 1:
             raise ValueError(
                 "components must be 1 with a correlation_time, since a receiver of the pose error "
                 f"splits it itself, got {components!r}"
             )
-        self._correlation_time = correlation_time
+        self._correlation_time, self._max_misfit = correlation_time, max_misfit
         self._stated, self._slots = stated, frozenset(slots)
         self._window, self._map_error, self._components = window, map_error, components
         self._tracker = LaneTracker(found, route)
@@ -105,6 +108,7 @@ class LineSource:
                 correlation_time=time() if callable(time) else time,
                 window=self._window,
                 map_error=self._map_error,
+                max_misfit=self._max_misfit,
             )
             lines = MapLineList(joint.lines, joint.left_out)
             return Cycle(t, stated, scene, lines, changed, joint)
@@ -113,6 +117,7 @@ class LineSource:
             stated,
             window=self._window,
             map_error=self._map_error,
+            max_misfit=self._max_misfit,
             components=own(chosen, stated) if callable(own) else own,
         )
         return Cycle(t, stated, scene, lines, changed)

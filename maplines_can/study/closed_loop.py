@@ -36,6 +36,9 @@ MARGIN = 10.0
 #: Range of the lines around the car [m]. A cubic that must be true for 20 m behind the car is not
 #: true for what is ahead in a sharp corner.
 WINDOW = (-4.0, 80.0)
+#: Largest deviation of a cubic from its line [m]. At the end of a corner, that is what the car is
+#: off the lane although it knows its pose.
+MISFIT = 0.05
 #: Slots that are sent on a map.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
 #: Distance before and after a lane change in which the car follows the line of the route [m].
@@ -191,6 +194,7 @@ def on_map(
         window=WINDOW,
         map_error=map_error,
         correlation_time=correlation_time,
+        max_misfit=MISFIT,
     )
 
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
@@ -210,7 +214,9 @@ def on_street(
 
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
         known = stated(t, pose)
-        scene = map_scene(sent, known, correlation_time=correlation_time, window=WINDOW)
+        scene = map_scene(
+            sent, known, correlation_time=correlation_time, window=WINDOW, max_misfit=MISFIT
+        )
         return Seen(known, scene, DEFAULT_SPEED)
 
     centre = lines[Slot.CENTRE]

@@ -13,6 +13,7 @@ from maplines_can import STREETS, Gaussian, MapLine, Motion, Scene, Slot, map_sc
 from maplines_can.consumers.path import Path
 from maplines_can.consumers.steering import (
     COST,
+    CUT,
     LaneSteering,
     Reason,
     State,
@@ -198,12 +199,50 @@ def test_a_curve_that_is_too_tight_is_handed_over() -> None:
     assert steering._fastest(path, 4.0, 13.9) == (Reason.TIGHT, 0.0)
 
 
-@pytest.mark.parametrize(("length", "reason"), [(0.5, Reason.NONE), (3.0, Reason.TIGHT)])
-def test_a_short_peak_of_the_curvature_is_no_tight_curve(length: float, reason: Reason) -> None:
-    """As at the end of a cubic, beside a car that leaves a corner."""
-    s = np.linspace(0.0, 20.0, 81)
-    path = Path(0.0, 0.0, s, np.where(s <= length, 0.25, 0.0), np.full(81, 0.05))
+def bend_path(curvature: float, first: float, length: float) -> Path:
+    """Straight path with a bend of a curvature, which begins and ends within a centimetre."""
+    s = np.linspace(0.0, 20.0, 2001)
+    inside = (s >= first - 0.005) & (s <= first + length + 0.005)
+    return Path(0.0, 0.0, s, np.where(inside, curvature, 0.0), np.full(len(s), 0.05))
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize(
+    ("curvature", "share", "reason"),
+    [
+        pytest.param(0.25, 0.98, Reason.NONE, id="short-peak"),
+        pytest.param(0.25, 1.02, Reason.TIGHT, id="bend"),
+        pytest.param(0.8, 0.96, Reason.NONE, id="high-peak"),
+        pytest.param(0.8, 1.04, Reason.TIGHT, id="corner"),
+    ],
+)
+def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
+    side: int, curvature: float, share: float, reason: Reason
+) -> None:
+    """With the excess e over L, and k at full lock, it is off by e L^2 / 2 + (e L)^2 / 2 k."""
+    k = SteeringLimits().curvature
+    e = curvature - k
+    length = math.sqrt(2 * CUT / (e + e**2 / k))
+    path = bend_path(side * curvature, 0.0, share * length)
     assert LaneSteering()._fastest(path, 2.0, 2.0)[0] is reason
+
+
+@pytest.mark.parametrize(
+    ("first", "reason"), [(2.0, Reason.TIGHT), (5.9, Reason.TIGHT), (6.2, Reason.NONE)]
+)
+def test_it_hands_over_while_it_can_stop_before_a_tight_curve(first: float, reason: Reason) -> None:
+    """At 4.86 m/s, and with 0.3 s and 2.5 m/s^2, it stops within 6.18 m."""
+    path = bend_path(0.25, first, 5.0)
+    found = LaneSteering()._fastest(path, 4.86, 3.0)[0]
+    assert found is reason
+
+
+def test_a_peak_of_the_curvature_slows_the_car_no_more_than_full_lock() -> None:
+    """As at the end of a cubic, beside a car that leaves a corner."""
+    limits = SteeringLimits()
+    reason, speed = LaneSteering()._fastest(bend_path(1.0, 0.0, 0.3), 3.0, 13.9)
+    assert reason is Reason.CURVE
+    assert speed == pytest.approx(math.sqrt(limits.lateral_acceleration / limits.curvature))
 
 
 @pytest.mark.parametrize("name", SteeringLimits.__dataclass_fields__)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from maplines_can import STREETS, Gaussian, Slot, map_scene
+from maplines_can import STREETS, Gaussian, Polyline, Slot, map_scene
 from maplines_can.consumers.steering import Reason, State
 from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street, without
 
@@ -78,7 +78,27 @@ def test_a_car_that_knows_its_pose_follows_a_corner_within_centimetres() -> None
     loop.way = (45.0, 84.0)  # the corner is from 60 m to 72 m
     moments = loop.run()
     assert moments[-1].along > 73.0
-    assert np.quantile([abs(m.error) for m in moments], 0.95) < 0.06
+    assert np.quantile([abs(m.error) for m in moments], 0.95) < 0.04
+
+
+def test_the_car_stops_before_a_corner_that_it_cannot_steer() -> None:
+    """A corner of 4 m after 30 m; at full lock, the car turns on 5 m."""
+    turn = np.linspace(0.0, math.pi / 2, 60)
+
+    def beside(distance: float) -> Polyline:
+        r = 4.0 - distance
+        bend = np.column_stack([30 + r * np.sin(turn), 4.0 - r * np.cos(turn)])
+        return Polyline(np.concatenate([[[0.0, distance]], bend, [[30 + r, 60.0]]]))
+
+    lines = {Slot.EGO_LEFT: beside(1.75), Slot.EGO_RIGHT: beside(-1.75), Slot.CENTRE: beside(0.0)}
+    loop = on_street(lines, Localisation((0.05, 0.02, 0.001)).pose)
+    loop.way = (22.0, 60.0)
+    moments = loop.run()
+    last = moments[-1]
+    assert (last.state, last.reason) == (State.HANDOVER, Reason.TIGHT)
+    assert last.speed < 0.05
+    assert last.along < 31.5
+    assert max(abs(m.error) for m in moments) < 0.1
 
 
 def test_a_scene_without_a_line_keeps_what_belongs_to_the_others() -> None:
