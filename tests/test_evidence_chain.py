@@ -52,7 +52,7 @@ def moment(tool: Any, error: float, state: str) -> Any:
 def test_what_is_met(
     tool: Any, moments: Any, arrived: int, met: bool, handovers: int, monkeypatch: Any
 ) -> None:
-    monkeypatch.setattr(tool, "fused_nees", lambda _: np.ones(3))
+    monkeypatch.setattr(tool, "fused_nees", lambda _: np.ones((2, 3)))
     consumer = SimpleNamespace(
         moments=[moment(tool, *one) for one in moments], world=SimpleNamespace(t=1.0)
     )
@@ -70,3 +70,19 @@ def test_the_shares_of_a_core_add_up(tool: Any) -> None:
     assert sum(found["sender: its parts"].values()) == pytest.approx(0.4)
     assert found["receiver: its parts"]["reception"] == pytest.approx(0.1)
     assert found["receiver: simulation"] == pytest.approx(0.05)
+
+
+def test_the_mean_over_seeds_and_its_standard_error(tool: Any) -> None:
+    """Places that a drive does not show are left out."""
+    drives = [
+        {"met": True, "sender": {tool.POSE_NEES: x}, tool.FUSED: [x, 2.0, 1.0]}
+        | {tool.OUTAGE: [x, np.nan, np.nan]}
+        for x in (1.0, 3.0)
+    ]
+    found = tool.over_seeds(drives)
+    assert found["met"]
+    assert found[tool.POSE_NEES]["mean"] == [2.0]
+    assert found[tool.FUSED]["mean"] == [2.0, 2.0, 1.0]
+    assert found[tool.FUSED]["standard error"] == [1.0, 0.0, 0.0]  # sqrt(2) / sqrt(2)
+    assert found[tool.OUTAGE]["mean"] == pytest.approx([2.0, np.nan, np.nan], nan_ok=True)
+    assert not tool.over_seeds([drives[0], drives[1] | {"met": False}])["met"]

@@ -4,6 +4,7 @@
     evidence_chain.py                  ten minutes, over UDP multicast between two processes
     evidence_chain.py --seconds 30     half a minute
     evidence_chain.py --simulated      without waiting, without a bus, in one process
+    evidence_chain.py --simulated --seeds 6 --seconds 120    drives with other errors
 
 Run it in the environment of the project: python3 tools/run.py python tools/evidence_chain.py
 
@@ -21,7 +22,8 @@ handover it stops; then the driver lets it drive again.
 
 The error is the lateral distance of the rear axle from the middle of the lane. NEES is the squared
 error in units of the variance: for each degree of freedom, 1 if the covariance is right. One drive
-is one draw of errors that last, so it scatters about 1.
+is one draw of errors that last, so it scatters about 1; --seeds gives the mean over drives, and its
+standard error.
 
 Lost is what was sent, less what was received. A line that the sender has to skip, since it is late
 or was retracted, is not sent, but leaves a gap in the counters.
@@ -40,13 +42,13 @@ import socket
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from chain_parts import Array, Consumer, Sender, World
+from chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
 from reporting import bar, parser_of, report
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, maps
@@ -69,6 +71,10 @@ PATIENCE, START = 5.0, 120.0
 
 #: DBC with a message of the pose error.
 DBC = "maplines-pose.dbc"
+
+#: Names of figures.
+POSE_NEES, FUSED = "NEES of the pose", "NEES of the fused lane at 0, 20, 40 m"
+OUTAGE = "the same while the camera fails"
 
 Tick = Callable[[float], object]
 
@@ -230,6 +236,7 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
     ]
     braking = [abs(m.error) for m in moments if m.state is State.HANDOVER]
     ages = np.array([m.map_age for m in moments if math.isfinite(m.map_age)])
+    nees, nees_in_outages = fused_nees(consumer)
     inside = bool(len(error)) and float(error.max()) <= IN_LANE
     return {
         "seconds": round(world.t, 2),
@@ -247,7 +254,8 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
         "reasons of the handovers": dict(Counter(handovers)),
         "largest error in a handover [m]": max(braking, default=0.0),
         "age of the lines, median and 95 % [s]": np.quantile(ages, [0.5, 0.95]).round(3).tolist(),
-        "NEES of the fused lane at 0, 20, 40 m": fused_nees(consumer).round(2).tolist(),
+        FUSED: nees.round(2).tolist(),
+        OUTAGE: nees_in_outages.round(2).tolist(),
         "met": inside
         and arrived["lines"] == sent["lines"] > 0
         and arrived["frames"] == sent["frames"]
@@ -255,12 +263,16 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
     }
 
 
-def fused_nees(consumer: Consumer) -> Array:
-    """Return the (3,) mean NEES of the fused lane centre, apart from lane changes."""
+def fused_nees(consumer: Consumer) -> tuple[Array, Array]:
+    """Return the (3,) mean NEES of the fused lane centre, apart from lane changes.
+
+    Returns:
+        Over the drive, and over the outages of the camera; NaN where there is nothing.
+    """
     rows, world = np.vstack(consumer.rows), consumer.world
     tracker = maps.LaneTracker(world.map, world.route)
     changes = [(c.start - BESIDE, c.end + BESIDE) for c in world.route.changes]
-    squares = []
+    squares, is_out = [], []
     for moment in consumer.moments[::EACH]:
         pose = np.array([np.interp(moment.now, rows[:, 0], column) for column in rows[:, 1:4].T])
         lines = tracker.lines(pose).lines
@@ -268,9 +280,36 @@ def fused_nees(consumer: Consumer) -> Array:
             continue
         centre = true_lines(lines, LANE, pose)[:, COLUMNS].mean(axis=0)
         squares.append(((moment.centre[:, 0] - centre) / moment.centre[:, 1]) ** 2)
+        is_out.append(CAMERA_OUTAGE[0] <= moment.now % 60 < CAMERA_OUTAGE[1])
     table = np.array(squares).reshape(-1, len(PLACES))
+    return mean_of(table), mean_of(table[np.array(is_out, dtype=bool)])
+
+
+def mean_of(table: Array) -> Array:
+    """Return the means of the columns without NaN; NaN where there is nothing else."""
     known = np.isfinite(table)
-    return np.asarray(np.where(known, table, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
+    total, count = np.where(known, table, 0.0).sum(axis=0), known.sum(axis=0)
+    return np.asarray(np.where(count, total / np.maximum(count, 1), np.nan))
+
+
+def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the NEES of each of two drives or more, their mean and its standard error."""
+    found: dict[str, Any] = {"met": all(result["met"] for result in results)}
+    for name, of in (
+        (POSE_NEES, [[result["sender"][POSE_NEES]] for result in results]),
+        (FUSED, [result[FUSED] for result in results]),
+        (OUTAGE, [result[OUTAGE] for result in results]),
+    ):
+        table = np.array(of, dtype=float)
+        mean = mean_of(table)
+        known = np.isfinite(table).sum(axis=0)
+        error = np.sqrt(mean_of((table - mean) ** 2) / np.maximum(known - 1, 1))
+        found[name] = {
+            "drives": table.round(2).tolist(),
+            "mean": mean.round(2).tolist(),
+            "standard error": error.round(2).tolist(),
+        }
+    return found
 
 
 def free_port() -> int:
@@ -285,18 +324,27 @@ def main(argv: list[str] | None = None) -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--seconds", type=float, default=600.0, help="600 s by default")
     parser.add_argument("--seed", type=int, default=0, help="of all errors")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="number of drives with --simulated, from --seed on"
+    )
     parser.add_argument("--interface", default="udp_multicast", help="udp_multicast by default")
     parser.add_argument("--channel", help="such as vcan0")
     parser.add_argument("--dbc", default=DBC, help=f"of the package, {DBC} by default")
     parser.add_argument("--simulated", action="store_true", help="do not wait, and use no bus")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args(argv)
+    if arguments.seeds < 1 or (arguments.seeds > 1 and not arguments.simulated):
+        parser.error("--seeds must be 1 or more, and 1 without --simulated")
     bus: dict[str, Any] = {"interface": arguments.interface}
     bus |= {"channel": arguments.channel} if arguments.channel else {}
     bus |= {"port": free_port()} if arguments.interface == "udp_multicast" else {}
-    with bar(round(arguments.seconds), "drive", unit=" s") as shown:
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    with bar(round(arguments.seconds) * len(seeds), "drive", unit=" s") as shown:
         if arguments.simulated:
-            result = simulated(arguments.seconds, arguments.seed, arguments.dbc, shown.update)
+            results = [
+                simulated(arguments.seconds, seed, arguments.dbc, shown.update) for seed in seeds
+            ]
+            result = results[0] if len(seeds) == 1 else over_seeds(results)
         else:
             result = on_bus(bus, arguments.seconds, arguments.seed, arguments.dbc, shown.update)
     return report(result | {"processors of this machine": os.cpu_count()}, arguments.json, 44)

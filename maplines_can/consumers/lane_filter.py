@@ -61,14 +61,19 @@ class LaneFilter:
 
     A map line is the line plus ``loading u + own_root v``. u and b are first-order Gauss-Markov
     processes, v is constant. v is a *consider* variable (Schmidt 1966): the covariances with it are
-    kept, but it is not estimated, since it differs from place to place. u is estimated
-    (``handling="state"``), or considered, too.
+    kept, but it is not estimated, since it differs from place to place.
+
+    u is estimated from camera lines (``handling="state"``), or only considered. A scene never
+    updates it: what successive scenes say of it depends on how it changes from cycle to cycle. The
+    error of a localisation does not change as a Gauss-Markov process does, since it moves with its
+    dead reckoning: the error across grows by that of the heading. The difference of a camera line
+    and a map line shows it without such a model.
 
     All arrays may have leading axes, for many cars at once.
 
     Args:
         errors: variables of u.
-        handling: of u.
+        handling: of u at camera lines.
         bias_sigma: (4,) standard deviations of the biases b [m, rad, 1/m, rad/s].
         bias_time: correlation time of the biases [s].
         shape: leading axes.
@@ -85,8 +90,9 @@ class LaneFilter:
         sizes = np.cumsum([0, N, errors, N, BIASES])
         self.lane, self.u, self.v, self.b = (slice(*ends) for ends in pairwise(sizes))
         n = int(sizes[-1])
-        self._estimated = np.ones(n)
-        self._estimated[self.v] = 0
+        # Shares of the gain: 0 for what is considered.
+        self._map_gain, self._camera_gain = np.ones((2, n))
+        self._map_gain[self.u] = self._map_gain[self.v] = self._camera_gain[self.v] = 0
         self.handle(handling)
         self._bias, self._bias_time = np.array(bias_sigma), bias_time
         self.mean = np.zeros((*shape, n))
@@ -94,8 +100,8 @@ class LaneFilter:
         self.cov[..., range(n), range(n)] = np.append(UNKNOWN**2, np.ones(n - N))
 
     def handle(self, handling: Handling) -> None:
-        """Estimate the pose error from now on, or consider it."""
-        self._estimated[self.u] = float(handling == "state")
+        """Estimate the pose error from camera lines from now on, or consider it."""
+        self._camera_gain[self.u] = float(handling == "state")
 
     def predict(
         self, displacement: Array, cov: Array, dt: float, windows: Array, correlation_time: float
@@ -150,7 +156,7 @@ class LaneFilter:
     def update_map(
         self, lines: Array, loading: Array, own: Array, noise: Array | None, used: Mask
     ) -> None:
-        """Update with the lines of a scene.
+        """Update with the lines of a scene. The pose error is considered.
 
         Args:
             lines: (..., 8) left and right.
@@ -165,7 +171,7 @@ class LaneFilter:
         H[..., :, self.u] = loading * used[..., None]
         H[..., :, self.v] = roots(own) * used[..., None]
         self._admit_change(lines, H, noise, used)
-        self._update(lines, H, noise, used)
+        self._update(lines, H, noise, used, self._map_gain)
 
     def update_camera(self, lines: Array, cov: Array, used: Mask, gate: float = GATE) -> Mask:
         """Update with the lines of a camera; those beyond the gate are not used.
@@ -190,7 +196,7 @@ class LaneFilter:
             R[..., 4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = cov[..., i, :, :]
             z = np.zeros((*used.shape[:-1], N))
             z[..., 4 * i : 4 * i + 4] = lines[..., i, :]
-            used[..., i] &= self._update(z, H, R, rows, gate)
+            used[..., i] &= self._update(z, H, R, rows, self._camera_gain, gate)
         return used
 
     def _admit_change(self, z: Array, H: Array, R: Array, used: Mask) -> None:
@@ -216,11 +222,13 @@ class LaneFilter:
         H[..., range(N), range(N)] = used
         return H
 
-    def _update(self, z: Array, H: Array, R: Array, used: Mask, gate: float = np.inf) -> Mask:
+    def _update(
+        self, z: Array, H: Array, R: Array, used: Mask, gain: Array, gate: float = np.inf
+    ) -> Mask:
         r, S, PH = self._innovation(z, H, R, used)
         passed = squared_distance(r, S) <= gate
         K = np.linalg.solve(S, PH.mT).mT
-        K = K * self._estimated[:, None] * passed[..., None, None]
+        K = K * gain[:, None] * passed[..., None, None]
         self.mean = self.mean + (K @ r[..., None])[..., 0]
         I_KH = np.eye(self.mean.shape[-1]) - K @ H
         P = I_KH @ self.cov @ I_KH.mT + K @ R @ K.mT

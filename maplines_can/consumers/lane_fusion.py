@@ -55,9 +55,9 @@ class LaneFusion:
     The error of the pose is common to the lines of a scene *and* to scenes that are closer in time
     than its correlation time. It is a state of the filter (see ``LaneFilter``), so 20 scenes in a
     second are not taken for 20 independent measurements, and what a camera says of the pose error
-    improves the map lines for as long as that error lasts. If the sender does not know the
-    correlation time (``inf``), the pose error is not estimated but considered (Schmidt filter),
-    since an estimate would have to trust in the time.
+    improves the map lines for as long as that error lasts. Scenes alone do not estimate it, but
+    consider it (Schmidt filter): they would have to trust in a model of how it changes. If the
+    sender does not know the correlation time (``inf``), it is considered at camera lines, too.
 
     A camera line is the line plus a bias that lasts, plus noise with the covariance of the line. A
     line beyond the gate, such as a crack of the road, is not used. A scene is always used: where it
@@ -65,8 +65,8 @@ class LaneFusion:
 
     Args:
         source: of the scenes; None for camera lines only.
-        handling: of the pose error: ``"state"``, ``"consider"``, or None to choose by the
-            correlation time.
+        handling: of the pose error at camera lines: ``"state"`` to estimate it, ``"consider"``, or
+            None to choose by the correlation time.
         error_frame: frame in which the pose error lasts while the car turns: ``"map"`` for
             satellites, ``"ego"`` for sensors of the car.
         bias_sigma: standard deviations of the biases of the camera (offset [m], heading [rad],
