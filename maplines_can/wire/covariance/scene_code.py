@@ -44,11 +44,10 @@ from .cholesky import CholeskyCode
 from .code import Array
 from .joint import block_diagonal, blocks, positive_part, uncovered
 from .own_levels import OwnLevels, bases
+from .rounding import rounded_means
 
 #: Signal that says whether a record has all entries of D_i.
 FORM = "HasCovariance"
-#: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.
-ORDER = (3, 2, 0, 1)
 #: Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
 LEVELS_KL = 0.01
 #: Largest ratio of a standard deviation of what a line has of its own, with levels to without.
@@ -263,11 +262,7 @@ class SceneCode:
 
     @np.errstate(over="ignore", invalid="ignore")  # of means that do not fit
     def _encode_means(self, scene: Scene) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
-        """Return the (L,) raw values of means and ranges, and which lines fit.
-
-        Each parameter is rounded given the errors of those before it, so that the error of the
-        lateral position is small all over the range, whatever the steps are.
-        """
+        """Return the (L,) raw values of means and ranges, and which lines fit."""
         means = scene.means
         raw: dict[str, NDArray[np.int64]] = {}
         fits = np.ones(len(means), dtype=bool)
@@ -277,20 +272,18 @@ class SceneCode:
             limited = signal.limited(signal.raw(scene.fit_ranges[:, i]))
             fits &= signal.physical(limited) == scene.fit_ranges[:, i]
             raw[signal.name] = limited.astype(np.int64)
-        fit_ranges = np.where(fits[:, None], scene.fit_ranges, [0.0, 1.0])
-        J = bases(means, fit_ranges)[:, np.array(ORDER)]
-        L = np.linalg.cholesky(J @ J.swapaxes(1, 2))
-        z = np.zeros_like(means)  # the errors so far, in terms of L
-        for row, state in enumerate(ORDER):
-            signal, mean = self._mean[state], means[:, state]
-            expected = (L[:, row, :row] * z[:, :row]).sum(axis=1)
-            nearest = signal.raw(mean + expected)
-            limited = signal.limited(nearest)
-            fits &= nearest == limited
-            raw[signal.name] = limited.astype(np.int64)
-            error = signal.physical(limited) - mean
-            z[:, row] = (error - expected) / L[:, row, row]
-        return raw, fits
+        J = bases(means, np.where(fits[:, None], scene.fit_ranges, [0.0, 1.0]))
+        for signal, values in zip(self._mean, means.T, strict=True):
+            nearest = signal.raw(values)
+            fits &= nearest == signal.limited(nearest)
+        fits &= (scene.cov.diagonal().reshape(means.shape) <= LARGEST**2).all(axis=1)
+        seen = zip(means, scene.fit_ranges, scene.quartics, strict=True)
+        fits &= [_is_function(*line) for line in seen]
+        own = np.zeros((len(means), 4, 4))
+        if fits.any():
+            own[fits] = _parts(scene, np.flatnonzero(fits), J[fits])[1]
+        rounded, within = rounded_means(self._mean, means, own, J, RESOLUTION)
+        return raw | rounded, fits & within
 
     def _encode_shapes(
         self, scene: Scene, raw: Mapping[str, NDArray[np.int64]]
@@ -323,12 +316,10 @@ class SceneCode:
         true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
         seen = SeenLines(means, fit_ranges, quartics)
         noise = self._levels.noise(means, fit_ranges)
-        exact = SeenLines(scene.means[places], scene.fit_ranges[places], scene.quartics[places])
-        rest = blocks(exact.spread(scene.pose_error.cov))
         J, common = bases(means, fit_ranges), self._common(seen, pose)
         least = RESOLUTION**2 * J @ J.swapaxes(1, 2)
         error = d.reshape(-1, 4, 1)
-        missing = positive_part(blocks(scene.cov[np.ix_(keep, keep)]) - rest, J)
+        rest, missing = _parts(scene, places, J)
         missing += error @ error.swapaxes(1, 2)
         is_full = np.full(len(means), full)
         spread = seen.spread(pose.cov)
@@ -382,6 +373,19 @@ class SceneCode:
         if sigma.any():
             J = np.concatenate([J, seen.jacobian() * sigma], axis=2)
         return np.asarray(J @ J.swapaxes(1, 2))
+
+
+def _parts(scene: Scene, places: NDArray[np.intp], J: Array) -> tuple[Array, Array]:
+    """Return the (L, 4, 4) covariances that lines have due to the pose, and of their own.
+
+    Args:
+        scene: the lines with their joint covariance.
+        places: (L,) of the lines in the scene.
+        J: (L, 4, 4) derivatives of ``bases``.
+    """
+    seen = SeenLines(scene.means[places], scene.fit_ranges[places], scene.quartics[places])
+    due_to_pose = blocks(seen.spread(scene.pose_error.cov))
+    return due_to_pose, positive_part(blocks(scene.cov)[places] - due_to_pose, J)
 
 
 def _floor(code: CholeskyCode) -> Array:

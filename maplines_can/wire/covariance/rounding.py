@@ -1,0 +1,57 @@
+"""Rounding of the means of lines to the steps of a message."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..message.signals import Signal
+from .code import Array
+
+#: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.
+ORDER = (3, 2, 0, 1)
+#: What a line has of its own counts up to about this standard deviation [m], so that the lateral
+#: position of any line is exact to a centimetre.
+LARGEST = 2.0**-8
+
+
+def rounded_means(
+    signals: Sequence[Signal], means: Array, own: Array, J: Array, resolution: float
+) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+    """Return the (L,) raw values of means by signal, and which lines fit.
+
+    Each parameter is rounded to its conditional mean given the errors of those before it, so the
+    error of the lateral position is small all over the range, whatever the steps are. It is the
+    smallest where the line has the least of its own: the covariance must cover the error, which
+    would enlarge it most there.
+
+    Args:
+        signals: of y_off, beta, c0 and c1.
+        means: (L, 4) lines.
+        own: (L, 4, 4) covariances of what they have of their own, positive semidefinite.
+        J: (L, 4, 4) derivatives of ``own_levels.bases``.
+        resolution: standard deviation of the coefficients of J in addition [m].
+    """
+    inverse = np.linalg.inv(J)
+    in_metres = inverse @ own @ inverse.swapaxes(1, 2)
+    values, vectors = np.linalg.eigh((in_metres + in_metres.swapaxes(1, 2)) / 2)
+    values = values.clip(0)
+    size = values / (1 + values / LARGEST**2) + resolution**2
+    root = J @ (vectors * np.sqrt(size)[:, None, :])
+    cov = root @ root.swapaxes(1, 2)
+    L = np.linalg.cholesky(cov[:, ORDER][:, :, ORDER])
+    raw: dict[str, NDArray[np.int64]] = {}
+    fits = np.ones(len(means), dtype=bool)
+    z = np.zeros_like(means)  # the errors so far, in terms of L
+    for row, state in enumerate(ORDER):
+        signal, mean = signals[state], means[:, state]
+        expected = (L[:, row, :row] * z[:, :row]).sum(axis=1)
+        nearest = signal.raw(mean + expected)
+        limited = signal.limited(nearest)
+        fits &= nearest == limited
+        raw[signal.name] = limited.astype(np.int64)
+        error = signal.physical(limited) - mean
+        z[:, row] = (error - expected) / L[:, row, row]
+    return raw, fits
