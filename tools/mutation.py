@@ -18,7 +18,7 @@ The sample has mutants of each file, in proportion to their number; each seed gi
 tools/mutation_survivors.toml has the reasons for accepted survivors. An accepted survivor still
 counts as a survivor.
 
-Recording the lines takes more than ten minutes. Then a killed mutant takes 2 s, and a survivor up
+Recording the lines takes some minutes. Then a killed mutant takes 2 s, and a survivor up
 to --budget: about half an hour for 300 mutants on an idle core, twice that on a busy one.
 
 It needs Linux or macOS. Run it in the environment of the project:
