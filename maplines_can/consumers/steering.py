@@ -119,7 +119,8 @@ class LaneSteering:
 
     - in curves, the lateral acceleration;
     - it must be able to stop where the valid range of the lines ends;
-    - the lateral position must be known within ``limits.sigma`` for ``limits.preview`` ahead.
+    - the lateral position must be known within ``limits.sigma`` for ``limits.preview`` ahead, and
+      up to where it would stop.
 
     ::
 
@@ -224,14 +225,18 @@ class LaneSteering:
         return Command(self._curvature, self._speed, state, reason, path)
 
     def _steer(self, path: Path, speed: float, curvature: float) -> None:
-        """Advance the curvature demand by preview control, within its limits."""
+        """Advance the curvature demand by preview control, within its limits.
+
+        The offset counts up to that for which it alone demands the largest change of the curvature.
+        Else the demand runs into its limits, from which it comes back too late, and the car swings.
+        """
         limits, last = self.limits, self._curvature or 0.0
         steps = max(1, round(speed / SPEED_STEP))
         K, F = preview_gains(steps * SPEED_STEP, self.period, limits.lag)
         ahead = path.curvature_at(np.linspace(0.0, speed * self.period * (len(F) - 1), len(F)))
-        x = np.array([path.offset, path.heading, curvature, last])
-        change = float(-K @ x + F @ ahead)
         most = limits.curvature_rate * self.period
+        offset = min(max(path.offset, -most / K[0]), most / K[0])
+        change = float(-K @ [offset, path.heading, curvature, last] + F @ ahead)
         demand = last + min(max(change, -most), most)
         self._curvature = min(max(demand, -limits.curvature), limits.curvature)
 
@@ -249,7 +254,7 @@ class LaneSteering:
         speeds = {
             Reason.NONE: set_speed,
             Reason.RANGE: _stopping_speed(path.reach, limits),
-            Reason.BAND: math.inf if known.all() else sure / limits.preview,
+            Reason.BAND: math.inf if known.all() else _sure_speed(sure, limits),
         }
         stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
         if _tight_from(path, limits.curvature) <= stopping:
@@ -303,6 +308,14 @@ def _stopping_speed(distance: float, limits: SteeringLimits) -> float:
     """
     a, t = limits.deceleration, limits.reaction
     return math.sqrt((a * t) ** 2 + 2 * a * distance) - a * t
+
+
+def _sure_speed(distance: float, limits: SteeringLimits) -> float:
+    """Return the speed at which the lateral position is known up to a distance [m/s].
+
+    It is known for ``preview``, and up to where the car would stop.
+    """
+    return min(distance / limits.preview, _stopping_speed(distance, limits))
 
 
 def _composed(pose: NDArray[np.float64], step: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -98,12 +98,13 @@ def test_the_car_steers_to_the_middle(offset: float, sign: int) -> None:
     assert command.path.offset == pytest.approx(-offset, abs=0.01)  # it has begun to turn
 
 
-def test_the_demand_is_limited() -> None:
-    limits = SteeringLimits(curvature=0.01, curvature_rate=0.02)
+@pytest.mark.parametrize("rate", [0.02, 2.0])
+def test_the_demand_is_limited(rate: float) -> None:
+    limits = SteeringLimits(curvature=0.01, curvature_rate=rate)
     commands = driven(LaneSteering(limits), [straight(offset=1.1)] * 40, speed=3.0)
     demands = np.array([0.0] + [command.curvature for command in commands])
-    assert np.abs(np.diff(demands)).max() <= 0.02 * 0.05 + 1e-12
-    assert np.abs(demands).max() == pytest.approx(0.01)
+    assert np.abs(np.diff(demands)).max() == pytest.approx(min(rate * 0.05, 0.01))
+    assert np.abs(demands).max() <= 0.01
 
 
 def test_the_set_speed_is_reached_by_the_acceleration() -> None:
@@ -132,7 +133,8 @@ def test_it_slows_down_where_the_band_is_too_wide() -> None:
     wide = replace(wide, lines=lines, cov=np.kron(np.eye(2), cov))
     command = driven(LaneSteering(), [wide] * 40, speed=12.0)[-1]
     assert (command.state, command.reason) == (State.SLOWING, Reason.BAND)
-    assert command.speed == pytest.approx(13.7 - 12 * 0.15, abs=0.5)
+    stopping = command.speed * 0.3 + command.speed**2 / (2 * 2.5)
+    assert stopping == pytest.approx(13.7 - 12 * 0.15, abs=0.5)
 
 
 @pytest.mark.parametrize(

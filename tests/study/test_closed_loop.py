@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from maplines_can import STREETS, Gaussian, Polyline, Slot, map_scene
-from maplines_can.consumers.steering import Reason, State
+from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers.steering import LaneSteering, Reason, State
+from maplines_can.scene import PoseError
 from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street, without
 
 SIGMA = (0.3, 0.1, 0.003)
@@ -109,3 +110,25 @@ def test_a_scene_without_a_line_keeps_what_belongs_to_the_others() -> None:
     assert rest.quartics == pytest.approx(scene.quartics[1:])
     assert rest.fit_ranges == pytest.approx(scene.fit_ranges[1:])
     assert rest.cov == pytest.approx(scene.cov[4:, 4:])
+
+
+@pytest.mark.parametrize(("speed", "heading"), [(0.0, 0.2), (1.0, 0.0), (3.0, 0.2), (10.0, 0.05)])
+def test_a_car_that_is_far_off_the_path_does_not_swing(speed: float, heading: float) -> None:
+    """The limits of the curvature and of its rate hold the car back, most of all when it starts."""
+    car, steering = Car(np.array([0.0, 0.5, heading]), speed), LaneSteering()
+    offsets = []
+    for k in range(200):
+        _, y, psi = car.pose
+        lines = [
+            MapLine(slot, Gaussian([(d - y) / math.cos(psi), -psi, 0, 0], np.diag([1e-4, 0, 0, 0])),
+                    x_min=-4.0, x_max=80.0)
+            for slot, d in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+        ]  # fmt: skip
+        cov = np.kron(np.eye(2), lines[0].gaussian.cov)
+        scene = Scene(lines, cov, PoseError(np.zeros((3, 3))), np.array([[-4.0, 80.0]] * 2))
+        motion = Motion(car.speed, car.speed * car.curvature)
+        command = steering.update(0.05 * k, scene, 0.0, motion, 12.0)
+        car.drive(command.curvature, command.speed, 0.05)
+        offsets.append(car.pose[1])
+    assert min(offsets) > -0.15
+    assert np.abs(offsets[-40:]).max() < 0.02
