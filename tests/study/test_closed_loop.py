@@ -1,6 +1,7 @@
 """Car, localisation and a short closed loop."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,12 +120,12 @@ def test_a_car_that_is_far_off_the_path_does_not_swing(speed: float, heading: fl
     offsets = []
     for k in range(200):
         _, y, psi = car.pose
-        lines = [
+        lines = tuple(
             MapLine(slot, Gaussian([(d - y) / math.cos(psi), -psi, 0, 0], np.diag([1e-4, 0, 0, 0])),
                     x_min=-4.0, x_max=80.0)
             for slot, d in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
-        ]  # fmt: skip
-        cov = np.kron(np.eye(2), lines[0].gaussian.cov)
+        )  # fmt: skip
+        cov: Any = np.kron(np.eye(2), lines[0].gaussian.cov)
         scene = Scene(lines, cov, PoseError(np.zeros((3, 3))), np.array([[-4.0, 80.0]] * 2))
         motion = Motion(car.speed, car.speed * car.curvature)
         command = steering.update(0.05 * k, scene, 0.0, motion, 12.0)
