@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ...consumers.lane_fusion import positive_part
 from ...ego import SimulatedDrive, State
 from ...gaussian import Gaussian
 from ...line import Slot
@@ -129,4 +130,4 @@ def transferred(codec: Codec, decoder: Decoder, scene: Scene, t: float) -> Scene
 def own_cov(scene: Scene) -> Array:
     """Return the (4 L, 4 L) covariance of what the lines of a scene have of their own."""
     J = SeenLines(scene.means, scene.fit_ranges).jacobian().reshape(-1, 3)
-    return np.asarray(scene.cov - J @ scene.pose_error.cov @ J.T)
+    return positive_part(scene.cov - J @ scene.pose_error.cov @ J.T)
