@@ -26,6 +26,11 @@ SPEED_STEP = 0.5
 #: Errors that weigh the same in the cost: of the offset [m], of the heading [rad], and of the
 #: lateral jerk by which they are corrected [m/s^3].
 COST = (0.05, 0.05, 3.0)
+#: Speed below which the rate of the curvature limits the corrections, and no more the jerk [m/s].
+SLOW = 4.0
+#: The offset counts as far as it demands so many times the largest change of the curvature. From 1
+#: to 3 the car does not swing, from wherever it starts; the larger, the faster it corrects.
+MOST_CHANGES = 3.0
 #: Deviation from the path at the largest curvature of the car from which a curve is too tight [m]:
 #: received lines may be ``MAX_MISFIT`` to either side of the true ones. The curvature of their
 #: cubics may be far off at the ends of their ranges, such as beside a car that leaves a corner.
@@ -227,15 +232,17 @@ class LaneSteering:
     def _steer(self, path: Path, speed: float, curvature: float) -> None:
         """Advance the curvature demand by preview control, within its limits.
 
-        The offset counts up to that for which it alone demands the largest change of the curvature.
-        Else the demand runs into its limits, from which it comes back too late, and the car swings.
+        The offset counts up to that for which it alone demands ``MOST_CHANGES`` times the largest
+        change of the curvature. Else the demand runs into its limits, from which it comes back too
+        late, and the car swings.
         """
         limits, last = self.limits, self._curvature or 0.0
         steps = max(1, round(speed / SPEED_STEP))
         K, F = preview_gains(steps * SPEED_STEP, self.period, limits.lag)
         ahead = path.curvature_at(np.linspace(0.0, speed * self.period * (len(F) - 1), len(F)))
         most = limits.curvature_rate * self.period
-        offset = min(max(path.offset, -most / K[0]), most / K[0])
+        largest = MOST_CHANGES * most / K[0]
+        offset = min(max(path.offset, -largest), largest)
         change = float(-K @ [offset, path.heading, curvature, last] + F @ ahead)
         demand = last + min(max(change, -most), most)
         self._curvature = min(max(demand, -limits.curvature), limits.curvature)
@@ -357,7 +364,7 @@ def preview_gains(speed: float, period: float, lag: float) -> Gains:
     True
     """
     A, B, D = model(speed, period, lag)
-    jerk = COST[2] * period / max(speed, 2.0) ** 2
+    jerk = COST[2] * period / max(speed, SLOW) ** 2
     Q, R = np.diag([COST[0] ** -2, COST[1] ** -2, 0.0, 0.0]), np.array([[jerk**-2]])
     P = solve_discrete_are(A, B, Q, R)
     inverse = np.linalg.inv(R + B.T @ P @ B)

@@ -14,6 +14,7 @@ from maplines_can.consumers.path import Path
 from maplines_can.consumers.steering import (
     COST,
     CUT,
+    SLOW,
     LaneSteering,
     Reason,
     State,
@@ -56,7 +57,7 @@ def test_gains_are_those_of_the_optimum_over_a_long_horizon(speed: float, lag: f
     bends = np.zeros(steps)
     bends[10:30] = 0.01
     x0 = np.array([0.3, -0.02, 0.001, 0.002])
-    jerk = COST[2] * period / max(speed, 2.0) ** 2
+    jerk = COST[2] * period / max(speed, SLOW) ** 2
     # x_k = free_k + sum of responses to the inputs
     free, responses = [], []
     x, impulse = x0.copy(), B[:, 0].copy()
