@@ -177,7 +177,8 @@ class LaneSteering:
 
         Args:
             t: time, later than that of the last update [s].
-            scene: received lines; None if there are none that are usable.
+            scene: received lines; None if there are none that are usable. One without the lines
+                that are followed is not used.
             age: time from the pose of the scene to ``t`` [s].
             motion: of the car.
             set_speed: speed that the car shall have if nothing limits it [m/s].
@@ -197,7 +198,9 @@ class LaneSteering:
             self._curvature = actual
         if self._speed is None:
             self._speed = speed
-        if scene is not None and scene.lines:
+        # While the lines of a cycle are arriving, a scene may lack the one that is followed.
+        followed = (Slot.EGO_LEFT, Slot.EGO_RIGHT) if route is None else (route,)
+        if scene is not None and any(slot in scene.index for slot in followed):
             self._known, self._since, self._moved = scene, age, motion.over(age).mean
         elif self._known is not None:
             dt = t - self._t

@@ -174,6 +174,23 @@ def test_it_hands_over_after_half_a_second_without_lines() -> None:
     assert commands[-1].path.reach == pytest.approx(reaches[0] - 19 * 0.5)
 
 
+def test_a_scene_without_the_line_of_the_route_is_not_used() -> None:
+    """As while the lines of a cycle are arriving: only after half a second is there no line."""
+    lane = straight()
+    line = replace(
+        lane.lines[0], slot=Slot.ROUTE, gaussian=Gaussian([0, 0, 0, 0], np.eye(4) * 1e-9)
+    )
+    with_route = Scene((line,), line.gaussian.cov, POSE, lane.fit_ranges[:1])
+    steering, states = LaneSteering(), []
+    for k in range(20):
+        scene = with_route if k < 5 else lane
+        command = steering.update(0.05 * k, scene, 0.05, Motion(5.0, 0.0), 13.9, Slot.ROUTE)
+        states.append(command.state)
+    assert State.HANDOVER not in states[:13]
+    assert states[-1] is State.HANDOVER
+    assert command.reason is Reason.NO_LINES
+
+
 def test_it_begins_with_the_first_lines() -> None:
     steering = LaneSteering()
     commands = driven(steering, [None] * 5 + [straight()] * 2)
