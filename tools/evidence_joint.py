@@ -17,7 +17,8 @@ true joint covariance plus the square of the errors of the means. Both are count
 for all scenes, in exact arithmetic for some. Ratios of standard deviations are those of the decoded
 joint to the true one plus 2 mm of resolution; width, centre and difference of the
 directions are those of the first two lines, where both are valid. KL is that of a line, from the
-true covariance plus that resolution to the decoded block. The excess of a standard deviation is the
+covered target to the decoded block, as in the study: the target is the true covariance plus the
+square of the error of the mean plus that resolution. The excess of a standard deviation is the
 decoded one less the true one with the resolution, 99 %.
 
 The witness draws poses and errors of the map, moves the points of the map, and measures where both
@@ -216,9 +217,11 @@ def compare(truth: Truth, decoded: DecodedLines, add: Callable[..., None]) -> No
     true = truth.cov + noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)
     for i, line in enumerate(truth.lines):
         block = np.s_[4 * i : 4 * i + 4]
-        S, C = (inverse[i] @ cov[block, block] @ inverse[i].T for cov in (true, decoded.cov))
+        d = truth.means[i] - decoded.means[i]
+        target = true[block, block] + np.outer(d, d)
+        T, C = (inverse[i] @ cov @ inverse[i].T for cov in (target, decoded.cov[block, block]))
         L = np.linalg.cholesky(C)
-        values = np.linalg.eigvalsh(np.linalg.solve(L, np.linalg.solve(L, S).T))
+        values = np.linalg.eigvalsh(np.linalg.solve(L, np.linalg.solve(L, T).T))
         add("KL", float((values - 1 - np.log(values)).sum() / 2))
         g = lateral_jacobian(decoded.means[i], min(FAR, line.x_max))
         ratio = (g @ decoded.cov[block, block] @ g) / (g @ true[block, block] @ g)
