@@ -187,17 +187,17 @@ def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
     plans = [SLOTS, SLOTS[:1], SLOTS[1:], (), SLOTS[:2]]
     empty = Scene((), np.zeros((0, 0)), road_scene().pose_error, np.zeros((0, 2)))
     prepared = [codec.prepare_scene(road_scene(slots) if slots else empty) for slots in plans]
-    decoder = codec.decoder()
+    decoder, last = codec.decoder(), None
     for cycle in range(40):
-        slots = plans[cycle % len(plans)]
-        feed(decoder, codec.encode_scene(prepared[cycle % len(plans)]), cycle * PERIOD_NS)
-        decoded = decoder.scene()
-        assert decoded is not None
-        if slots:
-            assert decoded.t_ns == cycle * PERIOD_NS
-            assert tuple(decoded.scene.index) == tuple(slots)
-        else:
-            assert decoded.t_ns == (cycle - 1) * PERIOD_NS
+        frames = codec.encode_scene(prepared[cycle % len(plans)])
+        _, t_ns = feed(decoder, {POSE: frames.pop(POSE)}, cycle * PERIOD_NS)
+        if last is not None:  # the cycle before is over
+            decoded = decoder.scene()
+            assert decoded is not None
+            assert decoded.t_ns == last * PERIOD_NS
+            assert tuple(decoded.scene.index) == tuple(plans[last % len(plans)])
+        feed(decoder, frames, t_ns)
+        last = cycle if plans[cycle % len(plans)] else last
     assert decoder.lost == 0
     assert not decoder.counts
 

@@ -120,7 +120,7 @@ class Decoder:
         return None if self._scenes is None else self._scenes.check
 
     def scene(self) -> ReceivedScene | None:
-        """Return the newest scene, with the lines of it received so far; None before the first."""
+        """Return the newest scene, see ``Monitor.latest_scene``; None before the first."""
         return None if self._scenes is None else self._scenes.latest()
 
     def feed(

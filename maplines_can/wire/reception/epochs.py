@@ -81,6 +81,9 @@ class EpochAssembler(Generic[Pose, Line]):
     After a sequence break of the pose errors, the epochs and lines before it are forgotten; after
     one of a slot, its lines join later pose errors only.
 
+    The lines of a cycle arrive one after the other, in all of the cycle. An epoch waits for lines
+    until it has all slots of the one before, or the pose error of the next cycle has come.
+
     If the sender is faster than ``cycle_ns``, the window shrinks with the median time between pose
     errors. Memory is bounded: one waiting line for each slot, the newest, and ``MOST_EPOCHS``.
 
@@ -99,7 +102,7 @@ class EpochAssembler(Generic[Pose, Line]):
         self._since_ns: dict[Slot, int] = {}  # sequence break of a slot
         self._pose_ns: int | None = None  # time of the last pose error
         self._intervals_ns: deque[float] = deque(maxlen=INTERVALS)
-        #: Epoch of the newest pose error to which a line belongs; None before the first one.
+        #: The newest epoch with lines that does not wait for lines; None before the first one.
         self.latest: Epoch[Pose, Line] | None = None
         #: Frames of lines dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
@@ -144,6 +147,7 @@ class EpochAssembler(Generic[Pose, Line]):
             if self._epoch_of(slot, waiting.counter, waiting.t_ns) is epoch:
                 del self._waiting[slot]
                 joined.append(self._joined(epoch, slot, waiting.line, waiting.frames))
+        self._set_latest()
         return joined
 
     def add_line(
@@ -215,9 +219,20 @@ class EpochAssembler(Generic[Pose, Line]):
         self, epoch: Epoch[Pose, Line], slot: Slot, line: Line, frames: int
     ) -> Joined[Pose, Line]:
         epoch.lines[slot] = line
-        if self.latest is None or epoch.t_ns >= self.latest.t_ns or self.latest not in self._epochs:
-            self.latest = epoch
+        self._set_latest()
         return Joined(epoch, slot, line, frames)
+
+    def _set_latest(self) -> None:
+        """Take the newest epoch that waits for no line as the latest one."""
+        epochs = [*self._epochs]
+        latest = self.latest if self.latest in epochs else None
+        for epoch in epochs[0 if latest is None else epochs.index(latest) + 1 :]:
+            is_over = epoch is not epochs[-1]
+            if epoch.lines and (
+                latest is None or is_over or epoch.lines.keys() >= latest.lines.keys()
+            ):
+                latest = epoch
+        self.latest = latest or self.latest
 
     def _restart(self) -> None:
         self._epochs.clear()

@@ -51,7 +51,7 @@ class SlotView(NamedTuple):
 class SceneView(NamedTuple):
     """The newest scene at the consumer's call."""
 
-    scene: Scene | None  #: the lines of it received so far; None before the first
+    scene: Scene | None  #: None before the first
     #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
     age: float
     stale: bool  #: no pose error came for some cycle times
@@ -110,8 +110,9 @@ class Monitor:
     def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
         """Return the newest scene: lines of one pose, with their joint covariance.
 
-        The scene has the lines received so far. Those of a newer pose error of which no line has
-        come yet are not in it.
+        The lines of a cycle arrive one after the other, in all of the cycle. The scene before
+        remains the newest one until the lines of all its slots have come, or the next pose error. A
+        line that was lost is not in the scene.
 
         Args:
             now_ns: as in ``latest``.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -26,7 +27,7 @@ class ReceivedLine(NamedTuple):
 
 
 class ReceivedScene(NamedTuple):
-    """A scene as received so far."""
+    """A scene as received."""
 
     scene: Scene
     counter: int  #: of the pose error, which with ``t_ns`` tells a scene from the one before
@@ -132,13 +133,21 @@ class SceneReceiver:
             self._epochs.add_line(member, line.slot, counter, t_ns, is_break=is_break)
 
     def latest(self) -> ReceivedScene | None:
-        """Return the newest scene with the lines received so far; None before the first."""
+        """Return the newest scene that waits for no line; None before the first.
+
+        If the newest pose error is too old, the sender vouches for no scene any more: the age is
+        infinite.
+        """
         epoch = self._epochs.latest
         if epoch is None:
             return None
         if self._built is None or self._built[:2] != (epoch, len(epoch.lines)):
             self._built = epoch, len(epoch.lines), self._scene(epoch)
-        return self._built[2]
+        scene = self._built[2]
+        newest = self._epochs.epochs[-1:]
+        if any(math.isinf(self._reader.age(one.pose.record)) for one in newest):
+            return scene._replace(age=math.inf)
+        return scene
 
     def expire(self, t_ns: int) -> None:
         """Drop what has timed out at ``t_ns`` [ns]."""

@@ -119,22 +119,43 @@ def test_lines_of_another_cycle_do_not_join() -> None:
             assert decoder.scene() is None
 
 
-def test_the_scene_has_the_lines_received_so_far() -> None:
+def test_a_scene_is_the_newest_one_when_it_has_the_lines_of_the_one_before() -> None:
+    """Whenever in the cycle a consumer asks, it gets all lines: they are spread over the cycle."""
     one, two = cycles(CONDITIONAL, 2)
     decoder = codec_of(CONDITIONAL).decoder()
-    feed(decoder, one, 0)
-    _, t_ns = feed(decoder, {POSE: two[POSE]}, PERIOD_NS)
-    first = decoder.scene()
-    assert first is not None
-    assert first.t_ns == 0  # no line of the second came yet
-    assert len(first.scene.lines) == 3
-    for n, slot in enumerate(SLOTS, 1):
-        _, t_ns = feed(decoder, {slot: two[slot]}, t_ns)
+    feed(decoder, {POSE: one[POSE]}, 0)
+    for n, slot in enumerate(SLOTS, 1):  # the first scene, as far as received
+        _, t_ns = feed(decoder, {slot: one[slot]}, 1_000_000 * n)
         scene = decoder.scene()
         assert scene is not None
-        assert scene.t_ns == PERIOD_NS
         assert [line.slot for line in scene.scene.lines] == list(SLOTS[:n])
+    t_ns = PERIOD_NS
+    for owner in (POSE, *SLOTS):
         assert decoder.scene() is scene  # built once
+        _, t_ns = feed(decoder, {owner: two[owner]}, t_ns)
+    scene = decoder.scene()
+    assert scene is not None
+    assert scene.t_ns == PERIOD_NS
+    assert [line.slot for line in scene.scene.lines] == list(SLOTS)
+
+
+def test_a_line_that_was_lost_delays_a_scene_until_the_next_pose_error() -> None:
+    one, two, three = cycles(CONDITIONAL, 3)
+    decoder = codec_of(CONDITIONAL).decoder()
+    feed(decoder, one, 0)
+    feed(decoder, {owner: two[owner] for owner in (POSE, *SLOTS[1:])}, PERIOD_NS)
+    first = decoder.scene()
+    assert first is not None
+    assert first.t_ns == 0
+    _, t_ns = feed(decoder, {POSE: three[POSE]}, 2 * PERIOD_NS)
+    second = decoder.scene()
+    assert second is not None
+    assert second.t_ns == PERIOD_NS
+    assert [line.slot for line in second.scene.lines] == list(SLOTS[1:])
+    feed(decoder, {slot: three[slot] for slot in SLOTS[1:]}, t_ns)
+    third = decoder.scene()
+    assert third is not None
+    assert third.t_ns == 2 * PERIOD_NS
 
 
 class Forger:
