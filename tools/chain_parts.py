@@ -51,8 +51,11 @@ CAMERA_OUTAGE = (50.0, 60.0)
 ODOMETRY, GYRO_BIAS = (0.05, 0.005), 0.002
 #: Oldest map lines by which the car steers [s].
 OLDEST = 0.5
-#: The driver lets the car drive again after it has stood for this time [s].
+#: The driver takes the wheel after the car has stood for this time [s].
 PAUSE = 2.0
+#: Speed of the driver [m/s], the distance ahead at which he aims [m], and the distance from the
+#: middle of the lane at which he lets the car drive again [m].
+DRIVER_SPEED, DRIVER_AHEAD, DRIVER_DONE = 2.0, 8.0, 0.3
 
 
 @cache
@@ -208,7 +211,7 @@ class Consumer:
 
     def __post_init__(self) -> None:
         self._fusion, self._steering = LaneFusion(self.source), LaneSteering()
-        self._stopped = 0.0
+        self._stopped, self._is_driver = 0.0, False
         margin = BESIDE_CHANGE
         self._changes = [(c.start - margin, c.end + margin) for c in self.world.route.changes]
         self.rows.append(self.world.row[None])
@@ -232,19 +235,31 @@ class Consumer:
                 scene, age = view.scene if view.usable else None, view.age
             command = self._steering.update(now, scene, age, motion, limit, route)
         self.demands = command.curvature, command.speed
-        self._let_drive(command)
+        self._take_over(command, along, error)
         self.moments.append(
             Moment(
                 now, along, error, command.state, command.reason.name, lane.map_age, centre_of(lane)
             )
         )
 
-    def _let_drive(self, command: Command) -> None:
+    def _take_over(self, command: Command, along: float, error: float) -> None:
+        """Let the driver bring a car back to its lane that has handed over, and drive again."""
         stands = command.state is State.HANDOVER and self.world.car.speed < 0.05
         self._stopped = self._stopped + PERIOD if stands else 0.0
-        if self._stopped > PAUSE:
+        self._is_driver |= self._stopped > PAUSE
+        if self._is_driver and abs(error) < DRIVER_DONE:
             self._steering.reset()
-            self._stopped = 0.0
+            self._is_driver = False
+        if self._is_driver:  # pure pursuit
+            self.demands = self._aim(along + DRIVER_AHEAD), DRIVER_SPEED
+
+    def _aim(self, along: float) -> float:
+        """Return the curvature of the circle to a place of the tour [1/m]."""
+        pose, points = self.world.car.pose, self.world.route.line
+        target = [np.interp(along, points.distance, column) for column in points.points.T]
+        dx, dy = np.array(target) - pose[:2]
+        across = math.cos(pose[2]) * dy - math.sin(pose[2]) * dx
+        return float(2 * across / (dx**2 + dy**2))
 
     def drive(self, before: tuple[float, float], latency: float) -> Array:
         """Drive a period: with the demands before for the latency [s]; return the rows."""

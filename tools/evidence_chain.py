@@ -18,7 +18,7 @@ The sender is a process of its own. Beside the bus, it gets the true motion of t
 simulated sensors measure. Sensors, car, and camera are those of localisation.md, evidence_steering
 and evidence_fusion; the camera of the fusion fails for 10 s in each minute. The map has no error.
 The car steers by the fused lane, in lane changes by the received line of the route. After a
-handover it stops; then the driver lets it drive again.
+handover it stops; then a driver brings it back to the lane, and lets it drive again.
 
 The error is the lateral distance of the rear axle from the middle of the lane. NEES is the squared
 error in units of the variance: for each degree of freedom, 1 if the covariance is right. One drive
@@ -41,8 +41,8 @@ import os
 import socket
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from typing import Any
@@ -56,7 +56,7 @@ from maplines_can.consumers.steering import State
 from maplines_can.study.closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
 from maplines_can.study.drives.truth import true_lines
 from maplines_can.study.fusion.drive_view import AGE, COLUMNS, FRAME, LANE, PLACES
-from maplines_can.wire import POSE, Monitor, default_dbc_path
+from maplines_can.wire import POSE, Frame, Monitor, default_dbc_path
 
 #: Largest distance from the middle of the lane at which the car is in it [m].
 IN_LANE = (3.5 - 1.8) / 2
@@ -93,25 +93,41 @@ def simulated(
     monitor = Monitor(codec.decoder())
     consumer = Consumer(world, monitor)
     rows, lines, received, frames = world.row[None], 0, 0, 0
+    on_the_way: deque[tuple[int, Frame]] = deque()
+
+    def deliver(now_ns: float) -> int:
+        """Deliver the frames until now; return the number of lines."""
+        found = 0
+        while on_the_way and on_the_way[0][0] <= now_ns:
+            ns, frame = on_the_way.popleft()
+            line = monitor.feed(frame.can_id, frame.data, ns)
+            found += isinstance(line, MapLine) + len(monitor.further)
+        return found
+
     while world.t < seconds - STEP / 2 and not is_at_goal(world):
         sender.move(rows)
         scene = sender.cycle(rows[-1]).joint
-        ns = round(1e9 * (world.t + AGE))
         if scene is not None and scene.lines:
             encoded = codec.encode_scene(scene, age=AGE)
             lines += len(encoded.keys() - {POSE})
-            for own in encoded.values():
-                for frame in own:
-                    ns, frames = ns + round(1e9 * FRAME), frames + 1
-                    found = monitor.feed(frame.can_id, frame.data, ns)
-                    received += (1 + len(monitor.further)) * isinstance(found, MapLine)
+            frames += sum(map(len, encoded.values()))
+            on_the_way += spread(encoded.values(), world.t + AGE)
+        received += deliver(1e9 * (world.t + LATENCY))
         before = consumer.demands
         consumer.step(0, round(1e9 * (world.t + LATENCY)))
         rows = consumer.drive(before, LATENCY)
         tick(PERIOD)
+    received += deliver(math.inf)
     sent = {"lines": lines, "frames": frames, "cycles skipped": 0} | sender.figures()
     arrived = {"lines": received, "frames": frames, "lost": lines - received}
     return figures_of(consumer, sent, arrived)
+
+
+def spread(transfers: Collection[list[Frame]], start: float) -> Iterator[tuple[int, Frame]]:
+    """Yield the frames of a cycle with their times [ns], spread over a period as on the bus."""
+    for i, frames in enumerate(transfers):
+        for k, frame in enumerate(frames):
+            yield round(1e9 * (start + PERIOD * i / len(transfers) + FRAME * k)), frame
 
 
 def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: Array) -> None:
