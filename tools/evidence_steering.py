@@ -110,7 +110,7 @@ def outage(
         loop, way=(begin - BEFORE[0], loop.way[1]), line_outages=(span,) if lines else ()
     )
     moments = loop.run(seconds=span[1] + 3.0)
-    after = [m for m in moments if m.t >= span[0]]
+    after = [m for m in moments if m.t >= span[0]] or moments[-1:]  # it may stop before
     largest = max(abs(m.error) for m in after)
     handover = next((m for m in after if m.state is State.HANDOVER), None)
     return {
