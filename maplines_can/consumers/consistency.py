@@ -13,9 +13,11 @@ from scipy.special import chdtri
 #: Correlation times of what lines and cameras have of their own [s]. An error of a map changes
 #: within some 20 m, or hardly within a kilometre.
 FAST, SLOW = 1.0, 30.0
-#: The longest window has about this many correlation times. A lasting fault of b standard
-#: deviations adds b^2 / 2 to the noncentrality of the sum for each. In longer windows, the test
-#: would find what it is not for, such as small errors that last longer than the model says.
+#: The longest window has about this many correlation times of the pose error, and at least ``SLOW``:
+#: for so long, the filter takes a fault that grows slowly for an error of a map or of a camera. A
+#: lasting fault of b standard deviations adds b^2 / 2 to the noncentrality of the sum for each time.
+#: In longer windows, the test would find what it is not for, such as small errors that last longer
+#: than the model says.
 CORRELATION_TIMES = 8.0
 #: The shortest window of more than one cycle [s].
 SHORTEST = 0.125
@@ -148,7 +150,7 @@ class ConsistencyTest:
     """Chi-square test of residuals with a designed number of false alarms per hour.
 
     The innovations of ``ResidualFilter`` are whitened. Tested are each of them, and their sums in
-    windows of 1/8, 1/2, 2, ... seconds up to about 8 correlation times, one after another::
+    windows of 1/8, 1/2, 2, ... seconds up to about 8 correlation times or 32 s, one after another::
 
         1/8 s  |--|--|--|--|--|--|--|--|
         1/2 s  |-----------|-----------|     each is tested when it ends
@@ -268,9 +270,10 @@ def window_lengths(correlation_time: float) -> NDArray[np.float64]:
     They do not depend on small changes of the time, after which the sums would begin anew.
 
     >>> window_lengths(1.0)
-    array([0.125, 0.5  , 2.   , 8.   ])
+    array([ 0.125,  0.5  ,  2.   ,  8.   , 32.   ])
     """
-    most = round(math.log(max(CORRELATION_TIMES * correlation_time / SHORTEST, 1.0), RATIO))
+    longest = max(CORRELATION_TIMES * correlation_time, SLOW)
+    most = round(math.log(longest / SHORTEST, RATIO))
     return SHORTEST * RATIO ** np.arange(most + 1.0)
 
 
