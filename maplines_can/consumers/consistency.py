@@ -13,11 +13,11 @@ from scipy.special import chdtri
 #: Correlation times of what lines and cameras have of their own [s]. An error of a map changes
 #: within some 20 m, or hardly within a kilometre.
 FAST, SLOW = 1.0, 30.0
-#: The longest window has about this many correlation times of the pose error, and at least ``SLOW``:
-#: for so long, the filter takes a fault that grows slowly for an error of a map or of a camera. A
-#: lasting fault of b standard deviations adds b^2 / 2 to the noncentrality of the sum for each time.
-#: In longer windows, the test would find what it is not for, such as small errors that last longer
-#: than the model says.
+#: The longest window has about this many correlation times of the pose error, and at least
+#: ``SLOW``: for so long, the filter takes what grows slowly for an error of a map or of a camera.
+#: A lasting fault of b standard deviations adds b^2 / 2 to the noncentrality of the sum for each.
+#: In longer windows, the test would find what it is not for, such as small errors that last
+#: longer than the model says.
 CORRELATION_TIMES = 8.0
 #: The shortest window of more than one cycle [s].
 SHORTEST = 0.125
