@@ -8,7 +8,7 @@ from .log_writer import LogWriter
 from .logs import LogFrame, read_log
 from .receiver import Receiver
 from .schedule import Lateness
-from .signals import SignalLog, read_signals
+from .signals import SignalDecoder, SignalLog, read_signals
 from .transmitter import Transmitter, TransmitterStats
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "Receiver",
     "ReceiverStats",
     "Sent",
+    "SignalDecoder",
     "SignalLog",
     "Transmitter",
     "TransmitterStats",

@@ -1,4 +1,4 @@
-"""Read signals of any DBC from log files, as time series."""
+"""Read signals of any DBC: from frames, and from log files as time series."""
 
 from __future__ import annotations
 
@@ -51,6 +51,60 @@ class SignalLog(Mapping[str, Series]):
         return len(self.series)
 
 
+class SignalDecoder:
+    """Decoder of signals of any DBC, frame by frame.
+
+    Args:
+        dbc: of the messages.
+        signals: see ``read_signals``.
+
+    Raises:
+        LayoutError: the DBC cannot be read.
+        DriveFileError: the table cannot be read, or a signal is not in the DBC.
+    """
+
+    def __init__(
+        self, dbc: str | PathLike[str], signals: Mapping[str, str] | str | PathLike[str]
+    ) -> None:
+        source = "signals" if isinstance(signals, Mapping) else fspath(signals)
+        #: Names of the signals by the names of their series.
+        self.names = dict(signals if isinstance(signals, Mapping) else read_table(signals))
+        #: Numbers of frames that their message does not fit, by reason.
+        self.skipped: Counter[str] = Counter()
+        database = parse_database(read_text(Path(dbc)), fspath(dbc), strict=False)
+        self._wanted: dict[tuple[int, bool], list[tuple[str, str]]] = {}
+        for column, name in self.names.items():
+            message, signal = _find(database, name, f"{source}: {column}", fspath(dbc))
+            key = message.frame_id, message.is_extended_frame
+            self._wanted.setdefault(key, []).append((column, signal))
+        self._messages: dict[tuple[int, bool], Any] = {
+            (m.frame_id, m.is_extended_frame): m for m in database.messages
+        }
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """CAN IDs of the messages of the signals."""
+        return frozenset(can_id for can_id, _ in self._wanted)
+
+    def decode(self, can_id: int, data: bytes, *, is_extended: bool = False) -> dict[str, float]:
+        """Return the physical values in a frame by the names of their series; none in others."""
+        key = can_id, is_extended
+        if key not in self._wanted:
+            return {}
+        message = self._messages[key]
+        try:
+            decoded = message.decode(data, decode_choices=False)
+        except Exception:  # noqa: BLE001 - cantools raises many types, all for data that do not fit
+            self.skipped[f"the data do not fit the message {message.name}"] += 1
+            return {}
+        # A signal that is missing is multiplexed, and not in this frame.
+        return {
+            column: float(decoded[signal])
+            for column, signal in self._wanted[key]
+            if signal in decoded
+        }
+
+
 def read_signals(
     log: str | PathLike[str] | IO[bytes],
     dbc: str | PathLike[str],
@@ -75,47 +129,31 @@ def read_signals(
         LayoutError: the DBC cannot be read.
         DriveFileError: the table cannot be read, or a signal is not in the DBC.
     """
-    source = "signals" if isinstance(signals, Mapping) else fspath(signals)
-    table = signals if isinstance(signals, Mapping) else read_table(signals)
-    database = parse_database(read_text(Path(dbc)), fspath(dbc), strict=False)
-    wanted: dict[tuple[int, bool], list[tuple[str, str]]] = {}
-    for column, name in table.items():
-        message, signal = _find(database, name, f"{source}: {column}", fspath(dbc))
-        key = message.frame_id, message.is_extended_frame
-        wanted.setdefault(key, []).append((column, signal))
-    messages: dict[tuple[int, bool], Any] = {
-        (m.frame_id, m.is_extended_frame): m for m in database.messages
-    }
-    times: dict[str, list[float]] = {column: [] for column in table}
-    values: dict[str, list[float]] = {column: [] for column in table}
-    skipped: Counter[str] = Counter()
+    decoder = SignalDecoder(dbc, signals)
+    times: dict[str, list[float]] = {column: [] for column in decoder.names}
+    values: dict[str, list[float]] = {column: [] for column in decoder.names}
     try:
         for frame in read_log(log):
-            key = frame.can_id, frame.is_extended
-            if key not in wanted or (channel is not None and frame.channel != channel):
+            if channel is not None and frame.channel != channel:
                 continue
-            try:
-                decoded = messages[key].decode(frame.data, decode_choices=False)
-            except Exception:  # noqa: BLE001 - cantools raises many types, all for data that do not fit
-                skipped[f"the data do not fit the message {messages[key].name}"] += 1
-                continue
-            for column, signal in wanted[key]:
-                if signal in decoded:  # else it is multiplexed, and not in this frame
-                    times[column].append(frame.t_ns * 1e-9)
-                    values[column].append(float(decoded[signal]))
+            found = decoder.decode(frame.can_id, frame.data, is_extended=frame.is_extended)
+            for column, value in found.items():
+                times[column].append(frame.t_ns * 1e-9)
+                values[column].append(value)
     except LogError as error:
         if not all(times.values()):
             raise
-        skipped[str(error)] += 1
-    for column, name in table.items():
+        decoder.skipped[str(error)] += 1
+    for column, name in decoder.names.items():
         if not times[column]:
-            why = "; ".join(f"{count} times: {reason}" for reason, count in skipped.items())
+            why = "; ".join(f"{count} times: {reason}" for reason, count in decoder.skipped.items())
             raise LogError(
                 f"{log}: has no value of {column} = {name}; correct the name, the DBC or the "
                 f"channel{f' ({why})' if why else ''}"
             )
     return SignalLog(
-        {column: (np.array(times[column]), np.array(values[column])) for column in table}, skipped
+        {column: (np.array(times[column]), np.array(values[column])) for column in times},
+        decoder.skipped,
     )
 
 

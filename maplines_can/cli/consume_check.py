@@ -90,9 +90,12 @@ def _check(arguments: argparse.Namespace) -> int:
     check_camera(arguments)
     counts: Counter[Outcome] = Counter()
     alarms, due, last = 0, 0.0, None
-    motion = motion_of(arguments, Motion(0.0, 0.0))
     source, check = Input(arguments), PlausibilityCheck(arguments.false_alarms)
-    with camera_of(arguments) as new_lines, source as cycles:
+    with (
+        motion_of(arguments, Motion(0.0, 0.0)) as motion,
+        camera_of(arguments) as new_lines,
+        source as cycles,
+    ):
         camera = _simulated(arguments) if arguments.simulate else _seen(new_lines)
         for cycle in cycles:
             t, scene = cycle.t, cycle.view.scene if cycle.view.usable else None

@@ -62,7 +62,10 @@ def add_fusion(consumers: Any) -> None:
 
 
 def _fusion(arguments: argparse.Namespace) -> int:
-    own = ("log", "motion", "signals", "speed", "camera", "camera_channel")
+    own = (
+        *("log", "motion", "signals", "signals_channel", "speed"),
+        *("camera", "camera_channel"),
+    )
     if arguments.simulate and any(getattr(arguments, name) is not None for name in own):
         raise ValueError(
             "--simulate has a car of its own; leave out LOG, --camera, --motion, --signals and "
@@ -74,8 +77,12 @@ def _fusion(arguments: argparse.Namespace) -> int:
     if arguments.simulate:
         _print_rows(_simulated(arguments, scene_codec(arguments)), arguments)
         return 0
-    motion, source = motion_of(arguments, UNKNOWN_MOTION), Input(arguments)
-    with camera_of(arguments) as camera, source as cycles:
+    source = Input(arguments)
+    with (
+        motion_of(arguments, UNKNOWN_MOTION) as motion,
+        camera_of(arguments) as camera,
+        source as cycles,
+    ):
         rows = _print_rows(_epochs(cycles, motion, camera), arguments)
     if not rows:
         why = source.why_nothing()

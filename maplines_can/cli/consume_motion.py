@@ -1,18 +1,20 @@
-"""Motion of the car for ``maplines consume``: a speed, a table, or signals in a bus log."""
+"""Motion of the car for ``maplines consume``: a speed, a table, or signals of a log or a bus."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bus import read_signals
+from ..bus import Link, SignalDecoder, read_signals
 from ..ego.columns import COLUMNS
 from ..propagation import Motion
 from .consume_input import table_rows
+from .options import bus_settings
 from .output import counts_text
 from .parsing import number
 from .stderr import note
@@ -20,7 +22,14 @@ from .stderr import note
 #: Standard deviations of a known motion [m/s, rad/s].
 MOTION_SIGMA = (0.1, 0.005)
 
+#: What a motion needs.
+QUANTITIES = ("speed", "yaw_rate")
+#: Oldest signal of a bus that counts, and how long to wait for a further one [s].
+OLDEST, POLL = 0.5, 0.001
+
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
+#: Returns the motion at the time now on the clock of the map lines [ns].
+MotionAt = Callable[[int], Motion]
 
 
 def add_motion(parser: argparse.ArgumentParser) -> None:
@@ -36,38 +45,90 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
     add(
         "--signals",
         metavar="FILE",
-        help="table of the signals of the motion in the bus log --motion, by default in LOG, in "
-        'TOML, such as speed_kmh = "ESP.VehicleSpeed" and yaw_rate_deg_s = "ESP.YawRate", or in '
-        "CSV with the header column,signal",
+        help="table of the signals of the motion in the bus log --motion, by default in LOG, or, "
+        'without LOG, on the bus; in TOML, such as speed_kmh = "ESP.VehicleSpeed" and '
+        'yaw_rate_deg_s = "ESP.YawRate", or in CSV with the header column,signal',
     )
     add("--signals-dbc", metavar="FILE", help="DBC of these signals: that of the car")
+    add(
+        "--signals-channel",
+        metavar="NAME",
+        help="channel of the bus with these signals (default: that of the map lines)",
+    )
     add("--speed", type=number(float, -100, 100), metavar="M/S", help="constant speed [m/s]")
 
 
-def motion_of(arguments: argparse.Namespace, unknown: Motion) -> Callable[[int], Motion]:
-    """Return a function from the time [ns] to the motion; ``unknown`` if no option says it.
+@contextmanager
+def motion_of(arguments: argparse.Namespace, unknown: Motion) -> Iterator[MotionAt]:
+    """Yield a function from the time now [ns] to the motion; ``unknown`` if nothing says it.
 
     Raises:
         ValueError: options do not fit together, or a table is wrong.
-        MaplinesError: signals cannot be read.
+        MaplinesError: signals cannot be read, or the interface cannot be opened.
     """
     if (arguments.signals is None) != (arguments.signals_dbc is None):
         raise ValueError("--signals and --signals-dbc go together: the names, and their DBC")
     if arguments.speed is not None and (arguments.motion or arguments.signals):
         raise ValueError("--speed is that of a car without --motion and --signals; leave it out")
-    if arguments.motion is None and arguments.signals is None:
+    if arguments.signals_channel and (arguments.log or not arguments.signals):
+        raise ValueError("--signals-channel is that of --signals on a bus, without LOG")
+    if arguments.motion and not arguments.log:
+        raise ValueError("--motion needs LOG, the map lines of the same clock")
+    if arguments.signals and not arguments.log:
+        with _live(arguments, unknown) as motion:
+            yield motion
+    elif arguments.motion or arguments.signals:
+        yield _recorded(_signals(arguments) if arguments.signals else _table(arguments.motion))
+    else:
         known = unknown
         if arguments.speed is not None:
             sigma = (MOTION_SIGMA[0], math.sqrt(unknown.cov[1, 1]))
             known = Motion.with_sigma(arguments.speed, 0.0, sigma)
-        return lambda _: known
-    if not arguments.log:
-        raise ValueError("--motion and --signals need LOG, the map lines of the same clock")
-    table = _table(arguments.motion) if arguments.signals is None else _signals(arguments)
-    speed, yaw_rate = table["speed"], table["yaw_rate"]
+        yield lambda _: known
 
-    def motion(t_ns: int) -> Motion:
-        at_speed, at_rate = (float(np.interp(t_ns / 1e9, *one)) for one in (speed, yaw_rate))
+
+@contextmanager
+def _live(arguments: argparse.Namespace, unknown: Motion) -> Iterator[MotionAt]:
+    """Yield the motion of the newest signals on a bus; ``unknown`` if they are too old."""
+    source = f"--signals {arguments.signals}"
+    decoder = SignalDecoder(arguments.signals_dbc, arguments.signals)
+    units = {name: COLUMNS.get(name, (name, 1.0)) for name in decoder.names}
+    _check_quantities({quantity for quantity, _ in units.values()}, source)
+    settings = bus_settings(arguments)
+    settings |= {"channel": arguments.signals_channel or settings.get("channel")}
+    newest: dict[str, tuple[int, float]] = {}  # time of reception [ns] and value by quantity
+
+    with Link(**settings) as link:
+        link.accept_only(decoder.can_ids)
+
+        def motion(now_ns: int) -> Motion:
+            while (message := link.recv(POLL)) is not None:
+                if message.is_error_frame or message.is_remote_frame:
+                    continue
+                found = decoder.decode(
+                    message.arbitration_id, bytes(message.data), is_extended=message.is_extended_id
+                )
+                for name, value in found.items():
+                    quantity, factor = units[name]
+                    if math.isfinite(value):
+                        newest[quantity] = now_ns, factor * value
+            known = [newest.get(quantity, (-math.inf, 0.0)) for quantity in QUANTITIES]
+            if any(abs(now_ns - t_ns) > 1e9 * OLDEST for t_ns, _ in known):
+                return unknown
+            return Motion.with_sigma(known[0][1], known[1][1], MOTION_SIGMA)
+
+        yield motion
+    if not newest:
+        note(f"{source}: none of these signals has arrived; check --signals-channel")
+    if decoder.skipped:
+        note(f"{source}: skipped: {counts_text(decoder.skipped)}")
+
+
+def _recorded(table: Mapping[str, Series]) -> MotionAt:
+    speed, yaw_rate = (table[quantity] for quantity in QUANTITIES)
+
+    def motion(now_ns: int) -> Motion:
+        at_speed, at_rate = (float(np.interp(now_ns / 1e9, *one)) for one in (speed, yaw_rate))
         return Motion.with_sigma(at_speed, at_rate, MOTION_SIGMA)
 
     return motion
@@ -106,13 +167,18 @@ def _in_si_units(found: Mapping[str, Series], source: str) -> dict[str, Series]:
     table: dict[str, Series] = {}
     for name, (t, values) in found.items():
         quantity, factor = COLUMNS.get(name, (name, 1.0))
-        if quantity not in {"speed", "yaw_rate"}:
+        if quantity not in QUANTITIES:
             continue
         if not len(t) or not (np.diff(t) > 0).all() or not np.isfinite(values).all():
             raise ValueError(f"{source}: {name} must have finite values with increasing time")
         table[quantity] = t, factor * values
-    for quantity in ("speed", "yaw_rate"):
-        if quantity not in table:
+    _check_quantities(table, source)
+    return table
+
+
+def _check_quantities(found: Container[str], source: str) -> None:
+    """Raise ValueError if there is no speed or no yaw rate."""
+    for quantity in QUANTITIES:
+        if quantity not in found:
             names = " or ".join(name for name, (of, _) in COLUMNS.items() if of == quantity)
             raise ValueError(f"{source} must have rows with increasing time, and a column {names}")
-    return table

@@ -179,8 +179,17 @@ def counts_text(counts: Mapping[str, int]) -> str:
 
     >>> counts_text({"CRC": 2, "FOREIGN": 1, "TIMEOUT": 0}), counts_text({})
     ('2 crc, 1 foreign', 'none')
+    >>> counts_text({"the data do not fit the message ESP": 3})
+    'the data do not fit the message ESP (3)'
     """
-    return ", ".join(f"{n} {name.lower()}" for name, n in sorted(counts.items()) if n) or "none"
+    return (
+        ", ".join(
+            f"{name} ({n})" if " " in name else f"{n} {name.lower()}"
+            for name, n in sorted(counts.items())
+            if n
+        )
+        or "none"
+    )
 
 
 def faults_text(counts: Mapping[str, int]) -> str:

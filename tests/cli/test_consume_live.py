@@ -1,13 +1,16 @@
 """maplines consume on a live bus."""
 
+import argparse
 import json
 import re
 import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import can
+import cantools
 import numpy as np
 import pytest
 from fake_bus import FakeTime, message_of, wait_until
@@ -17,6 +20,7 @@ from maplines_can import (
     Gaussian,
     Link,
     MapLine,
+    Motion,
     Polyline,
     Receiver,
     Scene,
@@ -25,7 +29,8 @@ from maplines_can import (
     map_scene,
 )
 from maplines_can.cli import main
-from maplines_can.wire import default_dbc_path
+from maplines_can.cli.consume_motion import motion_of
+from maplines_can.wire import Frame, default_dbc_path
 
 DBC = "maplines-pose.dbc"
 STEP_NS = 50_000_000
@@ -214,6 +219,104 @@ def test_check_with_the_camera_of_another_channel(
     counts = re.search(r"(\d+) cycles CONSISTENT, (\d+) cycles INCONSISTENT", err)
     assert counts is not None
     assert 15 <= int(counts[1]) + int(counts[2]) <= 25
+
+
+CAR_DBC = """\
+VERSION ""
+BU_: car
+BO_ 1 ESP: 4 car
+ SG_ VehicleSpeed : 0|16@1- (0.01,0) [0|0] "km/h" car
+ SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" car
+"""
+NAMES = 'speed_kmh = "ESP.VehicleSpeed"\nyaw_rate_deg_s = "YawRate"\n'
+
+
+@pytest.fixture
+def signals(tmp_path: Path) -> list[object]:
+    """Options of the signals of a car."""
+    (tmp_path / "car.dbc").write_text(CAR_DBC)
+    (tmp_path / "signals.toml").write_text(NAMES)
+    return ["--signals", tmp_path / "signals.toml", "--signals-dbc", tmp_path / "car.dbc"]
+
+
+def esp(speed: float, yaw_rate: float) -> list[Frame]:
+    """Return the frame of a speed [m/s] and a yaw rate [rad/s], as cantools encodes it."""
+    database: Any = cantools.database.load_string(CAR_DBC, "dbc")
+    values = {"VehicleSpeed": 3.6 * speed, "YawRate": np.degrees(yaw_rate)}
+    return [Frame(1, database.encode_message("ESP", values))]
+
+
+@pytest.mark.parametrize("separate", [False, True])
+def test_fusion_with_the_motion_of_signals_on_the_bus(
+    sending: Any,
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    separate: bool,
+    signals: list[object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """A car in a bend sees a straight lane turn, also without scenes."""
+    bend = esp(10.0, 0.2)
+    other = f"{channel}-car" if separate else channel
+
+    def send(cycle: int, put: Any) -> None:
+        if cycle < 20:
+            scenes_of(codec, scene)(cycle, put)
+        if cycle < 30:
+            put([bend[0]._replace(data=b"\x01")] if cycle == 5 else bend, other)
+
+    sending(send)
+    where = ["--signals-channel", other] if separate else []
+    status, found, err = rows(
+        capsys, channel, "fusion", *signals, *where, "--seconds", 2.2, "--every", 0.05
+    )
+    assert status == 0
+    assert "skipped: the data do not fit the message ESP (1)" in err
+    by_t = {round(row["t"] - found[0]["t"], 2): row["centre"] for row in found}
+    begin, end = (by_t[t][1] for t in (1.05, 1.45))  # without scenes, 20 m ahead
+    # The lane moves by the turn of the car over these 20 m, and over the way driven.
+    turn = 0.2 * 0.4
+    assert end["value"] - begin["value"] == pytest.approx(-20 * turn - 4.0 * 0.04, rel=0.1)
+
+
+def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[object]) -> None:
+    """Frames of other messages, and frames without data, change nothing."""
+    arguments = argparse.Namespace(
+        **dict.fromkeys(("log", "motion", "speed", "signals_channel", "bitrate", "data_bitrate")),
+        interface="virtual",
+        channel=channel,
+        fd=False,
+        signals=signals[1],
+        signals_dbc=signals[3],
+    )
+    unknown = Motion(15.0, 0.0)
+    others = [Frame(2, bytes(8)), Frame(1, b"")]
+    with (
+        can.Bus(interface="virtual", channel=channel) as bus,
+        motion_of(arguments, unknown) as motion,
+    ):
+        assert motion(0) is unknown
+        for frame in (*esp(20.0, 0.3), *esp(10.0, -0.2), *others):
+            bus.send(message_of(frame))
+        for now_ns in (STEP_NS, STEP_NS + 500_000_000):
+            known = motion(now_ns)
+            assert [known.speed, known.yaw_rate] == pytest.approx([10.0, -0.2], abs=2e-3)
+        assert motion(STEP_NS + 500_000_001) is unknown
+
+
+def test_signals_that_do_not_arrive_are_told(
+    sending: Any,
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    signals: list[object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    sending(scenes_of(codec, scene))
+    status, _, err = rows(capsys, channel, "fusion", *signals, "--seconds", 1.5)
+    assert status == 0
+    assert "none of these signals has arrived; check --signals-channel" in err
 
 
 CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
