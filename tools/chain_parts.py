@@ -247,9 +247,10 @@ class Consumer:
         stands = command.state is State.HANDOVER and self.world.car.speed < 0.05
         self._stopped = self._stopped + PERIOD if stands else 0.0
         self._is_driver |= self._stopped > PAUSE
+        self._is_driver &= command.state is State.HANDOVER
         if self._is_driver and abs(error) < DRIVER_DONE:
             self._steering.reset()
-            self._is_driver = False
+            self._stopped, self._is_driver = 0.0, False
         if self._is_driver:  # pure pursuit
             self.demands = self._aim(along + DRIVER_AHEAD), DRIVER_SPEED
 

@@ -211,7 +211,7 @@ class LineListener(can.Listener):
 
         Args:
             now_ns: as in `latest`.
-            stale_cycles: number of cycle times without a pose error after which a scene is stale.
+            stale_cycles: number of cycle times since its pose error after which a scene is stale.
 
         Raises:
             ValueError: the DBC has no message of the pose error.

@@ -98,12 +98,13 @@ def _check(arguments: argparse.Namespace) -> int:
     ):
         camera = _simulated(arguments) if arguments.simulate else _seen(new_lines)
         for cycle in cycles:
-            t, scene = cycle.t, cycle.view.scene if cycle.view.usable else None
             image, now = camera(cycle), motion(cycle.now_ns)
+            is_known = cycle.view.usable and now is not None
+            t, scene = cycle.t, cycle.view.scene if is_known else None
             if image is None and scene is not None:
                 continue  # this image was compared before
             lines, since = image or Image({}, 0.0)
-            moved = None if scene is None else now.over(since)
+            moved = None if scene is None or now is None else now.over(since)
             result = check.update(t, scene, lines, moved, now)
             counts[result.outcome] += 1
             alarms += result.raised

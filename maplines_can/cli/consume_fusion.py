@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from ..propagation import Motion
 from ..wire import Codec
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, Cycle, Input, add_input, scene_codec
-from .consume_motion import add_motion, motion_of
+from .consume_motion import MotionAt, add_motion, motion_of
 from .output import LANE, LANE_X
 from .parsing import add_command, number
 from .stderr import note
@@ -68,8 +68,8 @@ def _fusion(arguments: argparse.Namespace) -> int:
     )
     if arguments.simulate and any(getattr(arguments, name) is not None for name in own):
         raise ValueError(
-            "--simulate has a car of its own; leave out LOG, --camera, --motion, --signals and "
-            "--speed"
+            "--simulate has a car of its own; leave out LOG, --speed, and the options of the "
+            "camera, of the motion and of the signals"
         )
     check_camera(arguments)
     if arguments.dbc is None and not arguments.keys:
@@ -109,7 +109,7 @@ def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.
 
 
 def _epochs(
-    cycles: Iterable[Cycle], motion: Callable[[int], Motion], camera: NewLines
+    cycles: Iterable[Cycle], motion: MotionAt, camera: NewLines
 ) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield the epochs of a bus or of a log."""
     fusion, last = None, 0
@@ -118,7 +118,7 @@ def _epochs(
             fusion = LaneFusion(cycle.source)
         last = cycle.now_ns
         lines = [line for line in camera(last) if line.slot in LANE]
-        yield fusion, Epoch(last, motion(last), lines)
+        yield fusion, Epoch(last, motion(last) or UNKNOWN_MOTION, lines)
 
 
 def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import time
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -22,14 +23,18 @@ from .stderr import note
 #: Standard deviations of a known motion [m/s, rad/s].
 MOTION_SIGMA = (0.1, 0.005)
 
-#: What a motion needs.
+#: Quantities of a motion.
 QUANTITIES = ("speed", "yaw_rate")
-#: Oldest signal of a bus that counts, and how long to wait for a further one [s].
-OLDEST, POLL = 0.5, 0.001
+#: Oldest signal of a bus that counts [s].
+OLDEST = 0.5
+#: Time of a signal that does not count [ns].
+NEVER_NS = -(10**18)
+#: How long to wait for a further frame, and longest time in which frames are read [s].
+POLL, LONGEST = 0.001, 0.005
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
-#: Returns the motion at the time now on the clock of the map lines [ns].
-MotionAt = Callable[[int], Motion]
+#: Returns the motion at the time now on the clock of the map lines [ns]; None if it is unknown.
+MotionAt = Callable[[int], Motion | None]
 
 
 def add_motion(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +51,9 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
         "--signals",
         metavar="FILE",
         help="table of the signals of the motion in the bus log --motion, by default in LOG, or, "
-        'without LOG, on the bus; in TOML, such as speed_kmh = "ESP.VehicleSpeed" and '
-        'yaw_rate_deg_s = "ESP.YawRate", or in CSV with the header column,signal',
+        "without LOG, on the bus, whose channel is opened a second time for them; in TOML, such as "
+        'speed_kmh = "ESP.VehicleSpeed" and yaw_rate_deg_s = "ESP.YawRate", or in CSV with the '
+        "header column,signal",
     )
     add("--signals-dbc", metavar="FILE", help="DBC of these signals: that of the car")
     add(
@@ -59,8 +65,10 @@ def add_motion(parser: argparse.ArgumentParser) -> None:
 
 
 @contextmanager
-def motion_of(arguments: argparse.Namespace, unknown: Motion) -> Iterator[MotionAt]:
-    """Yield a function from the time now [ns] to the motion; ``unknown`` if nothing says it.
+def motion_of(arguments: argparse.Namespace, default: Motion) -> Iterator[MotionAt]:
+    """Yield a function from the time now [ns] to the motion.
+
+    It returns ``default`` if no option says the motion, and None if it should, but is unknown.
 
     Raises:
         ValueError: options do not fit together, or a table is wrong.
@@ -75,53 +83,60 @@ def motion_of(arguments: argparse.Namespace, unknown: Motion) -> Iterator[Motion
     if arguments.motion and not arguments.log:
         raise ValueError("--motion needs LOG, the map lines of the same clock")
     if arguments.signals and not arguments.log:
-        with _live(arguments, unknown) as motion:
+        with _live(arguments) as motion:
             yield motion
     elif arguments.motion or arguments.signals:
         yield _recorded(_signals(arguments) if arguments.signals else _table(arguments.motion))
     else:
-        known = unknown
         if arguments.speed is not None:
-            sigma = (MOTION_SIGMA[0], math.sqrt(unknown.cov[1, 1]))
-            known = Motion.with_sigma(arguments.speed, 0.0, sigma)
-        yield lambda _: known
+            sigma = (MOTION_SIGMA[0], math.sqrt(default.cov[1, 1]))
+            default = Motion.with_sigma(arguments.speed, 0.0, sigma)
+        yield lambda _: default
 
 
 @contextmanager
-def _live(arguments: argparse.Namespace, unknown: Motion) -> Iterator[MotionAt]:
-    """Yield the motion of the newest signals on a bus; ``unknown`` if they are too old."""
+def _live(arguments: argparse.Namespace) -> Iterator[MotionAt]:
+    """Yield the motion of the newest signals on a bus; unknown if they are too old."""
     source = f"--signals {arguments.signals}"
     decoder = SignalDecoder(arguments.signals_dbc, arguments.signals)
     units = {name: COLUMNS.get(name, (name, 1.0)) for name in decoder.names}
     _check_quantities({quantity for quantity, _ in units.values()}, source)
     settings = bus_settings(arguments)
     settings |= {"channel": arguments.signals_channel or settings.get("channel")}
-    newest: dict[str, tuple[int, float]] = {}  # time of reception [ns] and value by quantity
+    newest: dict[str, tuple[int, float]] = {}  # time [ns] and value by quantity
+    last_ns: int | None = None
 
     with Link(**settings) as link:
         link.accept_only(decoder.can_ids)
 
-        def motion(now_ns: int) -> Motion:
-            while (message := link.recv(POLL)) is not None:
-                if message.is_error_frame or message.is_remote_frame:
-                    continue
-                found = decoder.decode(
-                    message.arbitration_id, bytes(message.data), is_extended=message.is_extended_id
-                )
-                for name, value in found.items():
-                    quantity, factor = units[name]
-                    if math.isfinite(value):
-                        newest[quantity] = now_ns, factor * value
-            known = [newest.get(quantity, (-math.inf, 0.0)) for quantity in QUANTITIES]
+        def motion(now_ns: int) -> Motion | None:
+            nonlocal last_ns
+            # After a pause, what arrives may have waited for all of it.
+            is_late = last_ns is None or abs(now_ns - last_ns) > 1e9 * OLDEST
+            last_ns = now_ns
+            for name, value in _arrived(link, decoder):
+                quantity, factor = units[name]
+                newest[quantity] = NEVER_NS if is_late else now_ns, factor * value
+            known = [newest.get(quantity, (NEVER_NS, 0.0)) for quantity in QUANTITIES]
             if any(abs(now_ns - t_ns) > 1e9 * OLDEST for t_ns, _ in known):
-                return unknown
+                return None
             return Motion.with_sigma(known[0][1], known[1][1], MOTION_SIGMA)
 
         yield motion
-    if not newest:
-        note(f"{source}: none of these signals has arrived; check --signals-channel")
+    if missing := [quantity for quantity in QUANTITIES if quantity not in newest]:
+        note(f"{source}: no {' and no '.join(missing)} has arrived; check --signals-channel")
     if decoder.skipped:
         note(f"{source}: skipped: {counts_text(decoder.skipped)}")
+
+
+def _arrived(link: Link, decoder: SignalDecoder) -> Iterator[tuple[str, float]]:
+    """Yield names and values of the signals that have arrived."""
+    end = time.monotonic() + LONGEST
+    while time.monotonic() < end and (message := link.recv(POLL)) is not None:
+        if not (message.is_error_frame or message.is_remote_frame):
+            can_id, data = message.arbitration_id, bytes(message.data)
+            found = decoder.decode(can_id, data, is_extended=message.is_extended_id)
+            yield from ((name, value) for name, value in found.items() if math.isfinite(value))
 
 
 def _recorded(table: Mapping[str, Series]) -> MotionAt:
@@ -181,4 +196,4 @@ def _check_quantities(found: Container[str], source: str) -> None:
     for quantity in QUANTITIES:
         if quantity not in found:
             names = " or ".join(name for name, (of, _) in COLUMNS.items() if of == quantity)
-            raise ValueError(f"{source} must have rows with increasing time, and a column {names}")
+            raise ValueError(f"{source} must have values, with increasing times, of {names}")

@@ -82,6 +82,14 @@ def _decode(arguments: argparse.Namespace) -> int:
         row = scene_dict(received) | ({} if has_time else {"t": None})
         print(json.dumps(row | {"channel": channel}), flush=True)
 
+    def see(channel: str) -> None:
+        """Print the scene before if there is a new one, which may still get lines."""
+        if arguments.scenes and (scene := decoders[channel].scene()) is not None:
+            before = scenes.get(channel, scene)
+            if (before.t_ns, before.counter) != (scene.t_ns, scene.counter):
+                print_scene(channel, before)
+            scenes[channel] = scene
+
     def lines() -> Generator[tuple[str, MapLine], None, None]:
         nonlocal last_ns, status, beyond, has_time
         try:
@@ -96,16 +104,10 @@ def _decode(arguments: argparse.Namespace) -> int:
                 result = decoders[frame.channel].feed(
                     frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
                 )
-                if not isinstance(result, MapLine):
-                    continue
-                decoder = decoders[frame.channel]
-                for line in (result, *decoder.further):
-                    yield frame.channel, line if has_time else replace(line, t_ns=None)
-                if arguments.scenes and (scene := decoder.scene()) is not None:
-                    before = scenes.get(frame.channel, scene)
-                    if (before.t_ns, before.counter) != (scene.t_ns, scene.counter):
-                        print_scene(frame.channel, before)
-                    scenes[frame.channel] = scene
+                if isinstance(result, MapLine):
+                    for line in (result, *decoders[frame.channel].further):
+                        yield frame.channel, line if has_time else replace(line, t_ns=None)
+                see(frame.channel)
         except LogError as error:  # the intact records have been read by now
             note(f"error: {error}")
             status = 1
@@ -115,10 +117,11 @@ def _decode(arguments: argparse.Namespace) -> int:
                 f"beyond the first {MOST_CHANNELS}; split the log by channel"
             )
             status = 1
+        for channel, decoder in decoders.items():
+            decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
+            see(channel)
         for channel, scene in scenes.items():  # that nothing has followed
             print_scene(channel, scene)
-        for decoder in decoders.values():
-            decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
 
     with closing(lines()) as rows:  # ends the progress bar
         try:

@@ -94,7 +94,7 @@ def _receive(arguments: argparse.Namespace) -> int:
     if arguments.scenes and not arguments.json:
         raise ValueError("--scenes needs --json; as text, the ego lane of scenes is printed anyway")
     left = arguments.count
-    scene: ReceivedScene | None = None  # the newest, of which more lines may come
+    scene: ReceivedScene | None = None  # the newest, to which late lines may come
     opener = fault_opener(arguments)
     with (
         Link(opener, **bus_settings(arguments)) as link,

@@ -150,7 +150,8 @@ class ConsistencyTest:
     """Chi-square test of residuals with a designed number of false alarms per hour.
 
     The innovations of ``ResidualFilter`` are whitened. Tested are each of them, and their sums in
-    windows of 1/8, 1/2, 2, ... seconds up to about 8 correlation times or 32 s, one after another::
+    windows of 1/8, 1/2, 2, ... seconds, one after another, up to about 8 correlation times, and at
+    least 32 s::
 
         1/8 s  |--|--|--|--|--|--|--|--|
         1/2 s  |-----------|-----------|     each is tested when it ends

@@ -198,7 +198,7 @@ class LaneSteering:
             self._curvature = actual
         if self._speed is None:
             self._speed = speed
-        # While the lines of a cycle are arriving, a scene may lack the one that is followed.
+        # A line may be lost, and the first scene grows line by line.
         followed = (Slot.EGO_LEFT, Slot.EGO_RIGHT) if route is None else (route,)
         if scene is not None and any(slot in scene.index for slot in followed):
             self._known, self._since, self._moved = scene, age, motion.over(age).mean

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maplines_can import DriveFileError, LayoutError, RecordedDrive, read_signals
-from maplines_can.bus.signals import read_table
+from maplines_can.bus.signals import SignalDecoder, read_table
 from maplines_can.errors import LogError
 
 DBC = """VERSION ""
@@ -235,3 +235,20 @@ def test_signals_of_frames_with_the_same_number(tmp_path: Path, dbc: Path) -> No
     np.testing.assert_allclose(signals["speed"][0], [100.02, 100.12, 100.22])
     np.testing.assert_allclose(signals["speed"][1], 36.0)
     assert (len(signals), list(signals)) == (2, ["speed", "other"])
+
+
+def test_signals_frame_by_frame(dbc: Path) -> None:
+    """An extended identifier is another one; of multiplexed signals, those in the frame count."""
+    decoder = SignalDecoder(dbc, NAMES | {"first": "First", "which": "Which"})
+    assert decoder.can_ids == {256, 512, 258}
+    motion = b"\x8c\xa0\x0e\x10\x01\x00"
+    assert decoder.decode(512, motion, is_extended=True) == {
+        "heading_deg": pytest.approx(360.0),
+        "speed_kmh": pytest.approx(36.0),
+    }
+    assert decoder.decode(512, motion) == {}
+    assert decoder.decode(258, b"\x00\x07\x00ABCDE") == {"first": 7.0, "which": 0.0}
+    assert decoder.decode(258, b"\x01\x07\x00ABCDE") == {"which": 1.0}
+    assert not decoder.skipped
+    assert decoder.decode(256, b"\x01") == {}
+    assert decoder.skipped == {"the data do not fit the message Position": 1}

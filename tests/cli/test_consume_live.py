@@ -290,22 +290,26 @@ def test_the_last_signals_count_for_half_a_second(channel: str, signals: list[ob
         signals=signals[1],
         signals_dbc=signals[3],
     )
-    unknown = Motion(15.0, 0.0)
     others = [Frame(2, bytes(8)), Frame(1, b"")]
     with (
         can.Bus(interface="virtual", channel=channel) as bus,
-        motion_of(arguments, unknown) as motion,
+        motion_of(arguments, Motion(15.0, 0.0)) as motion,
     ):
-        assert motion(0) is unknown
+        assert motion(0) is None
         for frame in (*esp(20.0, 0.3), *esp(10.0, -0.2), *others):
             bus.send(message_of(frame))
         for now_ns in (STEP_NS, STEP_NS + 500_000_000):
             known = motion(now_ns)
+            assert known is not None
             assert [known.speed, known.yaw_rate] == pytest.approx([10.0, -0.2], abs=2e-3)
-        assert motion(STEP_NS + 500_000_001) is unknown
+        assert motion(STEP_NS + 500_000_001) is None
+        bus.send(message_of(esp(30.0, 0.0)[0]))
+        assert motion(STEP_NS + 3_000_000_000) is None  # it may have waited for all this time
+        bus.send(message_of(esp(30.0, 0.0)[0]))
+        assert motion(STEP_NS + 3_050_000_000) is not None
 
 
-def test_signals_that_do_not_arrive_are_told(
+def test_signals_that_do_not_arrive_are_reported(
     sending: Any,
     codec: Codec,
     scene: Scene,
@@ -316,7 +320,35 @@ def test_signals_that_do_not_arrive_are_told(
     sending(scenes_of(codec, scene))
     status, _, err = rows(capsys, channel, "fusion", *signals, "--seconds", 1.5)
     assert status == 0
-    assert "none of these signals has arrived; check --signals-channel" in err
+    assert "no speed and no yaw_rate has arrived; check --signals-channel" in err
+
+
+def test_check_does_not_compare_while_the_motion_is_unknown(
+    sending: Any,
+    codec: Codec,
+    scene: Scene,
+    channel: str,
+    signals: list[object],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """The signals come for a second, and count for half a second."""
+    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc()
+
+    def send(cycle: int, put: Any) -> None:
+        send_scene(cycle, put)
+        if cycle < 20:
+            put(esp(0.0, 0.0))
+        for line in seen(scene):
+            put(plain.encode(line), f"{channel}-camera")
+
+    sending(send)
+    camera = ["--camera-channel", f"{channel}-camera"]
+    status, found, err = rows(capsys, channel, "check", *camera, *signals, "--seconds", 2.5)
+    assert status == 0, err
+    outcomes = [(round(row["t"], 2), row["outcome"]) for row in found]
+    changes = [(t, now) for (_, last), (t, now) in pairwise(outcomes) if now != last]
+    assert [outcome for _, outcome in changes] == ["CONSISTENT", "UNCHECKED"]
+    assert changes[1][0] == pytest.approx(1.5, abs=0.11)
 
 
 CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]

@@ -340,6 +340,22 @@ def test_decode_prints_each_scene_on_request(
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(lines)
 
 
+def test_decode_prints_scenes_that_lack_lines(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Lost in the second cycle and in the last one."""
+    codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
+    transfers = transfers_of(codec)
+    cycles = [transfers[5 * k : 5 * k + 5] for k in range(CYCLES)]
+    cycles[1], cycles[-1] = cycles[1][:2], cycles[-1][:4]
+    lossy = [one for cycle in cycles for one in cycle]
+    decode = write_log(tmp_path / "lossy.log", lossy, "can0")
+    assert main([*decode, "--dbc", CONDITIONAL, "--scenes"]) == 0
+    _, scenes = rows_of(capsys.readouterr().out)
+    assert [len(row["scene"]) for row in scenes] == [4, 1, *[4] * (CYCLES - 3), 3]
+    assert [row["t"] for row in scenes] == pytest.approx([cycle[0][0] for cycle in cycles])
+
+
 def test_decode_loses_no_line_that_waits_for_its_pose_error(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

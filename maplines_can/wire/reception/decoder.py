@@ -123,6 +123,11 @@ class Decoder:
         """Return the newest scene, see ``Monitor.latest_scene``; None before the first."""
         return None if self._scenes is None else self._scenes.latest()
 
+    @property
+    def pose_is_too_old(self) -> bool:
+        """Whether the newest pose error is too old, so that the sender vouches for no scene."""
+        return self._scenes is not None and self._scenes.is_too_old
+
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
     ) -> MapLine | Reason:

@@ -82,7 +82,8 @@ class EpochAssembler(Generic[Pose, Line]):
     one of a slot, its lines join later pose errors only.
 
     The lines of a cycle arrive one after the other, in all of the cycle. An epoch waits for lines
-    until it has all slots of the one before, or the pose error of the next cycle has come.
+    until it has the slots of both epochs before, or the next pose error has come. So one line that
+    is lost does not shorten the wait of the next epoch.
 
     If the sender is faster than ``cycle_ns``, the window shrinks with the median time between pose
     errors. Memory is bounded: one waiting line for each slot, the newest, and ``MOST_EPOCHS``.
@@ -102,7 +103,8 @@ class EpochAssembler(Generic[Pose, Line]):
         self._since_ns: dict[Slot, int] = {}  # sequence break of a slot
         self._pose_ns: int | None = None  # time of the last pose error
         self._intervals_ns: deque[float] = deque(maxlen=INTERVALS)
-        #: The newest epoch with lines that does not wait for lines; None before the first one.
+        #: The newest epoch with lines that waits for none; None before the first one, which does
+        #: not wait, nor does the first one after a sequence break.
         self.latest: Epoch[Pose, Line] | None = None
         #: Frames of lines dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
@@ -189,7 +191,9 @@ class EpochAssembler(Generic[Pose, Line]):
             self._drop(slot)
         keep_ns = KEEP_CYCLES * self._longest_cycle_ns
         while self._epochs and abs(t_ns - self._epochs[0].t_ns) > keep_ns:
-            self._epochs.popleft()
+            old = self._epochs.popleft()
+            if old.lines and old is not self.latest and self.latest not in self._epochs:
+                self.latest = old  # it has waited for long enough
 
     def _fits_window(self, late_ns: int) -> bool:
         """Return whether a line may be this much later than its pose error."""
@@ -225,14 +229,12 @@ class EpochAssembler(Generic[Pose, Line]):
     def _set_latest(self) -> None:
         """Take the newest epoch that waits for no line as the latest one."""
         epochs = [*self._epochs]
-        latest = self.latest if self.latest in epochs else None
-        for epoch in epochs[0 if latest is None else epochs.index(latest) + 1 :]:
+        start = epochs.index(self.latest) + 1 if self.latest in epochs else 0
+        for i, epoch in enumerate(epochs[start:], start):
             is_over = epoch is not epochs[-1]
-            if epoch.lines and (
-                latest is None or is_over or epoch.lines.keys() >= latest.lines.keys()
-            ):
-                latest = epoch
-        self.latest = latest or self.latest
+            expected = {slot for before in epochs[max(i - 2, 0) : i] for slot in before.lines}
+            if epoch.lines and (is_over or epoch.lines.keys() >= expected):
+                self.latest = epoch
 
     def _restart(self) -> None:
         self._epochs.clear()

@@ -54,7 +54,7 @@ class SceneView(NamedTuple):
     scene: Scene | None  #: None before the first
     #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
     age: float
-    stale: bool  #: no pose error came for some cycle times
+    stale: bool  #: its pose error came some cycle times ago
     state: E2EState  #: of the pose error
     status: ProfileStatus | None  #: of the last check of a pose error; None before the first
     received: ReceivedScene | None = None  #: with its time of reception, and its age then
@@ -111,12 +111,13 @@ class Monitor:
         """Return the newest scene: lines of one pose, with their joint covariance.
 
         The lines of a cycle arrive one after the other, in all of the cycle. The scene before
-        remains the newest one until the lines of all its slots have come, or the next pose error. A
-        line that was lost is not in the scene.
+        remains the newest one until lines of all slots of the last two scenes have come, or the
+        next pose error. A line that was lost is not in the scene. If the newest pose error is too
+        old, the age is infinite.
 
         Args:
             now_ns: as in ``latest``.
-            stale_cycles: number of cycle times without a pose error after which a scene is stale.
+            stale_cycles: number of cycle times since its pose error after which a scene is stale.
 
         Raises:
             ValueError: the DBC has no message of the pose error.
@@ -133,7 +134,7 @@ class Monitor:
             return SceneView(None, math.inf, True, state, check.status)
         waited_ns = now_ns - received.t_ns
         stale = abs(waited_ns) > stale_cycles * check.cycle_ns
-        age = received.age + waited_ns / 1e9
+        age = math.inf if self._decoder.pose_is_too_old else received.age + waited_ns / 1e9
         return SceneView(received.scene, age, stale, state, check.status, received)
 
     def pose_error(self, now_ns: int) -> SlotStats | None:

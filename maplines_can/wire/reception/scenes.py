@@ -52,6 +52,8 @@ class SceneReceiver:
     ) -> None:
         self._poses, self._epochs, self._reader = poses, epochs, reader
         self._counts: Counter[Reason] = Counter()
+        #: Whether the newest pose error is too old: the sender vouches for no scene any more.
+        self.is_too_old = False
         self._built: tuple[Epoch[ReceivedPose, Member], int, ReceivedScene] | None = None
 
     @classmethod
@@ -100,6 +102,7 @@ class SceneReceiver:
         pose = self._poses.feed(can_id, data, t_ns, is_extended=is_extended)
         if isinstance(pose, Reason):
             return pose
+        self.is_too_old = math.isinf(self._reader.age(pose.record))
         joined = self._epochs.add_pose(pose, pose.record.slot_counters, pose.t_ns, ahead=pose.ahead)
         conditional = [one for one in joined if isinstance(one.line.content, ConditionalRecord)]
         lines = [self._rebuilt(one) for one in conditional]
@@ -133,21 +136,13 @@ class SceneReceiver:
             self._epochs.add_line(member, line.slot, counter, t_ns, is_break=is_break)
 
     def latest(self) -> ReceivedScene | None:
-        """Return the newest scene that waits for no line; None before the first.
-
-        If the newest pose error is too old, the sender vouches for no scene any more: the age is
-        infinite.
-        """
+        """Return the newest scene that waits for no line; None before the first."""
         epoch = self._epochs.latest
         if epoch is None:
             return None
         if self._built is None or self._built[:2] != (epoch, len(epoch.lines)):
             self._built = epoch, len(epoch.lines), self._scene(epoch)
-        scene = self._built[2]
-        newest = self._epochs.epochs[-1:]
-        if any(math.isinf(self._reader.age(one.pose.record)) for one in newest):
-            return scene._replace(age=math.inf)
-        return scene
+        return self._built[2]
 
     def expire(self, t_ns: int) -> None:
         """Drop what has timed out at ``t_ns`` [ns]."""

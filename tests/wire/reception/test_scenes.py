@@ -140,22 +140,65 @@ def test_a_scene_is_the_newest_one_when_it_has_the_lines_of_the_one_before() -> 
 
 
 def test_a_line_that_was_lost_delays_a_scene_until_the_next_pose_error() -> None:
-    one, two, three = cycles(CONDITIONAL, 3)
+    """The scene after it waits for all lines again."""
+    seen = scenes_with([SLOTS, SLOTS[1:], SLOTS])
+    assert seen == [(0, 3)] * 4 + [(1, 2)] * 3 + [(2, 3)]
+
+
+def test_a_slot_that_ends_is_in_no_scene_from_the_next_pose_error_on() -> None:
+    seen = scenes_with([SLOTS, SLOTS[1:], SLOTS[1:], SLOTS[1:]])
+    assert seen == [(0, 3)] * 4 + [(1, 2)] * 3 + [(2, 2)] * 2 + [(3, 2)]
+
+
+def test_a_slot_that_is_new_joins_the_scene_when_it_comes() -> None:
+    assert scenes_with([SLOTS[:2], SLOTS]) == [(0, 2), (0, 2), (0, 2), (1, 2), (1, 3)]
+
+
+def scenes_with(plan: list[Any]) -> list[tuple[int, int]]:
+    """Cycle and number of lines of the newest scene, after the first cycle and each record."""
+    decoder, seen = codec_of(CONDITIONAL).decoder(), []
+    for n, (frames, slots) in enumerate(zip(cycles(CONDITIONAL, len(plan)), plan, strict=True)):
+        t_ns = n * PERIOD_NS
+        for owner in (POSE, *slots):
+            _, t_ns = feed(decoder, {owner: frames[owner]}, t_ns)
+            scene = decoder.scene()
+            seen += [(scene.t_ns // PERIOD_NS, len(scene.scene.lines))] if scene else []
+    return seen[len(plan[0]) - 1 :]
+
+
+def test_the_last_scene_of_a_sender_that_stops_has_waited_for_long_enough() -> None:
+    one, two = cycles(CONDITIONAL, 2)
     decoder = codec_of(CONDITIONAL).decoder()
     feed(decoder, one, 0)
     feed(decoder, {owner: two[owner] for owner in (POSE, *SLOTS[1:])}, PERIOD_NS)
-    first = decoder.scene()
-    assert first is not None
-    assert first.t_ns == 0
-    _, t_ns = feed(decoder, {POSE: three[POSE]}, 2 * PERIOD_NS)
-    second = decoder.scene()
-    assert second is not None
-    assert second.t_ns == PERIOD_NS
-    assert [line.slot for line in second.scene.lines] == list(SLOTS[1:])
-    feed(decoder, {slot: three[slot] for slot in SLOTS[1:]}, t_ns)
-    third = decoder.scene()
-    assert third is not None
-    assert third.t_ns == 2 * PERIOD_NS
+    for t_ns, newest, lines in ((4 * PERIOD_NS, 0, 3), (7 * PERIOD_NS, PERIOD_NS, 2)):
+        decoder.expire(t_ns)
+        scene = decoder.scene()
+        assert scene is not None
+        assert (scene.t_ns, len(scene.scene.lines)) == (newest, lines)
+
+
+def test_no_scene_is_usable_while_the_newest_pose_error_is_too_old() -> None:
+    """Also that of the cycle before is not, of which the age remains what it was."""
+    codec = codec_of(CONDITIONAL)
+    monitor, decoder = Monitor(codec.decoder()), codec.decoder()
+    prepared = codec.prepare_scene(road_scene(SLOTS))
+    t_ns = 0
+    for cycle in range(20):
+        old = cycle == 16
+        for owner, frames in codec.encode_scene(prepared, age=1.0 if old else 0.02).items():
+            for frame in frames:
+                monitor.feed(frame.can_id, frame.data, t_ns)
+                decoder.feed(frame.can_id, frame.data, t_ns)
+                t_ns += 100_000
+            scene, view = decoder.scene(), monitor.latest_scene(t_ns)
+            if cycle > 14 and owner is POSE:
+                assert scene is not None
+                assert scene.counter == cycle - 1
+                assert np.isinf(scene.age) == (cycle == 17)
+                assert np.isinf(view.age) == (cycle in {16, 17})
+                assert view.usable == (cycle not in {16, 17})
+        t_ns = (cycle + 1) * PERIOD_NS
 
 
 class Forger:
