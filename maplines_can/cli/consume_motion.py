@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -29,8 +28,8 @@ QUANTITIES = ("speed", "yaw_rate")
 OLDEST = 0.5
 #: Time of a signal that does not count [ns].
 NEVER_NS = -(10**18)
-#: How long to wait for a further frame, and longest time in which frames are read [s].
-POLL, LONGEST = 0.001, 0.005
+#: How long to wait for a further frame [s], and most frames that are read in a cycle.
+POLL, MOST = 0.001, 50
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 #: Returns the motion at the time now on the clock of the map lines [ns]; None if it is unknown.
@@ -131,8 +130,10 @@ def _live(arguments: argparse.Namespace) -> Iterator[MotionAt]:
 
 def _arrived(link: Link, decoder: SignalDecoder) -> Iterator[tuple[str, float]]:
     """Yield names and values of the signals that have arrived."""
-    end = time.monotonic() + LONGEST
-    while time.monotonic() < end and (message := link.recv(POLL)) is not None:
+    for _ in range(MOST):
+        message = link.recv(POLL)
+        if message is None:
+            return
         if not (message.is_error_frame or message.is_remote_frame):
             can_id, data = message.arbitration_id, bytes(message.data)
             found = decoder.decode(can_id, data, is_extended=message.is_extended_id)
