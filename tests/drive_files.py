@@ -15,6 +15,23 @@ PLAN = geometry(length=200.0) + geometry(
 )
 ROAD = road(section(lane(1), lane(-1), lane(-2)), plan=PLAN, length=400.0)
 
+#: DBC of a car with the signals of its motion, and a table of their names.
+CAR_DBC = """\
+VERSION ""
+BU_: car
+BO_ 1 ESP: 4 car
+ SG_ VehicleSpeed : 0|16@1- (0.01,0) [0|0] "km/h" car
+ SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" car
+"""
+CAR_SIGNALS = 'speed_kmh = "ESP.VehicleSpeed"\nyaw_rate_deg_s = "YawRate"\n'
+
+
+def car_signals(folder: Path) -> list[object]:
+    """Write the DBC and the table, and return the options of ``maplines consume``."""
+    (folder / "car.dbc").write_text(CAR_DBC)
+    (folder / "signals.toml").write_text(CAR_SIGNALS)
+    return ["--signals", folder / "signals.toml", "--signals-dbc", folder / "car.dbc"]
+
 
 def town(folder: Path, header: str = "") -> str:
     """Write the map and return its path."""

@@ -9,6 +9,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from drive_files import car_signals
 
 from maplines_can import Codec, Gaussian, MapLine, Polyline, Slot, map_scene
 from maplines_can.cli import main
@@ -247,23 +248,11 @@ def test_options_that_do_not_fit(
     assert message in error
 
 
-CAR_DBC = """\
-VERSION ""
-BU_: car
-BO_ 1 ESP: 4 car
- SG_ VehicleSpeed : 0|16@1- (0.01,0) [0|0] "km/h" car
- SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" car
-"""
-
-
 @pytest.mark.parametrize("consumer", ["fusion", "check"])
 def test_the_motion_of_the_signals_in_the_log(
     drive: Path, tmp_path: Path, consumer: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The result is that of the same motion in a table."""
-    (tmp_path / "car.dbc").write_text(CAR_DBC)
-    names = 'speed_kmh = "ESP.VehicleSpeed"\nyaw_rate_deg_s = "YawRate"\n'
-    (tmp_path / "signals.toml").write_text(names)
     (tmp_path / "motion.csv").write_text("time,speed,yaw_rate\n99,10,0.0\n110,10,0.0\n")
     log = tmp_path / "both.log"
     esp = (3600).to_bytes(2, "little") + bytes(2)
@@ -272,7 +261,7 @@ def test_the_motion_of_the_signals_in_the_log(
     log.write_text(
         "\n".join(sorted([*frames, *car], key=lambda row: float(row[1 : row.index(")")]))) + "\n"
     )
-    signals = ["--signals", tmp_path / "signals.toml", "--signals-dbc", tmp_path / "car.dbc"]
+    signals = car_signals(tmp_path)
     simulate = ["--simulate"] if consumer == "check" else []
     _, by_signals, err = rows(capsys, consumer, log, *simulate, *signals, "--seconds", 3)
     assert "error" not in err

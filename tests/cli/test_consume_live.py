@@ -13,6 +13,7 @@ import can
 import cantools
 import numpy as np
 import pytest
+from drive_files import CAR_DBC, car_signals
 from fake_bus import FakeTime, message_of, wait_until
 
 from maplines_can import (
@@ -221,22 +222,10 @@ def test_check_with_the_camera_of_another_channel(
     assert 15 <= int(counts[1]) + int(counts[2]) <= 25
 
 
-CAR_DBC = """\
-VERSION ""
-BU_: car
-BO_ 1 ESP: 4 car
- SG_ VehicleSpeed : 0|16@1- (0.01,0) [0|0] "km/h" car
- SG_ YawRate : 16|16@1- (0.01,0) [0|0] "deg/s" car
-"""
-NAMES = 'speed_kmh = "ESP.VehicleSpeed"\nyaw_rate_deg_s = "YawRate"\n'
-
-
 @pytest.fixture
 def signals(tmp_path: Path) -> list[object]:
     """Options of the signals of a car."""
-    (tmp_path / "car.dbc").write_text(CAR_DBC)
-    (tmp_path / "signals.toml").write_text(NAMES)
-    return ["--signals", tmp_path / "signals.toml", "--signals-dbc", tmp_path / "car.dbc"]
+    return car_signals(tmp_path)
 
 
 def esp(speed: float, yaw_rate: float) -> list[Frame]:
