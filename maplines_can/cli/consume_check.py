@@ -44,7 +44,7 @@ The number of false alarms per hour is as designed. The exit status is 3 if ther
 change of the outcome has a row of its own.
 
 The motion of the car moves map lines to the time of the image; without --motion, --signals or
---speed, the car stands.
+--speed, the car stands. While signals on a bus are too old, nothing is compared.
 
 {COLUMNS}
 
