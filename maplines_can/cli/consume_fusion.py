@@ -62,10 +62,7 @@ def add_fusion(consumers: Any) -> None:
 
 
 def _fusion(arguments: argparse.Namespace) -> int:
-    own = (
-        *("log", "motion", "signals", "signals_channel", "speed"),
-        *("camera", "camera_channel"),
-    )
+    own = ["log", "motion", "signals", "signals_channel", "speed", "camera", "camera_channel"]
     if arguments.simulate and any(getattr(arguments, name) is not None for name in own):
         raise ValueError(
             "--simulate has a car of its own; leave out LOG, --speed, and the options of the "

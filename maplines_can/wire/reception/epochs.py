@@ -180,7 +180,9 @@ class EpochAssembler(Generic[Pose, Line]):
         self._drop(slot)
         epoch = self._epoch_of(slot, counter, t_ns)
         if epoch is not None:
-            return self._joined(epoch, slot, line, frames)
+            joined = self._joined(epoch, slot, line, frames)
+            self._set_latest()
+            return joined
         self._waiting[slot] = _Waiting(line, counter, t_ns, frames)
         return None
 
@@ -223,7 +225,6 @@ class EpochAssembler(Generic[Pose, Line]):
         self, epoch: Epoch[Pose, Line], slot: Slot, line: Line, frames: int
     ) -> Joined[Pose, Line]:
         epoch.lines[slot] = line
-        self._set_latest()
         return Joined(epoch, slot, line, frames)
 
     def _set_latest(self) -> None:
