@@ -177,12 +177,24 @@ _FIT_RANGE = (
         why="0 to 127 m; the receiver refits the line over this range, to 1 m"),
 )
 _COVARIANCE = covariance_signals("Cholesky")
+
+
+def _fine(spec: SignalSpec, bits: int) -> SignalSpec:
+    return SignalSpec(
+        name=f"{spec.name}Fine", bits=bits, factor=spec.factor / 2**bits, unit=spec.unit,
+        signed=True,
+        about=f"What to add to {spec.name} if HasCovariance is 1.",
+        why=f"1/{2**bits} of a step of {spec.name}: the errors of the means are covered jointly, "
+            "which costs a line that has little of its own more than the pages")
+
+
+_FINE = tuple(map(_fine, _MEAN, (3, 3, 3, 4)))
 #: The writer of ``dbc/maplines-pose.dbc``.
 CONDITIONAL = DbcWriter(
     pages=(
         (CRC, _LINE_COUNTER, *_MEAN[:2], KIND, _HAS_COVARIANCE, _OWN[2]),
         (*_MEAN[2:], *_FIT_RANGE, *_OWN[:2], _OWN[3]),
-        _COVARIANCE[:5],
+        (*_COVARIANCE[:5], *_FINE),
         _COVARIANCE[5:],
     ),
     first_can_id=0x360,

@@ -13,6 +13,7 @@ from .code import Array
 #: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's
 #: rounding passes.
 SLACK = 1e-6
+POWER = 1.0
 
 
 def blocks(cov: Array) -> Array:
@@ -61,7 +62,8 @@ def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
         return None
     more = values > 1 - SLACK
     v = vectors[:, more].reshape(len(J), 4, -1)
-    weights = np.sqrt((v**2).sum(axis=1)) + 1e-9  # (L, K)
     u = (L @ vectors[:, more]).reshape(len(J), 4, -1)
+    T = blocks(whole @ spread @ whole.T) + D
+    weights = np.sqrt(np.einsum("lik,lij,ljk->lk", u, np.linalg.inv(T), u)) ** POWER + 1e-9
     amount = (values[more] - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
     return np.asarray(J @ np.einsum("lk,lik,ljk->lij", amount, u, u) @ J.swapaxes(1, 2))

@@ -96,6 +96,7 @@ class OwnLevels:
 
     def __init__(self, lateral: Signal, points: Signal, spacing: Signal) -> None:
         self.lateral, self.points, self.spacing = lateral, points, spacing
+        self.signals = (lateral, points, spacing)
 
     def noise(self, means: Array, fit_ranges: Array) -> Array:
         """Return the (L, S, 4, 4) N of lines for all raw values of the spacing, as for ``encode``.
@@ -129,7 +130,7 @@ class OwnLevels:
         return np.asarray(cov + cov.swapaxes(1, 2)) / 2
 
     def encode(
-        self, target: Array, rest: Array, J: Array, noise: Array, floor: float
+        self, target: Array, rest: Array, true: Array, J: Array, noise: Array
     ) -> tuple[dict[str, NDArray[np.int64]], Array]:
         """Return raw values whose covariances cover targets, and the divergence that they cost.
 
@@ -139,30 +140,28 @@ class OwnLevels:
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
             rest: (L, 4, 4) the other part of the covariance of the lines: that of the pose.
+            true: (L, 4, 4) the covariance of the lines to which it is to be close.
             J: (L, 4, 4) derivatives of ``bases``.
             noise: (L, S, 4, 4) that of ``noise``.
-            floor: variance of the coefficients in addition, for the divergence: rest + target may
-                be singular [m^2].
 
         Returns:
-            (L,) raw values by signal, and the (L,) KL from rest + target + floor to rest + the
-            decoded covariance [nat], infinite if no levels cover the target.
+            (L,) raw values by signal, and the (L,) KL from the true covariance to rest + the
+            decoded one [nat], infinite if no levels cover the target.
         """
         inverse = np.linalg.inv(J)
-        E = inverse @ target @ inverse.swapaxes(1, 2)  # in coefficients of T_0 .. T_3
-        C = inverse @ rest @ inverse.swapaxes(1, 2)
-        E, C = (((X + X.swapaxes(1, 2)) / 2)[:, None, None] for X in (E, C))
-        true = C + E + floor * np.eye(4)
+        # In coefficients of T_0 .. T_3:
+        E, C, T = (inverse @ X @ inverse.swapaxes(1, 2) for X in (target, rest, true))
+        E, C, T = (((X + X.swapaxes(1, 2)) / 2)[:, None, None] for X in (E, C, T))
         # That of points far apart may be singular.
         whitening = np.linalg.inv(np.linalg.cholesky(noise[..., 1:, 1:] + 1e-6 * np.eye(3)))
         whitened = whitening @ E[:, 0, :, 1:, 1:] @ whitening.swapaxes(-1, -2)  # (L, S, 3, 3)
         least = np.linalg.eigvalsh(whitened)[..., -1].clip(1e-30)
         least_raw = np.ceil(_raw(self.points, np.sqrt(least))).clip(self.points.raw_min + 1)
         lines = np.arange(len(E))[:, None]
-        _, _, kl = self._cost(E, C, true, noise, least_raw[..., None] + TRIED[1:2])
+        _, _, kl = self._cost(E, C, T, noise, least_raw[..., None] + TRIED[1:2])
         chosen = kl[..., 0].argsort(axis=1, kind="stable")[:, :CHOSEN]
         raw_p, raw_a, kl = self._cost(
-            E, C, true, noise[lines, chosen], least_raw[lines, chosen][..., None] + TRIED
+            E, C, T, noise[lines, chosen], least_raw[lines, chosen][..., None] + TRIED
         )
         best = kl.reshape(len(E), -1).argmin(axis=1)
         at = (lines[:, 0], *np.unravel_index(best, kl.shape[1:]))

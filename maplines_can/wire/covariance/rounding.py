@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,28 @@ ORDER = (3, 2, 0, 1)
 #: What a line has of its own counts up to about this standard deviation [m], so that the lateral
 #: position of any line is exact to a centimetre.
 LARGEST = 2.0**-8
+
+
+def refined(signal: Signal, fine: Signal) -> Signal:
+    """Return a signal and another that is added to it as one, with the steps of the other."""
+    values = fine.raw_max - fine.raw_min + 1
+    ends = (signal.raw_min, signal.raw_max)
+    low, high = ends if signal.factor > 0 else (-ends[1], -ends[0])
+    return replace(
+        signal,
+        factor=fine.factor,
+        offset=signal.offset + fine.offset,
+        raw_min=values * low + fine.raw_min,
+        raw_max=values * high + fine.raw_max,
+    )
+
+
+def split(
+    raw: NDArray[np.int64], signal: Signal, fine: Signal
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the (L,) raw values of both signals of a ``refined`` one."""
+    steps, rest = np.divmod(raw - fine.raw_min, fine.raw_max - fine.raw_min + 1)
+    return steps if signal.factor > 0 else -steps, rest + fine.raw_min
 
 
 def rounded_means(

@@ -34,6 +34,7 @@ from ...scene import Scene
 from ...seen_lines import SeenLines
 from ..message.record_layout import RecordLayout
 from ..message.signals import (
+    FINE_SIGNALS,
     PARAMETER_SIGNALS,
     POSE_ROWS,
     SLOT_SIGNALS,
@@ -44,7 +45,7 @@ from .cholesky import CholeskyCode
 from .code import Array
 from .joint import block_diagonal, blocks, positive_part, uncovered
 from .own_levels import OwnLevels, bases
-from .rounding import rounded_means
+from .rounding import refined, rounded_means, split
 
 #: Signal that says whether a record has all entries of D_i.
 FORM = "HasCovariance"
@@ -66,6 +67,10 @@ LARGEST = 1e50
 #: Share by which decoded variances are enlarged, more than the rounding error of their sum: so
 #: they are definite even if the pose error is millions of times what a line has of its own.
 ROUNDING = 2.0**-42
+#: Share of what a first trial lacks by which the D_i are enlarged; each next one adds twice as much.
+FIRST = 0.5
+#: (L,) raw values by signal.
+Rows = dict[str, NDArray[np.int64]]
 
 
 class DecodedPose(NamedTuple):
@@ -127,6 +132,8 @@ class SceneCode:
         self._levels = OwnLevels(*own[:3])
         self._quartic, self._fit = own[3], own[4:]
         self._own_code = CholeskyCode(line) if self.is_conditional else None
+        self._fine = [line[name] for name in FINE_SIGNALS] if self.is_conditional else []
+        self._refined = [refined(*pair) for pair in zip(self._mean, self._fine)]
 
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
         """Return the content of a Pose record from its raw values by signal."""
@@ -180,8 +187,18 @@ class SceneCode:
         Raises:
             EncodeError: the pose error does not fit.
         """
-        raw, fits = self._encode_means(scene)
-        return self._encode(scene, raw, fits, full)
+        ranges, fits = self._encode_ranges(scene)
+        fits &= _can_be_seen(scene)
+        parts = _Parts.of(scene, fits)
+        rows: list[Rows] = []
+        for signals in (self._mean, self._refined):
+            rounded, within = rounded_means(signals, scene.means, parts.own, parts.J, RESOLUTION)
+            fits &= within
+            rows.append(ranges | rounded)
+        for signal, fine in zip(self._mean, self._fine, strict=True):
+            raw = split(rows[1][signal.name], signal, fine)
+            rows[1][signal.name], rows[1][fine.name] = raw
+        return self._encode(scene, rows[0], rows[1], fits, parts, full)
 
     def encode_levels(
         self, scene: Scene, lines: Sequence[Mapping[str, int] | None]
@@ -203,25 +220,39 @@ class SceneCode:
         }
         low, high = (s.physical(raw[s.name]) for s in self._range)
         fits = np.array([line is not None for line in lines], dtype=bool) & (low < high)
-        return self._encode(scene, raw, fits, False)
+        fits &= _can_be_seen(scene)
+        return self._encode(scene, raw, raw, fits, _Parts.of(scene, fits), False)
 
     def _encode(
-        self, scene: Scene, raw: dict[str, NDArray[np.int64]], fits: NDArray[np.bool_], full: bool
+        self,
+        scene: Scene,
+        with_levels: Rows,
+        with_entries: Rows,
+        fits: NDArray[np.bool_],
+        parts: _Parts,
+        full: bool,
     ) -> EncodedScene:
-        """Encode the pose, and D_i of the lines that fit, whose means and ranges are encoded."""
+        """Encode the pose, and D_i of the lines that fit.
+
+        Args:
+            scene: the lines with their joint covariance.
+            with_levels: (L,) raw values of means and ranges, if D_i are sent as levels.
+            with_entries: the same, if all entries of D_i are sent.
+            fits: (L,) which lines fit.
+            parts: of the covariances of the lines.
+            full: send all entries of each D_i.
+        """
         pose_raw = self._encode_pose(scene)
         pose = self.decode_pose(pose_raw)
-        if raw:
-            raw |= self._encode_shapes(scene, raw)
-            d = scene.means - self._decode_lines(raw)[0]
-            size = np.maximum(np.sqrt(scene.cov.diagonal()).reshape(d.shape), np.abs(d))
-            fits = fits & (size <= LARGEST).all(axis=1)
+        shapes = self._encode_shapes(scene, with_levels)
         places = np.flatnonzero(fits)
         while len(places):
-            lines = {name: values[places] for name, values in raw.items()}
-            own, covered = self._encode_own(scene, places, lines, pose, full)
+            forms = [
+                {name: values[places] for name, values in (rows | shapes).items()}
+                for rows in (with_levels, with_entries)
+            ]
+            lines, covered = self._encode_own(scene, places, forms, parts, pose, full)
             if covered.all():
-                lines |= own
                 rows = [self._row(lines, i) for i in range(len(places))]
                 decoded = self.decode(pose, rows)
                 return EncodedScene(
@@ -238,7 +269,7 @@ class SceneCode:
         """Return the raw values of a line, without those of the other form of D_i."""
         unused = {FORM}
         if self._own_code is not None and not raw[FORM][i]:
-            unused |= {signal.name for signal in self._own_code.signals}
+            unused |= {signal.name for signal in (*self._own_code.signals, *self._fine)}
         return {name: int(values[i]) for name, values in raw.items() if name not in unused}
 
     def _encode_pose(self, scene: Scene) -> dict[str, int]:
@@ -260,30 +291,16 @@ class SceneCode:
             raw[self._time.name] = int(nearest.clip(1, self._time.raw_max))
         return raw
 
-    @np.errstate(over="ignore", invalid="ignore")  # of means that do not fit
-    def _encode_means(self, scene: Scene) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
-        """Return the (L,) raw values of means and ranges, and which lines fit."""
-        means = scene.means
-        raw: dict[str, NDArray[np.int64]] = {}
-        fits = np.ones(len(means), dtype=bool)
-        if not len(means):
-            return raw, fits
-        for i, signal in enumerate(self._range):
-            limited = signal.limited(signal.raw(scene.fit_ranges[:, i]))
-            fits &= signal.physical(limited) == scene.fit_ranges[:, i]
+    @np.errstate(over="ignore", invalid="ignore")  # of ranges that do not fit
+    def _encode_ranges(self, scene: Scene) -> tuple[Rows, NDArray[np.bool_]]:
+        """Return the (L,) raw values of ranges, and which of them are exact."""
+        raw: Rows = {}
+        fits = np.ones(len(scene.lines), dtype=bool)
+        for signal, values in zip(self._range, scene.fit_ranges.T, strict=True):
+            limited = signal.limited(signal.raw(values))
+            fits &= signal.physical(limited) == values
             raw[signal.name] = limited.astype(np.int64)
-        J = bases(means, np.where(fits[:, None], scene.fit_ranges, [0.0, 1.0]))
-        for signal, values in zip(self._mean, means.T, strict=True):
-            nearest = signal.raw(values)
-            fits &= nearest == signal.limited(nearest)
-        fits &= (scene.cov.diagonal().reshape(means.shape) <= LARGEST**2).all(axis=1)
-        seen = zip(means, scene.fit_ranges, scene.quartics, strict=True)
-        fits &= [_is_function(*line) for line in seen]
-        own = np.zeros((len(means), 4, 4))
-        if fits.any():
-            own[fits] = _parts(scene, np.flatnonzero(fits), J[fits])[1]
-        rounded, within = rounded_means(self._mean, means, own, J, RESOLUTION)
-        return raw | rounded, fits & within
+        return raw, fits
 
     def _encode_shapes(
         self, scene: Scene, raw: Mapping[str, NDArray[np.int64]]
@@ -300,50 +317,118 @@ class SceneCode:
         self,
         scene: Scene,
         places: NDArray[np.intp],
-        lines: Mapping[str, NDArray[np.int64]],
+        forms: Sequence[Rows],
+        parts: _Parts,
         pose: DecodedPose,
         full: bool,
-    ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
-        """Return the raw values of the D_i of (L,) lines, and which of them are covered."""
-        means, fit_ranges, quartics = self._decode_lines(lines)
-        good = np.array(
-            [_is_function(*line) for line in zip(means, fit_ranges, quartics, strict=True)]
-        )
+    ) -> tuple[Rows, NDArray[np.bool_]]:
+        """Return the raw values of (L,) lines, and which of them are covered.
+
+        Args:
+            scene: the lines with their joint covariance.
+            places: (L,) of the lines in the scene.
+            forms: (L,) raw values of lines whose D_i are sent as levels, and as all entries.
+            parts: of the covariances of all lines.
+            pose: content of the Pose record.
+            full: send all entries of each D_i.
+        """
+        is_full = np.full(len(places), full)
+        while True:
+            raw = {
+                name: np.where(is_full, values, forms[0].get(name, 0))
+                for name, values in forms[1].items()
+            } | {FORM: is_full.astype(np.int64)}
+            lines = self._rounded(scene, places, parts, raw, pose)
+            if not isinstance(lines, _Rounded):
+                return raw, lines
+            own, covered, needed = self._cover(lines, is_full)
+            if (needed == is_full).all():
+                return raw | own, covered
+            is_full = needed
+
+    def _rounded(
+        self,
+        scene: Scene,
+        places: NDArray[np.intp],
+        parts: _Parts,
+        raw: Rows,
+        pose: DecodedPose,
+    ) -> _Rounded | NDArray[np.bool_]:
+        """Return lines as a receiver decodes them; or which of them are functions, if not all."""
+        means, fit_ranges, quartics = self._decode_lines(raw)
+        good = np.array([_is_function(*line) for line in zip(means, fit_ranges, quartics)])
         if not good.all():
-            return {}, good
-        keep = (4 * places[:, None] + np.arange(4)).ravel()
+            return good
         d = (scene.means[places] - means).ravel()
-        true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
-        seen = SeenLines(means, fit_ranges, quartics)
-        noise = self._levels.noise(means, fit_ranges)
-        J, common = bases(means, fit_ranges), self._common(seen, pose)
-        least = RESOLUTION**2 * J @ J.swapaxes(1, 2)
+        keep = (4 * places[:, None] + np.arange(4)).ravel()
         error = d.reshape(-1, 4, 1)
-        rest, missing = _parts(scene, places, J)
-        missing += error @ error.swapaxes(1, 2)
-        is_full = np.full(len(means), full)
-        spread = seen.spread(pose.cov)
+        seen = SeenLines(means, fit_ranges, quartics)
+        return _Rounded(
+            raw,
+            seen,
+            bases(means, fit_ranges),
+            self._common(seen, pose),
+            seen.spread(pose.cov),
+            scene.cov[np.ix_(keep, keep)] + np.outer(d, d),
+            parts.due_to_pose[places],
+            parts.own[places],
+            error @ error.swapaxes(1, 2),
+        )
+
+    def _cover(
+        self, lines: _Rounded, is_full: NDArray[np.bool_]
+    ) -> tuple[Rows, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the raw values of D_i of (L,) lines, which are covered, and which need entries.
+
+        Args:
+            lines: as a receiver decodes them.
+            is_full: (L,) of which lines all entries are sent.
+        """
+        seen, J, common = lines.seen, lines.J, lines.common
+        least = RESOLUTION**2 * J @ J.swapaxes(1, 2)
+        missing = lines.own + lines.error
+        raw: Rows = {s.name: np.zeros(len(J), dtype=np.int64) for s in self._levels.signals}
+        covered = np.ones(len(J), dtype=bool)
+        short = np.flatnonzero(~is_full)
+        true = (lines.due_to_pose + missing + least)[short]
+        rest = (lines.due_to_pose + common)[short]
+        noise = self._levels.noise(seen.means[short], seen.fit_ranges[short])
+        more = np.zeros_like(missing)
+        raw[FORM] = is_full.astype(np.int64)
         for trial in range(TRIALS):
-            raw, kl = self._levels.encode(missing - common, rest + common, J, noise, RESOLUTION**2)
+            wanted = missing + more
+            if len(short):
+                levels, kl = self._levels.encode(
+                    wanted[short] - common[short], rest, true, J[short], noise
+                )
+                covered[short] = np.isfinite(kl)
+                for name, values in levels.items():
+                    raw[name][short] = values
+            if self._own_code is not None and len(short):
+                by_levels = self._levels.decode(levels, seen.means[short], seen.fit_ranges[short])
+                ratio = _worst_ratio(
+                    by_levels + common[short],
+                    (lines.own + least)[short],
+                    seen.means[short],
+                    seen.fit_ranges[short],
+                )
+                needed = is_full.copy()
+                needed[short] = (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
+                if (needed != is_full).any():
+                    return raw, covered, needed
             if self._own_code is not None:
-                by_levels = self._levels.decode(raw, means, fit_ranges) + common
-                ratio = _worst_ratio(by_levels, missing + least, means, fit_ranges)
-                is_full |= (kl > LEVELS_KL) | (ratio > LEVELS_RATIO)
-            covered = np.isfinite(kl)
-            if self._own_code is not None:
-                is_full |= ~covered
-                coded = self._own_code.encode(missing + least, _floor(self._own_code))
-                covered = ~is_full | coded.covered
-                raw = {name: np.where(is_full, 0, values) for name, values in raw.items()}
+                coded = self._own_code.encode(wanted + least, _floor(self._own_code))
+                covered[is_full] = coded.covered[is_full]
                 raw |= {name: np.where(is_full, values, 0) for name, values in coded.raw.items()}
-                raw[FORM] = is_full.astype(np.int64)
             if not covered.all():
-                return raw, covered
-            lacking = uncovered(true, spread, self._decode_own(raw, seen, common), J)
+                return raw, covered, is_full
+            lacking = uncovered(lines.true, lines.spread, self._decode_own(raw, seen, common), J)
             if lacking is None:
-                return raw, covered
-            missing = missing + 2.0**trial * lacking
-        return raw, np.zeros(len(means), dtype=bool)
+                return raw, covered, is_full
+            more += FIRST * 2.0**trial * lacking
+        if self._own_code is not None and not is_full.all():
+            return raw, covered, np.ones_like(is_full)
+        return raw, np.zeros_like(covered), is_full
 
     def _decode_lines(self, raw: Mapping[str, NDArray[np.int64]]) -> tuple[Array, Array, Array]:
         """Return the (L, 4) means, (L, 2) fit ranges and (L,) quartics."""
@@ -354,6 +439,9 @@ class SceneCode:
         if self._fit:
             behind, ahead = (s.physical(raw[s.name]) for s in self._fit)
             fit_ranges += np.column_stack([-behind, ahead])
+        if self._fine and (full := raw[FORM] == 1).any():
+            for i, signal in enumerate(self._fine):
+                means[full, i] += signal.physical(raw[signal.name][full])
         return means, fit_ranges, np.asarray(self._quartic.physical(raw[self._quartic.name]))
 
     def _decode_own(
@@ -375,17 +463,39 @@ class SceneCode:
         return np.asarray(J @ J.swapaxes(1, 2))
 
 
-def _parts(scene: Scene, places: NDArray[np.intp], J: Array) -> tuple[Array, Array]:
-    """Return the (L, 4, 4) covariances that lines have due to the pose, and of their own.
+class _Parts(NamedTuple):
+    """Parts of the covariances of the lines of a scene; 0 for those that do not fit."""
 
-    Args:
-        scene: the lines with their joint covariance.
-        places: (L,) of the lines in the scene.
-        J: (L, 4, 4) derivatives of ``bases``.
-    """
-    seen = SeenLines(scene.means[places], scene.fit_ranges[places], scene.quartics[places])
-    due_to_pose = blocks(seen.spread(scene.pose_error.cov))
-    return due_to_pose, positive_part(blocks(scene.cov)[places] - due_to_pose, J)
+    J: Array  #: (L, 4, 4) derivatives of ``bases``
+    due_to_pose: Array  #: (L, 4, 4)
+    own: Array  #: (L, 4, 4)
+
+    @classmethod
+    def of(cls, scene: Scene, fits: NDArray[np.bool_]) -> _Parts:
+        """Return the parts of a scene."""
+        lines = len(scene.lines)
+        J, due_to_pose, own = np.tile(np.eye(4), (lines, 1, 1)), *np.zeros((2, lines, 4, 4))
+        if fits.any():
+            means, fit_ranges = scene.means[fits], scene.fit_ranges[fits]
+            J[fits] = bases(means, fit_ranges)
+            seen = SeenLines(means, fit_ranges, scene.quartics[fits])
+            due_to_pose[fits] = blocks(seen.spread(scene.pose_error.cov))
+            own[fits] = positive_part(blocks(scene.cov)[fits] - due_to_pose[fits], J[fits])
+        return cls(J, due_to_pose, own)
+
+
+class _Rounded(NamedTuple):
+    """L lines as a receiver decodes them."""
+
+    raw: Rows
+    seen: SeenLines
+    J: Array  #: (L, 4, 4) derivatives of ``bases``
+    common: Array  #: (L, 4, 4)
+    spread: Array  #: (4 L, 4 L) joint covariance due to the decoded pose error
+    true: Array  #: (4 L, 4 L) that of the scene plus the square of the errors of the means
+    due_to_pose: Array  #: (L, 4, 4)
+    own: Array  #: (L, 4, 4)
+    error: Array  #: (L, 4, 4) squares of the errors of the means
 
 
 def _floor(code: CholeskyCode) -> Array:
@@ -408,6 +518,14 @@ def _worst_ratio(own: Array, true: Array, means: Array, fit_ranges: Array) -> Ar
     J = np.concatenate([position, slope], axis=1)  # (L, 10, 4)
     variances = [np.einsum("lki,lij,lkj->lk", J, cov, J) for cov in (own, true)]
     return np.sqrt((variances[0] / variances[1]).max(axis=1))
+
+
+def _can_be_seen(scene: Scene) -> NDArray[np.bool_]:
+    """Return which lines are functions of x and have covariances that do not overflow."""
+    small = (scene.cov.diagonal().reshape(-1, 4) <= LARGEST**2).all(axis=1)
+    small &= (np.abs(scene.means) <= LARGEST).all(axis=1)
+    lines = zip(scene.means, scene.fit_ranges, scene.quartics, strict=True)
+    return np.array([ok and _is_function(*line) for ok, line in zip(small, lines)], dtype=bool)
 
 
 def _is_function(mean: Array, fit_range: Array, quartic: float) -> bool:

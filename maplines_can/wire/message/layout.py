@@ -18,6 +18,7 @@ from .record_layout import RecordLayout
 from .requirements import CONDITIONAL_REQUIREMENTS, bits_of, check_record
 from .signals import (
     CONDITIONAL_SIGNALS,
+    FINE_SIGNALS,
     HEADER_SIGNALS,
     PAGE,
     PAGE_BYTES,
@@ -75,7 +76,9 @@ class Layout(RecordLayout):
     pose: PoseLayout | None = None
 
     def __post_init__(self) -> None:
-        own = CONDITIONAL_SIGNALS if self.is_conditional else HEADER_SIGNALS
+        own = (
+            (*CONDITIONAL_SIGNALS, *FINE_SIGNALS) if self.is_conditional else HEADER_SIGNALS
+        )
         for name in (*own, *PARAMETER_SIGNALS):
             self[name]
         self.check_pages()

@@ -15,6 +15,7 @@ from .raw_records import RawRecords
 from .record_layout import RecordLayout
 from .signals import (
     OWN_SIGNALS,
+    FINE_SIGNALS,
     PARAMETER_SIGNALS,
     POSE_ROWS,
     POSE_SIGNALS,
@@ -130,7 +131,7 @@ class ConditionalRecords:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._long, self._short = RawRecords(layout), RawRecords(layout, layout.short_pages)
-        self._covariance = _covariance_names(layout, PARAMETER_SIGNALS)
+        self._covariance = [*_covariance_names(layout, PARAMETER_SIGNALS), *FINE_SIGNALS]
         self._own = ("XMin", "XMax", "Quartic", *PARAMETER_SIGNALS, *OWN_SIGNALS)
 
     def write(self, record: ConditionalRecord) -> bytes:

@@ -7,8 +7,10 @@ covariance code states the requirements on its own signals in the same way, and 
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -38,7 +40,7 @@ from .requirement import (
     length,
     unit,
 )
-from .signals import PAGE, PAGE_BYTES, SLOT_SIGNALS, TRANSFER_ID, Signal, slot_title
+from .signals import FINE_SIGNALS, PAGE, PAGE_BYTES, SLOT_SIGNALS, TRANSFER_ID, Signal, slot_title
 
 __all__ = [
     "CONDITIONAL_REQUIREMENTS",
@@ -103,6 +105,10 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "Beta": (*QUANTITY, unit("rad")),
     "C0": (*QUANTITY, unit("1/m")),
     "C1": (*QUANTITY, unit("1/m^2")),
+    "YOffFine": (*QUANTITY, POSITIVE, unit("m")),
+    "BetaFine": (*QUANTITY, POSITIVE, unit("rad")),
+    "C0Fine": (*QUANTITY, POSITIVE, unit("1/m")),
+    "C1Fine": (*QUANTITY, POSITIVE, unit("1/m^2")),
     "Status": (*NUMBER, holds(0, max(Status), ", all values of Status")),
     "Kind": (*NUMBER, holds(0, max(Kind), ", all values of Kind")),
     "XMin": (*QUANTITY, POSITIVE, unit("m")),
@@ -214,6 +220,13 @@ def _in_its_page(signals: Mapping[str, Signal], name: str) -> bool:
     )
 
 
+def _divides(signals: Mapping[str, Signal], fine: str) -> bool:
+    """Return whether the range of a fine signal is one step of the signal that it refines."""
+    signal, values = signals[fine], signals[fine].raw_max - signals[fine].raw_min + 1
+    step = abs(signals[fine.removesuffix("Fine")].factor)
+    return math.isclose(signal.factor * values, step, rel_tol=1e-9)
+
+
 #: Requirements on several signals of a record.
 RELATIONS: Sequence[Relation] = (
     Relation(
@@ -267,6 +280,15 @@ RELATIONS: Sequence[Relation] = (
         "at least as many steps as the greatest ComponentCount",
         lambda signals: round(1 / signals["ComponentWeight"].factor) >= _most_components(signals),
         "give it a smaller factor, or narrow the range of ComponentCount",
+    ),
+    *(
+        Relation(
+            name,
+            f"a range that is one step of {name.removesuffix('Fine')}",
+            partial(_divides, fine=name),
+            "with n bits, give it the factor of that signal divided by 2^n",
+        )
+        for name in FINE_SIGNALS
     ),
 )
 

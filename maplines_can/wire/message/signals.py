@@ -25,6 +25,8 @@ CONDITIONAL_SIGNALS = (
     *("Crc", "Counter", "Kind", "XMin", "XMax"),
     *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic"),
 )
+#: Signals that such a record has with a covariance: what the signals of the mean are rounded off.
+FINE_SIGNALS = tuple(f"{name}Fine" for name in PARAMETER_SIGNALS)
 #: Signals that every record of the pose error has in addition to page numbers and covariance.
 POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHeading")
 #: Rows of the covariance of the pose error.
