@@ -125,14 +125,18 @@ class SeenLines:
         """Return the lines as seen from the mean pose, if these are their means over pose errors.
 
         The means over a pose error with the (3, 3) covariance P differ a little from the lines that
-        are seen from the mean pose. A line whose estimate is no function of x, since the pose error
-        is so large, stays as it is.
+        are seen from the mean pose. The difference is that of these lines, to a second
+        approximation. A line whose estimate is no function of x, since the pose error is so large,
+        stays as it is.
         """
-        shift = self(_sigma_points(P))[1:].mean(axis=0) - self.means
-        centred = self.means - shift
-        is_function = ~np.isnan(self._seen(centred, np.zeros(3))[:, :1])
-        means = np.where(is_function, centred, self.means)
-        return SeenLines(means, self.fit_ranges, self.quartics)
+        points = _sigma_points(P)[1:]
+        lines = self
+        for _ in range(2):
+            centred = self.means - (lines(points).mean(axis=0) - lines.means)
+            is_function = ~np.isnan(self._seen(centred, np.zeros(3))[:, :1])
+            means = np.where(is_function, centred, lines.means)
+            lines = SeenLines(means, self.fit_ranges, self.quartics)
+        return lines
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (4 L, 4 L) joint covariance of the lines for a pose error with covariance P.
