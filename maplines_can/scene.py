@@ -74,10 +74,13 @@ class Scene:
         left_out: reasons of the lines that are not in the scene, by slot.
         quartics: (L,) coefficients of the Chebyshev polynomial T_4 that the cubics leave of the
             lines in their fit ranges [m]; 0 if they are empty. See ``SeenLines``.
+        own_covs: (L, 4, 4) part of the covariance of each line that is not due to the pose error
+            and independent from line to line: that of the map error and of the misfit of the cubic.
+            None if it is not known.
 
     Raises:
         ValueError: a shape is wrong, two lines have the same slot, a line has a mixture, a
-            range is empty, or ``cov`` is not a covariance.
+            range is empty, or ``cov`` or one of ``own_covs`` is not a covariance.
 
     >>> pose = PoseError(np.diag([0.1, 0.2, 0.01]) ** 2)
     >>> lines = [MapLine(slot, Gaussian([y, 0, 0, 0], np.diag([0.05, 1e-4, 1e-8, 1e-12])))
@@ -98,6 +101,7 @@ class Scene:
     map_error: MapError | None = None
     left_out: Mapping[Slot, LeftOut] = field(default_factory=dict)
     quartics: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    own_covs: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         lines = tuple(self.lines)
@@ -112,11 +116,14 @@ class Scene:
             )
         if not len(self.quartics):
             object.__setattr__(self, "quartics", np.zeros(len(lines)))
-        for name, shape in (
-            ("cov", (N * len(lines),) * 2),
-            ("fit_ranges", (len(lines), 2)),
-            ("quartics", (len(lines),)),
-        ):
+        shapes = {
+            "cov": (N * len(lines),) * 2,
+            "fit_ranges": (len(lines), 2),
+            "quartics": (len(lines),),
+        }
+        if self.own_covs is not None:
+            shapes["own_covs"] = (len(lines), N, N)
+        for name, shape in shapes.items():
             values = np.array(floats(getattr(self, name), name)).reshape(
                 shape if not lines else np.shape(getattr(self, name))
             )

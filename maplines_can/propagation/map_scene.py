@@ -116,6 +116,7 @@ def map_scene(
         map_error,
         left_out,
         refit.quartic[kept],
+        own_covs[kept],
     )
 
 

@@ -480,7 +480,10 @@ class _Parts(NamedTuple):
             J[fits] = bases(means, fit_ranges)
             seen = SeenLines(means, fit_ranges, scene.quartics[fits])
             due_to_pose[fits] = blocks(seen.spread(scene.pose_error.cov))
-            own[fits] = positive_part(blocks(scene.cov)[fits] - due_to_pose[fits], J[fits])
+            if scene.own_covs is not None:
+                own[fits] = scene.own_covs[fits]
+            else:
+                own[fits] = positive_part(blocks(scene.cov)[fits] - due_to_pose[fits], J[fits])
         return cls(J, due_to_pose, own)
 
 

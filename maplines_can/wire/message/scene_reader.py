@@ -106,6 +106,7 @@ class SceneReader:
             decoded.fit_ranges,
             map_error,
             quartics=decoded.quartics,
+            own_covs=decoded.own_covs,
         )
 
     def age(self, pose: PoseRecord) -> float:
