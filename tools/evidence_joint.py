@@ -44,7 +44,14 @@ from joint_figures import CARRIERS, SIGMAS, Figures, missed, show, summary
 from line_witness import NEAR, POSES, Array, Poses, crossings, place_of, seen_from
 from random_roads import SHAPES, SceneCase, random_scene
 from reporting import bar, parser_of
-from scene_layouts import COMPLETE, layout_of, pose_layout_of, scene_code
+from scene_layouts import (
+    COMPLETE,
+    CONDITIONAL,
+    layout_of,
+    pose_layout_of,
+    scene_code,
+    scene_encoder,
+)
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot
 from maplines_can.line import lateral_jacobian
@@ -53,7 +60,8 @@ from maplines_can.study.scenes.source import noise_floor
 from maplines_can.wire import Codec
 from maplines_can.wire.covariance.joint import block_diagonal
 from maplines_can.wire.covariance.own_levels import bases
-from maplines_can.wire.covariance.scene_code import RESOLUTION, DecodedLines, EncodedScene
+from maplines_can.wire.covariance.scene_code import RESOLUTION, DecodedLines
+from maplines_can.wire.covariance.scene_encoder import EncodedScene
 from maplines_can.wire.message.signals import PARAMETER_SIGNALS
 
 #: Range of the standard deviations of the map error: of the points and of the offset [m].
@@ -103,10 +111,10 @@ def drawn(number: int, settings: Settings) -> Drawn:
 
 def encoded(carrier: str, scene: Scene) -> EncodedScene:
     """Return a scene as a carrier sends it."""
-    code = scene_code(CARRIERS[carrier])
-    if code.is_conditional:
-        return code.encode(scene)
-    return code.encode_levels(scene, sent_means(scene))
+    encoder = scene_encoder(CARRIERS[carrier])
+    if CARRIERS[carrier] == CONDITIONAL:
+        return encoder.encode(scene)
+    return encoder.encode_levels(scene, sent_means(scene))
 
 
 @lru_cache

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from maplines_can.wire import Layout
-from maplines_can.wire.covariance import SceneCode
+from maplines_can.wire.covariance import SceneCode, SceneEncoder
 from maplines_can.wire.message.dbc_reader import default_dbc_path
 from maplines_can.wire.message.pose_layout import PoseLayout
 
@@ -32,3 +32,9 @@ def pose_layout_of(dbc: str) -> PoseLayout:
 def scene_code(dbc: str = CONDITIONAL) -> SceneCode:
     """Return the code of the scenes of one of the project's DBCs."""
     return SceneCode(pose_layout_of(dbc), layout_of(dbc))
+
+
+@lru_cache
+def scene_encoder(dbc: str = CONDITIONAL) -> SceneEncoder:
+    """Return the encoder of the scenes of one of the project's DBCs."""
+    return SceneEncoder(scene_code(dbc))

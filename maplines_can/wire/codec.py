@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import EncodeError, LayoutError
 from ..line import MapLine, Slot
 from ..scene import Scene
-from .covariance import CholeskyCode, CovarianceCode, SceneCode
+from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
 from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
 from .message.complete_records import CompleteRecords, complete_records, record_reading
 from .message.dbc_reader import Database, default_dbc_path
@@ -351,7 +351,8 @@ class Codec:
                 f"{self.layout.source} has no message of the pose error (MapLinePose), so lines "
                 "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
             )
-        return SceneWriter(self.layout, self.layout.pose, self._scene_code, self._complete)
+        encoder = SceneEncoder(self._scene_code)
+        return SceneWriter(self.layout, self.layout.pose, encoder, self._complete)
 
     def verifier(self) -> Verifier | None:
         """Return a verifier of received frames of lines; None without an authenticator."""

@@ -98,6 +98,12 @@ _OWN = (
               "leaves of the line. It serves to see the line from another pose.",
         why="a cubic leaves at most 10 cm of its line"),
 )
+#: The same for lines of which all entries cannot be sent, even if their points are far apart.
+_SPACING = replace(
+    _OWN[2], factor=2**-7, offset=2**-5, unit="1",
+    about=_OWN[2].about.replace("log2 of the distance", "Distance"),
+    why="1/32 to 2 half lengths, with a phase that is near any phase; finer for points that are "
+        "far apart, since the places of a few points matter most")
 #: How far the fit range exceeds the stated range, which is the valid range.
 _FIT = (
     SignalSpec(
@@ -120,7 +126,7 @@ def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
     return tuple(
         replace(spec, name=slot_title(slot) + spec.name)
         for slot in slots
-        for spec in (*_OWN, *_FIT)
+        for spec in (*_OWN[:2], _SPACING, _OWN[3], *_FIT)
     )
 
 

@@ -3,5 +3,6 @@
 from .cholesky import CholeskyCode
 from .code import Coded, CovarianceCode
 from .scene_code import SceneCode
+from .scene_encoder import SceneEncoder
 
-__all__ = ["CholeskyCode", "Coded", "CovarianceCode", "SceneCode"]
+__all__ = ["CholeskyCode", "Coded", "CovarianceCode", "SceneCode", "SceneEncoder"]

@@ -13,7 +13,17 @@ from .code import Array
 #: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's
 #: rounding passes.
 SLACK = 1e-6
-POWER = 1.0
+#: Places in the range of a line, in the normalised variable w.
+_PLACES = np.linspace(-1, 1, 9)
+#: (16, K) products of the values of T_0 .. T_3 there, and of their derivatives: for the variances
+#: of lateral position and direction.
+_VALUES = np.vstack(
+    [
+        np.polynomial.chebyshev.chebvander(_PLACES, 3),
+        np.polynomial.chebyshev.chebval(_PLACES, np.polynomial.chebyshev.chebder(np.eye(4))).T,
+    ]
+)
+_PRODUCTS = (_VALUES[:, :, None] * _VALUES[:, None]).reshape(-1, 16).T
 
 
 def blocks(cov: Array) -> Array:
@@ -61,9 +71,33 @@ def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
     if values[-1] <= 1 - SLACK:
         return None
     more = values > 1 - SLACK
-    v = vectors[:, more].reshape(len(J), 4, -1)
     u = (L @ vectors[:, more]).reshape(len(J), 4, -1)
     T = blocks(whole @ spread @ whole.T) + D
-    weights = np.sqrt(np.einsum("lik,lij,ljk->lk", u, np.linalg.inv(T), u)) ** POWER + 1e-9
+    weights = np.sqrt(np.einsum("lik,lij,ljk->lk", u, np.linalg.inv(T), u)) + 1e-9
     amount = (values[more] - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
     return np.asarray(J @ np.einsum("lk,lik,ljk->lij", amount, u, u) @ J.swapaxes(1, 2))
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def divergence(true: Array, decoded: Array) -> Array:
+    """Return the (...,) KL of zero-mean Gaussians with (..., n, n) covariances [nat]."""
+    n = true.shape[-1]
+    sign, log_det = np.linalg.slogdet(decoded)
+    regular = np.where((sign > 0)[..., None, None], decoded, np.eye(n))
+    ratio = np.linalg.solve(regular, np.broadcast_to(true, decoded.shape))
+    trace = np.trace(ratio, axis1=-2, axis2=-1)
+    true_sign, true_log_det = np.linalg.slogdet(true)
+    kl = (trace - n + log_det - true_log_det) / 2
+    return np.where((sign > 0) & (true_sign > 0), kl, np.inf)
+
+
+@np.errstate(invalid="ignore", divide="ignore")
+def largest_ratio(decoded: Array, true: Array) -> Array:
+    """Return the (...,) largest ratios of variances of lateral position and direction of lines.
+
+    Args:
+        decoded: (..., 4, 4) covariances of coefficients of T_0 .. T_3.
+        true: the covariances with which they are compared.
+    """
+    a, b = (cov.reshape(*cov.shape[:-2], 16) @ _PRODUCTS for cov in (decoded, true))
+    return np.asarray((a / b).max(axis=-1))

@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from ...line import line_of_cubic
 from ...seen_lines import NODES
+from ..message.requirement import OCTAVE
 from ..message.signals import Signal
 from .code import Array
+from .joint import divergence, largest_ratio
 
 #: Raw values above the least one of the points' level that are tried.
 TRIED = np.array([0, 1, 2, 3, 5])
@@ -91,7 +93,8 @@ class OwnLevels:
     Args:
         lateral: signal of log2 a [m]; the raw value 0 means a = 0.
         points: signal of log2 p [m]; the raw value 0 means p = 0.
-        spacing: signal of log2 of the spacing; its raw values stand for the phase, too.
+        spacing: signal of the spacing, or with the unit ``OCTAVE`` of its exponent of 2. Its raw
+            values stand for the phase, too.
     """
 
     def __init__(self, lateral: Signal, points: Signal, spacing: Signal) -> None:
@@ -112,7 +115,10 @@ class OwnLevels:
     def _arrangement(self, raw: NDArray[np.int64]) -> tuple[Array, Array]:
         """Return spacings and phases."""
         raw = raw.clip(self.spacing.raw_min, self.spacing.raw_max)
-        return np.exp2(self.spacing.physical(raw)), np.asarray(raw * GOLDEN_RATIO % 1.0)
+        spacing = self.spacing.physical(raw)
+        if self.spacing.unit == OCTAVE:
+            spacing = np.exp2(spacing)
+        return spacing, np.asarray(raw * GOLDEN_RATIO % 1.0)
 
     def decode(
         self, raw: Mapping[str, NDArray[np.int64]], means: Array, fit_ranges: Array
@@ -130,27 +136,27 @@ class OwnLevels:
         return np.asarray(cov + cov.swapaxes(1, 2)) / 2
 
     def encode(
-        self, target: Array, rest: Array, true: Array, J: Array, noise: Array
-    ) -> tuple[dict[str, NDArray[np.int64]], Array]:
-        """Return raw values whose covariances cover targets, and the divergence that they cost.
+        self, target: Array, common: Array, true: Array, J: Array, noise: Array
+    ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
+        """Return raw values of levels that cover targets together with common covariances.
 
-        Of all spacings and some levels of the points, those are chosen for which the whole
-        covariance of the line is closest.
+        Of all spacings and some levels of the points, those are chosen with the least cost: the
+        divergence from the true covariance plus the logarithm of the largest ratio of variances,
+        of the lateral position or the direction of the line anywhere in its range.
 
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
-            rest: (L, 4, 4) the other part of the covariance of the lines: that of the pose.
-            true: (L, 4, 4) the covariance of the lines to which it is to be close.
+            common: (L, 4, 4) what is added to the covariances of the levels.
+            true: (L, 4, 4) the covariances to which the sums are to be close.
             J: (L, 4, 4) derivatives of ``bases``.
             noise: (L, S, 4, 4) that of ``noise``.
 
         Returns:
-            (L,) raw values by signal, and the (L,) KL from the true covariance to rest + the
-            decoded one [nat], infinite if no levels cover the target.
+            (L,) raw values by signal, and the (L,) lines whose targets they cover.
         """
         inverse = np.linalg.inv(J)
         # In coefficients of T_0 .. T_3:
-        E, C, T = (inverse @ X @ inverse.swapaxes(1, 2) for X in (target, rest, true))
+        E, C, T = (inverse @ X @ inverse.swapaxes(1, 2) for X in (target - common, common, true))
         E, C, T = (((X + X.swapaxes(1, 2)) / 2)[:, None, None] for X in (E, C, T))
         # That of points far apart may be singular.
         whitening = np.linalg.inv(np.linalg.cholesky(noise[..., 1:, 1:] + 1e-6 * np.eye(3)))
@@ -158,25 +164,25 @@ class OwnLevels:
         least = np.linalg.eigvalsh(whitened)[..., -1].clip(1e-30)
         least_raw = np.ceil(_raw(self.points, np.sqrt(least))).clip(self.points.raw_min + 1)
         lines = np.arange(len(E))[:, None]
-        _, _, kl = self._cost(E, C, T, noise, least_raw[..., None] + TRIED[1:2])
-        chosen = kl[..., 0].argsort(axis=1, kind="stable")[:, :CHOSEN]
-        raw_p, raw_a, kl = self._cost(
+        _, _, cost = self._cost(E, C, T, noise, least_raw[..., None] + TRIED[1:2])
+        chosen = cost[..., 0].argsort(axis=1, kind="stable")[:, :CHOSEN]
+        raw_p, raw_a, cost = self._cost(
             E, C, T, noise[lines, chosen], least_raw[lines, chosen][..., None] + TRIED
         )
-        best = kl.reshape(len(E), -1).argmin(axis=1)
-        at = (lines[:, 0], *np.unravel_index(best, kl.shape[1:]))
+        best = cost.reshape(len(E), -1).argmin(axis=1)
+        at = (lines[:, 0], *np.unravel_index(best, cost.shape[1:]))
         raw = {
             self.lateral: raw_a[at],
             self.points: raw_p[at],
             self.spacing: chosen[at[:2]] + self.spacing.raw_min,
         }
         limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
-        return limited, kl[at]
+        return limited, np.isfinite(cost[at])
 
     def _cost(
         self, E: Array, C: Array, true: Array, noise: Array, raw_p: Array
     ) -> tuple[Array, Array, Array]:
-        """Return raw levels of points and lateral levels that cover targets E, and their KL.
+        """Return raw levels of points and lateral levels that cover targets E, and their cost.
 
         E, C and true are (L, 1, 1, 4, 4), the noise is (L, S, 4, 4), the others are (L, S, T).
         """
@@ -187,9 +193,10 @@ class OwnLevels:
         raw_a = np.where(short > 0, np.ceil(level_a).clip(1), 0)
         decoded = C + M + E
         decoded[..., 0, 0] += _level(self.lateral, raw_a) ** 2
-        kl = _divergence(true, decoded)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            cost = divergence(true, decoded) + np.log(largest_ratio(decoded, true))
         possible = (raw_p <= self.points.raw_max) & (raw_a <= self.lateral.raw_max)
-        return raw_p, raw_a, np.where(possible & np.isfinite(kl), kl, np.inf)
+        return raw_p, raw_a, np.where(possible & np.isfinite(cost), cost, np.inf)
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -219,16 +226,3 @@ def _level(signal: Signal, raw: NDArray[np.int64] | Array) -> Array:
 def _raw(signal: Signal, level: Array) -> Array:
     """Return the raw values of positive levels, not rounded."""
     return (np.log2(level) - signal.offset) / signal.factor
-
-
-@np.errstate(invalid="ignore", divide="ignore")
-def _divergence(true: Array, decoded: Array) -> Array:
-    """Return the (...,) KL of zero-mean Gaussians with (..., n, n) covariances [nat]."""
-    n = true.shape[-1]
-    sign, log_det = np.linalg.slogdet(decoded)
-    regular = np.where((sign > 0)[..., None, None], decoded, np.eye(n))
-    ratio = np.linalg.solve(regular, np.broadcast_to(true, decoded.shape))
-    trace = np.trace(ratio, axis1=-2, axis2=-1)
-    true_sign, true_log_det = np.linalg.slogdet(true)
-    kl = (trace - n + log_det - true_log_det) / 2
-    return np.where((sign > 0) & (true_sign > 0), kl, np.inf)

@@ -76,9 +76,7 @@ class Layout(RecordLayout):
     pose: PoseLayout | None = None
 
     def __post_init__(self) -> None:
-        own = (
-            (*CONDITIONAL_SIGNALS, *FINE_SIGNALS) if self.is_conditional else HEADER_SIGNALS
-        )
+        own = (*CONDITIONAL_SIGNALS, *FINE_SIGNALS) if self.is_conditional else HEADER_SIGNALS
         for name in (*own, *PARAMETER_SIGNALS):
             self[name]
         self.check_pages()

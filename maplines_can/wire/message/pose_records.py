@@ -14,8 +14,8 @@ from .pose_layout import PoseLayout
 from .raw_records import RawRecords
 from .record_layout import RecordLayout
 from .signals import (
-    OWN_SIGNALS,
     FINE_SIGNALS,
+    OWN_SIGNALS,
     PARAMETER_SIGNALS,
     POSE_ROWS,
     POSE_SIGNALS,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -16,6 +17,10 @@ EXACT_BITS = 53
 LEAST_FACTOR, FARTHEST = 1e-30, 1e30
 #: Greatest exponent of 2 that a level may hold, so that its square is finite.
 FARTHEST_OCTAVE = 200
+#: Greatest exponent of 2 of a spacing of points: a line has not too many of them.
+LEAST_SPACING_OCTAVES = 10
+#: Unit of an exponent of 2.
+OCTAVE = "octave"
 
 
 @dataclass(frozen=True)
@@ -117,23 +122,25 @@ NUMBER = (INTEGER, UNSIGNED, IDENTITY, EXACT, SOME_RANGE)
 BYTES = (INTEGER, UNSIGNED, IDENTITY)
 
 
-def scale(farthest: int) -> tuple[Requirement, ...]:
-    """Return the requirements of the exponent of 2 of a scale."""
-    return (
-        *QUANTITY,
-        UNSIGNED,
-        POSITIVE,
-        unit("octave"),
-        Requirement(
-            f"values from -{farthest} to {farthest} for any bits",
-            lambda s: bool(np.abs(s.reach).max() <= farthest),
-            "correct factor and offset",
-        ),
-    )
+def _octaves(signal: Signal) -> list[float]:
+    """Return the exponents of 2 of the least and the greatest value of any bits of a spacing."""
+    if signal.unit == OCTAVE:
+        return [*signal.reach]
+    return [math.log2(value) if value > 0 else math.inf for value in signal.reach]
 
 
 #: Requirements of the exponent of 2 of a standard deviation or a time.
-SCALE = scale(FARTHEST_OCTAVE)
+SCALE = (
+    *QUANTITY,
+    UNSIGNED,
+    POSITIVE,
+    unit(OCTAVE),
+    Requirement(
+        f"values from -{FARTHEST_OCTAVE} to {FARTHEST_OCTAVE} for any bits",
+        lambda s: bool(np.abs(s.reach).max() <= FARTHEST_OCTAVE),
+        "correct factor and offset",
+    ),
+)
 #: Requirements of a scale whose raw value 0 means that there is none, or that it is unknown.
 LEVEL = (
     *SCALE,
@@ -143,8 +150,22 @@ LEVEL = (
         "widen the signal and its range [min|max]",
     ),
 )
-#: Requirements of a spacing of points: a line has not too many of them.
-SPACING = scale(10)
+#: Requirements of a spacing of points, in halves of a line's length.
+SPACING = (
+    *QUANTITY,
+    UNSIGNED,
+    POSITIVE,
+    Requirement(
+        f'the unit "{OCTAVE}" for the exponent of 2 of a distance, or "1" for a distance',
+        lambda s: s.unit in (OCTAVE, "1"),
+        "write one of them",
+    ),
+    Requirement(
+        f"distances from 2^-{LEAST_SPACING_OCTAVES} to 2^{LEAST_SPACING_OCTAVES} for any bits",
+        lambda s: max(map(abs, _octaves(s))) <= LEAST_SPACING_OCTAVES,
+        "correct factor and offset",
+    ),
+)
 #: Requirement of an end of a range that is sent exactly.
 WHOLE_METRES = Requirement(
     "factor 1 and a whole offset",

@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import EncodeError
 from ...line import Slot
 from ...scene import Scene
-from ..covariance.scene_code import EncodedScene, SceneCode
+from ..covariance.scene_encoder import EncodedScene, SceneEncoder
 from .complete_records import CompleteRecords
 from .layout import Layout
 from .pose_layout import POSE, Owner, PoseLayout
@@ -56,7 +56,7 @@ class SceneWriter:
     Args:
         layout: of the records of lines.
         pose: of the record of the pose error.
-        code: of both.
+        encoder: of both.
         complete: writers of the records of lines; None if these are conditional.
     """
 
@@ -64,10 +64,10 @@ class SceneWriter:
         self,
         layout: Layout,
         pose: PoseLayout,
-        code: SceneCode,
+        encoder: SceneEncoder,
         complete: CompleteRecords | None,
     ) -> None:
-        self._layout, self._pose, self._code = layout, pose, code
+        self._layout, self._pose, self._encoder = layout, pose, encoder
         self._complete = complete
         self._pose_records = PoseRecords(pose)
         self._records = ConditionalRecords(layout) if layout.is_conditional else None
@@ -88,11 +88,11 @@ class SceneWriter:
             if line.slot not in self._layout.messages:
                 raise EncodeError(f"{self._layout.source} has no message for slot {line.slot!r}")
         if self._complete is None:
-            encoded = self._code.encode(scene, full=full)
+            encoded = self._encoder.encode(scene, full=full)
             sent = tuple(scene.lines[place].slot for place in encoded.lines)
             return PreparedScene(scene, encoded, sent)
         raw = [self._complete.writer.raw_mean_and_range(line) for line in scene.lines]
-        encoded = self._code.encode_levels(scene, raw)
+        encoded = self._encoder.encode_levels(scene, raw)
         return PreparedScene(scene, encoded, tuple(line.slot for line in scene.lines))
 
     def write(

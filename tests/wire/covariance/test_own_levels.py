@@ -14,6 +14,7 @@ from strategies import covariances, mild_lines, symmetric
 from maplines_can import Gaussian
 from maplines_can.line import lateral, lateral_jacobian, line_of_cubic
 from maplines_can.seen_lines import NODES
+from maplines_can.wire.covariance.joint import divergence, largest_ratio
 from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, bases, point_noise
 
 LINE = layout_of("maplines-pose.dbc")
@@ -36,11 +37,18 @@ def straight_noise(spacing: Any, phase: Any = 0.0) -> Any:
 
 
 def encoded(code: Any, target: Any, rest: Any, floor: float = 0.0) -> Any:
-    """Raw values and KL for (L, 4, 4) targets in coefficients of a straight line."""
+    """Raw values and KL for (L, 4, 4) targets in coefficients of a straight line.
+
+    The KL is infinite if the levels do not cover; it is that from rest + target + floor to rest +
+    levels.
+    """
     n = len(target)
     noise = code.noise(*STRAIGHT).repeat(n, 0)
-    turned = BASIS @ target @ BASIS.swapaxes(1, 2), BASIS @ rest @ BASIS.swapaxes(1, 2)
-    return code.encode(*turned, BASIS.repeat(n, 0), noise, floor)
+    true = rest + target + floor * np.eye(4)
+    turned = (BASIS @ X @ BASIS.swapaxes(1, 2) for X in (rest + target, rest, true))
+    raw, covered = code.encode(*turned, BASIS.repeat(n, 0), noise)
+    kl = divergence(true, rest + in_metres(code, raw))
+    return raw, np.where(covered, kl, np.inf)
 
 
 def in_metres(code: Any, raw: Any) -> Any:
@@ -181,26 +189,46 @@ def test_any_bits_are_positive_semidefinite(data: Any, mean: Any, window: Any) -
 def test_decoded_levels_cover_any_symmetric_target(
     target: Any, rest: Any, exponent: float, mean: Any, window: Any
 ) -> None:
-    """Or the divergence is infinite; it is that from target + floor, beside the rest."""
+    """Together with what is common to all levels, or the encoder says that they do not."""
     line = mean[None], window[None]
     J = bases(*line)
     target = 10.0**exponent / max(1e-30, np.abs(target).max()) * target
-    turned = [J @ matrix @ J.swapaxes(1, 2) for matrix in (target, rest)]
-    raw, kl = LEVELS.encode(turned[0], turned[1], J, LEVELS.noise(*line), FLOOR)
+    true = rest + target + FLOOR * np.eye(4)
+    covers, common, whole = (J @ X @ J.swapaxes(1, 2) for X in (rest + target, rest, true))
+    raw, covered = LEVELS.encode(covers, common, whole, J, LEVELS.noise(*line))
     for signal in SIGNALS:
         assert signal.raw_min <= raw[signal.name][0] <= signal.raw_max
-    if np.isinf(kl[0]):
+    if not covered[0]:
         return
     inverse = np.linalg.inv(J[0])
     decoded = inverse @ LEVELS.decode(raw, *line)[0] @ inverse.T
     least = np.linalg.eigvalsh(decoded - target)[0]
-    assert least >= -1e-7 * max(np.abs(target).max(), np.abs(decoded).max())
-    true = rest + target + FLOOR * np.eye(4)
-    true, decoded = ((matrix + matrix.T) / 2 for matrix in (true, decoded + rest))
-    eigenvalues = np.linalg.eigvalsh(true)
-    if eigenvalues[0] > 1e-6 * eigenvalues[-1]:
-        expected = Gaussian(np.zeros(4), true).kl(Gaussian(np.zeros(4), decoded))
-        assert kl[0] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    assert least >= -1e-7 * max(np.abs(target).max(), np.abs(decoded).max(), np.abs(rest).max())
+
+
+@given(covariances(4), covariances(4))
+def test_the_divergence_is_that_of_gaussians(true: Any, decoded: Any) -> None:
+    """In one array with another pair, against the method of ``Gaussian``."""
+    pair = [matrix + 1e-3 * np.abs(matrix).max() * np.eye(4) for matrix in (true, decoded)]
+    pair = [matrix + FLOOR * np.eye(4) for matrix in pair]
+    expected = Gaussian(np.zeros(4), pair[0]).kl(Gaussian(np.zeros(4), pair[1]))
+    both = divergence(*(np.array([matrix, np.eye(4)]) for matrix in pair))
+    assert both[0] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+    assert both[1] == 0
+
+
+def test_a_matrix_that_is_not_definite_is_infinitely_far() -> None:
+    one, bad = np.eye(4), np.diag([1.0, 1, 1, -1])
+    assert divergence(one, bad) == divergence(bad, one) == divergence(one, 0 * one) == np.inf
+
+
+def test_the_largest_ratio_is_that_of_lateral_position_or_direction() -> None:
+    """T_3 is steepest against the others at w = 0, T_0 is half of the variance of position there."""
+    more = np.diag([1.0, 1, 1, 2])
+    slopes = np.array([0, 1, 0, 3]) ** 2  # of T_0 .. T_3 at w = 0, squared
+    assert largest_ratio(more, np.eye(4)) == pytest.approx(slopes @ more.diagonal() / slopes.sum())
+    assert largest_ratio(np.diag([5.0, 1, 1, 1]), np.eye(4)) == pytest.approx(3.0)
+    assert largest_ratio(2 * more, more) == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize("size", [1e2, 1e20, 1e150])
@@ -249,9 +277,9 @@ def test_the_levels_are_nearly_the_best_of_all() -> None:
     for _ in range(30):
         A = rng.standard_normal((4, 4)) * [[0.05], [0.02], [0.02], [0.01]]
         target = A @ A.T
-        _, kl = encoded(code, target[None], rest[None])
+        raw, kl = encoded(code, target[None], rest[None])
         covering = every[np.linalg.eigvalsh(every - target)[:, 0] >= 0]
-        ratio = np.linalg.solve(rest + covering, rest + target)
-        kls = (ratio.trace(axis1=1, axis2=2) - 4 - np.log(np.linalg.det(ratio))) / 2
-        best = kls.min()
-        assert best - 1e-9 <= kl[0] <= 1.2 * best + 0.01
+        ratio = np.log(largest_ratio(rest + covering, rest + target))
+        best = (divergence(rest + target, rest + covering) + ratio).min()
+        got = kl[0] + np.log(largest_ratio(rest + in_metres(code, raw)[0], rest + target))
+        assert best - 1e-9 <= got <= 1.2 * best + 0.01

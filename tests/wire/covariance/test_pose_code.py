@@ -9,12 +9,12 @@ from exact import covers, is_positive_definite
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from pose_bits import POSE, POSE_NAMES, PRODUCTION, any_bits
-from scene_layouts import scene_code
+from scene_layouts import scene_code, scene_encoder
 from strategies import covariances
 
 from maplines_can import MapError, PoseError, Scene
 
-CODE = scene_code()
+CODE, ENCODER = scene_code(), scene_encoder()
 
 
 def pose_of(cov: Any, error: MapError | None = None, time: float = math.inf) -> Scene:
@@ -47,7 +47,7 @@ def test_any_bits_of_a_pose_are_definite(seed: int) -> None:
 def test_the_correlation_time_is_rounded_to_the_nearest_level(
     time: float, raw: int, decoded: float
 ) -> None:
-    sent = CODE.encode(pose_of(PRODUCTION, time=time))
+    sent = ENCODER.encode(pose_of(PRODUCTION, time=time))
     assert sent.pose["CorrelationTime"] == raw
     assert CODE.decode_pose(sent.pose).correlation_time == pytest.approx(decoded)
 
@@ -70,7 +70,7 @@ def test_the_correlation_time_is_rounded_to_the_nearest_level(
 )
 def test_the_levels_of_the_map_error(sigma: float, offset: int, heading: int) -> None:
     """Both are rounded up: no level of a line has the shape of a shift along it or a rotation."""
-    sent = CODE.encode(pose_of(PRODUCTION, MapError(0.0, sigma, sigma)))
+    sent = ENCODER.encode(pose_of(PRODUCTION, MapError(0.0, sigma, sigma)))
     assert (sent.pose["MapOffset"], sent.pose["MapHeading"]) == (offset, heading)
     pose = CODE.decode_pose(sent.pose)
     assert pose.offset_sigma >= min(sigma, 2**-0.125) * (1 - 1e-6)
@@ -84,7 +84,7 @@ def test_the_decoded_pose_error_covers_and_costs_little(cov: Any) -> None:
     root = np.sqrt(PRODUCTION.diagonal())
     cov = cov / scale / scale[:, None] * root * root[:, None]
     empty = pose_of(cov)
-    decoded = CODE.decode_pose(CODE.encode(empty).pose).cov
+    decoded = CODE.decode_pose(ENCODER.encode(empty).pose).cov
     assert covers(decoded, np.zeros(3), empty.pose_error.cov, np.zeros(3))
     eigenvalues = np.linalg.eigvalsh(cov / root / root[:, None])
     assume(eigenvalues[0] > 0.1)

@@ -1,0 +1,378 @@
+"""Encoder of scenes, for the receiver of ``scene_code``.
+
+The joint covariance C that a receiver decodes covers that of the scene plus the errors of the
+decoded means, since the encoder decodes what it encodes. P' covers P. D_i covers what the line has
+of its own, and the error of its mean. If together they do not cover the scene, since the errors of
+all means are one error, and the lines differ from f_i in different ways, the D_i of the lines
+concerned are enlarged until they do.
+
+Lines for which levels cost too much send all entries.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import EncodeError, IllPosedError
+from ...scene import Scene
+from ...seen_lines import SeenLines
+from ..message.signals import Signal
+from .cholesky import CholeskyCode
+from .code import Array
+from .joint import blocks, divergence, largest_ratio, positive_part, uncovered
+from .own_levels import bases
+from .rounding import refined, rounded_means, split
+from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode
+
+#: Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
+LEVELS_KL = 0.01
+#: Largest ratio of a standard deviation of what a line has of its own, with levels to without.
+LEVELS_RATIO = 1.1
+#: Factor on the covariance of the pose error that is covered. A line that is rounded depends on the
+#: pose a little differently; what that does is much less, but not little to what lines have of
+#: their own.
+POSE_SLACK = 1.002
+#: Repetitions of the enlargement of D_i.
+TRIALS = 12
+#: Share of what the first trial lacks by which D_i are enlarged; each next one takes twice as much.
+FIRST_SHARE = 0.5
+#: Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
+LARGEST = 1e50
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedScene:
+    """Raw values of a scene by signal: of the Pose record and of the lines' records."""
+
+    pose: dict[str, int]
+    lines: dict[int, dict[str, int]]  #: by their places in the scene; lines that do not fit lack
+    decoded: DecodedLines | None  #: what a receiver decodes; None without lines
+
+
+class SceneEncoder:
+    """Encoder of the raw values of a Pose record and of the records of lines.
+
+    Args:
+        code: of the receiver.
+    """
+
+    def __init__(self, code: SceneCode) -> None:
+        self._code = code
+        self._refined = [refined(*pair) for pair in zip(code.mean, code.fine, strict=False)]
+
+    def encode(self, scene: Scene, *, full: bool = False) -> EncodedScene:
+        """Encode a scene for records that are conditional on the pose.
+
+        Lines that do not fit are left out: a mean or a range is out of the range of its signals,
+        or no covariance of the message covers what the line has of its own.
+
+        Args:
+            scene: the lines with their joint covariance.
+            full: send all entries of each D_i, not levels.
+
+        Raises:
+            EncodeError: the pose error does not fit.
+        """
+        ranges, fits = self._encode_ranges(scene)
+        fits &= _can_be_seen(scene)
+        parts = _Parts.of(scene, fits)
+        rows: list[dict[str, NDArray[np.int64]]] = []
+        for signals in (self._code.mean, self._refined):
+            rounded, within = rounded_means(signals, scene.means, parts.own, parts.J, RESOLUTION)
+            fits &= within
+            rows.append(ranges | rounded)
+        for signal, fine in zip(self._code.mean, self._code.fine, strict=True):
+            raw = split(rows[1][signal.name], signal, fine)
+            rows[1][signal.name], rows[1][fine.name] = raw
+        return self._encode(scene, rows[0], rows[1], fits, parts, full)
+
+    def encode_levels(
+        self, scene: Scene, lines: Sequence[Mapping[str, int] | None]
+    ) -> EncodedScene:
+        """Encode what lines have of their own, for records with a covariance of their own.
+
+        Args:
+            scene: the lines with their joint covariance.
+            lines: raw values by signal of the mean and the range of each line as sent; None for a
+                line that is not to be in the scene at the receiver.
+
+        Raises:
+            EncodeError: the pose error does not fit.
+        """
+        signals = [*self._code.mean, *self._code.range]
+        raw = {
+            s.name: np.array([line[s.name] if line else 0 for line in lines], dtype=np.int64)
+            for s in signals
+        }
+        low, high = (s.physical(raw[s.name]) for s in self._code.range)
+        fits = np.array([line is not None for line in lines], dtype=bool) & (low < high)
+        fits &= _can_be_seen(scene)
+        return self._encode(scene, raw, raw, fits, _Parts.of(scene, fits), False)
+
+    def _encode(
+        self,
+        scene: Scene,
+        with_levels: Rows,
+        with_entries: Rows,
+        fits: Mask,
+        parts: _Parts,
+        full: bool,
+    ) -> EncodedScene:
+        """Encode the pose, and D_i of the lines that fit.
+
+        Args:
+            scene: the lines with their joint covariance.
+            with_levels: (L,) raw values of means and ranges, if D_i are sent as levels.
+            with_entries: the same, if all entries of D_i are sent.
+            fits: (L,) which lines fit.
+            parts: of the covariances of the lines.
+            full: send all entries of each D_i.
+        """
+        pose_raw = self._encode_pose(scene)
+        pose = self._code.decode_pose(pose_raw)
+        shapes = self._encode_shapes(scene, with_levels)
+        forms = with_levels | shapes, with_entries | shapes
+        is_full, places = np.full(len(fits), full), np.flatnonzero(fits)
+        noise: Array | None = None
+        while len(places):
+            raw = _chosen(*forms, is_full, places)
+            means, fit_ranges, quartics = self._code.decode_lines(raw)
+            rows = zip(means, fit_ranges, quartics, strict=True)
+            covered = np.array([_is_function(*row) for row in rows])
+            if covered.all():
+                if noise is None:
+                    noise = self._code.levels.noise(means, fit_ranges)
+                seen = SeenLines(means, fit_ranges, quartics)
+                d = scene.means[places] - means
+                keep = (4 * places[:, None] + np.arange(4)).ravel()
+                lines = _Lines(
+                    is_full[places],
+                    means,
+                    fit_ranges,
+                    bases(means, fit_ranges),
+                    self._code.common(seen, pose),
+                    noise,
+                    parts.due_to_pose[places],
+                    parts.own[places],
+                    d[:, :, None] * d[:, None],
+                )
+                true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
+                own, covered, needs_entries = self._cover(lines, true, seen.spread(pose.cov))
+                if needs_entries.any():
+                    is_full[places] |= needs_entries
+                    continue
+                if covered.all():
+                    sent = {int(place): self._row(raw | own, i) for i, place in enumerate(places)}
+                    decoded = self._code.decode(pose, [*sent.values()])
+                    return EncodedScene(pose_raw, sent, decoded)
+            places, noise = places[covered], None if noise is None else noise[covered]
+        return EncodedScene(pose_raw, {}, None)
+
+    def _row(self, raw: Mapping[str, NDArray[np.int64]], i: int) -> dict[str, int]:
+        """Return the raw values of a line, without those of the other form of D_i."""
+        unused = {FORM}
+        if self._code.own_code is not None and not raw[FORM][i]:
+            unused |= {signal.name for signal in (*self._code.own_code.signals, *self._code.fine)}
+        return {name: int(values[i]) for name, values in raw.items() if name not in unused}
+
+    def _encode_pose(self, scene: Scene) -> dict[str, int]:
+        code, error, known = self._code, scene.pose_error, scene.map_error
+        coded = code.pose_code.encode(POSE_SLACK * error.cov[None], _floor(code.pose_code))
+        if not coded.covered[0]:
+            sigma = np.sqrt(error.cov.diagonal())
+            raise EncodeError(
+                "the pose error does not fit the Pose message: its standard deviations are "
+                f"{sigma[0]:g} m along, {sigma[1]:g} m across and {sigma[2]:g} rad"
+            )
+        raw = {name: int(values[0]) for name, values in coded.raw.items()}
+        raw[code.offset.name] = _level_above(code.offset, known.offset_sigma if known else 0.0)
+        raw[code.heading.name] = _level_above(code.heading, known.heading_sigma if known else 0.0)
+        raw[code.time.name] = 0
+        if math.isfinite(error.correlation_time):
+            nearest = code.time.raw(np.log2(error.correlation_time))
+            raw[code.time.name] = int(nearest.clip(1, code.time.raw_max))
+        return raw
+
+    @np.errstate(over="ignore", invalid="ignore")  # of ranges that do not fit
+    def _encode_ranges(self, scene: Scene) -> tuple[Rows, Mask]:
+        """Return the (L,) raw values of ranges, and which of them are exact."""
+        raw: Rows = {}
+        fits = np.ones(len(scene.lines), dtype=bool)
+        for signal, values in zip(self._code.range, scene.fit_ranges.T, strict=True):
+            limited = signal.limited(signal.raw(values))
+            fits &= signal.physical(limited) == values
+            raw[signal.name] = limited.astype(np.int64)
+        return raw, fits
+
+    def _encode_shapes(
+        self, scene: Scene, raw: Mapping[str, NDArray[np.int64]]
+    ) -> dict[str, NDArray[np.int64]]:
+        """Return the (L,) raw values of T_4, and of the fit range beyond a stated valid range."""
+        values = [(self._code.quartic, scene.quartics)]
+        if self._code.fit:
+            low, high = (s.physical(raw[s.name]) for s in self._code.range)
+            behind, ahead = low - scene.fit_ranges[:, 0], scene.fit_ranges[:, 1] - high
+            values += zip(self._code.fit, (behind, ahead), strict=True)
+        return {s.name: s.limited(s.raw(value)).astype(np.int64) for s, value in values}
+
+    def _cover(self, lines: _Lines, true: Array, spread: Array) -> tuple[Rows, Mask, Mask]:
+        """Return the raw values of (L,) D_i, which are covered, and for which levels do not do.
+
+        Args:
+            lines: the lines.
+            true: (4 L, 4 L) joint covariance that is to be covered.
+            spread: (4 L, 4 L) that due to the decoded pose error.
+        """
+        more = np.zeros_like(lines.own)
+        for trial in range(TRIALS):
+            raw, covered, needs_entries = self._encode_own(lines, more)
+            if needs_entries.any() or not covered.all():
+                return raw, covered, needs_entries
+            own = self._code.decode_own(raw, lines.means, lines.fit_ranges, lines.common)
+            lacking = uncovered(true, spread, own, lines.J)
+            if lacking is None:
+                return raw, covered, needs_entries
+            more += FIRST_SHARE * 2.0**trial * lacking
+        has_entries = self._code.own_code is not None
+        return raw, np.zeros_like(covered), ~lines.is_full & has_entries
+
+    def _encode_own(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Mask]:
+        """Return what ``_cover`` does, for D_i that cover each line by itself and ``more``."""
+        code, is_full = self._code, lines.is_full
+        signals = [*code.levels.signals, *(code.own_code.signals if code.own_code else ())]
+        raw = {signal.name: np.zeros(len(more), dtype=np.int64) for signal in signals}
+        covered, needs_entries = np.ones_like(is_full), np.zeros_like(is_full)
+        if not is_full.all():
+            short = ~is_full
+            levels, covered[short], dear = self._encode_levels(lines.of(short), more[short])
+            for name, values in levels.items():
+                raw[name][short] = values
+            if code.own_code is not None:
+                needs_entries[short] = dear | ~covered[short]
+        if code.own_code is not None and is_full.any():
+            target = (lines.own + lines.error + lines.least + more)[is_full]
+            coded = code.own_code.encode(target, _floor(code.own_code))
+            covered[is_full] = coded.covered
+            for name, values in coded.raw.items():
+                raw[name][is_full] = values
+        return raw | {FORM: is_full.astype(np.int64)}, covered, needs_entries
+
+    def _encode_levels(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Mask]:
+        """Return the raw values of (L,) levels, which cover D_i, and which cost too much."""
+        levels, known = self._code.levels, lines.own + lines.error
+        raw, covered = levels.encode(
+            known + more, lines.common, known + lines.least, lines.J, lines.noise
+        )
+        own = levels.decode(raw, lines.means, lines.fit_ranges) + lines.common
+        inverse = np.linalg.inv(lines.J)  # all coefficients in metres
+        true, whole, decoded, decoded_whole = (
+            inverse @ cov @ inverse.swapaxes(1, 2)
+            for cov in (
+                lines.own + lines.least,
+                lines.due_to_pose + known + lines.least,
+                own,
+                lines.due_to_pose + own,
+            )
+        )
+        kl, ratio = divergence(whole, decoded_whole), largest_ratio(decoded, true)
+        return raw, covered, (kl > LEVELS_KL) | (ratio > LEVELS_RATIO**2)
+
+
+class _Parts(NamedTuple):
+    """Parts of the covariances of the lines of a scene; 0 for those that do not fit."""
+
+    J: Array  #: (L, 4, 4) derivatives of ``bases``
+    due_to_pose: Array  #: (L, 4, 4)
+    own: Array  #: (L, 4, 4)
+
+    @classmethod
+    def of(cls, scene: Scene, fits: NDArray[np.bool_]) -> _Parts:
+        """Return the parts of a scene."""
+        lines = len(scene.lines)
+        J, due_to_pose, own = np.tile(np.eye(4), (lines, 1, 1)), *np.zeros((2, lines, 4, 4))
+        if fits.any():
+            means, fit_ranges = scene.means[fits], scene.fit_ranges[fits]
+            J[fits] = bases(means, fit_ranges)
+            seen = SeenLines(means, fit_ranges, scene.quartics[fits])
+            due_to_pose[fits] = blocks(seen.spread(scene.pose_error.cov))
+            if scene.own_covs is not None:
+                own[fits] = scene.own_covs[fits]
+            else:
+                own[fits] = positive_part(blocks(scene.cov)[fits] - due_to_pose[fits], J[fits])
+        return cls(J, due_to_pose, own)
+
+
+class _Lines(NamedTuple):
+    """L lines as a receiver decodes them, and what their D_i have to cover."""
+
+    is_full: Mask  #: (L,) of which lines all entries are sent
+    means: Array  #: (L, 4)
+    fit_ranges: Array  #: (L, 2) [m]
+    J: Array  #: (L, 4, 4) derivatives of ``bases``
+    common: Array  #: (L, 4, 4) what the levels of the scene's map error stand for
+    noise: Array  #: (L, S, 4, 4) of ``OwnLevels.noise``
+    due_to_pose: Array  #: (L, 4, 4) part of the true covariances
+    own: Array  #: (L, 4, 4) the other part
+    error: Array  #: (L, 4, 4) squares of the errors of the means
+
+    @property
+    def least(self) -> Array:
+        """(L, 4, 4) covariances of the resolution of the means."""
+        return np.asarray(RESOLUTION**2 * self.J @ self.J.swapaxes(1, 2))
+
+    def of(self, mask: Mask) -> _Lines:
+        """Return some of the lines."""
+        values: Iterable[Any] = self
+        return _Lines(*(value[mask] for value in values))
+
+
+def _chosen(with_levels: Rows, with_entries: Rows, is_full: Mask, places: NDArray[np.intp]) -> Rows:
+    """Return the raw values of the lines at some places, each in the form in which it is sent."""
+    chosen = {
+        name: np.where(is_full, values, with_levels.get(name, 0))[places]
+        for name, values in with_entries.items()
+    }
+    return chosen | {FORM: is_full[places].astype(np.int64)}
+
+
+def _floor(code: CholeskyCode) -> Array:
+    """Return the least variances that a code can decode to, for targets that are singular."""
+    pivots = dict(zip(code.factor.order, code.factor.pivots, strict=True))
+    return np.array([4.0 ** pivots[i].physical_range[0] for i in range(len(pivots))])
+
+
+def _can_be_seen(scene: Scene) -> NDArray[np.bool_]:
+    """Return which lines are functions of x and have covariances that do not overflow."""
+    variances = scene.cov.diagonal().reshape(-1, 4)
+    fits = (variances <= LARGEST**2) & (np.abs(scene.means) <= LARGEST)
+    small: list[bool] = fits.all(axis=1).tolist()
+    lines = zip(scene.means, scene.fit_ranges, scene.quartics, strict=True)
+    return np.array(
+        [ok and _is_function(*line) for ok, line in zip(small, lines, strict=True)], dtype=np.bool_
+    )
+
+
+def _is_function(mean: Array, fit_range: Array, quartic: float) -> bool:
+    """Return whether a line has a range, and is a function of x seen from other poses."""
+    if not fit_range[0] < fit_range[1]:  # it may be too short for the steps of the message
+        return False
+    try:
+        SeenLines(mean[None], fit_range[None], [quartic])
+    except IllPosedError:
+        return False
+    return True
+
+
+def _level_above(signal: Signal, sigma: float) -> int:
+    """Return the raw value of the least level from sigma on, or the greatest; 0 for 0."""
+    if sigma <= 0:
+        return 0
+    raw = math.ceil((math.log2(sigma) - signal.offset) / signal.factor - 1e-9)
+    return min(max(raw, 1), signal.raw_max)
