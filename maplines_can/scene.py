@@ -138,6 +138,12 @@ class Scene:
                 "cov must be finite, symmetric and positive semidefinite; for rounding errors, use "
                 f"nearest_covariance(cov); got {self.cov!r}"
             )
+        for own in () if self.own_covs is None else self.own_covs:
+            if not _is_covariance(own):
+                raise ValueError(
+                    "each of own_covs must be finite, symmetric and positive semidefinite, got "
+                    f"{own!r}"
+                )
         if not (np.isfinite(self.fit_ranges).all() and (np.diff(self.fit_ranges) > 0).all()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
         if not np.isfinite(self.quartics).all():

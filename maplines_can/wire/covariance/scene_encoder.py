@@ -148,7 +148,9 @@ class SceneEncoder:
             covered = np.array([_is_function(*row) for row in rows])
             if covered.all():
                 if noise is None:
-                    noise = self._code.levels.noise(means, fit_ranges)
+                    noise = np.zeros((len(means), 0))
+                    if not full:
+                        noise = self._code.levels.noise(means, fit_ranges)
                 seen = SeenLines(means, fit_ranges, quartics)
                 d = scene.means[places] - means
                 keep = (4 * places[:, None] + np.arange(4)).ravel()
@@ -351,12 +353,10 @@ def _floor(code: CholeskyCode) -> Array:
 def _can_be_seen(scene: Scene) -> NDArray[np.bool_]:
     """Return which lines are functions of x and have covariances that do not overflow."""
     variances = scene.cov.diagonal().reshape(-1, 4)
-    fits = (variances <= LARGEST**2) & (np.abs(scene.means) <= LARGEST)
-    small: list[bool] = fits.all(axis=1).tolist()
-    lines = zip(scene.means, scene.fit_ranges, scene.quartics, strict=True)
-    return np.array(
-        [ok and _is_function(*line) for ok, line in zip(small, lines, strict=True)], dtype=np.bool_
-    )
+    large = (variances > LARGEST**2) | (np.abs(scene.means) > LARGEST)
+    lines = zip(large, scene.means, scene.fit_ranges, scene.quartics, strict=True)
+    seen = [not is_large.any() and _is_function(*line) for is_large, *line in lines]
+    return np.array(seen, dtype=np.bool_)
 
 
 def _is_function(mean: Array, fit_range: Array, quartic: float) -> bool:

@@ -223,11 +223,12 @@ def test_a_matrix_that_is_not_definite_is_infinitely_far() -> None:
 
 
 def test_the_largest_ratio_is_that_of_lateral_position_or_direction() -> None:
-    """T_3 is steepest against the others at w = 0, T_0 is half of the variance of position there."""
+    """T_3 has the largest share of the slope at w = 0; T_0 that of the position near 3/4."""
     more = np.diag([1.0, 1, 1, 2])
-    slopes = np.array([0, 1, 0, 3]) ** 2  # of T_0 .. T_3 at w = 0, squared
-    assert largest_ratio(more, np.eye(4)) == pytest.approx(slopes @ more.diagonal() / slopes.sum())
-    assert largest_ratio(np.diag([5.0, 1, 1, 1]), np.eye(4)) == pytest.approx(3.0)
+    assert largest_ratio(more, np.eye(4)) == pytest.approx((1 + 2 * 9) / (1 + 9))
+    squares = np.polynomial.chebyshev.chebvander(np.array([0.75]), 3) ** 2
+    expected = 1 + 4 / squares.sum()
+    assert largest_ratio(np.diag([5.0, 1, 1, 1]), np.eye(4)) == pytest.approx(expected)
     assert largest_ratio(2 * more, more) == pytest.approx(2.0)
 
 
