@@ -40,7 +40,7 @@ wire.message.dbc_reader wire.message.layout
 wire.message.validation
 wire.covariance.code wire.covariance.factor wire.covariance.cholesky
 wire.covariance.joint wire.covariance.own_levels wire.covariance.rounding
-wire.covariance.scene_code wire.covariance
+wire.covariance.scene_code wire.covariance.scene_encoder wire.covariance
 wire.protection wire.protection.e2e
 wire.message.reader wire.message.writer wire.message.components wire.message.line_writer
 wire.message.raw_records wire.message.pose_records wire.message.complete_records

@@ -122,6 +122,15 @@ def test_wrong_scenes_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             Scene(*arguments)
+    own = np.array([line.gaussian.cov for line in good])
+    for own_covs, words in (
+        (own[:2], r"own_covs must be \(3, 4, 4\) for 3 lines, got \(2, 4, 4\)"),
+        (-own, "each of own_covs must be finite, symmetric and positive semidefinite"),
+        (own * np.nan, "each of own_covs must be finite"),
+        (own + np.eye(4, k=1) * 1e-9, "each of own_covs must be finite, symmetric"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            scene(own_covs=own_covs)
 
 
 def test_a_scene_cannot_be_changed() -> None:
@@ -129,7 +138,9 @@ def test_a_scene_cannot_be_changed() -> None:
     made = scene(cov=cov)
     cov[0, 0] = 7
     assert made.cov[0, 0] == COV[0, 0]
-    for array in (made.cov, made.fit_ranges, made.pose_error.cov):
+    own = scene(own_covs=np.zeros((len(MEANS), 4, 4))).own_covs
+    assert own is not None
+    for array in (made.cov, made.fit_ranges, made.pose_error.cov, own):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 1.0
 

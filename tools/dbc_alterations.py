@@ -14,7 +14,7 @@ from typing import NamedTuple
 from maplines_can.line import Slot
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
-from maplines_can.wire.message.signals import SECURED_SIGNALS
+from maplines_can.wire.message.signals import FINE_SIGNALS, SECURED_SIGNALS
 
 #: Slots of the original.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
@@ -185,10 +185,10 @@ def pose_original() -> str:
 
 @cache
 def conditional_original() -> str:
-    """Return the text of a DBC with a line that is conditional on the pose, with a free page."""
+    """Return the text of a DBC with a line that is conditional on the pose, with room in pages."""
     first, second, third, fourth = CONDITIONAL.pages
-    moved = (first[-1], second[-1])
-    pages = (first[:-1], second[:-1], (*third, *moved), fourth, ())
+    moved, fine = (first[-1], second[-1]), third[-len(FINE_SIGNALS) :]
+    pages = (first[:-1], second[:-1], (*third[: -len(fine)], *moved), fourth, fine)
     text = replace(CONDITIONAL, slots=SLOTS[:1], pages=pages, first_secured_can_id=None).dbc()
     return _without_comments(text)
 

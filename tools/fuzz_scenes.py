@@ -33,7 +33,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecords,
 )
 from maplines_can.wire.message.record_layout import RecordLayout
-from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.message.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
 DBCS = ("maplines-pose.dbc", "maplines.dbc")
@@ -95,7 +95,7 @@ def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool
     kind, is_full = raw["Kind"], raw["HasCovariance"]
     names = {*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS}
     if is_full:
-        names |= {signal.name for signal in CholeskyCode(layout).signals}
+        names |= {*FINE_SIGNALS, *(signal.name for signal in CholeskyCode(layout).signals)}
     raw = {name: raw[name] for name in names} | (dict.fromkeys(OWN_SIGNALS, 0) if is_full else {})
     low, high = (layout[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
     if low >= high:  # an empty range is not written

@@ -19,6 +19,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecords,
 )
 from maplines_can.wire.message.signals import (
+    FINE_SIGNALS,
     OWN_SIGNALS,
     PARAMETER_SIGNALS,
     POSE_ROWS,
@@ -111,7 +112,8 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
             raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS], rng)
             raw |= {"XMin": layout["XMin"].raw_min, "XMax": layout["XMax"].raw_max}
             if i % 2:
-                raw |= drawn(layout, [signal.name for signal in covariance.signals], rng)
+                names = [*(signal.name for signal in covariance.signals), *FINE_SIGNALS]
+                raw |= drawn(layout, names, rng)
                 raw |= dict.fromkeys(OWN_SIGNALS, 0)
             number = i % 2 ** layout["Counter"].length
             record = ConditionalRecord(raw, number, Kind(i % 8), slot)

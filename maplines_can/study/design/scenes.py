@@ -23,7 +23,7 @@ from ...line import Slot
 from ...scene import Scene
 from ...wire import Codec
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import OWN_SIGNALS
+from ...wire.message.signals import FINE_SIGNALS, OWN_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
@@ -115,9 +115,9 @@ def fields() -> dict[str, SignalSpec]:
     """Return the fields whose widths are found, as in ``dbc/maplines-pose.dbc``."""
     of_pose = (spec for page in POSE.pages for spec in page)
     found = {spec.name: spec for spec in of_pose if spec.name.startswith(("Pivot", "Ratio"))}
-    short = CONDITIONAL.pages[: len(CONDITIONAL.pages) - CONDITIONAL.optional_pages]
-    names = (*PARAMETER_SIGNALS, *OWN_SIGNALS)
-    return found | {spec.name: spec for page in short for spec in page if spec.name in names}
+    names = (*PARAMETER_SIGNALS, *OWN_SIGNALS, *FINE_SIGNALS)
+    of_line = (spec for page in CONDITIONAL.pages for spec in page)
+    return found | {spec.name: spec for spec in of_line if spec.name in names}
 
 
 def writer_of(bits: Mapping[str, int]) -> DbcWriter:
@@ -125,20 +125,19 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
     more = {name: bits[name] - spec.bits for name, spec in fields().items()}
 
     def resized(pages: Sequence[Sequence[SignalSpec]]) -> tuple[tuple[SignalSpec, ...], ...]:
-        return tuple(
-            tuple(
-                replace(spec.finer(more[spec.name]), why=_why(spec, more[spec.name]))
-                if more.get(spec.name)
-                else spec
-                for spec in page
-            )
-            for page in pages
-        )
+        return tuple(tuple(map(resized_one, page)) for page in pages)
 
-    optional = len(CONDITIONAL.pages) - CONDITIONAL.optional_pages
+    def resized_one(spec: SignalSpec) -> SignalSpec:
+        if spec.name in FINE_SIGNALS:  # they share out one step of the mean
+            step = 2.0 ** -more.get(spec.name.removesuffix("Fine"), 0)
+            spec = replace(spec, factor=spec.factor * step)
+        if change := more.get(spec.name):
+            return replace(spec.finer(change), why=_why(spec, change))
+        return spec
+
     return replace(
         CONDITIONAL,
-        pages=(*resized(CONDITIONAL.pages[:optional]), *CONDITIONAL.pages[optional:]),
+        pages=resized(CONDITIONAL.pages),
         pose=replace(POSE, pages=resized(POSE.pages)),
     )
 

@@ -21,7 +21,7 @@ from ...scene import Scene
 from ...wire import Codec, PreparedScene
 from ...wire.covariance.scene_code import RESOLUTION
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import OWN_SIGNALS
+from ...wire.message.signals import FINE_SIGNALS, OWN_SIGNALS
 from ..codes import CODES
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for
@@ -34,7 +34,7 @@ WITH_POSE = {"Cholesky and Pose": DEFAULT, CONDITIONAL.covariance_code: CONDITIO
 #: Where width and centre of the ego lane are compared [m].
 X = 20.0
 #: Signals that are no part of the joint covariance.
-_OTHERS = {*PARAMETER_SIGNALS, "XMin", "XMax", "CorrelationTime"}
+_OTHERS = {*PARAMETER_SIGNALS, *FINE_SIGNALS, "XMin", "XMax", "CorrelationTime"}
 
 
 @lru_cache
@@ -69,8 +69,11 @@ def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
         "mean_bits": lines * _bits(codec, PARAMETER_SIGNALS),
         "joint_bits": joint_bits(codec, prepared),
         "left_out": len(scene.lines) - len(prepared.members),
-        "all_entries": _with_all_entries(prepared) if codec.layout.is_conditional else lines,
+        "all_entries": lines,
     }
+    if codec.layout.is_conditional:
+        row["all_entries"] = _with_all_entries(prepared)
+        row["mean_bits"] += row["all_entries"] * _bits(codec, FINE_SIGNALS)
     if decoded is None:
         return row
     places = np.array(list(prepared.encoded.lines))

@@ -79,6 +79,17 @@ def test_pose_records_are_as_cantools_decodes_them(dbc: str) -> None:
     check()
 
 
+SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9}
+LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
+WIDE = {
+    name: s.raw_max
+    for name, s in CONDITIONAL.signals.items()
+    if name.startswith(("Pivot", "Ratio", "Inflation"))
+}
+FINE = {"YOffFine": -4, "BetaFine": 3, "C0Fine": 1, "C1Fine": -8}
+LONG = SHORT | dict.fromkeys(LEVELS, 0) | WIDE | FINE | {"Inflation": 2}
+
+
 @given(
     raws(CONDITIONAL), st.booleans(), st.integers(0, 255), st.sampled_from(Kind),
     st.sampled_from(Slot),
@@ -90,7 +101,7 @@ def test_a_conditional_record_has_two_or_four_pages(
     if has_covariance:
         raw |= dict.fromkeys(("OwnLateral", "OwnPoints", "OwnSpacing"), 0)
     else:
-        raw = {name: v for name, v in raw.items() if not name.startswith(("Pivot", "Rat", "Inf"))}
+        raw = {name: value for name, value in raw.items() if name not in WIDE | FINE}
     record = ConditionalRecord(raw, counter, kind, slot)
     if raw["XMin"] - 32 >= raw["XMax"]:
         with pytest.raises(EncodeError, match="XMin must be less than XMax"):
@@ -99,12 +110,6 @@ def test_a_conditional_record_has_two_or_four_pages(
     payload = LINES.write(record)
     assert len(payload) == (32 if has_covariance else 16)
     assert LINES.read(payload, slot) == record
-
-
-SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9}
-LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
-WIDE = {name: s.raw_max for name, s in CONDITIONAL.signals.items() if name[:4] in ("Pivo", "Rati")}
-LONG = SHORT | dict.fromkeys(LEVELS, 0) | WIDE | {"Inflation": 2}
 
 
 @pytest.mark.parametrize("raw", [SHORT | LEVELS, LONG])
@@ -225,7 +230,7 @@ def test_records_of_one_form_have_a_covariance_or_not() -> None:
 
 def test_a_kind_that_has_no_meaning_is_rejected() -> None:
     """A signal of 4 bits holds 8, one more than the last kind; it is neither sent nor read."""
-    layout = moved(Kind={"start": 176, "length": 4, "raw_max": 15})
+    layout = moved(Kind={"length": 4, "raw_max": 15}, HasCovariance={"start": 250})
     lines, data_id = ConditionalRecords(layout), layout.messages[Slot.CENTRE].data_id
     last = ConditionalRecord(SHORT | LEVELS, 5, max(Kind), Slot.CENTRE)
     assert lines.read(lines.write(last), Slot.CENTRE) == last

@@ -134,12 +134,36 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
         pytest.param(LEVELS, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.0}, "", id="spacing-10"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.01}, "-10 to 10", id="10.01"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.01}, r"2\^-10 to 2\^10", id="10.01"),
         pytest.param(
-            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -200.0}, "-10 to 10", id="reach"
+            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -200.0}, "distances f", id="reach"
         ),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.625}, "", id="to-10"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.63}, "-10 to 10", id="to-10.005"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.63}, "distances fr", id="to-10.005"),
+        pytest.param(CONDITIONAL, "OwnSpacing", {"unit": ""}, 'unit "octave"', id="some-spacing"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 2.0**-10}, "", id="spacing-from-1024th"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 2.0**-11}, "distances", id="2048th"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 0.0}, "distances", id="spacing-0"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 4.0}, "", id="spacing-to-1020"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 4.1}, "distances", id="spacing-to-1045"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"unit": "octave"}, "", id="spacing-in-octaves"),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"),
+        # what a mean is rounded off
+        pytest.param(
+            CONDITIONAL,
+            "YOffFine",
+            {"signed": False, "raw_min": 0, "raw_max": 7},
+            "",
+            id="one-step-from-0",
+        ),
+        pytest.param(CONDITIONAL, "YOffFine", {"raw_min": -3}, "one step of YOff", id="7-eighths"),
+        pytest.param(CONDITIONAL, "BetaFine", {"factor": 2.0**-15}, "one step of Beta", id="two"),
+        pytest.param(CONDITIONAL, "C0", {"factor": 2.0**-16}, "one step of C0", id="half-a-step"),
+        pytest.param(CONDITIONAL, "C1", {"factor": -(2.0**-20)}, "", id="mean-of-negative-factor"),
+        pytest.param(
+            CONDITIONAL, "C1Fine", {"factor": -(2.0**-24)}, "positive", id="negative-fine"
+        ),
+        pytest.param(CONDITIONAL, "C1Fine", {"unit": "1/m"}, r'unit "1/m\^2"', id="unit-of-fine"),
         # counters of slots
         pytest.param(POSE, "RouteCounter", {"length": 2, "raw_max": 3}, "3 bits or", id="2-bits"),
         pytest.param(POSE, "RouteCounter", {"raw_max": 6}, "the range of all", id="counter-to-6"),
