@@ -170,6 +170,21 @@ def test_the_means_of_the_spread_are_those_given() -> None:
     assert np.abs(values[1:].mean(axis=0) - MEANS)[:, 0].max() < 2e-5
 
 
+@pytest.mark.parametrize("sigma", POSES.values(), ids=POSES)
+def test_centred_lines_have_the_means_given(sigma: Any) -> None:
+    """Seen from the sigma points, to a hundredth of what the mean differs by, in bends too."""
+    P = np.diag(np.square(sigma))
+    root = np.sqrt(3) * np.diag(sigma)
+    points = np.vstack([root, -root])
+    bends = np.array([[1.75, 0.1, 8e-3, 0.0], [-1.75, -0.2, 0.02, 1e-5]])
+    seen = SeenLines(bends, [[-20, 60], [0, 40]])
+    centred = seen.centred(P)
+    shift, error = (
+        np.abs(lines(points).mean(axis=0) - bends).max(axis=0) for lines in (seen, centred)
+    )
+    assert (error <= 0.01 * shift).all()
+
+
 @pytest.mark.parametrize("heading", [0.0, 0.01, 0.05])
 def test_margins_hold_the_ends_of_lines(heading: float) -> None:
     """Of 10^5 poses, at most 0.6 % see the end of a line within the shortened range."""

@@ -183,3 +183,21 @@ def test_wrong_arguments_are_refused() -> None:
         map_scene(ROADS, Gaussian([0.0], [[1.0]]))
     with pytest.raises(ValueError, match="correlation_time"):
         map_scene(ROADS, EGO, correlation_time=-1.0)
+
+
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.1, 0.001)], ids=["exact", "map error"])
+def test_own_covariances_are_the_difference_of_what_the_pose_does(error: Any) -> None:
+    """The joint covariance without them is that of a scene without misfit and map error."""
+    lines, ego, scene = drawn_scene("exit", "production", 3, map_error=error)
+    refit = refit_of(lines, ego, scene, error)
+    assert scene.own_covs is not None
+    assert refit.noise_cov is not None
+    assert np.array_equal(scene.own_covs, refit.noise_cov)
+    values = SigmaPoints().moments(lambda poses: refit(poses).reshape(len(poses), -1), ego)
+    blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(lines))]
+    for block, own in zip(blocks, scene.own_covs, strict=True):
+        scale = np.sqrt(scene.cov[block].diagonal())
+        rest = scene.cov[block] - values.cov[block] - own
+        assert (np.abs(rest) <= 1e-3 * scale[:, None] * scale).all()
+    share = scene.own_covs[:, 0, 0] / scene.cov.diagonal()[::4]
+    assert share.max() >= (3e-3 if error else 1e-6)

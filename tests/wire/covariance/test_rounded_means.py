@@ -1,5 +1,6 @@
 """Rounding of means, given what the lines have of their own."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,11 +8,12 @@ import pytest
 from scene_layouts import layout_of
 
 from maplines_can.wire.covariance.own_levels import bases
-from maplines_can.wire.covariance.rounding import rounded_means
+from maplines_can.wire.covariance.rounding import refined, rounded_means, split
 from maplines_can.wire.covariance.scene_code import RESOLUTION
-from maplines_can.wire.message.signals import PARAMETER_SIGNALS
+from maplines_can.wire.message.signals import FINE_SIGNALS, PARAMETER_SIGNALS
 
 SIGNALS = [layout_of("maplines-pose.dbc")[name] for name in PARAMETER_SIGNALS]
+FINE = [layout_of("maplines-pose.dbc")[name] for name in FINE_SIGNALS]
 LINES = 200
 
 
@@ -41,3 +43,21 @@ def test_no_covariance_makes_the_lateral_position_less_exact_than_a_centimetre(o
     x = np.linspace(-1, 1, 101)
     lateral = np.polynomial.chebyshev.chebval(x, coefficients.T)
     assert np.abs(lateral).max() < 0.01
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0], ids=["positive", "negative"])
+@pytest.mark.parametrize("first", [0, -4, 3])
+@pytest.mark.parametrize("place", range(4))
+def test_a_refined_signal_is_the_sum_of_both(place: int, first: int, factor: float) -> None:
+    """Its raw values are all pairs of theirs, each once, in steps of the finer one."""
+    signal = replace(SIGNALS[place], factor=factor * SIGNALS[place].factor, raw_min=-3, raw_max=5)
+    n = FINE[place].raw_max - FINE[place].raw_min + 1
+    fine = replace(FINE[place], raw_min=first, raw_max=first + n - 1, offset=0.25)
+    both = refined(signal, fine)
+    raw = np.arange(both.raw_min, both.raw_max + 1)
+    coarse, rest = split(raw, signal, fine)
+    assert len({*zip(coarse.tolist(), rest.tolist(), strict=True)}) == len(raw) == 9 * n
+    for part, values in ((signal, coarse), (fine, rest)):
+        assert part.raw_min <= values.min()
+        assert values.max() <= part.raw_max
+    assert np.allclose(signal.physical(coarse) + fine.physical(rest), both.physical(raw))

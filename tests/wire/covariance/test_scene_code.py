@@ -2,6 +2,7 @@
 
 import math
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,10 @@ from strategies import covariances
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, PoseError, Scene, Slot
 from maplines_can.errors import EncodeError, IllPosedError
-from maplines_can.line import lateral
+from maplines_can.line import lateral, lateral_jacobian
 from maplines_can.propagation import map_scene
-from maplines_can.wire.covariance.scene_code import SceneCode
+from maplines_can.study.scenes.source import noise_floor
+from maplines_can.wire.covariance.scene_code import RESOLUTION, SceneCode
 from maplines_can.wire.covariance.scene_encoder import LARGEST
 from maplines_can.wire.message.signals import FINE_SIGNALS
 
@@ -172,6 +174,9 @@ def test_any_scene_is_covered(
     low = rng.integers(-30, 20, lines)
     ranges = np.column_stack([low, low + rng.integers(1, 90, lines)])
     scene = scene_of(means, A @ A.T + own, pose, ranges, error)
+    if rng.random() < 0.5:  # of another scene
+        B = rng.standard_normal((lines, 4, 4)) * 10.0 ** rng.integers(-3, 2) * SIGMA[:, None]
+        scene = replace(scene, own_covs=B @ B.swapaxes(1, 2))
     if np.sqrt(pose.diagonal()).max() > 0.5:
         with suppress(EncodeError):
             ENCODER.encode(scene)
@@ -310,6 +315,62 @@ def test_means_are_within_a_centimetre_all_over_the_range() -> None:
         assert decoded is not None
         x = np.linspace(-20, 80, 101)
         assert np.abs(lateral(decoded.means[0], x) - lateral(mean, x)).max() <= 0.01
+
+
+def test_means_with_all_entries_are_within_two_millimetres() -> None:
+    """An eighth of a step of each parameter."""
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        mean = rng.uniform(-1, 1, 4) * [5, 0.2, 2e-3, 1e-5]
+        scene = scene_of(mean[None], np.diag(SIGMA**2))
+        decoded = ENCODER.encode(scene, full=True).decoded
+        assert decoded is not None
+        x = np.linspace(-20, 80, 101)
+        assert np.abs(lateral(decoded.means[0], x) - lateral(mean, x)).max() <= 0.002
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.08)], ids=["exact", "map error"])
+@pytest.mark.parametrize("pose", POSES)
+def test_joint_quantities_are_as_uncertain_as_at_the_sender(
+    shape: str, error: MapError | None, pose: str
+) -> None:
+    """Width and difference of directions of conditional records, within 12 %.
+
+    Beyond the resolution of the means, at the ends of the common range and between them. Nothing is
+    common to a lane's boundaries but the pose error, which these quantities do not see: they show
+    what the lines have of their own.
+    """
+    scene = road_scene([*SHAPES].index(shape) + 14, 4, pose, error)
+    sent = ENCODER.encode(scene)
+    if [*sent.lines][:2] != [0, 1]:
+        pytest.skip("a line of the lane is left out")
+    decoded = sent.decoded
+    assert decoded is not None
+    true = scene.cov[:8, :8] + noise_floor(decoded.means, decoded.fit_ranges, RESOLUTION)[:8, :8]
+    ranges = decoded.fit_ranges[:2]
+    for x in np.linspace(ranges[:, 0].max(), ranges[:, 1].min(), 5):
+        position = lateral_jacobian(decoded.means[:2], x)
+        turned = 1 + np.tan(decoded.means[:2, 1]) ** 2
+        slope = np.array([[0.0, t, x, x * x / 2] for t in turned])
+        for one, other in (position, slope):
+            g = np.append(one, -other)
+            assert g @ decoded.cov[:8, :8] @ g <= 1.12**2 * (g @ true @ g)
+
+
+def test_a_scene_that_states_its_own_covariances_is_covered() -> None:
+    """Even if they are wrong, and with less for a poor pose: they are not to be inferred."""
+    known = road_scene(5, 4, "poor", None)
+    assert known.own_covs is not None
+    unknown = replace(known, own_covs=None)
+    sizes = []
+    for scene in (known, unknown, replace(known, own_covs=0 * known.own_covs)):
+        sent = ENCODER.encode(scene)
+        check_covered(CODE, scene, sent)
+        assert sent.decoded is not None
+        sizes.append(np.linalg.slogdet(sent.decoded.cov)[1])
+    assert sizes[0] < sizes[1]
+    check_covered(LEVELS_CODE, known, LEVELS_ENCODER.encode_levels(known, [*sent_rows(known)]))
 
 
 def test_lines_of_a_map_error_take_two_frames_and_others_four() -> None:
