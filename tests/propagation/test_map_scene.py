@@ -188,7 +188,7 @@ def test_wrong_arguments_are_refused() -> None:
 @pytest.mark.parametrize("error", [None, MapError(0.05, 0.1, 0.001)], ids=["exact", "map error"])
 def test_own_covariances_are_the_difference_of_what_the_pose_does(error: Any) -> None:
     """The joint covariance without them is that of a scene without misfit and map error."""
-    lines, ego, scene = drawn_scene("exit", "production", 3, map_error=error)
+    lines, ego, scene = drawn_scene("s-bend", "production", 2, map_error=error)
     refit = refit_of(lines, ego, scene, error)
     assert scene.own_covs is not None
     assert refit.noise_cov is not None
