@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -178,6 +178,23 @@ class Scene:
             raise ValueError("the scene has no lines")
         keep = (N * np.array(places)[:, None] + np.arange(N)).ravel()
         return Gaussian.trusted(self.means.ravel()[keep], self.cov[np.ix_(keep, keep)])
+
+    def subset(self, slots: Iterable[Slot]) -> Scene:
+        """Return the scene with only the lines of these slots, in this order.
+
+        Raises:
+            ValueError: the scene has no line of a slot.
+        """
+        places = [*map(self._place, slots)]
+        keep = (N * np.array(places, dtype=int)[:, None] + np.arange(N)).ravel()
+        return replace(
+            self,
+            lines=tuple(self.lines[i] for i in places),
+            cov=self.cov[np.ix_(keep, keep)],
+            fit_ranges=self.fit_ranges[places],
+            quartics=self.quartics[places],
+            own_covs=None if self.own_covs is None else self.own_covs[places],
+        )
 
     def x_range(self, slots: Iterable[Slot]) -> tuple[float, float]:
         """Return the range in which all lines of these slots are valid [m]; it may be empty.

@@ -133,6 +133,29 @@ def test_wrong_scenes_are_refused() -> None:
             scene(own_covs=own_covs)
 
 
+@pytest.mark.parametrize("slots", [[], [NEXT], [RIGHT, LEFT], [LEFT, RIGHT, NEXT]])
+def test_a_subset_has_all_of_its_lines(slots: list[Slot]) -> None:
+    """Each array has the rows of the lines, in their order; a slot without a line is refused."""
+    own = np.array([line.gaussian.cov * (i + 1) for i, line in enumerate(lines())])
+    whole = scene(quartics=np.array([0.1, 0.2, 0.3]), own_covs=own)
+    part = whole.subset(slots)
+    places = [whole.index[slot] for slot in slots]
+    assert [line.slot for line in part.lines] == slots
+    if slots:
+        assert np.array_equal(part.cov, whole.joint(slots).cov)
+    assert part.own_covs is not None
+    for got, expected in (
+        (part.means, whole.means),
+        (part.fit_ranges, whole.fit_ranges),
+        (part.quartics, whole.quartics),
+        (part.own_covs, own),
+    ):
+        assert np.array_equal(got, expected[places])
+    assert scene().subset(slots).own_covs is None
+    with pytest.raises(ValueError, match="has no line of slot ROUTE"):
+        whole.subset([*slots, Slot.ROUTE])
+
+
 def test_a_scene_cannot_be_changed() -> None:
     cov = COV.copy()
     made = scene(cov=cov)

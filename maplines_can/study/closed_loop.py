@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -317,16 +317,7 @@ class ClosedLoop:
 
 def without(scene: Scene, slot: Slot) -> Scene:
     """Return a scene without the line of a slot."""
-    keep = [i for i, line in enumerate(scene.lines) if line.slot != slot]
-    lines = tuple(scene.lines[i] for i in keep)
-    cov = scene.joint([line.slot for line in lines]).cov if lines else np.zeros((0, 0))
-    return replace(
-        scene,
-        lines=lines,
-        cov=cov,
-        fit_ranges=scene.fit_ranges[keep],
-        quartics=scene.quartics[keep],
-    )
+    return scene.subset(line.slot for line in scene.lines if line.slot != slot)
 
 
 class Place:

@@ -122,13 +122,7 @@ def test_without_a_common_line_nothing_is_checked(scene: Any, seen: Any) -> None
 
 def test_lines_come_and_go_without_an_alarm() -> None:
     both = lane_scene()
-    one = replace(
-        both,
-        lines=both.lines[:1],
-        cov=both.cov[:4, :4],
-        fit_ranges=both.fit_ranges[:1],
-        quartics=both.quartics[:1],
-    )
+    one = both.subset([LEFT])
     check = PlausibilityCheck()
     found = [check.update(0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]
     assert {check.outcome for check in found} == {Outcome.CONSISTENT}

@@ -32,6 +32,7 @@ from maplines_can.wire.message.pose_records import (
     PoseRecord,
     PoseRecords,
 )
+from maplines_can.wire.message.signals import FINE_SIGNALS
 from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
@@ -45,7 +46,11 @@ RECORDS = ConditionalRecords(LAYOUT)
 LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
 SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
 LONG = SHORT | dict.fromkeys(LEVELS, 0)
-LONG |= {n: s.raw_max for n, s in LAYOUT.signals.items() if n[:4] in ("Pivo", "Rati", "Infl")}
+LONG |= {
+    name: signal.raw_max
+    for name, signal in LAYOUT.signals.items()
+    if name.startswith(("Pivot", "Ratio", "Inflation")) or name in FINE_SIGNALS
+}
 
 
 def line(counter: int, raw: dict[str, int] = SHORT, slot: Slot = Slot.CENTRE) -> ConditionalRecord:
