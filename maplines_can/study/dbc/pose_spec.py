@@ -190,8 +190,8 @@ def _fine(spec: SignalSpec, bits: int) -> SignalSpec:
         name=f"{spec.name}Fine", bits=bits, factor=spec.factor / 2**bits, unit=spec.unit,
         signed=True,
         about=f"What to add to {spec.name} if HasCovariance is 1.",
-        why=f"1/{2**bits} of a step of {spec.name}: the errors of the means are covered jointly, "
-            "which costs a line that has little of its own more than the pages")
+        why=f"1/{2**bits} of a step of {spec.name}: the errors of all means are covered jointly, "
+            "and a line with little of its own has no room for them")
 
 
 _FINE = tuple(map(_fine, _MEAN, (3, 3, 3, 4)))
