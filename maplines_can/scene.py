@@ -183,7 +183,7 @@ class Scene:
         """Return the scene with only the lines of these slots, in this order.
 
         Raises:
-            ValueError: the scene has no line of a slot.
+            ValueError: the scene has no line of a slot, or a slot is given twice.
         """
         places = [*map(self._place, slots)]
         keep = (N * np.array(places, dtype=int)[:, None] + np.arange(N)).ravel()

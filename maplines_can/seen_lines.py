@@ -125,9 +125,9 @@ class SeenLines:
         """Return the lines as seen from the mean pose, if these are their means over pose errors.
 
         The means over a pose error with the (3, 3) covariance P differ a little from the lines that
-        are seen from the mean pose. The difference is that of these lines, to a second
-        approximation. A line whose estimate is no function of x, since the pose error is so large,
-        stays as it is.
+        are seen from the mean pose. These are found in two iterations: each takes off the means
+        given by how much the mean of what the sigma points see exceeds the lines so far. A line
+        that an iteration makes no function of x, since the pose error is so large, stays as it is.
         """
         points = _sigma_points(P)[1:]
         lines = self

@@ -98,7 +98,8 @@ _OWN = (
               "leaves of the line. It serves to see the line from another pose.",
         why="a cubic leaves at most 10 cm of its line"),
 )
-#: The same for lines of which all entries cannot be sent, even if their points are far apart.
+#: OwnSpacing of the Pose message: complete records cannot send all entries of what a line has of
+#: its own, so points that are far apart need finer steps.
 _SPACING = replace(
     _OWN[2], factor=2**-7, offset=2**-5, unit="1",
     about=_OWN[2].about.replace("log2 of the distance", "Distance"),
@@ -167,9 +168,9 @@ _MEAN = (
 )
 _HAS_COVARIANCE = SignalSpec(
     name="HasCovariance", bits=1,
-    about="1 if the record has the pages with the covariance of what the line has of its own. 0 if "
-          "it ends before them, and OwnLateral, OwnPoints and OwnSpacing hold it; the checksum "
-          "then covers the pages before.",
+    about="1 if the record has the pages with the covariance of what the line has of its own, and "
+          "with finer steps of its mean. 0 if it ends before them, and OwnLateral, OwnPoints and "
+          "OwnSpacing hold the covariance; the checksum then covers the pages before.",
     why="two values")
 _FIT_RANGE = (
     SignalSpec(
@@ -191,7 +192,7 @@ def _fine(spec: SignalSpec, bits: int) -> SignalSpec:
         signed=True,
         about=f"What to add to {spec.name} if HasCovariance is 1.",
         why=f"1/{2**bits} of a step of {spec.name}: the errors of all means are covered jointly, "
-            "and a line with little of its own has no room for them")
+            "and a line with little of its own would become much too uncertain")
 
 
 _FINE = tuple(map(_fine, _MEAN, (3, 3, 3, 4)))

@@ -23,7 +23,7 @@ from ...line import Slot
 from ...scene import Scene
 from ...wire import Codec
 from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import FINE_SIGNALS, OWN_SIGNALS
+from ...wire.message.signals import FINE, FINE_SIGNALS, OWN_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
@@ -129,7 +129,7 @@ def writer_of(bits: Mapping[str, int]) -> DbcWriter:
 
     def resized_one(spec: SignalSpec) -> SignalSpec:
         if spec.name in FINE_SIGNALS:  # they share out one step of the mean
-            step = 2.0 ** -more.get(spec.name.removesuffix("Fine"), 0)
+            step = 2.0 ** -more.get(spec.name.removesuffix(FINE), 0)
             spec = replace(spec, factor=spec.factor * step)
         if change := more.get(spec.name):
             return replace(spec.finer(change), why=_why(spec, change))
@@ -192,7 +192,7 @@ def design_scenes(
     if max_kl is not None and best.kl_mean > max_kl:
         raise ValueError(
             f"max_kl must be {best.kl_mean:.2g} nat or more, what the widths of maplines-pose.dbc "
-            f"reach on these scenes, got {max_kl!r}; two frames of a line hold no more bits"
+            f"reach on these scenes, got {max_kl!r}; the frames of a line hold no more bits"
         )
     total = sum(width - LEAST_BITS for width in bits.values())
     # The cost of a bit hardly changes with the widths of other fields: it is measured again only

@@ -15,14 +15,14 @@ from .code import Array
 SLACK = 1e-6
 #: Places in the range of a line, in the normalised variable w.
 _PLACES = np.linspace(-1, 1, 9)
-#: (16, K) products of the values of T_0 .. T_3 there, and of their derivatives: for the variances
-#: of lateral position and direction.
+#: (K, 4) values of T_0 .. T_3 there, and of their derivatives.
 _VALUES = np.vstack(
     [
         np.polynomial.chebyshev.chebvander(_PLACES, 3),
         np.polynomial.chebyshev.chebval(_PLACES, np.polynomial.chebyshev.chebder(np.eye(4))).T,
     ]
 )
+#: (16, K) products of these, for variances of lateral position and direction.
 _PRODUCTS = (_VALUES[:, :, None] * _VALUES[:, None]).reshape(-1, 16).T
 
 
@@ -60,6 +60,9 @@ def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
     inequality of Cauchy and Schwarz, for any positive weights t_i,
 
         a u u^T <= blockdiag(..., a (sum_j t_j) / t_i u_i u_i^T, ...)
+
+    The weights are the sizes of u_i against the whole covariance of their lines, so what is added
+    is a similar share of it in each line.
     """
     inverse = np.linalg.inv(J)  # all coefficients in metres
     whole = block_diagonal(np.asarray(inverse))
@@ -71,16 +74,21 @@ def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
     if values[-1] <= 1 - SLACK:
         return None
     more = values > 1 - SLACK
+    v = vectors[:, more].reshape(len(J), 4, -1)
     u = (L @ vectors[:, more]).reshape(len(J), 4, -1)
-    T = blocks(whole @ spread @ whole.T) + D
-    weights = np.sqrt(np.einsum("lik,lij,ljk->lk", u, np.linalg.inv(T), u)) + 1e-9
+    spread_of_lines = np.linalg.solve(L, np.linalg.solve(L, whole @ spread @ whole.T).T)
+    inverses = np.linalg.inv(np.eye(4) + blocks(spread_of_lines))
+    weights = np.sqrt(np.einsum("lik,lij,ljk->lk", v, inverses, v).clip(0)) + 1e-9
     amount = (values[more] - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
     return np.asarray(J @ np.einsum("lk,lik,ljk->lij", amount, u, u) @ J.swapaxes(1, 2))
 
 
 @np.errstate(invalid="ignore", divide="ignore")
 def divergence(true: Array, decoded: Array) -> Array:
-    """Return the (...,) KL of zero-mean Gaussians with (..., n, n) covariances [nat]."""
+    """Return the (...,) KL of zero-mean Gaussians with (..., n, n) covariances [nat].
+
+    It is infinite if a determinant is not positive.
+    """
     n = true.shape[-1]
     sign, log_det = np.linalg.slogdet(decoded)
     regular = np.where((sign > 0)[..., None, None], decoded, np.eye(n))
@@ -94,6 +102,8 @@ def divergence(true: Array, decoded: Array) -> Array:
 @np.errstate(invalid="ignore", divide="ignore")
 def largest_ratio(decoded: Array, true: Array) -> Array:
     """Return the (...,) largest ratios of variances of lateral position and direction of lines.
+
+    They are compared at nine places of the range.
 
     Args:
         decoded: (..., 4, 4) covariances of coefficients of T_0 .. T_3.

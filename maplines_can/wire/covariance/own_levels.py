@@ -142,7 +142,7 @@ class OwnLevels:
 
         Of all spacings and some levels of the points, those are chosen with the least cost: the
         divergence from the true covariance plus the logarithm of the largest ratio of variances,
-        of the lateral position or the direction of the line anywhere in its range.
+        of the lateral position or the direction of the line at nine places of its range.
 
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.

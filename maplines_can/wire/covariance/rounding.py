@@ -19,7 +19,7 @@ LARGEST = 2.0**-8
 
 
 def refined(signal: Signal, fine: Signal) -> Signal:
-    """Return a signal and another that is added to it as one, with the steps of the other."""
+    """Return one signal for the sum of two, with the steps of the finer one."""
     values = fine.raw_max - fine.raw_min + 1
     ends = (signal.raw_min, signal.raw_max)
     low, high = ends if signal.factor > 0 else (-ends[1], -ends[0])

@@ -80,17 +80,18 @@ class SceneEncoder:
         Raises:
             EncodeError: the pose error does not fit.
         """
-        ranges, fits = self._encode_ranges(scene)
-        fits &= _can_be_seen(scene)
-        parts = _Parts.of(scene, fits)
-        rows: list[dict[str, NDArray[np.int64]]] = []
-        for signals in (self._code.mean, self._refined):
-            rounded, within = rounded_means(signals, scene.means, parts.own, parts.J, RESOLUTION)
-            fits &= within
-            rows.append(ranges | rounded)
+        rows: list[Rows] = []
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # if it does not fit
+            ranges, fits = self._encode_ranges(scene)
+            fits &= _can_be_seen(scene)
+            parts = _Parts.of(scene, fits)
+            for mean in (self._code.mean, self._refined):
+                raw, within = rounded_means(mean, scene.means, parts.own, parts.J, RESOLUTION)
+                fits &= within
+                rows.append(ranges | raw)
         for signal, fine in zip(self._code.mean, self._code.fine, strict=True):
-            raw = split(rows[1][signal.name], signal, fine)
-            rows[1][signal.name], rows[1][fine.name] = raw
+            parts_of_raw = split(rows[1][signal.name], signal, fine)
+            rows[1][signal.name], rows[1][fine.name] = parts_of_raw
         return self._encode(scene, rows[0], rows[1], fits, parts, full)
 
     def encode_levels(
@@ -202,7 +203,6 @@ class SceneEncoder:
             raw[code.time.name] = int(nearest.clip(1, code.time.raw_max))
         return raw
 
-    @np.errstate(over="ignore", invalid="ignore")  # of ranges that do not fit
     def _encode_ranges(self, scene: Scene) -> tuple[Rows, Mask]:
         """Return the (L,) raw values of ranges, and which of them are exact."""
         raw: Rows = {}
@@ -225,7 +225,7 @@ class SceneEncoder:
         return {s.name: s.limited(s.raw(value)).astype(np.int64) for s, value in values}
 
     def _cover(self, lines: _Lines, true: Array, spread: Array) -> tuple[Rows, Mask, Mask]:
-        """Return the raw values of (L,) D_i, which are covered, and for which levels do not do.
+        """Return raw values of (L,) D_i, which cover their lines, and which lines need all entries.
 
         Args:
             lines: the lines.
@@ -246,18 +246,18 @@ class SceneEncoder:
         return raw, np.zeros_like(covered), ~lines.is_full & has_entries
 
     def _encode_own(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Mask]:
-        """Return what ``_cover`` does, for D_i that cover each line by itself and ``more``."""
+        """Return what ``_cover`` does, for D_i that cover each line alone plus ``more``."""
         code, is_full = self._code, lines.is_full
         signals = [*code.levels.signals, *(code.own_code.signals if code.own_code else ())]
         raw = {signal.name: np.zeros(len(more), dtype=np.int64) for signal in signals}
         covered, needs_entries = np.ones_like(is_full), np.zeros_like(is_full)
         if not is_full.all():
             short = ~is_full
-            levels, covered[short], dear = self._encode_levels(lines.of(short), more[short])
+            levels, covered[short], is_costly = self._encode_levels(lines.of(short), more[short])
             for name, values in levels.items():
                 raw[name][short] = values
             if code.own_code is not None:
-                needs_entries[short] = dear | ~covered[short]
+                needs_entries[short] = is_costly | ~covered[short]
         if code.own_code is not None and is_full.any():
             target = (lines.own + lines.error + lines.least + more)[is_full]
             coded = code.own_code.encode(target, _floor(code.own_code))
@@ -354,6 +354,8 @@ def _can_be_seen(scene: Scene) -> NDArray[np.bool_]:
     """Return which lines are functions of x and have covariances that do not overflow."""
     variances = scene.cov.diagonal().reshape(-1, 4)
     large = (variances > LARGEST**2) | (np.abs(scene.means) > LARGEST)
+    if scene.own_covs is not None:
+        large |= np.einsum("lii->li", scene.own_covs) > LARGEST**2
     lines = zip(large, scene.means, scene.fit_ranges, scene.quartics, strict=True)
     seen = [not is_large.any() and _is_function(*line) for is_large, *line in lines]
     return np.array(seen, dtype=np.bool_)

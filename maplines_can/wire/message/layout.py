@@ -152,7 +152,8 @@ class Layout(RecordLayout):
     def short_pages(self) -> int:
         """Number of pages of a record without a covariance; fewer only if it is conditional.
 
-        They are the pages up to the last one with another signal than those of the covariance.
+        They are the pages up to the last one with another signal than those of the covariance
+        and of the finer mean.
         """
         if not self.is_conditional:
             return self.pages

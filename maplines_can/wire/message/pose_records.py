@@ -50,7 +50,7 @@ class ConditionalRecord:
 
     Args:
         raw: raw values by signal: mean, fit range, Quartic and ``OWN_SIGNALS``; with the signals
-            of the covariance, the record has all pages.
+            of the covariance and ``FINE_SIGNALS``, the record has all pages.
         counter: E2E counter.
         kind: kind of the line.
         slot: line slot.
@@ -125,7 +125,8 @@ class PoseRecords:
 class ConditionalRecords:
     """Writer and reader of records of lines that are conditional on the pose error.
 
-    A record with a covariance has all pages, one without has the first ``Layout.short_pages``.
+    A record with a covariance and a finer mean has all pages, one without has the first
+    ``Layout.short_pages``.
     """
 
     def __init__(self, layout: Layout) -> None:

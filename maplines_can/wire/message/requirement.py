@@ -17,8 +17,8 @@ EXACT_BITS = 53
 LEAST_FACTOR, FARTHEST = 1e-30, 1e30
 #: Greatest exponent of 2 that a level may hold, so that its square is finite.
 FARTHEST_OCTAVE = 200
-#: Greatest exponent of 2 of a spacing of points: a line has not too many of them.
-LEAST_SPACING_OCTAVES = 10
+#: Greatest magnitude of the exponent of 2 of a spacing: a line has not too many points.
+FARTHEST_SPACING_OCTAVE = 10
 #: Unit of an exponent of 2.
 OCTAVE = "octave"
 
@@ -123,7 +123,10 @@ BYTES = (INTEGER, UNSIGNED, IDENTITY)
 
 
 def _octaves(signal: Signal) -> list[float]:
-    """Return the exponents of 2 of the least and the greatest value of any bits of a spacing."""
+    """Return the exponents of 2 of the least and the greatest spacing of any bits.
+
+    They are infinite if the spacing is not positive.
+    """
     if signal.unit == OCTAVE:
         return [*signal.reach]
     return [math.log2(value) if value > 0 else math.inf for value in signal.reach]
@@ -161,8 +164,8 @@ SPACING = (
         "write one of them",
     ),
     Requirement(
-        f"distances from 2^-{LEAST_SPACING_OCTAVES} to 2^{LEAST_SPACING_OCTAVES} for any bits",
-        lambda s: max(map(abs, _octaves(s))) <= LEAST_SPACING_OCTAVES,
+        f"distances from 2^-{FARTHEST_SPACING_OCTAVE} to 2^{FARTHEST_SPACING_OCTAVE} for any bits",
+        lambda s: max(map(abs, _octaves(s))) <= FARTHEST_SPACING_OCTAVE,
         "correct factor and offset",
     ),
 )

@@ -21,6 +21,7 @@ from .requirement import (
     BYTES,
     DISTANCE,
     EXACT,
+    EXACT_BITS,
     FINITE,
     INTEGER,
     LEVEL,
@@ -40,7 +41,16 @@ from .requirement import (
     length,
     unit,
 )
-from .signals import FINE_SIGNALS, PAGE, PAGE_BYTES, SLOT_SIGNALS, TRANSFER_ID, Signal, slot_title
+from .signals import (
+    FINE,
+    FINE_SIGNALS,
+    PAGE,
+    PAGE_BYTES,
+    SLOT_SIGNALS,
+    TRANSFER_ID,
+    Signal,
+    slot_title,
+)
 
 __all__ = [
     "CONDITIONAL_REQUIREMENTS",
@@ -105,10 +115,10 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "Beta": (*QUANTITY, unit("rad")),
     "C0": (*QUANTITY, unit("1/m")),
     "C1": (*QUANTITY, unit("1/m^2")),
-    "YOffFine": (*QUANTITY, POSITIVE, unit("m")),
-    "BetaFine": (*QUANTITY, POSITIVE, unit("rad")),
-    "C0Fine": (*QUANTITY, POSITIVE, unit("1/m")),
-    "C1Fine": (*QUANTITY, POSITIVE, unit("1/m^2")),
+    "YOffFine": (*QUANTITY, POSITIVE, unit("m"), holds(0, 0)),
+    "BetaFine": (*QUANTITY, POSITIVE, unit("rad"), holds(0, 0)),
+    "C0Fine": (*QUANTITY, POSITIVE, unit("1/m"), holds(0, 0)),
+    "C1Fine": (*QUANTITY, POSITIVE, unit("1/m^2"), holds(0, 0)),
     "Status": (*NUMBER, holds(0, max(Status), ", all values of Status")),
     "Kind": (*NUMBER, holds(0, max(Kind), ", all values of Kind")),
     "XMin": (*QUANTITY, POSITIVE, unit("m")),
@@ -220,11 +230,20 @@ def _in_its_page(signals: Mapping[str, Signal], name: str) -> bool:
     )
 
 
-def _divides(signals: Mapping[str, Signal], fine: str) -> bool:
-    """Return whether the range of a fine signal is one step of the signal that it refines."""
-    signal, values = signals[fine], signals[fine].raw_max - signals[fine].raw_min + 1
-    step = abs(signals[fine.removesuffix("Fine")].factor)
-    return math.isclose(signal.factor * values, step, rel_tol=1e-9)
+def _refines(signals: Mapping[str, Signal], fine: str) -> bool:
+    """Return whether the range of a fine signal is one step of the signal that it is added to."""
+    signal, coarse = signals[fine], signals.get(fine.removesuffix(FINE))
+    if coarse is None:
+        return True
+    values = signal.raw_max - signal.raw_min + 1
+    is_step = math.isclose(signal.factor * values, abs(coarse.factor), rel_tol=1e-9)
+    return is_step and signal.length + coarse.length <= EXACT_BITS
+
+
+def _same_in_all_slots(signals: Mapping[str, Signal], name: str) -> bool:
+    of_slots = [signals[each] for slot in Slot if (each := f"{slot_title(slot)}{name}") in signals]
+    values = {(s.factor, s.offset, s.unit, s.raw_min, s.raw_max) for s in of_slots}
+    return len(values) <= 1
 
 
 #: Requirements on several signals of a record.
@@ -284,11 +303,21 @@ RELATIONS: Sequence[Relation] = (
     *(
         Relation(
             name,
-            f"a range that is one step of {name.removesuffix('Fine')}",
-            partial(_divides, fine=name),
+            f"a range that is one step of {name.removesuffix(FINE)}, and at most {EXACT_BITS} bits "
+            "together with it",
+            partial(_refines, fine=name),
             "with n bits, give it the factor of that signal divided by 2^n",
         )
         for name in FINE_SIGNALS
+    ),
+    *(
+        Relation(
+            name,
+            "the same factor, offset, unit and range for all slots",
+            partial(_same_in_all_slots, name=name),
+            "change it for all slots",
+        )
+        for name in SLOT_SIGNALS
     ),
 )
 

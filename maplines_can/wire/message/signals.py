@@ -25,8 +25,10 @@ CONDITIONAL_SIGNALS = (
     *("Crc", "Counter", "Kind", "XMin", "XMax"),
     *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic"),
 )
-#: Signals that such a record has with a covariance: what the signals of the mean are rounded off.
-FINE_SIGNALS = tuple(f"{name}Fine" for name in PARAMETER_SIGNALS)
+#: End of the names of the signals that such a record has with a covariance: what is added to each
+#: signal of the mean.
+FINE = "Fine"
+FINE_SIGNALS = tuple(f"{name}{FINE}" for name in PARAMETER_SIGNALS)
 #: Signals that every record of the pose error has in addition to page numbers and covariance.
 POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHeading")
 #: Rows of the covariance of the pose error.

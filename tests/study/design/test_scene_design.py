@@ -78,8 +78,8 @@ def test_the_widths_are_reduced_as_far_as_the_divergence_allows() -> None:
 
 
 @pytest.mark.usefixtures("few_fields")
-def test_a_divergence_beyond_two_frames_is_refused() -> None:
-    with pytest.raises(ValueError, match="two frames of a line hold no more bits"):
+def test_a_divergence_beyond_the_frames_is_refused() -> None:
+    with pytest.raises(ValueError, match="the frames of a line hold no more bits"):
         design_scenes(1e-6, n=1)
 
 

@@ -111,3 +111,18 @@ def test_a_sum_covers_with_a_slack(excess: float) -> None:
         assert excess + 1e-6 < lacking[0, 0, 0] < excess + 2.1e-6
         assert np.abs(lacking[0, 1:]).max() < 1e-9
         assert uncovered(true, np.zeros((4, 4)), own + lacking, J) is None
+
+
+def test_a_spread_of_any_size_leaves_the_weights_finite() -> None:
+    """1e20 times what lines have of their own: what is added is finite, and semidefinite."""
+    rng = np.random.default_rng(6)
+    J = bases(rng.uniform(-1, 1, (3, 4)) * [5, 0.2, 2e-3, 1e-5], RANGES)
+    W = block_diagonal(J)
+    B, d = rng.standard_normal((12, 3)), rng.standard_normal(12)
+    for size in 10.0 ** np.arange(0, 22, 3):
+        spread = size * W @ B @ B.T @ W.T
+        lacking = uncovered(
+            spread + W @ np.outer(d, d) @ W.T, spread, 1e-2 * J @ J.swapaxes(1, 2), J
+        )
+        if lacking is not None:
+            assert np.isfinite(lacking).all()

@@ -217,7 +217,7 @@ def test_the_divergence_is_that_of_gaussians(true: Any, decoded: Any) -> None:
     assert both[1] == 0
 
 
-def test_a_matrix_that_is_not_definite_is_infinitely_far() -> None:
+def test_the_divergence_is_infinite_if_a_determinant_is_not_positive() -> None:
     one, bad = np.eye(4), np.diag([1.0, 1, 1, -1])
     assert divergence(one, bad) == divergence(bad, one) == divergence(one, 0 * one) == np.inf
 

@@ -91,6 +91,8 @@ def test_a_transfer_id_lies_in_its_page(name: str, start: int, words: str) -> No
 
 POSE = pose_layout_of("maplines-pose.dbc").signals
 LEVELS = Layout.from_dbc().pose.signals  # type: ignore[union-attr]
+#: Those of one slot.
+ONE_SLOT = {name: s for name, s in LEVELS.items() if "Own" not in name or "Route" in name}
 CONDITIONAL = layout_of("maplines-pose.dbc").signals
 
 
@@ -130,9 +132,9 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(POSE, "MapOffset", {"raw_min": 1}, "raw values 0 and 1", id="level-from-1"),
         pytest.param(POSE, "MapOffset", {"raw_max": 0}, "raw values 0 and 1", id="level-to-0"),
         pytest.param(POSE, "MapOffset", {"raw_max": 1}, "", id="level-to-1"),
-        pytest.param(LEVELS, "RouteOwnLateral", {"signed": True}, "unsigned", id="slot-level"),
-        pytest.param(LEVELS, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
-        pytest.param(LEVELS, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
+        pytest.param(ONE_SLOT, "RouteOwnLateral", {"signed": True}, "unsigned", id="slot-level"),
+        pytest.param(ONE_SLOT, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
+        pytest.param(ONE_SLOT, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.0}, "", id="spacing-10"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.01}, r"2\^-10 to 2\^10", id="10.01"),
         pytest.param(
@@ -141,14 +143,22 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.625}, "", id="to-10"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.63}, "distances fr", id="to-10.005"),
         pytest.param(CONDITIONAL, "OwnSpacing", {"unit": ""}, 'unit "octave"', id="some-spacing"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 2.0**-10}, "", id="spacing-from-1024th"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 2.0**-11}, "distances", id="2048th"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"offset": 0.0}, "distances", id="spacing-0"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 4.0}, "", id="spacing-to-1020"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 4.1}, "distances", id="spacing-to-1045"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"unit": "octave"}, "", id="spacing-in-octaves"),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"),
-        # what a mean is rounded off
+        pytest.param(
+            ONE_SLOT, "RouteOwnSpacing", {"offset": 2.0**-10}, "", id="spacing-from-1024th"
+        ),
+        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"offset": 2.0**-11}, "distances", id="2048th"),
+        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"offset": 0.0}, "distances", id="spacing-0"),
+        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"factor": 4.0}, "", id="spacing-to-1020"),
+        pytest.param(
+            ONE_SLOT, "RouteOwnSpacing", {"factor": 4.1}, "distances", id="spacing-to-1045"
+        ),
+        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"unit": "octave"}, "", id="spacing-in-octaves"),
+        pytest.param(
+            ONE_SLOT, "RouteOwnSpacing", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"
+        ),
+        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 0.01}, "for all slots", id="one-slot"),
+        pytest.param(LEVELS, "EgoLeftQuartic", {"offset": 0.01}, "for all slots", id="first-slot"),
+        # finer parts of the mean
         pytest.param(
             CONDITIONAL,
             "YOffFine",
@@ -162,6 +172,28 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(CONDITIONAL, "C1", {"factor": -(2.0**-20)}, "", id="mean-of-negative-factor"),
         pytest.param(
             CONDITIONAL, "C1Fine", {"factor": -(2.0**-24)}, "positive", id="negative-fine"
+        ),
+        pytest.param(CONDITIONAL, "YOffFine", {"offset": 100.0}, "holds 0", id="fine-beyond-0"),
+        pytest.param(
+            CONDITIONAL,
+            "C1Fine",
+            {"length": 36, "factor": 2.0**-56, "raw_min": -(2**35), "raw_max": 2**35 - 1},
+            "overlap",
+            id="53-bits-together",
+        ),
+        pytest.param(
+            CONDITIONAL,
+            "C1Fine",
+            {"length": 37, "factor": 2.0**-57, "raw_min": -(2**36), "raw_max": 2**36 - 1},
+            "at most 53 bits together",
+            id="54-bits-together",
+        ),
+        pytest.param(
+            {**POSE, "YOffFine": replace(CONDITIONAL["YOffFine"], start=120)},
+            "YOffFine",
+            {},
+            "overlap",
+            id="fine-without-a-mean",
         ),
         pytest.param(CONDITIONAL, "C1Fine", {"unit": "1/m"}, r'unit "1/m\^2"', id="unit-of-fine"),
         # counters of slots
