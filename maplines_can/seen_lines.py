@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,7 +136,8 @@ class SeenLines:
             centred = self.means - (lines(points).mean(axis=0) - lines.means)
             is_function = ~np.isnan(self._seen(centred, np.zeros(3))[:, :1])
             means = np.where(is_function, centred, lines.means)
-            lines = SeenLines(means, self.fit_ranges, self.quartics)
+            lines = copy(self)  # without the check, which these lines have just passed
+            lines.means = means
         return lines
 
     def spread(self, P: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scene_streams import (
     ALL,
@@ -249,6 +249,7 @@ def test_the_age_is_that_of_the_sending() -> None:
 
 
 @settings(max_examples=40)
+@example(radius=45.0, sigma=(0.03125, 0.5, 0.00390625), noise=(0.0, 0.0625, 0.02))
 @given(
     radius=st.floats(25, 2000),
     sigma=st.tuples(st.floats(0.02, 1.0), st.floats(0.02, 0.5), st.floats(0.001, 0.03)),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -145,8 +146,7 @@ class SceneEncoder:
         while len(places):
             raw = _chosen(*forms, is_full, places)
             means, fit_ranges, quartics = self._code.decode_lines(raw)
-            rows = zip(means, fit_ranges, quartics, strict=True)
-            covered = np.array([_is_function(*row) for row in rows])
+            covered = _are_functions(means, fit_ranges, quartics)
             if covered.all():
                 if noise is None:
                     noise = np.zeros((len(means), 0))
@@ -350,26 +350,32 @@ def _floor(code: CholeskyCode) -> Array:
     return np.array([4.0 ** pivots[i].physical_range[0] for i in range(len(pivots))])
 
 
-def _can_be_seen(scene: Scene) -> NDArray[np.bool_]:
+def _can_be_seen(scene: Scene) -> Mask:
     """Return which lines are functions of x and have covariances that do not overflow."""
     variances = scene.cov.diagonal().reshape(-1, 4)
     large = (variances > LARGEST**2) | (np.abs(scene.means) > LARGEST)
     if scene.own_covs is not None:
         large |= np.einsum("lii->li", scene.own_covs) > LARGEST**2
-    lines = zip(large, scene.means, scene.fit_ranges, scene.quartics, strict=True)
-    seen = [not is_large.any() and _is_function(*line) for is_large, *line in lines]
-    return np.array(seen, dtype=np.bool_)
+    small = np.logical_not(large).all(axis=1)
+    return _are_functions(scene.means, scene.fit_ranges, scene.quartics, np.asarray(small))
 
 
-def _is_function(mean: Array, fit_range: Array, quartic: float) -> bool:
-    """Return whether a line has a range, and is a function of x seen from other poses."""
-    if not fit_range[0] < fit_range[1]:  # it may be too short for the steps of the message
-        return False
+def _are_functions(
+    means: Array, fit_ranges: Array, quartics: Array, among: Mask | None = None
+) -> Mask:
+    """Return which lines have a range, and are functions of x; False for those not ``among``."""
+    found = fit_ranges[:, 0] < fit_ranges[:, 1]  # it may be too short for the steps of the message
+    if among is not None:
+        found &= among
     try:
-        SeenLines(mean[None], fit_range[None], [quartic])
+        SeenLines(means[found], fit_ranges[found], quartics[found])
     except IllPosedError:
-        return False
-    return True
+        for i in np.flatnonzero(found):
+            with suppress(IllPosedError):
+                SeenLines(means[i : i + 1], fit_ranges[i : i + 1], quartics[i : i + 1])
+                continue
+            found[i] = False
+    return np.asarray(found)
 
 
 def _level_above(signal: Signal, sigma: float) -> int:

@@ -12,7 +12,7 @@ from ...gaussian import Gaussian
 from ...line import PARAMETERS, MapLine, Slot
 from ...map_error import MapError
 from ...scene import PoseError, Scene
-from ...seen_lines import valid_ranges
+from ...seen_lines import SeenLines, valid_ranges
 from ..covariance.scene_code import SceneCode
 from .layout import Layout
 from .pose_layout import PoseLayout
@@ -22,6 +22,8 @@ from .signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
 #: Multiple of which the ends of the valid range are, moved inwards, so that a range that is
 #: computed from decoded values does not exceed that of the sender [m].
 STEP = 0.1
+#: Least derivative of Beta with respect to the heading of the car; that of a straight line is 1.
+LEAST_TURN = 0.1
 N = len(PARAMETERS)
 
 
@@ -39,6 +41,7 @@ class SceneReader:
         self._code = code
         self._age, self._too_old = pose["Age"], pose["Age"].raw_max
         self._heading_step = 2.0 ** pose["MapHeading"].factor
+        self._greatest_heading = pose["MapHeading"].raw_max
         self._signals = [layout[name] for name in (*PARAMETER_SIGNALS, "XMin", "XMax")]
 
     def scene(self, pose: PoseRecord, t_ns: int, members: Sequence[Member]) -> Scene:
@@ -64,11 +67,12 @@ class SceneReader:
             return Scene((), np.zeros((0, 0)), error, np.zeros((0, 2)), map_error)
         raw = [self._raw(member.content, pose.raw) for member in members]
         decoded = self._code.decode(decoded_pose, raw)
-        # The error of the map's heading is at least its level, and less than the next one. Beyond
-        # the levels, the covariance of Beta covers it.
-        heading_sigma = np.maximum(
-            decoded_pose.heading_sigma * self._heading_step, np.sqrt(decoded.own_covs[:, 1, 1])
-        )
+        heading_sigma = np.full(len(raw), decoded_pose.heading_sigma * self._heading_step)
+        if pose.raw["MapHeading"] == self._greatest_heading:
+            # It may be beyond the levels, but no more than the variance of Beta has room for.
+            seen = SeenLines(decoded.means, decoded.fit_ranges, decoded.quartics)
+            turn = np.abs(seen.jacobian()[:, 1, 2]).clip(LEAST_TURN)
+            heading_sigma = np.maximum(heading_sigma, np.sqrt(decoded.own_covs[:, 1, 1]) / turn)
         x_ranges = valid_ranges(
             decoded.means,
             decoded.fit_ranges,
