@@ -173,11 +173,10 @@ class Scene:
         Raises:
             ValueError: the scene has no line of a slot, or no line at all.
         """
-        places = range(len(self.lines)) if slots is None else [*map(self._place, slots)]
-        if not len(places):
+        places = [*range(len(self.lines))] if slots is None else [*map(self._place, slots)]
+        if not places:
             raise ValueError("the scene has no lines")
-        keep = (N * np.array(places)[:, None] + np.arange(N)).ravel()
-        return Gaussian.trusted(self.means.ravel()[keep], self.cov[np.ix_(keep, keep)])
+        return Gaussian.trusted(self.means[places].ravel(), self._joint_cov(places))
 
     def subset(self, slots: Iterable[Slot]) -> Scene:
         """Return the scene with only the lines of these slots, in this order.
@@ -186,11 +185,10 @@ class Scene:
             ValueError: the scene has no line of a slot, or a slot is given twice.
         """
         places = [*map(self._place, slots)]
-        keep = (N * np.array(places, dtype=int)[:, None] + np.arange(N)).ravel()
         return replace(
             self,
             lines=tuple(self.lines[i] for i in places),
-            cov=self.cov[np.ix_(keep, keep)],
+            cov=self._joint_cov(places),
             fit_ranges=self.fit_ranges[places],
             quartics=self.quartics[places],
             own_covs=None if self.own_covs is None else self.own_covs[places],
@@ -245,6 +243,11 @@ class Scene:
             ValueError: the scene has no line of a slot.
         """
         return self.lateral({left: 0.5, right: 0.5}, x)
+
+    def _joint_cov(self, places: list[int]) -> NDArray[np.float64]:
+        """Return the joint covariance of the lines at these places."""
+        keep = (N * np.array(places, dtype=int)[:, None] + np.arange(N)).ravel()
+        return np.asarray(self.cov[np.ix_(keep, keep)])
 
     def _place(self, slot: Slot) -> int:
         if slot not in self.index:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -91,8 +90,8 @@ class SceneEncoder:
                 fits &= within
                 rows.append(ranges | raw)
         for signal, fine in zip(self._code.mean, self._code.fine, strict=True):
-            parts_of_raw = split(rows[1][signal.name], signal, fine)
-            rows[1][signal.name], rows[1][fine.name] = parts_of_raw
+            pair = split(rows[1][signal.name], signal, fine)
+            rows[1][signal.name], rows[1][fine.name] = pair
         return self._encode(scene, rows[0], rows[1], fits, parts, full)
 
     def encode_levels(
@@ -371,10 +370,10 @@ def _are_functions(
         SeenLines(means[found], fit_ranges[found], quartics[found])
     except IllPosedError:
         for i in np.flatnonzero(found):
-            with suppress(IllPosedError):
+            try:
                 SeenLines(means[i : i + 1], fit_ranges[i : i + 1], quartics[i : i + 1])
-                continue
-            found[i] = False
+            except IllPosedError:
+                found[i] = False
     return np.asarray(found)
 
 

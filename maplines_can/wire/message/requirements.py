@@ -241,9 +241,8 @@ def _refines(signals: Mapping[str, Signal], fine: str) -> bool:
 
 
 def _same_in_all_slots(signals: Mapping[str, Signal], name: str) -> bool:
-    of_slots = [signals[each] for slot in Slot if (each := f"{slot_title(slot)}{name}") in signals]
-    values = {(s.factor, s.offset, s.unit, s.raw_min, s.raw_max) for s in of_slots}
-    return len(values) <= 1
+    of_slots = _named(signals, name)
+    return len({(s.factor, s.offset, s.unit, s.raw_min, s.raw_max) for s in of_slots}) == 1
 
 
 #: Requirements on several signals of a record.
