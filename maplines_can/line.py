@@ -34,7 +34,7 @@ MAX_POINTS = 10_000
 
 
 class Slot(IntEnum):
-    """Identity of a line in the scene. Each slot has its own CAN IDs."""
+    """Identity of a line around the car. Each slot has its own CAN IDs."""
 
     EGO_LEFT = 0
     EGO_RIGHT = 1
@@ -86,7 +86,7 @@ class MapLine:
     forward and y to the left (ISO 8855), for x in [x_min, x_max].
 
     Args:
-        slot: identity of the line in the scene.
+        slot: identity of the line around the car.
         gaussian: over (y_off, beta, c0, c1) [m, rad, 1/m, 1/m^2].
         kind: kind of marking or boundary.
         x_min: start of the valid range [m].

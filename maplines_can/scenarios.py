@@ -1,4 +1,4 @@
-"""Example scenes: those of the paper, a production car, and streets of typical shapes."""
+"""Example scenarios: those of the paper, a production car, and streets of typical shapes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .gaussian import Gaussian
 from .line import Kind, Slot
 from .polyline import Polyline
-from .street_shapes import street_scenes
+from .street_shapes import streets
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,15 +19,15 @@ class Scenario:
     """Car (ego) whose pose is a Gaussian, and the map lines around it.
 
     Args:
-        name: name of the scene, as on the command line.
+        name: name of the scenario, as on the command line.
         about: description in one sentence.
         ego: Gaussian over (e_x [m], e_y [m], e_h [rad]) in the map frame.
         lines: the line of the map for each slot.
         window: (x_min, x_max) ahead of the car in which the lines are seen [m].
 
     >>> from maplines_can import map_lines
-    >>> scene = scenario("production")
-    >>> lines = map_lines(scene.lines, scene.ego, window=scene.window)
+    >>> production = scenario("production")
+    >>> lines = map_lines(production.lines, production.ego, window=production.window)
     >>> [line.slot.name for line in lines[:2]]
     ['EGO_LEFT', 'EGO_RIGHT']
     """
@@ -133,7 +133,7 @@ SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in _scena
 #: Streets of typical shapes, seen by a car with sigmas of 0.1 m along, 0.2 m across and 0.2 deg.
 STREETS: dict[str, Scenario] = {
     name: Scenario(name, about, pose(0.1, 0.2, 0.2), lines, (-20.0, 80.0))
-    for name, about, lines in street_scenes()
+    for name, about, lines in streets()
 }
 
 
@@ -152,8 +152,8 @@ def scenario(name: str) -> Scenario:
 street-turn, street-turn-10deg, production, corner, roundabout-12m, roundabout-50m, exit, s-bend, \
 lane-ends, lane-widens, motorway-coarse
     """
-    scenes = SCENARIOS | STREETS
+    scenarios = SCENARIOS | STREETS
     try:
-        return scenes[name]
+        return scenarios[name]
     except KeyError:
-        raise ValueError(f"no scenario {name!r}; there are {', '.join(scenes)}") from None
+        raise ValueError(f"no scenario {name!r}; there are {', '.join(scenarios)}") from None

@@ -157,7 +157,7 @@ def lanes(
     }
 
 
-def street_scenes() -> Iterator[tuple[str, str, dict[Slot, Polyline]]]:
+def streets() -> Iterator[tuple[str, str, dict[Slot, Polyline]]]:
     """Yield name, description and lines of streets as a car at the origin sees them along x."""
 
     def each_metre(street: Street) -> NDArray[np.float64]:

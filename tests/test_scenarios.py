@@ -1,4 +1,4 @@
-"""The scenes match their descriptions."""
+"""The scenarios match their descriptions."""
 
 import re
 from typing import Any
@@ -41,20 +41,20 @@ def test_the_ego_has_the_figures_of_the_table(
 
 def test_the_table_is_complete() -> None:
     """There are six scenarios, each with one sentence."""
-    assert list(SCENARIOS) == [scene.name for scene in SCENARIOS.values()]
+    assert list(SCENARIOS) == [example.name for example in SCENARIOS.values()]
     assert len(SCENARIOS) == 6
-    assert all(scene.about and "\n" not in scene.about for scene in SCENARIOS.values())
+    assert all(example.about and "\n" not in example.about for example in SCENARIOS.values())
 
 
-@pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
-def test_every_line_of_a_scenario_matches_its_description(scene: Any) -> None:
+@pytest.mark.parametrize("example", SCENARIOS.values(), ids=SCENARIOS)
+def test_every_line_of_a_scenario_matches_its_description(example: Any) -> None:
     """All slots are there, the car is in its lane of 3.5 m, and the radius is the stated one."""
-    refit = paper_refit(scene)
-    at_car = {slot: np.interp(0, *line.points.T) for slot, line in scene.lines.items()}
-    right = scene.lines[Slot.EGO_RIGHT].points
-    stated = re.search(r"radius (\d+) m", scene.about)
+    refit = paper_refit(example)
+    at_car = {slot: np.interp(0, *line.points.T) for slot, line in example.lines.items()}
+    right = example.lines[Slot.EGO_RIGHT].points
+    stated = re.search(r"radius (\d+) m", example.about)
 
-    assert np.isfinite(refit(scene.ego.mean)).all()
+    assert np.isfinite(refit(example.ego.mean)).all()
     assert sorted(at_car) == list(Slot)
     assert at_car[Slot.EGO_RIGHT] == pytest.approx(-1.75, abs=1e-3)
     assert at_car[Slot.EGO_LEFT] == pytest.approx(1.75, abs=1e-2)

@@ -1,4 +1,4 @@
-"""Streets agree with closed forms and with numerical integration, and scenes with their names."""
+"""Streets agree with closed forms and with numerical integration; scenarios match their names."""
 
 import subprocess
 import sys
@@ -145,13 +145,13 @@ def test_scenes_are_built_without_scipy() -> None:
 @pytest.mark.parametrize("name", STREETS)
 def test_the_car_is_in_its_lane(name: str) -> None:
     """All lines are there, at their distances from the car, and the pose is as documented."""
-    scene = scenario(name)
+    example = scenario(name)
     sigma = [0.1, 0.2, np.radians(0.2)]
 
-    assert scene is STREETS[name]
-    assert np.allclose(scene.ego.sigma, sigma)
-    assert list(scene.lines) == list(LANES)
-    for slot, line in scene.lines.items():
+    assert example is STREETS[name]
+    assert np.allclose(example.ego.sigma, sigma)
+    assert list(example.lines) == list(LANES)
+    for slot, line in example.lines.items():
         near = np.hypot(*line.resampled(0.1).points.T).min()
         if not (name == "lane-ends" and slot in (Slot.NEXT_RIGHT, Slot.EDGE_RIGHT)):
             assert near == pytest.approx(abs(LANES[slot][1]), abs=0.6 if "coarse" in name else 0.1)
@@ -160,8 +160,8 @@ def test_the_car_is_in_its_lane(name: str) -> None:
 @pytest.mark.parametrize("name", STREETS)
 def test_every_line_of_a_street_is_given(name: str) -> None:
     """And for as far as the line is there."""
-    scene = STREETS[name]
-    lines = map_lines(scene.lines, scene.ego, window=scene.window)
+    example = STREETS[name]
+    lines = map_lines(example.lines, example.ego, window=example.window)
 
     assert [line.slot for line in lines] == list(Slot)
     assert lines.left_out == {}

@@ -78,7 +78,7 @@ from maplines_can.study.sets import road
 from maplines_can.wire import Codec, default_dbc_path
 from maplines_can.wire.message.packing import Packing
 
-#: Lateral offsets of the lines of a full scene, one for each slot [m].
+#: Lateral offsets of the lines of a car with all lines, one for each slot [m].
 OFFSETS = (3.5, 0.0, 7.0, -3.5, 1.75, 10.5, -7.0, -1.75)
 ENCODE, DECODE = "cantools encode", "cantools decode"
 
@@ -120,11 +120,11 @@ def agree(what: str, difference: float, limit: float = 0.0) -> None:
 
 def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Compare fits by moments of the points with least squares."""
-    scene = scenario("highway")
-    poses, n = scene.ego.sample(sizes.poses, seed), sizes.poses
+    highway = scenario("highway")
+    poses, n = highway.ego.sample(sizes.poses, seed), sizes.poses
 
     def curve(points: int) -> Polyline:
-        x = np.linspace(*scene.window, points)
+        x = np.linspace(*highway.window, points)
         return Polyline(np.column_stack([x, -1.75 + x**2 / (2 * 2000.0) + 1e-6 * x**3 / 6]))
 
     def system(pose: Any) -> tuple[Any, Any]:
@@ -142,8 +142,8 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     def solved() -> list[Any]:
         return [np.linalg.lstsq(A, v, rcond=None) for A, v in systems]
 
-    few, many = (Refit(curve(count), scene.ego.mean, scene.window) for count in (50, 10_000))
-    points = to_map(few.points[0], scene.ego.mean)
+    few, many = (Refit(curve(count), highway.ego.mean, highway.window) for count in (50, 10_000))
+    points = to_map(few.points[0], highway.ego.mean)
     systems = [system(pose) for pose in poses]
     theirs = least_squares()
     difference = np.abs((few(poses) - theirs) / theirs.std(axis=0)).max()
@@ -180,7 +180,7 @@ def city_lines() -> list[Polyline]:
 
 
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
-    """Compare sigma points over all lines of a scene with filterpy."""
+    """Compare sigma points over all lines of a car with filterpy."""
     del sizes, seed  # a scene has a fixed size
     highway = scenario("highway")
     transform, merwe = SigmaPoints(), MerwePoints(3, alpha=1.0, beta=2.0, kappa=0.0)

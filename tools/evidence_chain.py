@@ -106,7 +106,7 @@ def simulated(
 
     while world.t < seconds - STEP / 2 and not is_at_goal(world):
         sender.move(rows)
-        scene = sender.cycle(rows[-1]).joint
+        scene = sender.cycle(rows[-1]).scene
         if scene is not None and scene.lines:
             encoded = codec.encode_scene(scene, age=AGE)
             lines += len(encoded.keys() - {POSE})
@@ -145,7 +145,7 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
                 if pipe.poll():
                     skipped += 1
                     continue
-                scene = sender.cycle(rows[-1]).joint
+                scene = sender.cycle(rows[-1]).scene
                 with sender.cpu.of("lines"):
                     if scene is not None:
                         transmitter.publish(scene, start_ns + round(1e9 * rows[-1, 0]))

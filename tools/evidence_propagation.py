@@ -51,16 +51,16 @@ def qr_refit(points: Any, poses: Any) -> Any:
     return np.stack([y_off, np.arctan(slope), c0, 6 * d / half**3], axis=-1)
 
 
-def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
+def compare_refit(example: Any, refit: Any, poses: Any) -> Any:
     """Return the (4,) largest differences from QR, in standard deviations of the parameters.
 
     QR fits the points of the lines at 64 Chebyshev nodes of their ranges. The frame of the mean
-    pose is that of the map, in which all lines of the scenes begin in the direction of x. They are
-    functions of x until they turn back, as the street turn does beyond 90 deg.
+    pose is that of the map, in which all lines of the scenarios begin in the direction of x. They
+    are functions of x until they turn back, as the street turn does beyond 90 deg.
     """
     lines = refit(poses)  # (N, L, 4)
     nodes, reference = np.cos(np.pi * np.arange(64) / 63), []
-    for line, (low, high) in zip(scene.lines.values(), refit.x_range, strict=True):
+    for line, (low, high) in zip(example.lines.values(), refit.x_range, strict=True):
         x = (low + high) / 2 + (high - low) / 2 * nodes
         advances = np.append(True, np.diff(line.points[:, 0]) > 0)
         function = line.points[np.logical_and.accumulate(advances)]
@@ -70,13 +70,13 @@ def compare_refit(scene: Any, refit: Any, poses: Any) -> Any:
     return (difference / np.nanstd(lines, axis=0)).max(axis=0)
 
 
-def compare_sigma_points(scene: Any, refit: Any) -> Any:
+def compare_sigma_points(example: Any, refit: Any) -> Any:
     """Return the largest difference from filterpy of a mean or covariance, in sigmas."""
     largest = 0.0
     for alpha, kappa in ((1.0, 0.0), (0.5, 0.0), (0.5, 1.5)):
         reference = MerweScaledSigmaPoints(3, alpha=alpha, beta=2.0, kappa=kappa)
-        values = refit(reference.sigma_points(scene.ego.mean, scene.ego.cov))
-        moments = SigmaPoints(alpha, kappa).moments(refit, scene.ego)
+        values = refit(reference.sigma_points(example.ego.mean, example.ego.cov))
+        moments = SigmaPoints(alpha, kappa).moments(refit, example.ego)
         for i, (mean, cov) in enumerate(zip(*moments, strict=True)):
             m, S = unscented_transform(values[:, i], reference.Wm, reference.Wc)
             sigma = np.sqrt(cov.diagonal())
@@ -86,17 +86,17 @@ def compare_sigma_points(scene: Any, refit: Any) -> Any:
 
 
 def compare_quadrature(
-    scene: Any, refit: Any, order: Any, samples: Any, seed: Any, progress: Any
+    example: Any, refit: Any, order: Any, samples: Any, seed: Any, progress: Any
 ) -> Any:
     """Return the (4,) largest differences of mean and of sigma from Monte Carlo [standard errors].
 
     The (L, 4, 4) covariances of the draws and the number of excluded draws are returned, too.
     """
-    mean, cov = Quadrature(order).moments(refit, scene.ego)
+    mean, cov = Quadrature(order).moments(refit, example.ego)
     sigma = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
     sums, products, excluded = np.zeros((4, *mean.shape)), np.zeros(cov.shape), 0
     for k in range(samples // CHUNK):
-        _, values, ill_posed = MonteCarlo(CHUNK, 10_000 * seed + k).samples(refit, scene.ego)
+        _, values, ill_posed = MonteCarlo(CHUNK, 10_000 * seed + k).samples(refit, example.ego)
         z = (values - mean) / sigma
         sums += [(z**power).sum(axis=0) for power in (1, 2, 3, 4)]
         products += np.einsum("nli,nlj->lij", z, z)
@@ -115,9 +115,9 @@ def compare_quadrature(
     return mean_off, sigma_off, true_cov, excluded
 
 
-def compare_mixture(scene: Any, refit: Any, true_cov: Any, k: Any) -> Any:
+def compare_mixture(example: Any, refit: Any, true_cov: Any, k: Any) -> Any:
     """Return the factors by which the mixture's worst variance and worst sigma are too small."""
-    weights, means, covs = Mixture(k).moments(refit, scene.ego)
+    weights, means, covs = Mixture(k).moments(refit, example.ego)
     d = means - np.tensordot(weights, means, 1)
     cov = np.tensordot(weights, covs + d[..., :, None] * d[..., None, :], 1)
     sigma = np.sqrt(np.diagonal(true_cov, axis1=-2, axis2=-1))
@@ -131,17 +131,17 @@ def evidence(order: Any, samples: Any, seed: Any) -> Any:
     """Return the figures of each scenario by name; lists of four are for y_off, beta, c0, c1."""
     result = {}
     with bar(samples * len(SCENARIOS), unit=" draws", leave=False) as progress:
-        for name, scene in SCENARIOS.items():
+        for name, example in SCENARIOS.items():
             progress.set_description(name)
-            refit = paper_refit(scene)
+            refit = paper_refit(example)
             mean, sigma, true_cov, excluded = compare_quadrature(
-                scene, refit, order, samples, seed, progress
+                example, refit, order, samples, seed, progress
             )
-            mixtures = [compare_mixture(scene, refit, true_cov, k) for k in range(2, 9)]
+            mixtures = [compare_mixture(example, refit, true_cov, k) for k in range(2, 9)]
             result[name] = {
-                "lines": len(scene.lines),
-                "refit": compare_refit(scene, refit, scene.ego.sample(POSES, seed)).tolist(),
-                "sigma points": compare_sigma_points(scene, refit),
+                "lines": len(example.lines),
+                "refit": compare_refit(example, refit, example.ego.sample(POSES, seed)).tolist(),
+                "sigma points": compare_sigma_points(example, refit),
                 "mean": mean.tolist(),
                 "sigma": sigma.tolist(),
                 "mixture variance": [variance for variance, _ in mixtures],

@@ -58,10 +58,10 @@ RFC_MESSAGE = bytes.fromhex(
 )
 
 
-def scene_lines() -> list[MapLine]:
-    """Return the eight lines of the scene "production"."""
-    scene = scenario("production")
-    return map_lines(scene.lines, scene.ego, window=scene.window)
+def scenario_lines() -> list[MapLine]:
+    """Return the eight lines of the scenario "production"."""
+    production = scenario("production")
+    return map_lines(production.lines, production.ego, window=production.window)
 
 
 @cache
@@ -70,10 +70,10 @@ def recorded(mac_bytes: int) -> tuple[Layout, list[Frame]]:
     layout = Layout.from_text(replace(SECURED, mac_bytes=mac_bytes).dbc())
     periods = count(START, 50 * MS)
     sender = Codec(layout, Authenticator(*keys(), clock=lambda: next(periods)))
-    scene = scene_lines()
+    lines = scenario_lines()
     frames: list[Frame] = []
     while len(frames) < RECORDED:
-        frames += [frame for line in sender.encode_lines(scene, fd=True) for frame in line]
+        frames += [frame for line in sender.encode_lines(lines, fd=True) for frame in line]
     return layout, frames
 
 
@@ -269,7 +269,7 @@ def speed(n: int) -> dict[str, int]:
     layout, _ = recorded(8)
     authenticator = Authenticator(Key(SECRET), clock=time.time_ns, window_ns=600 * 10**9)
     plain, secured = Codec(layout), Codec(layout, authenticator)
-    lines = scene_lines()
+    lines = scenario_lines()
     rates: dict[str, float] = {}
     for name, codec in (("plain", plain), ("authenticated", secured)) * 3:
         frames: list[Frame] = []

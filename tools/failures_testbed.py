@@ -31,8 +31,8 @@ from maplines_can.wire import Codec
 MAPLINES = [sys.executable, "-m", "maplines_can.cli"]
 #: Scene of the sender of each testbed.
 SCENE = "highway"
-SLOTS, PAGES = 4, 4  # lines of a scene, and frames of a line
-#: Slot of the line that is sent last; no scene in use has it.
+SLOTS, PAGES = 4, 4  # lines of a scenario, and frames of a line
+#: Slot of the line that is sent last; no scenario in use has it.
 LAST_SLOT = Slot.ROUTE
 #: How long to wait for an effect that must happen [s].
 TIMEOUT = 30.0
@@ -189,9 +189,9 @@ class ReceiverProcess(Process):
         goal = len(self.out) + lines
         self.wait_for(f"{lines} more lines", lambda: len(self.out) >= goal)
 
-    def wrong(self, scenes: Any) -> Any:
+    def wrong(self, scenarios: Any) -> Any:
         """Return the number of lines that were never sent or were delivered twice."""
-        known = set().union(*map(expected, scenes))
+        known = set().union(*map(expected, scenarios))
         lines = [line for _, line in self.out if line["slot"] != LAST_SLOT.name]
         twice = len(lines) - len({(line["slot"], line["t"]) for line in lines})
         return twice + sum(content(line) not in known for line in lines)
@@ -246,7 +246,7 @@ class Testbed:
 
     def __init__(self, row: Any, channel: str = "vcan0", *, fd: bool = False) -> None:
         self.row, self.channel, self.fd = row, channel, ["--fd"] * fd
-        self.scenes, self.senders, self.others = list[Any](), list[Any](), list[Any]()
+        self.scenarios, self.senders, self.others = list[Any](), list[Any](), list[Any]()
         self.frame_counter = FrameCounter(channel)
         self.killed = False
         self.extra_lines = 0  # sent by `drain`
@@ -276,12 +276,12 @@ class Testbed:
                 process.end(signal.SIGKILL)
             self.frame_counter.socket.close()
 
-    def send(self, scene: Any) -> Any:
+    def send(self, scenario: Any) -> Any:
         """Start a sender; return it and when it reported its start [s, monotonic]."""
         sender = Process(
-            *MAPLINES, "send", *self.on, "--scenario", scene, "--rate", "20", "--standstill"
+            *MAPLINES, "send", *self.on, "--scenario", scenario, "--rate", "20", "--standstill"
         )
-        self.scenes.append(scene)
+        self.scenarios.append(scenario)
         self.senders.append(sender)
         return sender, sender.wait_for_note("lines of")
 
@@ -312,7 +312,7 @@ class Testbed:
         self.extra_lines = self.drain()
         receiver.end()
         row.delivered, row.lost = receiver.figures(r"(\d+) lines from \d+ frames; (\d+) lines lost")
-        row.wrong = receiver.wrong(self.scenes)
+        row.wrong = receiver.wrong(self.scenarios)
         if row.delivered != len(receiver.out):
             row.problem = f"it counted {row.delivered} lines and printed {len(receiver.out)}"
         last_lines = sum(line["slot"] == LAST_SLOT.name for _, line in receiver.out)
@@ -352,11 +352,11 @@ class Testbed:
 
 @cache
 def expected(name: Any) -> Any:
-    """Return the contents that may be received of the lines of a scene."""
-    codec, scene = Codec.from_dbc(), scenario(name)
+    """Return the contents that may be received of the lines of a scenario."""
+    codec, example = Codec.from_dbc(), scenario(name)
     decoder, lines = codec.decoder(), set()
-    first = {slot: scene.lines[slot] for slot in list(scene.lines)[:4]}
-    for line in map_lines(first, scene.ego, window=scene.window):
+    first = {slot: example.lines[slot] for slot in list(example.lines)[:4]}
+    for line in map_lines(first, example.ego, window=example.window):
         for frame in codec.encode(line):
             result = decoder.feed(frame.can_id, frame.data, 0)
             if isinstance(result, MapLine):

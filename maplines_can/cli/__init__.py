@@ -25,14 +25,14 @@ __all__ = ["main"]
 #: Commands: module in this package, and one line of help. The module adds
 #: command X with its function ``add_X``.
 COMMANDS = {
-    "demo": ("demo", "send the lines of a scene over a bus, receive them and compare"),
-    "send": ("send", "send the lines of a scene until Ctrl-C"),
+    "demo": ("demo", "send a scenario over a bus, receive its lines, compare"),
+    "send": ("send", "send the lines of a scenario until Ctrl-C"),
     "receive": ("receive", "print the lines that arrive on a bus until Ctrl-C"),
     "decode": ("decode", "print the lines in a log file"),
     "map": ("map_info", "print what is in a map file, and draw it"),
     "drive": ("drive", "drive on a map, and send or record the lines around the car"),
     "consume": ("consume", "use received lines as a car does: fuse, steer, check"),
-    "scenarios": ("scenarios", "list the scenes that can be sent"),
+    "scenarios": ("scenarios", "list the scenarios that can be sent"),
     "design": ("design", "design a DBC for a number of frames or a limit on the error"),
     "accuracy": ("accuracy", "compare the received lines of a drive with the truth"),
     "claims": ("claims", "compare each representation of a line with Monte Carlo samples"),

@@ -33,7 +33,7 @@ def add_claims(commands: Any) -> None:
         action="append",
         choices=list(SCENARIOS),
         metavar="NAME",
-        help=f"scene: {', '.join(SCENARIOS)}; can be repeated (default: all)",
+        help=f"scenario: {', '.join(SCENARIOS)}; can be repeated (default: all)",
     )
     parser.add_argument(
         "--format",
@@ -46,10 +46,10 @@ def add_claims(commands: Any) -> None:
 
 
 def _claims(arguments: argparse.Namespace) -> int:
-    scenes = [scenario(name) for name in arguments.scenario or SCENARIOS]
+    scenarios = [scenario(name) for name in arguments.scenario or SCENARIOS]
     with progress_bar(" rows") as progress:
         rows = accuracy_table(
-            scenes,
+            scenarios,
             n=arguments.samples,
             seed=arguments.seed,
             codec=codec_from(arguments.dbc),

@@ -37,7 +37,7 @@ from .stderr import progress_bar
 PICTURES = (".png", ".svg", ".pdf")
 
 DESCRIPTION = """\
-Send the lines of a scene over a bus, receive them, and compare what was received with what was
+Send the lines of a scenario over a bus, receive them, and compare what was received with what was
 sent. Without further options the bus is within this process; no CAN hardware is needed."""
 
 LEGEND = """\
@@ -84,17 +84,17 @@ def add_demo(commands: Any) -> None:
 
 def _demo(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
-    scene = scenario(arguments.scenario)
+    sent = scenario(arguments.scenario)
     if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:
         raise ValueError(
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
     private = arguments.interface == "virtual" and arguments.channel is None
     bitrate, data_bitrate = bitrates(arguments)
-    rate = rate_of(scene, codec, arguments)
-    components = components_of(scene, codec, arguments, rate)
+    rate = rate_of(sent, codec, arguments)
+    components = components_of(sent, codec, arguments, rate)
     as_scene = sends_scenes(codec, arguments)
-    lines = lines_of(scene, components, arguments, as_scene=as_scene)
+    lines = lines_of(sent, components, arguments, as_scene=as_scene)
     bus = BusSettings(rate, bitrate, data_bitrate, None if private else bus_settings(arguments))
     shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     with progress_bar(" s", bar_format=shape, leave=False) as progress:
@@ -107,15 +107,15 @@ def _demo(arguments: argparse.Namespace) -> int:
             tick=lambda elapsed: progress(min(elapsed, arguments.seconds), arguments.seconds),
         )
     if arguments.plot:
-        draw_round_trip(trip, scene, arguments.plot)
+        draw_round_trip(trip, sent, arguments.plot)
     if arguments.json:
         scene_figures = {
             "components": components_dict(components),
             "left_out": {slot.name: reason.name for slot, reason in lines.left_out.items()},
         }
-        print(json.dumps({"scenario": scene.name} | trip.as_dict() | scene_figures, indent=2))
+        print(json.dumps({"scenario": sent.name} | trip.as_dict() | scene_figures, indent=2))
     else:
-        print(_text(trip, scene, lines, components if arguments.components != 1 else {}))
+        print(_text(trip, sent, lines, components if arguments.components != 1 else {}))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
     return 0 if all(line.mean is not None for line in trip.lines) else 1
@@ -123,14 +123,14 @@ def _demo(arguments: argparse.Namespace) -> int:
 
 def _text(
     trip: RoundTrip,
-    scene: Scenario,
+    scenario: Scenario,
     lines: MapLineList | Scene,
     components: Mapping[Slot, LineComponents],
 ) -> str:
     """Return the results as text: the lines, the counters and a legend."""
     texts = [components_text(components[line.slot]) for line in trip.true_lines if components]
     out = [
-        f"{scene.name}: {scene.about}",
+        f"{scenario.name}: {scenario.about}",
         f"{len(trip.lines)} lines over {trip.frame_format}, {trip.bus.rate:g} Hz, "
         f"{trip.seconds:.1f} s",
         "",

@@ -48,9 +48,9 @@ class Counters:
     def add(self, cycle: Cycle) -> None:
         """Count a cycle."""
         self.cycles += 1
-        self.lane_changes += cycle.scene.lane_changed
+        self.lane_changes += cycle.tracked.lane_changed
         self.slot_changes += len(cycle.changed) if self.cycles > 1 else 0
-        self.off_map += cycle.scene.match is None
+        self.off_map += cycle.tracked.match is None
         self.left_out.update(reason.name for reason in cycle.lines.left_out.values())
 
 
@@ -68,16 +68,16 @@ class TruthRecorder:
         """Write a cycle, and return whether the car is on the lane on which it believes to be."""
         from ..study.drives.truth import true_lines
 
-        scene = self._tracker.lines(state.pose)
+        tracked = self._tracker.lines(state.pose)
         cov = cycle.stated.cov
         row = [time, float(state.t), *state.pose.tolist(), float(state.speed)]
         row += [float(state.yaw_rate), *cycle.stated.mean.tolist()]
         row += [cov[i, j].item() for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
         self._writer.write(
-            [*row, scene.lane or "", cycle.scene.lane or "", float(cycle.scene.lane_changed)],
-            true_lines(scene.lines, self._slots, state.pose),
+            [*row, tracked.lane or "", cycle.tracked.lane or "", float(cycle.tracked.lane_changed)],
+            true_lines(tracked.lines, self._slots, state.pose),
         )
-        return scene.lane == cycle.scene.lane
+        return tracked.lane == cycle.tracked.lane
 
 
 @dataclass
@@ -134,8 +134,8 @@ class Drive:
                     step = step or self._transfer_time(cycle.lines)
                     transfers = (
                         self._line_transfers(cycle.lines, step)
-                        if cycle.joint is None
-                        else self._scene_transfers(cycle.joint, numbers)
+                        if cycle.scene is None
+                        else self._scene_transfers(cycle.scene, numbers)
                     )
                     for frames in transfers:
                         for frame in frames:
@@ -179,11 +179,11 @@ class Drive:
                         if transmitter.wait(max(-late, 0.0)):
                             break
                         cycle = self._cycle(t_ns, state)
-                        for slot in given - cycle.scene.lines.keys():
+                        for slot in given - cycle.tracked.lines.keys():
                             transmitter.retract(slot)
                         given = {line.slot for line in cycle.lines}
                         transmitter.publish(
-                            cycle.lines if cycle.joint is None else cycle.joint, t_ns
+                            cycle.lines if cycle.scene is None else cycle.scene, t_ns
                         )
                     transmitter.wait(self.period)
                 stats = transmitter.stats()

@@ -13,27 +13,27 @@ from .parsing import add_command
 
 def add_scenarios(commands: Any) -> None:
     """Add the command ``scenarios``."""
-    description = "List the scenes that 'send' and 'demo' can send."
+    description = "List the scenarios that 'send' and 'demo' can send."
     parser = add_command(
         commands, "scenarios", _scenarios, description, "maplines scenarios --json"
     )
-    add_json(parser, "the scenes")
+    add_json(parser, "the scenarios")
 
 
 def _scenarios(arguments: argparse.Namespace) -> int:
     if arguments.json:
         rows = [
             {
-                "name": scene.name,
-                "about": scene.about,
-                "ego_sigma": scene.ego.sigma.tolist(),
-                "window": scene.window,
-                "lines": [slot.name for slot in scene.lines],
+                "name": scenario.name,
+                "about": scenario.about,
+                "ego_sigma": scenario.ego.sigma.tolist(),
+                "window": scenario.window,
+                "lines": [slot.name for slot in scenario.lines],
             }
-            for scene in (SCENARIOS | STREETS).values()
+            for scenario in (SCENARIOS | STREETS).values()
         ]
         print(json.dumps(rows, indent=2))
     else:
-        for scene in (SCENARIOS | STREETS).values():
-            print(f"{scene.name:<20}{scene.about}")
+        for scenario in (SCENARIOS | STREETS).values():
+            print(f"{scenario.name:<20}{scenario.about}")
     return 0

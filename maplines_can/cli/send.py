@@ -48,13 +48,13 @@ from .stderr import note
 LEAST_RATE, MOST_RATE = 20.0, 50.0
 
 DESCRIPTION = f"""\
-Send the lines of a scene until Ctrl-C, each as a Gaussian over its lateral offset, heading,
+Send the lines of a scenario until Ctrl-C, each as a Gaussian over its lateral offset, heading,
 curvature and curvature rate. Then print the counters.
 
-The car drives along the road of the scene at {SPEED:g} m/s and weaves within its lane: its lateral
-offset is a sine with an amplitude of {AMPLITUDE:g} m and a period of {SINE_PERIOD:g} s. The lines
-are computed from each new pose, at --rate, but at least {LEAST_RATE:g} and at most {MOST_RATE:g}
-times a second."""
+The car drives along the road of the scenario at {SPEED:g} m/s and weaves within its lane: its
+lateral offset is a sine with an amplitude of {AMPLITUDE:g} m and a period of {SINE_PERIOD:g} s.
+The lines are computed from each new pose, at --rate, but at least {LEAST_RATE:g} and at most
+{MOST_RATE:g} times a second."""
 
 
 def add_send(commands: Any) -> None:
@@ -73,7 +73,7 @@ def add_send(commands: Any) -> None:
     parser.add_argument(
         "--standstill",
         action="store_true",
-        help="keep the car at the pose of the scene: only the age of the lines changes",
+        help="keep the car at the pose of the scenario: only the age of the lines changes",
     )
     add_faults(parser)
     add_json(parser, "the counters")
@@ -81,11 +81,11 @@ def add_send(commands: Any) -> None:
 
 def _send(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
-    scene = scenario(arguments.scenario)
-    rate = rate_of(scene, codec, arguments)
-    components = components_of(scene, codec, arguments, rate)
+    sent = scenario(arguments.scenario)
+    rate = rate_of(sent, codec, arguments)
+    components = components_of(sent, codec, arguments, rate)
     as_scene = sends_scenes(codec, arguments)
-    lines = lines_of(scene, components, arguments, as_scene=as_scene)
+    lines = lines_of(sent, components, arguments, as_scene=as_scene)
     opener = fault_opener(arguments)
     with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
@@ -109,7 +109,7 @@ def _send(arguments: argparse.Namespace) -> int:
                         note(left_out_text(lines.left_out))
                     if unfit := unfit_slots(codec, lines, fd=arguments.fd):
                         note(unfit_text(unfit))
-                _publish(transmitter, lines, scene, components, arguments, rate)
+                _publish(transmitter, lines, sent, components, arguments, rate)
         except KeyboardInterrupt:
             pass
         stats, faults = transmitter.stats(), fault_counts(opener)
@@ -138,7 +138,7 @@ def _send(arguments: argparse.Namespace) -> int:
 def _publish(
     transmitter: Transmitter,
     lines: MapLineList | Scene,
-    scene: Scenario,
+    scenario: Scenario,
     components: Mapping[Slot, LineComponents],
     arguments: argparse.Namespace,
     rate: float,
@@ -153,8 +153,8 @@ def _publish(
         now, t_pose_ns = time.monotonic(), time.time_ns()
         if schedule.take(now):
             if not arguments.standstill:
-                ego = weaving_ego(scene, now - start)
-                lines = lines_of(scene, components, arguments, ego, as_scene=as_scene)
+                ego = weaving_ego(scenario, now - start)
+                lines = lines_of(scenario, components, arguments, ego, as_scene=as_scene)
             transmitter.publish(lines, t_pose_ns)
         after = time.monotonic()
         # At least half of the time is left to the transmitter's thread.

@@ -29,8 +29,8 @@ from .scene_sending import add_pose_error, check_scene_load, sends_scenes
 MAX_LOAD = 0.3
 #: Rate of each line if neither --rate nor the DBC states it [1/s].
 DEFAULT_RATE = 20.0
-#: Speed of the car of a scene along its road [m/s], and the lateral sine by which it weaves within
-#: its lane: amplitude [m] and period [s].
+#: Speed of the car of a scenario along its road [m/s], and the lateral sine by which it weaves
+#: within its lane: amplitude [m] and period [s].
 SPEED, AMPLITUDE, SINE_PERIOD = 10.0, 0.3, 10.0
 
 
@@ -44,21 +44,21 @@ class LineComponents:
 
 
 def add_sending(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the lines: scene, number, rate, components and map error."""
+    """Add the options of the lines: scenario, number, rate, components and map error."""
     add = parser.add_argument
     add(
         "--scenario",
         default="production",
         choices=list(SCENARIOS | STREETS),
         metavar="NAME",
-        help=f"scene to send: {', '.join(SCENARIOS | STREETS)} (default: production)",
+        help=f"scenario to send: {', '.join(SCENARIOS | STREETS)} (default: production)",
     )
     add(
         "--lines",
         type=number(int, 1, 8),
         default=4,
         metavar="N",
-        help="send the first N lines of the scene, 1 to 8 (default: 4)",
+        help="send the first N lines of the scenario, 1 to 8 (default: 4)",
     )
     add(
         "--rate",
@@ -107,7 +107,7 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
 
 
 def first_lines(scenario: Scenario, lines: int) -> dict[Slot, Polyline]:
-    """Return the first lines of a scene."""
+    """Return the first lines of a scenario."""
     return dict(islice(scenario.lines.items(), lines))
 
 
@@ -159,17 +159,17 @@ def lines_of(
     *,
     as_scene: bool = False,
 ) -> MapLineList | Scene:
-    """Return the lines as seen from a pose; by default, the pose of the scene.
+    """Return the lines as seen from a pose; by default, that of the scenario.
 
     Args:
-        scenario: the scene.
+        scenario: the scenario.
         components: of each line.
         arguments: options of the lines.
-        ego: the pose; None for that of the scene.
+        ego: the pose; None for that of the scenario.
         as_scene: return a ``Scene``, with their joint covariance.
 
     Raises:
-        ValueError: all lines are left out as seen from the pose of the scene.
+        ValueError: all lines are left out as seen from the pose of the scenario.
     """
     first, pose = first_lines(scenario, arguments.lines), scenario.ego if ego is None else ego
     window, map_error = scenario.window, map_error_of(arguments)
@@ -203,7 +203,7 @@ def weaving_ego(scenario: Scenario, t: float) -> Gaussian:
     """Return the pose at time t [s] of a car that weaves within its lane at ``SPEED``.
 
     Its offset to the left is a sine, and its heading relative to the road is the slope of its path.
-    The road ahead stays that of the scene, as it does on a straight or circular road.
+    The road ahead stays that of the scenario, as it does on a straight or circular road.
 
     >>> weaving_ego(SCENARIOS["production"], 2.5).mean.round(9)  # at the end to the left
     array([0. , 0.3, 0. ])
@@ -234,9 +234,9 @@ def choose_components(
     """Choose the number of mixture components of each line within a bus load.
 
     Args:
-        scenario: the scene.
+        scenario: the scenario.
         codec: codec of the sender.
-        lines: number of lines, the first of the scene.
+        lines: number of lines, the first of the scenario.
         components: of every line; "auto": as many as the nonlinearity of each line needs.
         rate: how often each line is sent [1/s].
         fd: whether the frames are CAN FD.
@@ -247,19 +247,19 @@ def choose_components(
     Raises:
         ValueError: the lines exceed the limit, for "auto" even with one component each.
     """
-    scene = first_lines(scenario, lines)
+    first = first_lines(scenario, lines)
     least = 1 if components == "auto" else components
     if components == "auto" and max_load is None:
         max_load = MAX_LOAD
     budget = component_budget(
-        codec, scene, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
+        codec, first, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
     )
-    amounts = [line_nonlinearity(line, scenario.ego, scenario.window) for line in scene.values()]
+    amounts = [line_nonlinearity(line, scenario.ego, scenario.window) for line in first.values()]
     auto = components == "auto"
-    counts = component_counts(amounts, budget=budget) if auto else [least] * len(scene)
+    counts = component_counts(amounts, budget=budget) if auto else [least] * len(first)
     return {
         slot: LineComponents(k, amount, remaining_nonlinearity(amount, k))
-        for slot, k, amount in zip(scene, counts, amounts, strict=True)
+        for slot, k, amount in zip(first, counts, amounts, strict=True)
     }
 
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
 from ..line import MapLineList, Slot
-from ..maps import LaneTracker, Map, Route, Scene
+from ..maps import LaneTracker, Map, Route, TrackedLines
 from ..polyline import Polyline
 from ..propagation import MapError, map_lines, map_scene
 from ..propagation.refit import MAX_MISFIT
-from ..scene import Scene as LineScene
+from ..scene import Scene
 
 #: Number of mixture components of each line, from the lines of the map and the stated pose.
 ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
@@ -28,11 +28,11 @@ class Cycle(NamedTuple):
 
     t: float  #: time [s]
     stated: Gaussian  #: over the pose x [m], y [m], heading [rad] in the map frame
-    scene: Scene  #: lines of the map around the stated pose
+    tracked: TrackedLines  #: lines of the map around the stated pose
     lines: MapLineList  #: lines as the car knows them, and those that are left out
     changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
     #: the lines with their joint covariance, if the source was asked for it
-    joint: LineScene | None = None
+    scene: Scene | None = None
 
 
 class LineSource:
@@ -61,7 +61,7 @@ class LineSource:
     >>> found = maps.Map({"1": lane}, {"A": maps.Road("A", "", 300.0, ("1",))})
     >>> source = LineSource(found, PoseSource((0.3, 0.1, 0.002)).pose)
     >>> cycle = source.cycle(0.0, np.array([100.0, 1.75, 0.0]))
-    >>> [line.slot.name for line in cycle.lines], cycle.scene.lane
+    >>> [line.slot.name for line in cycle.lines], cycle.tracked.lane
     (['EGO_LEFT', 'EGO_RIGHT'], '1')
     """
 
@@ -98,11 +98,11 @@ class LineSource:
             ValueError: a value is not finite, or the time is not later.
         """
         stated = self._stated(t, true_pose)
-        scene = self._tracker.lines(stated.mean)
-        chosen = {slot: line for slot, line in scene.lines.items() if slot in self._slots}
-        own, time, changed = self._components, self._correlation_time, scene.changed & self._slots
+        tracked = self._tracker.lines(stated.mean)
+        chosen = {slot: line for slot, line in tracked.lines.items() if slot in self._slots}
+        own, time, changed = self._components, self._correlation_time, tracked.changed & self._slots
         if time is not None:
-            joint = map_scene(
+            scene = map_scene(
                 chosen,
                 stated,
                 correlation_time=time() if callable(time) else time,
@@ -110,8 +110,8 @@ class LineSource:
                 map_error=self._map_error,
                 max_misfit=self._max_misfit,
             )
-            lines = MapLineList(joint.lines, joint.left_out)
-            return Cycle(t, stated, scene, lines, changed, joint)
+            lines = MapLineList(scene.lines, scene.left_out)
+            return Cycle(t, stated, tracked, lines, changed, scene)
         lines = map_lines(
             chosen,
             stated,
@@ -120,4 +120,4 @@ class LineSource:
             max_misfit=self._max_misfit,
             components=own(chosen, stated) if callable(own) else own,
         )
-        return Cycle(t, stated, scene, lines, changed)
+        return Cycle(t, stated, tracked, lines, changed)

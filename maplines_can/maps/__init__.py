@@ -7,7 +7,7 @@ from .model import Lane, LaneType, Map, Road, Skipped
 from .routing import LaneChange, Route
 from .tour import random_tour
 from .town import town_path, town_tour
-from .tracking import LaneTracker, Scene
+from .tracking import LaneTracker, TrackedLines
 from .view import link_gaps
 
 __all__ = [
@@ -21,8 +21,8 @@ __all__ = [
     "Map",
     "Road",
     "Route",
-    "Scene",
     "Skipped",
+    "TrackedLines",
     "link_gaps",
     "load",
     "random_tour",

@@ -32,7 +32,7 @@ MOST_BEHIND = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Scene:
+class TrackedLines:
     """Lines around a car in one cycle.
 
     Args:
@@ -101,7 +101,7 @@ class LaneTracker:
         self._crossing: tuple[float, float] | None = None  # where it left its lane
         self._progress = 0  # index of the last lane of the route
 
-    def lines(self, pose: ArrayLike) -> Scene:
+    def lines(self, pose: ArrayLike) -> TrackedLines:
         """Return the lines around the car at its next pose: see ``Map.lines``.
 
         Args:
@@ -115,20 +115,20 @@ class LaneTracker:
         if match is None:
             self._track = None
             gone = frozenset(last.lines if last else ())
-            return Scene({}, None, lane_changed=last is not None, changed=gone)
+            return TrackedLines({}, None, lane_changed=last is not None, changed=gone)
         key = Key(match.lane, match.is_against)
         if last is not None and key == last.key:
-            return Scene(last.lines, match)
+            return TrackedLines(last.lines, match)
         track = self._track = self._entered(key, last)
         if last is None:
-            return Scene(track.lines, match, changed=frozenset(track.lines))
+            return TrackedLines(track.lines, match, changed=frozenset(track.lines))
         changed = frozenset(
             slot
             for slot in last.lines.keys() | track.lines.keys()
             if not _is_continued(slot, last, track)
         )
         lane_changed = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= changed
-        return Scene(track.lines, match, lane_changed, changed)
+        return TrackedLines(track.lines, match, lane_changed, changed)
 
     def _choose(self, pose: NDArray[np.float64]) -> LaneMatch | None:
         """Return the match that the car has now."""

@@ -1,4 +1,4 @@
-"""Lines of the map around a lane, each continued ahead and behind, by the slots of a scene."""
+"""Lines of the map around a lane, each continued ahead and behind, by slot."""
 
 from __future__ import annotations
 

@@ -199,9 +199,9 @@ def on_map(
 
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
         cycle = source.cycle(t, pose)
-        lane = cycle.scene.lane
+        lane = cycle.tracked.lane
         limit = None if lane is None else found.lanes[lane].speed_limit
-        return Seen(cycle.stated, cycle.joint, limit or DEFAULT_SPEED)
+        return Seen(cycle.stated, cycle.scene, limit or DEFAULT_SPEED)
 
     return ClosedLoop(route.line, seen, (route.start, route.goal), changes)
 

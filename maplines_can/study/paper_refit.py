@@ -1,4 +1,4 @@
-"""The fit of the paper, for the scenes of the paper."""
+"""The fit of the paper, for the scenarios of the paper."""
 
 from __future__ import annotations
 
@@ -15,27 +15,29 @@ PAPER: dict[str, Any] = {"max_misfit": math.inf, "max_turn": math.radians(80.0)}
 
 
 def paper_refit(
-    scene: Scenario, slot: Slot | None = None, map_error: MapError | None = None
+    scenario: Scenario, slot: Slot | None = None, map_error: MapError | None = None
 ) -> Refit:
-    """Return the function from a pose to the lines of a scene, as the paper fits them.
+    """Return the function from a pose to the lines of a scenario, as the paper fits them.
 
     Its covariance has the error of the pose (and of the map), as in the paper's figures, but not
     the deviation of the cubic from the line. Lines that are sent are those of ``map_lines``.
 
     Args:
-        scene: the scene.
-        slot: the line; None for all lines of the scene.
+        scenario: the scenario.
+        slot: the line; None for all lines of the scenario.
         map_error: error of the map.
 
     Raises:
-        ValueError: the scene has no such line.
+        ValueError: the scenario has no such line.
         IllPosedError: a line is not in the window, or is nearly perpendicular to the x axis.
     """
     if slot is None:
-        return Refit(list(scene.lines.values()), scene.ego.mean, scene.window, map_error, **PAPER)
-    if slot not in scene.lines:
-        raise ValueError(
-            f"scenario {scene.name!r} has no line {slot.name}; "
-            f"there are {', '.join(each.name for each in scene.lines)}"
+        return Refit(
+            list(scenario.lines.values()), scenario.ego.mean, scenario.window, map_error, **PAPER
         )
-    return Refit(scene.lines[slot], scene.ego.mean, scene.window, map_error, **PAPER)
+    if slot not in scenario.lines:
+        raise ValueError(
+            f"scenario {scenario.name!r} has no line {slot.name}; "
+            f"there are {', '.join(each.name for each in scenario.lines)}"
+        )
+    return Refit(scenario.lines[slot], scenario.ego.mean, scenario.window, map_error, **PAPER)

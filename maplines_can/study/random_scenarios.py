@@ -1,4 +1,4 @@
-"""Random scenes, from motorway to street turn."""
+"""Random scenarios, from motorway to street turn."""
 
 from __future__ import annotations
 

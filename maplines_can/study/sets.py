@@ -86,28 +86,28 @@ def adversarial(n: int, seed: int | Sequence[int] = 0, at_limit_share: float = 0
 
 
 def _small_set(n: int, seed: int, with_map_error: bool) -> Gaussians:
-    scenes = chain(SCENARIOS.values(), random_scenarios(2 * n, seed))
-    return _lines_of_scenes(scenes, n, np.random.default_rng([seed, 1]), with_map_error)
+    scenarios = chain(SCENARIOS.values(), random_scenarios(2 * n, seed))
+    return _lines_of_scenarios(scenarios, n, np.random.default_rng([seed, 1]), with_map_error)
 
 
-def _lines_of_scenes(
-    scenes: Iterable[Scenario], n: int, rng: np.random.Generator, with_map_error: bool
+def _lines_of_scenarios(
+    scenarios: Iterable[Scenario], n: int, rng: np.random.Generator, with_map_error: bool
 ) -> Gaussians:
-    """Return the first n lines of scenes; a scene with a line across the car is skipped."""
+    """Return the first n lines of scenarios; a scenario with a line across the car is skipped."""
     means: list[Array] = []
     covs: list[Array] = []
-    for scene in scenes:
+    for scenario in scenarios:
         if len(means) >= n:
             break
         try:
             if with_map_error:
                 point_sigma, offset_sigma = 10 ** rng.uniform(np.log10(0.02), np.log10(0.2), size=2)
                 error = MapError(point_sigma, offset_sigma, heading_sigma=np.radians(0.05))
-                lines = list(scene.lines.values())
-                refit = Refit(lines, scene.ego.mean, scene.window, error)
+                lines = list(scenario.lines.values())
+                refit = Refit(lines, scenario.ego.mean, scenario.window, error)
             else:
-                refit = paper_refit(scene)
-            mean, cov = SigmaPoints().moments(refit, scene.ego)
+                refit = paper_refit(scenario)
+            mean, cov = SigmaPoints().moments(refit, scenario.ego)
         except IllPosedError:
             continue
         means += list(mean)
@@ -137,7 +137,7 @@ def drawn_chunk(name: str, seed: int, index: int, size: int) -> Gaussians:
     rng = np.random.default_rng(rng_seed)
     with_map_error = name == "road"
     fixed = SCENARIOS.values() if index == 0 else ()
-    means, covs = _lines_of_scenes(fixed, size, rng, with_map_error)
+    means, covs = _lines_of_scenarios(fixed, size, rng, with_map_error)
     while len(means) < size:
         missing = size - len(means)
         roads = random_roads(missing, rng, with_map_error=with_map_error)

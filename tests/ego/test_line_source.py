@@ -35,14 +35,14 @@ def test_the_lane_is_that_of_the_stated_pose() -> None:
         return Gaussian(pose + np.array([0.0, 3.5, 0.0]), EXACT)
 
     cycle = LineSource(ROWS, displaced).cycle(0.0, pose_on(ROWS.lanes["r"], 50.0))
-    assert cycle.scene.lane == "l"
+    assert cycle.tracked.lane == "l"
     assert cycle.lines[0].gaussian.mean[0] == pytest.approx(1.75)
 
 
 def test_a_lane_change_is_told() -> None:
     source = LineSource(ROWS, exact)
     cycles = [source.cycle(s / 10, pose_on(ROWS.lanes["r"], 20 + s, s / 10)) for s in range(36)]
-    (k,) = [i for i, cycle in enumerate(cycles) if cycle.scene.lane_changed]
+    (k,) = [i for i, cycle in enumerate(cycles) if cycle.tracked.lane_changed]
     assert {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= cycles[k].changed
     assert k == 21  # more than 0.3 m beyond the boundary
 
@@ -72,7 +72,7 @@ def test_lines_that_cannot_be_given_have_a_reason() -> None:
 def test_off_the_map_there_are_no_lines() -> None:
     cycle = LineSource(ROWS, exact).cycle(0.0, np.array([1e4, 0.0, 0.0]))
     assert not cycle.lines
-    assert cycle.scene.match is None
+    assert cycle.tracked.match is None
 
 
 def test_with_a_correlation_time_a_cycle_has_the_joint_covariance() -> None:
@@ -80,13 +80,13 @@ def test_with_a_correlation_time_a_cycle_has_the_joint_covariance() -> None:
     pose = pose_on(ROWS.lanes["r"], 50.0)
     source = LineSource(ROWS, exact, correlation_time=3.0)
     cycle = source.cycle(0.0, pose)
-    assert cycle.joint is not None
-    assert list(cycle.joint.lines) == cycle.lines
-    assert cycle.joint.pose_error.correlation_time == 3.0
+    assert cycle.scene is not None
+    assert list(cycle.scene.lines) == cycle.lines
+    assert cycle.scene.pose_error.correlation_time == 3.0
     assert len(cycle.lines) == len(LineSource(ROWS, exact).cycle(0.0, pose).lines) > 0
     off = source.cycle(0.05, pose + np.array([0.0, 500.0, 0.0]))
-    assert off.joint is not None
-    assert (off.joint.lines, off.lines) == ((), [])
-    assert LineSource(ROWS, exact).cycle(0.0, pose).joint is None
+    assert off.scene is not None
+    assert (off.scene.lines, off.lines) == ((), [])
+    assert LineSource(ROWS, exact).cycle(0.0, pose).scene is None
     with pytest.raises(ValueError, match="components must be 1 with a correlation_time"):
         LineSource(ROWS, exact, components=2, correlation_time=3.0)

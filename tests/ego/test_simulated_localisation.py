@@ -83,8 +83,8 @@ def test_the_stated_pose_drives_a_line_source() -> None:
     )
     for t in np.arange(0.1, 6.0, 0.05):
         cycle = lines.cycle(t, DRIVE.at(t).pose)
-    assert cycle.joint is not None
-    error = cycle.joint.pose_error
+    assert cycle.scene is not None
+    error = cycle.scene.pose_error
     assert error.correlation_time == source.correlation_time < 60
     assert np.sqrt(error.cov.diagonal())[1] == pytest.approx(cycle.stated.sigma[1], rel=1e-3)
     assert cycle.stated.sigma[1] < 0.1

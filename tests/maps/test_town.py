@@ -219,12 +219,12 @@ def test_a_drive_has_left_lines_on_the_left_and_changes_lanes_where_the_route_do
     tracker = LaneTracker(town, tour)
     changes = 0
     for k, pose in enumerate(drive.at(drive.times(5.0)).pose):
-        scene = tracker.lines(pose)
-        assert scene.match is not None
-        assert scene.match.lane in tour.lane_set
-        changes += k > 0 and scene.lane_changed
+        tracked = tracker.lines(pose)
+        assert tracked.match is not None
+        assert tracked.match.lane in tour.lane_set
+        changes += k > 0 and tracked.lane_changed
         for slot, side in ((Slot.EGO_LEFT, 1), (Slot.EGO_RIGHT, -1)):
-            assert side * offset(scene.lines[slot].points, pose) > -0.35, (pose, slot)
+            assert side * offset(tracked.lines[slot].points, pose) > -0.35, (pose, slot)
 
     assert changes == len(tour.changes)
 

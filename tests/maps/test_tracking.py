@@ -12,7 +12,7 @@ from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 from numpy.typing import ArrayLike
 
 from maplines_can.line import Slot
-from maplines_can.maps import LaneTracker, Map, Route, Scene
+from maplines_can.maps import LaneTracker, Map, Route, TrackedLines
 from maplines_can.polyline import Polyline
 
 CROSSING = crossing()
@@ -33,8 +33,8 @@ def two_lanes(sections: int = 5) -> Map:
 ROAD = two_lanes()
 
 
-def drive(found: Map, poses: Iterable[ArrayLike], route: Route | None = None) -> list[Scene]:
-    """Return the scenes along a drive."""
+def drive(found: Map, poses: Iterable[ArrayLike], route: Route | None = None) -> list[TrackedLines]:
+    """Return the tracked lines along a drive."""
     tracker = LaneTracker(found, route)
     return [tracker.lines(pose) for pose in poses]
 
@@ -48,51 +48,51 @@ def along(line: Polyline, step: float = 1.0) -> list[np.ndarray]:
 
 def test_the_first_cycle_has_new_lines_and_no_lane_change() -> None:
     """All of its slots are new."""
-    (scene,) = drive(ROAD, [(5.0, 1.0, 0.0)])
+    (each,) = drive(ROAD, [(5.0, 1.0, 0.0)])
 
-    assert scene.lane == "01"
-    assert not scene.lane_changed
-    assert scene.changed == set(scene.lines)
+    assert each.lane == "01"
+    assert not each.lane_changed
+    assert each.changed == set(each.lines)
 
 
 def test_straight_on_nothing_changes() -> None:
     """Across the ends of sections, the lines are physically the same."""
-    scenes = drive(ROAD, [(x, 1.0, 0.0) for x in np.arange(1.0, 299.0)])
+    tracked = drive(ROAD, [(x, 1.0, 0.0) for x in np.arange(1.0, 299.0)])
 
-    assert {scene.lane for scene in scenes} == {f"{k}1" for k in range(5)}
-    assert not any(scene.lane_changed or scene.changed for scene in scenes[1:])
+    assert {each.lane for each in tracked} == {f"{k}1" for k in range(5)}
+    assert not any(each.lane_changed or each.changed for each in tracked[1:])
 
 
 @pytest.mark.parametrize(("sign", "slots"), [(1, "left"), (-1, "right")])
 def test_a_lane_change_changes_all_slots_of_the_lane_in_one_cycle(sign: int, slots: str) -> None:
     """When the car is 0.3 m beyond the boundary."""
     t = -sign * WIDTH / 2 + sign * WIDTH * np.linspace(0, 1, 81)
-    scenes = drive(ROAD, [(20.0 + i, y, 0.05 * sign) for i, y in enumerate(t)])
+    tracked = drive(ROAD, [(20.0 + i, y, 0.05 * sign) for i, y in enumerate(t)])
 
-    changes = [i for i, scene in enumerate(scenes) if scene.lane_changed]
+    changes = [i for i, each in enumerate(tracked) if each.lane_changed]
     assert len(changes) == 1
     (at,) = changes
     assert 0.3 <= sign * t[at] < 0.3 + WIDTH / 80 + 1e-9
-    assert {*EGO, Slot.CENTRE} <= scenes[at].changed
-    assert not any(scene.changed for i, scene in enumerate(scenes) if i not in (0, at))
+    assert {*EGO, Slot.CENTRE} <= tracked[at].changed
+    assert not any(each.changed for i, each in enumerate(tracked) if i not in (0, at))
     assert slots == ("left" if sign > 0 else "right")
 
 
 def test_the_edges_remain_in_a_lane_change() -> None:
     """They are the same lines before and after it."""
-    scenes = drive(ROAD, [(20.0, -1.0, 0.0), (25.0, 1.0, 0.0)])
+    tracked = drive(ROAD, [(20.0, -1.0, 0.0), (25.0, 1.0, 0.0)])
 
-    assert scenes[1].lane_changed
-    assert not {Slot.EDGE_LEFT, Slot.EDGE_RIGHT} & scenes[1].changed
+    assert tracked[1].lane_changed
+    assert not {Slot.EDGE_LEFT, Slot.EDGE_RIGHT} & tracked[1].changed
 
 
 @given(st.lists(st.floats(-0.29, 0.29), min_size=2, max_size=30))
 def test_a_car_on_the_boundary_keeps_its_lane(t: list[float]) -> None:
     """Noise of less than 0.3 m changes nothing, wherever it began."""
-    scenes = drive(ROAD, [(30.0 + 0.1 * i, y, 0.0) for i, y in enumerate(t)])
+    tracked = drive(ROAD, [(30.0 + 0.1 * i, y, 0.0) for i, y in enumerate(t)])
 
-    assert len({scene.lane for scene in scenes}) == 1
-    assert not any(scene.lane_changed for scene in scenes)
+    assert len({each.lane for each in tracked}) == 1
+    assert not any(each.lane_changed for each in tracked)
 
 
 def test_a_car_a_little_beyond_the_boundary_changes_after_10_m() -> None:
@@ -102,7 +102,7 @@ def test_a_car_a_little_beyond_the_boundary_changes_after_10_m() -> None:
     driving = drive(ROAD, [start, *[(25.0 + 0.5 * i, 0.1, 0.0) for i in range(40)]])
 
     assert standing[-1].lane == "02"
-    assert [i for i, scene in enumerate(driving) if scene.lane_changed] == [21]
+    assert [i for i, each in enumerate(driving) if each.lane_changed] == [21]
 
 
 @pytest.mark.parametrize("start", ["in0", "in1", "in2", "in3"])
@@ -111,49 +111,49 @@ def test_a_crossing_on_a_route_is_no_lane_change(start: str, turn: int) -> None:
     """Straight on and at turns; only the slots that end or begin at the crossing change."""
     goal = f"out{(int(start[2:]) + turn) % 4}"
     route = CROSSING.route(start, goal)
-    scenes = drive(CROSSING, along(route.line), route)
+    tracked = drive(CROSSING, along(route.line), route)
 
-    lanes = list(dict.fromkeys(scene.lane for scene in scenes))
+    lanes = list(dict.fromkeys(each.lane for each in tracked))
     assert lanes == list(route.lanes)
-    assert not any(scene.lane_changed for scene in scenes)
-    assert not any(scene.changed & {*EGO, Slot.CENTRE, Slot.ROUTE} for scene in scenes[1:])
+    assert not any(each.lane_changed for each in tracked)
+    assert not any(each.changed & {*EGO, Slot.CENTRE, Slot.ROUTE} for each in tracked[1:])
 
 
 def test_the_way_behind_is_the_one_driven() -> None:
     """After a turn, the lines behind lead back around the corner."""
     route = CROSSING.route("in0", "out1")
-    scenes = drive(CROSSING, along(route.line))  # without the route
+    tracked = drive(CROSSING, along(route.line))  # without the route
 
     corner = CROSSING.lanes["0>1"].left.points
-    line = scenes[-60].lines[Slot.EGO_LEFT]
-    assert scenes[-60].lane == "out1"
+    line = tracked[-60].lines[Slot.EGO_LEFT]
+    assert tracked[-60].lane == "out1"
     assert np.hypot(*(line.points - corner[len(corner) // 2]).T).min() < 1e-6
 
 
 def test_a_turn_that_was_not_expected_is_one_lane_change() -> None:
     """Without the route, the car is expected straight on until its direction shows the turn."""
     route = CROSSING.route("in0", "out3")
-    scenes = drive(CROSSING, along(route.line))
+    tracked = drive(CROSSING, along(route.line))
 
-    changes = [scene for scene in scenes if scene.lane_changed]
+    changes = [each for each in tracked if each.lane_changed]
     assert len(changes) == 1
     assert changes[0].lane == "0>3"
-    assert scenes[-1].lane == "out3"
+    assert tracked[-1].lane == "out3"
 
 
 def test_around_the_ring_and_out() -> None:
     """A roundabout on a route has no lane change, also where the route returns to its start."""
     route = RING.route("in0", "out3")
-    scenes = drive(RING, along(route.line), route)
+    tracked = drive(RING, along(route.line), route)
 
-    assert not any(scene.lane_changed for scene in scenes)
-    assert scenes[-1].lane == "out3"
-    assert all(Slot.ROUTE in scene.lines for scene in scenes)
+    assert not any(each.lane_changed for each in tracked)
+    assert tracked[-1].lane == "out3"
+    assert all(Slot.ROUTE in each.lines for each in tracked)
     first = RING.lanes["ring0"]
     route = RING.route(pose_on(first, 20.0), pose_on(first, 10.0))
-    scenes = drive(RING, along(route.line)[20:], route)
-    assert len(scenes) > 120
-    assert not any(scene.lane_changed for scene in scenes)
+    tracked = drive(RING, along(route.line)[20:], route)
+    assert len(tracked) > 120
+    assert not any(each.lane_changed for each in tracked)
 
 
 def test_a_lane_that_ends_is_left() -> None:
@@ -166,10 +166,10 @@ def test_a_lane_that_ends_is_left() -> None:
         rows=["1 2"],
     )
     t = np.linspace(-WIDTH / 2, WIDTH / 2, 100)
-    scenes = drive(found, [(5.0 + i, y, 0.035) for i, y in enumerate(t)])
+    tracked = drive(found, [(5.0 + i, y, 0.035) for i, y in enumerate(t)])
 
-    assert [scene.lane for scene in scenes if scene.lane_changed] == ["1"]
-    assert scenes[-1].lane == "3"
+    assert [each.lane for each in tracked if each.lane_changed] == ["1"]
+    assert tracked[-1].lane == "3"
 
 
 def test_lanes_that_merge_and_split() -> None:
@@ -185,20 +185,20 @@ def test_lanes_that_merge_and_split() -> None:
     for lanes, changes in (("ramp b c", 0), ("a b c", 0), ("a b exit", 1)):
         names = lanes.split()
         poses = [pose for name in names for pose in along(found.lanes[name].centre)]
-        scenes = drive(found, poses)
+        tracked = drive(found, poses)
         on_route = drive(found, poses, found.route(names[0], names[-1]))
 
-        assert sum(scene.lane_changed for scene in scenes) == changes
-        assert sum(scene.lane_changed for scene in on_route) == 0
-        assert scenes[-1].lane == names[-1]
+        assert sum(each.lane_changed for each in tracked) == changes
+        assert sum(each.lane_changed for each in on_route) == 0
+        assert tracked[-1].lane == names[-1]
 
 
 def test_off_the_map_and_back() -> None:
     """There are no lines off the map; afterwards they are new."""
-    scenes = drive(
+    tracked = drive(
         ROAD, [(20.0, 1.0, 0.0), (20.0, 500.0, 0.0), (21.0, 500.0, 0.0), (20.0, 1.0, 0.0)]
     )
-    on, off, still_off, back = scenes
+    on, off, still_off, back = tracked
 
     assert (off.lines, off.lane, off.lane_changed) == ({}, None, True)
     assert off.changed == set(on.lines)
@@ -210,9 +210,9 @@ def test_off_the_map_and_back() -> None:
 def test_a_jump_to_another_road_is_a_lane_change() -> None:
     """All slots change."""
     one = CROSSING.lanes["in0"]
-    scenes = drive(CROSSING, [pose_on(one, 10.0), pose_on(CROSSING.lanes["in1"], 60.0)])
+    tracked = drive(CROSSING, [pose_on(one, 10.0), pose_on(CROSSING.lanes["in1"], 60.0)])
 
-    assert scenes[1].lane_changed
+    assert tracked[1].lane_changed
 
 
 @settings(max_examples=25)
@@ -222,14 +222,14 @@ def test_lines_that_have_not_changed_are_where_they_were(seed: int, left_to_righ
     rng = np.random.default_rng(seed)
     route = ROAD.route(*(("01", "42") if left_to_right else ("02", "41")))
     poses = [pose + rng.normal(0, [0.1, 0.1, 0.01]) for pose in along(route.line)]
-    scenes = drive(ROAD, poses, route)
+    tracked = drive(ROAD, poses, route)
 
-    for before, after in pairwise(scenes):
+    for before, after in pairwise(tracked):
         for slot in before.lines.keys() & after.lines.keys() - after.changed - {Slot.ROUTE}:
-            ys = [scene.lines[slot].points[0][1] for scene in (before, after)]
+            ys = [each.lines[slot].points[0][1] for each in (before, after)]
             assert ys[0] == pytest.approx(ys[1])
         assert after.lane_changed == (after.changed >= EGO)
-    assert sum(scene.lane_changed for scene in scenes) == 1
+    assert sum(each.lane_changed for each in tracked) == 1
 
 
 def test_a_pose_that_is_none_is_rejected() -> None:

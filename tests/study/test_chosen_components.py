@@ -31,15 +31,15 @@ def test_false_positives_of_the_chosen_components(
     In street-turn the nonlinearity, which is of second order, is 0.21. The far end of the line is
     80 deg from the x axis, where the third order counts, too: of beta and c1 it makes a curved arc.
     """
-    scene = scenario(name)
-    refit = paper_refit(scene, Slot.EGO_RIGHT)
-    truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, scene.ego).values)
+    example = scenario(name)
+    refit = paper_refit(example, Slot.EGO_RIGHT)
+    truth = true_distribution(MonteCarlo(200_000, 0).samples(refit, example.ego).values)
 
     def false_positives(k: Any) -> Any:
-        mixture = Approximation(*Mixture(k).moments(refit, scene.ego))
+        mixture = Approximation(*Mixture(k).moments(refit, example.ego))
         return evaluate_approximation(truth, mixture, (name, str(k), "before")).false_positives
 
-    (k,) = component_counts([nonlinearity(refit, scene.ego).amount])
+    (k,) = component_counts([nonlinearity(refit, example.ego).amount])
     assert k == parts
     assert false_positives(k) < after
     if k > 1:

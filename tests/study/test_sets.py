@@ -33,8 +33,8 @@ def test_a_chunk_depends_only_on_set_seed_index_and_size(name: str) -> None:
 
 def test_the_first_chunk_begins_with_the_fixed_scenarios() -> None:
     """It has all their lines in their order."""
-    scene = SCENARIOS["highway"]
-    means, covs = SigmaPoints().moments(paper_refit(scene), scene.ego)
+    example = SCENARIOS["highway"]
+    means, covs = SigmaPoints().moments(paper_refit(example), example.ego)
     chunk = drawn_chunk("paper", 0, 0, 100)
 
     assert np.array_equal(chunk.mean[: len(means)], means)

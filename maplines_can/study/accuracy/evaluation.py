@@ -35,7 +35,7 @@ PAIRS = tuple(combinations(range(len(PARAMETERS)), 2))
 
 @dataclass(frozen=True)
 class Row:
-    """Figures of one representation of a scene's line; ``_se`` is a figure's standard error."""
+    """Figures of one representation of a scenario's line; ``_se`` is a figure's standard error."""
 
     scenario: str
     representation: str

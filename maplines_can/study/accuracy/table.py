@@ -1,7 +1,7 @@
 """Accuracy of each representation of a line against its true distribution.
 
 The true distribution is a Monte Carlo sample, as in the paper (Map Line Interface, IV).
-Definitions, for one line of a scene:
+Definitions, for one line of a scenario:
 
 - false negatives: share of the true samples outside the 99 % region of the approximation, in
   all four parameters and in the marginal of each pair of them (mean over the six pairs);
@@ -50,7 +50,7 @@ def accuracy_table(
     codec: Codec | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> list[Row]:
-    """Evaluate all representations of a line, before and after the wire, in each scene.
+    """Evaluate all representations of a line, before and after the wire, in each scenario.
 
     The same arguments give the same rows. Like ``MonteCarlo``, the true distribution leaves out
     draws from which no cubic follows the points.
@@ -59,32 +59,33 @@ def accuracy_table(
         scenarios: by default all of the package's.
         n: samples of the true distribution.
         seed: of all draws.
-        slot: the line of each scene.
+        slot: the line of each scenario.
         codec: of the wire; by default the project's own.
         progress: called after each row with the number of rows done and the number of all rows.
 
     Raises:
-        ValueError: a scene has no such line, n is too small, or a line does not fit the messages.
+        ValueError: a scenario has no such line, n is too small, or a line does not fit the
+            messages.
     """
-    scenes = list(SCENARIOS.values()) if scenarios is None else list(scenarios)
+    scenarios = list(SCENARIOS.values() if scenarios is None else scenarios)
     codec = codec or Codec.from_dbc()
     rows: list[Row] = []
-    for scene in scenes:
-        refit = paper_refit(scene, slot)
+    for scenario in scenarios:
+        refit = paper_refit(scenario, slot)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ill-posed draws, which are left out
-            true = true_distribution(MonteCarlo(n, seed).samples(refit, scene.ego).values)
-            kinds = representations(refit, scene.ego, n=n, seed=seed)
+            true = true_distribution(MonteCarlo(n, seed).samples(refit, scenario.ego).values)
+            kinds = representations(refit, scenario.ego, n=n, seed=seed)
         jobs = []
         for name, before in kinds.items():
             diagonal = name == "mean and sigmas"
             after = through_the_wire(before, codec, slot, refit.x_range, diagonal=diagonal)
             for side, approximation in (("before", before), ("after", after)):
-                jobs.append((true, approximation, (scene.name, name, side), seed))
+                jobs.append((true, approximation, (scenario.name, name, side), seed))
         # Each row draws from the seed alone, so that threads do not change the result.
         with ThreadPoolExecutor(WORKERS) as pool:
             for row in pool.map(evaluate_approximation, *zip(*jobs, strict=True)):
                 rows.append(row)
                 if progress is not None:
-                    progress(len(rows), len(jobs) * len(scenes))
+                    progress(len(rows), len(jobs) * len(scenarios))
     return rows

@@ -38,15 +38,15 @@ def as_markdown(rows: Sequence[Row]) -> str:
 
 
 def as_text(rows: Sequence[Row]) -> str:
-    """Return three tables per scene for a terminal: shares and KL, mean error, sigma ratio."""
+    """Return three tables per scenario for a terminal: shares and KL, mean error, sigma ratio."""
     blocks, headings = [], list(_HEADINGS.values())
-    for scene in dict.fromkeys(row.scenario for row in rows):
-        of_scene = [row for row in rows if row.scenario == scene]
-        blocks.append(scene)
+    for scenario in dict.fromkeys(row.scenario for row in rows):
+        of_scenario = [row for row in rows if row.scenario == scenario]
+        blocks.append(scenario)
         for part in (slice(5), slice(5, 9), slice(9, None)):
             body = [
                 [*_names(row)[1:], *(_with_error(*pair) for pair in _figures(row)[part])]
-                for row in of_scene
+                for row in of_scenario
             ]
             blocks.append(aligned([[*_NAMES[1:], *headings[part]], *body], left=2))
     return "\n\n".join(blocks) + "\n"

@@ -1,4 +1,4 @@
-"""A scene's line for the figures: its true distribution, its approximations and its view."""
+"""A scenario's line for the figures: its true distribution, its approximations and its view."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LINES = 200
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A scene's line: its true distribution and two Gaussian approximations."""
+    """A scenario's line: its true distribution and two Gaussian approximations."""
 
     scenario: Scenario
     refit: Refit
@@ -48,7 +48,7 @@ class Case:
 
 
 def case_of(scenario: Scenario, samples: int, seed: int) -> Case:
-    """Return the distribution of a scene's line ``SLOT``, by sampling and by sigma points."""
+    """Return the distribution of a scenario's line ``SLOT``, by sampling and by sigma points."""
     ego, refit = scenario.ego, paper_refit(scenario, SLOT)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the figure prints the number of draws left out

@@ -49,7 +49,7 @@ SIGMA_POINTS_STYLE: tuple[str, str, LineStyle] = ("sigma points", "#D55E00", (0,
 
 @dataclass(frozen=True)
 class FigurePlan:
-    """A figure of the paper: its number there, its scene, and what it shows."""
+    """A figure of the paper: its number there, its scenario, and what it shows."""
 
     number: int
     scenario: str
@@ -128,7 +128,7 @@ def draw_figures(
     Args:
         out: folder, which is created if it does not exist.
         seed: of all draws.
-        samples: Monte Carlo draws per scene; 200 of them are drawn as lines and 3000 as dots.
+        samples: Monte Carlo draws per scenario; 200 of them are drawn as lines and 3000 as dots.
         formats: of png, svg and pdf.
         codec: of the wire; by default the project's own.
         progress: called after each file with the number of files done and the number of all files.
@@ -184,7 +184,7 @@ def draw_case(case: Case, plan: FigurePlan, seed: int = 0, codec: Codec | None =
     """Draw one figure of the paper's structure.
 
     Args:
-        case: the scene.
+        case: the scenario.
         plan: the figure.
         seed: of the lines drawn from the Gaussians.
         codec: encodes and decodes the Gaussians; None: as they are sent.

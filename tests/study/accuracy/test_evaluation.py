@@ -29,7 +29,7 @@ SIGMA = np.array([0.5, 0.02, 1e-4, 1e-6])
 ROOT = np.array([[1, 0, 0, 0], [0.6, 0.8, 0, 0], [-0.3, 0.4, 0.9, 0], [0.2, -0.7, 0.1, 0.6]])
 COV = ROOT @ ROOT.T * np.outer(SIGMA, SIGMA)
 MEAN = np.array([-1.75, 0.01, 5e-4, 1e-6])
-NAMES = ("a scene", "a Gaussian", "before")
+NAMES = ("a scenario", "a Gaussian", "before")
 N = 200_000
 CLAIMS_N = 40_000
 KINDS = ["mean", "mean and sigmas", "Linear", "SigmaPoints", "Quadrature", "MonteCarlo"]
@@ -43,7 +43,7 @@ def true_gaussian() -> Any:
 
 @pytest.fixture(scope="module")
 def rows() -> Any:
-    """Return rows of all scenes from few samples, by scene, representation and side."""
+    """Return rows of all scenarios from few samples, by scenario, representation and side."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "DRAWS", CLAIMS_N)
         table = accuracy_table(n=CLAIMS_N)
@@ -51,7 +51,7 @@ def rows() -> Any:
 
 
 def few(seed: int = 0, **options: Any) -> Any:
-    """Return the table of one scene from few samples."""
+    """Return the table of one scenario from few samples."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(evaluation, "DRAWS", 2000)
         return accuracy_table([scenario("street-turn")], n=2000, seed=seed, **options)
@@ -280,7 +280,7 @@ def test_claim_b_does_not_hold_for_sigma_points_in_four_parameters(rows: Any) ->
 
 
 def test_claim_c_correlations_grow_with_heading_uncertainty_in_part(rows: Any) -> None:
-    """The mean of them grows in both scenes; false negatives grow in the turn only."""
+    """The mean of them grows in both scenarios; false negatives grow in the turn only."""
     correlation = {}
     for name in SCENARIOS:
         refit = paper_refit(scenario(name), Slot.EGO_RIGHT)
@@ -349,10 +349,10 @@ def test_the_wire_costs_the_production_car_few_false_positives(
     The sigma of c0 is two thirds of a step, and c1 and beta correlate by 0.9995.
     """
     monkeypatch.setattr(evaluation, "DRAWS", 100_000)
-    scene, codec = scenario("production"), Codec.from_dbc()
-    refit = paper_refit(scene, Slot.EGO_RIGHT)
-    true = true_distribution(MonteCarlo(100_000, 0).samples(refit, scene.ego).values)
-    mean, cov = Quadrature().moments(refit, scene.ego)
+    example, codec = scenario("production"), Codec.from_dbc()
+    refit = paper_refit(example, Slot.EGO_RIGHT)
+    true = true_distribution(MonteCarlo(100_000, 0).samples(refit, example.ego).values)
+    mean, cov = Quadrature().moments(refit, example.ego)
     step = np.array([codec.layout[name].factor for name in ("YOff", "Beta", "C0", "C1")])
 
     def added(share: Any) -> float:

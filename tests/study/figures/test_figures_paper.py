@@ -133,14 +133,14 @@ def test_files_do_not_depend_on_the_user_s_settings(
 
 def test_a_case_has_the_results_of_the_transforms(case_of: Any) -> None:
     """A case has the results of MonteCarlo and SigmaPoints for the line EGO_RIGHT."""
-    case, scene = case_of(PLANS[10]), scenario("street-turn")
-    refit = Refit(scene.lines[cases.SLOT], scene.ego.mean, scene.window, **PAPER)
-    draws = MonteCarlo(SAMPLES, 0).samples(refit, scene.ego)
+    case, example = case_of(PLANS[10]), scenario("street-turn")
+    refit = Refit(example.lines[cases.SLOT], example.ego.mean, example.window, **PAPER)
+    draws = MonteCarlo(SAMPLES, 0).samples(refit, example.ego)
     np.testing.assert_array_equal(draws.values, case.lines)
     np.testing.assert_allclose(draws.inputs, case.poses, atol=1e-12)
-    expected = MonteCarlo(SAMPLES, 0)(refit, scene.ego)
+    expected = MonteCarlo(SAMPLES, 0)(refit, example.ego)
     np.testing.assert_allclose(expected.cov, case.monte_carlo.cov, rtol=1e-9, atol=1e-15)
-    np.testing.assert_array_equal(SigmaPoints()(refit, scene.ego).cov, case.sigma_points.cov)
+    np.testing.assert_array_equal(SigmaPoints()(refit, example.ego).cov, case.sigma_points.cov)
     assert case.sigma_poses.shape == (7, 3)
     assert case.sigma_lines.shape == (7, 4)
 
