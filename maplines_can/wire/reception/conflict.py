@@ -9,7 +9,8 @@ import math
 CONFLICTS, NEAR_CYCLES = 8, 32
 #: Two senders are also confirmed if DUPLICATES of NEW_RECORDS consecutive records came twice.
 NEW_RECORDS, DUPLICATES = 32, 29
-#: A second sender is suspected for this many cycles after a counter was reused.
+#: A second sender is suspected for this many cycles after a counter was reused, or was ahead of
+#: what the first sender can have sent.
 SUSPECT_CYCLES = 10
 #: A second sender is forgotten after this many cycles without evidence.
 FORGET_CYCLES = 256
@@ -25,11 +26,26 @@ class SenderConflict:
     at most one between two new records. Two senders of the same content cause duplicates only; so
     does a path that duplicates every frame. Time is an argument.
 
-    For ``SUSPECT_CYCLES`` after a counter was reused with other content, a second sender is
-    suspected and no mixture is put together, since its components may come from both. Otherwise the
-    delivery of lines does not depend on this diagnostic. ``SlotView.usable`` does: a second sender
-    whose counters are ahead by up to ``max_delta_counter`` passes the E2E check as lost records do,
-    and its lines are delivered while the state is VALID.
+    Until two senders are confirmed, a second one is suspected:
+
+    - for ``SUSPECT_CYCLES`` after a counter was reused with other content. No mixture is put
+      together then, since its components may come from both.
+    - after a record that is ahead of what the first sender can have sent since its last one: until
+      the next one in sequence, if no other record comes in between, which would be the first
+      sender's; else for ``SUSPECT_CYCLES``. To the E2E check, such a record looks like lost ones::
+
+        first       41       42           43           44           45
+        second                  50                        51
+        -----------|--------|--|---------|------------|--|---------|-----> time
+                                suspected STALE        STALE        STALE
+
+        one sender  41  42 43 44 lost, and a gateway held back 41    45       46
+        -------------------------------------------------------|---|--------|-----> time
+                                                               41   45       46
+                                                                    suspected not any more
+
+    Otherwise the delivery of lines does not depend on this diagnostic. ``SlotView.usable`` and
+    ``SceneView.usable`` do, on confirmed and on suspected senders.
 
     Args:
         cycle_ns: time between records [ns].
@@ -38,7 +54,9 @@ class SenderConflict:
     def __init__(self, cycle_ns: int) -> None:
         self._cycle_ns = cycle_ns
         self._conflicts = self._new_records = self._duplicates = 0
-        self._conflict_ns = self._confirmed_ns = self._suspected_ns = NEVER_NS
+        self._conflict_ns = self._confirmed_ns = NEVER_NS
+        self._reused_ns = self._ahead_ns = NEVER_NS
+        self._is_followed = False  # whether other records came since that ahead
         self._is_blocked = True  # no new record since the last conflict
         #: Whether two senders are confirmed.
         self.is_confirmed = False
@@ -68,19 +86,40 @@ class SenderConflict:
 
     def counter_reused(self, t_ns: int) -> None:
         """Count a conflict by a reused counter, and suspect a second sender."""
-        self._suspected_ns = t_ns
+        self._reused_ns = t_ns
         self.conflict(t_ns)
+
+    def ahead(self, t_ns: int) -> None:
+        """Suspect a second sender: a new record is ahead of what the first can have sent."""
+        self._ahead_ns, self._is_followed = t_ns, False
+
+    def next(self) -> None:
+        """Note the next record in sequence: the sender of a record that was ahead goes on."""
+        if not self._is_followed:
+            self._ahead_ns = NEVER_NS
+
+    def late(self, t_ns: int) -> None:
+        """Note a late record: after one that was ahead, it is that of the first sender."""
+        if self._is_recent(self._ahead_ns, t_ns):
+            self._ahead_ns, self._is_followed = t_ns, True
 
     def retract(self) -> None:
         """Discount the last conflict: its sequence was that of a sender that restarted."""
         self._conflicts = max(0, self._conflicts - 1)
-        self._suspected_ns = NEVER_NS
+        self._reused_ns = self._ahead_ns = NEVER_NS
+
+    def was_reused(self, t_ns: int) -> bool:
+        """Return whether a counter was reused in the last ``SUSPECT_CYCLES``."""
+        return self._is_recent(self._reused_ns, t_ns)
 
     def is_suspected(self, t_ns: int) -> bool:
-        """Return whether a counter was reused in the last ``SUSPECT_CYCLES``."""
-        return abs(t_ns - self._suspected_ns) <= SUSPECT_CYCLES * self._cycle_ns
+        """Return whether a second sender is suspected at ``t_ns`` [ns]."""
+        return self.was_reused(t_ns) or self._is_recent(self._ahead_ns, t_ns)
 
     def elapse(self, t_ns: int) -> None:
         """Forget evidence that is too old at ``t_ns`` [ns]."""
         if self.is_confirmed and abs(t_ns - self._confirmed_ns) > FORGET_CYCLES * self._cycle_ns:
             self.is_confirmed, self._conflicts = False, 0
+
+    def _is_recent(self, then_ns: float, t_ns: int) -> bool:
+        return abs(t_ns - then_ns) <= SUSPECT_CYCLES * self._cycle_ns

@@ -73,6 +73,7 @@ class Decoder:
         self._reassembler = Reassembler(layout, read, timeouts_ns, verifier)
         self._mixtures = MixtureAssembler(modulus, timeouts_ns)
         self._scenes = scenes
+        self._is_conditional = layout.is_conditional
         #: Lines that the last frame completed in addition to the one that ``feed`` returned.
         self.further: list[MapLine] = []
         self._counts: Counter[Reason] = Counter()  # dropped between reassembly and mixture assembly
@@ -118,6 +119,17 @@ class Decoder:
     def pose_check(self) -> SequenceCheck | None:
         """Check of the pose errors, as that of a slot; None if the DBC has no such message."""
         return None if self._scenes is None else self._scenes.check
+
+    def checks_of(self, slot: Slot) -> tuple[SequenceCheck, ...]:
+        """Return the checks of all that a line of a slot is made of.
+
+        These are that of the slot and, if its record is conditional on the pose error, that of the
+        pose error.
+        """
+        check, pose_check = self.checks[slot], self.pose_check
+        if pose_check is None or not self._is_conditional:
+            return (check,)
+        return check, pose_check
 
     def scene(self) -> ReceivedScene | None:
         """Return the newest scene, see ``Monitor.latest_scene``; None before the first."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from ...line import MapLine, Slot
@@ -11,11 +13,15 @@ from ..protection.e2e_state import E2EState, ProfileStatus
 from ..reasons import Reason
 from .decoder import Decoder
 from .scenes import ReceivedScene
-from .sequence import SlotStats
+from .sequence import SequenceCheck, SlotStats
 
 #: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
 #: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
 STALE_CYCLES = 3.0
+#: The time of the caller may be before a reception by this much [ns]: the clocks of CAN adapters
+#: and of hosts that are synchronised (IEEE 802.1AS, NTP in a car) differ by less. By more, the
+#: clock of the caller was set back, and no age is known.
+CLOCK_JITTER_NS = 1_000_000
 
 
 class SlotView(NamedTuple):
@@ -25,10 +31,14 @@ class SlotView(NamedTuple):
     line: MapLine | None  #: the newest; None before the first
     #: from the time of the line's pose to now [s]; infinite if too old, unknown, or without a line
     age: float
-    stale: bool  #: nothing newer came for some cycle times, or there is no line
-    state: E2EState  #: of the slot
+    #: nothing newer came for some cycle times, there is no line, or it comes after now
+    stale: bool
+    #: of the slot; if the line is conditional on the pose error, VALID only if that is, too
+    state: E2EState
     status: ProfileStatus | None  #: of the last check; None before the first
-    two_senders: bool  #: two senders were detected on the slot in the last 256 cycles
+    #: two senders were detected in the last 256 cycles, or are suspected: on the slot or, if the
+    #: line is conditional on the pose error, on that
+    two_senders: bool
 
     @property
     def usable(self) -> bool:
@@ -37,11 +47,12 @@ class SlotView(NamedTuple):
         This is so if the E2E state is VALID, the line is not stale, the slot has one sender, the
         status of the line is not OUT_OF_RANGE, and its age is finite.
 
-        The ``age`` of a usable line is at most the greatest age that the DBC can state plus
-        ``stale_cycles`` cycle times: 240 ms + 150 ms with the project's DBC. It is not less than
-        the true age, except for the time that the first frame of the line spent in the transmit
-        queue of the interface and on the bus. If the producer of the lines hangs, no line is
-        therefore usable later than 390 ms after its pose, plus that time.
+        The ``age`` of a usable line is at least 0, and at most the greatest age that the DBC can
+        state plus ``stale_cycles`` cycle times: 240 ms + 150 ms with the project's DBC. It is not
+        less than the true age, except for the time that the first frame of the line spent in the
+        transmit queue of the interface and on the bus, and for ``CLOCK_JITTER_NS``. If the producer
+        of the lines hangs, no line is therefore usable later than 390 ms after its pose, plus these
+        times.
         """
         line = self.line
         vouched = line is not None and line.is_usable
@@ -54,19 +65,27 @@ class SceneView(NamedTuple):
     scene: Scene | None  #: None before the first
     #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
     age: float
-    stale: bool  #: its pose error came some cycle times ago
+    stale: bool  #: its pose error came some cycle times ago, or comes after now
     state: E2EState  #: of the pose error
     status: ProfileStatus | None  #: of the last check of a pose error; None before the first
     received: ReceivedScene | None = None  #: with its time of reception, and its age then
+    #: states of the slots of its lines
+    slot_states: Mapping[Slot, E2EState] = MappingProxyType({})
+    #: two senders were detected in the last 256 cycles, or are suspected, on the pose error or on
+    #: the slot of a line
+    two_senders: bool = False
 
     @property
     def usable(self) -> bool:
         """Whether a controller may use the scene.
 
-        This is so if the E2E state of the pose error is VALID, it is not stale, and its age is
-        finite. Whether a slot is VALID, ``Monitor.latest`` tells.
+        This is so if the E2E states of the pose error and of the slots of all its lines are VALID,
+        none of them has two senders, the scene is not stale, and its age is finite. The age of a
+        usable scene is bounded as that of a line, see ``SlotView.usable``.
         """
-        return math.isfinite(self.age) and self.state is E2EState.VALID and not self.stale
+        states = {self.state, *self.slot_states.values()}
+        vouched = math.isfinite(self.age) and states == {E2EState.VALID}
+        return vouched and not self.stale and not self.two_senders
 
 
 class Monitor:
@@ -128,14 +147,21 @@ class Monitor:
                 "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
                 "take maplines.dbc or maplines-pose.dbc"
             )
-        state = check.elapse(now_ns)
         received = self._decoder.scene()
         if received is None:
-            return SceneView(None, math.inf, True, state, check.status)
-        waited_ns = now_ns - received.t_ns
-        stale = abs(waited_ns) > stale_cycles * check.cycle_ns
-        age = math.inf if self._decoder.pose_is_too_old else received.age + waited_ns / 1e9
-        return SceneView(received.scene, age, stale, state, check.status, received)
+            return SceneView(None, math.inf, True, check.elapse(now_ns), check.status)
+        slots = {line.slot: self._decoder.checks[line.slot] for line in received.scene.lines}
+        waited, stale = _waited(received.t_ns, now_ns, stale_cycles * check.cycle_ns)
+        return SceneView(
+            received.scene,
+            math.inf if self._decoder.pose_is_too_old else received.age + waited,
+            stale,
+            _state(check, now_ns, waited),
+            check.status,
+            received,
+            {slot: _state(of_slot, now_ns, waited) for slot, of_slot in slots.items()},
+            _two_senders((check, *slots.values()), now_ns),
+        )
 
     def pose_error(self, now_ns: int) -> SlotStats | None:
         """Return the E2E statistics of the pose error; None if none was received."""
@@ -154,8 +180,9 @@ class Monitor:
 
         Args:
             slot: which line.
-            now_ns: current time on the clock of the frames' time stamps [ns]. If this clock is
-                set back, all lines are stale.
+            now_ns: current time on the clock of the frames' time stamps [ns]. If it is before the
+                reception of the line by more than ``CLOCK_JITTER_NS``, this clock was set back: the
+                line is stale, and its age is infinite.
             stale_cycles: number of cycle times without a newer line after which a line is
                 stale; see ``Codec.decoder`` for the cycle time.
 
@@ -168,14 +195,16 @@ class Monitor:
             raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
         if now_ns != now_ns // 1:
             raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
-        state = check.elapse(now_ns)
+        checks = self._decoder.checks_of(Slot(slot))
         line = self._lines.get(slot)
-        age, stale = float("inf"), True
+        age, stale, waited = math.inf, True, 0.0
         if line is not None and line.t_ns is not None:
-            waited_ns = now_ns - line.t_ns
-            age = line.age + waited_ns / 1e9
-            stale = abs(waited_ns) > stale_cycles * check.cycle_ns
-        return SlotView(Slot(slot), line, age, stale, state, check.status, check.two_senders)
+            waited, stale = _waited(line.t_ns, now_ns, stale_cycles * check.cycle_ns)
+            age = line.age + waited
+        states = [_state(one, now_ns, waited) for one in checks]
+        state = next((one for one in states if one is not E2EState.VALID), E2EState.VALID)
+        two_senders = _two_senders(checks, now_ns)
+        return SlotView(Slot(slot), line, age, stale, state, check.status, two_senders)
 
     def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
         """Return the E2E statistics of each slot on which anything was received."""
@@ -183,3 +212,20 @@ class Monitor:
             check.elapse(now_ns)
         stats = {slot: check.stats() for slot, check in self._decoder.checks.items()}
         return {slot: known for slot, known in stats.items() if known.status is not None}
+
+
+def _waited(t_ns: int, now_ns: int, longest_ns: float) -> tuple[float, bool]:
+    """Return the time since a reception [s], infinite if unknown, and whether it is too long."""
+    waited_ns = now_ns - t_ns
+    if waited_ns < -CLOCK_JITTER_NS:
+        return math.inf, True
+    return max(waited_ns, 0) / 1e9, waited_ns > longest_ns
+
+
+def _state(check: SequenceCheck, now_ns: int, waited: float) -> E2EState:
+    """Return the state at ``now_ns`` [ns]; if this clock was set back, no cycles have passed."""
+    return check.state if math.isinf(waited) else check.elapse(now_ns)
+
+
+def _two_senders(checks: Iterable[SequenceCheck], now_ns: int) -> bool:
+    return not all(check.has_one_sender(now_ns) for check in checks)

@@ -174,9 +174,13 @@ class SequenceCheck:
         """Whether two senders were detected in the last 256 cycles."""
         return self._conflict.is_confirmed
 
+    def has_one_sender(self, t_ns: int) -> bool:
+        """Return whether no second sender is detected or suspected at ``t_ns`` [ns]."""
+        return not (self.two_senders or self._conflict.is_suspected(t_ns))
+
     def counter_was_reused(self, t_ns: int) -> bool:
         """Return whether a counter came with two contents in the last cycles: two senders."""
-        return self._conflict.is_suspected(t_ns)
+        return self._conflict.was_reused(t_ns)
 
     def received(self, counter: int, content: int, t_ns: int, records: int = 1) -> Reason | None:
         """Check a record whose checksum is correct.
@@ -208,6 +212,10 @@ class SequenceCheck:
                 self.lost += ahead - 1
             if status is WRONGSEQUENCE:
                 self._machine.clear()
+            elif ahead > self._sendable(t_ns, records):
+                self._conflict.ahead(t_ns)
+        else:
+            self._conflict.next()
         self._history.add_new(counter, content, ahead)
         self._conflict.new()
         self._last, self._new_ns, self._run = counter, t_ns, None
@@ -288,6 +296,8 @@ class SequenceCheck:
     def _why_not_new(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
         """Return why a record ``behind`` the last new one is not delivered; None if it is new."""
         is_duplicate = self._history.is_duplicate(counter, content, behind)
+        if not is_duplicate:
+            self._conflict.late(t_ns)
         # Farther back, it may be of a sender that restarted in a car that stands.
         is_near = behind <= self._max_delta
         if is_duplicate and is_near and self._history.mark_duplicated(counter, behind):
@@ -316,9 +326,13 @@ class SequenceCheck:
         half = self._modulus // 2 - 1
         if self._is_authentic:
             return half
+        return min(half, max(self._max_delta, self._sendable(t_ns, records)))
+
+    def _sendable(self, t_ns: int, records: int) -> int:
+        """Return the number of records that a sender can have sent since the last new one."""
         line_ns = min(max(self._line_ns, self.cycle_ns / FASTEST), self.cycle_ns)
         lines = math.ceil(abs(t_ns - self._new_ns) / line_ns + JITTER_CYCLES)
-        return min(half, max(self._max_delta, lines * max(self._longest_line, records)))
+        return lines * max(self._longest_line, records)
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
         """Return whether a record is too far behind to be merely delayed, and fills no gap."""
