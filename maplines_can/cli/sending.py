@@ -73,7 +73,8 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         type=positive,
         metavar="S",
         help="time in which the correlation of the pose errors falls to 1/e [s], which is sent "
-        "with the pose error (default: unknown)",
+        "with the pose error, rounded up; as unknown beyond the greatest value of the DBC, 45 s "
+        "(default: unknown)",
     )
 
 

@@ -55,8 +55,8 @@ def add_stated_pose(parser: argparse.ArgumentParser) -> None:
         type=number(float, 0, 1e9),
         metavar="S",
         help="time in which the correlation of the pose errors falls to 1/e [s], which is also "
-        f"sent with the pose error (default: {CORRELATION_TIME:g}; unknown for the errors of "
-        "--drive)",
+        "sent with the pose error, rounded up; as unknown beyond the greatest value of the DBC, "
+        f"45 s (default: {CORRELATION_TIME:g}; unknown for the errors of --drive)",
     )
     parser.add_argument(
         "--localise",

@@ -32,8 +32,9 @@ _PIVOTS = (
 )
 _CORRELATION_TIME = SignalSpec(
     name="CorrelationTime", bits=4, factor=0.5, offset=-2, unit="octave", choices={0: "UNKNOWN"},
-    about="log2 of the time [s] after which the pose error has lost its correlation to 1/e. The "
-          "raw value 0 means unknown: take the errors of all cycles as the same.",
+    about="log2 of the time [s] after which the pose error has lost its correlation to 1/e, "
+          "rounded up. The raw value 0 means unknown, or longer than the greatest value: take the "
+          "errors of all cycles as the same.",
     why="0.35 to 45 s in steps of 41 %; a smoothed pose keeps its error for seconds")
 _RATIOS = (
     ratio_signal("Across", "Along", 7, 1 / 32, why="a correlation of 0.89"),

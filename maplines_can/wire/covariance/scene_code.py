@@ -17,6 +17,7 @@ comes with finer means.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -111,12 +112,22 @@ class SceneCode:
             0.0 if raw[s.name] == 0 else 2.0 ** s.physical_one(raw[s.name])
             for s in (self.offset, self.heading)
         ]
-        time = raw[self.time.name]
-        return DecodedPose(
-            self.pose_code.decode_one(raw),
-            math.inf if time == 0 else 2.0 ** self.time.physical_one(time),
-            *levels,
-        )
+        time = self.correlation_time(raw[self.time.name])
+        return DecodedPose(self.pose_code.decode_one(raw), time, *levels)
+
+    def correlation_time(self, raw: int) -> float:
+        """Return the correlation time of a raw value [s]; infinite for 0, which means unknown."""
+        return math.inf if raw == 0 else 2.0 ** self.time.physical_one(raw)
+
+    def raw_time(self, correlation_time: float) -> int:
+        """Return the least raw value whose correlation time is not less than this one [s].
+
+        It is 0, unknown, if there is none: a consumer would take errors of times that are too short
+        for independent, and average them away.
+        """
+        raw = range(1, self.time.raw_max + 1)
+        i = bisect_left(raw, correlation_time, key=self.correlation_time)
+        return raw[i] if i < len(raw) else 0
 
     def decode(self, pose: DecodedPose, lines: Sequence[Mapping[str, int]]) -> DecodedLines:
         """Return lines with their joint covariance.

@@ -196,10 +196,7 @@ class SceneEncoder:
         raw = {name: int(values[0]) for name, values in coded.raw.items()}
         raw[code.offset.name] = _level_above(code.offset, known.offset_sigma if known else 0.0)
         raw[code.heading.name] = _level_above(code.heading, known.heading_sigma if known else 0.0)
-        raw[code.time.name] = 0
-        if math.isfinite(error.correlation_time):
-            nearest = code.time.raw(np.log2(error.correlation_time))
-            raw[code.time.name] = int(nearest.clip(1, code.time.raw_max))
+        raw[code.time.name] = code.raw_time(error.correlation_time)
         return raw
 
     def _encode_ranges(self, scene: Scene) -> tuple[Rows, Mask]:

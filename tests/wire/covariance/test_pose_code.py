@@ -1,18 +1,25 @@
 """Code of the pose error: definite for any bits, covering, and rounded as documented."""
 
 import math
+import re
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from exact import covers, is_positive_definite
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pose_bits import POSE, POSE_NAMES, PRODUCTION, any_bits
-from scene_layouts import scene_code, scene_encoder
+from scene_layouts import COMPLETE, CONDITIONAL, scene_code, scene_encoder
+from scene_streams import feed, new_codec, road_scene
 from strategies import covariances
 
 from maplines_can import MapError, PoseError, Scene
+from maplines_can.errors import LayoutError
+from maplines_can.wire import Layout
+from maplines_can.wire.covariance import SceneCode, SceneEncoder
+from maplines_can.wire.message.dbc_reader import default_dbc_path
 
 CODE, ENCODER = scene_code(), scene_encoder()
 
@@ -35,21 +42,97 @@ def test_any_bits_of_a_pose_are_definite(seed: int) -> None:
     ("time", "raw", "decoded"),
     [
         (math.inf, 0, math.inf),
-        (1e-6, 1, 2**-1.5),
+        (5e-324, 1, 2**-1.5),
         (2**-1.5, 1, 2**-1.5),
+        (math.nextafter(2**-1.5, 1), 2, 0.5),
         (1.0, 4, 1.0),
-        (1.18, 4, 1.0),
-        (1.2, 5, 2**0.5),
-        (2.0, 6, 2.0),
-        (1e6, 15, 2**5.5),
+        (math.nextafter(1.0, 2), 5, 2**0.5),
+        (1.18, 5, 2**0.5),
+        (8.0, 10, 8.0),
+        (8.1, 11, 2**3.5),
+        (2**5.5, 15, 2**5.5),
+        (math.nextafter(2**5.5, 99), 0, math.inf),
+        (60.0, 0, math.inf),
+        (1.7e308, 0, math.inf),
     ],
 )
-def test_the_correlation_time_is_rounded_to_the_nearest_level(
-    time: float, raw: int, decoded: float
-) -> None:
+def test_the_correlation_time_is_rounded_up(time: float, raw: int, decoded: float) -> None:
+    """To the next level, below the least one to that, and beyond the greatest one to unknown."""
     sent = ENCODER.encode(pose_of(PRODUCTION, time=time))
     assert sent.pose["CorrelationTime"] == raw
-    assert CODE.decode_pose(sent.pose).correlation_time == pytest.approx(decoded)
+    assert CODE.decode_pose(sent.pose).correlation_time == decoded
+
+
+TIME = "CorrelationTime"
+TIME_SIGNAL = re.compile(rf'({TIME} (?:m1 )?: \d+\|4@1\+) \(0.5,-2\) \[-2\|5.5\] "octave"')
+
+
+@cache
+def altered(law: str) -> Layout:
+    """The layout of a DBC whose correlation time has another factor, offset and range."""
+    text, n = TIME_SIGNAL.subn(rf"\1 {law}", default_dbc_path(CONDITIONAL).read_text())
+    assert n == 3
+    return Layout.from_text(text)
+
+
+@pytest.mark.parametrize(
+    ("law", "greatest"),
+    [
+        ('(0.5,-2) [-2|5.5] "octave"', 2**5.5),
+        ('(0.5,-2) [-2|5.5] ""', 2**5.5),
+        ('(0.5,-2) [-2|2] "octave"', 4.0),
+        ('(0.5,-2) [-2|-1.5] "octave"', 2**-1.5),
+        ('(0.1,1.03) [1.03|2.53] "octave"', 2**2.53),
+        ('(3,-20) [-20|25] "octave"', 2.0**25),
+        ('(12,20) [20|200] "octave"', 2.0**200),
+    ],
+)
+@settings(max_examples=25)
+@given(octaves=st.floats(-40, 210))
+def test_no_decoded_correlation_time_is_too_short(
+    law: str, greatest: float, octaves: float
+) -> None:
+    """Whatever the signal of the DBC: less than a step longer, or unknown; sent again, the same."""
+    layout, time = altered(law), 2.0**octaves
+    assert layout.pose is not None
+    code, signal = SceneCode(layout.pose, layout), layout.pose[TIME]
+    encoder = SceneEncoder(code)
+
+    def decoded(time: float) -> float:
+        sent = encoder.encode(pose_of(PRODUCTION, time=time)).pose
+        assert signal.raw_min <= sent[TIME] <= signal.raw_max
+        return code.decode_pose(sent).correlation_time
+
+    received = decoded(time)
+    assert received >= time
+    assert decoded(received) == received
+    if time > greatest * (1 + 1e-12):
+        assert received == math.inf
+    elif time <= greatest * (1 - 1e-12):
+        least = 2.0 ** signal.physical_one(1)
+        assert received <= max(least, time * 2**signal.factor * (1 + 1e-12))
+
+
+def test_a_correlation_time_in_seconds_is_refused() -> None:
+    """Its factor would be taken for one of octaves."""
+    with pytest.raises(LayoutError, match=f'{TIME}.*"octave"'):
+        altered('(5,0) [0|75] "s"')
+
+
+@pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
+@pytest.mark.parametrize(
+    ("time", "received"), [(8.0, 8.0), (8.1, 2**3.5), (60.0, math.inf), (1000.0, math.inf)]
+)
+def test_a_consumer_gets_the_rounded_correlation_time(
+    dbc: str, time: float, received: float
+) -> None:
+    """Through the frames of a codec."""
+    codec = new_codec(dbc)
+    decoder = codec.decoder()
+    feed(decoder, codec.encode_scene(road_scene(correlation_time=time)), 0)
+    scene = decoder.scene()
+    assert scene is not None
+    assert scene.scene.pose_error.correlation_time == received
 
 
 @pytest.mark.parametrize(
