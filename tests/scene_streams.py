@@ -72,12 +72,15 @@ def road_scene(
 
 
 def feed(
-    receiver: Monitor | Decoder, frames: Mapping[Any, list[Frame]], t_ns: int
+    receiver: Monitor | Decoder,
+    frames: Mapping[Any, list[Frame]],
+    t_ns: int,
+    apart_ns: int = FRAME_NS,
 ) -> tuple[list[Any], int]:
     """Feed the frames of a cycle from ``t_ns``; return the answers and the time after them."""
     answers = []
     for own in frames.values():
         for frame in own:
             answers.append(receiver.feed(frame.can_id, frame.data, t_ns))
-            t_ns += FRAME_NS
+            t_ns += apart_ns
     return answers, t_ns

@@ -212,7 +212,7 @@ class SequenceCheck:
                 self.lost += ahead - 1
             if status is WRONGSEQUENCE:
                 self._machine.clear()
-            elif ahead > self._sendable(t_ns, records):
+            elif self._is_ahead(ahead, t_ns, records):
                 self._conflict.ahead(t_ns)
         else:
             self._conflict.next()
@@ -326,13 +326,17 @@ class SequenceCheck:
         half = self._modulus // 2 - 1
         if self._is_authentic:
             return half
-        return min(half, max(self._max_delta, self._sendable(t_ns, records)))
+        lines = math.ceil(self._lines_since(t_ns))
+        return min(half, max(self._max_delta, lines * max(self._longest_line, records)))
 
-    def _sendable(self, t_ns: int, records: int) -> int:
-        """Return the number of records that a sender can have sent since the last new one."""
+    def _lines_since(self, t_ns: int) -> float:
+        """Return how many lines a sender can have sent since the last new record: 1.3 is 1 or 2."""
         line_ns = min(max(self._line_ns, self.cycle_ns / FASTEST), self.cycle_ns)
-        lines = math.ceil(abs(t_ns - self._new_ns) / line_ns + JITTER_CYCLES)
-        return lines * max(self._longest_line, records)
+        return abs(t_ns - self._new_ns) / line_ns + JITTER_CYCLES
+
+    def _is_ahead(self, ahead: int, t_ns: int, records: int) -> bool:
+        """Return whether a newer record is ahead of what its sender should have sent by now."""
+        return ahead > max(1.0, self._lines_since(t_ns)) * max(self._longest_line, records)
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
         """Return whether a record is too far behind to be merely delayed, and fills no gap."""

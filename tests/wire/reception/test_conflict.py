@@ -60,30 +60,48 @@ def sources(line: MapLine, cycle: int, k: int) -> set[int]:
     return found
 
 
-@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("k", [2, 3, 8])
 @pytest.mark.parametrize("seed", range(4))
 def test_two_senders_in_phase_get_no_mixture_of_both(seed: int, k: int) -> None:
-    """Equal counters and components, and a third of the frames lost: 20 s."""
-    rng, monitor, mixed, usable = (
-        np.random.default_rng(seed),
-        Monitor(default_codec().decoder()),
-        0,
-        0,
-    )
-    for cycle in range(400):
-        t_ns = cycle * CYCLE_NS
+    """Equal counters and components, and a third of the frames lost.
+
+    Until a counter has come from both, nothing tells their components apart; then no mixture is of
+    both, and no line is usable.
+    """
+    rng, monitor = np.random.default_rng([seed, k]), Monitor(default_codec().decoder())
+    reused = 0
+    for cycle in range(480 // k):
         pairs = zip(
             *(mixture_frames(cycle * k % 256, k, True, seed=sender) for sender in (0, 1)),
             strict=True,
         )
-        for i, frame in enumerate(frame for pair in pairs for frame in pair):
-            if rng.random() < 1 / 3 and cycle > 1:
-                continue
-            answer = monitor.feed(frame.can_id, frame.data, t_ns + i * MS // 4)
-            if isinstance(answer, MapLine):
-                mixed += len(sources(answer, cycle, k)) > 1
-        usable += monitor.latest(SLOT, t_ns).usable
-    assert (mixed, usable) == (0, 0)
+        for i, pair in enumerate(pairs):
+            came = rng.random(2) > 1 / 3
+            for j, frame in enumerate(pair):
+                if not came[j]:
+                    continue
+                t_ns = cycle * CYCLE_NS + (2 * i + j) * MS // 4
+                answer = monitor.feed(frame.can_id, frame.data, t_ns)
+                reused += j == 1 and came.all()
+                if reused and isinstance(answer, MapLine):
+                    assert len(sources(answer, cycle, k)) == 1
+                assert not (reused and monitor.latest(SLOT, t_ns).usable)
+    assert reused > 50
+
+
+@pytest.mark.parametrize("k", range(2, 9))
+def test_the_first_mixture_may_be_of_both_until_a_counter_is_reused(k: int) -> None:
+    """If just one component of the second sender arrives, and in place of that of the first."""
+    ours, theirs = (mixture_frames(0, k, True, seed=sender) for sender in (0, 1))
+    for place in range(k):
+        monitor = Monitor(default_codec().decoder())
+        frames = [*ours[:place], theirs[place], *ours[place + 1 :], ours[place]]
+        answers = [monitor.feed(f.can_id, f.data, i * MS // 4) for i, f in enumerate(frames)]
+        *_, line, late = answers
+        assert isinstance(line, MapLine)
+        assert sources(line, 0, k) == {0, 1}
+        assert late is Reason.STALE
+        assert not monitor.latest(SLOT, k * MS // 4).usable
 
 
 @pytest.mark.parametrize(
@@ -222,3 +240,59 @@ def test_a_second_sender_is_suspected_for_ten_cycles(later: float, suspected: bo
     assert detector.is_suspected(t_ns) is suspected
     detector.retract()
     assert not detector.is_suspected(t_ns)
+
+
+@pytest.mark.parametrize(
+    ("between", "later", "suspected"),
+    [
+        ("", 0, True),
+        ("", 10, True),
+        ("", 10.01, False),
+        ("N", 0, False),
+        ("L", 10, True),
+        ("LN", 10, True),
+        ("LNN", 10, True),
+        ("NL", 0, False),
+    ],
+)
+def test_a_record_that_is_ahead_is_explained_by_the_next_one(
+    between: str, later: float, suspected: bool
+) -> None:
+    """N is the next in sequence, L a late one, which is that of the first sender."""
+    detector = SenderConflict(CYCLE_NS)
+    detector.ahead(1000 * CYCLE_NS)
+    for event in between:
+        if event == "N":
+            detector.next()
+        else:
+            detector.late(1000 * CYCLE_NS)
+    assert detector.is_suspected(round((1000 + later) * CYCLE_NS)) is suspected
+    assert not detector.was_reused(1000 * CYCLE_NS)
+    detector.retract()
+    assert not detector.is_suspected(1000 * CYCLE_NS)
+
+
+@pytest.mark.parametrize("k", [1, 3, 8])
+@pytest.mark.parametrize("lost", [0, 1, 2, 5])
+@pytest.mark.parametrize("jitter", [0.0, 0.2])
+def test_lost_lines_are_no_second_sender(k: int, lost: int, jitter: float) -> None:
+    """Of one sender whose lines come in their cycles, also after a gap."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE_NS)
+    for cycle in [*range(20), *range(20 + lost, 40)]:
+        t_ns = round((cycle + jitter * (-1) ** cycle) * CYCLE_NS)
+        for i in range(k):
+            assert check.received((cycle * k + i) % 256, cycle * k + i, t_ns, k) is None
+            assert check.has_one_sender(t_ns)
+        check.delivered(k)
+
+
+def test_lost_lines_that_a_queue_hides_are_suspected_until_the_next_line() -> None:
+    """After a backlog without time stamps of its own, which ends with a gap."""
+    check = SequenceCheck(E2EConfig(), 256, 4, CYCLE_NS)
+    seen = []
+    for counter, cycle in [*((i, i) for i in range(10)), (15, 10), (16, 11), (17, 12)]:
+        assert check.received(counter, counter, cycle * CYCLE_NS) is None
+        check.delivered(1)
+        seen.append(check.has_one_sender(cycle * CYCLE_NS))
+    assert seen == [True] * 10 + [False, True, True]
+    assert check.state is E2EState.VALID

@@ -1,12 +1,20 @@
 """The newest line of a slot, with its age and state."""
 
+import math
+
 import numpy as np
 import pytest
+import scene_streams
+import sender_pairs
 from dbcs import default_codec, new_codec
 from e2e_streams import CYCLE, MS, SLOT, frames
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from scene_streams import CONDITIONAL
 
-from maplines_can import MapLine, Monitor
+from maplines_can import Gaussian, GaussianMixture, MapLine, Monitor, Slot
 from maplines_can.wire import E2EState
+from maplines_can.wire.reception.monitor import CLOCK_JITTER_NS as JITTER
 
 VALID, NODATA, INIT, INVALID = E2EState
 
@@ -102,3 +110,61 @@ def test_the_current_time_is_whole(now_ns: float) -> None:
     """In seconds, it would be refused, not taken for nanoseconds."""
     with pytest.raises(ValueError, match=r"now_ns must be whole \[ns\], got"):
         Monitor(default_codec().decoder()).latest(SLOT, now_ns)  # type: ignore[arg-type]
+
+
+@settings(max_examples=12)
+@given(st.integers(-300 * MS, 300 * MS), st.sampled_from([0.0, 0.04]))
+@example(0, 0.0)
+@example(-1, 0.0)
+@example(-JITTER, 0.0)
+@example(-JITTER - 1, 0.0)
+@example(3 * CYCLE, 0.04)
+@example(3 * CYCLE + 1, 0.04)
+def test_what_comes_after_now_is_stale(now_ns: int, age: float) -> None:
+    """Lines, mixtures and scenes: if the clock of the caller was set back, no age is known."""
+    last, is_known = 9 * CYCLE, -JITTER <= now_ns
+    scenes = scenes_until(age)
+    for view in (
+        *(lines_until(age).latest(slot, last + now_ns) for slot in (SLOT, Slot.EGO_RIGHT)),
+        scenes.latest(SLOT, last + now_ns),
+        scenes.latest_scene(last + now_ns),
+    ):
+        assert view.stale is not (is_known and now_ns <= 3 * CYCLE)
+        assert view.usable is not view.stale
+        assert math.isfinite(view.age) is is_known
+        if is_known:  # stated ages are multiples of 8 ms
+            assert view.age == pytest.approx(age + max(now_ns, 0) / 1e9)
+
+
+def lines_until(age: float) -> Monitor:
+    """A monitor after ten lines and ten mixtures, the last ones at 9 CYCLE."""
+    codec = new_codec()
+    monitor = Monitor(codec.decoder())
+    line = MapLine.mean_only(SLOT, [1.0, 0, 0, 0], age=age)
+    mixture = GaussianMixture(
+        np.array([0.5, 0.5]), tuple(Gaussian([y, 0, 0, 0], 1e-6 * np.eye(4)) for y in (1.0, 2.0))
+    )
+    both = MapLine(Slot.EGO_RIGHT, mixture.overall, x_max=80.0, age=age, mixture=mixture)
+    for k in range(10):
+        for frame in (*codec.encode(line), *codec.encode(both)):
+            monitor.feed(frame.can_id, frame.data, k * CYCLE)
+    return monitor
+
+
+def scenes_until(age: float) -> Monitor:
+    """A monitor after ten scenes, the last one at 9 CYCLE."""
+    codec = scene_streams.new_codec(scene_streams.CONDITIONAL)
+    monitor, scene = Monitor(codec.decoder()), sender_pairs.prepared(CONDITIONAL, 0, (SLOT,))
+    for k in range(10):
+        scene_streams.feed(monitor, codec.encode_scene(scene, age=age), k * CYCLE, apart_ns=0)
+    return monitor
+
+
+def test_a_clock_that_was_set_back_for_a_moment_leaves_the_state() -> None:
+    """Cycles are not counted as missed once more when it is right again."""
+    monitor = scenes_until(0.0)
+    for _ in range(20):
+        assert not monitor.latest(SLOT, 5 * CYCLE).usable
+        assert not monitor.latest_scene(5 * CYCLE).usable
+        assert monitor.latest(SLOT, 9 * CYCLE).usable
+        assert monitor.latest_scene(9 * CYCLE).usable
