@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pytest
 from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 
-from maplines_can import MapLine, Monitor, Scene, Slot
+from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
 from maplines_can.wire.message.pose_records import ConditionalRecord
 from maplines_can.wire.message.scene_reader import SceneReader

@@ -14,7 +14,7 @@ from typing import Any
 from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
-from ..wire import Decoder, ReceivedScene
+from ..wire import Decoder, Monitor, SceneView
 from .options import (
     add_codec,
     add_cycle,
@@ -28,6 +28,7 @@ from .output import (
     POSE_ERROR,
     check_text,
     counts_text,
+    is_another_scene,
     line_dict,
     pose_errors_text,
     scene_dict,
@@ -73,22 +74,27 @@ def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
     decoders: dict[str, Decoder] = {}
-    scenes: dict[str, ReceivedScene] = {}  # the newest of each channel, with --scenes
+    monitors: dict[str, Monitor] = {}
+    scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
     last_ns = status = beyond = 0
     has_time = True
     log = sys.stdin.buffer if arguments.log == "-" else arguments.log
 
-    def print_scene(channel: str, received: ReceivedScene) -> None:
-        row = scene_dict(received) | ({} if has_time else {"t": None})
+    def print_scene(channel: str, view: SceneView) -> None:
+        row = scene_dict(view) | ({} if has_time else {"t": None})
         print(json.dumps(row | {"channel": channel}), flush=True)
 
     def see(channel: str) -> None:
         """Print the scene before if there is a new one, which may still get lines."""
-        if arguments.scenes and (scene := decoders[channel].scene()) is not None:
-            before = scenes.get(channel, scene)
-            if (before.t_ns, before.counter) != (scene.t_ns, scene.counter):
-                print_scene(channel, before)
-            scenes[channel] = scene
+        if not arguments.scenes:
+            return
+        view = monitors[channel].latest_scene(last_ns)
+        before = scenes.get(channel, view)
+        is_new = is_another_scene(view, before)
+        if is_new:
+            print_scene(channel, before)
+        if view.received is not None and (is_new or before is view or not view.stale):
+            scenes[channel] = view
 
     def lines() -> Generator[tuple[str, MapLine], None, None]:
         nonlocal last_ns, status, beyond, has_time
@@ -99,13 +105,14 @@ def _decode(arguments: argparse.Namespace) -> int:
                         beyond += 1
                         continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
+                    monitors[frame.channel] = Monitor(decoders[frame.channel])
                 has_time = frame.has_time
                 last_ns = frame.t_ns
-                result = decoders[frame.channel].feed(
+                result = monitors[frame.channel].feed(
                     frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
                 )
                 if isinstance(result, MapLine):
-                    for line in (result, *decoders[frame.channel].further):
+                    for line in (result, *monitors[frame.channel].further):
                         yield frame.channel, line if has_time else replace(line, t_ns=None)
                 see(frame.channel)
         except LogError as error:  # the intact records have been read by now

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..line import PARAMETERS, LeftOut, MapLine, Slot, Status
 from ..scene import Estimate, Scene
-from ..wire import E2EState, ProfileStatus, ReceivedScene, SlotStats
+from ..wire import E2EState, ProfileStatus, SceneView, SlotStats
 
 #: Name of the pose error among those of the slots.
 POSE_ERROR = "pose error"
@@ -89,29 +89,37 @@ def pose_errors_text(count: int) -> str:
     return f" and {count} pose errors" if count else ""
 
 
-def scene_text(received: ReceivedScene) -> str:
-    """Return the width and the centre of the ego lane in one row; empty if it was not received."""
-    lane = _lane(received.scene)
-    if not lane:
+def scene_text(view: SceneView) -> str:
+    """Return the width and the centre of the ego lane in one row; empty if it was not received.
+
+    Two senders are named, since the lane may then be that of another car.
+    """
+    lane = [] if view.scene is None else _lane(view.scene)
+    if view.received is None or not lane:
         return ""
-    head = f"{received.t_ns / 1e9:.3f}  {'ego lane':<10}  "
+    head = f"{view.received.t_ns / 1e9:.3f}  {'ego lane':<10}  "
     at = "/".join(f"{x:g}" for x, _, _ in lane)
     widths = ", ".join(f"{width.value:.3f} ± {width.sigma:.3f}" for _, width, _ in lane)
     centres = ", ".join(f"{centre.value:+.3f} ± {centre.sigma:.3f}" for _, _, centre in lane)
-    return f"{head}at {at} m: width {widths} m  centre {centres} m"
+    warning = "  not usable: two senders" * view.two_senders
+    return f"{head}at {at} m: width {widths} m  centre {centres} m{warning}"
 
 
-def scene_dict(received: ReceivedScene) -> dict[str, Any]:
-    """Return a scene with the joint covariance of its lines, for JSON.
+def scene_dict(view: SceneView) -> dict[str, Any]:
+    """Return a scene with the joint covariance of its lines, for JSON; empty before the first.
 
     An age or a correlation time that is infinite is None.
     """
-    scene, age = received.scene, received.age
+    if view.received is None:
+        return {}
+    scene, age = view.received.scene, view.received.age
     time, lane = scene.pose_error.correlation_time, _lane(scene)
     return {
-        "t": received.t_ns / 1e9,
+        "t": view.received.t_ns / 1e9,
         "scene": [line.slot.name for line in scene.lines],
         "age": age if math.isfinite(age) else None,
+        "usable": view.usable,
+        "two_senders": view.two_senders,
         "pose_error": {
             "cov": scene.pose_error.cov.tolist(),
             "correlation_time": time if math.isfinite(time) else None,
@@ -120,6 +128,14 @@ def scene_dict(received: ReceivedScene) -> dict[str, Any]:
         "width": [{"x": x} | _estimate(width) for x, width, _ in lane],
         "centre": [{"x": x} | _estimate(centre) for x, _, centre in lane],
     }
+
+
+def is_another_scene(view: SceneView, before: SceneView) -> bool:
+    """Return whether a view shows another scene than the one before; each may show none."""
+    if view.received is None or before.received is None:
+        return False
+    new, old = view.received, before.received
+    return (new.counter, new.t_ns) != (old.counter, old.t_ns)
 
 
 def _lane(scene: Scene) -> list[tuple[float, Estimate, Estimate]]:

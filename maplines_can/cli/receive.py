@@ -10,7 +10,7 @@ from typing import Any
 
 from ..bus import Link, Receiver, ReceiverStats
 from ..line import MapLine
-from ..wire import E2EState, ReceivedScene, SlotStats
+from ..wire import E2EState, SceneView, SlotStats
 from .options import (
     add_bus,
     add_codec,
@@ -32,6 +32,7 @@ from .output import (
     check_text,
     counts_text,
     faults_text,
+    is_another_scene,
     line_dict,
     line_text,
     pose_errors_text,
@@ -94,7 +95,7 @@ def _receive(arguments: argparse.Namespace) -> int:
     if arguments.scenes and not arguments.json:
         raise ValueError("--scenes needs --json; as text, the ego lane of scenes is printed anyway")
     left = arguments.count
-    scene: ReceivedScene | None = None  # the newest, to which late lines may come
+    scene: SceneView | None = None  # the newest, to which late lines may come
     opener = fault_opener(arguments)
     with (
         Link(opener, **bus_settings(arguments)) as link,
@@ -105,8 +106,8 @@ def _receive(arguments: argparse.Namespace) -> int:
         try:
             for line, check in _arriving(receiver, arguments.timeout):
                 if (arguments.scenes or not arguments.json) and codec.layout.pose is not None:
-                    now = receiver.latest_scene().received
-                    if scene is not None and now is not None and now.t_ns != scene.t_ns:
+                    now = receiver.latest_scene()
+                    if scene is not None and is_another_scene(now, scene):
                         _print_scene(scene, receiver, arguments)
                     scene = now
                 row = line_dict(line) | {"e2e": check_dict(check)}
@@ -151,8 +152,10 @@ def _checks(receiver: Receiver) -> dict[str, SlotStats]:
     return slots | ({} if pose_error is None else {POSE_ERROR: pose_error})
 
 
-def _print_scene(scene: ReceivedScene, receiver: Receiver, arguments: argparse.Namespace) -> None:
+def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Namespace) -> None:
     """Print a scene as a row of JSON; or its ego lane as a row of text, if it has one."""
+    if scene.received is None:
+        return
     if arguments.json:
         check = receiver.pose_error()
         row = scene_dict(scene) | ({} if check is None else {"e2e": check_dict(check)})

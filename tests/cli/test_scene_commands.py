@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from dbcs import DBC, edited
 from drive_files import run, town
+from sender_pairs import Sender, merged
 
 from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log, scenario
 from maplines_can.cli import main
@@ -333,11 +334,41 @@ def test_decode_prints_each_scene_on_request(
         rows = [row for row in rows_of(out)[1] if row["channel"] == channel]
         for row, scene in zip(rows, scenes, strict=True):
             check_row(row, scene)
+            assert (row["usable"], row["two_senders"]) == (False, False)  # INIT
         assert f"{channel} pose error: INIT; {CYCLES} ok, 0 lost" in err
     assert f"{8 * CYCLES} lines and {2 * CYCLES} pose errors from" in err
     assert "dropped frames: none" in err
     assert main([*decode, "--csv"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(lines)
+
+
+@pytest.mark.parametrize(("name", "every"), [(CONDITIONAL, 3), ("maplines.dbc", 10)])
+def test_decode_says_which_scenes_are_usable(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, every: int
+) -> None:
+    """None of two senders; before the second one, all after the state INIT."""
+    end = 20 + 3 * every
+    events = merged(name, [Sender(0), Sender(1, every, start=20.2, counters={POSE: 3})], end)
+    transfers = [(100 + event.t_ns / 1e9, None, [event.frame]) for event in events]
+    decode = write_log(tmp_path / "two.log", transfers, "can0") + RECEIVING[name]
+    assert main([*decode, "--scenes"]) == 0
+    _, rows = rows_of(capsys.readouterr().out)
+    found = [(row["usable"], row["two_senders"]) for row in rows]
+    assert found[:20] == [(False, False)] * 6 + [(True, False)] * 14
+    assert {*found[20:]} == {(False, True)}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_receive_names_two_senders_of_a_scene(
+    replay: Any, channel: str, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Beside the ego lane, which may be that of the other car."""
+    events = merged(name, [Sender(0), Sender(1, 3, start=4.2)], 12)
+    replay([(100 + event.t_ns / 1e9, [event.frame]) for event in events])
+    bus = ["--interface", "virtual", "--channel", channel, "--count", "20"]
+    assert main(["receive", *bus, *RECEIVING[name]]) == 0
+    *_, last = [row for row in capsys.readouterr().out.splitlines() if "ego lane" in row]
+    assert last.endswith("m  not usable: two senders")
 
 
 def test_decode_prints_scenes_that_lack_lines(

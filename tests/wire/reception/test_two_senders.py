@@ -17,8 +17,15 @@ import pytest
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 from scene_streams import COMPLETE, CONDITIONAL, FRAME_NS, PERIOD_NS, codec_of
-from sender_pairs import SLOTS, Event, Sender, build_each_scene_once, merged
-from sender_pairs import senders_of, senders_of_line
+from sender_pairs import (
+    SLOTS,
+    Event,
+    Sender,
+    build_each_scene_once,
+    merged,
+    senders_of,
+    senders_of_line,
+)
 
 from maplines_can import Monitor, SceneView, Slot, SlotView
 from maplines_can.wire import POSE, E2EConfig, E2EState, SequenceCheck
