@@ -13,12 +13,21 @@ from maplines_can.bus import Sent
 from maplines_can.wire import E2EState
 
 
-def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
-    """Many threads at once request the newest line: VALID while lines are received, then stale."""
+def test_a_controller_sees_a_slot_become_valid_and_stale(
+    monkeypatch: pytest.MonkeyPatch, channel: Any
+) -> None:
+    """Many threads at once request the newest line: VALID while lines are received, then stale.
+
+    The time is that of the test, which goes on when a line has been received.
+    """
+    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    bus = {"interface": "virtual", "channel": channel}
     codec, wrong = new_codec(), []
-    # With lines at 50 Hz and no time-out: a busy machine is no fault here.
-    decoder = codec.decoder(cycle_ms=100, timeout_ms=3_600_000)
-    with Receiver(links[1], decoder) as receiver:
+    with (
+        Link(**bus, preserve_timestamps=True) as link,
+        Link(**bus) as other,
+        Receiver(other, codec.decoder()) as receiver,
+    ):
         stop = threading.Event()
 
         def control() -> None:
@@ -27,19 +36,28 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(links: Any) -> None:
                 if view.line is not None and view.age < view.line.age:
                     wrong.append(view)
 
-        threads = [threading.Thread(target=control) for _ in range(3)]
+        threads = [threading.Thread(target=control, daemon=True) for _ in range(3)]
         for thread in threads:
             thread.start()
-        with Transmitter(links[0], codec, period=0.02) as transmitter:
-
-            def usable() -> bool:
-                transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
-                return receiver.latest(SLOT).usable
-
-            wait_until(usable)
-        wait_until(lambda: receiver.latest(SLOT).stale)
-        wait_until(lambda: receiver.latest(SLOT).state is E2EState.INVALID)
-        assert receiver.latest(SLOT).line.gaussian.mean[0] == 1.75  # type: ignore[union-attr]
+        with Transmitter(link, codec, period=0.05, clock=now.monotonic) as transmitter:
+            transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
+            now.ns += MS  # beyond the rounding of deadlines
+            for n in range(1, 11):
+                wait_until(lambda: receiver.stats().lines == n)  # noqa: B023
+                assert receiver.latest(SLOT).usable is (n > 6)
+                if n < 10:
+                    now.ns += 50 * MS
+                    transmitter.publish(MapLine.mean_only(SLOT, [1.75, 0, 0, 0]))
+        last_ns = now.ns
+        for late_ms, stale, state in [
+            (150, False, E2EState.VALID),
+            (151, True, E2EState.VALID),
+            (275, True, E2EState.INVALID),
+        ]:
+            now.ns = last_ns + late_ms * MS
+            view = receiver.latest(SLOT)
+            assert (view.stale, view.state, view.usable) == (stale, state, not stale)
+        assert view.line.gaussian.mean[0] == 1.75  # type: ignore[union-attr]
         stop.set()
         for thread in threads:
             thread.join()

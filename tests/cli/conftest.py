@@ -10,6 +10,8 @@ import pytest
 from can.interfaces import virtual
 from fake_bus import LONG, FakeTime, message_of, wait_until
 
+from maplines_can import MapLine, Receiver
+
 
 @pytest.fixture
 def channel() -> str:
@@ -55,3 +57,21 @@ def slot_notes(capsys: pytest.CaptureFixture[str]) -> Any:
         return rows[ends[-1] + 1 :]
 
     return notes
+
+
+@pytest.fixture
+def patient_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let no time of ``receive --timeout`` pass before a frame has come, and none while lines come.
+
+    A machine that is busy sends late, but not never.
+    """
+    clock, get = FakeTime(), Receiver.get
+
+    def get_and_pass_time(receiver: Receiver, timeout: float | None = None) -> MapLine | None:
+        line = get(receiver, timeout)
+        if line is None and receiver.stats().frames:
+            clock.ns += 1_000_000_000
+        return line
+
+    monkeypatch.setattr("maplines_can.cli.receive.time", clock)
+    monkeypatch.setattr(Receiver, "get", get_and_pass_time)

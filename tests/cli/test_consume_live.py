@@ -3,7 +3,6 @@
 import argparse
 import json
 import re
-import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -19,14 +18,12 @@ from fake_bus import FakeTime, message_of, wait_until
 from maplines_can import (
     Codec,
     Gaussian,
-    Link,
     MapLine,
     Motion,
     Polyline,
     Receiver,
     Scene,
     Slot,
-    Transmitter,
     map_scene,
 )
 from maplines_can.cli import main
@@ -344,7 +341,8 @@ CONSUMERS = [["steer"], ["fusion"], ["check", "--simulate"]]
 
 
 @pytest.mark.parametrize("consumer", CONSUMERS)
-def test_real_time_with_a_transmitter_until_ctrl_c(
+def test_a_consumer_runs_until_ctrl_c(
+    sending: Any,
     codec: Codec,
     scene: Scene,
     channel: str,
@@ -375,25 +373,9 @@ def test_real_time_with_a_transmitter_until_ctrl_c(
     else:
         is_compared = stop_at(lambda _, found: found.outcome.name == "CONSISTENT")
         monkeypatch.setattr(f"{module}._print", is_compared)
-    done = threading.Event()
-    with (
-        Link(interface="virtual", channel=channel) as link,
-        Transmitter(link, codec, period=0.05) as transmitter,
-    ):
-
-        def publish() -> None:
-            prepared = codec.prepare_scene(scene)
-            while not done.wait(0.02):
-                transmitter.publish(prepared)
-
-        thread = threading.Thread(target=publish)
-        thread.start()
-        try:
-            bus = ["--interface", "virtual", "--channel", channel, "--dbc", DBC]
-            status = main(["consume", *consumer, *bus, "--every", "0.05"])
-        finally:
-            done.set()
-            thread.join()
+    sending(scenes_of(codec, scene))
+    bus = ["--interface", "virtual", "--channel", channel, "--dbc", DBC]
+    status = main(["consume", *consumer, *bus, "--every", "0.05"])
     err = capsys.readouterr().err
     assert (status, "error" in err) == (0, False), err
 

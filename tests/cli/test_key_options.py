@@ -119,6 +119,7 @@ def test_the_demo_with_a_key(
     check_no_secret("".join([*text, *machine, caplog.text]))
 
 
+@pytest.mark.usefixtures("patient_timeout")
 def test_send_and_receive_with_keys(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

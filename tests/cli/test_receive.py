@@ -57,6 +57,7 @@ def test_item_11_nothing_received_is_an_error(
     assert "--fd" in last
 
 
+@pytest.mark.usefixtures("patient_timeout")
 def test_item_11_frames_without_a_line_are_an_error(
     capsys: pytest.CaptureFixture[str], channel: str
 ) -> None:
@@ -73,6 +74,7 @@ def test_item_11_frames_without_a_line_are_an_error(
     assert "frames have arrived, but none completed a line" in error
 
 
+@pytest.mark.usefixtures("patient_timeout")
 def test_item_11_a_receiver_that_outlives_its_sender_succeeds(
     capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
