@@ -12,6 +12,7 @@ from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 
 from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
+from maplines_can.wire.message.pose_layout import Owner
 from maplines_can.wire.message.pose_records import ConditionalRecord
 from maplines_can.wire.message.scene_reader import SceneReader
 
@@ -44,7 +45,7 @@ class Sender:
         """Yield its frames, a scene every ``every`` cycles."""
         scene, codec, k = prepared(dbc, self.number, tuple(self.slots)), codec_of(dbc), 0
         while (t := self.start + k * self.every) < min(self.stop, cycles):
-            counters = {
+            counters: dict[Owner, int] = {
                 owner: (self.counters.get(owner, 0) + k) % 256 for owner in (POSE, *self.slots)
             }
             owned = codec.encode_scene(scene, counters=counters)

@@ -82,7 +82,7 @@ def test_two_senders_in_phase_get_no_mixture_of_both(seed: int, k: int) -> None:
                     continue
                 t_ns = cycle * CYCLE_NS + (2 * i + j) * MS // 4
                 answer = monitor.feed(frame.can_id, frame.data, t_ns)
-                reused += j == 1 and came.all()
+                reused += bool(j == 1 and came.all())
                 if reused and isinstance(answer, MapLine):
                     assert len(sources(answer, cycle, k)) == 1
                 assert not (reused and monitor.latest(SLOT, t_ns).usable)

@@ -12,7 +12,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scene_streams import CONDITIONAL
 
-from maplines_can import Gaussian, GaussianMixture, MapLine, Monitor, Slot
+from maplines_can import (
+    Gaussian,
+    GaussianMixture,
+    MapLine,
+    Monitor,
+    SceneView,
+    Slot,
+    SlotView,
+)
 from maplines_can.wire import E2EState
 from maplines_can.wire.reception.monitor import CLOCK_JITTER_NS as JITTER
 
@@ -124,11 +132,12 @@ def test_what_comes_after_now_is_stale(now_ns: int, age: float) -> None:
     """Lines, mixtures and scenes: if the clock of the caller was set back, no age is known."""
     last, is_known = 9 * CYCLE, now_ns >= -JITTER
     scenes = scenes_until(age)
-    for view in (
+    views: list[SlotView | SceneView] = [
         *(lines_until(age).latest(slot, last + now_ns) for slot in (SLOT, Slot.EGO_RIGHT)),
         scenes.latest(SLOT, last + now_ns),
         scenes.latest_scene(last + now_ns),
-    ):
+    ]
+    for view in views:
         assert view.stale is not (is_known and now_ns <= 3 * CYCLE)
         assert view.usable is not view.stale
         assert math.isfinite(view.age) is is_known
