@@ -43,11 +43,10 @@ class Sender:
 
     def events(self, dbc: str, cycles: float) -> Iterator[Event]:
         """Yield its frames, a scene every ``every`` cycles."""
+        owners: list[Owner] = [POSE, *self.slots]
         scene, codec, k = prepared(dbc, self.number, tuple(self.slots)), codec_of(dbc), 0
         while (t := self.start + k * self.every) < min(self.stop, cycles):
-            counters: dict[Owner, int] = {
-                owner: (self.counters.get(owner, 0) + k) % 256 for owner in (POSE, *self.slots)
-            }
+            counters = {owner: (self.counters.get(owner, 0) + k) % 256 for owner in owners}
             owned = codec.encode_scene(scene, counters=counters)
             frames = [f for o, of in owned.items() if o != POSE or self.sends_pose for f in of]
             for i, frame in enumerate(frames):
