@@ -39,10 +39,9 @@ class SenderConflict:
         -----------|--------|--|---------|------------|--|---------|-----> time
                                 suspected STALE        STALE        STALE
 
-        one sender  41  42 43 44 lost, and a gateway held back 41    45       46
-        -------------------------------------------------------|---|--------|-----> time
-                                                               41   45       46
-                                                                    suspected not any more
+        one sender  41, held back by a gateway; 42, 43 and 44 are lost
+        --------------------------------41--45-------46----------------> time
+                                            suspected|not any more
 
     Otherwise the delivery of lines does not depend on this diagnostic. ``SlotView.usable`` and
     ``SceneView.usable`` do, on confirmed and on suspected senders.
