@@ -17,6 +17,7 @@ from ..line import Slot
 from ..propagation.motion import Motion
 from ..propagation.refit import MAX_MISFIT
 from ..scene import Scene
+from .curvature_limiter import CurvatureLimiter
 from .path import Path, lane_path
 
 #: Horizon of the preview [s].
@@ -37,6 +38,8 @@ MOST_CHANGES = 3.0
 CUT = 2 * MAX_MISFIT
 #: Longest age of a line that is followed, and in a handover, until the car has stopped [s].
 OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
+#: In a handover, the car brakes by so many times the deceleration for what is ahead.
+HANDOVER_BRAKING = 1.5
 
 
 class State(StrEnum):
@@ -76,7 +79,11 @@ class SteeringLimits:
     Args:
         acceleration: [m/s^2].
         deceleration: by which it slows down for what is ahead [m/s^2].
-        lateral_acceleration: in curves [m/s^2].
+        lateral_acceleration: for which the car slows down before curves [m/s^2].
+        max_lateral_acceleration: of the curvature demand at the speed of the car, whatever the
+            lines are [m/s^2]. The default is that of ISO 11270:2014, 5.4.
+        max_lateral_jerk: its largest change [m/s^3]. The default is that of ISO 11270:2014, 5.4,
+            which takes the mean over half a second; here it is for each update.
         curvature: the largest one that the car can steer [1/m].
         curvature_rate: the largest change of the demand [1/m/s].
         delay: of the actuator [s].
@@ -89,12 +96,15 @@ class SteeringLimits:
         least_speed: the car hands over rather than drive slower [m/s].
 
     Raises:
-        ValueError: a value is not positive and finite; delay, lag and reaction may be 0.
+        ValueError: a value is not positive and finite, where delay, lag and reaction may be 0; or
+            the lateral acceleration in curves is more than the largest one.
     """
 
     acceleration: float = 1.5
     deceleration: float = 2.5
     lateral_acceleration: float = 2.0
+    max_lateral_acceleration: float = 3.0
+    max_lateral_jerk: float = 5.0
     curvature: float = 0.2
     curvature_rate: float = 0.2
     delay: float = 0.1
@@ -112,6 +122,25 @@ class SteeringLimits:
             if not (0 < value < math.inf or (value == 0 and may_be_zero)):
                 least = "0 or more" if may_be_zero else "more than 0"
                 raise ValueError(f"{name} must be finite and {least}, got {value!r}")
+        if self.lateral_acceleration > self.max_lateral_acceleration:
+            raise ValueError(
+                f"lateral_acceleration must be max_lateral_acceleration at most, "
+                f"{self.max_lateral_acceleration:g} m/s^2, got {self.lateral_acceleration:g}"
+            )
+
+
+class _Lines(NamedTuple):
+    """Lines that are followed, and what the car has driven since their pose."""
+
+    scene: Scene
+    route: Slot | None
+    since: float  #: time since their pose [s]
+    moved: NDArray[np.float64]  #: displacement of the car since then
+
+    def after(self, dt: float, motion: Motion) -> _Lines:
+        """Return them after a further time [s]."""
+        moved = _composed(self.moved, motion.over(dt).mean)
+        return self._replace(since=self.since + dt, moved=moved)
 
 
 @dataclass
@@ -135,9 +164,16 @@ class LaneSteering:
             |  no line for 0.5 s, the band too wide at the car, range or band too short even for
             |  the least speed, car off the lane, curve too tight
             v                                          v
-        HANDOVER   until ``reset``; follows the last path by odometry, and brakes to a stop
+        HANDOVER   until ``reset``; follows the last accepted path by odometry, and brakes to a stop
 
-    It begins in HANDOVER, and drives as soon as the lines permit.
+    Lines are accepted if they permit to drive on. Those that make it hand over are not followed.
+    Lines that are no lane, such as those of swapped slots, count as none.
+
+    In each state the demand stays within the largest lateral acceleration and the largest lateral
+    jerk of the limits, and changes within one period at most, however late an update is
+    (``CurvatureLimiter``).
+
+    It begins in HANDOVER, with the curvature of the car, and drives as soon as the lines permit.
 
     Args:
         limits: of the car.
@@ -154,13 +190,11 @@ class LaneSteering:
 
     def reset(self) -> None:
         """Drive again after a handover."""
-        self._known: Scene | None = None  # the last one
-        self._since = 0.0  # time since its pose [s]
-        self._moved = np.zeros(3)  # displacement of the car since then
-        self._t = -math.inf
+        self._accepted: _Lines | None = None  # the last ones
         self._width: float | None = None
-        self._curvature: float | None = None  # the last demand
-        self._speed: float | None = None
+        self._t = -math.inf
+        self._limiter: CurvatureLimiter | None = None  # from the first update on
+        self._speed = 0.0  # the last demand [m/s]
         self._handover = Reason.NONE
         self._engaged = False  # whether it has driven yet
 
@@ -179,7 +213,8 @@ class LaneSteering:
             t: time, later than that of the last update [s].
             scene: received lines; None if there are none that are usable. One without the lines
                 that are followed is not used.
-            age: time from the pose of the scene to ``t`` [s].
+            age: time from the pose of the scene to ``t`` [s]. A scene is not used if it is older
+                than 0.5 s, or if its pose is in the future by more than a period.
             motion: of the car.
             set_speed: speed that the car shall have if nothing limits it [m/s].
             route: slot of a line to follow itself, as in a lane change; None for the ego lane.
@@ -192,63 +227,109 @@ class LaneSteering:
         if not 0 <= set_speed < math.inf:
             raise ValueError(f"set_speed must be finite and 0 m/s or more, got {set_speed!r}")
         limits = self.limits
-        speed = max(motion.speed, 0.0)
-        actual = motion.yaw_rate / speed if speed > 0.5 else self._curvature or 0.0
-        if self._curvature is None:
-            self._curvature = actual
-        if self._speed is None:
-            self._speed = speed
-        # A line may be lost, and the first scene grows line by line.
-        followed = (Slot.EGO_LEFT, Slot.EGO_RIGHT) if route is None else (route,)
-        if scene is not None and any(slot in scene.index for slot in followed):
-            self._known, self._since, self._moved = scene, age, motion.over(age).mean
-        elif self._known is not None:
-            dt = t - self._t
-            self._since += dt
-            self._moved = _composed(self._moved, motion.over(dt).mean)
+        dt = self.period if self._t == -math.inf else t - self._t
         self._t = t
-        path = None
+        speed = max(motion.speed, 0.0)
+        actual = motion.yaw_rate / speed if speed > 0.5 else None
+        limiter = self._limiter = self._limiter or self._first_demand(actual or 0.0, speed)
+        actual = limiter.demand if actual is None else actual
+        if self._accepted is not None:
+            self._accepted = self._accepted.after(dt, motion)
         # Until the actuator reacts, the curvature tends to the last demand.
         rest = 0.0 if limits.lag == 0 else math.exp(-limits.delay / limits.lag)
-        then = self._curvature + (actual - self._curvature) * rest
-        oldest = OLDEST if self._handover is Reason.NONE else OLDEST_IN_HANDOVER
-        if self._known is not None and self._since <= oldest:
-            ahead = Motion(speed, speed * (actual + then) / 2).over(limits.delay).mean
-            odometry = motion.over(self._since + limits.delay)
-            moved = Gaussian.trusted(_composed(self._moved, ahead), odometry.cov)
-            path, self._width = lane_path(self._known, moved, self._width, route)
+        then = limiter.demand + (actual - limiter.demand) * rest
+        ahead = Motion(speed, speed * (actual + then) / 2).over(limits.delay).mean
+
+        lines = self._usable(scene, age, motion, route)
+        path, width = self._path(lines, motion, ahead)
         reason, fastest = self._fastest(path, speed, set_speed)
+        if path is not None and (fastest > 0 or reason is Reason.NONE):
+            self._accepted, self._width = lines, width
+        else:
+            kept, _ = self._path(self._accepted, motion, ahead)
+            if path is None and self._accepted is not None and self._accepted.since <= OLDEST:
+                reason, fastest = self._fastest(kept, speed, set_speed)
+            path = kept if self._engaged else path
+
         if self._handover is not Reason.NONE:
             state, reason, fastest = State.HANDOVER, self._handover, 0.0
         elif fastest == 0.0 and reason is not Reason.NONE:
             state, self._handover = State.HANDOVER, reason if self._engaged else Reason.NONE
         else:
             state = State.DRIVING if reason is Reason.NONE else State.SLOWING
-            self._engaged = True
-        brake = limits.deceleration * (1.5 if state is State.HANDOVER else 1.0)
-        slower = self._speed - brake * self.period
-        self._speed = min(max(fastest, slower), self._speed + limits.acceleration * self.period)
-        if path is not None:
-            self._steer(path, speed, then)
-        return Command(self._curvature, self._speed, state, reason, path)
+            if not self._engaged:  # until now, the driver has driven
+                self._speed, self._engaged = speed, True
+        brake = limits.deceleration * (HANDOVER_BRAKING if state is State.HANDOVER else 1.0)
+        faster = self._speed + limits.acceleration * min(dt, self.period)
+        self._speed = min(max(fastest, self._speed - brake * dt), faster)
+        wanted = limiter.demand
+        if not self._engaged:
+            wanted = actual
+        elif path is not None:
+            wanted += self._change(path, speed, then, limiter)
+        demand = limiter.advance(wanted, motion.speed, dt, self.period)
+        return Command(demand, self._speed, state, reason, path)
 
-    def _steer(self, path: Path, speed: float, curvature: float) -> None:
-        """Advance the curvature demand by preview control, within its limits.
+    def _first_demand(self, curvature: float, speed: float) -> CurvatureLimiter:
+        """Return the limiter, whose last demand is the curvature that the car has [1/m]."""
+        limits = self.limits
+        limiter = CurvatureLimiter(
+            limits.curvature,
+            limits.curvature_rate,
+            limits.max_lateral_acceleration,
+            limits.max_lateral_jerk,
+            HANDOVER_BRAKING * limits.deceleration,
+        )
+        limiter.begin(curvature, speed)
+        self._speed = speed
+        return limiter
+
+    def _usable(
+        self, scene: Scene | None, age: float, motion: Motion, route: Slot | None
+    ) -> _Lines | None:
+        """Return the lines of a scene; None if they are not to be used, or not any more."""
+        if scene is None or self._handover is not Reason.NONE:
+            return None
+        # A line may be lost, and the first scene grows line by line.
+        followed = (Slot.EGO_LEFT, Slot.EGO_RIGHT) if route is None else (route,)
+        if not (-self.period <= age <= OLDEST and any(slot in scene.index for slot in followed)):
+            return None
+        return _Lines(scene, route, age, motion.over(age).mean)
+
+    def _path(
+        self, lines: _Lines | None, motion: Motion, ahead: NDArray[np.float64]
+    ) -> tuple[Path | None, float | None]:
+        """Return the path of lines when the actuator reacts, None if it has none, and their width.
+
+        Args:
+            lines: to follow.
+            motion: of the car.
+            ahead: (3,) displacement until the actuator reacts.
+        """
+        if lines is None or lines.since > OLDEST_IN_HANDOVER:
+            return None, None
+        odometry = motion.over(lines.since + self.limits.delay)
+        moved = Gaussian.trusted(_composed(lines.moved, ahead), odometry.cov)
+        path, width = lane_path(lines.scene, moved, self._width, lines.route)
+        if path is None or not all(np.isfinite(values).all() for values in path):
+            return None, None
+        return path, width
+
+    def _change(
+        self, path: Path, speed: float, curvature: float, limiter: CurvatureLimiter
+    ) -> float:
+        """Return the change of the curvature demand by preview control.
 
         The offset counts up to that for which it alone demands ``MOST_CHANGES`` times the largest
         change of the curvature. Else the demand runs into its limits, from which it comes back too
         late, and the car swings.
         """
-        limits, last = self.limits, self._curvature or 0.0
         steps = max(1, round(speed / SPEED_STEP))
-        K, F = preview_gains(steps * SPEED_STEP, self.period, limits.lag)
+        K, F = preview_gains(steps * SPEED_STEP, self.period, self.limits.lag)
         ahead = path.curvature_at(np.linspace(0.0, speed * self.period * (len(F) - 1), len(F)))
-        most = limits.curvature_rate * self.period
-        largest = MOST_CHANGES * most / K[0]
+        largest = MOST_CHANGES * limiter.max_change(speed, self.period) / K[0]
         offset = min(max(path.offset, -largest), largest)
-        change = float(-K @ [offset, path.heading, curvature, last] + F @ ahead)
-        demand = last + min(max(change, -most), most)
-        self._curvature = min(max(demand, -limits.curvature), limits.curvature)
+        return float(-K @ [offset, path.heading, curvature, limiter.demand] + F @ ahead)
 
     def _fastest(self, path: Path | None, speed: float, set_speed: float) -> tuple[Reason, float]:
         """Return the largest speed now, and what limits it; 0 m/s for a handover."""
