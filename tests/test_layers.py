@@ -64,8 +64,8 @@ ego.localisation.observation_models ego.localisation.correlation ego.localisatio
 ego.localisation ego.simulated_sensors ego.simulated_localisation
 ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
 ego.scan_matching ego
-consumers.consistency consumers.plausibility consumers.path consumers.curvature_limiter consumers.steering
-consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
+consumers.consistency consumers.plausibility consumers.path consumers.curvature_limiter
+consumers.steering consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
 cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
 cli.driving cli.ways cli.consume_input cli.consume_camera cli.consume_motion

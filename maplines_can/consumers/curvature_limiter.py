@@ -77,15 +77,14 @@ class CurvatureLimiter:
             step: longest time for which the demand may change [s]. A demand that comes late jumps
                 no farther than one that is in time.
         """
-        last, dt_step = self.demand, min(dt, step)
-        before = max(self._speed, STANDSTILL)
-        speed = max(abs(speed), before - MAX_DECELERATION * dt, STANDSTILL)
+        last, before, dt_step = self.demand, self._speed, min(dt, step)
+        speed = max(abs(speed), before - MAX_DECELERATION * dt)
         if not math.isfinite(wanted):
             wanted = last
         change = self.max_change(speed, dt_step)
         demand = _clip(wanted, last - change, last + change)
-        a, most = last * before**2, self.jerk * dt_step
-        low, high = (a - most) / speed**2, (a + most) / speed**2
+        a, most, square = last * before**2, self.jerk * dt_step, max(speed, STANDSTILL) ** 2
+        low, high = (a - most) / square, (a + most) / square
         if speed < before:
             low, high = min(low, last), max(high, last)
         bound = self.bound(speed)

@@ -310,7 +310,8 @@ class LaneSteering:
             return None, None
         odometry = motion.over(lines.since + self.limits.delay)
         moved = Gaussian.trusted(_composed(lines.moved, ahead), odometry.cov)
-        path, width = lane_path(lines.scene, moved, self._width, lines.route)
+        with np.errstate(all="ignore"):  # what is not finite is no path
+            path, width = lane_path(lines.scene, moved, self._width, lines.route)
         if path is None or not all(np.isfinite(values).all() for values in path):
             return None, None
         return path, width
@@ -351,7 +352,7 @@ class LaneSteering:
         if _tight_from(path, limits.curvature) <= stopping:
             return Reason.TIGHT, 0.0
         bend = np.abs(path.curvature).clip(max=limits.curvature)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", over="ignore"):
             squared = limits.lateral_acceleration / bend
         squared += 2 * limits.deceleration * np.maximum(path.s - speed * limits.reaction, 0.0)
         speeds[Reason.CURVE] = math.sqrt(float(squared.min()))
