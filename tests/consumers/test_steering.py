@@ -272,6 +272,26 @@ def test_wrong_limits_raise(name: str, value: float) -> None:
         SteeringLimits(**{name: value})
 
 
+@pytest.mark.parametrize("name", SteeringLimits.__dataclass_fields__)
+def test_only_times_of_the_reaction_may_be_zero(name: str) -> None:
+    if name in {"delay", "lag", "reaction"}:
+        limits = SteeringLimits(**{name: 0.0})
+        assert getattr(limits, name) == 0.0
+        commands = driven(LaneSteering(limits), [straight(offset=0.3)] * 3)
+        assert commands[-1].curvature > 0
+    else:
+        with pytest.raises(ValueError, match=f"{name} must be finite and more than 0, got 0.0"):
+            SteeringLimits(**{name: 0.0})
+
+
+def test_more_lateral_acceleration_in_curves_than_at_all_raises() -> None:
+    limits = SteeringLimits(lateral_acceleration=3.0)
+    assert limits.lateral_acceleration == limits.max_lateral_acceleration
+    with pytest.raises(ValueError, match="must be max_lateral_acceleration at most, 3 m/s"):
+        SteeringLimits(lateral_acceleration=3.1)
+    assert SteeringLimits(lateral_acceleration=3.1, max_lateral_acceleration=3.2)
+
+
 @pytest.mark.parametrize("period", [0.0, 0.21, math.nan])
 def test_wrong_periods_raise(period: float) -> None:
     with pytest.raises(ValueError, match="period must be more than 0"):

@@ -1,6 +1,7 @@
 """Car, localisation and a short closed loop."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -113,23 +114,58 @@ def test_a_scene_without_a_line_keeps_what_belongs_to_the_others() -> None:
     assert rest.cov == pytest.approx(scene.cov[4:, 4:])
 
 
-@pytest.mark.parametrize(("speed", "heading"), [(0.0, 0.2), (1.0, 0.0), (3.0, 0.2), (10.0, 0.05)])
+def lane_around(car: Car, middle: float = 0.0) -> Scene:
+    """Scene of a straight lane along x as a car sees it, whose middle is at this y [m]."""
+    _, y, psi = car.pose
+    lines = tuple(
+        MapLine(slot, Gaussian([(middle + d - y) / math.cos(psi), -psi, 0, 0],
+                               np.diag([1e-4, 0, 0, 0])), x_min=-4.0, x_max=200.0)
+        for slot, d in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
+    )  # fmt: skip
+    cov: Any = np.kron(np.eye(2), lines[0].gaussian.cov)
+    return Scene(lines, cov, PoseError(np.zeros((3, 3))), np.array([[-4.0, 200.0]] * 2))
+
+
+def drive(
+    steering: LaneSteering, car: Car, middles: Sequence[float], set_speed: float
+) -> tuple[list[Any], Any]:
+    """Return the commands, and the lateral positions after them, of a car in a lane that jumps."""
+    commands, offsets = [], []
+    for k, middle in enumerate(middles):
+        motion = Motion(car.speed, car.speed * car.curvature)
+        scene = lane_around(car, middle)
+        commands.append(steering.update(0.05 * k, scene, 0.0, motion, set_speed))
+        car.drive(commands[-1].curvature, commands[-1].speed, 0.05)
+        offsets.append(car.pose[1])
+    return commands, np.array(offsets)
+
+
+@pytest.mark.parametrize(
+    ("speed", "heading"),
+    [(0.0, 0.2), (1.0, 0.0), (3.0, 0.2), (10.0, 0.05), (20.0, 0.0), (35.0, 0.02)],
+)
 def test_a_car_that_is_far_off_the_path_does_not_swing(speed: float, heading: float) -> None:
     """The limits of the curvature and of its rate hold the car back, most of all when it starts."""
-    car, steering = Car(np.array([0.0, 0.5, heading]), speed), LaneSteering()
-    offsets = []
-    for k in range(200):
-        _, y, psi = car.pose
-        lines = tuple(
-            MapLine(slot, Gaussian([(d - y) / math.cos(psi), -psi, 0, 0], np.diag([1e-4, 0, 0, 0])),
-                    x_min=-4.0, x_max=80.0)
-            for slot, d in ((Slot.EGO_LEFT, 1.75), (Slot.EGO_RIGHT, -1.75))
-        )  # fmt: skip
-        cov: Any = np.kron(np.eye(2), lines[0].gaussian.cov)
-        scene = Scene(lines, cov, PoseError(np.zeros((3, 3))), np.array([[-4.0, 80.0]] * 2))
-        motion = Motion(car.speed, car.speed * car.curvature)
-        command = steering.update(0.05 * k, scene, 0.0, motion, 12.0)
-        car.drive(command.curvature, command.speed, 0.05)
-        offsets.append(car.pose[1])
-    assert min(offsets) > -0.15
+    car = Car(np.array([0.0, 0.5, heading]), speed)
+    _, offsets = drive(LaneSteering(), car, [0.0] * 200, max(speed, 12.0))
+    assert offsets.min() > -0.15
     assert np.abs(offsets[-40:]).max() < 0.02
+
+
+@pytest.mark.parametrize("speed", [10.0, 25.0])
+def test_a_car_stays_in_its_lane_if_the_lines_jump_to_the_next_one(speed: float) -> None:
+    """It hands over, and stops where it was: lines that jump are no reason to leave the lane."""
+    car = Car(np.zeros(3), speed)
+    commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [3.5] * 160, speed)
+    assert (commands[20].state, commands[20].reason) == (State.HANDOVER, Reason.OFF_LANE)
+    assert np.abs(offsets).max() < 0.05
+    assert car.speed < 0.05
+
+
+def test_a_short_jump_within_the_lane_moves_the_car_little() -> None:
+    """By 1.1 m for half a second: it follows as far as the limits permit, and comes back."""
+    car = Car(np.zeros(3), 25.0)
+    commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [1.1] * 10 + [0.0] * 100, 25.0)
+    assert {command.state for command in commands} == {State.DRIVING}
+    assert 0.05 < np.abs(offsets).max() < 0.45
+    assert np.abs(offsets[-20:]).max() < 0.02
