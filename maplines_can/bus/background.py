@@ -55,8 +55,11 @@ class BackgroundThread(ABC):
         self._ended = False  # the thread has ended, or will never start
         self._error: Exception | None = None
         self._error_raised = False
+        self._name = name
+        # Made when it is started: in a forked child, Python 3.13 takes each thread object of the
+        # parent for one that has ended, even if it was never started.
+        self._thread: threading.Thread | None = None
         self._process: int | None = None  # the process in which the thread was started
-        self._thread = threading.Thread(target=self._run_and_end, name=name, daemon=True)
 
     @abstractmethod
     def start(self) -> Self:
@@ -106,8 +109,11 @@ class BackgroundThread(ABC):
     @property
     def _alive(self) -> bool:
         # Not Thread.is_alive: if Ctrl-C interrupts it, Python 3.11 marks the thread as ended.
-        is_started = self._thread.ident is not None and self._process == os.getpid()
-        return is_started and not self._ended
+        return self._is_started and self._process == os.getpid() and not self._ended
+
+    @property
+    def _is_started(self) -> bool:
+        return self._thread is not None and self._thread.ident is not None
 
     @property
     def _is_stopped(self) -> bool:
@@ -115,7 +121,11 @@ class BackgroundThread(ABC):
         return self._stopping or self._process not in (None, os.getpid())
 
     def _start_thread(self) -> Self:
+        if self._is_started:
+            name = type(self).__name__
+            raise RuntimeError(f"a {name} can be started only once; make a new one")
         self._process = os.getpid()
+        self._thread = threading.Thread(target=self._run_and_end, name=self._name, daemon=True)
         self._thread.start()
         return self
 

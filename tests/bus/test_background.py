@@ -86,16 +86,32 @@ def test_a_thread_that_the_system_refuses_has_ended(monkeypatch: pytest.MonkeyPa
     def refuse(self: Any) -> None:
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(threading.Thread, "start", refuse)
     thread = Waiting()
-    with pytest.raises(RuntimeError, match="can't start"):
-        thread.start()
+    with monkeypatch.context() as patch:
+        patch.setattr(threading.Thread, "start", refuse)
+        with pytest.raises(RuntimeError, match="can't start"):
+            thread.start()
     assert thread.wait(0.0)
+    thread.go.set()
+    assert thread.start().wait(LONG)
     thread.stop()
 
 
 def test_a_thread_does_not_keep_a_program_from_ending() -> None:
-    assert Waiting()._thread.daemon
+    thread = Waiting().start()
+    assert thread._thread.daemon
+    thread.go.set()
+    assert thread.wait(LONG)
+
+
+def test_a_thread_starts_once() -> None:
+    """Also after its end; if the system refused it, it may be started again."""
+    thread = Waiting().start()
+    for _ in range(2):
+        with pytest.raises(RuntimeError, match="a Waiting can be started only once"):
+            thread.start()
+        thread.go.set()
+        assert thread.wait(LONG)
 
 
 def test_a_thread_that_was_stopped_before_its_start_has_ended() -> None:

@@ -14,6 +14,7 @@ from fake_bus import LONG, FakeBus, FakeOpener, collect, map_line, send_frames, 
 from fake_codec import FakeCodec
 
 from maplines_can.bus import LineListener, Link, Receiver, Transmitter
+from maplines_can.testing import FaultyBus
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork on this system"),
@@ -118,6 +119,27 @@ def test_what_was_never_started_can_be_started_in_the_child() -> None:
 
     assert in_child(check) == 0
     assert transmitter.stats().lines == 0
+
+
+def test_a_thread_object_is_made_when_it_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Since Python 3.13, one that was made before a fork has ended in the child."""
+    made: list[threading.Thread] = []
+    init = threading.Thread.__init__
+
+    def noted(self: threading.Thread, *args: Any, **settings: Any) -> None:
+        made.append(self)
+        init(self, *args, **settings)
+
+    monkeypatch.setattr(threading.Thread, "__init__", noted)
+    codec, bus = FakeCodec(), FakeBus()
+    transmitter = Transmitter(bus, codec)  # type: ignore[arg-type]
+    receiver = Receiver(bus, codec.decoder())
+    with FaultyBus(bus, "loss=0.5,delay=0.1"):
+        assert not made
+    for thread in (transmitter, receiver):
+        with thread:
+            assert made.pop().is_alive()
+            assert not made
 
 
 def test_a_listener_works_in_the_child() -> None:
