@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Callable
 from itertools import accumulate
 from random import Random
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ..wire import Frame
 from .faults import DAMAGES, LAST_ID, LENGTHS, FaultKind, Faults, ScriptedFault, id_range
@@ -58,12 +58,27 @@ class FrameLike(Protocol):
 F = TypeVar("F", bound=FrameLike)
 
 
+class _Rates(NamedTuple):
+    """Faults that are active at the same time."""
+
+    faults: Faults
+    damages: list[tuple[float, FaultKind]]  #: cumulative rates
+
+    @classmethod
+    def of(cls, faults: Faults) -> _Rates:
+        rates = accumulate(getattr(faults, kind.value) for kind in DAMAGES)
+        return cls(faults, list(zip(rates, DAMAGES, strict=True)))
+
+
 class FaultInjector(Generic[F]):
     """Injector of the faults of ``Faults`` into a stream of frames, with counters.
 
     The same frames and times give the same faults for the same seed.  At any time
     ``frames + counts[DUPLICATED] + counts[FLOODED] == passed + counts[LOST] + held``.
     A fault without effect, such as a flipped bit in an empty frame, is not counted.
+
+    The intervals of the faults, and a flood, begin with the first call of `apply` or `due`, or of
+    `start`. The faults may be changed at any time; see `faults`.
 
     Args:
         faults: rates, script and seed.
@@ -83,23 +98,46 @@ class FaultInjector(Generic[F]):
         stream: str = "",
         make_frame: Callable[[int, bytes, bool, bool], Any] = Frame,
     ) -> None:
-        self._faults, self._make_frame = faults, make_frame
-        self._random = Random(f"{faults.seed} {stream}")  # noqa: S311 - not a secret
-        rates = accumulate(getattr(faults, kind.value) for kind in DAMAGES)
-        self._damages = list(zip(rates, DAMAGES, strict=True))  # cumulative rates
-        self._delays = faults.delay > 0 or faults.jitter > 0
-        self._last_scripted = max((fault.last for fault in faults.script), default=0)
+        self._stream, self._make_frame = stream, make_frame
         # Heaps of (frame number or time [s] of release, sequence number, frame).
         self._reordered: list[tuple[int, int, F]] = []
         self._delayed: list[tuple[float, int, F]] = []
         self._sequence = 0
-        self._flood_at: float | None = None
-        self._flood_ids = [id_range(ids) for ids in faults.flood_ids]
-        self._flood_ends = list(accumulate(map(len, self._flood_ids)))
         self.frames = 0  #: frames taken
         self.passed = 0  #: frames returned, those of a flood included
         self.left_out = 0  #: frames of a flood that were not asked for in time
         self.counts: Counter[FaultKind] = Counter()  #: faults injected so far
+        self.faults = faults
+
+    @property
+    def faults(self) -> Faults:
+        """The faults that are injected.
+
+        If they are set, the new ones begin: their seed, their intervals, and the frames that their
+        script counts. Frames that are held back remain so, and the counters go on.
+        """
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._faults = faults
+        self._random = Random(f"{faults.seed} {self._stream}")  # noqa: S311 - not a secret
+        self._changes = faults.changes
+        self._rates = [_Rates.of(faults.at(time)) for time in self._changes]
+        self._script_start = self.frames
+        self._last_scripted = max((fault.last for fault in faults.script), default=0)
+        self._flood_ids = [id_range(ids) for ids in faults.flood_ids]
+        self._flood_ends = list(accumulate(map(len, self._flood_ids)))
+        self._flood_times: list[tuple[float, float]] = []
+        self._flood_at = math.inf
+        self._start: float | None = None
+
+    def start(self, now: float) -> None:
+        """Begin the intervals of the faults and the flood at this time [s]."""
+        self._start = now
+        if self._faults.flood:
+            self._flood_times = [(now + a, now + b) for a, b in self._faults.intervals("flood")]
+            self._flood_at = self._next_flood(now)
 
     @property
     def held(self) -> int:
@@ -109,27 +147,28 @@ class FaultInjector(Generic[F]):
     @property
     def next_due(self) -> float:
         """Time at which `due` returns the next frame [s]; infinite if there is none."""
-        flood = math.inf if self._flood_at is None else self._flood_at
-        return min(self._delayed[0][0], flood) if self._delayed else flood
+        return min(self._delayed[0][0], self._flood_at) if self._delayed else self._flood_at
 
     def apply(self, frame: F, now: float = 0.0) -> list[F]:
         """Take a frame; return the frames that are passed on at this moment, in order.
 
         Args:
             frame: a data frame.
-            now: on any monotonic clock [s]; needed for delays and floods only.
+            now: on any monotonic clock [s]; needed for delays, floods and intervals only.
         """
         self.frames += 1
         out: list[F] = []
         self._release(now, out)
-        scripted = self.frames <= self._last_scripted and self._apply_script(frame, now, out)
-        if not scripted and self._random.random() < self._faults.loss:
+        rates = self._rates_at(now)
+        if self._apply_script(frame, now, out):
+            pass
+        elif self._random.random() < rates.faults.loss:
             self.counts[FaultKind.LOST] += 1
-        elif not scripted:
-            self._pass_on(frame, now, out)
-            if self._random.random() < self._faults.duplicate:
+        else:
+            self._pass_on(frame, now, rates, out)
+            if self._random.random() < rates.faults.duplicate:
                 self.counts[FaultKind.DUPLICATED] += 1
-                self._pass_on(frame, now, out)
+                self._pass_on(frame, now, rates, out)
         while self._reordered and self._reordered[0][0] <= self.frames:
             out.append(heapq.heappop(self._reordered)[2])
         self.passed += len(out)
@@ -162,35 +201,48 @@ class FaultInjector(Generic[F]):
 
     # ---- rates ---------------------------------------------------------------------
 
-    def _pass_on(self, frame: F, now: float, out: list[F]) -> None:
+    def _rates_at(self, now: float) -> _Rates:
+        """Return the rates at a time [s]; the first ones for one before the start."""
+        elapsed = now - (now if self._start is None else self._start)
+        return self._rates[max(0, bisect_right(self._changes, elapsed) - 1)]
+
+    def _pass_on(self, frame: F, now: float, rates: _Rates, out: list[F]) -> None:
         """Pass one copy on, damaged or not, now or later."""
-        faults, draw = self._faults, self._random.random
+        faults, draw = rates.faults, self._random.random
         number = draw()
-        kind = next((kind for rate, kind in self._damages if number < rate), None)
+        kind = next((kind for rate, kind in rates.damages if number < rate), None)
         if kind is not None:
             frame = self._damaged(frame, kind, None)
         if draw() < faults.reorder:
             self._hold(frame, None)
-        elif self._delays and draw() < faults.late:
-            self._delay(frame, now, None)
+        elif (faults.delay > 0 or faults.jitter > 0) and draw() < faults.late:
+            self._delay(frame, now, faults, None)
         else:
             out.append(frame)
 
     def _release(self, now: float, out: list[F]) -> None:
+        if self._start is None:
+            self.start(now)
         while self._delayed and self._delayed[0][0] <= now:
             out.append(heapq.heappop(self._delayed)[2])
-        if self._faults.flood:
+        if self._flood_at <= now:
             out += self._flood(now)
+
+    def _next_flood(self, time: float) -> float:
+        """Return the time of the first frame of the flood that is not before a time [s]."""
+        step = 1 / self._faults.flood
+        for begin, end in self._flood_times:
+            if (first := max(time, begin + step)) < end:
+                return first
+        return math.inf
 
     def _flood(self, now: float) -> list[F]:
         step = 1 / self._faults.flood
-        if self._flood_at is None:  # the flood starts with the first call
-            self._flood_at = now + step
-        late = now - FLOOD_MAX_AGE - self._flood_at
-        if late > 0:
-            missed = math.ceil(late / step)
+        while self._flood_at < now - FLOOD_MAX_AGE:
+            end = next(end for _, end in self._flood_times if self._flood_at < end)
+            missed = math.ceil((min(now - FLOOD_MAX_AGE, end) - self._flood_at) / step)
             self.left_out += missed
-            self._flood_at += missed * step
+            self._flood_at = self._next_flood(self._flood_at + missed * step)
         made: list[F] = []
         while self._flood_at <= now and len(made) < FLOOD_BATCH:
             number = int(self._random.random() * self._flood_ends[-1])
@@ -198,7 +250,7 @@ class FaultInjector(Generic[F]):
             can_id = self._flood_ids[index][number - self._flood_ends[index]]
             data = self._random.randbytes(8)
             made.append(self._make_frame(can_id, data, False, can_id > LAST_ID))
-            self._flood_at += step
+            self._flood_at = self._next_flood(self._flood_at + step)
         self.counts[FaultKind.FLOODED] += len(made)
         return made
 
@@ -206,7 +258,10 @@ class FaultInjector(Generic[F]):
 
     def _apply_script(self, frame: F, now: float, out: list[F]) -> bool:
         """Inject the scripted faults of this frame; return False if there are none."""
-        faults = [f for f in self._faults.script if f.first <= self.frames <= f.last]
+        number = self.frames - self._script_start
+        if number > self._last_scripted:
+            return False
+        faults = [f for f in self._faults.script if f.first <= number <= f.last]
         kinds = {fault.kind for fault in faults}
         if FaultKind.LOST in kinds:
             self.counts[FaultKind.LOST] += 1
@@ -221,7 +276,7 @@ class FaultInjector(Generic[F]):
         if held and held[-1].kind is FaultKind.REORDERED:
             self._hold(frame, held[-1])
         elif held:
-            self._delay(frame, now, held[-1])
+            self._delay(frame, now, self._faults, held[-1].value)
         elif faults:
             out.append(frame)
         return bool(faults)
@@ -236,10 +291,9 @@ class FaultInjector(Generic[F]):
         self._sequence += 1
         heapq.heappush(self._reordered, (self.frames + int(places), self._sequence, frame))
 
-    def _delay(self, frame: F, now: float, fault: ScriptedFault | None) -> None:
-        delay = fault.value if fault else None
+    def _delay(self, frame: F, now: float, faults: Faults, delay: float | None) -> None:
         if delay is None:
-            delay = self._faults.delay + self._faults.jitter * self._random.random()
+            delay = faults.delay + faults.jitter * self._random.random()
         self.counts[FaultKind.DELAYED] += 1
         self._sequence += 1
         heapq.heappush(self._delayed, (now + delay, self._sequence, frame))

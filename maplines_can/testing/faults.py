@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -16,6 +17,7 @@ __all__ = [
     "LENGTHS",
     "FaultKind",
     "Faults",
+    "Interval",
     "ScriptedFault",
     "id_range",
 ]
@@ -88,6 +90,10 @@ _VALUES = {
 _ALIASES = {"dup": "duplicate"}
 _WORDS = {kind.value: kind for kind in FaultKind if kind is not FaultKind.FLOODED}
 _DIRECTIONS = ("both", "send", "receive")
+#: Fields that can have intervals. Outside of them, they are 0.
+_TIMED = (*_RATES, "delay", "jitter", "flood")
+#: Time in an interval [s].
+_TIME = r"((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE]-?[0-9]+)?)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +153,18 @@ class ScriptedFault:
         return cls(kind, int(match[1]), int(match[2] or match[1]), value)
 
 
+class Interval(NamedTuple):
+    """Time in which a fault is active, from the start of the injection on.
+
+    >>> Faults(loss=1.0, schedule=[Interval("loss", 2.0, 2.6)]).at(2.5).loss
+    1.0
+    """
+
+    field: str  #: of ``Faults``: a rate, delay, jitter or flood
+    begin: float  #: [s]
+    end: float  #: from which it is not active any more, may be infinite [s]
+
+
 @dataclass(frozen=True, slots=True)
 class Faults:
     """Rates of the faults to inject, a seed, and a script; by default there are no faults.
@@ -157,6 +175,9 @@ class Faults:
 
     A script names faults of single frames.  A frame that it names gets exactly these faults,
     whatever the rates.  If it is duplicated and held back, the second copy is held back.
+
+    A schedule has the times in which rates, delays and floods are active; those that it does not
+    name are active all the time.
 
     Raises:
         ValueError: a value is out of range, or the sum of the rates of damage exceeds 1.
@@ -171,6 +192,9 @@ class Faults:
     ValueError: faults: loss must be in [0, 1], got 10
     >>> Faults(script=[ScriptedFault.parse("loss 3")]).script[0].kind.name
     'LOST'
+    >>> faults = Faults.parse("dup=0.1,loss=1@2.0-2.6+5-")  # a short outage, and one that lasts
+    >>> [faults.at(t).loss for t in (1.9, 2.0, 2.6, 5.0)]
+    [0.0, 1.0, 0.0, 1.0]
     """
 
     loss: float = 0.0  #: rate of frames that are lost
@@ -192,11 +216,12 @@ class Faults:
     direction: str = "both"  #: which frames of a bus get faults: "send", "receive" or "both"
     seed: int = 0
     script: tuple[ScriptedFault, ...] = ()  #: faults of single frames
+    schedule: tuple[Interval, ...] = ()  #: times in which rates, delays and floods are active
 
     def __post_init__(self) -> None:
         if isinstance(self.flood_ids, range):
             object.__setattr__(self, "flood_ids", (self.flood_ids,))
-        for name in ("flood_ids", "script"):
+        for name in ("flood_ids", "script", "schedule"):
             values = getattr(self, name)
             if not isinstance(values, Iterable):
                 raise TypeError(f"faults: {name} must be a tuple, got {values!r}")
@@ -206,10 +231,12 @@ class Faults:
                 raise TypeError(f"faults: script must contain ScriptedFault objects, got {fault!r}")
         for name, limits in _LIMITS.items():
             limits.check(f"faults: {name}", getattr(self, name))
-        damage = sum(getattr(self, kind.value) for kind in DAMAGES)
+        object.__setattr__(self, "schedule", tuple(map(self._interval, self.schedule)))
+        names = [kind.value for kind in DAMAGES]
+        damage = max(sum(getattr(self.at(t), name) for name in names) for t in self.changes)
         if damage > 1 + 1e-9:
-            names = ", ".join(kind.value for kind in DAMAGES)
-            raise ValueError(f"faults: the sum of {names} must be 1 at most, got {damage:g}")
+            allowed = f"the sum of {', '.join(names)} must be 1 at most"
+            raise ValueError(f"faults: {allowed}, got {damage:g}")
         allowed = f"faults: flood_ids must be CAN IDs in [0, {LAST_EXTENDED_ID:#x}]"
         if not self.flood_ids:
             raise ValueError(f"{allowed}, got none")
@@ -225,6 +252,55 @@ class Faults:
         if self.direction not in _DIRECTIONS:
             allowed = ", ".join(_DIRECTIONS)
             raise ValueError(f"faults: direction must be {allowed}, got {self.direction!r}")
+
+    def _interval(self, interval: Interval) -> Interval:
+        """Return an interval of the schedule if it is valid."""
+        try:
+            name, begin, end = interval
+            valid = 0 <= begin < end
+        except (TypeError, ValueError):
+            raise TypeError(
+                "faults: schedule must contain (field, begin [s], end [s]), such as "
+                f"('loss', 2.0, 2.6), got {interval!r}"
+            ) from None
+        if name not in _TIMED:
+            raise ValueError(
+                f"faults: {name} cannot have an interval; {', '.join(_TIMED)} and corrupt can"
+            )
+        if not valid:
+            raise ValueError(
+                f"faults: the interval of {name} must have 0 <= begin < end [s], "
+                f"got {_shown(begin)} to {_shown(end)}"
+            )
+        if getattr(self, name) == 0:
+            raise ValueError(f"faults: {name} has an interval but is 0; give its value, too")
+        return Interval(name, float(begin), float(end))
+
+    @property
+    def changes(self) -> list[float]:
+        """Times from the start of the injection on at which `at` changes [s], 0 the first."""
+        times = {time for interval in self.schedule for time in interval[1:]}
+        return sorted({0.0, *times} - {math.inf})
+
+    def at(self, time: float) -> Self:
+        """Return the faults that are active at a time [s] after the start, without a schedule."""
+        if not self.schedule:
+            return self
+        names = {interval.field for interval in self.schedule}
+        active = {i.field for i in self.schedule if i.begin <= time < i.end}
+        inactive: dict[str, Any] = dict.fromkeys(names - active, 0.0)
+        return replace(self, schedule=(), **inactive)
+
+    def intervals(self, field: str) -> list[tuple[float, float]]:
+        """Return the begins and ends of the times in which a field is active [s], in order."""
+        own = sorted(interval[1:] for interval in self.schedule if interval.field == field)
+        merged: list[tuple[float, float]] = []
+        for begin, end in own or [(0.0, math.inf)]:
+            if merged and begin <= merged[-1][1]:
+                merged[-1] = merged[-1][0], max(end, merged[-1][1])
+            else:
+                merged.append((begin, end))
+        return merged
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -246,10 +322,14 @@ class Faults:
             wrong_id  33      0x123
             garbage   34
 
+        ``@FROM-TO`` after the value of a rate, a delay or a flood is the time in which it is active
+        [s]: ``loss=1@2.0-2.6``, without ``TO`` to the end; several are joined by plus signs.
+
         Raises:
             ValueError: a key or a value is wrong; the message has what is allowed.
         """
         values: dict[str, Any] = {}
+        schedule: list[Interval] = []
         for item in text.split(","):
             key, equals, value = (word.strip() for word in item.partition("="))
             if not (key and equals and value):
@@ -257,14 +337,18 @@ class Faults:
             name = _ALIASES.get(key, key)
             if name in values:
                 raise ValueError(f"faults: {name} is given twice")
-            values[name] = _parse_value(name, value)
+            number, at, times = value.partition("@" if name != "script" else "\0")
+            values[name] = _parse_value(name, number)
+            for span in _parse_times(value, times) if at else ():
+                timed = _CORRUPT if name == "corrupt" else (name,)
+                schedule += (Interval(field, *span) for field in timed)
         if "corrupt" in values:
             rate = values.pop("corrupt")
             if given := sorted(values.keys() & set(_CORRUPT)):
                 raise ValueError(f"faults: corrupt includes {given[0]}; give one of them only")
             _Limits(0, 1).check("faults: corrupt", rate)
             values |= dict.fromkeys(_CORRUPT, rate / len(_CORRUPT))
-        return cls(**values)
+        return cls(**values, schedule=tuple(schedule))
 
 
 def id_range(ids: int | range) -> range:
@@ -273,7 +357,7 @@ def id_range(ids: int | range) -> range:
 
 
 def _parse_value(name: str, text: str) -> Any:
-    known = [field.name for field in fields(Faults)]
+    known = [field.name for field in fields(Faults) if field.name != "schedule"]
     if name not in (*known, "corrupt"):
         aliases = {full: f"{full} ({short})" for short, full in _ALIASES.items()}
         words = ", ".join(aliases.get(key, key) for key in known)
@@ -287,6 +371,17 @@ def _parse_value(name: str, text: str) -> Any:
     number = _number(f"faults: {name}", text)
     whole = name in _LIMITS and _LIMITS[name].whole
     return int(number) if whole and number == number // 1 else number
+
+
+def _parse_times(value: str, text: str) -> Iterable[tuple[float, float]]:
+    for part in text.split("+"):
+        match = re.fullmatch(rf"{_TIME}-{_TIME}?", part.strip())
+        if match is None:
+            raise ValueError(
+                "faults: an interval must be @FROM-TO or @FROM- [s], such as loss=1@2.0-2.6, "
+                f"got {value!r}"
+            )
+        yield float(match[1]), float(match[2] or math.inf)
 
 
 def _parse_ids(text: str) -> int | range:

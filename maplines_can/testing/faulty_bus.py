@@ -24,6 +24,8 @@ MAX_LATE_READS = 1000
 MAX_QUEUE_TIME = 10.0
 #: Longest time for which one call of `pump` sends a flood [s].
 MAX_PUMP_TIME = 0.1
+#: Longest time after which `recv` looks for faults that were set [s].
+MAX_WAIT = 0.1
 
 
 class _BusFrame(NamedTuple):
@@ -50,11 +52,20 @@ class FaultyBus(can.BusABC):
     by `pump`.  `shutdown` sends the frames that are still held back.  Filters of CAN IDs are
     applied before the faults, and again after them.
 
+    The faults may be set at any time, by any thread, and None clears them::
+
+        bus.faults = "loss=1"  # from the next frame on
+        bus.faults = None
+
+    Frames that are held back remain so until they are due. Intervals (``loss=1@2.0-2.6``) count
+    from the time at which the faults were set; those of the constructor, from its call.
+
     Args:
         bus: the bus to wrap; it is shut down with this one.
         faults: the faults, or their text for ``Faults.parse``.
         clock: a monotonic clock [s]; None for the system's.
-        previous: a bus that was lost, whose random numbers and counters this one continues.
+        previous: a bus that was lost, whose faults, random numbers, intervals and counters this one
+            continues.
         on_sent: called with each data frame that was handed to the wrapped bus, such as to log it.
 
     Raises:
@@ -86,16 +97,15 @@ class FaultyBus(can.BusABC):
         if not isinstance(bus, can.BusABC):
             raise TypeError(f"bus must be a python-can bus, got {bus!r}")
         faults = _parsed(faults)
-        self.bus, self.faults = bus, faults
+        self.bus = bus
         self._clock, self._on_sent = clock or time.monotonic, on_sent
         self._own_thread = clock is None
-        #: Injectors of the two directions; None if the direction has no faults.
-        self.sending, self.receiving = _injector(faults, "send"), _injector(faults, "receive")
+        #: Injectors of the two directions; None if the direction never had faults.
+        self.sending: FaultInjector[_BusFrame] | None = None
+        self.receiving: FaultInjector[_BusFrame] | None = None
         self.unsent = 0  #: frames that the wrapped bus refused, or that were given up
-        if previous is not None:
-            self.sending, self.receiving = previous.sending, previous.receiving
-            self.unsent = previous.unsent
         self._changed = threading.Condition()  # guards the sending
+        self._taking = threading.Lock()  # guards the injector of the receiving
         self._outgoing: deque[_BusFrame] = deque()
         self._unfinished: can.Message | None = None
         self._thread: threading.Thread | None = None
@@ -104,12 +114,45 @@ class FaultyBus(can.BusABC):
         self._epoch = time.time() - self._clock()  # time stamp minus clock
         super().__init__(channel=bus.channel_info, can_filters=bus.filters)
         self.channel_info = f"{bus.channel_info} with faults"
-        if faults.flood:  # it starts before the first frame
-            for injector in filter(None, () if previous else (self.sending, self.receiving)):
-                injector.due(self._clock())
-            if self._own_thread and self.sending is not None:
-                with self._changed:
-                    self._start_thread()
+        if previous is None:
+            self.faults = faults
+        else:
+            self._faults, self.unsent = previous.faults, previous.unsent
+            self.sending, self.receiving = previous.sending, previous.receiving
+            self._begin()
+
+    @property
+    def faults(self) -> Faults:
+        """The faults that are injected; see the class."""
+        return self._faults
+
+    @faults.setter
+    def faults(self, faults: Faults | str | None) -> None:
+        self._faults, now = _parsed(Faults() if faults is None else faults), self._clock()
+        with self._changed:
+            self.sending = self._renewed(self.sending, "send", now)
+        with self._taking:
+            self.receiving = self._renewed(self.receiving, "receive", now)
+        self._begin()
+
+    def _renewed(
+        self, injector: FaultInjector[_BusFrame] | None, direction: str, now: float
+    ) -> FaultInjector[_BusFrame] | None:
+        """Return the injector with the faults, a new one if there was none, or None."""
+        faults = self._faults if self._faults.direction in ("both", direction) else Faults()
+        if injector is not None:
+            injector.faults = faults
+        elif faults is self._faults:
+            injector = FaultInjector(faults, stream=direction, make_frame=_BusFrame)
+        if injector is not None:
+            injector.start(now)
+        return injector
+
+    def _begin(self) -> None:
+        """Send what is due, such as a flood, before the first frame."""
+        with self._changed:
+            if self._own_thread and self.sending is not None and self.sending.next_due < math.inf:
+                self._start_thread()
 
     @property
     def counts(self) -> Counter[FaultKind]:
@@ -203,24 +246,26 @@ class FaultyBus(can.BusABC):
     # ---- receiving -----------------------------------------------------------------
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if self.receiving is None:
-            return self.bus.recv(timeout), True
+        if self.receiving is None:  # there may be faults soon
+            return self.bus.recv(MAX_WAIT if timeout is None else min(timeout, MAX_WAIT)), True
         end = math.inf if timeout is None else time.monotonic() + timeout
         late_reads = 0  # after a lost frame there may be others in the queue
         while not self._incoming and late_reads < MAX_LATE_READS:
             left = end - time.monotonic()
             late_reads += left <= 0
-            wait = min(self.receiving.next_due - self._clock(), left)
-            message = self.bus.recv(None if wait == math.inf else max(0.0, wait))
+            wait = min(self.receiving.next_due - self._clock(), left, MAX_WAIT)
+            message = self.bus.recv(max(0.0, wait))
             now = self._clock()
             if message is None:
-                self._take(self.receiving.due(now), now)
+                with self._taking:
+                    self._take(self.receiving.due(now), now)
                 break
             if message.is_error_frame or message.is_remote_frame:
                 return message, True
             arrived = now - self._queue_time(message)
             self._epoch = message.timestamp - arrived
-            self._take(self.receiving.apply(_bus_frame(message, arrived), arrived), arrived)
+            with self._taking:
+                self._take(self.receiving.apply(_bus_frame(message, arrived), arrived), arrived)
         return (self._incoming.popleft() if self._incoming else None), True
 
     def _queue_time(self, message: can.Message) -> float:
@@ -296,7 +341,8 @@ class FaultyOpener:
     """Bus factory for ``Link`` that injects faults.
 
     Each call opens a bus and wraps it in a ``FaultyBus``. After an outage, the new bus
-    continues the random numbers and the counters of the previous one.
+    continues the random numbers, the intervals and the counters of the previous one. The faults
+    may be set at any time, see there.
 
     Args:
         faults: see ``FaultyBus``.
@@ -336,6 +382,17 @@ class FaultyOpener:
         )
         return self._bus
 
+    @property
+    def faults(self) -> Faults:
+        """The faults that are injected; see ``FaultyBus``."""
+        return self._faults if self._bus is None else self._bus.faults
+
+    @faults.setter
+    def faults(self, faults: Faults | str | None) -> None:
+        self._faults = _parsed(Faults() if faults is None else faults)
+        if self._bus is not None:
+            self._bus.faults = self._faults
+
     def as_dict(self) -> dict[str, int]:
         """Return the counters of ``FaultyBus.as_dict``; none before the first opening."""
         return {} if self._bus is None else self._bus.as_dict()
@@ -347,12 +404,6 @@ def _parsed(faults: Faults | str) -> Faults:
     if not isinstance(faults, Faults):
         raise TypeError(f"faults must be Faults or a text such as 'loss=0.1', got {faults!r}")
     return faults
-
-
-def _injector(faults: Faults, direction: str) -> FaultInjector[_BusFrame] | None:
-    if faults.direction not in ("both", direction):
-        return None
-    return FaultInjector(faults, stream=direction, make_frame=_BusFrame)
 
 
 def _bus_frame(message: can.Message, now: float) -> _BusFrame:
