@@ -292,6 +292,8 @@ class SimulatedBus:
         carry: Callable[[Frame, float], None],
     ) -> None:
         self._now, self._injector = now, injector
+        if injector is not None:
+            injector.start(now)
         self._duration, self._carry = duration, carry
 
     def wait(self, t: float) -> None:

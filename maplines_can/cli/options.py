@@ -74,8 +74,9 @@ def add_faults(parser: argparse.ArgumentParser) -> None:
         help="inject faults into the frames, for tests; KEY=VALUE joined by commas. Shares of the "
         "frames: loss=0.1 dup=0.05 reorder=0.05 corrupt=0.02 garbage=0.01 late=0.1 (by "
         "delay=0.02 plus up to jitter=0.01 s). Foreign frames per second: flood=1000 with "
-        "flood_ids=0x340-0x347. Seed: seed=7. Faults of single frames: script=FILE, with rows such "
-        "as 'loss 3' or 'flip 20-29 3'",
+        "flood_ids=0x340-0x347. Each of them may have a time in which it is active [s]: "
+        "loss=1@2.0-2.6, to the end loss=1@2-, several loss=1@2-3+5-6. Seed: seed=7. Faults of "
+        "single frames: script=FILE, with rows such as 'loss 3' or 'flip 20-29 3'",
     )
 
 

@@ -245,6 +245,23 @@ def test_a_script_of_faults_hits_the_frames_that_it_names(
     assert result["faults"]["lost"] == 1
 
 
+def test_faults_are_active_in_their_interval(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No frame from 0.5 s to 1.1 s after the start, and all of the others."""
+    log = tmp_path / "drive.log"
+    faults = ["--faults", "loss=1@0.5-1.1"]
+    result = run(capsys, town(tmp_path), *FAST[:3], "--seconds", "2", "--record", str(log), *faults)
+    frames = list(read_log(log))
+    times = np.array([frame.t_ns for frame in frames]) / 1e9
+    gap = int(np.diff(times).argmax())
+    # A cycle of 50 ms may begin before the interval, or end after it.
+    assert times[gap] - times[0] == pytest.approx(0.5, abs=0.051)
+    assert times[gap + 1] - times[0] == pytest.approx(1.1, abs=0.051)
+    assert np.sort(np.diff(times))[-2] < 0.051
+    assert len(frames) == result["frames"] - result["faults"]["lost"]
+
+
 def test_ctrl_c_ends_a_drive(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
