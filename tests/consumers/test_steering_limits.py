@@ -168,6 +168,8 @@ def test_no_speeds_break_the_limits(steps: list[tuple[float, float, float]], fir
         else:
             assert speed**2 * abs(demand - before) <= MAX_JERK * dt + 1e-9
             assert abs(demand - before) <= 0.2 * dt + 1e-12
+            if math.isfinite(wanted):  # nothing else than what is wanted changes it
+                assert min(before, wanted) <= demand <= max(before, wanted)
         if not math.isfinite(wanted) and speed <= last:
             assert demand == pytest.approx(before)
 
@@ -186,6 +188,14 @@ def test_what_is_wanted_is_reached_at_the_limits(speed: float) -> None:
         demands += [limiter.advance(side * 1.0, speed, PERIOD) for _ in range(60)]
         assert demands[1] - demands[0] == pytest.approx(side * rate * PERIOD)
         assert demands[-1] == pytest.approx(side * most)
+
+
+def test_no_demand_holds_up_what_falls_since_the_car_brakes() -> None:
+    """At 8 m/s^2 in a tight bend: the lateral acceleration falls by 10 m/s^3, and may do so."""
+    limiter = CurvatureLimiter(0.2, 0.2, MAX_ACCELERATION, MAX_JERK, BRAKING)
+    limiter.begin(0.14, 4.6)
+    demands = [limiter.advance(0.14, 4.6 - 0.4 * k, PERIOD) for k in range(12)]
+    assert demands == pytest.approx([0.14] * 12)
 
 
 def test_a_speed_sensor_that_fails_permits_no_lock() -> None:
