@@ -188,6 +188,8 @@ def test_what_is_wanted_is_reached_at_the_limits(speed: float) -> None:
         demands += [limiter.advance(side * 1.0, speed, PERIOD) for _ in range(60)]
         assert demands[1] - demands[0] == pytest.approx(side * rate * PERIOD)
         assert demands[-1] == pytest.approx(side * most)
+    late = limiter.advance(1.0, speed, dt=1.0, step=PERIOD)
+    assert abs(late - demands[-1]) <= rate * PERIOD + 1e-12
 
 
 def test_no_demand_holds_up_what_falls_since_the_car_brakes() -> None:
