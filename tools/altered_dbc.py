@@ -4,6 +4,7 @@
     altered_dbc.py                     all fields and alterations, in ten minutes
     altered_dbc.py Status Age --json   some fields, as JSON with the text of each refusal
     altered_dbc.py Pose.Age            a field of the pose error, or of Conditional records
+    altered_dbc.py scenes              all signals of DBCs with scenes, misspelt and removed
 
 An altered DBC is refused if loading it raises a LayoutError that names the signal or a message. It
 is right if cantools decodes the same values from all frames as the codec, and all lines arrive as
@@ -39,12 +40,14 @@ from dbc_alterations import (
 from dbc_witness import check_codec
 from pose_witness import check_conditional, check_pose
 from reporting import parser_of, progress
+from scene_alterations import FORMS, alterations_in, scenes_outcome
+from scene_alterations import original as original_with_scenes
 
 from maplines_can.errors import LayoutError
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.message.dbc_reader import parse_database
 
-MESSAGES = "messages"
+MESSAGES, SCENES = "messages", "scenes"
 #: Most records in a row of the pose error and of conditional records.
 SCENE_RECORDS = 8
 
@@ -112,6 +115,18 @@ def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outc
     return Outcome(alteration, "right")
 
 
+def scene_outcomes() -> Iterator[Outcome]:
+    """Yield the result of each signal of the messages of scenes, misspelt and removed."""
+    for form in FORMS:
+        database = original_with_scenes(form, SLOTS)
+        for altered in alterations_in(database):
+            what = "misspelt" if altered.misspelt else "removed"
+            where = f"{form}, {altered.field} {what} in {' and '.join(altered.messages)}"
+            text = scenes_outcome(database, altered)
+            result = text if text in {"right", "refused"} else "wrong"
+            yield Outcome(Alteration(SCENES, where, ""), result, text)
+
+
 def alterations_of(field: str) -> Iterator[Alteration]:
     """Yield the alterations of a signal, or of messages."""
     kind, _, signal = field.rpartition(".")
@@ -145,16 +160,20 @@ def table(outcomes: dict[str, list[Outcome]]) -> str:
 def main() -> int:
     """Print the counts, and what is wrong, and return the exit status."""
     parser = parser_of(__doc__)
-    parser.add_argument("field", nargs="*", help=f"signals, or {MESSAGES} (default: all)")
+    parser.add_argument("field", nargs="*", help=f"signals, {MESSAGES} or {SCENES} (default: all)")
     parser.add_argument("--records", type=int, default=300, help="records in a row (default: 300)")
     parser.add_argument("--json", action="store_true", help="print each alteration as JSON")
     options = parser.parse_args()
-    known = [MESSAGES, *fields(), *scene_fields()]
+    known = [MESSAGES, SCENES, *fields(), *scene_fields()]
     if unknown := [field for field in options.field if field not in known]:
         parser.error(f"there is no field {', '.join(unknown)}; choose from {', '.join(known)}")
     outcomes = {}
     for field in progress(options.field or known, "altered DBCs"):
-        outcomes[field] = [outcome(a, options.records) for a in alterations_of(field)]
+        outcomes[field] = (
+            [*scene_outcomes()]
+            if field == SCENES
+            else [outcome(a, options.records) for a in alterations_of(field)]
+        )
     wrong = [o for group in outcomes.values() for o in group if o.result == "wrong"]
     if options.json:
         result: dict[str, Any] = {

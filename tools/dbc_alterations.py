@@ -14,7 +14,7 @@ from typing import NamedTuple
 from maplines_can.line import Slot
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
-from maplines_can.wire.message.signals import FINE_SIGNALS, SECURED_SIGNALS
+from maplines_can.wire.message.signals import FINE_SIGNALS, SECURED_SIGNALS, slot_title
 
 #: Slots of the original.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
@@ -178,8 +178,10 @@ def original(*slots: Slot) -> str:
 @cache
 def pose_original() -> str:
     """Return the text of a DBC with complete lines and the pose error, with free pages."""
-    levels = POSE_WITH_LEVELS.pages[2]
-    pose = replace(POSE_WITH_LEVELS, pages=(*POSE_WITH_LEVELS.pages[:2], levels, (), ()))
+    first, second, levels, *_ = POSE_WITH_LEVELS.pages
+    others = {f"{slot_title(slot)}Counter" for slot in Slot if slot not in SLOTS}
+    second = tuple(spec for spec in second if spec.name not in others)
+    pose = replace(POSE_WITH_LEVELS, pages=(first, second, levels, (), ()))
     return _without_comments(replace(DEFAULT, slots=SLOTS, pose=pose).dbc())
 
 

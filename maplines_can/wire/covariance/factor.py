@@ -87,7 +87,9 @@ class CholeskyFactor:
         reach = np.zeros((len(self.ratios), len(self.ratios)))
         for i, ratios in enumerate(self.ratios):
             reach[i, :i] = [max(map(abs, ratio.reach)) for ratio in ratios]
-        inverse = np.linalg.inv(np.eye(len(reach)) - reach)  # with the worst signs
+        inverse = np.eye(len(reach))  # of I - reach, which has the worst signs; no term cancels
+        for i in range(1, len(reach)):
+            inverse[i] += reach[i, :i] @ inverse[:i]
         norm = np.sqrt(1 + (reach**2).sum(axis=1))
         return float(((inverse * norm) ** 2).sum())
 

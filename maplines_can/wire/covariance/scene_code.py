@@ -72,6 +72,12 @@ class DecodedLines(NamedTuple):
     quartics: Array  #: (L,) coefficients of T_4 [m]
 
 
+def _first_slot(pose: RecordLayout) -> str:
+    """Return the prefix of the levels of the first slot; those of the others are the same."""
+    titles = [slot_title(slot) for slot in Slot]
+    return next((t for t in titles if f"{t}{SLOT_SIGNALS[0]}" in pose.signals), titles[0])
+
+
 class SceneCode:
     """Code of the raw values of a Pose record and of the records of lines.
 
@@ -95,8 +101,7 @@ class SceneCode:
         )
         #: Whether the records of lines are conditional on the pose.
         self.is_conditional = FORM in line.signals
-        prefix = "" if self.is_conditional else slot_title(Slot.EGO_LEFT)
-        levels = line if self.is_conditional else pose
+        levels, prefix = (line, "") if self.is_conditional else (pose, _first_slot(pose))
         self.mean = [line[name] for name in PARAMETER_SIGNALS]
         self.range = [line["XMin"], line["XMax"]]
         names = SLOT_SIGNALS[:4] if self.is_conditional else SLOT_SIGNALS

@@ -64,21 +64,31 @@ class PoseLayout(RecordLayout):
         return self.messages.secured_ids
 
     def check_slots(self, slots: Mapping[Slot, Signal], *, levels: bool) -> None:
-        """Check the signals of the slots that have messages.
+        """Check the signals of slots: a slot has all of them, or none if it has no messages.
 
         Args:
-            slots: counter of the record of each slot.
+            slots: counter of the record of each slot that has messages.
             levels: whether the pose error has the levels of each slot.
 
         Raises:
-            LayoutError: a signal is missing, or is longer than the counter of the slot.
+            LayoutError: a signal is missing, is longer than the counter of the slot, or is a level
+                of a slot whose records have it.
         """
-        for slot, counter in slots.items():
+        for slot in Slot:
             title = slot_title(slot)
-            own = self[f"{title}Counter"]
-            if own.length > counter.length:
+            counter, own = f"{title}Counter", [f"{title}{name}" for name in SLOT_SIGNALS]
+            if not levels and (twice := self.signals.keys() & own):
                 raise self.error(
-                    own, f"at most {counter.length} bits, as the Counter of {title}", "shorten it"
+                    self[min(twice)],
+                    f"to be in the records of {title}, which are conditional on the pose error",
+                    "remove it here",
                 )
-            for name in SLOT_SIGNALS if levels else ():
-                self[f"{title}{name}"]
+            if slot not in slots and self.signals.keys().isdisjoint([counter, *own]):
+                continue
+            for name in [counter, *own] if levels else [counter]:
+                self[name]
+            most = slots[slot].length if slot in slots else self[counter].length
+            if self[counter].length > most:
+                raise self.error(
+                    self[counter], f"at most {most} bits, as the Counter of {title}", "shorten it"
+                )
