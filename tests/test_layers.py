@@ -53,7 +53,8 @@ wire.reception.epochs wire.reception.poses wire.reception.scenes wire.reception.
 wire.reception.monitor wire.reception.settings
 wire.codec
 wire
-bus.background bus.driver_errors bus.keys bus.load bus.log_writer bus.logs bus.schedule bus.signals
+bus.background bus.binary_logs bus.driver_errors bus.keys bus.load bus.log_writer bus.logs
+bus.schedule bus.signals
 bus.socketcan bus.bus_factory bus.link bus.stamp_clock bus.listener bus.receiver bus.tx_queue
 bus.transmitter bus
 ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.columns ego.records

@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
 import can
-from can.io.blf import OBJ_HEADER_BASE_STRUCT, BLFParseError
+from can.io.blf import BLFParseError
 from can.io.player import MESSAGE_READERS
 
 from ..errors import LogError, missing_extra
+from .binary_logs import BlfReader, SqliteReader
 
 # Exceptions that python-can's readers raise on damaged files.
 _DAMAGE = (
@@ -54,10 +55,12 @@ _HEADER_AGAIN = {".csv": "\n", ".asc": "internal events logged\n"}
 
 #: Row of candump, such as "(1.5)  can0  340   [8]  11 22 33 44 55 66 77 88": with -t a time stamp,
 #: with -x the direction and the flags of CAN FD, with -a the data as ASCII.
+#: Its quantifiers are possessive, so that no line makes it search for long.
 _CANDUMP_ROW = re.compile(
-    r"\s*(?:\((?P<time>[^)]*)\)\s+)?(?P<channel>\S+)\s+(?:[RT]X\s+[B-]\s[E-]\s+)?"
-    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s+\[(?P<length>\d{1,2})\]"
-    r"(?P<data>(?:\s+[0-9A-Fa-f]{2}(?!\S))*)\s*(?P<remote>remote request)?(?:ERRORFRAME|'.*)?\s*"
+    r"\s*+(?:\((?P<time>[^)]*)\)\s++)?(?P<channel>\S++)\s++(?:[RT]X\s++[B-]\s[E-]\s++)?"
+    r"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})\s++\[(?P<length>\d{1,2})\]"
+    r"(?P<data>(?:\s++[0-9A-Fa-f]{2}(?!\S))*)\s*+(?P<remote>remote request)?"
+    r"(?:ERRORFRAME|'.*)?\s*+"
 )
 #: Row of candump -L, such as "(1.5) can0 340#1122334455667788", with "##" and flags for CAN FD.
 _CANDUMP_LOG_ROW = re.compile(
@@ -66,6 +69,16 @@ _CANDUMP_LOG_ROW = re.compile(
     r"(?:\s+[RT])?\s*"
 )
 _ERROR_FLAG = 1  #: of an error frame, above the 29 bits of the CAN ID that candump prints
+#: Most characters of a line; that of a frame has some 500. A longer one is damaged.
+MAX_LINE = 1 << 16
+#: Characters after which the end of a damaged line is no longer sought.
+MAX_DAMAGE = 1 << 26
+#: Greatest magnitude of a time stamp, as of a 64-bit integer; it is in the year 2262 [ns].
+_MAX_NS = 2**63 - 1
+#: Most bytes of data of a frame, those of CAN FD.
+_MAX_DATA = 64
+#: Most characters of a reason in a message.
+_MAX_REASON = 200
 #: Smaller time stamps are relative to the start of the log or to the previous frame [s].
 _LEAST_ABSOLUTE = 10**8
 
@@ -170,7 +183,7 @@ def _read_binary(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame
             source: Any = path
             if suffix == ".blf":  # python-can leaves the file open if it is not a BLF file
                 source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
-            open_reader = _BlfReader if suffix == ".blf" else MESSAGE_READERS[suffix]
+            open_reader: Any = _BINARY_READERS.get(suffix) or MESSAGE_READERS[suffix]
             reader = stack.enter_context(open_reader(source))
             for message in reader:
                 yield from _data_frames(message)
@@ -183,27 +196,6 @@ def _read_binary(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame
             raise LogError(f"{path}: {what} ({_text(error)}); the rest is not read") from error
     if missing > 0:
         raise LogError(f"{path}: truncated after {good} good records, {missing} bytes are missing")
-
-
-class _BlfReader(can.BLFReader):
-    """BLF reader that stops at an object of length 0; python-can's never ends (its issue 1584)."""
-
-    def _parse_data(self, data: bytes) -> Iterator[can.Message]:
-        end = _first_too_short(data)
-        yield from super()._parse_data(data[:end])
-        if end is not None:
-            raise BLFParseError("an object is shorter than its own header")
-
-
-def _first_too_short(data: bytes) -> int | None:
-    """Return the place of the first object whose length field is less than its header."""
-    head, place = OBJ_HEADER_BASE_STRUCT, 0
-    while (place := data.find(b"LOBJ", place, place + 8)) >= 0 and place + head.size <= len(data):
-        size = head.unpack_from(data, place)[3]
-        if size < head.size:
-            return place
-        place += size
-    return None
 
 
 class _TrcReader(can.TRCReader):
@@ -220,14 +212,18 @@ class _TrcReader(can.TRCReader):
 
 
 class _Lines:
-    """Text file for python-can's readers that counts the lines and can insert one."""
+    """Text file for python-can's readers that counts the lines and can insert one.
+
+    A line of more than ``MAX_LINE`` characters raises a ValueError, once it has been skipped.
+    """
 
     def __init__(self, file: IO[str]) -> None:
         self._file = file
         self._inserted: list[str] = []
         self.number = 0
         self.first = ""
-        self.truncation: Exception | None = None
+        #: What ended the file before its end, and why; None if nothing did.
+        self.end: tuple[str, str] | None = None
 
     def __iter__(self) -> Iterator[str]:
         return self
@@ -235,14 +231,32 @@ class _Lines:
     def __next__(self) -> str:
         if self._inserted:
             return self._inserted.pop()
+        line, is_whole = "", True
         try:
-            line = next(self._file)
+            line = self._file.readline(MAX_LINE)
+            is_whole = len(line) < MAX_LINE or line.endswith("\n")
+            if not is_whole:
+                self._skip_rest()
         except (OSError, EOFError, zlib.error) as error:  # the compressed file is truncated
-            self.truncation = error
-            raise StopIteration from None
+            self.end = "truncated", _text(error)
+        if not line or self.end:
+            raise StopIteration
         self.number += 1
         self.first = self.first or line
+        if not is_whole:
+            raise ValueError(f"has more than {MAX_LINE} characters")
         return line
+
+    def _skip_rest(self) -> None:
+        """Skip the rest of a line, which may be all of the file."""
+        for _ in range(MAX_DAMAGE // MAX_LINE):
+            part = self._file.readline(MAX_LINE)
+            if not part or part.endswith("\n"):
+                return
+        self.end = (
+            "not read further",
+            f"line {self.number + 1} has more than {MAX_DAMAGE} characters",
+        )
 
     def insert(self, line: str) -> None:
         self._inserted.append(line)
@@ -272,9 +286,9 @@ class _CandumpReader:
                 continue
             data = bytes.fromhex(row["data"])
             length = int(row.groupdict().get("length") or len(data))
-            if len(data) != length or length > 64:
+            if len(data) != length:
                 raise ValueError(f"{len(data)} bytes of data, but a length of {length}")
-            _check_id(can_id)
+            _check(can_id, data, t_ns)
             yield LogFrame(
                 can_id, data, t_ns, is_extended, row["channel"], has_time=row["time"] is not None
             )
@@ -322,39 +336,55 @@ def _read_text(file: io.BufferedReader, name: str, suffix: str) -> Iterator[LogF
     # python-can skips what it cannot read in an .asc file.
     if suffix == ".asc" and lines.first and not (good or lines.first.startswith(_ASC_HEADS)):
         raise LogError(f"{name}: not a valid .asc file: it has neither a header nor frames")
+    end = ""
+    if lines.end:
+        what, why = lines.end
+        end = f"{what} after {good} good records ({why})"
     if bad and not good:
         hint = "" if suffix else "; the content is no format that is known, such as candump's"
-        raise LogError(f"{name}: none of {bad} records can be read ({first}){hint}")
+        end = end and f"; {end}"
+        raise LogError(f"{name}: none of {bad} records can be read ({first}){end}{hint}")
     if bad:
-        raise LogError(f"{name}: {bad} of {good + bad} records are damaged (the first: {first})")
-    if lines.truncation:
-        raise LogError(f"{name}: truncated after {good} good records ({_text(lines.truncation)})")
+        end = end and f"; {end}"
+        raise LogError(
+            f"{name}: {bad} of {good + bad} records are damaged (the first: {first}){end}"
+        )
+    if end:
+        raise LogError(f"{name}: {end}")
 
 
 def _data_frames(message: can.Message) -> Iterator[LogFrame]:
     if not (message.is_error_frame or message.is_remote_frame):
-        _check_id(message.arbitration_id)
+        data, t_ns = bytes(message.data), round(message.timestamp * 1e9)
+        _check(message.arbitration_id, data, t_ns)
         yield LogFrame(
             message.arbitration_id,
-            bytes(message.data),
-            round(message.timestamp * 1e9),
+            data,
+            t_ns,
             message.is_extended_id,
             "" if message.channel is None else str(message.channel),
             has_time=True,
         )
 
 
-def _check_id(can_id: int) -> None:
+def _check(can_id: int, data: bytes, t_ns: int) -> None:
+    """Raise ValueError if a frame cannot be one of CAN."""
     if not 0 <= can_id < 2**29:
         raise ValueError(f"CAN ID must be in [0, 0x1fffffff], got {can_id:#x}")
+    if len(data) > _MAX_DATA:
+        raise ValueError(f"a frame has at most {_MAX_DATA} bytes of data, got {len(data)}")
+    if not -_MAX_NS <= t_ns <= _MAX_NS:
+        raise ValueError("the time stamp is beyond 64 bits of nanoseconds")
 
 
 def _text(error: Exception) -> str:
     text = " ".join(str(error).split())
+    text = text if len(text) <= _MAX_REASON else f"{text[:_MAX_REASON]}..."
     if text and type(error) is ValueError:
         return text
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
-#: Readers of text formats that are not python-can's own.
+#: Readers that are not python-can's own.
 _READERS = {"": _CandumpReader, ".trc": _TrcReader}
+_BINARY_READERS = {".blf": BlfReader, ".db": SqliteReader}

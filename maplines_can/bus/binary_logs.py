@@ -1,0 +1,153 @@
+"""Readers of binary logs whose memory is bounded, whatever the file claims."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import can
+from can.io.blf import (
+    FILE_HEADER_STRUCT,
+    LOG_CONTAINER,
+    LOG_CONTAINER_STRUCT,
+    NO_COMPRESSION,
+    OBJ_HEADER_BASE_STRUCT,
+    ZLIB_DEFLATE,
+    BLFParseError,
+)
+
+#: Most bytes of an object of a BLF file, packed and unpacked; writers make containers of 128 kB.
+MAX_OBJECT = 1 << 24
+#: Most bytes of a row of an SQL table; that of a frame has some 100.
+MAX_ROW = 1 << 16
+
+
+class BlfReader(can.BLFReader):
+    """BLF reader that refuses objects of more than ``MAX_OBJECT`` bytes.
+
+    It also stops at an object of length 0; python-can's never ends (its issue 1584).
+
+    Args:
+        file: open for reading, and able to seek to its start.
+
+    Raises:
+        BLFParseError: the header or an object is too short, too long, or not known.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        length = int.from_bytes(file.read(8)[4:], "little")
+        file.seek(0)
+        if not FILE_HEADER_STRUCT.size <= length <= MAX_OBJECT:  # python-can would read all of it
+            raise BLFParseError(f"its header has {length} bytes")
+        super().__init__(file)
+
+    def __iter__(self) -> Iterator[can.Message]:  # type: ignore[override]
+        head = OBJ_HEADER_BASE_STRUCT
+        while start := self.file.read(head.size):
+            signature, _, _, size, kind = head.unpack(start)
+            if signature != b"LOBJ":
+                raise BLFParseError("an object does not begin with LOBJ")
+            if not head.size <= size <= MAX_OBJECT:
+                raise BLFParseError(
+                    f"an object has {size} bytes, and must have {head.size} to {MAX_OBJECT}"
+                )
+            content = self.file.read(size - head.size)
+            self.file.read(size % 4)  # padding
+            if kind == LOG_CONTAINER:
+                yield from self._parse_container(_unpacked(content))
+        self.stop()
+
+    def _parse_container(self, data: bytes) -> Iterator[can.Message]:
+        yield from super()._parse_container(data)
+        if len(self._tail) > MAX_OBJECT:
+            raise BLFParseError(f"an object in containers has more than {MAX_OBJECT} bytes")
+
+    def _parse_data(self, data: bytes) -> Iterator[can.Message]:
+        end = _first_too_short(data)
+        yield from super()._parse_data(data[:end])
+        if end is not None:
+            raise BLFParseError("an object is shorter than its own header")
+
+
+def _unpacked(container: bytes) -> bytes:
+    """Return the content of a container."""
+    method, _ = LOG_CONTAINER_STRUCT.unpack_from(container)
+    data = container[LOG_CONTAINER_STRUCT.size :]
+    if method == ZLIB_DEFLATE:
+        data = zlib.decompressobj().decompress(data, MAX_OBJECT + 1)
+    elif method != NO_COMPRESSION:
+        raise BLFParseError(f"the compression method {method} of a container is unknown")
+    if len(data) > MAX_OBJECT:
+        raise BLFParseError(f"a container has more than {MAX_OBJECT} bytes when it is unpacked")
+    return data
+
+
+def _first_too_short(data: bytes) -> int | None:
+    """Return the place of the first object whose length field is less than its header."""
+    head, place = OBJ_HEADER_BASE_STRUCT, 0
+    while (place := data.find(b"LOBJ", place, place + 8)) >= 0 and place + head.size <= len(data):
+        size = head.unpack_from(data, place)[3]
+        if size < head.size:
+            return place
+        place += size
+    return None
+
+
+class SqliteReader:
+    """Reader of the table ``messages`` of an SQLite file, as python-can writes it.
+
+    python-can's also runs a view or an expression in place of the table, which may never end.
+
+    Args:
+        path: of the file; it is not written to.
+
+    Raises:
+        sqlite3.Error: the file is damaged, or a row has more than ``MAX_ROW`` bytes.
+        ValueError: there is no such table, or a row of it is no frame.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._connection = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        self._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_ROW)
+
+    def __enter__(self) -> SqliteReader:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._connection.close()
+
+    def __iter__(self) -> Iterator[can.Message]:
+        kinds = "SELECT type FROM sqlite_master WHERE name = 'messages'"
+        if (kind := self._connection.execute(kinds).fetchone()) != ("table",):
+            raise ValueError(f"it has {'a view' if kind else 'no table'} named messages")
+        self._connection.set_authorizer(_reads_messages)
+        for row in self._connection.execute("SELECT * FROM messages"):
+            yield _message(row)
+
+
+def _reads_messages(action: int, table: str | None, *_: Any) -> int:
+    """Allow to read the table, and nothing that an expression of the schema may do."""
+    allowed = action == sqlite3.SQLITE_SELECT or (
+        action == sqlite3.SQLITE_READ and table == "messages"
+    )
+    return sqlite3.SQLITE_OK if allowed else sqlite3.SQLITE_DENY
+
+
+def _message(row: tuple[Any, ...]) -> can.Message:
+    if len(row) != 7:
+        raise ValueError(f"a row of messages has 7 columns, got {len(row)}")
+    timestamp, can_id, is_extended, is_remote, is_error, dlc, data = row
+    if not isinstance(can_id, int) or not isinstance(data, bytes | None):
+        raise ValueError("a row of messages has an integer as CAN ID and a blob as data")  # noqa: TRY004
+    return can.Message(
+        timestamp=timestamp,
+        arbitration_id=can_id,
+        is_extended_id=bool(is_extended),
+        is_remote_frame=bool(is_remote),
+        is_error_frame=bool(is_error),
+        dlc=dlc,
+        data=data,
+    )
