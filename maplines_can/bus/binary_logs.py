@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,8 @@ from can.io.blf import (
 MAX_OBJECT = 1 << 24
 #: Most bytes of a row of an SQL table; that of a frame has some 100.
 MAX_ROW = 1 << 16
+#: Head of a compressed block of an MF4 file, with the lengths of its data unpacked and packed.
+_DZ_MARK, _DZ = b"##DZ\0\0\0\0", struct.Struct("<32xQQ")
 
 
 class BlfReader(can.BLFReader):
@@ -94,6 +97,38 @@ def _first_too_short(data: bytes) -> int | None:
             return place
         place += size
     return None
+
+
+class Mf4Reader(can.MF4Reader):
+    """MF4 reader that refuses compressed blocks of more than ``MAX_OBJECT`` bytes.
+
+    asammdf unpacks a block as a whole; the standard recommends blocks of 4 MB at most.
+
+    Args:
+        path: of the file.
+
+    Raises:
+        ValueError: a block is larger.
+    """
+
+    def __init__(self, path: Path) -> None:
+        _check_mf4_blocks(path)
+        super().__init__(path)
+
+
+def _check_mf4_blocks(path: Path) -> None:
+    """Raise ValueError if a block ##DZ is too large, by the lengths that it states."""
+    with path.open("rb") as file:
+        data = b""
+        while chunk := file.read(MAX_OBJECT):
+            data = data[-_DZ.size :] + chunk  # a block may begin in the chunk before
+            place = -1
+            while 0 <= (place := data.find(_DZ_MARK, place + 1)) <= len(data) - _DZ.size:
+                largest = max(_DZ.unpack_from(data, place))
+                if largest > MAX_OBJECT:
+                    raise ValueError(
+                        f"a compressed block has {largest} bytes, more than {MAX_OBJECT}"
+                    )
 
 
 class SqliteReader:

@@ -21,7 +21,7 @@ from can.io.blf import BLFParseError
 from can.io.player import MESSAGE_READERS
 
 from ..errors import LogError, missing_extra
-from .binary_logs import BlfReader, SqliteReader
+from .binary_logs import BlfReader, Mf4Reader, SqliteReader
 
 # Exceptions that python-can's readers raise on damaged files.
 _DAMAGE = (
@@ -183,7 +183,7 @@ def _read_binary(path: Path, suffix: str, compressed: bool) -> Iterator[LogFrame
             source: Any = path
             if suffix == ".blf":  # python-can leaves the file open if it is not a BLF file
                 source = stack.enter_context((gzip.open if compressed else open)(path, "rb"))
-            open_reader: Any = _BINARY_READERS.get(suffix) or MESSAGE_READERS[suffix]
+            open_reader: Any = _BINARY_READERS[suffix]
             reader = stack.enter_context(open_reader(source))
             for message in reader:
                 yield from _data_frames(message)
@@ -387,4 +387,4 @@ def _text(error: Exception) -> str:
 
 #: Readers that are not python-can's own.
 _READERS = {"": _CandumpReader, ".trc": _TrcReader}
-_BINARY_READERS = {".blf": BlfReader, ".db": SqliteReader}
+_BINARY_READERS = {".blf": BlfReader, ".db": SqliteReader, ".mf4": Mf4Reader}

@@ -35,6 +35,7 @@ from .lane import SkippedList
 from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
 from .model import Lane, Map, Skipped
 from .projection import project, tangent
+from .xml_tree import number_in
 
 Array = NDArray[np.float64]
 
@@ -152,7 +153,6 @@ def _csv(text: str, name: str, skipped: list[Skipped]) -> Iterator[_Line]:
                 f"there is no {', '.join(sorted(missing))}"
             )
         place = {column: columns.index(column) for column in columns}
-        at_x, at_y = place["x"], place["y"]
 
         def field(row: list[str], column: str) -> str:
             i = place.get(column, len(row))
@@ -165,12 +165,10 @@ def _csv(text: str, name: str, skipped: list[Skipped]) -> Iterator[_Line]:
             where = bad_at = f"line {rows.line_num}"
             points, bad = [], ""
             for row in itertools.chain([first], group):
-                try:
-                    points.append((float(row[at_x]), float(row[at_y])))
-                except (IndexError, ValueError):
-                    if not bad:
-                        bad_at = f"line {rows.line_num}"
-                        bad = f"{','.join(row)[:80]!r} is not a point of a map"
+                points.append((number_in(field(row, "x")), number_in(field(row, "y"))))
+                if not bad and not all(map(math.isfinite, points[-1])):
+                    bad_at = f"line {rows.line_num}"
+                    bad = f"{','.join(row)[:80]!r} is not a point of a map"
             if key in seen:
                 bad_at = where
                 bad = "points at two places; put the points of a line next to each other"
@@ -229,11 +227,18 @@ def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line
         return
     for part in parts if isinstance(parts, list) else [parts]:
         try:
-            points = [(float(position[0]), float(position[1])) for position in part]
-        except (IndexError, KeyError, OverflowError, TypeError, ValueError):
+            points = [(_coordinate(position[0]), _coordinate(position[1])) for position in part]
+        except (IndexError, KeyError, OverflowError, TypeError):
             skipped.append(Skipped(where, "its coordinates are not lists of two numbers"))
         else:
             yield _Line(named, where, points, lane.strip(), side.strip().lower(), kind)
+
+
+def _coordinate(value: object) -> float:
+    """Return a number of a JSON document, in which true and "1" are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
 
 
 def _projected(

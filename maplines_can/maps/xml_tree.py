@@ -191,10 +191,10 @@ class Document:
 def number_in(text: str) -> float:
     """Return the number that a text is, or NaN.
 
-    >>> number_in("1.5"), number_in("wide")
-    (1.5, nan)
+    >>> number_in("1.5"), number_in("wide"), number_in("1_5")  # the last is one in Python only
+    (1.5, nan, nan)
     """
     try:
-        return float(text)
+        return float(text) if "_" not in text and text.isascii() else math.nan
     except ValueError:
         return math.nan

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lanelet_files import ROAD, Osm
+from xodr_files import document, geometry, road
 
 from maplines_can import MapFileError
 from maplines_can.maps import Map, commonroad, osm, points
+from maplines_can.maps.opendrive import read as read_opendrive
 
 ENTITIES = {
     "billion-laughs": "<!DOCTYPE lolz [<!ENTITY a 'ha'><!ENTITY b '&a;&a;&a;&a;&a;&a;&a;'>]>",
@@ -224,3 +226,47 @@ def test_many_nodes() -> None:
     )
     (lane,) = osm.read(io.BytesIO(text.encode()), "map").lanes.values()
     assert lane.length == pytest.approx(73_170, rel=0.01)
+
+
+#: Where the coordinates of each format are, as a group.
+COORDINATES = {
+    "Lanelet2": r'l(?:at|on)="([^"]*)"',
+    "CommonRoad": r"<[xy]>([^<]*)<",
+    "GeoJSON": r"[\[ ](\d[\d.]*)[\],]",
+    "CSV": r"(?<=[a-z],)(\d)|(?<=\d,)(\d)(?=,)",
+    "OpenDRIVE": r' (?:s|x|y|hdg|length)="([^"]*)"',
+}
+#: What is no finite number in any format, and what is one in Python or in another format only.
+NO_NUMBERS = [
+    "true",
+    "false",
+    "NaN",
+    "Infinity",
+    "-inf",
+    "1e400",
+    "9" * 400,
+    "",
+    "1_0",
+    "x",
+    "\uff11",
+]
+NO_JSON_NUMBERS = ["true", "false", "null", "NaN", "Infinity", "1e400", "9" * 400, '"8.0"', "[8.0]"]
+NO_JSON_NUMBERS += ["{}", '""', '{"0": 8.0}']
+
+
+@pytest.mark.parametrize("name", COORDINATES)
+def test_a_coordinate_that_is_no_number_is_listed(name: str) -> None:
+    """Any one of them; the rest of the map is used, or there is none."""
+    files = FILES | {"OpenDRIVE": (read_opendrive, document(road(plan=geometry(x=1.0))))}
+    read, text = files[name]
+    places = [
+        next(span for span in match.regs[1:] if span[0] >= 0)
+        for match in re.finditer(COORDINATES[name], text)
+    ]
+    assert len(places) >= 5
+    before = attempt(read, text.encode())
+    assert before is not None
+    for start, stop in places:
+        for bad in NO_JSON_NUMBERS if name == "GeoJSON" else NO_NUMBERS:
+            found = attempt(read, (text[:start] + bad + text[stop:]).encode())
+            assert found is None or len(found.skipped) > len(before.skipped), (start, bad)
