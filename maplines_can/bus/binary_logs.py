@@ -112,11 +112,11 @@ class Mf4Reader(can.MF4Reader):
     """
 
     def __init__(self, path: Path) -> None:
-        _check_mf4_blocks(path)
+        check_mf4_blocks(path)
         super().__init__(path)
 
 
-def _check_mf4_blocks(path: Path) -> None:
+def check_mf4_blocks(path: Path) -> None:
     """Raise ValueError if a block ##DZ is too large, by the lengths that it states."""
     with path.open("rb") as file:
         data = b""

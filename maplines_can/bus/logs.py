@@ -72,7 +72,7 @@ _ERROR_FLAG = 1  #: of an error frame, above the 29 bits of the CAN ID that cand
 #: Most characters of a line; that of a frame has some 500. A longer one is damaged.
 MAX_LINE = 1 << 16
 #: Characters after which the end of a damaged line is no longer sought.
-MAX_DAMAGE = 1 << 26
+MAX_DAMAGE = 1 << 24
 #: Greatest magnitude of a time stamp, as of a 64-bit integer; it is in the year 2262 [ns].
 _MAX_NS = 2**63 - 1
 #: Most bytes of data of a frame, those of CAN FD.
