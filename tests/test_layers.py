@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "maplines_can"
 
 #: All modules of the product. A module imports only modules that stand before it.
 ORDER = """
-arrays errors
+arrays errors input_files
 gaussian mixture line map_error scene seen_lines search_tree polyline
 street_shapes scenarios
 propagation.valid_range propagation.refit propagation.transform propagation.linear
@@ -85,7 +85,7 @@ LAZY = {
     ("cli.map_info", "study.figures.map_picture"),
     ("cli.drive", "study.drives.truth"), ("cli.driving", "study.drives.truth"),
     ("cli.driving", "testing"), ("cli.consume_fusion", "study.fusion.stream"),
-    ("cli.consume_input", "study.files"),
+    ("cli.consume_input", "study.parquet_files"),
 }  # fmt: skip
 #: Packages that may import a big dependency.
 DOORS = {

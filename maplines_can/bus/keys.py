@@ -14,6 +14,8 @@ from ..wire import Key
 #: between two of them. The first two are adjacent, so that the last letter of a word before the key
 #: is not taken for its first digit.
 KEY_LIKE = re.compile(r"[0-9A-Fa-f]{2}(?:[^0-9A-Za-z/\\]?[0-9A-Fa-f]){14,}")
+#: Most bytes of a file of a key, which has 64 digits and perhaps blanks.
+MAX_FILE = 1024
 
 
 def key_from_file(path: str | Path, key_id: int = 1) -> Key:
@@ -29,6 +31,8 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
         if not isinstance(path, str | Path):
             raise KeyMaterialError(f"path must be a str or a Path, got a {type(path).__name__}")
         path = Path(path)
+        if "\0" in str(path):
+            raise KeyMaterialError("path has a NUL character, so it is not that of a file")
         if KEY_LIKE.search(path.name) and not os.path.exists(path):
             raise KeyMaterialError(_TYPED.format("a file"))
         mode = path.stat().st_mode
@@ -38,7 +42,12 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
                 f"{stat.S_IMODE(mode):04o}); chmod 600 {path}, and make a new key if others may "
                 "have read this one"
             )
-        return Key.from_hex(path.read_bytes().decode("ascii", "replace"), key_id, str(path))
+        if path.stat().st_size > MAX_FILE:
+            raise KeyMaterialError(
+                f"{path}: is no file of a key: it has more than {MAX_FILE} bytes"
+            )
+        with path.open("rb") as file:  # a device or pipe has no size
+            return Key.from_hex(file.read(MAX_FILE).decode("ascii", "replace"), key_id, str(path))
     except OSError as error:
         raise KeyMaterialError(f"{path}: cannot be read: {error.strerror or error}") from error
     finally:

@@ -11,6 +11,7 @@ import can
 from can.io.logger import MESSAGE_WRITERS
 
 from ..errors import LogError, missing_extra
+from ..input_files import checked_path
 from ..wire import Frame
 
 #: Suffixes of the formats: candump -L, Vector ASC and BLF, ASAM MDF 4.
@@ -37,7 +38,7 @@ class LogWriter:
     """
 
     def __init__(self, path: str | PathLike[str], start: float) -> None:
-        self.path = Path(path)
+        self.path = checked_path(path, LogError)
         check_log_path(self.path)
         self.frames = 0
         try:

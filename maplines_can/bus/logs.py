@@ -21,6 +21,7 @@ from can.io.blf import BLFParseError
 from can.io.player import MESSAGE_READERS
 
 from ..errors import LogError, missing_extra
+from ..input_files import MAX_LINE, checked_path
 from .binary_logs import BlfReader, Mf4Reader, SqliteReader
 
 # Exceptions that python-can's readers raise on damaged files.
@@ -69,8 +70,6 @@ _CANDUMP_LOG_ROW = re.compile(
     r"(?:\s+[RT])?\s*"
 )
 _ERROR_FLAG = 1  #: of an error frame, above the 29 bits of the CAN ID that candump prints
-#: Most characters of a line; that of a frame has some 500. A longer one is damaged.
-MAX_LINE = 1 << 16
 #: Characters after which the end of a damaged line is no longer sought.
 MAX_DAMAGE = 1 << 24
 #: Greatest magnitude of a time stamp, as of a 64-bit integer; it is in the year 2262 [ns].
@@ -125,7 +124,7 @@ def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
                 f"sys.stdin.buffer, got a {type(source).__name__}"
             )
         return _read_any(cast(io.BufferedReader, source), str(getattr(source, "name", "stream")))
-    path = Path(source)
+    path = checked_path(source, LogError)
     suffix, compressed = path.suffix.lower(), False
     if suffix == ".gz":
         suffix, compressed = path.with_suffix("").suffix.lower(), True

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DriveFileError, LogError
+from ..input_files import checked_path
 from ..wire.message.dbc_reader import Database, parse_database, read_text
 from .logs import read_log
 
@@ -163,7 +164,7 @@ def read_table(path: str | PathLike[str]) -> dict[str, str]:
     Raises:
         DriveFileError: the file cannot be read, or is not such a table.
     """
-    source = Path(path)
+    source = checked_path(path, DriveFileError)
     try:
         with source.open("rb") as file:
             data = file.read(LARGEST_TABLE + 1)

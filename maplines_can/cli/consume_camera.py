@@ -25,6 +25,14 @@ from .stderr import note
 #: Oldest line that is handed on [s].
 OLDEST = 0.5
 
+#: Most lines of a table, all of which are in memory; an hour of two lines at 20 Hz has 144 000.
+MAX_LINES = 200_000
+_WANTED = {
+    *("t", "slot", "age", "x_min", "x_max", *PARAMETERS),
+    *(f"sigma_{name}" for name in PARAMETERS),
+    *(f"cov_{one}_{other}" for one in PARAMETERS for other in PARAMETERS),
+}
+
 #: Returns the lines that have arrived since the last call, with their age now, for the time now on
 #: the clock of the map lines [ns].
 NewLines = Callable[[int], list[MapLine]]
@@ -149,7 +157,7 @@ def _of_table(path: str) -> Iterator[MapLine]:
         ValueError: a column is missing, or a value is wrong.
     """
     lines, skipped = [], 0
-    for number, row in enumerate(table_rows(path), start=1):
+    for number, row in enumerate(table_rows(path, _WANTED, MAX_LINES), start=1):
         try:
             line = _line_of(row)
         except KeyError as error:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import csv
 import time
-from collections.abc import Generator
+from collections.abc import Container, Generator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
 from ..bus import Link, Receiver, read_log
+from ..input_files import lines_of
 from ..wire import Codec, Monitor, SceneView
 from .options import (
     add_bus,
@@ -67,6 +68,9 @@ class Cycle(NamedTuple):
     view: SceneView
     source: Monitor | Receiver  #: from which it comes
 
+
+#: Rows of a Parquet file that are read at a time.
+BATCH = 10_000
 
 #: Time since the start of some clock [ns], and a cycle without its time.
 Found = tuple[int, int, SceneView, Monitor | Receiver]
@@ -181,21 +185,37 @@ def scene_codec(arguments: argparse.Namespace) -> Codec:
     return codec
 
 
-def table_rows(path: str) -> list[dict[str, Any]]:
-    """Return the rows of a table with a header, .parquet or CSV.
+def table_rows(path: str, wanted: Container[str], most: int) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a table with a header, .parquet or CSV, with the columns that are wanted.
 
     Raises:
-        ValueError: the file is no such table.
+        ValueError: the file is no such table, or has more than ``most`` rows.
         OSError: it cannot be read.
         MissingExtraError: .parquet without pyarrow.
     """
-    if Path(path).suffix.lower() == ".parquet":
-        from ..study.files import arrow
+    rows = _parquet_rows if Path(path).suffix.lower() == ".parquet" else _csv_rows
+    for count, row in enumerate(rows(path, wanted)):
+        if count == most:
+            raise ValueError(f"{path}: has more than {most} rows; divide it into several")
+        yield row
 
-        rows: list[dict[str, Any]] = arrow().parquet.read_table(path).to_pylist()
-        return rows
+
+def _parquet_rows(path: str, wanted: Container[str]) -> Iterator[dict[str, Any]]:
+    from ..study.parquet_files import parquet_batches
+
+    def choose(names: list[str]) -> list[str]:
+        return [name for name in names if name in wanted]
+
+    for batch in parquet_batches(Path(path), choose, BATCH, ValueError):
+        columns = [c if isinstance(c, list) else c.tolist() for c in batch.values()]
+        for row in zip(*columns, strict=True):
+            yield dict(zip(batch, row, strict=True))
+
+
+def _csv_rows(path: str, wanted: Container[str]) -> Iterator[dict[str, Any]]:
     try:
         with open(path, newline="", encoding="utf-8-sig") as file:
-            return [*csv.DictReader(file)]
+            for row in csv.DictReader(lines_of(file, path, ValueError)):
+                yield {name: value for name, value in row.items() if name in wanted}
     except (UnicodeDecodeError, csv.Error) as error:
         raise ValueError(f"{path}: is not a CSV file: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from array import array
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import contextmanager
 
@@ -24,6 +25,9 @@ MOTION_SIGMA = (0.1, 0.005)
 
 #: Quantities of a motion.
 QUANTITIES = ("speed", "yaw_rate")
+_MOTION = {name for name, (quantity, _) in COLUMNS.items() if quantity in QUANTITIES}
+#: Most records of a table; an hour at 100 Hz has 360 000.
+MAX_RECORDS = 2_000_000
 #: Oldest signal of a bus that counts [s].
 OLDEST = 0.5
 #: Time of a signal that does not count [ns].
@@ -152,11 +156,13 @@ def _recorded(table: Mapping[str, Series]) -> MotionAt:
 
 def _table(path: str) -> dict[str, Series]:
     """Return the series of a table."""
-    rows = table_rows(path)
+    values: dict[str, array[float]] = {}
     try:
-        t = np.array([float(row["time"]) for row in rows])
-        names = [name for name in (rows[0] if rows else ()) if name in COLUMNS]
-        found = {name: (t, np.array([float(row[name]) for row in rows])) for name in names}
+        for row in table_rows(path, {"time", *_MOTION}, MAX_RECORDS):
+            for name, value in row.items():
+                values.setdefault(name, array("d")).append(float(value))
+        t = np.array(values.pop("time"))
+        found = {name: (t, np.array(series)) for name, series in values.items()}
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"--motion {path} must have numbers in the columns time, speed and yaw_rate; the first "

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from os import PathLike
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DriveFileError
+from ..input_files import checked_path, lines_of
 
 _METRES, _RADIANS = {"": 1.0}, {"": 1.0, "_deg": math.radians(1.0)}
 #: Units of each quantity by the suffix of its column, as factors to the SI unit; latitude and
@@ -46,6 +47,8 @@ COVARIANCE = (
     ("sigma_along", "sigma_across", "sigma_heading"),
     ("cov_xx", "cov_xy", "cov_yy", "cov_xh", "cov_yh", "cov_hh"),
 )
+#: Most values of a drive: an hour at 100 Hz with all columns has 5 million.
+MAX_VALUES = 10_000_000
 #: Delimiters of a CSV file.
 _DELIMITERS = ",;\t"
 
@@ -106,7 +109,9 @@ def _text(choice: Sequence[str]) -> str:
     )
 
 
-def read_csv(path: str | PathLike[str]) -> tuple[dict[str, NDArray[np.float64]], list[int], int]:
+def read_csv(
+    path: str | PathLike[str],
+) -> tuple[dict[str, NDArray[np.float64]], Sequence[int], int]:
     """Return the quantities of a CSV file by name, the line of each row, and the skipped rows.
 
     A row with an empty or non-finite value in a known column is skipped. Empty lines, and lines
@@ -115,10 +120,10 @@ def read_csv(path: str | PathLike[str]) -> tuple[dict[str, NDArray[np.float64]],
     Raises:
         DriveFileError: the file cannot be read, lacks a column, or has a value that is no number.
     """
-    source = Path(path)
+    source = checked_path(path, DriveFileError)
     try:
         with source.open(encoding="utf-8-sig", newline="") as file:
-            return _read_rows(file, str(source))
+            return _read_rows(lines_of(file, str(source), DriveFileError), str(source))
     except OSError as error:
         raise DriveFileError(f"{source}: cannot be read: {error.strerror or error}") from error
     except (UnicodeDecodeError, csv.Error) as error:
@@ -127,7 +132,7 @@ def read_csv(path: str | PathLike[str]) -> tuple[dict[str, NDArray[np.float64]],
 
 def _read_rows(
     file: Iterable[str], source: str
-) -> tuple[dict[str, NDArray[np.float64]], list[int], int]:
+) -> tuple[dict[str, NDArray[np.float64]], Sequence[int], int]:
     numbered = (
         (number, line)
         for number, line in enumerate(file, start=1)
@@ -138,9 +143,7 @@ def _read_rows(
     names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter), [])]
     found = quantities(names, source)
     places = [names.index(column) for column, _ in found.values()]
-    rows: list[list[float]] = []
-    lines: list[int] = []
-    skipped = 0
+    rows, lines, skipped = array("d"), array("q"), 0
     for number, line in numbered:
         cells = next(csv.reader([line], delimiter=delimiter))
         if len(cells) != len(names):
@@ -154,8 +157,13 @@ def _read_rows(
             where = f"{source}: line {number}: column"
             row = [_number(cells[i], f"{where} {names[i]}") for i in places]
         if all(map(math.isfinite, row)):
-            rows.append(row)
+            rows.extend(row)
             lines.append(number)
+            if len(rows) > MAX_VALUES:
+                raise DriveFileError(
+                    f"{source}: has more than {MAX_VALUES} values in its columns of a drive; "
+                    "divide it into several"
+                )
         else:
             skipped += 1
     table = np.array(rows).reshape(-1, len(found)) * [factor for _, factor in found.values()]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from ..errors import MapFileError
+from ..input_files import checked_path
 from .model import Map
 
 #: Largest map file, after decompression [bytes].
@@ -70,7 +71,7 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
         MapFileError: the file cannot be read, or contains nothing that can be used. What cannot be
             used of a map that can is listed in ``Map.skipped``.
     """
-    path = Path(path)
+    path = checked_path(path, MapFileError)
     try:
         with path.open("rb") as file, _decompressed(file) as stream:
             bounded = _Bounded(stream, path.name)

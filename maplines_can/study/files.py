@@ -8,7 +8,7 @@ e_h [rad]) have the same form, with d = 4 or d = 3 numbers:
 - ``.csv`` and ``.parquet``: columns ``mean_0`` .. and ``cov_00``, ``cov_01`` .., at least those of
   the upper triangle. The first line of a CSV names its columns.
 
-Tables are read in blocks, the arrays of an ``.npz`` as a whole.
+All are read in blocks.
 
 The lines of a map are a file that ``maps.load`` reads, such as a CSV with the columns ``line``,
 ``x`` and ``y`` [m]: points in their order, those of a line next to each other.
@@ -17,40 +17,37 @@ The lines of a map are a file that ``maps.load`` reads, such as a CSV with the c
 from __future__ import annotations
 
 import hashlib
+import math
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import BinaryIO, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MapFileError, StudyError, missing_extra
+from ..errors import MapFileError, StudyError
 from ..gaussian import asymmetric, indefinite, nearest_covariance
+from ..input_files import checked_path, lines_of
 from ..maps import load
 from ..polyline import Polyline
+from .parquet_files import parquet_batches
 
 Array = NDArray[np.float64]
 
 #: Rows read at a time when a file is checked.
 BLOCK = 50_000
+#: Most bytes of an array of an ``.npz`` that is stored by columns.
+MAX_COLUMNS = 1 << 25
+#: Characters after which a block of a CSV file ends.
+MAX_TEXT = 1 << 24
 #: Relative rounding to expect of the program that wrote a file.
 ROUNDING = 1e-6
-
-
-def arrow() -> Any:
-    """Return the package ``pyarrow``, with ``pyarrow.parquet``.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
-    try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise missing_extra("Parquet files need pyarrow", "study") from error
-    return pyarrow
 
 
 @dataclass(frozen=True)
@@ -69,6 +66,7 @@ class GaussianFile:
         Raises:
             StudyError: the file cannot be read, a column is missing, or a row is not a Gaussian.
         """
+        checked_path(path, StudyError)
         if path.suffix.lower() not in _READERS:
             raise StudyError(f"{path}: a file is one of {', '.join(_READERS)}")
         rows = dimension = 0
@@ -101,7 +99,7 @@ def read_map(path: Path) -> tuple[tuple[Polyline, ...], str]:
         StudyError: the file is not a map, or a line of a file without lanes cannot be used.
     """
     try:
-        found = load(path)
+        found = load(checked_path(path, StudyError))
     except (OSError, MapFileError) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
     if found.skipped and not found.lanes:
@@ -137,41 +135,95 @@ def _check(path: Path, first: int, mean: Array, cov: Array) -> None:
 def _blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     try:
         yield from _READERS[path.suffix.lower()](path, size)
-    except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, UnicodeDecodeError, zipfile.BadZipFile, zlib.error) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
 
 
 def _npz_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
-    with zipfile.ZipFile(path), np.load(path) as archive:  # np.load takes other files too
-        if missing := {"mean", "cov"} - set(archive.files):
+    with zipfile.ZipFile(path) as archive, ExitStack() as stack:
+        arrays = {}
+        for name in ("mean", "cov"):
+            if f"{name}.npy" not in archive.namelist():
+                raise StudyError(f"{path}: holds the arrays mean and cov; there is no {name}")
+            member = archive.getinfo(f"{name}.npy")
+            if member.compress_type not in {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+                raise StudyError(f"{path}: {name} is compressed in a way that numpy does not use")
+            stream = cast(BinaryIO, stack.enter_context(archive.open(member)))
+            arrays[name] = ArrayStream(stream, f"{path}: {name}")
+        mean, cov = arrays["mean"], arrays["cov"]
+        n, d = mean.shape if len(mean.shape) == 2 else (0, 0)
+        if d not in (3, 4) or cov.shape not in ((n, d, d), (n, d * (d + 1) // 2)):
             raise StudyError(
-                f"{path}: holds the arrays mean and cov; there is no {', '.join(sorted(missing))}"
+                f"{path}: mean must have shape (N, 4) of lines or (N, 3) of poses, and cov "
+                f"(N, d, d) or the upper triangles (N, d (d + 1) / 2); got {mean.shape} and "
+                f"{cov.shape}"
             )
+        for start in range(0, n, size):
+            rows = min(size, n - start)
+            yield mean.read(rows), _squares(cov.read(rows), d)
+
+
+class ArrayStream:
+    """An array of numbers in the format of numpy, from which rows are read one after the other.
+
+    Args:
+        stream: of a file ``.npy``.
+        name: for messages.
+
+    Raises:
+        StudyError: it has another format or no numbers, or it is large and stored by columns.
+    """
+
+    def __init__(self, stream: BinaryIO, name: str) -> None:
+        self._stream, self._name = stream, name
         try:
-            mean, cov = archive["mean"], archive["cov"]
+            if np.lib.format.read_magic(stream) != (1, 0):  # the others are for names of fields
+                raise StudyError(f"{name}: needs an array of numbers")
+            self.shape, is_columns, self._dtype = np.lib.format.read_array_header_1_0(stream)
         except ValueError as error:
-            raise StudyError(f"{path}: cannot be read: {error}") from error
-    for array in (mean, cov):
-        if array.dtype.kind not in "fiu":
-            raise StudyError(f"{path}: needs arrays of numbers, got {array.dtype}")
-    n, d = mean.shape if mean.ndim == 2 else (0, 0)
-    if d not in (3, 4) or cov.shape not in ((n, d, d), (n, d * (d + 1) // 2)):
-        raise StudyError(
-            f"{path}: mean must have shape (N, 4) of lines or (N, 3) of poses, and cov (N, d, d) "
-            f"or the upper triangles (N, d (d + 1) / 2); got {mean.shape} and {cov.shape}"
-        )
-    for start in range(0, n, size):
-        rows = slice(start, start + size)
-        yield mean[rows].astype(float), _squares(cov[rows].astype(float), d)
+            if isinstance(error, StudyError):
+                raise
+            raise StudyError(f"{name}: cannot be read: {error}") from error
+        if self._dtype.kind not in "fiu":
+            raise StudyError(f"{name}: needs an array of numbers, got {self._dtype}")
+        if is_columns and len(self.shape) > 1:
+            self._stream = BytesIO(self._by_rows())
+
+    def _by_rows(self) -> bytes:
+        """Return the data of an array that is stored column by column."""
+        size = math.prod(self.shape) * self._dtype.itemsize
+        if size > MAX_COLUMNS:
+            raise StudyError(
+                f"{self._name}: is stored by columns, which are read at once, and has {size} bytes, "
+                f"more than {MAX_COLUMNS}; save numpy.ascontiguousarray of it"
+            )
+        return np.frombuffer(self._data(size), self._dtype).reshape(self.shape[::-1]).T.tobytes()
+
+    def read(self, rows: int) -> Array:
+        """Return the next rows.
+
+        Raises:
+            StudyError: the file ends before.
+        """
+        shape = (rows, *self.shape[1:])
+        data = self._data(math.prod(shape) * self._dtype.itemsize)
+        return np.frombuffer(data, self._dtype).reshape(shape).astype(float)
+
+    def _data(self, size: int) -> bytes:
+        data = self._stream.read(size)
+        if len(data) < size:
+            raise StudyError(f"{self._name}: ends before its {self.shape[0]} rows")
+        return data
 
 
 def _csv_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
     with path.open(encoding="utf-8-sig") as file:
-        columns = [name.strip() for name in file.readline().split(",")]
+        lines = lines_of(file, str(path), StudyError)
+        columns = [name.strip() for name in next(lines, "").split(",")]
         d, names = _columns(path, columns)
         places = [columns.index(name) for name in names]
         first = 0
-        while rows := list(islice(file, size)):
+        while rows := _next_rows(lines, size):
             try:
                 table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
             except ValueError as error:
@@ -188,19 +240,25 @@ def _csv_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
             first += len(rows)
 
 
+def _next_rows(lines: Iterator[str], size: int) -> list[str]:
+    """Return the next lines, at most ``size`` of them and about ``MAX_TEXT`` characters."""
+    rows, length = [], 0
+    for line in islice(lines, size):
+        rows.append(line)
+        length += len(line)
+        if length > MAX_TEXT:
+            break
+    return rows
+
+
 def _parquet_blocks(path: Path, size: int) -> Iterator[tuple[Array, Array]]:
-    pa = arrow()
-    try:
-        with pa.parquet.ParquetFile(path) as file:
-            d, names = _columns(path, file.schema_arrow.names)
-            for batch in file.iter_batches(batch_size=size, columns=names):
-                columns = (batch.column(name).to_numpy(zero_copy_only=False) for name in names)
-                values = np.stack([column.astype(float) for column in columns], axis=-1)
-                yield values[:, :d], _squares(values[:, d:], d)
-    except (pa.ArrowException, ValueError) as error:
-        if isinstance(error, StudyError):
-            raise
-        raise StudyError(f"{path}: cannot be read: {error}") from error
+    def choose(columns: list[str]) -> list[str]:
+        return _columns(path, columns)[1]
+
+    for batch in parquet_batches(path, choose, size, StudyError):
+        d = 4 if "mean_3" in batch else 3
+        values = np.stack([np.asarray(column, dtype=float) for column in batch.values()], axis=-1)
+        yield values[:, :d], _squares(values[:, d:], d)
 
 
 _READERS = {".npz": _npz_blocks, ".csv": _csv_blocks, ".parquet": _parquet_blocks}

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
@@ -28,9 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import DriveFileError
+from ...input_files import checked_path, lines_of
 from ...line import Slot
 from ...polyline import Polyline, stretches
-from ..files import arrow
+from ..parquet_files import arrow, parquet_batches
 
 Array = NDArray[np.float64]
 
@@ -56,6 +58,10 @@ _OF_LINE = (
     *(f"heading_{x}" for x in PLACES),
     *(f"curvature_{x}" for x in PLACES),
 )
+#: Most values of a table: two hours at 20 Hz with eight slots have 21 million.
+MAX_VALUES = 24_000_000
+#: Rows of a Parquet file that are read at a time.
+BATCH = 10_000
 #: Larger numbers, such as times and northings, have more digits in a CSV file.
 LARGE = 1e6
 #: Rows that are written at a time.
@@ -107,7 +113,7 @@ class TruthWriter:
     """
 
     def __init__(self, path: str | PathLike[str], slots: Sequence[Slot]) -> None:
-        path = Path(path)
+        path = checked_path(path, DriveFileError)
         self._names = columns(slots)
         self._rows: list[list[Any]] = []
         self._parquet: Any = None
@@ -191,7 +197,7 @@ def read_truth(path: str | PathLike[str]) -> Truth:
         DriveFileError: the file cannot be read, or is no truth of a drive.
         MissingExtraError: Parquet without pyarrow.
     """
-    path = Path(path)
+    path = checked_path(path, DriveFileError)
     table = _parquet_table(path) if _suffix(path) == ".parquet" else _csv_table(path)
     slots = [slot for slot in Slot if f"{slot.name.lower()}_{_OF_LINE[0]}" in table]
     missing = [name for name in columns(slots or [Slot.EGO_LEFT]) if name not in table]
@@ -213,40 +219,61 @@ def read_truth(path: str | PathLike[str]) -> Truth:
 
 
 def _parquet_table(path: Path) -> dict[str, Any]:
-    pa = arrow()
-    try:
-        table = pa.parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise DriveFileError(f"{path}: cannot be read: {error}") from error
-    found: dict[str, Any] = {}
-    for name in table.column_names:
-        values = table.column(name).to_pylist()
-        found[name] = values if name in _TEXT else _numbers(path, name, values)
-    return found
+    def choose(names: list[str]) -> list[str]:
+        return [name for name in names if name in known]
+
+    known = {*columns([*Slot])}
+    parts: dict[str, list[Any]] = {}
+    values = 0
+    for batch in parquet_batches(path, choose, BATCH, DriveFileError):
+        for name, part in batch.items():
+            is_text = name in _TEXT
+            parts.setdefault(name, []).extend(part if is_text else [_numbers(path, name, part)])
+            values += len(part)
+        _check_values(path, values)
+    return {n: part if n in _TEXT else np.concatenate(part) for n, part in parts.items()}
 
 
 def _csv_table(path: Path) -> dict[str, Any]:
+    numbers, texts = array("d"), {name: list[str]() for name in _TEXT}
     try:
         with path.open(encoding="utf-8", newline="") as file:
-            reader = csv.reader(file)
+            reader = csv.reader(lines_of(file, str(path), DriveFileError))
             names = next(reader, [])
-            rows = list(reader)
+            places = [i for i, name in enumerate(names) if name not in _TEXT]
+            for row in reader:
+                if len(row) != len(names):
+                    raise DriveFileError(
+                        f"{path}: line {reader.line_num} has not {len(names)} values, as the "
+                        "header has"
+                    )
+                for name in _TEXT.intersection(names):
+                    texts[name].append(row[names.index(name)])
+                for i in places:
+                    numbers.append(_number(path, names[i], row[i]))
+                _check_values(path, len(numbers))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise DriveFileError(f"{path}: cannot be read: {error}") from error
-    wrong = next((i for i, row in enumerate(rows, 2) if len(row) != len(names)), None)
-    if wrong is not None:
-        raise DriveFileError(f"{path}: line {wrong} has not {len(names)} values, as the header has")
-    cells = dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else {}
-    table = {name: cells.get(name, ()) for name in names}
-    return {
-        name: values if name in _TEXT else _numbers(path, name, values)
-        for name, values in table.items()
+    found = np.array(numbers).reshape(-1, max(len(places), 1)).T
+    return dict(zip((names[i] for i in places), found, strict=False)) | {
+        name: texts[name] for name in names if name in _TEXT
     }
+
+
+def _check_values(path: Path, values: int) -> None:
+    """Raise ``DriveFileError`` if a table has too many values."""
+    if values > MAX_VALUES:
+        raise DriveFileError(f"{path}: has more than {MAX_VALUES} values; divide it into several")
 
 
 def _numbers(path: Path, name: str, values: Sequence[Any]) -> Array:
     """Return a column as numbers, an empty cell as NaN."""
+    return np.array([_number(path, name, value) for value in values])
+
+
+def _number(path: Path, name: str, value: Any) -> float:
+    """Return a cell as a number, an empty one as NaN."""
     try:
-        return np.array([math.nan if v in ("", None) else float(v) for v in values])
+        return math.nan if value in ("", None) else float(value)
     except (TypeError, ValueError) as error:
         raise DriveFileError(f"{path}: column {name}: {error}") from error

@@ -15,8 +15,8 @@ from typing import Any
 
 from ...line import Status
 from ..codes import CODES
-from ..files import arrow
 from ..metrics import LATERAL_X, Figure, Score
+from ..parquet_files import arrow
 from ..scenes import table as scene_table
 from ..sets import LineSet
 from ..text_table import aligned

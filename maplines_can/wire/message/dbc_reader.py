@@ -13,6 +13,7 @@ from cantools.database.can import Database, Message
 from cantools.database.can import Signal as DbcSignal
 
 from ...errors import LayoutError
+from ...input_files import checked_path
 from ...line import Kind, Slot, Status
 from .dbc_limits import LARGEST_DBC, check_numbers
 from .dbc_messages import (
@@ -72,7 +73,7 @@ def default_dbc_path(name: str = "maplines.dbc") -> Path:
 def read_text(path: Path) -> str:
     """Return the text of a DBC file; raises LayoutError as ``Layout.from_dbc``."""
     try:
-        with path.open("rb") as file:  # a pipe or device may never end
+        with checked_path(path, LayoutError).open("rb") as file:  # a pipe or device may never end
             data = file.read(LARGEST_DBC + 1)
     except OSError as error:
         raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
