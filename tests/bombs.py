@@ -17,7 +17,7 @@ SIZE = 900
 #: Most memory of a process that reads any file [MB].
 MOST = 300
 #: Address space of the process [MB]; what is imported takes most of it.
-ADDRESSES = 1500
+ADDRESSES = 3000
 
 _CHILD = """
 import json, resource, sys

@@ -161,7 +161,7 @@ def _table(path: str) -> dict[str, Series]:
         for row in table_rows(path, {"time", *_MOTION}, MAX_RECORDS):
             for name, value in row.items():
                 values.setdefault(name, array("d")).append(float(value))
-        t = np.array(values.pop("time"))
+        t = np.array(values.pop("time") if values else ())
         found = {name: (t, np.array(series)) for name, series in values.items()}
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(

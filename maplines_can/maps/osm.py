@@ -26,9 +26,15 @@ from .lanelet_tags import RawLanelet, Side, Tags, lanelets
 from .lanelets import lanelet_map, linked
 from .model import Map, Skipped
 from .projection import UTM_LATITUDES, project, tangent, utm
-from .xml_tree import Document, Element, number_in
+from .xml_tree import Document, Element, memory_of, number_in
 
 Array = NDArray[np.float64]
+
+
+#: Most memory of the nodes, ways and relations of a file: 380 000 nodes without ways [bytes].
+MAX_KEPT = 1 << 27
+#: Memory of one of them, without what is in it [bytes].
+NODE = 350
 
 
 class _Node(NamedTuple):
@@ -72,7 +78,7 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
         MapFileError: it is not XML, is not OSM, or has no usable lanelet.
         ValueError: the projection is not one of ``maps.projection``.
     """
-    file = _OsmFile()
+    file = _OsmFile(name)
     document = Document(stream, name, text_in=())
     for element in document.elements():
         file.add(element)
@@ -91,7 +97,8 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
 class _OsmFile:
     """Elements of an OSM file."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str) -> None:
+        self._name, self._kept = name, 0
         self.skipped: list[Skipped] = SkippedList()
         self.relations: dict[str, _Relation] = {}
         self._nodes: dict[str, _Node] = {}
@@ -109,13 +116,29 @@ class _OsmFile:
         if not key or key in known[element.tag]:  # type: ignore[operator]
             why = "another one has the same id; only that is used" if key else "it has no id"
             self.skipped.append(Skipped(element.place, why))
-        elif element.tag == "node":
+            return
+        self._keep(element)
+        if element.tag == "node":
             self._nodes[key] = _node(element)
         elif element.tag == "way":
             refs = tuple(nd.get("ref").strip() for nd in element.all("nd"))
             self._ways[key] = _Way(refs, _tags(element))
         else:
             self._add_relation(key, element)
+
+    def _keep(self, element: Element) -> None:
+        """Count the memory of what is kept of an element.
+
+        Raises:
+            MapFileError: it is too much.
+        """
+        inside = () if element.tag == "node" else element.children
+        self._kept += NODE + sum(memory_of(child.attributes) for child in inside)
+        if self._kept > MAX_KEPT:
+            raise MapFileError(
+                f"{self._name}, {element.place}: the nodes, ways and relations up to here take "
+                f"more than {MAX_KEPT >> 20} MB; divide the map into several"
+            )
 
     def _add_relation(self, key: str, element: Element) -> None:
         tags = _tags(element)

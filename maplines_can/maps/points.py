@@ -16,19 +16,22 @@ and ``kind``. The points of a line are in their order, next to each other.
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import itertools
 import json
 import math
 import zlib
-from collections.abc import Hashable, Iterable, Iterator
+from array import array
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MapFileError
+from ..input_files import lines_of
 from ..line import Kind
 from ..polyline import Polyline
 from .lane import SkippedList
@@ -40,7 +43,13 @@ from .xml_tree import number_in
 Array = NDArray[np.float64]
 
 #: Largest file [bytes]; a million points are about 30 MB.
-MAX_BYTES = 1 << 27
+MAX_BYTES = 1 << 25
+#: Largest GeoJSON file [bytes], and most memory of its values, by ``_check_json`` [bytes].
+MAX_JSON_BYTES, MAX_JSON = 1 << 24, 1 << 27
+#: Bytes that show the format.
+HEAD = 1 << 16
+#: Most lines.
+MAX_LINES = 100_000
 
 #: Names of the longitude and latitude of WGS84 in a member ``crs``.
 _WGS84 = ("CRS84", "EPSG::4326", "EPSG:4326")
@@ -51,7 +60,7 @@ class _Line(NamedTuple):
 
     name: str
     where: str
-    points: list[tuple[float, float]]
+    points: Array  #: (n, 2)
     lane: str
     side: str
     kind: str
@@ -75,16 +84,35 @@ def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
             raise MapFileError(
                 f"{name} has more than {MAX_BYTES >> 20} MB; divide the map into several"
             )
-        text = data.decode("utf-8-sig")
-        del data
+        skipped: list[Skipped] = SkippedList()
+        if data[:HEAD].removeprefix(codecs.BOM_UTF8).lstrip().startswith((b"{", b"[")):
+            _check_json(data, name)
+            text = data.decode("utf-8-sig")
+            del data
+            lines, projection = _geojson(text, name, projection, skipped)
+        else:
+            file = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline="")
+            lines = list(_csv(lines_of(file, name, MapFileError), name, skipped))
     except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
         raise MapFileError(f"{name} cannot be read as text in UTF-8: {error}") from None
-    skipped: list[Skipped] = SkippedList()
-    if text.lstrip().startswith(("{", "[")):
-        lines, projection = _geojson(text, name, projection, skipped)
-    else:
-        lines = list(_csv(text, name, skipped))
     return _map(lines, name, skipped, projection)
+
+
+def _check_json(data: bytes, name: str) -> None:
+    """Raise MapFileError if the values of a document would take too much memory."""
+    size = {b"{": 200, b"[": 64, b",": 40, b":": 60}  # about, with the value that follows
+    memory = sum(data.count(sign) * each for sign, each in size.items())
+    if len(data) > MAX_JSON_BYTES or memory > MAX_JSON:
+        raise MapFileError(
+            f"{name} has more than {MAX_JSON_BYTES >> 20} MB, or values of more than "
+            f"{MAX_JSON >> 20} MB; divide the map into several"
+        )
+
+
+def _check_lines(count: int, name: str) -> None:
+    """Raise MapFileError if a file has too many lines."""
+    if count > MAX_LINES:
+        raise MapFileError(f"{name} has more than {MAX_LINES} lines; divide the map into several")
 
 
 def _map(lines: Iterable[_Line], name: str, skipped: list[Skipped], projection: str | None) -> Map:
@@ -92,7 +120,7 @@ def _map(lines: Iterable[_Line], name: str, skipped: list[Skipped], projection: 
     polylines: dict[str, Polyline] = {}
     for line in lines:
         try:
-            found = boundary(np.array(line.points).reshape(-1, 2), _kind(line))
+            found = boundary(line.points, _kind(line))
             if line.lane and line.side not in {"left", "right"}:
                 raise ValueError(f"the side must be left or right, got {line.side[:40]!r}")  # noqa: TRY301
         except ValueError as error:
@@ -123,7 +151,7 @@ def _lanelets(
             skipped.append(Skipped(where, f"lane {lane[:40]!r} is not used: {error}"))
             continue
         ends: tuple[tuple[Hashable, ...], ...] = tuple(
-            tuple(both[side][0].points) for side in ("left", "right")
+            tuple(map(complex, *both[side][0].points.T.tolist())) for side in ("left", "right")
         )
         yield Lanelet(Lane(id=lane, left=left, right=right, centre=centre), *ends)
 
@@ -143,8 +171,8 @@ def _unique(name: str, known: dict[str, Polyline]) -> str:
     return next(one for i in itertools.count(2) if (one := f"{name}#{i}") not in known)
 
 
-def _csv(text: str, name: str, skipped: list[Skipped]) -> Iterator[_Line]:
-    rows = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True)
+def _csv(text: Iterable[str], name: str, skipped: list[Skipped]) -> Iterator[_Line]:
+    rows = csv.reader(text, skipinitialspace=True)
     try:
         columns = [column.strip() for column in next(rows, [])]
         if missing := {"line", "x", "y"} - set(columns):
@@ -163,21 +191,22 @@ def _csv(text: str, name: str, skipped: list[Skipped]) -> Iterator[_Line]:
         for key, group in itertools.groupby(given, lambda row: field(row, "line")):
             first = next(group)
             where = bad_at = f"line {rows.line_num}"
-            points, bad = [], ""
+            points, bad = array("d"), ""
             for row in itertools.chain([first], group):
-                points.append((number_in(field(row, "x")), number_in(field(row, "y"))))
-                if not bad and not all(map(math.isfinite, points[-1])):
+                points.extend((number_in(field(row, "x")), number_in(field(row, "y"))))
+                if not bad and not all(map(math.isfinite, points[-2:])):
                     bad_at = f"line {rows.line_num}"
                     bad = f"{','.join(row)[:80]!r} is not a point of a map"
             if key in seen:
                 bad_at = where
                 bad = "points at two places; put the points of a line next to each other"
             seen.add(key)
+            _check_lines(len(seen), name)
             if bad:
                 skipped.append(Skipped(bad_at, f"line {key[:40]!r} is not used: {bad}"))
             else:
                 lane, side, kind = (field(first, column) for column in ("lane", "side", "kind"))
-                yield _Line(key, where, points, lane, side.lower(), kind)
+                yield _Line(key, where, _array(points), lane, side.lower(), kind)
     except csv.Error as error:
         raise MapFileError(f"{name}, line {rows.line_num}: {error}") from None
 
@@ -196,7 +225,10 @@ def _geojson(
         features = [document]
     if not isinstance(features, list):
         raise MapFileError(f"{name} is not GeoJSON with a FeatureCollection of lines")
-    lines = [line for i, one in enumerate(features) for line in _feature(one, i, skipped)]
+    lines: list[_Line] = []
+    for i, one in enumerate(features):
+        lines += _feature(one, i, skipped)
+        _check_lines(len(lines), name)
     system = document.get("crs")
     if isinstance(system, dict):
         properties = system.get("properties")
@@ -227,11 +259,16 @@ def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line
         return
     for part in parts if isinstance(parts, list) else [parts]:
         try:
-            points = [(_coordinate(position[0]), _coordinate(position[1])) for position in part]
+            points = _array([_coordinate(p[axis]) for p in part for axis in (0, 1)])
         except (IndexError, KeyError, OverflowError, TypeError):
             skipped.append(Skipped(where, "its coordinates are not lists of two numbers"))
         else:
             yield _Line(named, where, points, lane.strip(), side.strip().lower(), kind)
+
+
+def _array(values: Sequence[float]) -> Array:
+    """Return (n, 2) points from their values one after the other."""
+    return np.array(values, dtype=float).reshape(-1, 2)
 
 
 def _coordinate(value: object) -> float:
@@ -247,7 +284,7 @@ def _projected(
     """Return the lines around the middle of the map, and their projection."""
     usable = []
     for line in lines:
-        if all(abs(x) <= 360 and abs(y) <= 90 for x, y in line.points):  # false for NaN
+        if (np.abs(line.points) <= (360, 90)).all():  # false for NaN
             usable.append(line)
         else:
             why = (
@@ -255,7 +292,7 @@ def _projected(
                 "system in the member crs"
             )
             skipped.append(Skipped(line.where, why))
-    points = np.array([point for line in usable for point in line.points]).reshape(-1, 2)
+    points = np.concatenate([line.points for line in usable] or [np.empty((0, 2))])
     if not len(points):
         return [], None
     first = points[0, 0]  # the map may cross the 180th meridian
@@ -263,7 +300,7 @@ def _projected(
     longitude, latitude = ((points.min(axis=0) + points.max(axis=0)) / 2).tolist()
     around = round(latitude, 7), round(math.remainder(longitude, 360), 7)
     projection = projection or tangent(*around)
-    plane = iter(project(projection, points[:, 1], points[:, 0]).tolist())
-    return [
-        line._replace(points=[tuple(next(plane)) for _ in line.points]) for line in usable
-    ], projection
+    plane = project(projection, points[:, 1], points[:, 0])
+    ends = np.cumsum([len(line.points) for line in usable])
+    parts = zip(usable, np.split(plane, ends[:-1]), strict=True)
+    return [line._replace(points=part) for line, part in parts], projection

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Container, Iterator
+from sys import getsizeof
 from typing import BinaryIO, NoReturn
 from xml.parsers import expat
 
@@ -23,8 +24,12 @@ MAX_DEPTH = 64
 MAX_TEXT = 1 << 16
 #: Longest tag with its attributes [bytes].
 MAX_TAG = 1 << 24
-#: Most elements of a document; a million nodes of OSM with three tags each are 4 million.
-MAX_ELEMENTS = 6_000_000
+#: Memory of an element without its attributes [bytes].
+ELEMENT = 200
+#: Most memory of a child of the root with all that is in it, by ``memory_of`` [bytes].
+MAX_CHILD = 1 << 27
+#: Most elements of a document; 380 000 nodes of OSM with three tags each are 1.5 million.
+MAX_ELEMENTS = 3_000_000
 
 
 class Element:
@@ -79,7 +84,8 @@ class Document:
 
     Raises:
         MapFileError: the document has a document type, an unknown encoding, too deep a nesting, too
-            long a tag or text, or too many elements; during the iteration.
+            long a tag or text, too many elements, or too large a child of the root; during the
+            iteration.
     """
 
     def __init__(
@@ -94,7 +100,7 @@ class Document:
         self._stack: list[Element] = []
         self._complete: list[Element] = []
         self._ignored_depth = 0
-        self._count = 0
+        self._count = self._held = 0
         self._expat = expat.ParserCreate()
         self._expat.buffer_text = True
         self._expat.StartElementHandler = self._start
@@ -154,6 +160,7 @@ class Document:
         self._count += 1
         if self._count > MAX_ELEMENTS:
             self._refuse(f"more than {MAX_ELEMENTS} elements; divide the map into several")
+        self._hold(memory_of(attributes), tag)
         element = Element(tag, attributes, self._expat.CurrentLineNumber)
         if len(stack) > 1:  # the root keeps no children: they are taken one by one
             stack[-1].children.append(element)
@@ -172,20 +179,36 @@ class Document:
         element = self._stack.pop()
         if len(self._stack) == 1:
             self._complete.append(element)
+            self._held = 0
         if self._text_in is not None and element.tag in self._text_in:
             self._expat.CharacterDataHandler = None
 
     def _text(self, text: str) -> None:
         if self._stack and not self._ignored_depth:
+            self._hold(getsizeof(text), self._stack[-1].tag)
             self._stack[-1].text += text
             if len(self._stack[-1].text) > MAX_TEXT:
                 self._refuse(f"<{self._stack[-1].tag}> has more than {MAX_TEXT} characters of text")
+
+    def _hold(self, size: int, tag: str) -> None:
+        """Count the memory of the child of the root that is being read."""
+        self._held += size
+        if self._held > MAX_CHILD:
+            top = self._stack[1].tag if len(self._stack) > 1 else tag
+            self._refuse(
+                f"<{top[:40]}> takes more than {MAX_CHILD >> 20} MB; divide it into several"
+            )
 
     def _doctype(self, *_: object) -> NoReturn:
         self._refuse("a document type (<!DOCTYPE ...>) is not allowed in a map; remove it")
 
     def _refuse(self, why: str) -> NoReturn:
         raise MapFileError(f"{self._name}, line {self._expat.CurrentLineNumber}: {why}")
+
+
+def memory_of(attributes: dict[str, str]) -> int:
+    """Return about the memory of an element with these attributes [bytes]."""
+    return ELEMENT + getsizeof(attributes) + sum(map(getsizeof, attributes.values()))
 
 
 def number_in(text: str) -> float:

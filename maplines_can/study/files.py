@@ -194,7 +194,7 @@ class ArrayStream:
         size = math.prod(self.shape) * self._dtype.itemsize
         if size > MAX_COLUMNS:
             raise StudyError(
-                f"{self._name}: is stored by columns, which are read at once, and has {size} bytes, "
+                f"{self._name}: is stored by columns, which are read at once, with {size} bytes, "
                 f"more than {MAX_COLUMNS}; save numpy.ascontiguousarray of it"
             )
         return np.frombuffer(self._data(size), self._dtype).reshape(self.shape[::-1]).T.tobytes()

@@ -112,7 +112,7 @@ def test_a_side_given_twice_is_listed() -> None:
         ("x,y\n1,2", "there is no line"),
         ("line,x,y\n", "contains no usable lane"),
         ("line,x,y\na,1,2", "first reason: line 2: line 'a' is not used"),
-        ("line,x,y\na,1," + "2" * 200_000, "line [12]: field larger"),
+        ("line,x,y\na,1," + "2" * 200_000, "line 2 has more than 65536 characters"),
         ("{", "is not JSON"),
         ("[" * 100_000, "is not JSON"),
         ("[]", "is not GeoJSON"),

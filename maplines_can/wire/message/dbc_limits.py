@@ -12,6 +12,8 @@ cantools allocates lists as long as some numbers in the file say, before it chec
 It also expands a number such as ``1e30865535`` to an integer of as many digits where it expects an
 integer, in an attribute also from within quotes, so exponents of 4 digits and more are refused.
 
+For each word it makes an object, so the number of words has a limit, and the length of a text.
+
 Large numbers elsewhere are valid, such as a CAN ID of 29 bits or a range of values of 32 bits.
 """
 
@@ -22,7 +24,12 @@ import re
 from ...errors import LayoutError
 
 #: Largest size of a DBC file [byte]; the DBC of a whole car has a few million.
-LARGEST_DBC = 64_000_000
+LARGEST_DBC = 16_000_000
+#: Most words and signs outside of texts, for each of which cantools needs some 160 bytes.
+MAX_TOKENS = 1_250_000
+#: Most characters without a quotation mark, such as a text, for each of which it needs 200 bytes.
+MAX_TEXT = 1 << 18
+_TOKEN = re.compile(r"\w+|[^\w\s]")
 
 #: A number with an exponent of 4 digits or more.
 _LONG_EXPONENT = re.compile(r"(?<![\w.])\d[\d.]*[eE]\+?\d{4}")
@@ -40,8 +47,18 @@ _LONG_LIST = re.compile(
 
 
 def check_numbers(text: str, source: str) -> None:
-    """Raise LayoutError if a number in the text of a DBC has too many digits."""
-    if found := _LONG_EXPONENT.search(text) or _LONG_LIST.search(_TEXT.sub(" ", text)):
+    """Raise LayoutError if a text of a DBC is too long, or a number in it has too many digits."""
+    if max(map(len, text.replace('\\"', "..").split('"'))) > MAX_TEXT:
+        raise LayoutError(
+            f"{source}: is too large: {MAX_TEXT} characters without a quotation mark; shorten them"
+        )
+    bare = _TEXT.sub(" ", text)
+    if len(bare) > MAX_TOKENS and sum(1 for _ in _TOKEN.finditer(bare)) > MAX_TOKENS:
+        raise LayoutError(
+            f"{source}: is too large: it has more than {MAX_TOKENS} words and signs; keep the "
+            "messages that are needed"
+        )
+    if found := _LONG_EXPONENT.search(text) or _LONG_LIST.search(bare):
         raise LayoutError(
             f"{source}: is not a valid DBC: a start, length or range has too many digits: "
             f"{' '.join(found[0].split())}"

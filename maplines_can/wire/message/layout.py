@@ -107,7 +107,7 @@ class Layout(RecordLayout):
         By default, the DBC is the project's ``maplines.dbc``.
 
         Raises:
-            LayoutError: the file is missing, is larger than 64 MB, is not a DBC, or does not
+            LayoutError: the file is missing, is larger than 16 MB, is not a DBC, or does not
                 describe a map line.
             TypeError: it is neither a path nor a ``cantools.database.can.Database``.
         """

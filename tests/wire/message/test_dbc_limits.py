@@ -42,14 +42,28 @@ def test_large_numbers_elsewhere_are_accepted() -> None:
     assert Layout.from_text(text[:place] + extra.replace(comments, "") + text[place:] + comments)
 
 
-def test_a_file_of_64_megabytes_is_read_and_a_larger_one_is_not(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        pytest.param(f'CM_ "{"x" * 300_000}";\n', "262144 characters", id="text"),
+        pytest.param('CM_ "' + r"\"" * 300_000 + '";\n', "262144 characters", id="escaped-text"),
+        pytest.param('VAL_ 1 S 0 "a" ;' * 220_000, "1250000 words and signs", id="words"),
+    ],
+)
+def test_a_dbc_of_too_many_words_is_rejected(text: str, words: str) -> None:
+    """Each takes cantools an object; within the limits it takes less than 300 MB."""
+    with pytest.raises(LayoutError, match=f"is too large: .*{words}"):
+        Layout.from_text(text)
+
+
+def test_a_file_of_16_megabytes_is_read_and_a_larger_one_is_not(tmp_path: Path) -> None:
     """A pipe or a device may never end."""
     path = tmp_path / "large.dbc"
     path.touch()
-    for size in (64 * 10**6, 64 * 10**6 + 1):
+    for size in (16 * 10**6, 16 * 10**6 + 1):
         os.truncate(path, size)
-        if size > 64 * 10**6:
-            with pytest.raises(LayoutError, match=r"large\.dbc: is too large: .* 64,000,000 bytes"):
+        if size > 16 * 10**6:
+            with pytest.raises(LayoutError, match=r"large\.dbc: is too large: .* 16,000,000 bytes"):
                 read_text(path)
         else:
             assert len(read_text(path)) == size
