@@ -45,11 +45,11 @@ Array = NDArray[np.float64]
 #: Largest file [bytes]; a million points are about 30 MB.
 MAX_BYTES = 1 << 25
 #: Largest GeoJSON file [bytes], and most memory of its values, by ``_check_json`` [bytes].
-MAX_JSON_BYTES, MAX_JSON = 1 << 24, 1 << 27
+MAX_JSON_BYTES, MAX_JSON = 1 << 24, 3 << 25
 #: Bytes that show the format.
 HEAD = 1 << 16
-#: Most lines.
-MAX_LINES = 100_000
+#: Most lines, and most points of a line.
+MAX_LINES, MAX_POINTS = 100_000, 2_000_000
 
 #: Names of the longitude and latitude of WGS84 in a member ``crs``.
 _WGS84 = ("CRS84", "EPSG::4326", "EPSG:4326")
@@ -194,6 +194,10 @@ def _csv(text: Iterable[str], name: str, skipped: list[Skipped]) -> Iterator[_Li
             points, bad = array("d"), ""
             for row in itertools.chain([first], group):
                 points.extend((number_in(field(row, "x")), number_in(field(row, "y"))))
+                if len(points) > 2 * MAX_POINTS:
+                    raise MapFileError(
+                        f"{name}, {where}: a line has more than {MAX_POINTS} points; divide it"
+                    )
                 if not bad and not all(map(math.isfinite, points[-2:])):
                     bad_at = f"line {rows.line_num}"
                     bad = f"{','.join(row)[:80]!r} is not a point of a map"

@@ -112,7 +112,6 @@ def write_sparse_files(folder: Path) -> Iterator[tuple[str, str]]:
 
 def test_no_table_fills_the_memory(tmp_path: Path) -> None:
     """Each is refused in one line by a process with 300 MB."""
-    pytest.importorskip("resource")
     reasons = dict(write_npz_files(tmp_path))
     reasons |= dict(write_parquet_files(tmp_path))
     reasons |= dict(write_sparse_files(tmp_path))

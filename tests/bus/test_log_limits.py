@@ -119,7 +119,6 @@ def write_bombs(folder: Path) -> dict[str, str]:
 
 def test_no_log_fills_the_memory(tmp_path: Path) -> None:
     """A process of 300 MB reads what is good, and says in one line why the rest is not read."""
-    pytest.importorskip("resource")
     reasons = write_bombs(tmp_path)
     rows = ROWS["log"].encode() * 50_000
     (tmp_path / "drive.log.gz").write_bytes(gzip.compress(rows, 1) * 3)
