@@ -144,10 +144,8 @@ matrix is -1; use nearest_covariance(cov), which covers it
         Raises:
             numpy.linalg.LinAlgError: the covariance is singular.
         """
-        from scipy.linalg import solve_triangular
-
         d = floats(x, "x") - self.mean
-        z = solve_triangular(self._factor(), d.reshape(-1, self.dimension).T, lower=True)
+        z = _solve_lower(self._factor(), d.reshape(-1, self.dimension).T)
         return np.sqrt((z**2).sum(axis=0)).reshape(d.shape[:-1])
 
     @np.errstate(over="ignore")
@@ -183,11 +181,9 @@ matrix is -1; use nearest_covariance(cov), which covers it
         >>> round(Gaussian([0.0], [[1.0]]).kl(Gaussian([1.0], [[1.0]])), 12)
         0.5
         """
-        from scipy.linalg import solve_triangular
-
         L = other._factor()
-        A = solve_triangular(L, self.root, lower=True)
-        z = solve_triangular(L, self.mean - other.mean, lower=True)
+        A = _solve_lower(L, self.root)
+        z = _solve_lower(L, self.mean - other.mean)
         with np.errstate(divide="ignore"):
             log_det = np.log(np.abs(A.diagonal())).sum()
         return float(((A**2).sum() + z @ z - self.dimension) / 2 - log_det)
@@ -229,6 +225,25 @@ def independent(first: Gaussian, second: Gaussian) -> Gaussian:
     return Gaussian.trusted(mean, cov)
 
 
+def block_diagonal(blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (L n, L n) matrix with (L, n, n) blocks on its diagonal.
+
+    >>> block_diagonal(np.array([[[1.0]], [[2.0]]]))
+    array([[1., 0.],
+           [0., 2.]])
+    """
+    L, n, _ = blocks.shape
+    matrix = np.zeros((L, n, L, n))
+    matrix[range(L), :, range(L)] = blocks
+    return matrix.reshape(L * n, L * n)
+
+
+def diagonal_blocks(matrix: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return the (L, n, n) blocks on the diagonal of an (L n, L n) matrix."""
+    L = len(matrix) // n
+    return matrix.reshape(L, n, L, n)[range(L), :, range(L)]
+
+
 def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the lower-triangular ``L`` with ``L @ L.T == cov``, also for a singular ``cov``.
 
@@ -252,6 +267,20 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     if (L.diagonal() ** 2 > tiny * cov.diagonal()).all():
         return L
     return _semidefinite_root(cov, tiny)
+
+
+def _solve_lower(
+    L: NDArray[np.float64], right: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return L^-1 times (n, ...) values, for a lower-triangular (n, n) matrix L.
+
+    By substitution here, since LAPACK's solver wakes all threads of OpenBLAS even for n = 3. That
+    takes longer than all of this, and far longer where the cores are busy.
+    """
+    x = np.empty_like(right)
+    for i, row in enumerate(L):
+        x[i] = (right[i] - row[:i] @ x[:i]) / row[i]
+    return x
 
 
 def _semidefinite_root(cov: NDArray[np.float64], tiny: float) -> NDArray[np.float64]:

@@ -138,12 +138,11 @@ class Scene:
                 "cov must be finite, symmetric and positive semidefinite; for rounding errors, use "
                 f"nearest_covariance(cov); got {self.cov!r}"
             )
-        for own in () if self.own_covs is None else self.own_covs:
-            if not _is_covariance(own):
-                raise ValueError(
-                    "each of own_covs must be finite, symmetric and positive semidefinite, got "
-                    f"{own!r}"
-                )
+        if self.own_covs is not None and not _is_covariance(self.own_covs):
+            own = next(own for own in self.own_covs if not _is_covariance(own))
+            raise ValueError(
+                f"each of own_covs must be finite, symmetric and positive semidefinite, got {own!r}"
+            )
         if not (np.isfinite(self.fit_ranges).all() and (np.diff(self.fit_ranges) > 0).all()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
         if not np.isfinite(self.quartics).all():
@@ -261,9 +260,17 @@ def _name(line: MapLine) -> str:
 
 
 def _is_covariance(cov: NDArray[np.float64]) -> bool:
-    """Return whether an (n, n) matrix is a covariance up to rounding, as ``Gaussian`` demands."""
-    variance = cov.diagonal()
-    if not ((np.abs(cov) <= MOST_COV).all() and (variance >= 0).all()) or asymmetric(cov):
+    """Return whether (..., n, n) matrices are covariances up to rounding, as ``Gaussian`` demands.
+
+    The Cholesky factors of their correlation matrices exist with ``ROUNDING`` on the diagonals.
+    """
+    variance = np.diagonal(cov, axis1=-2, axis2=-1)
+    if not ((np.abs(cov) <= MOST_COV).all() and (variance >= 0).all()) or asymmetric(cov).any():
         return False
     scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    return bool((np.linalg.eigvalsh(cov / scale / scale[:, None]) >= -ROUNDING).all())
+    correlation = cov / scale[..., None, :] / scale[..., :, None]
+    try:
+        np.linalg.cholesky(correlation + ROUNDING * np.eye(cov.shape[-1]))
+    except np.linalg.LinAlgError:
+        return False
+    return True

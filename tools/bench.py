@@ -63,6 +63,7 @@ os.environ.update(OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", OMP_NUM_THREADS
 
 import cantools
 import numpy as np
+from cycle_calls import city_lines, highway_lines
 from filterpy.kalman import MerweScaledSigmaPoints as MerwePoints
 from filterpy.kalman import unscented_transform
 from map_copies import copies_of_town
@@ -73,13 +74,11 @@ from maplines_can.line import MapLine, Slot
 from maplines_can.maps.view import View
 from maplines_can.polyline import Polyline, to_ego, to_map
 from maplines_can.propagation import Refit, SigmaPoints
-from maplines_can.scenarios import parallel, scenario
+from maplines_can.scenarios import scenario
 from maplines_can.study.sets import road
 from maplines_can.wire import Codec, default_dbc_path
 from maplines_can.wire.message.packing import Packing
 
-#: Lateral offsets of the lines of a car with all lines, one for each slot [m].
-OFFSETS = (3.5, 0.0, 7.0, -3.5, 1.75, 10.5, -7.0, -1.75)
 ENCODE, DECODE = "cantools encode", "cantools decode"
 
 
@@ -153,30 +152,6 @@ def refit(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     yield Pair("refit, 50 points", "turn and np.linalg.lstsq", n, ours, least_squares, 30)
     yield Pair("refit, 50 points", "np.linalg.lstsq alone", n, ours, solved, 30)
     yield Pair("refit, 10000 points", "refit, 50 points", n, ours_many, ours, 1.3, growth=True)
-
-
-def highway_lines() -> list[Polyline]:
-    """Return eight parallel lines, longer than the window at both ends."""
-    inner = scenario("highway").lines[Slot.EGO_RIGHT].points
-    beyond = np.arange(1, 6)[:, None]
-    before = inner[0] + (inner[0] - inner[1]) * beyond[::-1]
-    after = inner[-1] + (inner[-1] - inner[-2]) * beyond
-    points = np.concatenate([before, inner, after])
-    return [Polyline(parallel(points, offset)) for offset in OFFSETS]
-
-
-def city_lines() -> list[Polyline]:
-    """Return eight parallel lines that turn left 20 m ahead, with radii of 1.5 to 19 m."""
-    angle = np.linspace(0, np.pi / 2, 14)[1:]
-    ahead, arc = np.arange(-60, 20.5), np.array([np.sin(angle), 1 - np.cos(angle)]).T
-    lines = []
-    for offset in OFFSETS:
-        radius = 12.0 - offset
-        straight = np.column_stack([ahead, np.full(len(ahead), offset)])
-        turn = [20.0, offset] + radius * arc
-        left = turn[-1] + np.column_stack([np.zeros(60), np.arange(1, 61)])
-        lines.append(Polyline(np.concatenate([straight, turn, left])))
-    return lines
 
 
 def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -104,7 +105,10 @@ class ResidualFilter:
         )
         times = np.repeat([correlation_time, FAST, SLOW], [3, n, n])
         F *= (np.exp(-dt / times) * np.sqrt(ratio))[:, None]
-        noise = positive_part(stationary - F @ self._stationary @ F.T)
+        # The errors are independent of each other, so all of these matrices have three blocks.
+        lost = stationary - F @ self._stationary @ F.T
+        ends = pairwise((0, 3, 3 + n, 3 + 2 * n))
+        noise = block_diag(*(positive_part(lost[a:b, a:b]) for a, b in ends))
         self._mean = self._mean @ F.T
         self._cov = F @ self._cov @ F.T + noise
         self._stationary = F @ self._stationary @ F.T + noise

@@ -34,8 +34,8 @@ PERIOD = 0.05
 #: Lateral alert limit of a car in a lane of a local street and of a motorway [m] (Reid et al.,
 #: Localization Requirements for Autonomous Vehicles, SAE Int. J. CAV 2(3), 2019, arXiv:1906.01061).
 ALERT_LIMITS = {"street": 0.29, "motorway": 0.57}
-#: Nodes of the quadrature.
-NODES = 100
+#: Nodes and weights of Gauss-Legendre quadrature from -1 to 1.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(100)
 
 
 class Level(NamedTuple):
@@ -132,17 +132,10 @@ def onset(K: float, rho: float) -> float:
 
     # It is the same for both signs of u_0, and nearly all of it comes from near the level.
     width = min(K, 12 * s + (1 - rho) * K)
-    nodes, weights = _nodes()
-    u = K - width / 2 * (1 - nodes)
+    u = K - width / 2 * (1 - _NODES)
     density = np.exp(-(u**2) / 2) / math.sqrt(2 * math.pi)
     leaves = erfc((K - rho * u) / (s * math.sqrt(2))) + erfc((K + rho * u) / (s * math.sqrt(2)))
-    return float((weights * density * leaves).sum() * width / 2)
-
-
-@lru_cache
-def _nodes() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return nodes and weights of Gauss-Legendre quadrature from -1 to 1."""
-    return np.polynomial.legendre.leggauss(NODES)
+    return float((_WEIGHTS * density * leaves).sum() * width / 2)
 
 
 def availability(protection_levels: ArrayLike, alert_limit: float) -> Level:

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian, square_root
+from ..gaussian import Gaussian, block_diagonal, square_root
 from ..line import MapLine, Slot
 from ..propagation import Motion, pose_time_ns
 from ..scene import PoseError, Scene
@@ -284,11 +284,3 @@ def positive_part(cov: Array) -> Array:
     scale = np.sqrt(cov.diagonal().clip(1e-24))
     values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
     return np.asarray((vectors * values.clip(0)) @ vectors.T * np.outer(scale, scale))
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """Return the (L n, L n) matrix with (L, n, n) blocks."""
-    L, n, _ = blocks.shape
-    matrix = np.zeros((L, n, L, n))
-    matrix[range(L), :, range(L), :] = blocks
-    return matrix.reshape(L * n, L * n)

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from ..arrays import floats
-from ..gaussian import Gaussian
+from ..gaussian import Gaussian, block_diagonal, diagonal_blocks
 from ..line import PARAMETERS, LeftOut, MapLine, Slot
 from ..map_error import MapError
 from ..polyline import Polyline, stretches
@@ -75,13 +73,12 @@ def map_scene(
     view = view_of(ego, (x_min, x_max), map_error)
     pose_error = PoseError(ego_cov(ego), correlation_time)
     slots = [Slot(slot) for slot in lines]
-    none = Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error)
     if not lines:
-        return none
+        return _without_lines(pose_error, map_error, {})
     seen = stretches([*lines.values()], ego.mean, view.window, view.max_turn)
     left_out = {slots[i]: reason for i, reason in seen.left_out.items()}
     if not len(seen.given):
-        return replace(none, left_out=left_out)
+        return _without_lines(pose_error, map_error, left_out)
     refit = Refit(
         seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
     )
@@ -94,19 +91,20 @@ def map_scene(
     kept &= (refit.x_range % STEP == 0).all(axis=1)
     left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
     if not kept.any():
-        return replace(none, left_out=left_out)
+        return _without_lines(pose_error, map_error, left_out)
     function = ExtendedRefit(refit, kept)
-    pose = Gaussian(np.zeros(3), pose_error.cov)
+    pose = Gaussian.trusted(np.zeros(3), pose_error.cov)
     mean, cov = (transform or SigmaPoints()).moments(_Flat(function, ego.mean), pose)
     # From the means that are sent, as a receiver does.
     x_ranges = valid_ranges(
         mean.reshape(-1, N), refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
     )
     given = [slots[i] for i in seen.given[kept]]
-    blocks = [slice(N * i, N * i + N) for i in range(len(given))]
+    # The scene checks the joint covariance, and so those of its lines.
+    gaussians = map(Gaussian.trusted, mean.reshape(-1, N), diagonal_blocks(cov, N))
     found = [
-        MapLine(slot, Gaussian(mean[b], cov[b, b]), kind=lines[slot].kind, x_min=low, x_max=high)
-        for slot, b, (low, high) in zip(given, blocks, x_ranges.tolist(), strict=True)
+        MapLine(slot, gaussian, kind=lines[slot].kind, x_min=low, x_max=high)
+        for slot, gaussian, (low, high) in zip(given, gaussians, x_ranges.tolist(), strict=True)
     ]
     return Scene(
         tuple(found),
@@ -118,6 +116,12 @@ def map_scene(
         refit.quartic[kept],
         own_covs[kept],
     )
+
+
+def _without_lines(
+    pose_error: PoseError, map_error: MapError | None, left_out: dict[Slot, LeftOut]
+) -> Scene:
+    return Scene((), np.zeros((0, 0)), pose_error, np.zeros((0, 2)), map_error, left_out)
 
 
 class _Flat:
@@ -132,7 +136,7 @@ class _Flat:
         c, s = math.cos(pose[2]), math.sin(pose[2])
         self._to_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         own = function.noise_cov
-        self.noise_cov = None if own is None else block_diag(*own)
+        self.noise_cov = None if own is None else block_diagonal(own)
 
     def __call__(self, displacements: NDArray[np.float64]) -> NDArray[np.float64]:
         poses = self._pose + displacements @ self._to_map

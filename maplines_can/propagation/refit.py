@@ -20,8 +20,9 @@ from .valid_range import longest_ranges
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
 DEGREE = 6
-#: Poses per block: the arrays of one block fit in the processor's cache.
-BLOCK = 2048
+#: Lines times poses per block: its arrays fit in the processor's cache, and its products are so
+#: small that BLAS computes them in the calling thread.
+BLOCK = 1024
 #: The shape of a line is checked by chords from each CHORD-th of the fitted points to the next.
 CHORD = (len(NODES) - 1) // 16
 #: Default of the largest deviation of a cubic from its line [m].
@@ -29,6 +30,8 @@ MAX_MISFIT = 0.1
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
 #: in addition to LEAST_ADVANCE.
 LEAST_PROGRESS = 1 / 3
+#: (K,) from the values at the nodes to the coefficient of T_4 in their fit.
+_TO_QUARTIC = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 4))[4]
 #: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
 LEAST_PIVOT = 1e-13
 
@@ -136,9 +139,7 @@ class Refit:
     @property
     def quartic(self) -> NDArray[np.float64]:
         """(), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m]."""
-        y = self.points[..., 1]
-        T = np.polynomial.chebyshev.chebvander(NODES, 4)
-        return np.asarray((y @ np.linalg.pinv(T)[4]).reshape(self._trailing))
+        return np.asarray((self.points[..., 1] @ _TO_QUARTIC).reshape(self._trailing))
 
     @property
     def misfit(self) -> NDArray[np.float64]:
@@ -164,9 +165,11 @@ class Refit:
             if np.isnan(line).any():
                 self._raise_ill_posed(poses, None)
             return line
-        out = np.empty((len(poses), len(self._half), len(PARAMETERS)))
-        for start in range(0, len(poses), BLOCK):
-            out[start : start + BLOCK] = self._block(poses[start : start + BLOCK])
+        lines = len(self._half)
+        out = np.empty((len(poses), lines, len(PARAMETERS)))
+        step = max(1, BLOCK // lines)
+        for start in range(0, len(poses), step):
+            out[start : start + step] = self._block(poses[start : start + step])
         return out.reshape(len(poses), *self._trailing, len(PARAMETERS))
 
     def _block(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -25,14 +25,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gaussian import Gaussian
+from ...gaussian import Gaussian, block_diagonal
 from ...line import Slot, lateral_jacobian, line_of_cubic
 from ...polyline import Polyline
 from ...propagation import MapError, map_scene
 from ...scene import Scene
 from ...seen_lines import SeenLines
 from ...street_shapes import Piece, Street
-from ...wire.covariance.joint import block_diagonal
 from ...wire.covariance.own_levels import bases
 from ..sweep.limit import Limit
 

@@ -1,4 +1,4 @@
-"""Joint covariances of lines as block matrices, and what a sum of two lacks to cover a third.
+"""Joint covariances of lines, and what a sum of two lacks to cover a third.
 
 J are the (L, 4, 4) derivatives of ``own_levels.bases``: in the coefficients of w all entries of a
 covariance are in metres squared.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ...gaussian import block_diagonal, diagonal_blocks
 from .code import Array
 
 #: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's
@@ -24,20 +25,6 @@ _VALUES = np.vstack(
 )
 #: (16, K) products of these, for variances of lateral position and direction.
 _PRODUCTS = (_VALUES[:, :, None] * _VALUES[:, None]).reshape(-1, 16).T
-
-
-def blocks(cov: Array) -> Array:
-    """Return the (L, 4, 4) blocks on the diagonal of a (4 L, 4 L) matrix."""
-    n = len(cov) // 4
-    return cov.reshape(n, 4, n, 4)[np.arange(n), :, np.arange(n)].copy()
-
-
-def block_diagonal(blocks: Array) -> Array:
-    """Return the (4 L, 4 L) matrix with (L, 4, 4) blocks on its diagonal."""
-    n = len(blocks)
-    out = np.zeros((n, 4, n, 4))
-    out[np.arange(n), :, np.arange(n)] = blocks
-    return out.reshape(4 * n, 4 * n)
 
 
 def positive_part(matrices: Array, J: Array) -> Array:
@@ -64,22 +51,24 @@ def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:
     The weights are the sizes of u_i against the whole covariance of their lines, so what is added
     is a similar share of it in each line.
     """
+    # loads scipy, which a decoder does not need
+    from scipy.linalg import eigh
+
     inverse = np.linalg.inv(J)  # all coefficients in metres
-    whole = block_diagonal(np.asarray(inverse))
-    missing = whole @ (true - spread) @ whole.T
     D = inverse @ own @ inverse.swapaxes(1, 2)
-    L = block_diagonal(np.asarray(np.linalg.cholesky((D + D.swapaxes(1, 2)) / 2)))
-    whitened = np.linalg.solve(L, np.linalg.solve(L, missing).T)
-    values, vectors = np.linalg.eigh((whitened + whitened.T) / 2)
-    if values[-1] <= 1 - SLACK:
+    L = np.linalg.cholesky((D + D.swapaxes(1, 2)) / 2)
+    whitening = block_diagonal(np.linalg.inv(L) @ inverse)
+    whitened = whitening @ (true - spread) @ whitening.T
+    # That of NumPy wakes all threads of OpenBLAS for more than 6 lines; this one does not, and
+    # finds only the few eigenvalues that count.
+    values, vectors = eigh((whitened + whitened.T) / 2, subset_by_value=(1 - SLACK, np.inf))
+    if not len(values):
         return None
-    more = values > 1 - SLACK
-    v = vectors[:, more].reshape(len(J), 4, -1)
-    u = (L @ vectors[:, more]).reshape(len(J), 4, -1)
-    spread_of_lines = np.linalg.solve(L, np.linalg.solve(L, whole @ spread @ whole.T).T)
-    inverses = np.linalg.inv(np.eye(4) + blocks(spread_of_lines))
+    v = vectors.reshape(len(J), 4, -1)
+    u = L @ v
+    inverses = np.linalg.inv(np.eye(4) + diagonal_blocks(whitening @ spread @ whitening.T, 4))
     weights = np.sqrt(np.einsum("lik,lij,ljk->lk", v, inverses, v).clip(0)) + 1e-9
-    amount = (values[more] - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
+    amount = (values - 1 + 2 * SLACK) * weights.sum(axis=0) / weights
     return np.asarray(J @ np.einsum("lk,lik,ljk->lij", amount, u, u) @ J.swapaxes(1, 2))
 
 

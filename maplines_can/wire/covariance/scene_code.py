@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import IllPosedError
+from ...gaussian import block_diagonal
 from ...line import Slot
 from ...seen_lines import SeenLines
 from ..message.record_layout import RecordLayout
@@ -38,7 +39,6 @@ from ..message.signals import (
 )
 from .cholesky import CholeskyCode
 from .code import Array
-from .joint import block_diagonal
 from .own_levels import OwnLevels, bases
 
 #: Signal that says whether a record has all entries of D_i.

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import EncodeError, IllPosedError
+from ...gaussian import diagonal_blocks
 from ...scene import Scene
 from ...seen_lines import SeenLines
 from ..message.signals import Signal
 from .cholesky import CholeskyCode
 from .code import Array
-from .joint import blocks, divergence, largest_ratio, positive_part, uncovered
+from .joint import divergence, largest_ratio, positive_part, uncovered
 from .own_levels import bases
 from .rounding import refined, rounded_means, split
 from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode
@@ -299,11 +300,13 @@ class _Parts(NamedTuple):
             means, fit_ranges = scene.means[fits], scene.fit_ranges[fits]
             J[fits] = bases(means, fit_ranges)
             seen = SeenLines(means, fit_ranges, scene.quartics[fits])
-            due_to_pose[fits] = blocks(seen.spread(scene.pose_error.cov))
+            due_to_pose[fits] = diagonal_blocks(seen.spread(scene.pose_error.cov), 4)
             if scene.own_covs is not None:
                 own[fits] = scene.own_covs[fits]
             else:
-                own[fits] = positive_part(blocks(scene.cov)[fits] - due_to_pose[fits], J[fits])
+                own[fits] = positive_part(
+                    diagonal_blocks(scene.cov, 4)[fits] - due_to_pose[fits], J[fits]
+                )
         return cls(J, due_to_pose, own)
 
 

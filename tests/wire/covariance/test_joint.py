@@ -10,7 +10,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import block_diag
 from strategies import ENTRIES, covariances, mild_lines, symmetric
 
-from maplines_can.wire.covariance.joint import block_diagonal, blocks, positive_part, uncovered
+from maplines_can.gaussian import block_diagonal, diagonal_blocks
+from maplines_can.wire.covariance.joint import positive_part, uncovered
 from maplines_can.wire.covariance.own_levels import bases
 
 RANGES = np.array([[-20.0, 80.0], [-5.0, 40.0], [0.0, 20.0]])
@@ -20,7 +21,7 @@ RANGES = np.array([[-20.0, 80.0], [-5.0, 40.0], [0.0, 20.0]])
 def test_blocks_are_those_on_the_diagonal(parts: Any) -> None:
     whole = block_diagonal(parts)
     assert np.array_equal(whole, block_diag(*parts))
-    assert np.array_equal(blocks(whole + (whole == 0)), parts + (parts == 0))
+    assert np.array_equal(diagonal_blocks(whole + (whole == 0), 4), parts + (parts == 0))
 
 
 @given(symmetric(), symmetric(), mild_lines())
