@@ -269,9 +269,7 @@ def square_root(cov: NDArray[np.float64]) -> NDArray[np.float64]:
     return _semidefinite_root(cov, tiny)
 
 
-def _solve_lower(
-    L: NDArray[np.float64], right: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _solve_lower(L: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return L^-1 times (n, ...) values, for a lower-triangular (n, n) matrix L.
 
     By substitution here, since LAPACK's solver wakes all threads of OpenBLAS even for n = 3. That

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..errors import IllPosedError
 from ..gaussian import Gaussian, square_root
-from .transform import Moments, Transform
+from .transform import Moments, Transform, weighted_products
 
 
 class Samples(NamedTuple):
@@ -82,6 +82,6 @@ class MonteCarlo(Transform):
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         values = self._exact_samples(function, gaussian).values
         mean = values.mean(axis=0)
-        d = (values - mean).reshape(len(values), -1, values.shape[-1])
-        cov = np.stack([d[:, i].T @ d[:, i] for i in range(d.shape[1])]) / len(d)
-        return Moments(mean, cov.reshape(*mean.shape, -1))
+        return Moments(
+            mean, weighted_products(values - mean, np.full(len(values), 1 / len(values)))
+        )

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from ..errors import IllPosedError
 from ..gaussian import Gaussian
 
+#: Points of one product: so few that BLAS computes it in the calling thread, even of eight lines.
+BLOCK = 128
+
 
 class Moments(NamedTuple):
     """Means and covariances of one or several outputs, as ``Codec.encode_batch`` takes them."""
@@ -97,7 +100,16 @@ def weighted_moments(
     d = values[1:] - values[0]
     shift = (mean_weights[1:] @ d.reshape(len(d), values[0].size)).reshape(d.shape[1:])
     d -= shift
-    d = d.transpose(*range(1, d.ndim), 0)  # (..., m, N - 1)
-    cov = (d * cov_weights[1:]) @ d.swapaxes(-1, -2)
+    cov = weighted_products(d, cov_weights[1:])
     cov += cov_weights[0] * shift[..., :, None] * shift[..., None, :]
     return Moments(values[0] + shift, cov)
+
+
+def weighted_products(d: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (..., m, m) sums of weights times d d^T over (N, ..., m) differences d."""
+    d = d.transpose(*range(1, d.ndim), 0)  # (..., m, N)
+    total = np.zeros((*d.shape[:-1], d.shape[-2]))
+    for start in range(0, len(weights), BLOCK):
+        block = d[..., start : start + BLOCK]
+        total += (block * weights[start : start + BLOCK]) @ block.swapaxes(-1, -2)
+    return total
