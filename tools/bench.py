@@ -6,6 +6,8 @@
     python tools/bench.py scene one        these parts only
     python tools/bench.py --json > a.json  for other programs
 
+What the threads of BLAS cost, bench_threads.py measures.
+
 Method. Both sides do the same work on the same inputs, and must agree on the
 results before anything is timed. They take turns: ours, peer, ours, peer, ...;
 each turn repeats its call for 0.1 s. Each pair of turns gives a ratio. The table
@@ -23,7 +25,8 @@ The parts:
   scene     eight lines by sigma points, against filterpy with np.polyfit per sigma
             point and line on given points; "new" makes the Refit in each cycle, as
             a car does: window, range, fit; "kept" reuses it. Of the city lines a
-            cubic follows only a part of the window, and the range is searched
+            cubic follows only a part of the window, and the range is searched. Also
+            the lines with their joint covariance, against the same ones without
   window    what a car sees of a line of a million points, against one of a
             thousand; the car moves on by 1.5 m from query to query
   signals   packing and unpacking alone, against four calls of cantools per line;
@@ -73,7 +76,7 @@ from maplines_can.gaussian import Gaussian
 from maplines_can.line import MapLine, Slot
 from maplines_can.maps.view import View
 from maplines_can.polyline import Polyline, to_ego, to_map
-from maplines_can.propagation import Refit, SigmaPoints
+from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene
 from maplines_can.scenarios import scenario
 from maplines_can.study.sets import road
 from maplines_can.wire import Codec, default_dbc_path
@@ -200,6 +203,12 @@ def scene(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     agree("moments in standard deviations", difference, 1e-6)
     yield f"the same moments to {difference:.0e} standard deviations"
     yield Pair("8 city lines, Refit new", peer, 1, new, theirs)
+    slots, ego = dict(zip(Slot, highway_lines(), strict=True)), highway.ego
+    joint, single = partial(map_scene, slots, ego), partial(map_lines, slots, ego)
+    for one, other in zip(joint().lines, single(), strict=True):
+        agree("means", np.abs(one.gaussian.mean - other.gaussian.mean).max(), 1e-3)
+    yield "the same lines with their joint covariance"
+    yield Pair("8 lines, map_scene", "map_lines", 1, joint, single, 2, growth=True)
 
 
 def window(sizes: Sizes, seed: int) -> Iterator[str | Pair]:

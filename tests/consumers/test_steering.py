@@ -21,6 +21,7 @@ from maplines_can.consumers.steering import (
     SteeringLimits,
     model,
     preview_gains,
+    riccati,
 )
 from maplines_can.scene import PoseError
 
@@ -77,6 +78,20 @@ def test_gains_are_those_of_the_optimum_over_a_long_horizon(speed: float, lag: f
     ours = -K @ x0 + F @ bends[: len(F)]
     tolerance = 2e-3 if speed > 1 else 0.2  # at a crawl, 30 s are not enough
     assert ours == pytest.approx(u[0], rel=tolerance, abs=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.01, 0.1, 1.0])
+@pytest.mark.parametrize("period", [0.01, 0.05, 0.1])
+def test_the_riccati_equation_is_solved_at_each_speed(period: float, lag: float) -> None:
+    """To rounding, with a stable closed loop, also where the pencil of scipy is ill-conditioned."""
+    for speed in np.arange(0.5, 70.5, 0.5):
+        A, B, _ = model(speed, period, lag)
+        jerk = COST[2] * period / max(speed, SLOW) ** 2
+        Q, G = np.diag([COST[0] ** -2, COST[1] ** -2, 0, 0]), jerk**2 * B @ B.T
+        P = riccati(A, G, Q)
+        M = np.linalg.solve(np.eye(4) + G @ P, A)  # the closed loop
+        assert np.abs(A.T @ P @ M + Q - P).max() <= 1e-13 * np.abs(P).max()
+        assert np.abs(np.linalg.eigvals(M)).max() < 1
 
 
 def test_the_feedback_is_that_of_scipy() -> None:
