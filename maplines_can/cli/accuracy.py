@@ -18,7 +18,8 @@ from ..study.drives.truth import read_truth
 from ..wire import Decoder
 from .options import add_codec, add_cycle, add_json, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
-from .parsing import add_command
+from .overwriting import add_force
+from .parsing import add_command, option_group
 from .stderr import note, with_progress
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -38,11 +39,12 @@ def add_accuracy(commands: Any) -> None:
     parser = add_command(commands, "accuracy", _accuracy, DESCRIPTION, example)
     parser.add_argument("truth", metavar="TRUTH", help="truth of the drive, .csv or .parquet")
     parser.add_argument("log", metavar="LOG", help="log of the same drive, as for 'decode'")
-    parser.add_argument(
+    option_group(parser, "output").add_argument(
         "--plot",
         metavar="FILE",
         help=f"draw the errors into this file: {', '.join(PICTURES)}",
     )
+    add_force(parser)
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)

@@ -9,7 +9,7 @@ from ..scenarios import SCENARIOS, scenario
 from ..study.accuracy.table import accuracy_table
 from ..study.accuracy.text import as_csv, as_markdown, as_text
 from .options import add_dbc, add_draws, codec_from
-from .parsing import add_command
+from .parsing import add_command, option_group
 from .stderr import progress_bar
 
 __all__ = ["add_claims"]
@@ -28,14 +28,14 @@ def add_claims(commands: Any) -> None:
         DESCRIPTION,
         "maplines claims --scenario street-turn-10deg --format csv > claims.csv",
     )
-    parser.add_argument(
+    option_group(parser, "scenario").add_argument(
         "--scenario",
         action="append",
         choices=list(SCENARIOS),
         metavar="NAME",
         help=f"scenario: {', '.join(SCENARIOS)}; can be repeated (default: all)",
     )
-    parser.add_argument(
+    option_group(parser, "output").add_argument(
         "--format",
         choices=["text", "csv", "markdown"],
         default="text",

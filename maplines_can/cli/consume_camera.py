@@ -20,6 +20,7 @@ from ..propagation import pose_time_ns
 from ..wire import Codec
 from .consume_input import table_rows
 from .options import bus_settings, codec_from
+from .parsing import option_group
 from .stderr import note
 
 #: Oldest line that is handed on [s].
@@ -51,13 +52,13 @@ COLUMNS = """\
 if --camera-dbc has other CAN IDs."""
 
 
-def add_camera(parser: argparse.ArgumentParser, group: Any) -> None:
-    """Add the options of the camera; those that exclude each other to a group."""
-    group.add_argument("--camera", metavar="FILE", help="log or table with the lines of a camera")
-    group.add_argument(
+def add_camera(parser: argparse.ArgumentParser, sources: Any) -> None:
+    """Add the options of the camera; those that exclude each other to a group of ``scenario``."""
+    sources.add_argument("--camera", metavar="FILE", help="log or table with the lines of a camera")
+    sources.add_argument(
         "--camera-channel", metavar="NAME", help="channel with the lines of a camera"
     )
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--camera-dbc", metavar="FILE", help="DBC of the camera lines (default: maplines.dbc)"
     )
 

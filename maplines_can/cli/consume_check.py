@@ -19,7 +19,7 @@ from ..propagation import Motion
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, Cycle, Input, add_input
 from .consume_motion import add_motion, motion_of
-from .parsing import add_command, number
+from .parsing import add_command, number, option_group
 from .stderr import note
 
 #: Noise of the lines of the simulated camera [m, rad, 1/m, 1/m^2].
@@ -57,8 +57,9 @@ def add_check(commands: Any) -> None:
     example = "maplines consume check drive.blf --simulate --shift 0.5"
     parser = add_command(commands, "check", _check, DESCRIPTION, example)
     add_input(parser, "results")
-    add = parser.add_argument
-    camera = parser.add_mutually_exclusive_group(required=True)
+    scenario = option_group(parser, "scenario")
+    add = scenario.add_argument
+    camera = scenario.add_mutually_exclusive_group(required=True)
     camera.add_argument("--simulate", action="store_true", help="simulate a camera")
     add_camera(parser, camera)
     add(

@@ -19,7 +19,7 @@ from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_came
 from .consume_input import PERIOD, Cycle, Input, add_input, scene_codec
 from .consume_motion import MotionAt, add_motion, motion_of
 from .output import LANE, LANE_X
-from .parsing import add_command, number
+from .parsing import add_command, number, option_group
 from .stderr import note
 
 #: Motion of a car of which none is known: means and standard deviations [m/s, rad/s].
@@ -55,10 +55,11 @@ def add_fusion(consumers: Any) -> None:
     example = "maplines consume fusion --simulate --seconds 30"
     parser = add_command(consumers, "fusion", _fusion, DESCRIPTION, example)
     add_input(parser, "the lane")
-    parser.add_argument("--simulate", action="store_true", help="simulate a car with a camera")
-    add_camera(parser, parser.add_mutually_exclusive_group())
+    scenario = option_group(parser, "scenario")
+    scenario.add_argument("--simulate", action="store_true", help="simulate a car with a camera")
+    add_camera(parser, scenario.add_mutually_exclusive_group())
     add_motion(parser)
-    parser.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
+    scenario.add_argument("--seed", type=number(int, 0, 2**32), default=0, help="of --simulate")
 
 
 def _fusion(arguments: argparse.Namespace) -> int:

@@ -25,7 +25,7 @@ from .options import (
     keyed_codec,
 )
 from .output import counts_text
-from .parsing import number, seconds
+from .parsing import number, option_group, seconds
 from .stderr import note, with_progress
 
 #: Period of the consumers [s].
@@ -49,8 +49,9 @@ def add_input(parser: argparse.ArgumentParser, what: str) -> None:
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
-    parser.add_argument("--seconds", type=seconds, metavar="S", help="stop after this time [s]")
-    parser.add_argument(
+    add = option_group(parser, "output").add_argument
+    add("--seconds", type=seconds, metavar="S", help="stop after this time [s]")
+    add(
         "--every",
         type=number(float, PERIOD, 3600),
         default=1.0,

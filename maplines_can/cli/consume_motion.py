@@ -17,7 +17,7 @@ from ..propagation import Motion
 from .consume_input import table_rows
 from .options import bus_settings
 from .output import counts_text
-from .parsing import number
+from .parsing import number, option_group
 from .stderr import note
 
 #: Standard deviations of a known motion [m/s, rad/s].
@@ -42,7 +42,7 @@ MotionAt = Callable[[int], Motion | None]
 
 def add_motion(parser: argparse.ArgumentParser) -> None:
     """Add the options of the motion."""
-    add = parser.add_argument
+    add = option_group(parser, "scenario").add_argument
     add(
         "--motion",
         metavar="FILE",

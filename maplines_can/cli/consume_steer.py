@@ -10,7 +10,7 @@ from typing import Any
 from ..consumers.steering import Command, LaneSteering, State
 from ..propagation import Motion
 from .consume_input import PERIOD, Input, add_input
-from .parsing import add_command, number
+from .parsing import add_command, number, option_group
 from .stderr import note
 
 DESCRIPTION = """\
@@ -29,7 +29,7 @@ def add_steer(commands: Any) -> None:
     example = "maplines consume steer drive.blf --set-speed 13.9"
     parser = add_command(commands, "steer", _steer, DESCRIPTION, example)
     add_input(parser, "demands")
-    parser.add_argument(
+    option_group(parser, "scenario").add_argument(
         "--set-speed",
         type=number(float, 1, 70),
         default=50 / 3.6,

@@ -35,7 +35,7 @@ from .output import (
     slot_text,
     write_csv,
 )
-from .parsing import add_command
+from .parsing import add_command, option_group
 from .stderr import note, with_progress
 
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
@@ -65,7 +65,7 @@ def add_decode(commands: Any) -> None:
     add_cycle(parser)
     add_transfer_timeout(parser)
     parser.add_argument("log", metavar="LOG", help="log file, or - for standard input")
-    rows = parser.add_mutually_exclusive_group()
+    rows = option_group(parser, "output").add_mutually_exclusive_group()
     rows.add_argument("--csv", action="store_true", help="print CSV instead of JSON")
     add_scenes(rows)
 

@@ -20,7 +20,8 @@ from ..study.scene_result import SceneResult
 from ..wire import POSE
 from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
-from .parsing import add_command, seconds
+from .overwriting import add_force, check_new
+from .parsing import add_command, option_group, seconds
 from .scene_sending import sends_scenes, unfit_text
 from .sending import (
     LineComponents,
@@ -70,14 +71,15 @@ def add_demo(commands: Any) -> None:
     add_sending(parser)
     add_bus(parser, private=True)
     add_codec(parser)
-    parser.add_argument(
+    option_group(parser, "scenario").add_argument(
         "--seconds", type=seconds, default=3.0, metavar="S", help="duration [s] (default: 3)"
     )
-    parser.add_argument(
+    option_group(parser, "output").add_argument(
         "--plot",
         metavar="FILE",
         help=f"draw the lines as sent and as received into this file: {', '.join(PICTURES)}",
     )
+    add_force(parser)
     add_faults(parser)
     add_json(parser, "all figures")
 
@@ -89,6 +91,7 @@ def _demo(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
+    check_new(arguments, arguments.plot)
     private = arguments.interface == "virtual" and arguments.channel is None
     bitrate, data_bitrate = bitrates(arguments)
     rate = rate_of(sent, codec, arguments)

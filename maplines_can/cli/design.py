@@ -17,7 +17,9 @@ from ..study.design.result import Design
 from ..study.design.scenes import SceneDesign, design_scenes
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
-from .parsing import number, positive
+from .options import add_json
+from .overwriting import add_force, check_new
+from .parsing import number, option_group, positive
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_design"]
@@ -79,7 +81,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add = parser.add_argument
+    add = option_group(parser, "message").add_argument
     add(
         "--frames",
         type=number(int, 1, MOST_FRAMES),
@@ -92,7 +94,8 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         action="store_true",
         help="design the Pose message and the records that are conditional on it",
     )
-    add(
+    scenario = option_group(parser, "scenario").add_argument
+    scenario(
         "--set",
         dest="lines",
         default="both",
@@ -133,7 +136,7 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         help="largest share of saturated lines; a smaller one needs wider ranges, and so more "
         f"bits (default: {Targets.max_saturated:g})",
     )
-    add(
+    scenario(
         "--n",
         type=number(int, 10, 10**6),
         metavar="N",
@@ -141,9 +144,16 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
         f"lines determine the ends of the ranges poorly (default: {LINES_N}); with --scenes, "
         f"scenes, 10 or more (default: {SCENES_N})",
     )
-    add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
-    add("--out", default="design.dbc", metavar="FILE", help="the DBC (default: design.dbc)")
-    add("--json", action="store_true", help="print all figures and fields as JSON")
+    scenario("--seed", type=number(int, 0, 2**32), default=0, help="seed of the sets (default: 0)")
+    option_group(parser, "output").add_argument(
+        "--out",
+        default="design.dbc",
+        metavar="FILE",
+        help="the DBC; its description gets the same name with the suffix .md (default: "
+        "design.dbc)",
+    )
+    add_force(parser)
+    add_json(parser, "all figures and fields")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
     return parser
 
@@ -153,6 +163,7 @@ def _run(arguments: argparse.Namespace, bar: Bar) -> int:
         raise ValueError(f"--out must be a file that ends in .dbc, got {arguments.out!r}")
     if not Path(arguments.out).parent.is_dir():  # the search takes long
         raise ValueError(f"--out must be in a folder that exists, got {arguments.out!r}")
+    check_new(arguments, arguments.out, Path(arguments.out).with_suffix(".md"))
     if arguments.n is None:
         arguments.n = SCENES_N if arguments.scenes else LINES_N
     result = (_scenes if arguments.scenes else _lines_alone)(arguments, bar)

@@ -7,9 +7,10 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..study.figures.paper import draw_figures
+from ..study.figures.paper import draw_figures, figure_paths
 from .options import add_dbc, add_draws, add_json, codec_from
-from .parsing import add_command
+from .overwriting import add_force, check_new
+from .parsing import add_command, option_group
 from .stderr import progress_bar
 
 __all__ = ["add_figures"]
@@ -24,13 +25,17 @@ def add_figures(commands: Any) -> None:
         "Draw the figures of the paper, before and after the bus, as PNG and SVG.",
         "maplines figures --out figures",
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder for the figures")
+    option_group(parser, "output").add_argument(
+        "--out", required=True, metavar="DIR", help="folder for the figures"
+    )
+    add_force(parser)
     add_draws(parser, samples=100_000)
     add_dbc(parser)
     add_json(parser, "the paths of the figures")
 
 
 def _figures(arguments: argparse.Namespace) -> int:
+    check_new(arguments, *figure_paths(Path(arguments.out)))
     with progress_bar(" figures") as progress:
         paths = draw_figures(
             Path(arguments.out),

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
-from .parsing import add_command
+from .options import add_json
+from .overwriting import add_force, check_new
+from .parsing import add_command, option_group
 
 __all__ = ["add_map"]
 
@@ -35,16 +37,19 @@ def add_map(commands: Any) -> None:
         help="PROJ string of the frame for a map in WGS84, such as '+proj=utm +zone=32' "
         "(default: that of the file, or else one around the map)",
     )
-    add(
+    output = option_group(parser, "output")
+    output.add_argument(
         "--plot",
         metavar="FILE.png",
         help="draw the lanes, boundaries and driving directions; the suffix is the format "
         "(needs matplotlib)",
     )
-    add("--json", action="store_true", help="print the result as JSON")
+    add_force(parser)
+    add_json(parser)
 
 
 def _map(arguments: argparse.Namespace) -> int:
+    check_new(arguments, arguments.plot)
     found = load(arguments.file or town_path(), arguments.projection)
     summary = summary_of(found)
     if arguments.plot:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..bus import key_from_env, key_from_file
 from ..wire import CODES, Authenticator, Codec, Decoder, Frame, Key, Layout, default_dbc_path
-from .parsing import natural, number
+from .parsing import natural, number, option_group
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener
@@ -22,12 +22,14 @@ SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
     """Add ``--json``."""
-    parser.add_argument("--json", action="store_true", help=f"print {what} as JSON")
+    option_group(parser, "output").add_argument(
+        "--json", action="store_true", help=f"print {what} as JSON"
+    )
 
 
 def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
     """Add the options of the CAN interface, by default a bus within the process if ``private``."""
-    add = parser.add_argument
+    add = option_group(parser, "bus").add_argument
     configured = "the configuration of python-can"
     add(
         "--interface",
@@ -67,7 +69,7 @@ def bus_settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def add_faults(parser: argparse.ArgumentParser) -> None:
     """Add ``--faults``."""
-    parser.add_argument(
+    option_group(parser, "bus").add_argument(
         "--faults",
         type=_faults,
         metavar="SPEC",
@@ -118,7 +120,7 @@ def _faults(text: str) -> Faults:
 
 def add_dbc(parser: argparse.ArgumentParser) -> None:
     """Add ``--dbc``."""
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--dbc",
         metavar="FILE",
         help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)} "
@@ -128,7 +130,8 @@ def add_dbc(parser: argparse.ArgumentParser) -> None:
 
 def add_codec(parser: argparse.ArgumentParser) -> None:
     """Add the options for ``keyed_codec``: keys and DBC."""
-    parser.add_argument(
+    add = option_group(parser, "message").add_argument
+    add(
         "--key-file",
         action="append",
         dest="keys",
@@ -138,7 +141,7 @@ def add_codec(parser: argparse.ArgumentParser) -> None:
         "32 or 64 hex digits. ID is the number of the key, 1 to 255 (default: 1). If repeated, "
         "the first key is used to send and all of them to receive",
     )
-    parser.add_argument(
+    add(
         "--key-env",
         action="append",
         dest="keys",
@@ -198,7 +201,7 @@ def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str
 
 def add_cycle(parser: argparse.ArgumentParser) -> None:
     """Add ``--cycle-ms``, for ``decoder_of``."""
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--cycle-ms",
         type=number(float, 1, 60_000),
         metavar="MS",
@@ -210,7 +213,7 @@ def add_cycle(parser: argparse.ArgumentParser) -> None:
 
 def add_transfer_timeout(parser: argparse.ArgumentParser) -> None:
     """Add ``--transfer-timeout``, for ``decoder_of``."""
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--transfer-timeout",
         type=number(float, 0.001, 3_600_000),
         metavar="MS",
@@ -227,9 +230,9 @@ def decoder_of(codec: Codec, arguments: argparse.Namespace) -> Decoder:
     return codec.decoder(cycle_ms=arguments.cycle_ms, timeout_ms=arguments.transfer_timeout)
 
 
-def add_scenes(parser: Any) -> None:
-    """Add ``--scenes`` to a parser or a group of options."""
-    parser.add_argument(
+def add_scenes(options: Any) -> None:
+    """Add ``--scenes`` to a group of options."""
+    options.add_argument(
         "--scenes",
         action="store_true",
         help="JSON: print a row for each scene, too, that is for the lines of one pose error, with "
@@ -249,13 +252,14 @@ def check_scenes(codec: Codec, arguments: argparse.Namespace) -> None:
 
 def add_draws(parser: argparse.ArgumentParser, samples: int) -> None:
     """Add ``--seed`` and ``--samples``, with this number of samples by default."""
-    parser.add_argument(
+    add = option_group(parser, "scenario").add_argument
+    add(
         "--seed",
         type=number(int, 0, 2**32),
         default=0,
         help="seed of the random samples (default: 0)",
     )
-    parser.add_argument(
+    add(
         "--samples",
         type=number(int, 1000, 10**7),
         default=samples,

@@ -36,13 +36,34 @@ class Parser(argparse.ArgumentParser):
         return f"; did you mean {like[0]}?" if like else f"; '{self.prog} --help' lists all options"
 
     def error(self, message: str) -> NoReturn:
-        """Print usage and message, with anything that may be a key hidden, and exit."""
+        """Print the message as one line, with anything that may be a key hidden, and exit.
+
+        The usage, which argparse would print before it, has all options of the command.
+        """
         from ..bus.keys import without_keys  # imports python-can, which --help does not need
 
         if choice := re.search(r"invalid choice: '(.+)' \(choose from (.+)\)", message):
             like = get_close_matches(choice[1], re.findall(r"[\w-]+", choice[2]), 1)
             message += "".join(f"; did you mean {name}?" for name in like)
-        super().error(without_keys(message))
+        if "did you mean" not in message and "--help" not in message:
+            message += f"; see '{self.prog} --help'"
+        self.exit(2, f"{self.prog}: error: {' '.join(without_keys(message).split())}\n")
+
+
+#: Titles of the groups of options in the help of a command, in their order.
+GROUPS = ("scenario", "bus", "message", "output")
+
+
+def option_group(parser: argparse.ArgumentParser, title: str) -> argparse._ArgumentGroup:
+    """Return the group of options with one of the titles ``GROUPS``.
+
+    The help leaves out empty groups. The first call for a parser makes all of them, in this order.
+    """
+    known = parser._action_groups  # noqa: SLF001 - argparse has no public way to find them
+    groups = {one.title: one for one in known}
+    if title not in groups:
+        groups |= {name: parser.add_argument_group(name) for name in GROUPS}
+    return groups[title]
 
 
 def add_command(

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..study.production.rounding import production_table
 from ..study.production.text import as_csv, as_markdown, as_records, as_text
-from .parsing import number
+from .parsing import number, option_group
 
 __all__ = ["add_production"]
 
@@ -22,20 +22,21 @@ def add_production(subparsers: Any) -> argparse.ArgumentParser:
         description=about,
         epilog="example: maplines study production --markdown",
     )
-    parser.add_argument(
+    add = option_group(parser, "scenario").add_argument
+    add(
         "--n",
         type=number(int, 100, 10**6),
         default=2000,
         metavar="N",
         help="number of lines, 100 or more (default: %(default)s)",
     )
-    parser.add_argument(
+    add(
         "--seed",
         type=number(int, 0, 2**32),
         default=0,
         help="seed of the roads and their errors (default: %(default)s)",
     )
-    form = parser.add_mutually_exclusive_group()
+    form = option_group(parser, "output").add_mutually_exclusive_group()
     form.add_argument("--markdown", action="store_true", help="print Markdown tables")
     form.add_argument("--csv", action="store_true", help="print all figures as CSV")
     form.add_argument("--json", action="store_true", help="print all figures as JSON")

@@ -40,7 +40,7 @@ from .output import (
     scene_text,
     slot_text,
 )
-from .parsing import add_command, natural, seconds
+from .parsing import add_command, natural, option_group, seconds
 from .stderr import note
 
 #: How often slots are checked for a change of state while nothing arrives [s].
@@ -66,7 +66,7 @@ def add_receive(commands: Any) -> None:
     add_codec(parser)
     add_cycle(parser)
     add_transfer_timeout(parser)
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--freshness-window",
         type=seconds,
         default=1.0,
@@ -74,10 +74,11 @@ def add_receive(commands: Any) -> None:
         help="with a key, largest difference of the time in a frame and the clock of this "
         "machine [s] (default: 1)",
     )
-    parser.add_argument(
+    output = option_group(parser, "output")
+    output.add_argument(
         "--count", type=natural, metavar="N", help="stop after N lines (default: no limit)"
     )
-    parser.add_argument(
+    output.add_argument(
         "--timeout",
         type=seconds,
         metavar="S",
@@ -86,7 +87,7 @@ def add_receive(commands: Any) -> None:
     )
     add_faults(parser)
     add_json(parser, "each line")
-    add_scenes(parser)
+    add_scenes(output)
 
 
 def _receive(arguments: argparse.Namespace) -> int:

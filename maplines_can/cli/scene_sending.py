@@ -13,11 +13,12 @@ from ..line import MapLineList, Slot
 from ..scene import PoseError, Scene
 from ..wire import POSE, Codec
 from .output import slot_text
+from .parsing import option_group
 
 
 def add_pose_error(parser: argparse.ArgumentParser) -> None:
     """Add ``--pose-error``."""
-    parser.add_argument(
+    option_group(parser, "message").add_argument(
         "--pose-error",
         action="store_true",
         help="send the error of the pose, too, from which the lines of a cycle are seen: receivers "

@@ -24,7 +24,7 @@ from .options import (
     keyed_codec,
 )
 from .output import faults_text, left_out_text, pose_errors_text, slot_text
-from .parsing import add_command, natural
+from .parsing import add_command, natural, option_group
 from .scene_sending import sends_scenes, unfit_slots, unfit_text
 from .sending import (
     AMPLITUDE,
@@ -64,13 +64,13 @@ def add_send(commands: Any) -> None:
     add_sending(parser)
     add_bus(parser)
     add_codec(parser)
-    parser.add_argument(
+    option_group(parser, "bus").add_argument(
         "--count",
         type=natural,
         metavar="N",
         help="stop after sending each line N times (default: send until Ctrl-C)",
     )
-    parser.add_argument(
+    option_group(parser, "scenario").add_argument(
         "--standstill",
         action="store_true",
         help="keep the car at the pose of the scenario: only the age of the lines changes",

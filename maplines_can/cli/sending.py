@@ -22,7 +22,7 @@ from ..scenarios import SCENARIOS, STREETS, Scenario
 from ..scene import Scene
 from ..wire import Codec
 from .output import left_out_text
-from .parsing import number, positive
+from .parsing import number, option_group, positive
 from .scene_sending import add_pose_error, check_scene_load, sends_scenes
 
 #: Default bus-load limit for --components auto.
@@ -45,7 +45,7 @@ class LineComponents:
 
 def add_sending(parser: argparse.ArgumentParser) -> None:
     """Add the options of the lines: scenario, number, rate, components and map error."""
-    add = parser.add_argument
+    add = option_group(parser, "scenario").add_argument
     add(
         "--scenario",
         default="production",
@@ -60,7 +60,7 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="send the first N lines of the scenario, 1 to 8 (default: 4)",
     )
-    add(
+    option_group(parser, "bus").add_argument(
         "--rate",
         type=number(float, 1e-3, 1000),
         metavar="HZ",
@@ -80,9 +80,8 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
 
 def add_line_model(parser: argparse.ArgumentParser) -> None:
     """Add the options of what lines are sent as: pose error, components, load, map error."""
-    add = parser.add_argument
     add_pose_error(parser)
-    add(
+    option_group(parser, "message").add_argument(
         "--components",
         type=number(int, 1, 8, "auto"),
         default=1,
@@ -91,14 +90,14 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         "nonlinearity needs and --max-load allows; not with the pose error, which a receiver "
         "splits itself (default: 1, a single Gaussian)",
     )
-    add(
+    option_group(parser, "bus").add_argument(
         "--max-load",
         type=number(float, 1e-3, 1),
         metavar="SHARE",
         help="largest bus load of the lines, as a share of the bus time from 0.001 to 1 "
         f"(default: {MAX_LOAD:g} with --components auto, otherwise no limit)",
     )
-    add(
+    option_group(parser, "scenario").add_argument(
         "--map-error",
         type=number(float, 1e-6, 100),
         metavar="SIGMA",

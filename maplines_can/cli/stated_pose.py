@@ -19,7 +19,7 @@ from ..ego import (
 )
 from ..gaussian import Gaussian
 from ..maps import Map
-from .parsing import number
+from .parsing import number, option_group
 from .stderr import note
 
 #: Standard deviations of the stated pose: along [m], across [m], heading [deg].
@@ -42,7 +42,8 @@ class StatedPose(NamedTuple):
 
 def add_stated_pose(parser: argparse.ArgumentParser) -> None:
     """Add ``--sigma``, ``--correlation-time`` and ``--localise``."""
-    parser.add_argument(
+    add = option_group(parser, "scenario").add_argument
+    add(
         "--sigma",
         type=_sigma,
         metavar="ALONG,ACROSS,HEADING",
@@ -50,7 +51,7 @@ def add_stated_pose(parser: argparse.ArgumentParser) -> None:
         f"{','.join(f'{value:g}' for value in SIGMA)}; or those of --drive, whose poses are then "
         "sent as they are)",
     )
-    parser.add_argument(
+    add(
         "--correlation-time",
         type=number(float, 0, 1e9),
         metavar="S",
@@ -58,7 +59,7 @@ def add_stated_pose(parser: argparse.ArgumentParser) -> None:
         "sent with the pose error, rounded up; as unknown beyond the greatest value of the DBC, "
         f"45 s (default: {CORRELATION_TIME:g}; unknown for the errors of --drive)",
     )
-    parser.add_argument(
+    add(
         "--localise",
         action="store_true",
         help="take the pose from a Kalman filter on simulated sensors: GNSS, wheel speed, yaw "

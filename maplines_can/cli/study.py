@@ -13,7 +13,8 @@ from ..study.sets import DRAWN_SETS, MapView, line_set
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.tables import read_table, summary_text
-from .parsing import number
+from .options import add_json
+from .parsing import number, option_group
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_run"]
@@ -71,20 +72,23 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
-    add(
+    scenario = option_group(parser, "scenario").add_argument
+    message = option_group(parser, "message").add_argument
+    option_group(parser, "output").add_argument(
         "--out",
         required=True,
         metavar="DIR",
-        help="directory of the tables and of the results so far",
+        help="directory of the tables and of the results so far: a new one, or that of the same "
+        "study, which goes on",
     )
-    add(
+    scenario(
         "--set",
         action="append",
         dest="sets",
         metavar="SET",
         help=f"{', '.join(DRAWN_SETS)} or a file; may be repeated (default: paper and road)",
     )
-    add(
+    message(
         "--code",
         action="append",
         dest="codes",
@@ -92,26 +96,26 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         metavar="CODE",
         help=f"covariance code: {', '.join(CODES)}; may be repeated (default: all)",
     )
-    add(
+    message(
         "--finer",
         nargs="+",
         type=number(int, -8, 16),
         metavar="BITS",
         help="additional bits of each field over its DBC (default: -2 -1 0 1 2)",
     )
-    add(
+    scenario(
         "--n",
         type=number(int, 1, 10**12),
         metavar="N",
         help="Gaussians of each drawn set (default: 1 000 000)",
     )
-    add(
+    scenario(
         "--scenes",
         type=number(int, 0, 10**6),
         metavar="N",
         help="scenes of each number of lines, 0 for none (default: 400)",
     )
-    add("--seed", type=number(int, 0, 2**32), default=0, help="seed of the draws (default: 0)")
+    scenario("--seed", type=number(int, 0, 2**32), default=0, help="seed of the draws (default: 0)")
     add(
         "--chunk",
         type=number(int, 100, 10**6),
@@ -126,8 +130,8 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         help="processes (default: one for each processor)",
     )
     add("--scheduler", metavar="ADDRESS", help="run on the workers of this Dask scheduler")
-    add("--map", metavar="FILE", help="CSV of the lines that poses see")
-    add(
+    scenario("--map", metavar="FILE", help="CSV of the lines that poses see")
+    scenario(
         "--window",
         nargs=2,
         type=float,
@@ -135,14 +139,14 @@ def add_run(commands: Any, bar: Bar = progress_bar) -> argparse.ArgumentParser:
         metavar=("MIN", "MAX"),
         help="range ahead of a pose where points of the map are used [m] (default: -20 80)",
     )
-    add(
+    scenario(
         "--transform",
         choices=["sigma-points", "quadrature"],
         default="sigma-points",
         help="propagation from a pose to a line (default: sigma-points)",
     )
     add("--quick", action="store_true", help="fewer Gaussians, for a first look")
-    add("--json", action="store_true", help="print the tables summary and scenes as JSON")
+    add_json(parser, "the tables summary and scenes")
     parser.set_defaults(run=lambda arguments: _run(arguments, bar))
     return parser
 

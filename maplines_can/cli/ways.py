@@ -11,6 +11,7 @@ from ..ego import RecordedDrive, SimulatedDrive, State, check_on_map, drive_alon
 from ..errors import DriveFileError, RouteError
 from ..maps import Map, Route, random_tour, town_tour
 from .output import counts_text
+from .parsing import option_group
 from .stderr import note
 
 #: Length of a route that is chosen at random [m].
@@ -23,7 +24,8 @@ LOG_SUFFIXES = (".log", ".asc", ".blf", ".mf4", ".trc", ".db")
 
 def add_way(parser: argparse.ArgumentParser) -> None:
     """Add ``--route``, ``--drive`` and the options of a drive in a bus log."""
-    ways = parser.add_mutually_exclusive_group()
+    options = option_group(parser, "scenario")
+    ways = options.add_mutually_exclusive_group()
     ways.add_argument(
         "--route",
         metavar="A..B",
@@ -35,13 +37,13 @@ def add_way(parser: argparse.ArgumentParser) -> None:
         help="recorded drive: a CSV file with time, x and y (or lat_deg and lon_deg) and heading; "
         "or, with --signals, a bus log as for 'decode'",
     )
-    parser.add_argument(
+    options.add_argument(
         "--signals",
         metavar="FILE",
         help="table of the signals in the bus log --drive, in TOML, such as "
         'speed_kmh = "ESP.VehicleSpeed", or in CSV with the header column,signal',
     )
-    parser.add_argument(
+    options.add_argument(
         "--signals-dbc",
         metavar="FILE",
         help="DBC of these signals: that of the car, whereas --dbc is that of the lines",

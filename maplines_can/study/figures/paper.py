@@ -105,10 +105,21 @@ FIGURES = (
         "the correlation of beta and c1.",
     ),
 )
+CLOSE_UP = "figure-06-close-up"
 AFTER_THE_WIRE = (
     "Gaussians as received: colours are decoded, fine black dots were sent. "
     "The drawn lines use the same random numbers as before the wire."
 )
+
+
+#: File formats of the figures.
+FORMATS = ("png", "svg")
+
+
+def figure_paths(out: Path, formats: Sequence[str] = FORMATS) -> list[Path]:
+    """Return the files that ``draw_figures`` writes into a folder, in another order."""
+    names = [plan.name(wire=wire) for plan in FIGURES for wire in (False, True)]
+    return [out / f"{name}.{suffix}" for name in (*names, CLOSE_UP) for suffix in formats]
 
 
 def draw_figures(
@@ -116,7 +127,7 @@ def draw_figures(
     *,
     seed: int = 0,
     samples: int = 100_000,
-    formats: Sequence[str] = ("png", "svg"),
+    formats: Sequence[str] = FORMATS,
     codec: Codec | None = None,
     progress: Callable[[int, int], object] | None = None,
 ) -> list[Path]:
@@ -165,7 +176,7 @@ def draw_figures(
                 paths.append(out / f"{name}.{suffix}")
                 figure.savefig(paths[-1], dpi=DPI, metadata=METADATA[suffix])
                 if progress is not None:
-                    progress(len(paths), (2 * len(FIGURES) + 1) * len(formats))
+                    progress(len(paths), len(figure_paths(out, formats)))
     return paths
 
 
@@ -177,7 +188,7 @@ def _figures(cases: Mapping[str, Case], seed: int, codec: Codec) -> Iterator[tup
         yield plan.name(wire=True), draw_case(case, plan, seed, codec)
         if plan.number == 5:
             close_up = [cases["highway"], cases["highway-correlated"]]
-            yield "figure-06-close-up", draw_close_up(close_up)
+            yield CLOSE_UP, draw_close_up(close_up)
 
 
 def draw_case(case: Case, plan: FigurePlan, seed: int = 0, codec: Codec | None = None) -> Any:
