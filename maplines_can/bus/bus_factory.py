@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any
 
 import can
@@ -128,6 +129,14 @@ class BusFactory:
                     "no CAN interface is given; pass interface=... and channel=..., set "
                     "CAN_INTERFACE and CAN_CHANNEL, or write them to ~/.canrc"
                 ) from error
+            if (name := given.get("interface")) not in (None, *can.VALID_INTERFACES):
+                like = get_close_matches(str(name), can.VALID_INTERFACES, 1)
+                known = (
+                    f"did you mean {like[0]}?"
+                    if like
+                    else f"it has {', '.join(sorted(can.VALID_INTERFACES))}"
+                )
+                raise BusError(f"python-can has no interface {name!r}; {known}") from error
             raise BusError(f"the CAN interface cannot be opened: {error_text(error)}") from error
         self.name = " ".join(str(config[k]) for k in ("interface", "channel") if config[k])
         self.fd = bool(config.get("fd"))

@@ -88,7 +88,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it at exit
         return 0
     except (MaplinesError, OSError, ValueError) as error:
-        note(f"error: {_with_options(' '.join(str(error).split()))}")
+        message = _with_options(" ".join(_text(error).split()))
+        note(f"error: {message}{_missing_file_hint(message, argv)}")
         return 1
 
 
@@ -118,6 +119,19 @@ def _add_commands(
         else:
             commands.add_parser(name, help=text)
     return commands
+
+
+def _text(error: Exception) -> str:
+    """Return the text of an error, without an error number if a file is missing."""
+    if isinstance(error, FileNotFoundError) and error.filename is not None:
+        return f"{error.filename}: there is no such file or folder"
+    return str(error)
+
+
+def _missing_file_hint(message: str, argv: Sequence[str]) -> str:
+    from .missing_files import missing_file_hint  # imports what --help does not need
+
+    return missing_file_hint(message, argv)
 
 
 def _with_options(message: str) -> str:

@@ -12,32 +12,43 @@ from typing import Any
 from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
+from ..study.drives.consistency import consistency_of
 from ..study.drives.evaluation import accuracy_of
 from ..study.drives.text import as_text
 from ..study.drives.truth import read_truth
 from ..wire import Decoder
+from .fitting_dbc import MOST_IDS, why_no_line
 from .options import add_codec, add_cycle, add_json, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
-from .overwriting import add_force
+from .overwriting import add_force, check_new
 from .parsing import add_command, option_group
 from .stderr import note, with_progress
+from .truth_paths import truth_of
 
 PICTURES = (".png", ".svg", ".pdf")
 
 DESCRIPTION = """\
 Compare the lines in the log of a drive with the true ones: the lateral, heading and curvature
 errors at 0, 20, 40 and 80 m ahead, and the absolute and the relative accuracy as EDMap defines
-them; and compare these with the requirements that a survey of HD maps lists.
+them; and compare these with the requirements that a survey of HD maps lists. First, a sentence says
+whether the errors are as large as the sender states, by a chi-square test of the lateral errors in
+stated standard deviations.
 
-TRUTH and LOG are what 'maplines drive --record' writes. Each line is compared with the truth at the
-time of its pose, within its range."""
+TRUTH and LOG are what 'maplines drive --record' writes; TRUTH is the one beside LOG, if it is not
+given. Each line is compared with the truth at the time of its pose, within its range."""
 
 
 def add_accuracy(commands: Any) -> None:
     """Add the command ``accuracy``."""
-    example = "maplines accuracy drive.truth.parquet drive.blf --plot accuracy.png"
+    example = "maplines accuracy drive.blf --plot accuracy.png"
     parser = add_command(commands, "accuracy", _accuracy, DESCRIPTION, example)
-    parser.add_argument("truth", metavar="TRUTH", help="truth of the drive, .csv or .parquet")
+    parser.add_argument(
+        "truth",
+        nargs="?",
+        metavar="TRUTH",
+        help="truth of the drive, .csv or .parquet (default: beside LOG, such as "
+        "drive.truth.parquet beside drive.blf)",
+    )
     parser.add_argument("log", metavar="LOG", help="log of the same drive, as for 'decode'")
     option_group(parser, "output").add_argument(
         "--plot",
@@ -56,15 +67,20 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
-    truth = read_truth(arguments.truth)
+    check_new(arguments, arguments.plot)
+    frames = read_log(arguments.log)
+    truth = read_truth(arguments.truth or truth_of(arguments.log))
     codec = keyed_codec(arguments, clock=None)
     decoders: dict[str, Decoder] = {}
+    can_ids: set[int] = set()
     status, has_time = 0, True
 
     def lines() -> Iterator[MapLine]:
         nonlocal status, has_time
         try:
-            for frame in with_progress(read_log(arguments.log), " frames"):
+            for frame in with_progress(frames, " frames"):
+                if len(can_ids) < MOST_IDS:
+                    can_ids.add(frame.can_id)
                 decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
                 has_time = frame.has_time
                 line = decoder.feed(
@@ -84,13 +100,17 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     if not accuracy.received:
         dropped = sum((decoder.counts for decoder in decoders.values()), start=Counter())
         counts = counts_text({reason.name: n for reason, n in dropped.items()})
-        raise LogError(f"{arguments.log}: has no lines; frames dropped: {counts}")
+        why = f"; {why_no_line(can_ids, codec)}" if can_ids else ""
+        raise LogError(f"{arguments.log}: has no lines; frames dropped: {counts}{why}")
     if arguments.plot:
         from ..study.drives.plot import draw_accuracy
 
         draw_accuracy(accuracy, arguments.plot)
     if arguments.json:
-        print(json.dumps(accuracy.as_dict() | {"lane_changes": truth.lane_changes}, indent=2))
+        consistency = consistency_of(accuracy)
+        rest: dict[str, Any] = {"lane_changes": truth.lane_changes}
+        rest["consistency"] = None if consistency is None else consistency.as_dict()
+        print(json.dumps(accuracy.as_dict() | rest, indent=2))
     else:
         print(as_text(accuracy))
         if arguments.plot:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from ..bus import Link, Receiver, read_log
 from ..input_files import lines_of
 from ..wire import Codec, Monitor, SceneView
+from .fitting_dbc import MOST_IDS, why_no_line
 from .options import (
     add_bus,
     add_codec,
@@ -89,6 +90,7 @@ class Input:
     def __init__(self, arguments: argparse.Namespace) -> None:
         codec = scene_codec(arguments)
         self._arguments, self._decoder = arguments, decoder_of(codec, arguments)
+        self._codec, self._can_ids = codec, set[int]()
 
     def __enter__(self) -> Generator[Cycle, None, None]:
         self._cycles = self._counted()
@@ -105,7 +107,7 @@ class Input:
 
     def why_nothing(self) -> str:
         """Return what to check if no scene could be used; call it after the cycles."""
-        decoder = self._decoder
+        decoder, codec = self._decoder, self._codec
         if not decoder.frames:
             if self._arguments.log:
                 return "the log has no frame"
@@ -119,7 +121,7 @@ class Input:
             counts = {reason.name: count for reason, count in decoder.counts.items()}
             return (
                 f"none of {decoder.frames} frames completed a line (dropped: "
-                f"{counts_text(counts)}); check whether --dbc and the keys are those of the sender"
+                f"{counts_text(counts)}); {why_no_line(self._can_ids or codec.can_ids, codec)}"
             )
         if not decoder.pose_errors:
             return SENDER
@@ -146,6 +148,8 @@ class Input:
         for frame in with_progress(read_log(path), " frames"):
             if not frame.has_time:
                 raise ValueError(f"LOG: {path} has no time stamps; record it with candump -L")
+            if len(self._can_ids) < MOST_IDS:
+                self._can_ids.add(frame.can_id)
             due = frame.t_ns + step if due is None else due
             if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
                 due = frame.t_ns

@@ -15,6 +15,7 @@ from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
 from ..wire import Decoder, Monitor, SceneView
+from .fitting_dbc import MOST_IDS, why_no_line
 from .options import (
     add_codec,
     add_cycle,
@@ -49,6 +50,9 @@ slot and of the pose error.
 If the sender states the error of the pose from which the lines of a cycle are seen, these lines
 are a scene. --scenes prints the joint covariance of each scene.
 
+With --csv, a line that must not be used (usable is false: OUT_OF_RANGE, or too old) has empty cells
+instead of values.
+
 LOG has a format of python-can (.asc .blf .csv .db .mf4 .trc), or is the output of candump, with or
 without -L, -t and -x. Without -L and -t it has no time stamps: "t" is null, no frame times out,
 cycles without data are not counted, and the lines of a sender that restarts are dropped until its
@@ -78,7 +82,8 @@ def _decode(arguments: argparse.Namespace) -> int:
     scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
     last_ns = status = beyond = 0
     has_time = True
-    log = sys.stdin.buffer if arguments.log == "-" else arguments.log
+    frames = read_log(sys.stdin.buffer if arguments.log == "-" else arguments.log)
+    can_ids: set[int] = set()
 
     def print_scene(channel: str, view: SceneView) -> None:
         row = scene_dict(view) | ({} if has_time else {"t": None})
@@ -99,7 +104,9 @@ def _decode(arguments: argparse.Namespace) -> int:
     def lines() -> Generator[tuple[str, MapLine], None, None]:
         nonlocal last_ns, status, beyond, has_time
         try:
-            for frame in with_progress(read_log(log), " frames"):
+            for frame in with_progress(frames, " frames"):
+                if len(can_ids) < MOST_IDS:
+                    can_ids.add(frame.can_id)
                 if frame.channel not in decoders:
                     if len(decoders) == MOST_CHANNELS:
                         beyond += 1
@@ -144,6 +151,9 @@ def _decode(arguments: argparse.Namespace) -> int:
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
     _summarize(decoders, last_ns)
+    if can_ids and not any(decoder.lines or decoder.pose_errors for decoder in decoders.values()):
+        note(f"error: {arguments.log}: {why_no_line(can_ids, codec)}")
+        status = status or 1
     return status
 
 

@@ -38,7 +38,8 @@ from .options import (
     keyed_codec,
 )
 from .output import counts_text, faults_text, pose_errors_text
-from .parsing import add_command, number, seconds
+from .overwriting import add_force, check_new
+from .parsing import add_command, number, option_group, seconds
 from .scene_sending import check_scene_load, sends_scenes
 from .sending import (
     MAX_LOAD,
@@ -50,8 +51,11 @@ from .sending import (
 )
 from .stated_pose import StatedPose, add_stated_pose, check_stated_pose, stated_pose_of
 from .stderr import note, progress_bar
+from .truth_paths import truth_paths
 from .ways import TOUR, add_way, check_way, states_of, way_of
 
+#: Name of the map of this package.
+TOWN = town_path().name
 #: Share of cycles off the map above which the drive may be of another one.
 MOST_OFF_MAP = 0.1
 
@@ -59,8 +63,9 @@ DESCRIPTION = f"""\
 Let a car drive on a map and send the lines around it until the drive ends, or until Ctrl-C. Then
 print the counters.
 
-The drive follows --route, or is recorded in a file (--drive), or leads {TOUR / 1000:g} km through
-the map on a route chosen at random (--seed). The car knows its pose with errors of the standard
+The drive follows --route, or is recorded in a file (--drive); otherwise it leads through all of
+{TOWN}, the map of this package, or {TOUR / 1000:g} km through another map on a route chosen at
+random (--seed). The car knows its pose with errors of the standard
 deviations --sigma, correlated in time, or from a localisation (--localise); each line is sent as
 the Gaussian that follows from them.
 
@@ -74,17 +79,20 @@ def add_drive(commands: Any) -> None:
     example = "maplines drive town.xodr --route 1..7 --as-fast-as-possible --record drive.blf"
     parser = add_command(commands, "drive", _drive, DESCRIPTION, example)
     add = parser.add_argument
-    add("map", nargs="?", metavar="MAP", help="map file (default: the town of this project)")
+    scenario, output = option_group(parser, "scenario"), option_group(parser, "output")
+    add("map", nargs="?", metavar="MAP", help=f"map file, or {TOWN} of this package (default)")
     add_way(parser)
-    add(
+    option_group(parser, "bus").add_argument(
         "--rate",
         type=number(float, 5, 100),
         default=20.0,
         metavar="HZ",
         help="how often the lines are computed and sent [1/s], 5 to 100 (default: 20)",
     )
-    add("--seconds", type=seconds, metavar="S", help="end after this part of the drive [s]")
-    add(
+    scenario.add_argument(
+        "--seconds", type=seconds, metavar="S", help="end after this part of the drive [s]"
+    )
+    scenario.add_argument(
         "--lines",
         type=number(int, 1, len(Slot)),
         default=4,
@@ -95,7 +103,7 @@ def add_drive(commands: Any) -> None:
     )
     add_stated_pose(parser)
     add_line_model(parser)
-    add(
+    scenario.add_argument(
         "--seed",
         type=number(int, 0, 2**32),
         default=0,
@@ -104,23 +112,24 @@ def add_drive(commands: Any) -> None:
     add_bus(parser, private=True)
     add_codec(parser)
     add_faults(parser)
-    add(
+    output.add_argument(
         "--record",
         metavar="FILE",
         help="write the frames into this log: .log (candump), .asc, .blf or .mf4; and beside it "
         "the truth, see --truth",
     )
-    add(
+    output.add_argument(
         "--truth",
         metavar="FILE",
         help="write the true poses and lines into this table, .csv or .parquet (default: beside "
         "--record, such as drive.truth.parquet; .csv without pyarrow)",
     )
-    add(
+    option_group(parser, "bus").add_argument(
         "--as-fast-as-possible",
         action="store_true",
-        help="do not wait, and use no bus: only --record",
+        help="do not wait, and use no bus: only --record or --truth",
     )
+    add_force(parser)
     add_json(parser, "the counters")
 
 
@@ -130,6 +139,11 @@ def _drive(arguments: argparse.Namespace) -> int:
         raise ValueError(
             "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
             "--record for a log"
+        )
+    if fast and not (arguments.record or arguments.truth):
+        raise ValueError(
+            "--as-fast-as-possible uses no bus, and nothing would be kept; add --record FILE, such "
+            "as --record drive.blf, or leave it out to send in real time"
         )
     check_way(arguments)
     check_stated_pose(arguments)
@@ -143,6 +157,7 @@ def _drive(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=(lambda: clock_ns) if fast else time.time_ns)
     if arguments.record:
         check_log_path(Path(arguments.record))
+    check_new(arguments, arguments.record, _truth_path(arguments))
     found = load(town_path() if arguments.map is None else arguments.map)
     if found.skipped:
         note(f"{found.name}: {len(found.skipped)} parts of the file are not used")
@@ -285,8 +300,8 @@ def _source(
 def _truth_path(arguments: argparse.Namespace) -> str | None:
     if arguments.truth or not arguments.record:
         return arguments.truth
-    suffix = ".parquet" if find_spec("pyarrow") else ".csv"
-    return str(Path(arguments.record).with_suffix(f".truth{suffix}"))
+    parquet, table = truth_paths(arguments.record)
+    return str(parquet if find_spec("pyarrow") else table)
 
 
 def _start_text(

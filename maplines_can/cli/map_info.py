@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
+from ..maps.load import SHIPPED
 from .options import add_json
 from .overwriting import add_force, check_new
 from .parsing import add_command, option_group
@@ -30,7 +31,12 @@ def add_map(commands: Any) -> None:
         commands, "map", _map, DESCRIPTION, "maplines map town.xodr --plot town.png"
     )
     add = parser.add_argument
-    add("file", nargs="?", metavar="FILE", help="map (default: the one of this package)")
+    add(
+        "file",
+        nargs="?",
+        metavar="FILE",
+        help=f"map; of this package there is {', '.join(SHIPPED)} (default)",
+    )
     add(
         "--projection",
         metavar="PROJ",

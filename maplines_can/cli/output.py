@@ -64,6 +64,7 @@ def line_dict(line: MapLine) -> dict[str, Any]:
         "slot": line.slot.name,
         "kind": line.kind.name,
         "status": line.status.name,
+        "usable": line.is_usable,
         "x_min": line.x_min,
         "x_max": line.x_max,
         "age": line.age if math.isfinite(line.age) else None,
@@ -153,19 +154,25 @@ def _estimate(estimate: Estimate) -> dict[str, float]:
 def write_csv(out: TextIO, lines: Iterable[tuple[str, MapLine]]) -> None:
     """Write pairs of channel and line as a table with a header.
 
-    A mixture is written with the mean and covariance of the whole.
+    Each number is the shortest decimal that reads back as the same floating-point number. A mixture
+    is written with the mean and covariance of the whole. A line that must not be used has empty
+    cells instead of its range, mean and covariance.
     """
     writer = csv.writer(out, lineterminator="\n")
-    columns = ["t", "channel", "slot", "kind", "status", "x_min", "x_max", "age", "components"]
-    covariances = [f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE]
-    writer.writerow([*columns, *PARAMETERS, *covariances])
+    columns = ["t", "channel", "slot", "kind", "status", "usable"]
+    values = ["x_min", "x_max", "age", "components", *PARAMETERS]
+    values += [f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in UPPER_TRIANGLE]
+    writer.writerow([*columns, *values])
     for channel, line in lines:
         row = line_dict(line)
-        writer.writerow(
-            [row["t"], channel, row["slot"], row["kind"], row["status"], row["x_min"]]
-            + [row["x_max"], row["age"], row["components"], *row["mean"].values()]
-            + [row["cov"][i][j] for i, j in UPPER_TRIANGLE]
-        )
+        cells = [row["t"], channel, row["slot"], row["kind"], row["status"]]
+        cells.append(str(row["usable"]).lower())
+        if row["usable"]:
+            cells += [row["x_min"], row["x_max"], row["age"], row["components"]]
+            cells += [*row["mean"].values(), *(row["cov"][i][j] for i, j in UPPER_TRIANGLE)]
+        else:
+            cells += [""] * len(values)
+        writer.writerow(cells)
         out.flush()  # a reader of a pipe gets each line at once
 
 

@@ -43,12 +43,15 @@ from .output import (
 from .parsing import add_command, natural, option_group, seconds
 from .stderr import note
 
+#: Time without a line after which the reason is printed, once [s].
+SILENCE = 2.0
 #: How often slots are checked for a change of state while nothing arrives [s].
 CHECK_PERIOD = 0.05
 
 DESCRIPTION = """\
 Print the lines that arrive on a bus until Ctrl-C. Standard error shows when the end-to-end (E2E)
-state of a slot changes and, at the end, how many frames were dropped and why.
+state of a slot changes and, at the end, how many frames were dropped and why; and after two seconds
+without a line, what to check.
 
 A slot is in the state INIT until enough lines have come in sequence, and then in VALID. It becomes
 INVALID after too many errors, or if its lines stop: "no data any more".
@@ -105,7 +108,7 @@ def _receive(arguments: argparse.Namespace) -> int:
         if not arguments.json:
             note(f"listening on {link.name}; stop with Ctrl-C")
         try:
-            for line, check in _arriving(receiver, arguments.timeout):
+            for line, check in _arriving(receiver, arguments):
                 if (arguments.scenes or not arguments.json) and codec.layout.pose is not None:
                     now = receiver.latest_scene()
                     if scene is not None and is_another_scene(now, scene):
@@ -141,7 +144,7 @@ def _receive(arguments: argparse.Namespace) -> int:
     if faults:
         note(f"faults: {faults_text(faults)}")
     if not stats.lines and arguments.timeout is not None:
-        note(f"error: nothing received: {_why_nothing(stats, arguments.fd)}")
+        note(f"error: nothing received: {_why_nothing(stats, arguments)}")
         return 1
     return 0 if left in (None, 0) else 1
 
@@ -165,23 +168,31 @@ def _print_scene(scene: SceneView, receiver: Receiver, arguments: argparse.Names
         print(text, flush=True)
 
 
-def _why_nothing(stats: ReceiverStats, fd: bool) -> str:
+def _why_nothing(stats: ReceiverStats, arguments: argparse.Namespace) -> str:
     """Return what to check if no line has arrived."""
     if stats.frames:
+        dropped = counts_text({reason.name: n for reason, n in stats.counts.items()})
         return (
-            f"{stats.frames} frames have arrived, but none completed a line; check why they were "
-            "dropped, and whether --dbc and the keys are those of the sender"
+            f"{stats.frames} frames have arrived, but none completed a line (dropped: {dropped}); "
+            "check whether --dbc and the keys are those of the sender"
         )
     return (
-        "no frame has arrived; check that the sender runs, on the same --interface and --channel"
-        + ("" if fd else ", and whether it sends CAN FD (--fd)")
+        "no frame has arrived; check that the sender runs, on the same --interface and --channel, "
+        "with the same --dbc" + ("" if arguments.fd else ", and whether it sends CAN FD (--fd)")
     )
 
 
-def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLine, SlotStats]]:
-    """Yield lines with the checks of their slots; print each change of a state."""
+def _arriving(
+    receiver: Receiver, arguments: argparse.Namespace
+) -> Iterator[tuple[MapLine, SlotStats]]:
+    """Yield lines with the checks of their slots; print each change of a state.
+
+    Print why there is nothing if no line arrives within ``SILENCE`` from the start.
+    """
     states: dict[str, tuple[E2EState, bool]] = {}
-    last = time.monotonic()
+    timeout: float | None = arguments.timeout
+    last = start = time.monotonic()
+    is_silent = True  # and that has not been said
     while True:
         line = receiver.get(CHECK_PERIOD if timeout is None else min(CHECK_PERIOD, timeout))
         checks = _checks(receiver)
@@ -191,8 +202,12 @@ def _arriving(receiver: Receiver, timeout: float | None) -> Iterator[tuple[MapLi
                 states[name] = state
                 note(f"{slot_text(name)}: {check_text(check)}")
         if line is not None:
-            last = time.monotonic()
+            last, is_silent = time.monotonic(), False
             yield line, checks[line.slot.name]
-        elif timeout is not None and time.monotonic() - last >= timeout:
+            continue
+        if is_silent and time.monotonic() - start >= SILENCE:
+            is_silent = False
+            note(f"no line for {SILENCE:g} s: {_why_nothing(receiver.stats(), arguments)}")
+        if timeout is not None and time.monotonic() - last >= timeout:
             note(f"no line for {timeout:g} s")
             return

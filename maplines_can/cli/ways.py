@@ -9,7 +9,8 @@ from pathlib import Path
 from ..bus import read_signals
 from ..ego import RecordedDrive, SimulatedDrive, State, check_on_map, drive_along
 from ..errors import DriveFileError, RouteError
-from ..maps import Map, Route, random_tour, town_tour
+from ..maps import Map, Route, random_tour, town_path, town_tour
+from ..maps.load import map_path
 from .output import counts_text
 from .parsing import option_group
 from .stderr import note
@@ -82,7 +83,7 @@ def way_of(
         return _recorded(found, arguments), None
     if arguments.route is not None:
         route = _route(found, arguments.route)
-    elif arguments.map is None:
+    elif arguments.map is None or map_path(arguments.map).resolve() == town_path().resolve():
         route = town_tour(found)
     else:
         route = random_tour(found, TOUR, arguments.seed)

@@ -14,9 +14,12 @@ from typing import Any, BinaryIO, NamedTuple
 from ..errors import MapFileError
 from ..input_files import checked_path
 from .model import Map
+from .town import town_path
 
 #: Largest map file, after decompression [bytes].
 MAX_BYTES = 1 << 30
+#: Maps of this package, by name.
+SHIPPED = {town_path().name: town_path()}
 #: Bytes that show the format.
 HEAD = 1 << 16
 
@@ -59,7 +62,8 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
     """Load a map file. The content shows its format; it may be compressed by gzip.
 
     Args:
-        path: of a map in one of the formats ``FORMATS``.
+        path: of a map in one of the formats ``FORMATS``, or the name of one of this package, see
+            ``map_path``.
         projection: PROJ string of the frame for positions in WGS84, as ``maps.projection`` returns
             it. By default it is the UTM zone of a Lanelet2 map, or its ``local_x`` and ``local_y``,
             and a transverse Mercator projection around the middle of a GeoJSON map.
@@ -71,7 +75,7 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
         MapFileError: the file cannot be read, or contains nothing that can be used. What cannot be
             used of a map that can is listed in ``Map.skipped``.
     """
-    path = checked_path(path, MapFileError)
+    path = map_path(checked_path(path, MapFileError))
     try:
         with path.open("rb") as file, _decompressed(file) as stream:
             bounded = _Bounded(stream, path.name)
@@ -92,6 +96,16 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
         why = error.strerror or str(error)
         raise MapFileError(f"{path.name} cannot be read: {why}") from None
     return found
+
+
+def map_path(path: str | os.PathLike[str]) -> Path:
+    """Return the path of a map; a name in ``SHIPPED`` is that map where there is no such file.
+
+    >>> map_path("town.xodr") == town_path(), map_path("city.osm").name
+    (True, 'city.osm')
+    """
+    path = Path(path)
+    return SHIPPED.get(str(path), path) if not path.exists() else path
 
 
 def _decompressed(file: BinaryIO) -> BinaryIO:

@@ -35,6 +35,7 @@ from ..errors import MapFileError, StudyError
 from ..gaussian import asymmetric, indefinite, nearest_covariance
 from ..input_files import checked_path, lines_of
 from ..maps import load
+from ..maps.load import map_path
 from ..polyline import Polyline
 from .parquet_files import parquet_batches
 
@@ -98,6 +99,7 @@ def read_map(path: Path) -> tuple[tuple[Polyline, ...], str]:
     Raises:
         StudyError: the file is not a map, or a line of a file without lanes cannot be used.
     """
+    path = map_path(path)
     try:
         found = load(checked_path(path, StudyError))
     except (OSError, MapFileError) as error:

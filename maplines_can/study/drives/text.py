@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ..text_table import aligned
+from .consistency import consistency_of
 from .evaluation import LEAST_CURVATURE, REQUIREMENTS, Accuracy
 from .truth import PLACES
 
@@ -17,7 +18,11 @@ _SHOWN = {
 
 
 def as_text(accuracy: Accuracy) -> str:
-    """Return the errors and the requirements of the survey as tables."""
+    """Return the errors and the requirements of the survey as tables.
+
+    The first sentence says whether the errors are as large as the sender states.
+    """
+    consistency = consistency_of(accuracy)
     blank = [""] * (len(PLACES) + 1)
     rows = [["error", "", *(f"{x} m" for x in PLACES), "whole line"]]
     for quantity, (heading, factor) in _SHOWN.items():
@@ -29,15 +34,16 @@ def as_text(accuracy: Accuracy) -> str:
             rows.append([heading if not k else "", name, *cells])
     rows.append(["lines", "", *(str(accuracy.figures("lateral", i)["n"]) for i in range(4)), ""])
     rows[-1][-1] = str(accuracy.figures("absolute", 0)["n"])
-    verdicts = [["requirement", "", *(f"{x} m" for x in PLACES), "whole line"]]
+    verdicts = [["requirement of the survey", "", *(f"{x} m" for x in PLACES), "whole line"]]
     for requirement in REQUIREMENTS:
         met = [
-            {True: "pass", False: "FAIL", None: "-"}[m] for m in accuracy.met(requirement).values()
+            {True: "met", False: "missed", None: "-"}[m] for m in accuracy.met(requirement).values()
         ]
         cells = [*met, ""] if len(met) > 1 else [*blank[:-1], *met]
         verdicts.append([requirement.quantity, requirement.source, *cells])
     return "\n".join(
         [
+            *([] if consistency is None else [consistency.text(accuracy), ""]),
             f"{accuracy.received} lines received, {accuracy.lines} compared with the truth, "
             f"{accuracy.saturated} of these saturated; not compared: {accuracy.not_usable} too old "
             f"or out of range, {accuracy.other_lane} while the car was on another lane than it "
@@ -47,7 +53,7 @@ def as_text(accuracy: Accuracy) -> str:
             "",
             aligned(verdicts, left=2),
             "",
-            "A requirement passes if 95 % of the errors are within it. Absolute: largest deviation "
+            "A requirement is met if 95 % of the errors are within it. Absolute: largest deviation "
             "of a line\nfrom the true one; relative: after both are aligned (EDMap). Curvature: "
             f"lines of radii up to {1 / LEAST_CURVATURE:g} m.",
         ]

@@ -19,9 +19,10 @@ from .pose_layout import PoseLayout
 from .pose_records import ConditionalRecord, PoseRecord
 from .signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
 
-#: Multiple of which the ends of the valid range are, moved inwards, so that a range that is
-#: computed from decoded values does not exceed that of the sender [m].
-STEP = 0.1
+#: Steps of the ends of the valid range [1/m]. The ends are moved inwards to one, so that a range that
+#: is computed from decoded values does not exceed that of the sender. By a division, an end is the
+#: floating-point number next to the decimal: -19.9, not -19.900000000000002 = -199 * 0.1.
+STEPS = 10
 #: Least derivative of Beta with respect to the heading of the car; that of a straight line is 1.
 LEAST_TURN = 0.1
 N = len(PARAMETERS)
@@ -80,8 +81,8 @@ class SceneReader:
             decoded.own_covs,
             heading_sigma,
         )
-        x_min = np.ceil(x_ranges[:, 0] / STEP) * STEP
-        x_max = np.floor(x_ranges[:, 1] / STEP) * STEP
+        x_min = np.ceil(x_ranges[:, 0] * STEPS) / STEPS
+        x_max = np.floor(x_ranges[:, 1] * STEPS) / STEPS
         age = self.age(pose)
         lines = []
         for i, (content, line_ns) in enumerate(members):
@@ -99,7 +100,7 @@ class SceneReader:
                     kind=content.kind,
                     x_min=min(low, middle),
                     x_max=max(high, middle) if low <= high else middle,
-                    age=max(0.0, age + (line_ns - t_ns) * 1e-9),
+                    age=_later(age, line_ns - t_ns),
                     t_ns=line_ns,
                 )
             )
@@ -126,3 +127,12 @@ class SceneReader:
         raw = {s.name: int(s.raw(x)) for s, x in zip(self._signals, values, strict=True)}
         prefix = slot_title(Slot(content.slot))
         return raw | {name: pose[prefix + name] for name in SLOT_SIGNALS}
+
+
+def _later(age: float, passed_ns: int) -> float:
+    """Return an age [s] when some time [ns] has passed, 0 or more, in whole nanoseconds.
+
+    >>> _later(0.008, 1_620_000), _later(0.008, -9_000_000), _later(math.inf, 1)
+    (0.00962, 0.0, inf)
+    """
+    return age if math.isinf(age) else max(round(1e9 * age) + passed_ns, 0) / 1e9

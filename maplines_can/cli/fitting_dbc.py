@@ -1,0 +1,35 @@
+"""The DBC of this package whose CAN IDs are those of some frames."""
+
+from __future__ import annotations
+
+from collections.abc import Set as AbstractSet
+
+from ..wire import Codec
+from .options import SHIPPED, codec_from
+
+#: CAN IDs of a log that are kept for this; more than the classic ones.
+MOST_IDS = 4096
+
+
+def why_no_line(can_ids: AbstractSet[int], codec: Codec) -> str:
+    """Return why frames give no line, and what to do.
+
+    Args:
+        can_ids: of the frames.
+        codec: that found no line in them.
+    """
+    source = codec.layout.source
+    fitting = {name: len(can_ids & codec_from(name).can_ids) for name in SHIPPED}
+    best = max(SHIPPED, key=lambda name: fitting[name])
+    if fitting[best] > len(can_ids & codec.can_ids):
+        key = " and the key of the sender" if "secoc" in best else ""
+        return f"the CAN IDs are not those of {source}, but of {best}; take --dbc {best}{key}"
+    if not can_ids & codec.can_ids:
+        return (
+            f"no frame has a CAN ID of {source}, nor of another DBC of this package; take the "
+            "--dbc of the sender"
+        )
+    return (
+        f"frames with the CAN IDs of {source} complete no line; check whether --dbc and the keys "
+        "are those of the sender"
+    )
