@@ -130,13 +130,10 @@ class BusFactory:
                     "CAN_INTERFACE and CAN_CHANNEL, or write them to ~/.canrc"
                 ) from error
             if (name := given.get("interface")) not in (None, *can.VALID_INTERFACES):
-                like = get_close_matches(str(name), can.VALID_INTERFACES, 1)
-                known = (
-                    f"did you mean {like[0]}?"
-                    if like
-                    else f"it has {', '.join(sorted(can.VALID_INTERFACES))}"
-                )
-                raise BusError(f"python-can has no interface {name!r}; {known}") from error
+                known = sorted(can.VALID_INTERFACES)
+                like = get_close_matches(str(name), known, 1)
+                hint = f"did you mean {like[0]}?" if like else f"it has {', '.join(known)}"
+                raise BusError(f"python-can has no interface {name!r}; {hint}") from error
             raise BusError(f"the CAN interface cannot be opened: {error_text(error)}") from error
         self.name = " ".join(str(config[k]) for k in ("interface", "channel") if config[k])
         self.fd = bool(config.get("fd"))

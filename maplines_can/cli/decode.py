@@ -151,9 +151,10 @@ def _decode(arguments: argparse.Namespace) -> int:
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
     _summarize(decoders, last_ns)
-    if can_ids and not any(decoder.lines or decoder.pose_errors for decoder in decoders.values()):
+    is_empty = not any(decoder.lines or decoder.pose_errors for decoder in decoders.values())
+    if not status and can_ids and is_empty:
         note(f"error: {arguments.log}: {why_no_line(can_ids, codec)}")
-        status = status or 1
+        return 1
     return status
 
 

@@ -1,6 +1,7 @@
 """The command ``maplines accuracy``."""
 
 import json
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 from drive_files import run, town
 
 from maplines_can.cli import main
+from maplines_can.cli.truth_paths import truth_of, truth_paths
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-1..1:0:-1", "--seconds", "10"]
 
@@ -62,6 +64,64 @@ def test_a_constant_error_of_the_pose_is_an_error_of_the_lines(
     assert errors["lateral"]["80"]["rms"] > 2 * errors["lateral"]["0"]["rms"]
     assert errors["relative"]["line"]["95 %"] < 0.12 < errors["absolute"]["line"]["95 %"]
     assert max(result["beyond 3 sigma"].values()) < 0.05
+
+
+@pytest.mark.parametrize("has_pyarrow", [True, False])
+def test_the_truth_is_found_beside_the_log(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    has_pyarrow: bool,
+) -> None:
+    """In the format in which the drive wrote it: CSV without pyarrow."""
+    if has_pyarrow:
+        pytest.importorskip("pyarrow")
+    else:
+        monkeypatch.setattr("maplines_can.cli.drive.find_spec", lambda _: None)
+    monkeypatch.chdir(tmp_path)
+    result = run(capsys, town(tmp_path), *FAST[:-1], "1", "--record", "drive.blf")
+    assert result["truth"] == f"drive.truth.{'parquet' if has_pyarrow else 'csv'}"
+    assert main(["accuracy", "drive.blf", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["lines"] > 0
+
+
+def test_the_newer_truth_beside_a_log_counts(tmp_path: Path) -> None:
+    """A drive writes its log and its truth together; the other file is of an earlier drive."""
+    log = tmp_path / "drive.log"
+    for order in (truth_paths(str(log)), truth_paths(str(log))[::-1]):
+        for age, path in enumerate(order):
+            path.touch()
+            os.utime(path, (2e9 - age, 2e9 - age))
+        assert truth_of(str(log)) == order[0]
+        assert truth_of(f"{log}.gz") == order[0]
+
+
+def test_a_log_without_truth_beside_it_is_one_line(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It names both files that it looked for."""
+    assert main(["accuracy", str(folder / "exact.blf")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.search(
+        r"exact.blf: there is no truth.*exact.truth.parquet nor .*exact.truth.csv", line
+    )
+
+
+@pytest.mark.parametrize(
+    ("log", "words"),
+    [
+        pytest.param("exact.blf", r"The sender is right: .* 0\.\d+ times", id="exact"),
+        pytest.param("wrong.log", r"The sender is right, but its sigma is large: ", id="large"),
+    ],
+)
+def test_the_first_line_says_whether_the_sender_is_right(
+    folder: Path, capsys: pytest.CaptureFixture[str], log: str, words: str
+) -> None:
+    """Not which requirements its lines miss: that depends on the accuracy that it states."""
+    assert main(["accuracy", str(folder / f"{log}.csv"), str(folder / log)]) == 0
+    out = capsys.readouterr().out
+    assert re.match(words, out.splitlines()[0])
+    assert "FAIL" not in out
 
 
 def test_the_text_and_the_picture(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

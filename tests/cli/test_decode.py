@@ -2,6 +2,8 @@
 
 import csv
 import json
+import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,10 @@ from scenes import scene_lines
 
 from maplines_can import Codec, MapLine, Slot, scenario
 from maplines_can.cli import main
+from maplines_can.cli.options import SHIPPED
+
+#: Sender and receiver of the same messages: the lines without authentication are in both DBCs.
+SAME_LINES = ("maplines.dbc", "maplines-secoc.dbc")
 
 
 @pytest.fixture
@@ -64,6 +70,96 @@ def test_lines_are_printed_as_csv(capsys: pytest.CaptureFixture[str], log: Any) 
     assert float(rows[0]["y_off"]) == pytest.approx(1.757, abs=2**-9 / 2 + 1e-3)
     assert float(rows[0]["cov_y_off_y_off"]) > 0.25
     assert len([name for name in rows[0] if name.startswith("cov_")]) == 10
+
+
+def test_numbers_of_a_csv_are_the_shortest_that_read_back(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Each cell is the number of the JSON row; ranges and ages of scenes are short decimals."""
+    log, dbc = str(tmp_path / "drive.log"), ["--dbc", "maplines-pose.dbc"]
+    fast = ["--as-fast-as-possible", "--record", log, "--truth", str(tmp_path / "truth.csv")]
+    assert main(["drive", *fast, *dbc, "--seconds", "2", "--rate", "20"]) == 0
+    capsys.readouterr()
+    assert main(["decode", log, *dbc]) == 0
+    wanted = [json.loads(row) for row in capsys.readouterr().out.splitlines()]
+    assert main(["decode", log, *dbc, "--csv"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+
+    assert len(rows) == len(wanted) > 100
+    for row, line in zip(rows, wanted, strict=True):
+        numbers = {name: line[name] for name in ("t", "x_min", "x_max", "age")} | line["mean"]
+        assert {name: float(row[name]) for name in numbers} == numbers
+        assert all(row[name] == repr(value) for name, value in numbers.items())
+        assert re.fullmatch(r"-?\d+\.\d", row["x_min"])
+        assert re.fullmatch(r"\d+\.\d", row["x_max"])
+        assert len(row["age"]) <= len("0.123456789")
+
+
+def test_a_line_that_must_not_be_used_has_empty_cells(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Out of range, or too old; 1000 m of sigma are no number to compute with."""
+    codec, path = Codec.from_dbc(), tmp_path / "a.log"
+    lines = [
+        MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]),
+        MapLine.mean_only(Slot.EGO_LEFT, [1e6, 0, 0, 0]),
+        MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], age=math.inf),
+    ]
+    with can.Logger(path) as writer:
+        for counter, line in enumerate(lines):
+            for frame in codec.encode(line, counter=counter):
+                writer(message(frame, 1000 + 0.05 * counter, "can0"))
+    assert main(["decode", str(path), "--csv"]) == 0
+    rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
+    assert [row["usable"] for row in rows] == ["true", "false", "false"]
+    assert [row["status"] for row in rows][1] == "OUT_OF_RANGE"
+    values = [name for name in rows[0] if re.match("x_|age|comp|y_off|beta|c0|c1|cov_", name)]
+    assert len(values) == 18
+    assert all(rows[0][name] for name in values)
+    assert not any(row[name] for row in rows[1:] for name in values)
+
+    assert main(["decode", str(path)]) == 0
+    found = [json.loads(row)["usable"] for row in capsys.readouterr().out.splitlines()]
+    assert found == [True, False, False]
+
+
+@pytest.mark.parametrize("sender", SHIPPED)
+@pytest.mark.parametrize("receiver", SHIPPED)
+def test_a_dbc_that_fits_no_frame_is_an_error_that_names_the_one_that_does(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, sender: str, receiver: str
+) -> None:
+    """For each pair of the DBCs of this package; the CAN IDs in the log tell."""
+    path, key = tmp_path / "drive.log", tmp_path / "car.key"
+    key.write_text(bytes(range(16)).hex())
+    key.chmod(0o600)
+    keys = ["--key-file", str(key)] if "secoc" in sender else []
+    drive = ["drive", "--as-fast-as-possible", "--seconds", "0.5", "--dbc", sender, *keys]
+    assert main([*drive, "--record", str(path), "--truth", str(tmp_path / "truth.csv")]) == 0
+    capsys.readouterr()
+
+    status = main(["decode", str(path), "--dbc", receiver])
+
+    out, err = capsys.readouterr()
+    errors = [row for row in err.splitlines() if "error:" in row]
+    if (receiver == sender and not keys) or (sender, receiver) == SAME_LINES:
+        assert (status, errors) == (0, [])
+        assert out
+    else:
+        (error,) = errors
+        assert (status, out) == (1, "")
+        assert ("take --dbc" not in error) if sender == receiver else f"--dbc {sender}" in error
+
+
+def test_a_dbc_of_someone_else_is_named_as_none_of_ours(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """There are frames, but no DBC of this package has their CAN IDs."""
+    path = tmp_path / "drive.log"
+    path.write_text("(1000.0) can0 100#00\n(1000.1) can0 101#00\n")
+    assert main(["decode", str(path)]) == 1
+    (error,) = [row for row in capsys.readouterr().err.splitlines() if "error:" in row]
+    assert "no frame has a CAN ID of" in error
+    assert "take the --dbc of the sender" in error
 
 
 def test_a_damaged_log_is_decoded_as_far_as_possible(

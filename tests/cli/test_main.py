@@ -12,6 +12,7 @@ import pytest
 
 import maplines_can
 from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
+from maplines_can.cli.parsing import GROUPS
 from maplines_can.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +53,17 @@ def test_help_states_defaults_once_and_none_that_is_not_one(
     assert "default: None" not in text
     assert "default: False" not in text
     assert ") (default" not in text
+
+
+@pytest.mark.parametrize("name", ["demo", "send", "receive", "drive", "consume fusion", "design"])
+def test_options_are_in_groups(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    """In the same order in every command, and the four groups hold all options but --help."""
+    sections = re.split(r"(?m)^(\S.*):\n", help_of(capsys, *name.split()))
+    titles = [title for title in sections[1::2] if title in GROUPS]
+    assert titles == [title for title in GROUPS if title in titles]
+    assert len(titles) >= 2
+    options = sections[sections.index("options") + 1]
+    assert re.findall(r"(?m)^  (-\S+)", options) == ["-h,"]
 
 
 @pytest.mark.parametrize("name", [*COMMANDS, "study"])
@@ -148,15 +160,17 @@ def test_errors_name_options_and_not_python_arguments(
     ],
 )
 def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], arguments: Any) -> None:
-    """argparse says what is allowed."""
+    """One line says what is allowed, or where to read it; it does not repeat the usage."""
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
-    assert "usage: maplines" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.match(r"maplines( \w+)*: error: ", line)
+    assert re.search(r"did you mean|from|see 'maplines .*--help'", line)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "usage", "hint"),
+    ("arguments", "command", "hint"),
     [
         (["demo", "--rat", "5"], "maplines demo", "did you mean --rate?"),
         (["receive", "--channell=vcan0"], "maplines receive", "did you mean --channel?"),
@@ -177,14 +191,14 @@ def test_wrong_usage_is_status_2(capsys: pytest.CaptureFixture[str], arguments: 
     ],
 )
 def test_item_11_an_unknown_option_is_an_error_of_its_command(
-    capsys: pytest.CaptureFixture[str], arguments: Any, usage: str, hint: str
+    capsys: pytest.CaptureFixture[str], arguments: Any, command: str, hint: str
 ) -> None:
-    """The usage is that of the command, and the error names the closest option."""
+    """The one line names the command, and the closest option."""
     with pytest.raises(SystemExit, match="2"):
         main(arguments)
-    err = capsys.readouterr().err
-    assert err.startswith(f"usage: {usage} [-h]")
-    assert hint in err.splitlines()[-1]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{command}: error: ")
+    assert hint in line
 
 
 def test_an_unknown_command_is_answered_with_the_known_ones(
@@ -195,6 +209,43 @@ def test_an_unknown_command_is_answered_with_the_known_ones(
         main(["fly"])
     err = capsys.readouterr().err
     assert all(f"'{name}'" in err for name in [*COMMANDS, "study"])
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        pytest.param("decode nofile.blf", "did you mean drive.blf?", id="log"),
+        pytest.param("consume steer drvie.blf --dbc maplines-pose.dbc", "drive.blf?", id="typo"),
+        pytest.param("accuracy drive.bfl.csv drive.blf", "did you mean drive.blf.csv?", id="truth"),
+        pytest.param("decode x/a.log", "'maplines drive --as-fast-as-possible --record x/a.log'",
+                     id="record one"),
+        pytest.param("decode --dbc=maplines-poes.dbc drive.blf", "mean maplines-pose.dbc?",
+                     id="DBC"),
+        pytest.param("decode --dbc x/a.dbc drive.blf", "this package has maplines.dbc", id="DBCs"),
+        pytest.param("drive twon.xodr --record a.log", "did you mean town.xodr?", id="map"),
+        pytest.param("map x/a.osm", "this package has town.xodr", id="maps"),
+        pytest.param("drive --drive car.csv --record a.log", "looked for in", id="drive"),
+        pytest.param("receive --interface sockcan --channel can0", "did you mean socketcan?",
+                     id="interface"),
+        pytest.param("receive --interface xyz", "it has canalystii", id="interfaces"),
+        pytest.param("drive --as-fast-as-possible", "add --record FILE", id="nothing kept"),
+    ],
+)  # fmt: skip
+def test_an_error_says_what_to_do(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    words: str,
+    hint: str,
+) -> None:
+    """A file or an interface that does not exist: the one that may be meant, or those there are."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("drive.blf", "drive.blf.csv"):
+        (tmp_path / name).touch()
+    assert main(words.split()) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("maplines: error: ")
+    assert hint in line
 
 
 def test_interrupt_ends_cleanly(channel: str) -> None:

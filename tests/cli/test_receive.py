@@ -57,6 +57,40 @@ def test_item_11_nothing_received_is_an_error(
     assert "--fd" in last
 
 
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_a_receiver_without_a_line_says_why_once(
+    capsys: pytest.CaptureFixture[str],
+    channel: str,
+    monkeypatch: pytest.MonkeyPatch,
+    options: list[str],
+) -> None:
+    """Before it ends: it has no --timeout in daily use. A receiver of lines says nothing."""
+    monkeypatch.setattr("maplines_can.cli.receive.SILENCE", 0.05)
+    bus = ["--interface", "virtual", "--channel", channel, *options]
+    assert main(["receive", *bus, "--timeout", "0.3"]) == 1
+    assert main(["receive", *bus, "--timeout", "0.3", "--fd"]) == 1
+    rows = capsys.readouterr().err.splitlines()
+    notes = [row for row in rows if "no line for 0.05 s: no frame has arrived" in row]
+    assert ["--fd" in note for note in notes] == [True, False]
+    assert rows.index(notes[0]) < rows.index("maplines: no line for 0.3 s")
+
+
+def test_a_receiver_of_frames_that_it_cannot_read_says_why(
+    capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frames of its CAN IDs that complete no line, with the reasons for which they are dropped."""
+    monkeypatch.setattr("maplines_can.cli.receive.SILENCE", 0.05)
+    with (
+        Link(interface="virtual", channel=channel) as link,
+        Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
+    ):
+        transmitter.publish(scene_lines(scenario("highway"), 1))
+        bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
+        assert main(["receive", *bus, "--timeout", "1"]) == 1
+    (note,) = [row for row in capsys.readouterr().err.splitlines() if "no line for 0.05 s" in row]
+    assert re.search(r"\d+ frames have arrived, but none completed a line \(dropped: \d", note)
+
+
 @pytest.mark.usefixtures("patient_timeout")
 def test_item_11_frames_without_a_line_are_an_error(
     capsys: pytest.CaptureFixture[str], channel: str

@@ -19,9 +19,9 @@ from .pose_layout import PoseLayout
 from .pose_records import ConditionalRecord, PoseRecord
 from .signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
 
-#: Steps of the ends of the valid range [1/m]. The ends are moved inwards to one, so that a range that
-#: is computed from decoded values does not exceed that of the sender. By a division, an end is the
-#: floating-point number next to the decimal: -19.9, not -19.900000000000002 = -199 * 0.1.
+#: Steps of the ends of the valid range [1/m]. The ends are moved inwards to the next one, so that a
+#: range that is computed from decoded values does not exceed that of the sender. A division gives
+#: the floating-point number nearest to the decimal: -19.9, where -199 * 0.1 is -19.900000000000002.
 STEPS = 10
 #: Least derivative of Beta with respect to the heading of the car; that of a straight line is 1.
 LEAST_TURN = 0.1
@@ -81,7 +81,7 @@ class SceneReader:
             decoded.own_covs,
             heading_sigma,
         )
-        x_min = np.ceil(x_ranges[:, 0] * STEPS) / STEPS
+        x_min = np.ceil(x_ranges[:, 0] * STEPS) / STEPS + 0.0  # without -0.0
         x_max = np.floor(x_ranges[:, 1] * STEPS) / STEPS
         age = self.age(pose)
         lines = []
