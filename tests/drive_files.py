@@ -41,8 +41,8 @@ def town(folder: Path, header: str = "") -> str:
 
 
 def run(capsys: Any, *options: str, status: int = 0) -> Any:
-    """Run ``maplines drive --json`` and return its result, or its standard error."""
-    assert main(["drive", *options, "--json"]) == status
+    """Run ``maplines drive --json --force`` and return its result, or its standard error."""
+    assert main(["drive", *options, "--json", "--force"]) == status
     captured = capsys.readouterr()
     return json.loads(captured.out) if not status else captured.err
 

@@ -103,7 +103,7 @@ def candump(arguments: argparse.Namespace, path: Path) -> Iterator[Any]:
 def transmit(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Let a process send the drive, and receive it; return the figures."""
     log, truth, dump = (folder / name for name in ("drive.log", "truth.csv", "candump.log"))
-    command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--lines", "4"]
+    command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--force", "--lines", "4"]
     command += ["--record", str(log), "--truth", str(truth), "--seed", str(arguments.seed)]
     command += ["--rate", str(arguments.rate)] + ["--fd"] * arguments.fd
     for name in ("seconds", "route"):

@@ -17,7 +17,7 @@ from ..study.drives.evaluation import accuracy_of
 from ..study.drives.text import as_text
 from ..study.drives.truth import read_truth
 from ..wire import Decoder
-from .fitting_dbc import MOST_IDS, why_no_line
+from .fitting_dbc import MOST_IDS, dbc_hint
 from .options import add_codec, add_cycle, add_json, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
 from .overwriting import add_force, check_new
@@ -100,8 +100,10 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     if not accuracy.received:
         dropped = sum((decoder.counts for decoder in decoders.values()), start=Counter())
         counts = counts_text({reason.name: n for reason, n in dropped.items()})
-        why = f"; {why_no_line(can_ids, codec)}" if can_ids else ""
-        raise LogError(f"{arguments.log}: has no lines; frames dropped: {counts}{why}")
+        hint = dbc_hint(can_ids, codec) if can_ids else ""
+        raise LogError(
+            f"{arguments.log}: has no lines; frames dropped: {counts}{'; ' * bool(hint)}{hint}"
+        )
     if arguments.plot:
         from ..study.drives.plot import draw_accuracy
 

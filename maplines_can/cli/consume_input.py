@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from ..bus import Link, Receiver, read_log
 from ..input_files import lines_of
 from ..wire import Codec, Monitor, SceneView
-from .fitting_dbc import MOST_IDS, why_no_line
+from .fitting_dbc import MOST_IDS, dbc_hint
 from .options import (
     add_bus,
     add_codec,
@@ -119,9 +119,11 @@ class Input:
             )
         if not (decoder.lines or decoder.pose_errors):
             counts = {reason.name: count for reason, count in decoder.counts.items()}
+            hint = dbc_hint(self._can_ids or codec.can_ids, codec)
             return (
                 f"none of {decoder.frames} frames completed a line (dropped: "
-                f"{counts_text(counts)}); {why_no_line(self._can_ids or codec.can_ids, codec)}"
+                f"{counts_text(counts)}); "
+                + (hint or "check whether --dbc and the keys are those of the sender")
             )
         if not decoder.pose_errors:
             return SENDER

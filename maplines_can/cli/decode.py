@@ -15,7 +15,7 @@ from ..bus import read_log
 from ..errors import LogError
 from ..line import MapLine
 from ..wire import Decoder, Monitor, SceneView
-from .fitting_dbc import MOST_IDS, why_no_line
+from .fitting_dbc import MOST_IDS, dbc_hint
 from .options import (
     add_codec,
     add_cycle,
@@ -152,8 +152,8 @@ def _decode(arguments: argparse.Namespace) -> int:
         )
     _summarize(decoders, last_ns)
     is_empty = not any(decoder.lines or decoder.pose_errors for decoder in decoders.values())
-    if not status and can_ids and is_empty:
-        note(f"error: {arguments.log}: {why_no_line(can_ids, codec)}")
+    if not status and can_ids and is_empty and (hint := dbc_hint(can_ids, codec)):
+        note(f"error: {arguments.log}: {hint}")
         return 1
     return status
 

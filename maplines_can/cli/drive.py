@@ -127,7 +127,7 @@ def add_drive(commands: Any) -> None:
     option_group(parser, "bus").add_argument(
         "--as-fast-as-possible",
         action="store_true",
-        help="do not wait, and use no bus: only --record or --truth",
+        help="do not wait, and use no bus: only --record, --truth or --json",
     )
     add_force(parser)
     add_json(parser, "the counters")
@@ -139,11 +139,6 @@ def _drive(arguments: argparse.Namespace) -> int:
         raise ValueError(
             "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
             "--record for a log"
-        )
-    if fast and not (arguments.record or arguments.truth):
-        raise ValueError(
-            "--as-fast-as-possible uses no bus, and nothing would be kept; add --record FILE, such "
-            "as --record drive.blf, or leave it out to send in real time"
         )
     check_way(arguments)
     check_stated_pose(arguments)
@@ -163,6 +158,11 @@ def _drive(arguments: argparse.Namespace) -> int:
         note(f"{found.name}: {len(found.skipped)} parts of the file are not used")
     slots = tuple(Slot)[: arguments.lines]
     components = _components(codec, slots, arguments)
+    if fast and not (arguments.record or arguments.truth or arguments.json):
+        raise ValueError(
+            "--as-fast-as-possible uses no bus, and nothing would be kept; add --record FILE, such "
+            "as --record drive.blf, or leave it out to send in real time (--json prints counters)"
+        )
     way, route = way_of(found, arguments)
     states = states_of(way, arguments)
     as_scene = sends_scenes(codec, arguments)

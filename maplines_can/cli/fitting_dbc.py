@@ -11,8 +11,8 @@ from .options import SHIPPED, codec_from
 MOST_IDS = 4096
 
 
-def why_no_line(can_ids: AbstractSet[int], codec: Codec) -> str:
-    """Return why frames give no line, and what to do.
+def dbc_hint(can_ids: AbstractSet[int], codec: Codec) -> str:
+    """Return whose frames they are if not those of a codec, and what to do; otherwise nothing.
 
     Args:
         can_ids: of the frames.
@@ -29,7 +29,4 @@ def why_no_line(can_ids: AbstractSet[int], codec: Codec) -> str:
             f"no frame has a CAN ID of {source}, nor of another DBC of this package; take the "
             "--dbc of the sender"
         )
-    return (
-        f"frames with the CAN IDs of {source} complete no line; check whether --dbc and the keys "
-        "are those of the sender"
-    )
+    return ""

@@ -280,7 +280,7 @@ def test_ctrl_c_ends_a_drive(
     log, truth = tmp_path / "drive.log", tmp_path / "truth.csv"
     for options in (["--as-fast-as-possible"], []):
         more = [*options, "--record", str(log), "--truth", str(truth)]
-        assert main(["drive", town(tmp_path), *more, "--json"]) == 0
+        assert main(["drive", town(tmp_path), *more, "--json", "--force"]) == 0
         captured = capsys.readouterr()
         result = json.loads(captured.out)
         assert result["stopped"] is True
@@ -318,7 +318,8 @@ def test_a_drive_beside_the_roads_is_told(
     """Within the extent of the map, but with no lane near."""
     drive = tmp_path / "car.csv"
     drive.write_text("time,x,y,heading\n0,100,60,0\n1,110,60,0\n2,120,60,0\n")
-    assert main(["drive", town(tmp_path), "--drive", str(drive), "--as-fast-as-possible"]) == 0
+    fast = ["--as-fast-as-possible", "--json"]
+    assert main(["drive", town(tmp_path), "--drive", str(drive), *fast]) == 0
     assert "in 100 % of the cycles no lane is near the car" in capsys.readouterr().err
 
 
@@ -386,6 +387,20 @@ def test_a_wrong_sigma_is_refused(capsys: pytest.CaptureFixture[str], sigma: str
     assert "--sigma" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("options", [[], ["town.xodr"]])
+def test_the_town_is_driven_through_as_a_whole(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    options: list[str],
+) -> None:
+    """On the tour of the package, with its name or without; where it stays on its lane."""
+    monkeypatch.chdir(tmp_path)
+    fast = [*options, "--as-fast-as-possible", "--seconds", "1", "--truth", "truth.csv"]
+    assert main(["drive", *fast]) == 0
+    assert "town.xodr from lane 15:0:-1 to 442:0:-1" in capsys.readouterr().err
+
+
 def test_a_map_without_lanes_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "lines.csv"
     path.write_text("line,x,y\n" + "".join(f"0,{x},2\n" for x in range(9)))
@@ -395,6 +410,7 @@ def test_a_map_without_lanes_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
 def test_the_text_has_all_counters(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without --json; the random route of a seed is told."""
     options = ["--seed", "3", "--seconds", "2", "--faults", "loss=0.1"]
+    options += ["--record", str(tmp_path / "drive.log")]
     assert main(["drive", town(tmp_path), *FAST[:1], *options]) == 0
     captured = capsys.readouterr()
     assert re.search(r"map.xodr from lane 1:0:", captured.err)
@@ -425,7 +441,8 @@ def test_the_pose_of_a_localisation_is_sent(
     assert result["measurements"]["odometry"]["USED"] > 300
     assert result["measurements"]["line"]["USED"] > 50
     assert result["pose_errors"] == 160
-    assert main(["drive", town(tmp_path), *FAST[:-1], "2", "--localise"]) == 0
+    truth = ["--truth", str(tmp_path / "truth.csv")]
+    assert main(["drive", town(tmp_path), *FAST[:-1], "2", "--localise", *truth]) == 0
     assert "odometry" in capsys.readouterr().out
 
 

@@ -1,6 +1,7 @@
 """Loading: the content shows the format, and what cannot be loaded is one clear error."""
 
 import gzip
+import hashlib
 import sys
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from xodr_files import document, road
 
 import maplines_can as ml
 from maplines_can.maps.load import FORMATS
+from maplines_can.study.files import read_map
 
 TEXT = document(road())
 
@@ -157,3 +159,19 @@ def test_the_list_of_what_is_not_used_ends(path: Path, monkeypatch: pytest.Monke
 def test_formats_are_modules_with_a_reader() -> None:
     assert "OpenDRIVE" in [form.name for form in FORMATS]
     assert len({form.name for form in FORMATS}) == len(FORMATS)
+
+
+def test_the_map_of_the_package_is_found_by_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a map is loaded, in a folder without such a file; a file of that name comes first."""
+    monkeypatch.chdir(tmp_path)
+    assert ml.maps.load("town.xodr").lanes.keys() == ml.maps.load(ml.maps.town_path()).lanes.keys()
+    lines, sha256 = read_map(Path("town.xodr"))
+    assert len(lines) > 100
+    assert sha256 == hashlib.sha256(ml.maps.town_path().read_bytes()).hexdigest()
+    with pytest.raises(FileNotFoundError):
+        ml.maps.load("other/town.xodr")
+
+    Path("town.xodr").write_text(TEXT)
+    assert len(ml.maps.load("town.xodr").lanes) < 10
