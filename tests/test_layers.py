@@ -67,7 +67,8 @@ ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.sc
 ego.scan_matching ego
 consumers.consistency consumers.plausibility consumers.path consumers.curvature_limiter
 consumers.steering consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
-cli.output cli.parsing cli.options cli.production cli.report cli.scenarios cli.scene_sending
+cli.output cli.parsing cli.options cli.overwriting cli.fitting_dbc cli.missing_files
+cli.truth_paths cli.production cli.report cli.scenarios cli.scene_sending
 cli.sending cli.stderr cli.stated_pose
 cli.driving cli.ways cli.consume_input cli.consume_camera cli.consume_motion
 cli.consume_check cli.consume_steer cli.consume_fusion

@@ -129,12 +129,8 @@ class BusFactory:
                     "no CAN interface is given; pass interface=... and channel=..., set "
                     "CAN_INTERFACE and CAN_CHANNEL, or write them to ~/.canrc"
                 ) from error
-            if (name := given.get("interface")) not in (None, *can.VALID_INTERFACES):
-                known = sorted(can.VALID_INTERFACES)
-                like = get_close_matches(str(name), known, 1)
-                hint = f"did you mean {like[0]}?" if like else f"it has {', '.join(known)}"
-                raise BusError(f"python-can has no interface {name!r}; {hint}") from error
-            raise BusError(f"the CAN interface cannot be opened: {error_text(error)}") from error
+            text = f"the CAN interface cannot be opened: {error_text(error)}"
+            raise BusError(f"{text}{_interface_hint(given.get('interface'))}") from error
         self.name = " ".join(str(config[k]) for k in ("interface", "channel") if config[k])
         self.fd = bool(config.get("fd"))
         self.is_virtual = config["interface"] == "virtual"
@@ -144,3 +140,12 @@ class BusFactory:
                 raise BusError("socketcan needs a channel, such as channel='can0'")
             self._channel = str(config["channel"])
         return lambda: opener(ignore_config=True, **config)
+
+
+def _interface_hint(name: object) -> str:
+    """Return what python-can has instead of an interface that it does not have; else nothing."""
+    known = sorted(can.VALID_INTERFACES)
+    if name is None or name in known:
+        return ""
+    like = get_close_matches(str(name), known, 1)
+    return f"; did you mean {like[0]}?" if like else f"; python-can has {', '.join(known)}"

@@ -154,10 +154,9 @@ def test_a_dbc_that_fits_no_frame_is_an_error_that_names_the_one_that_does(
     assert out == ""
     assert f"take --dbc {sender}" in error
     assert ("key" in error) == ("secoc" in sender)
-    assert main(["consume", "steer", str(log), "--dbc", "maplines-pose.dbc"]) == (
-        0 if sender == "maplines-pose.dbc" else 1
-    )
-    assert ("take --dbc" in capsys.readouterr().err) == (sender != "maplines-pose.dbc")
+    if sender != "maplines-pose.dbc":
+        assert main(["consume", "steer", str(log), "--dbc", "maplines-pose.dbc"]) == 1
+        assert f"take --dbc {sender}" in capsys.readouterr().err
 
 
 def test_a_dbc_of_someone_else_is_named_as_none_of_ours(

@@ -227,7 +227,7 @@ def test_an_unknown_command_is_answered_with_the_known_ones(
         pytest.param("drive --drive car.csv --record a.log", "looked for in", id="drive"),
         pytest.param("receive --interface sockcan --channel can0", "did you mean socketcan?",
                      id="interface"),
-        pytest.param("receive --interface xyz", "it has canalystii", id="interfaces"),
+        pytest.param("receive --interface xyz", "python-can has canalystii", id="interfaces"),
         pytest.param("drive --as-fast-as-possible", "add --record FILE", id="nothing kept"),
     ],
 )  # fmt: skip
