@@ -65,9 +65,9 @@ print the counters.
 
 The drive follows --route, or is recorded in a file (--drive); otherwise it leads through all of
 {TOWN}, the map of this package, or {TOUR / 1000:g} km through another map on a route chosen at
-random (--seed). The car knows its pose with errors of the standard
-deviations --sigma, correlated in time, or from a localisation (--localise); each line is sent as
-the Gaussian that follows from them.
+random (--seed). The car knows its pose with errors of the standard deviations --sigma, correlated
+in time, or from a localisation (--localise); each line is sent as the Gaussian that follows from
+them.
 
 By default the lines are sent in real time on a bus within this process; choose another one by
 --interface and --channel. With --as-fast-as-possible there is no bus, only --record: the log has
