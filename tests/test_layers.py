@@ -65,7 +65,8 @@ ego.localisation.observation_models ego.localisation.correlation ego.localisatio
 ego.localisation ego.simulated_sensors ego.simulated_localisation
 ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
 ego.scan_matching ego
-consumers.consistency consumers.plausibility consumers.path consumers.curvature_limiter
+consumers.error_times consumers.consistency consumers.plausibility consumers.path
+consumers.curvature_limiter
 consumers.steering consumers.lane_filter consumers.lane_fusion consumers.integrity consumers
 cli.output cli.parsing cli.options cli.overwriting cli.fitting_dbc cli.missing_files
 cli.truth_paths cli.production cli.report cli.scenarios cli.scene_sending

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..consumers.consistency import SLOW, CameraNoise
 from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
 from ..gaussian import Gaussian
 from ..line import MapLine, Slot, transform_line_or_nan
@@ -40,8 +41,13 @@ Camera = Callable[[Cycle], Image | None]
 
 DESCRIPTION = f"""\
 Compare received map lines with the lines of a camera, and print whether they contradict each other.
-The number of false alarms per hour is as designed. The exit status is 3 if there was an alarm. A
-change of the outcome has a row of its own.
+There are at most as many false alarms per hour as designed, if the errors are as stated. The exit
+status is 3 if there was an alarm. A change of the outcome has a row of its own.
+
+The noise of the camera may last for up to --noise-time, and have outliers unless --gaussian-noise
+is given; the pose error may last for up to --pose-time. Whoever knows that errors are smaller finds
+faults sooner: with --noise-time 0 --gaussian-noise --pose-time 0, noise is white and Gaussian, and
+the pose error lasts as its sender says.
 
 The motion of the car moves map lines to the time of the image; without --motion, --signals or
 --speed, the car stands. While signals on a bus are too old, nothing is compared.
@@ -84,6 +90,28 @@ def add_check(commands: Any) -> None:
         metavar="N",
         help="expected number of false alarms per hour, 1e-9 to 10 (default: 0.01)",
     )
+    add(
+        "--noise-time",
+        type=number(float, 0, SLOW),
+        default=CameraNoise().correlation_time,
+        metavar="S",
+        help="longest correlation time of the camera's noise [s], 0 for white noise (default: "
+        "%(default)g)",
+    )
+    add(
+        "--gaussian-noise",
+        action="store_true",
+        help="the camera's noise has no heavy tails (default: up to those of Student's t with 4 "
+        "degrees of freedom)",
+    )
+    add(
+        "--pose-time",
+        type=number(float, 0, 1e4),
+        default=SLOW,
+        metavar="S",
+        help="longest time for which the pose error may last [s], 0 for the time that the sender "
+        "states (default: %(default)g)",
+    )
     add_motion(parser)
 
 
@@ -91,7 +119,14 @@ def _check(arguments: argparse.Namespace) -> int:
     check_camera(arguments)
     counts: Counter[Outcome] = Counter()
     alarms, due, last = 0, 0.0, None
-    source, check = Input(arguments), PlausibilityCheck(arguments.false_alarms)
+    source = Input(arguments)
+    check = PlausibilityCheck(
+        arguments.false_alarms,
+        camera_noise=CameraNoise(
+            arguments.noise_time, heavy_tails=not arguments.gaussian_noise, period=PERIOD
+        ),
+        longest_pose_time=arguments.pose_time,
+    )
     with (
         motion_of(arguments, Motion(0.0, 0.0)) as motion,
         camera_of(arguments) as new_lines,

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections import deque
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 from scipy.special import chdtri
+
+from .error_times import cover
 
 #: Correlation times of what lines and cameras have of their own [s]. An error of a map changes
 #: within some 20 m, or hardly within a kilometre.
@@ -20,6 +22,8 @@ FAST, SLOW = 1.0, 30.0
 #: In longer windows, the test would find what it is not for, such as small errors that last
 #: longer than the model says.
 CORRELATION_TIMES = 8.0
+#: Longest correlation time that counts for the windows [s].
+LONGEST_TIME = 60.0
 #: The shortest window of more than one cycle [s].
 SHORTEST = 0.125
 #: Ratio of the lengths of windows. With 2, every tenth alarm would be that of two windows.
@@ -27,6 +31,49 @@ RATIO = 4.0
 #: Most false alarms that can be designed [1/h].
 MOST_ALARMS = 10.0
 HOUR = 3600.0
+#: Most correlation times of the pose error in the state, if a range of them is stated.
+POSE_NODES = 3
+#: Numbers of images in the sums that are tested in each image, in Gaussian noise and with heavy
+#: tails.
+SINGLE, SPANS = (1,), (4, 6, 8)
+#: Probability with which a Gaussian innovation counts as an outlier, if there are heavy tails. With
+#: 0.01, sums of four images of Student's t fail up to twice as often as those of Gaussian ones.
+OUTLIERS = 0.02
+
+
+@dataclass(frozen=True)
+class CameraNoise:
+    """What is known of the noise of a camera's lines beyond its covariance.
+
+    The noise is a sum of independent parts whose covariances add up to the stated one, in any
+    shares. One of them is white; the others are Gaussian and last.
+
+    Args:
+        correlation_time: the longest one of the parts that last [s]; 0 if all noise is white.
+        heavy_tails: the white part has tails up to those of Student's t-distribution with four
+            degrees of freedom; else it is Gaussian.
+        period: least time between two images [s].
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    correlation_time: float = 1.0
+    heavy_tails: bool = True
+    period: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.correlation_time <= SLOW:
+            raise ValueError(
+                f"correlation_time must be 0 s to {SLOW:g} s, got {self.correlation_time!r}; state "
+                "errors that last for longer in CameraBias"
+            )
+        if not 0 < self.period < math.inf:
+            raise ValueError(f"period must be more than 0 s and finite, got {self.period!r}")
+
+
+#: Gaussian noise that is new in each image.
+WHITE_NOISE = CameraNoise(0.0, heavy_tails=False)
 
 
 class ResidualModel(NamedTuple):
@@ -53,32 +100,44 @@ class ResidualModel(NamedTuple):
 class ResidualFilter:
     """Kalman filter for residuals whose errors are Gauss-Markov processes.
 
-    The state s is (delta, f, g). Its prediction keeps the marginal covariance that the model states
-    for each cycle, also where that changes, and turns the pose error with the car:
+    The state s has the pose error delta, f, g, and the part of the noise that lasts, c. Where a
+    correlation time is known within a range only, the error is a sum of processes, each with a
+    state of its own; see ``cover``. The prediction keeps the marginal covariance that the model
+    states for each cycle, also where that changes, and turns the pose error with the car:
 
         s' = E D R s + w,   E = exp(-dt / T),   cov(w) = S' - E D R S R^T D E
 
     with the stationary covariances S and S' of the two cycles, the rotation R of (along, across),
-    the ratio D of the standard deviations, and the diagonal matrix E for the times T of the three
-    errors. Without a fault, the innovations are white.
+    the ratio D of the standard deviations, and the diagonal matrix E for the times T of the
+    errors. Without a fault, the covariance of all whitened innovations together is at most the
+    identity, and it is the identity if all times are known.
+
+    If the noise has heavy tails, an outlier changes the state the less, the greater it is. So the
+    filter does not follow what jumps, either, and the sums of innovations find it.
 
     Args:
         batch: shape of the leading axes of the residuals. All of them have the same model, so the
             gain is computed once.
+        noise: what is known of the noise.
     """
 
-    def __init__(self, batch: tuple[int, ...] = ()) -> None:
-        self._batch = batch
+    def __init__(self, batch: tuple[int, ...] = (), noise: CameraNoise = WHITE_NOISE) -> None:
+        self._batch, self._noise = batch, noise
+        times, self._weight = cover(0.0, noise.correlation_time, noise.period)
+        self._camera = times[times > 0]
+        self._own_times = np.array([FAST, SLOW, *self._camera])
         self._keys: tuple[object, ...] = ()
-        self._mean = np.zeros((*batch, 3))
-        self._cov = self._stationary = np.zeros((3, 3))
-        self._G = np.zeros((0, 3))
+        self._pose_blocks = np.zeros((POSE_NODES, 3, 3))  # stationary covariances
+        self._own_blocks = np.zeros((len(self._own_times), 0, 0))
+        self._mean = np.zeros((*batch, 3 * POSE_NODES))
+        self._cov = np.zeros((3 * POSE_NODES,) * 2)
+        self._G = np.zeros((0, 3 * POSE_NODES))
 
     def predict(
         self,
         model: ResidualModel,
         dt: float,
-        correlation_time: float,
+        correlation_time: float | tuple[float, float],
         turn: float = 0.0,
         keys: tuple[object, ...] | None = None,
     ) -> None:
@@ -87,59 +146,129 @@ class ResidualFilter:
         Args:
             model: of that cycle.
             dt: time since the last one [s].
-            correlation_time: of the pose error [s].
+            correlation_time: of the pose error, or the shortest and the longest that it may have
+                [s].
             turn: of the car since the last one [rad].
             keys: identities of the residuals; errors of new ones are unknown. None: the same ones.
         """
         n = len(model.H)
-        stationary = block_diag(model.pose_cov, model.fast_cov, model.slow_cov)
         keys = tuple(range(n)) if keys is None else keys
         if keys != self._keys:
             self._select(keys)
+        times, weights = _pose_nodes(correlation_time, self._noise.period)
         c, s = math.cos(turn), math.sin(turn)
-        F = np.eye(3 + 2 * n)
-        F[:2, :2] = [[c, s], [-s, c]]
-        before = (F @ self._stationary @ F.T).diagonal()
-        ratio = np.divide(
-            stationary.diagonal(), before, out=np.zeros_like(before), where=before > 0
+        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        camera = np.broadcast_to(self._weight * model.noise_cov, (len(self._camera), n, n))
+        own = np.stack([model.fast_cov, model.slow_cov, *camera])
+        F_pose, Q_pose, self._pose_blocks = _transition(
+            self._pose_blocks, weights[:, None, None] * model.pose_cov, np.exp(-dt / times), R
         )
-        times = np.repeat([correlation_time, FAST, SLOW], [3, n, n])
-        F *= (np.exp(-dt / times) * np.sqrt(ratio))[:, None]
-        # The errors are independent of each other, so all of these matrices have three blocks.
-        lost = stationary - F @ self._stationary @ F.T
-        ends = pairwise((0, 3, 3 + n, 3 + 2 * n))
-        noise = block_diag(*(positive_part(lost[a:b, a:b]) for a, b in ends))
+        F_own, Q_own, self._own_blocks = _transition(
+            self._own_blocks, own, np.exp(-dt / self._own_times), np.eye(n)
+        )
+        F = _block_diag(*F_pose, *F_own)
         self._mean = self._mean @ F.T
-        self._cov = F @ self._cov @ F.T + noise
-        self._stationary = F @ self._stationary @ F.T + noise
-        self._G = np.hstack([model.H, np.eye(n), np.eye(n)])
+        self._cov = F @ self._cov @ F.T + _block_diag(*Q_pose, *Q_own)
+        self._G = np.hstack([*[model.H] * POSE_NODES, *[np.eye(n)] * len(own)])
 
     def update(self, z: NDArray[np.float64], noise_cov: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Update with (..., n) residuals; return their (..., n) whitened innovations."""
+        """Update with (..., n) residuals; return their (..., n) whitened innovations.
+
+        Args:
+            z: the residuals.
+            noise_cov: (n, n) of the noise, as in the model.
+        """
         G, cov = self._G, self._cov
-        S = G @ cov @ G.T + noise_cov
+        white = noise_cov * self._weight
+        S = G @ cov @ G.T + white
         innovation = z - self._mean @ G.T
+        w = np.asarray(innovation @ np.linalg.inv(np.linalg.cholesky(S)).T)
         K = np.linalg.solve(S, G @ cov).T
+        if self._noise.heavy_tails:
+            innovation = innovation * outlier_weight(w)
         self._mean = self._mean + innovation @ K.T
         J = np.eye(len(cov)) - K @ G
-        self._cov = J @ cov @ J.T + K @ noise_cov @ K.T  # Joseph's form stays definite
-        return np.asarray(innovation @ np.linalg.inv(np.linalg.cholesky(S)).T)
+        self._cov = J @ cov @ J.T + K @ white @ K.T  # Joseph's form stays definite
+        return w
 
     def _select(self, keys: tuple[object, ...]) -> None:
         """Keep the state of the residuals that remain."""
         kept = [key for key in keys if key in self._keys]
+        blocks = range(len(self._own_blocks))
         of, to = (
             np.array(
-                [0, 1, 2, *(3 + b * len(all_) + all_.index(key) for b in (0, 1) for key in kept)]
+                [
+                    *range(3 * POSE_NODES),
+                    *(
+                        3 * POSE_NODES + b * len(all_) + all_.index(key)
+                        for b in blocks
+                        for key in kept
+                    ),
+                ]
             )
             for all_ in (self._keys, keys)
         )
-        mean = np.zeros((*self._batch, 3 + 2 * len(keys)))
+        size = 3 * POSE_NODES + len(blocks) * len(keys)
+        mean, cov = np.zeros((*self._batch, size)), np.zeros((size, size))
         mean[..., to] = self._mean[..., of]
-        covs = np.zeros((2, mean.shape[-1], mean.shape[-1]))
-        for cov, old in zip(covs, (self._cov, self._stationary), strict=True):
-            cov[np.ix_(to, to)] = old[np.ix_(of, of)]
-        self._mean, (self._cov, self._stationary), self._keys = mean, covs, keys
+        cov[np.ix_(to, to)] = self._cov[np.ix_(of, of)]
+        own = np.zeros((len(blocks), len(keys), len(keys)))
+        of, to = (np.array([all_.index(key) for key in kept], int) for all_ in (self._keys, keys))
+        own[:, to[:, None], to] = self._own_blocks[:, of[:, None], of]
+        self._mean, self._cov, self._own_blocks, self._keys = mean, cov, own, keys
+
+
+def _pose_nodes(
+    correlation_time: float | tuple[float, float], period: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (POSE_NODES,) times [s] and weights of the pose error; 0 for those not needed."""
+    shortest, longest = np.broadcast_to(correlation_time, 2).tolist()
+    found, weight = cover(shortest, longest, period, POSE_NODES)
+    times, weights = np.full(POSE_NODES, longest), np.zeros(POSE_NODES)
+    times[: len(found)], weights[: len(found)] = found, weight
+    return times, weights
+
+
+def _transition(
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    decay: NDArray[np.float64],
+    R: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the transitions of independent processes.
+
+    Args:
+        before: (b, n, n) their stationary covariances.
+        after: (b, n, n) those that the model states for the next cycle.
+        decay: (b,) autocorrelations.
+        R: (n, n) rotation between the cycles.
+
+    Returns:
+        (b, n, n) transition matrices, covariances of the process noise, and covariances after them.
+    """
+    turned = (R @ before @ R.T).diagonal(axis1=1, axis2=2)
+    stated = after.diagonal(axis1=1, axis2=2)
+    ratio = np.divide(stated, turned, out=np.zeros_like(turned), where=turned > 0)
+    F = (decay[:, None] * np.sqrt(ratio))[..., None] * R
+    kept = F @ before @ F.swapaxes(1, 2)
+    noise = positive_part(after - kept)
+    return F, noise, kept + noise
+
+
+def _block_diag(*blocks: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix of square blocks; SciPy's takes a third of the time of a cycle."""
+    found, at = np.zeros((sum(map(len, blocks)),) * 2), 0
+    for block in blocks:
+        end = at + len(block)
+        found[at:end, at:end] = block
+        at = end
+    return found
+
+
+def outlier_weight(w: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (..., 1) weights of (..., n) whitened innovations, less than 1 for outliers."""
+    square = (w**2).sum(axis=-1, keepdims=True)
+    return np.asarray(np.minimum(1.0, threshold(OUTLIERS, w.shape[-1]) / square.clip(1e-9)))
 
 
 class Verdict(NamedTuple):
@@ -180,15 +309,22 @@ class ConsistencyTest:
         ValueError: the number is not more than 0 and at most 10.
     """
 
-    def __init__(self, false_alarms: float, batch: tuple[int, ...] = ()) -> None:
+    def __init__(
+        self,
+        false_alarms: float,
+        batch: tuple[int, ...] = (),
+        noise: CameraNoise = WHITE_NOISE,
+    ) -> None:
         if not 0 < false_alarms <= MOST_ALARMS:
             raise ValueError(
                 f"false_alarms must be more than 0 and up to {MOST_ALARMS:g} per hour, "
                 f"got {false_alarms!r}"
             )
         self._rate = false_alarms / HOUR
-        self._batch = batch
-        self._filter = ResidualFilter(batch)
+        self._batch, self._noise = batch, noise
+        self._filter = ResidualFilter(batch, noise)
+        self._recent: dict[int, _Recent] = {}
+        self._spans = SPANS if noise.heavy_tails else SINGLE
         self._windows: dict[object, _Windows] = {}
         self._calm = np.full(batch, np.inf)  # time since a test failed [s]
 
@@ -197,7 +333,7 @@ class ConsistencyTest:
         z: NDArray[np.float64],
         model: ResidualModel,
         dt: float,
-        correlation_time: float,
+        correlation_time: float | tuple[float, float],
         turn: float = 0.0,
         keys: tuple[object, ...] | None = None,
     ) -> Verdict:
@@ -207,24 +343,59 @@ class ConsistencyTest:
             z: the residuals.
             model: their covariances.
             dt: time since the last ones [s].
-            correlation_time: of the pose error [s].
+            correlation_time: of the pose error, or the shortest and the longest that it may have
+                [s].
             turn: of the car within this time [rad].
             keys: identities of the residuals; None: the same as before.
         """
         self._filter.predict(model, dt, correlation_time, turn, keys)
         w = self._filter.update(z, model.noise_cov)
-        lengths = window_lengths(correlation_time)
+        lengths = window_lengths(float(np.max(correlation_time)))
         # Lines that come and go do not begin the windows of the others anew.
         key = (w.shape[-1] if keys is None else keys), len(lengths)
         if key not in self._windows:
             self._windows[key] = _Windows(lengths, self._batch, w.shape[-1])
-        share = self._rate / (len(lengths) + 1)
-        single = (w**2).sum(axis=-1) / threshold(share * min(dt, SHORTEST), w.shape[-1])
-        statistic = np.maximum(single, self._windows[key].add(w, dt, share))
+        share = self._rate / (len(lengths) + len(self._spans))
+        if self._noise.heavy_tails:
+            w = w * np.sqrt(outlier_weight(w))
+        recent = self._recent.setdefault(w.shape[-1], _Recent(self._spans)).add(w, dt, share)
+        statistic = np.maximum(recent, self._windows[key].add(w, dt, share))
         failed = statistic > 1
         alarmed = self._calm <= lengths[-1]
         self._calm = np.where(failed, 0.0, self._calm + dt)
         return Verdict(statistic, self._calm <= lengths[-1], failed & ~alarmed)
+
+
+class _Recent:
+    """Sums of the last whitened innovations, which are tested in each image.
+
+    Args:
+        spans: numbers of images.
+    """
+
+    def __init__(self, spans: tuple[int, ...]) -> None:
+        self.spans = spans
+        self._last: deque[NDArray[np.float64]] = deque(maxlen=max(spans))
+
+    def add(self, w: NDArray[np.float64], dt: float, rate: float) -> NDArray[np.float64]:
+        """Add (..., n) innovations; return the largest statistic of the sums that end with them.
+
+        Args:
+            w: whitened innovations.
+            dt: time since the last ones [s].
+            rate: false alarms per second for each span.
+
+        Returns:
+            (...,) in units of the thresholds.
+        """
+        self._last.appendleft(w)
+        limit = threshold(rate * min(dt, SHORTEST), w.shape[-1])
+        largest, total = np.zeros(w.shape[:-1]), np.zeros(w.shape)
+        for k, one in enumerate(self._last, 1):
+            total = total + one
+            if k in self.spans:
+                largest = np.maximum(largest, (total**2).sum(axis=-1) / (k * limit))
+        return largest
 
 
 class _Windows:
@@ -277,7 +448,7 @@ def window_lengths(correlation_time: float) -> NDArray[np.float64]:
     >>> window_lengths(1.0)
     array([ 0.125,  0.5  ,  2.   ,  8.   , 32.   ])
     """
-    longest = max(CORRELATION_TIMES * correlation_time, SLOW)
+    longest = max(CORRELATION_TIMES * min(correlation_time, LONGEST_TIME), SLOW)
     most = round(math.log(longest / SHORTEST, RATIO))
     return SHORTEST * RATIO ** np.arange(most + 1.0)
 
@@ -292,6 +463,6 @@ def threshold(probability: float, n: int) -> float:
 
 
 def positive_part(cov: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a symmetric matrix without its negative eigenvalues."""
-    values, vectors = np.linalg.eigh((cov + cov.T) / 2)
-    return np.asarray((vectors * values.clip(0)) @ vectors.T)
+    """Return (..., n, n) symmetric matrices without their negative eigenvalues."""
+    values, vectors = np.linalg.eigh((cov + cov.swapaxes(-1, -2)) / 2)
+    return np.asarray((vectors * values.clip(0)[..., None, :]) @ vectors.swapaxes(-1, -2))

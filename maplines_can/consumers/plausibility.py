@@ -16,7 +16,14 @@ from ..gaussian import Gaussian
 from ..line import MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
 from ..propagation.motion import Motion
 from ..scene import Scene
-from .consistency import ConsistencyTest, ResidualModel, positive_part, threshold
+from .consistency import (
+    SLOW,
+    CameraNoise,
+    ConsistencyTest,
+    ResidualModel,
+    positive_part,
+    threshold,
+)
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
@@ -26,10 +33,8 @@ LEAST_LENGTH = 4.0
 BEHIND = -2.0
 #: Least standard deviation of what a map line has of its own [m].
 OWN_SIGMA = 0.01
-#: Correlation time that is used if the stated one is longer or unknown [s].
-LONGEST_TIME = 60.0
-#: Within this time the state is forgotten [s].
-LONGEST_GAP = 10 * LONGEST_TIME
+#: Shortest and longest correlation time of the pose error if its sender does not know it [s].
+UNKNOWN_TIMES = (1.0, 600.0)
 #: Probability that the remaining lines are less plausible than the limit for ``Check.suspect``.
 REMAINING = 1e-3
 
@@ -90,20 +95,26 @@ class PlausibilityCheck:
     image. See ``ConsistencyTest`` for the test and ``ResidualFilter`` for the model.
 
     What a map line has of its own is taken to last for any time from 1 s to 30 s, and the bias of
-    the camera for 30 s.
+    the camera for 30 s. The pose error may last for longer than its sender states, and the noise of
+    the camera for more than an image, with outliers. All of this delays a detection: who knows more
+    states less.
 
     Args:
         false_alarms: expected number [1/h].
         camera_bias: lasting errors of the camera.
+        camera_noise: what is known of the noise of an image.
+        longest_pose_time: the pose error lasts for any time from the stated one to this [s]; 0: for
+            the stated time.
 
     Raises:
-        ValueError: the number is not more than 0 and at most 10.
+        ValueError: the number is not more than 0 and at most 10, or the time is out of range.
 
+    >>> from maplines_can.consumers.consistency import WHITE_NOISE
     >>> from maplines_can.scene import PoseError
     >>> pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2, correlation_time=5.0)
     >>> line = MapLine(0, Gaussian([1.75, 0, 0, 0], np.diag([0.011, 4e-6, 0, 0])))
     >>> scene = Scene([line], line.gaussian.cov, pose, [[-20, 80]])
-    >>> check = PlausibilityCheck(false_alarms=0.01)
+    >>> check = PlausibilityCheck(0.01, camera_noise=WHITE_NOISE, longest_pose_time=0.0)
     >>> seen = np.diag([0.05, 0.003, 1e-4, 1e-6]) ** 2
     >>> check.update(0.0, scene, {Slot.EGO_LEFT: Gaussian([1.70, 0, 0, 0], seen)}).outcome.name
     'CONSISTENT'
@@ -113,9 +124,15 @@ class PlausibilityCheck:
 
     false_alarms: float = 0.01
     camera_bias: CameraBias = field(default_factory=CameraBias)
+    camera_noise: CameraNoise = field(default_factory=CameraNoise)
+    longest_pose_time: float = SLOW
 
     def __post_init__(self) -> None:
-        self._test = ConsistencyTest(self.false_alarms)
+        if not 0 <= self.longest_pose_time < math.inf:
+            raise ValueError(
+                f"longest_pose_time must be finite and 0 s or more, got {self.longest_pose_time!r}"
+            )
+        self._test = ConsistencyTest(self.false_alarms, noise=self.camera_noise)
         self._t = self._compared = -math.inf
         self._turn = 0.0  # of the car since the last comparison [rad]
 
@@ -156,8 +173,8 @@ class PlausibilityCheck:
         verdict = self._test.step(
             z,
             model,
-            min(t - self._compared, LONGEST_GAP),
-            min(scene.pose_error.correlation_time, LONGEST_TIME),
+            t - self._compared,
+            pose_times(scene.pose_error.correlation_time, self.longest_pose_time),
             self._turn,
             keys,
         )
@@ -170,6 +187,19 @@ class PlausibilityCheck:
             slots,
             suspect_of(z, model, slots) if alarm else None,
         )
+
+
+def pose_times(stated: float, longest: float) -> tuple[float, float]:
+    """Return the shortest and the longest correlation time that a pose error may have [s].
+
+    Args:
+        stated: by the sender; infinite if it is unknown [s].
+        longest: what a consumer takes to be possible [s].
+
+    >>> pose_times(5.0, 30.0), pose_times(45.0, 30.0)
+    ((5.0, 30.0), (45.0, 45.0))
+    """
+    return UNKNOWN_TIMES if math.isinf(stated) else (stated, max(stated, longest))
 
 
 def residuals(

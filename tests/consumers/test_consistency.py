@@ -13,6 +13,8 @@ from scipy.stats import chi2, kstest
 from maplines_can.consumers.consistency import (
     FAST,
     SLOW,
+    WHITE_NOISE,
+    CameraNoise,
     ConsistencyTest,
     ResidualFilter,
     ResidualModel,
@@ -32,14 +34,26 @@ MODEL = ResidualModel(
 )
 
 
-def drawn(steps: int, cars: int, seed: int = 0, model: ResidualModel = MODEL) -> np.ndarray:
-    """(steps, cars, n) residuals, drawn from the definition of the model."""
+def drawn(
+    steps: int,
+    cars: int,
+    seed: int = 0,
+    model: ResidualModel = MODEL,
+    pose_time: float = T,
+    noise_time: float = 0.0,
+    heavy: bool = False,
+) -> np.ndarray:
+    """(steps, cars, n) residuals, drawn from the definition of the model.
+
+    The noise of the images lasts for a time, or has Student's t-distribution.
+    """
     rng = np.random.default_rng(seed)
     z = np.zeros((steps, cars, len(model.H)))
     for cov, time, J in (
-        (model.pose_cov, T, model.H),
+        (model.pose_cov, pose_time, model.H),
         (model.fast_cov, FAST, np.eye(2)),
         (model.slow_cov, SLOW, np.eye(2)),
+        *([(model.noise_cov, noise_time, np.eye(2))] if noise_time else []),
     ):
         rho, root = math.exp(-DT / time), np.linalg.cholesky(cov)
         error = rng.standard_normal((cars, len(cov))) @ root.T
@@ -47,7 +61,12 @@ def drawn(steps: int, cars: int, seed: int = 0, model: ResidualModel = MODEL) ->
             z[k] += error @ J.T
             noise = rng.standard_normal((cars, len(cov))) @ root.T
             error = rho * error + math.sqrt(1 - rho**2) * noise
-    return z + rng.standard_normal(z.shape) @ np.linalg.cholesky(model.noise_cov).T
+    if noise_time:
+        return z
+    white = rng.standard_normal(z.shape)
+    if heavy:
+        white *= np.sqrt(2 / rng.chisquare(4, (steps, cars, 1)))
+    return z + white @ np.linalg.cholesky(model.noise_cov).T
 
 
 def test_the_first_innovation_has_the_marginal_covariance() -> None:
@@ -147,6 +166,61 @@ def test_false_alarms_are_as_designed() -> None:
         number += int(verdict.raised.sum())
         calm += (~verdict.alarm).sum() * DT / 3600
     assert abs(number - rate * calm) < 4 * math.sqrt(rate * calm)
+
+
+@pytest.mark.parametrize(
+    ("errors", "noise", "times"),
+    [
+        pytest.param({"noise_time": 0.3}, CameraNoise(1.0, heavy_tails=False), T, id="lasts-0.3s"),
+        pytest.param({"noise_time": 1.0}, CameraNoise(1.0, heavy_tails=False), T, id="lasts-1s"),
+        pytest.param({"noise_time": 0.3}, CameraNoise(), T, id="lasts-0.3s-and-tails-stated"),
+        pytest.param({"heavy": True}, CameraNoise(0.0), T, id="student-t4"),
+        pytest.param({"heavy": True}, CameraNoise(), T, id="student-t4-and-lasting-stated"),
+        pytest.param({"pose_time": 60.0}, WHITE_NOISE, (0.5, 60.0), id="pose-lasts-for-longer"),
+    ],
+)
+def test_errors_in_the_stated_range_raise_no_more_alarms(
+    errors: dict[str, float], noise: CameraNoise, times: float | tuple[float, float]
+) -> None:
+    """At 10 per hour, 400 cars for 75 s; who states less has at least 4 sigma more."""
+    cars, rate = 400, 10.0
+    numbers, calm = [], []
+    z = drawn(1500, cars, 8, **errors)  # type: ignore[arg-type]
+    for stated, time in ((noise, times), (WHITE_NOISE, np.min(times))):
+        test = ConsistencyTest(rate, (cars,), stated)
+        found = [test.step(row, MODEL, DT, time) for row in z]
+        numbers.append(sum(int(one.raised.sum()) for one in found))
+        calm.append(sum(int((~one.alarm).sum()) for one in found) * DT / 3600)
+    excess = (numbers - rate * np.array(calm)) / np.sqrt(rate * np.array(calm))
+    assert excess[0] < 3.3
+    assert excess[1] > 4
+
+
+def test_an_outlier_is_no_alarm_and_a_jump_is() -> None:
+    """Of 3 m, which is 40 sigma: for one image, and for good; the alarm lasts."""
+    cars = 50
+    z = drawn(400, cars, seed=9)
+    for duration, first in ((1, None), (300, 8)):
+        test = ConsistencyTest(0.01, (cars,), CameraNoise())
+        wrong = z.copy()
+        wrong[100 : 100 + duration] += 3.0
+        alarm = np.array([test.step(row, MODEL, DT, (T, SLOW)).alarm for row in wrong])
+        assert not alarm[:100].any()
+        assert alarm[100 + (first or 0) :].all() if first else not alarm.any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"correlation_time": -0.1}, "correlation_time must be 0 s to 30 s"),
+        ({"correlation_time": 31.0}, "correlation_time must be 0 s to 30 s"),
+        ({"correlation_time": math.nan}, "correlation_time must be 0 s to 30 s"),
+        ({"period": 0.0}, "period must be more than 0 s"),
+    ],
+)
+def test_wrong_noise_raises(options: dict[str, float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        CameraNoise(**options)  # type: ignore[arg-type]
 
 
 def test_a_step_is_found_at_once_and_stays() -> None:

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import quad
 from scipy.signal import lfilter
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from maplines_can.consumers.integrity import (
+    EXACT,
+    Tolerance,
     availability,
     multiplier,
     onset,
@@ -27,10 +30,89 @@ def test_an_onset_is_that_of_the_bivariate_normal(K: float, rho: float) -> None:
     assert onset(K, rho) == pytest.approx(math.erfc(K / math.sqrt(2)) - both, rel=1e-6)
 
 
-@given(st.floats(1e-12, 0.5), st.floats(0, 1000), st.floats(0.001, 10))
-def test_the_level_has_the_risk(risk: float, time: float, period: float) -> None:
-    K = multiplier(risk, time, period)
-    assert risk_bound(K, time, period) == pytest.approx(risk, rel=1e-6)
+tolerances = st.builds(Tolerance, st.floats(0, 1), st.floats(1, 2))
+
+
+@given(st.floats(1e-12, 0.5), st.floats(0, 1000), st.floats(0.001, 10), tolerances)
+def test_the_level_has_the_risk(
+    risk: float, time: float, period: float, tolerance: Tolerance
+) -> None:
+    K = multiplier(risk, time, period, tolerance)
+    assert risk_bound(K, time, period, tolerance) == pytest.approx(risk, rel=1e-6)
+
+
+@given(
+    risk=st.floats(1e-12, 0.5),
+    times=st.tuples(st.floats(0.01, 1000), st.floats(0.01, 1000)).map(sorted),
+    tolerance=tolerances,
+    where=st.tuples(*[st.floats(0, 1)] * 3),
+)
+def test_the_level_holds_in_the_whole_range(
+    risk: float, times: list[float], tolerance: Tolerance, where: tuple[float, ...]
+) -> None:
+    """For each time, share of white noise and sigma, at the ends and between them."""
+    level = float(protection_level(1.0, risk, times, tolerance=tolerance))
+    time = times[0] + where[0] * (times[1] - times[0])
+    true = Tolerance(
+        where[1] * tolerance.white_share,
+        1 + where[2] * (tolerance.sigma_ratio - 1),
+    )
+    assert risk_bound(level, time, tolerance=true) <= risk * (1 + 1e-6)
+
+
+@given(K=st.floats(0.01, 8), r=st.tuples(st.floats(0, 1), st.floats(0, 1)).map(sorted))
+def test_onsets_are_fewer_with_more_correlation(K: float, r: list[float]) -> None:
+    less, more = r
+    assert onset(K, more) <= onset(K, less) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("risk", [0.05, 1e-7])
+@pytest.mark.parametrize("spread", [0.05, 0.3])
+def test_a_random_sigma_is_integrated(risk: float, spread: float) -> None:
+    """Against the quadrature of SciPy; the level is at most 1 % too high."""
+    K = multiplier(risk, 5.0, tolerance=Tolerance(sigma_spread=spread))
+
+    def found(level: float) -> float:
+        def density(z: float) -> float:
+            return norm.pdf(z) * risk_bound(level * math.exp(-spread * z), 5.0)
+
+        return float(quad(density, -6, 9, limit=200, points=[0.0, 3.0, 6.0])[0])
+
+    assert found(K) <= risk
+    assert found(0.99 * K) > risk
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "time", "white", "ratio"),
+    [
+        pytest.param(Tolerance(), 20.0, 0.0, 1.0, id="as-stated"),
+        pytest.param(Tolerance(white_share=0.3), 20.0, 0.3, 1.0, id="white-share"),
+        pytest.param(Tolerance(white_share=0.3), 20.0, 0.1, 1.0, id="less-white-than-stated"),
+        pytest.param(Tolerance(), 5.0, 0.0, 1.0, id="shortest-time"),
+        pytest.param(Tolerance(), 10.0, 0.0, 1.0, id="between"),
+        pytest.param(Tolerance(sigma_ratio=1.3), 20.0, 0.0, 1.3, id="greater-sigma"),
+        pytest.param(Tolerance(sigma_spread=0.3), 20.0, 0.0, None, id="sigma-at-random"),
+    ],
+)
+def test_the_risk_is_kept_in_simulated_hours(
+    tolerance: Tolerance, time: float, white: float, ratio: float | None
+) -> None:
+    """3000 hours of 720 samples, at a level for 5 %; the exact level is not enough for sigmas."""
+    period, cars, rng = 5.0, 3000, np.random.default_rng(5)
+    noise = rng.standard_normal((cars, samples_of(period)))
+    rho = math.exp(-period / time)
+    noise[:, 1:] *= math.sqrt(1 - rho**2)
+    u = math.sqrt(1 - white) * lfilter([1.0], [1.0, -rho], noise, axis=1)
+    u += math.sqrt(white) * rng.standard_normal(u.shape)
+    u *= np.exp(0.3 * rng.standard_normal((cars, 1))) if ratio is None else ratio
+    largest = np.abs(u).max(axis=1)
+    shares = [
+        float((largest > protection_level(1.0, 0.05, (5.0, 20.0), period, one)).mean())
+        for one in (tolerance, EXACT)
+    ]
+    assert shares[0] < 0.05 + 3 * math.sqrt(0.05 * 0.95 / cars)
+    if ratio != 1:
+        assert shares[1] > 0.1
 
 
 def test_independent_samples_are_the_worst_case() -> None:
@@ -96,6 +178,10 @@ def test_levels_are_multiples_of_sigma() -> None:
         (lambda: protection_level(0.1, 0.0, 1.0), "risk must be more than 0"),
         (lambda: protection_level(0.1, 1e-5, -1.0), "correlation_time must be 0 s or more"),
         (lambda: protection_level(0.1, 1e-5, 1.0, 0.0), "period must be more than 0 s"),
+        (lambda: protection_level(0.1, 1e-5, (2.0, 1.0)), "the shortest and the longest one"),
+        (lambda: Tolerance(white_share=1.1), "white_share must be 0 to 1"),
+        (lambda: Tolerance(sigma_ratio=0.9), "sigma_ratio must be finite and 1 or more"),
+        (lambda: Tolerance(sigma_spread=math.nan), "sigma_spread must be 0 to 1"),
         (lambda: availability(0.1, 0.0), "alert_limit must be more than 0 m"),
     ],
 )

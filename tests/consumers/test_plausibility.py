@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers.consistency import WHITE_NOISE
 from maplines_can.consumers.plausibility import (
     CameraBias,
     Outcome,
@@ -80,17 +81,59 @@ def test_the_marginal_covers_that_of_the_scene() -> None:
         pytest.param({"EGO_LEFT": 0.8, "EGO_RIGHT": 0.8}, None, id="common-shift"),
     ],
 )
-def test_faults_are_found_in_the_first_image(shifts: dict[str, float], suspect: Any) -> None:
+@pytest.mark.parametrize(
+    ("known", "images"),
+    [
+        pytest.param({"camera_noise": WHITE_NOISE, "longest_pose_time": 0.0}, 1, id="as-stated"),
+        pytest.param({"camera_noise": WHITE_NOISE}, 1, id="white-camera"),
+        pytest.param({}, 4, id="default"),
+    ],
+)
+def test_faults_are_found_in_a_few_images(
+    shifts: dict[str, float], suspect: Any, known: Any, images: int
+) -> None:
+    """In the first one if the noise is known to be Gaussian, else in the fourth."""
     scene = lane_scene()
-    check = PlausibilityCheck()
+    check = PlausibilityCheck(**known)
     for k in range(20):
         assert check.update(0.05 * k, scene, camera(scene)).outcome is Outcome.CONSISTENT
-    found = check.update(1.0, scene, camera(scene, **shifts))
-    assert (found.outcome, found.raised) == (Outcome.INCONSISTENT, True)
-    assert found.suspect is suspect
-    assert found.statistic > 1
-    later = check.update(1.05, scene, camera(scene, **shifts))
-    assert (later.outcome, later.raised) == (Outcome.INCONSISTENT, False)
+    found = [check.update(1.0 + 0.05 * k, scene, camera(scene, **shifts)) for k in range(5)]
+    first = found[images - 1]
+    assert [one.raised for one in found].index(True) == images - 1
+    assert first.outcome is Outcome.INCONSISTENT
+    assert first.suspect is suspect
+    assert first.statistic > 1
+    assert (found[4].outcome, found[4].raised) == (Outcome.INCONSISTENT, False)
+
+
+@pytest.mark.parametrize(
+    ("time", "heavy"),
+    [
+        pytest.param(0.3, False, id="lasts-0.3s"),
+        pytest.param(1.0, False, id="lasts-1s"),
+        pytest.param(0.0, True, id="student-t4"),
+    ],
+)
+def test_no_alarm_if_the_noise_lasts_or_has_heavy_tails(time: float, heavy: bool) -> None:
+    """For 20 s at 10 per hour; if it is stated to be white and Gaussian, there is an alarm."""
+    scene, rng = lane_scene(), np.random.default_rng(2)
+    rho = math.exp(-0.05 / time) if time else 0.0
+    root = np.sqrt(NOISE.diagonal())
+    checks = [PlausibilityCheck(10.0), PlausibilityCheck(10.0, camera_noise=WHITE_NOISE)]
+    alarms, lasting = [0, 0], rng.standard_normal((2, 4))
+    for k in range(400):
+        new = rng.standard_normal((2, 4))
+        if heavy:
+            new *= np.sqrt(2 / rng.chisquare(4, (2, 1)))
+        lasting = rho * lasting + math.sqrt(1 - rho**2) * new
+        seen = {
+            slot: Gaussian(line.mean + root * noise, NOISE)
+            for (slot, line), noise in zip(camera(scene).items(), lasting, strict=True)
+        }
+        for i, check in enumerate(checks):
+            alarms[i] += check.update(0.05 * k, scene, seen).raised
+    assert alarms[0] == 0
+    assert alarms[1] > 0
 
 
 def test_agreement_with_noise() -> None:
@@ -133,7 +176,7 @@ def test_the_motion_of_an_outage_counts() -> None:
     """Turned by 90 deg without a camera: the lateral pose error may be another one now."""
 
     def statistic(yaw_rate: float) -> float:
-        check = PlausibilityCheck(camera_bias=CameraBias(0.0, 0.0))
+        check = PlausibilityCheck(camera_bias=CameraBias(0.0, 0.0), camera_noise=WHITE_NOISE)
         scene, t = lane_scene(time=50.0), 0.0
         scene = replace(
             scene, pose_error=replace(scene.pose_error, cov=np.diag([0.5, 0.5, 0.003]) ** 2)
@@ -163,3 +206,9 @@ def test_time_must_increase() -> None:
 def test_wrong_biases_raise(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be finite and 0"):
         CameraBias(**{name: value})
+
+
+@pytest.mark.parametrize("time", [-1.0, math.inf, math.nan])
+def test_a_wrong_longest_pose_time_raises(time: float) -> None:
+    with pytest.raises(ValueError, match="longest_pose_time must be finite and 0 s or more"):
+        PlausibilityCheck(longest_pose_time=time)
