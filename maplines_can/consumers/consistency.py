@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from .error_times import cover
+from .error_times import block_diag, cover, transition
 
 #: Correlation times of what lines and cameras have of their own [s]. An error of a map changes
 #: within some 20 m, or hardly within a kilometre.
@@ -80,9 +80,9 @@ class ResidualModel(NamedTuple):
     """Covariances of residuals ``z = H delta + f + g + v`` of a cycle, for n residuals.
 
     The error ``delta`` of the pose lasts for its correlation time, ``f`` for ``FAST`` and ``g`` for
-    ``SLOW``; ``v`` is white. An error of a line whose correlation time is not known, but between
-    both, is in ``f`` and in ``g`` with its full covariance: then the sum of their spectra is at
-    least 0.7 of its own at each frequency, and mostly more than it.
+    ``SLOW``; ``v`` is as ``CameraNoise`` says. An error of a line whose correlation time is not
+    known, but between both, is in ``f`` and in ``g`` with its full covariance: then the sum of
+    their spectra is at least 0.7 of its own at each frequency, and mostly more than it.
     """
 
     H: NDArray[np.float64]  #: (n, 3) derivative with respect to along, across and heading
@@ -160,15 +160,15 @@ class ResidualFilter:
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         camera = np.broadcast_to(self._weight * model.noise_cov, (len(self._camera), n, n))
         own = np.stack([model.fast_cov, model.slow_cov, *camera])
-        F_pose, Q_pose, self._pose_blocks = _transition(
+        F_pose, Q_pose, self._pose_blocks = transition(
             self._pose_blocks, weights[:, None, None] * model.pose_cov, np.exp(-dt / times), R
         )
-        F_own, Q_own, self._own_blocks = _transition(
+        F_own, Q_own, self._own_blocks = transition(
             self._own_blocks, own, np.exp(-dt / self._own_times), np.eye(n)
         )
-        F = _block_diag(*F_pose, *F_own)
+        F = block_diag(*F_pose, *F_own)
         self._mean = self._mean @ F.T
-        self._cov = F @ self._cov @ F.T + _block_diag(*Q_pose, *Q_own)
+        self._cov = F @ self._cov @ F.T + block_diag(*Q_pose, *Q_own)
         self._G = np.hstack([*[model.H] * POSE_NODES, *[np.eye(n)] * len(own)])
 
     def update(self, z: NDArray[np.float64], noise_cov: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -195,19 +195,13 @@ class ResidualFilter:
         """Keep the state of the residuals that remain."""
         kept = [key for key in keys if key in self._keys]
         blocks = range(len(self._own_blocks))
-        of, to = (
-            np.array(
-                [
-                    *range(3 * POSE_NODES),
-                    *(
-                        3 * POSE_NODES + b * len(all_) + all_.index(key)
-                        for b in blocks
-                        for key in kept
-                    ),
-                ]
-            )
-            for all_ in (self._keys, keys)
-        )
+
+        def places(every: tuple[object, ...]) -> NDArray[np.int64]:
+            first = (3 * POSE_NODES + b * len(every) for b in blocks)
+            own = (at + every.index(key) for at in first for key in kept)
+            return np.array([*range(3 * POSE_NODES), *own])
+
+        of, to = places(self._keys), places(keys)
         size = 3 * POSE_NODES + len(blocks) * len(keys)
         mean, cov = np.zeros((*self._batch, size)), np.zeros((size, size))
         mean[..., to] = self._mean[..., of]
@@ -229,42 +223,6 @@ def _pose_nodes(
     return times, weights
 
 
-def _transition(
-    before: NDArray[np.float64],
-    after: NDArray[np.float64],
-    decay: NDArray[np.float64],
-    R: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the transitions of independent processes.
-
-    Args:
-        before: (b, n, n) their stationary covariances.
-        after: (b, n, n) those that the model states for the next cycle.
-        decay: (b,) autocorrelations.
-        R: (n, n) rotation between the cycles.
-
-    Returns:
-        (b, n, n) transition matrices, covariances of the process noise, and covariances after them.
-    """
-    turned = (R @ before @ R.T).diagonal(axis1=1, axis2=2)
-    stated = after.diagonal(axis1=1, axis2=2)
-    ratio = np.divide(stated, turned, out=np.zeros_like(turned), where=turned > 0)
-    F = (decay[:, None] * np.sqrt(ratio))[..., None] * R
-    kept = F @ before @ F.swapaxes(1, 2)
-    noise = positive_part(after - kept)
-    return F, noise, kept + noise
-
-
-def _block_diag(*blocks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix of square blocks; SciPy's takes a third of the time of a cycle."""
-    found, at = np.zeros((sum(map(len, blocks)),) * 2), 0
-    for block in blocks:
-        end = at + len(block)
-        found[at:end, at:end] = block
-        at = end
-    return found
-
-
 def outlier_weight(w: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the (..., 1) weights of (..., n) whitened innovations, less than 1 for outliers."""
     square = (w**2).sum(axis=-1, keepdims=True)
@@ -280,7 +238,7 @@ class Verdict(NamedTuple):
 
 
 class ConsistencyTest:
-    """Chi-square test of residuals with a designed number of false alarms per hour.
+    """Chi-square test of residuals with at most a designed number of false alarms per hour.
 
     The innovations of ``ResidualFilter`` are whitened. Tested are each of them, and their sums in
     windows of 1/8, 1/2, 2, ... seconds, one after another, up to about 8 correlation times, and at
@@ -294,7 +252,11 @@ class ConsistencyTest:
     of one length are independent. A window of the length W fails with the probability
     ``rate W / J``; so each of the J lengths contributes the same number of false alarms per hour,
     and they add up to the designed one. Single innovations detect what jumps; the sums, what grows
-    or lasts.
+    or lasts. If a correlation time is known within a range only, the covariance of a sum is less
+    than that of white innovations, and so is the number of false alarms.
+
+    If the noise has heavy tails, an outlier counts with the length of ``OUTLIERS`` only, and the
+    sums of the last ``SPANS`` innovations take the place of each of them.
 
     Each set of residuals has windows of its own, in the time in which it is seen.
 
@@ -304,6 +266,7 @@ class ConsistencyTest:
     Args:
         false_alarms: expected number [1/h].
         batch: shape of the leading axes of the residuals.
+        noise: what is known of the noise.
 
     Raises:
         ValueError: the number is not more than 0 and at most 10.
@@ -460,9 +423,3 @@ def threshold(probability: float, n: int) -> float:
     9.21
     """
     return float(chdtri(n, probability))
-
-
-def positive_part(cov: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (..., n, n) symmetric matrices without their negative eigenvalues."""
-    values, vectors = np.linalg.eigh((cov + cov.swapaxes(-1, -2)) / 2)
-    return np.asarray((vectors * values.clip(0)[..., None, :]) @ vectors.swapaxes(-1, -2))

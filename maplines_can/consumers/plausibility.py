@@ -21,9 +21,9 @@ from .consistency import (
     CameraNoise,
     ConsistencyTest,
     ResidualModel,
-    positive_part,
     threshold,
 )
+from .error_times import positive_part
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
