@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Mutation test: change one place of `wire/` or `bus/` at a time; the tests must fail.
+"""Mutation test: change one place of the product at a time; the tests must fail.
 
-    mutation.py                           a sample of 300 mutants
-    mutation.py --sample 0                all of them: about 5000, most of a day
+    mutation.py                           a sample of 300 mutants of wire/ and bus/
+    mutation.py ego consumers propagation maps scenes --sample 200      of other areas
+    mutation.py --sample 0                all of wire/ and bus/: about 5000, most of a day
     mutation.py --sources maplines_can/wire/reception --sample 0     all of a folder or a file
 
 A mutant is a copy of the tree with one change to a comparison, an operator, a number, a condition,
@@ -17,6 +18,9 @@ mutant that only slower tests would kill survives. So does one that only the tes
 The sample has mutants of each file, in proportion to their number; each seed gives another sample.
 tools/mutation_survivors.toml has the reasons for accepted survivors. An accepted survivor still
 counts as a survivor.
+
+Each area has its sources, and the tests that concern them: those of the same folder, and the
+examples of the docstrings.
 
 Recording the lines takes some minutes. Then a killed mutant takes 2 s, and a survivor up
 to --budget: about half an hour for 300 mutants on an idle core, twice that on a busy one.
@@ -55,13 +59,9 @@ from reporting import parser_of, progress, report
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Libraries that the processes of the tests share, since importing them takes most of their time.
-PRELOAD = ["can", "cantools", "numpy", "scipy.linalg"]
-#: Tests of wire/ and bus/, without those that run commands, which are slow.
-TESTS = [
-    *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
-    *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
-    *("tests/study/codes", "tests/study/test_guarantee.py"),  # of wire/covariance
-    *("maplines_can/wire", "maplines_can/bus"),
+PRELOAD = [
+    *("can", "cantools", "numpy", "numpy.testing"),
+    *("scipy.linalg", "scipy.spatial", "scipy.stats", "scipy.optimize", "scipy.integrate"),
 ]
 #: Files that the tests do not need.
 LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*cache*", ".hypothesis", "build", "dist")
@@ -69,6 +69,51 @@ LEFT_OUT = shutil.ignore_patterns(".git", ".venv", "*cache*", ".hypothesis", "bu
 SLOWER, START_UP = 3, 30
 #: Reason given in the report for a survivor that is not in the list.
 UNLISTED = "NOT LISTED"
+
+
+class Area(NamedTuple):
+    """Files or folders that belong together, and the tests that concern them."""
+
+    sources: list[str]
+    tests: list[str]
+
+
+def _folder(name: str) -> Area:
+    """Return a package, with the tests of its folder and the examples of its docstrings."""
+    return Area([f"maplines_can/{name}"], [f"tests/{name}", f"maplines_can/{name}"])
+
+
+#: Code of scenes, which is in several packages.
+SCENES = [
+    *(f"maplines_can/{name}.py" for name in ("map_error", "scene", "seen_lines")),
+    *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "own_levels")),
+    *(f"maplines_can/wire/covariance/scene_{n}.py" for n in ("code", "encoder")),
+    *(f"maplines_can/wire/message/scene_{n}.py" for n in ("reader", "writer")),
+    *(f"maplines_can/wire/reception/{n}.py" for n in ("epochs", "poses", "scenes")),
+]
+#: Areas by name. Tests that run commands are left out: they are slow.
+AREAS = {
+    "core": Area(
+        ["maplines_can/wire", "maplines_can/bus"],
+        [
+            *("tests/wire", "tests/bus", "tests/test_fuzz_corpus.py"),
+            *(f"tests/bad_input/test_bad_{what}.py" for what in ("bus", "values", "wire")),
+            *("tests/study/codes", "tests/study/test_guarantee.py"),  # of wire/covariance
+            *("maplines_can/wire", "maplines_can/bus"),
+        ],
+    ),
+    **{name: _folder(name) for name in ("ego", "consumers", "propagation", "maps")},
+    "scenes": Area(
+        SCENES,
+        [
+            *("tests/test_scene.py", "tests/test_seen_lines.py"),
+            *("tests/wire/covariance", "tests/wire/test_scenes_on_wire.py"),
+            *(f"tests/wire/reception/test_{what}.py" for what in ("epochs", "poses", "scenes")),
+            "tests/wire/message/test_pose_records.py",
+            *SCENES,
+        ],
+    ),
+}
 
 
 class Outcome(NamedTuple):
@@ -118,17 +163,15 @@ def main() -> int:
 def _arguments() -> argparse.Namespace:
     parser = parser_of(__doc__)
     parser.add_argument(
-        "--sources",
-        nargs="+",
-        default=["maplines_can/wire", "maplines_can/bus"],
-        help="files or folders to change (default: maplines_can/wire maplines_can/bus)",
+        "areas",
+        nargs="*",
+        metavar="AREA",
+        help=f"{', '.join(AREAS)} (default: core, which is wire/ and bus/)",
     )
     parser.add_argument(
-        "--tests",
-        nargs="+",
-        default=TESTS,
-        help="files or folders (default: those of wire/ and bus/, and their docstrings)",
+        "--sources", nargs="+", help="files or folders to change (default: those of the areas)"
     )
+    parser.add_argument("--tests", nargs="+", help="files or folders (default: those of the areas)")
     parser.add_argument(
         "--sample", type=int, default=300, help="number of mutants; 0: all (default: 300)"
     )
@@ -152,6 +195,13 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--root", type=Path, default=ROOT, help="tree to test (default: this one)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
+    for name in arguments.areas:
+        if name not in AREAS:
+            parser.error(f"there is no area {name}; there are {', '.join(AREAS)}")
+    areas = [AREAS[name] for name in arguments.areas or ["core"]]
+    # Each once: code of scenes is also in wire/.
+    arguments.sources = arguments.sources or [*dict.fromkeys(s for a in areas for s in a.sources)]
+    arguments.tests = arguments.tests or [*dict.fromkeys(t for a in areas for t in a.tests)]
     for name in [*arguments.sources, *arguments.tests]:
         if not (arguments.root / name).exists():
             parser.error(f"there is no {name} in {arguments.root}")
