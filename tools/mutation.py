@@ -106,10 +106,13 @@ AREAS = {
     "scenes": Area(
         SCENES,
         [
-            *("tests/test_scene.py", "tests/test_seen_lines.py"),
+            *(f"tests/test_{what}.py" for what in ("map_error", "scene", "seen_lines")),
             *("tests/wire/covariance", "tests/wire/test_scenes_on_wire.py"),
-            *(f"tests/wire/reception/test_{what}.py" for what in ("epochs", "poses", "scenes")),
-            "tests/wire/message/test_pose_records.py",
+            *(f"tests/wire/message/test_{what}.py" for what in ("pose_records", "scene_ranges")),
+            *(
+                f"tests/wire/reception/test_{what}.py"
+                for what in ("epochs", "latest_epoch", "poses", "scenes")
+            ),
             *SCENES,
         ],
     ),
