@@ -110,3 +110,43 @@ def test_other_projections_are_an_error(projection: str, message: str) -> None:
 def test_what_is_no_position_is_nan() -> None:
     points = project(utm(49, 8), [math.nan, 91.0, 49.0, 49.0], [8.0, 8.0, math.inf, 8.0])
     assert np.isnan(points).any(axis=1).tolist() == [True, True, True, False]
+
+
+def test_all_zones() -> None:
+    """Every half degree: six degrees wide, but for south-west Norway and Svalbard."""
+    svalbard = {31: (0, 9), 33: (9, 21), 35: (21, 33), 37: (33, 42)}
+    for latitude in (-80.0, -0.5, 0.0, 55.5, 56.0, 60.0, 63.5, 64.0, 71.5, 72.0, 84.0):
+        for longitude in np.arange(-180.0, 180.0, 0.5):
+            zone = next(k for k in range(1, 61) if -186 + 6 * k <= longitude < -180 + 6 * k)
+            if 56 <= latitude < 64 and 3 <= longitude < 12:
+                zone = 32
+            if latitude >= 72 and 0 <= longitude < 42:
+                zone = next(k for k, (low, high) in svalbard.items() if low <= longitude < high)
+            for turns in (-360, 0, 360):
+                words = utm(latitude, longitude + turns).split()
+                assert words[1] == f"+zone={zone}"
+                assert ("+south" in words) is (latitude < 0)
+
+
+@given(LATITUDES, LONGITUDES, st.floats(-3, 3), st.floats(-3, 3))
+def test_projections_are_conformal(lat: float, lon: float, dlat: float, dlon: float) -> None:
+    """A small square of the ellipsoid is a square on the map; the tangent plane keeps its centre.
+
+    With the radii of curvature of the ellipsoid in closed form.
+    """
+    projection, step = tangent(lat, lon), 1e-4
+    at = np.array([lat + dlat, lon + dlon])
+    if abs(at[0]) > 85:
+        return
+    d = np.array([(step, 0), (-step, 0), (0, step), (0, -step)])
+    north_end, south_end, east_end, west_end = project(projection, *(at + d).T)
+    f = 1 / 298.257223563
+    e2, phi = f * (2 - f), math.radians(at[0])
+    w = 1 - e2 * math.sin(phi) ** 2
+    meridian, across = RADIUS * (1 - e2) / w**1.5, RADIUS / math.sqrt(w) * math.cos(phi)
+    north = (north_end - south_end) / (2 * math.radians(step) * meridian)
+    east = (east_end - west_end) / (2 * math.radians(step) * across)
+    assert east == pytest.approx([north[1], -north[0]], abs=1e-6)
+    if dlat == dlon == 0:
+        assert north == pytest.approx([0.0, 1.0], abs=1e-6)
+    assert project(projection, [lat], [lon])[0] == pytest.approx([0.0, 0.0], abs=1e-6)

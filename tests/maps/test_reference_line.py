@@ -1,6 +1,7 @@
 """The reference line agrees with closed forms and with quadrature, each kind alone and chained."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -235,3 +236,40 @@ def test_a_jump_between_geometries_has_two_sides() -> None:
 def test_many_turns_are_an_error_of_the_file() -> None:
     with pytest.raises(ValueError, match=r"it turns by .* rad, more than"):
         line_of(geometry(f'<arc curvature="{MAX_TURN}"/>'))
+
+
+@pytest.mark.parametrize("curvature", [0.0, 1e-6, 3e-3, 0.05, 0.5])
+@pytest.mark.parametrize("rate", [0.0, 1e-12, 1e-9, 1e-7, 1e-5, 1e-3])
+def test_clothoids_are_symmetric(curvature: float, rate: float) -> None:
+    """Mirrored by the signs of both; driven backwards from its end, each is another clothoid."""
+    s = np.array([0.5, 7.0, 60.0])
+    k, r = np.full(3, curvature), np.full(3, rate)
+    for sign in (1, -1):
+        position, tangent = clothoid(s, k, sign * r)
+        mirrored, turned = clothoid(s, -k, -sign * r)
+        assert np.abs(mirrored - position.conj()).max() < 1e-9
+        assert np.abs(turned - tangent.conj()).max() < 1e-12
+        back, ahead = clothoid(s, -(k + sign * r * s), sign * r)
+        assert np.abs(position - tangent * back).max() < 1e-8
+        assert np.abs(ahead - tangent.conj()).max() < 1e-9
+        behind, _ = clothoid(-s, k, sign * r)
+        forward, _ = clothoid(s, -k, sign * r)
+        assert np.abs(behind + forward).max() < 1e-9
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 4), st.tuples(*[st.floats(-1, 1)] * 4), st.floats(5, 80))
+def test_normalized_cubics_are_traversed_evenly(u: Any, v: Any, length: float) -> None:
+    """At any share of s, the same share of the arc length, by dense points."""
+    cu = (u[0], 30 + 10 * u[1], 8 * u[2], 5 * u[3])
+    cv = (v[0], 10 * v[1], 8 * v[2], 5 * v[3])
+    shape = param_poly3(cu, cv, 'pRange="normalized"')
+    line = line_of(geometry(shape, length=length), length=length)
+    p = np.linspace(0, 1, 20_001)
+    dense = sum((cu[k] + 1j * cv[k]) * p**k for k in range(4))
+    way = np.append(0.0, np.abs(np.diff(dense)).cumsum())
+    s = np.linspace(0, length, 17)
+    position, tangent = at(line, s)
+    expected = np.interp(s / length * way[-1], way, p)
+    assert np.abs(position - sum((cu[k] + 1j * cv[k]) * expected**k for k in range(4))).max() < 1e-5
+    slope = sum(k * (cu[k] + 1j * cv[k]) * expected ** (k - 1) for k in range(1, 4))
+    assert np.abs(tangent - slope / np.abs(slope)).max() < 1e-5
