@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from mutants import mutants
+from mutation import AREAS
 
 ROOT = Path(__file__).parents[1]
 
@@ -123,3 +124,20 @@ def test_tests_that_fail_without_a_mutant_are_an_error(tree: Path) -> None:
     status, result = run(tree)
     assert status == 1
     assert "test_it" in result["error"]
+
+
+def test_the_areas_have_all_of_their_packages() -> None:
+    """Each area has files that exist; packages whose folders are named are in one of them."""
+    for name, area in AREAS.items():
+        for path in (*area.sources, *area.tests):
+            assert (ROOT / path).exists(), name
+    sources = {path for area in AREAS.values() for path in area.sources}
+    for package in ("bus", "consumers", "ego", "maps", "propagation", "wire"):
+        assert f"maplines_can/{package}" in sources
+
+
+def test_an_area_that_is_none_is_an_error(tree: Path) -> None:
+    """The message names those that there are."""
+    status, result = run(tree, "wires")
+    assert status == 2
+    assert "there is no area wires; there are core, ego, consumers" in result["error"]
