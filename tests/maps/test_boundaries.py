@@ -19,7 +19,14 @@ from xodr_files import (
 )
 
 from maplines_can import Polyline
-from maplines_can.maps.opendrive.boundaries import Boundaries, sampled
+from maplines_can.maps.opendrive.boundaries import (
+    Boundaries,
+    _deviation,
+    _divided,
+    _pieces,
+    sampled,
+)
+from maplines_can.maps.opendrive.reader import _distinct
 from maplines_can.maps.opendrive.reference_line import Complex
 
 S = np.linspace(0.0, 100.0, 21)
@@ -264,3 +271,76 @@ def test_a_boundary_that_is_a_point_has_two_points() -> None:
     found = read_map(road(section(lane(1)), plan=arc, length=5.0)).lanes["1:0:1"]
     assert found.right.points == pytest.approx(np.array([[0, 3.5], [0, 3.5]]))
     assert found.left.length == pytest.approx(5, abs=1e-3)
+
+
+@given(st.lists(st.sampled_from([0.0, 5e-5, 0.9e-4, 1.1e-4, 1.0, 3.0]), min_size=1, max_size=9),
+       st.floats(-3, 3))  # fmt: skip
+def test_repeated_points_are_left_out_but_for_the_ends(steps: list[float], angle: float) -> None:
+    """In any direction of the plane: those within 0.1 mm of the one before; two points remain."""
+    points = 5 - 3j + np.exp(1j * angle) * np.cumsum([0.0, *steps])
+    found = _distinct(points)
+    assert found[0] == points[0]
+    assert found[-1] == points[-1]
+    keep = [0] + [i for i in range(1, len(points)) if steps[i - 1] > 1e-4]
+    if len(points) > 2 and keep[-1] != len(points) - 1:
+        keep = [*(keep if len(keep) < 2 else keep[:-1]), len(points) - 1]
+    if len(points) == 2:
+        keep = [0, 1]
+    assert found.tolist() == points[keep].tolist()
+
+
+@pytest.mark.parametrize("bend", [0.001, 0.02, 0.2])
+@pytest.mark.parametrize("length", [3.0, 30.0, 150.0])
+def test_an_arc_has_few_points(bend: float, length: float) -> None:
+    """At most twice as many as chords of its error need."""
+    shape = f'<arc curvature="{bend!r}"/>'
+    found = boundaries(road(section(lane(-1)), plan=geometry(shape, length=length), length=length))
+    (lines,) = sampled(found.road, [found])
+    radius = 1 / bend + 3.5
+    step = math.sqrt(8 * 0.43e-3 * radius)
+    outer = length * bend * radius
+    least = max(outer / step, outer / 50)
+    assert least - 1 <= lines.shape[1] - 1 <= 2 * least + 4
+
+
+def test_the_deviation_of_points_is_from_their_chord() -> None:
+    """The largest of all rows and inner points; of a closed piece, from its start."""
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((3, 6, 5)) + 1j * rng.standard_normal((3, 6, 5))
+    points[:, 4, -1] = points[:, 4, 0]
+    found = _deviation(points)
+    for n in range(6):
+        expected = 0.0
+        for row in range(3):
+            a, b = points[row, n, 0], points[row, n, -1]
+            for p in points[row, n, 1:-1]:
+                across = abs(p - a) if a == b else abs(((p - a) / (b - a)).imag) * abs(b - a)
+                expected = max(expected, across)
+        assert found[n] == pytest.approx(expected)
+
+
+def test_pieces_are_as_many_as_the_second_difference_says() -> None:
+    """Parabolas across x: an eighth of it is the distance from the chord of a piece."""
+    x = np.linspace(0, 1, 5)
+    for curvature in (0.01, 0.5, 40.0):
+        points = np.array([[100 * x + 0.5j * curvature * x**2, 100 * x]])[0][:, None]
+        (count,) = _pieces(points)
+        needed = math.sqrt(curvature / (8 * 0.43e-3))
+        assert count == min(max(2, math.ceil(round(needed, 9))), 1000)
+    # The second difference of a cubic is extrapolated to the end where it is the largest.
+    for cubic_ in (x**3, (1 - x) ** 3):
+        (count,) = _pieces((100 * x + 1j * cubic_)[None, None])
+        ends = 2 * 6 * 0.75 * 0.25**2 - 6 * 0.5 * 0.25**2
+        assert count == math.ceil(4 * math.sqrt(ends / (8 * 0.43e-3)))
+
+
+@pytest.mark.parametrize("pieces", [[1, 1, 1], [2, 1, 3], [4, 5, 2]])
+def test_intervals_are_divided_evenly(pieces: list[int]) -> None:
+    """The parts of each follow each other, and belong to its lane section."""
+    a, b = np.array([0.0, 3.0, 10.0]), np.array([3.0, 10.0, 11.0])
+    start, end, owner = _divided(a, b, np.array([0, 0, 1]), np.array(pieces))
+    expected = [np.linspace(low, high, n + 1) for low, high, n in zip(a, b, pieces, strict=True)]
+    assert start == pytest.approx(np.concatenate([part[:-1] for part in expected]))
+    assert end == pytest.approx(np.concatenate([part[1:] for part in expected]))
+    assert np.isin(b, end).all()
+    assert owner.tolist() == np.repeat([0, 0, 1], pieces).tolist()
