@@ -59,3 +59,9 @@ def test_a_route_with_lane_changes_has_one_limit_at_a_place() -> None:
     state = drive.at(drive.times(10.0))
     assert state.speed.max() <= 10.0 + 1e-6
     assert np.ptp(state.pose[:, 1]) == pytest.approx(3.5, abs=0.01)
+
+
+def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
+    found = road(None, None)
+    state = drive_along(found, found.route("a", "b"), start_speed=13.0).at(7.0)
+    assert state.speed == pytest.approx(50 / 3.6)

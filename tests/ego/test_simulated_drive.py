@@ -229,3 +229,40 @@ def test_times_outside_the_drive(t: Any) -> None:
 def test_rate_must_be_positive() -> None:
     with pytest.raises(ValueError, match="rate must be finite and more than 0 Hz"):
         SimulatedDrive(STRAIGHT).times(0.0)
+
+
+@pytest.mark.parametrize("radius", [10.0, 30.0])
+def test_a_drive_has_the_limits_of_a_calm_driver(radius: float) -> None:
+    """Unless others are given: 50 km/h, 2 m/s^2 along and across, from rest to rest."""
+    straight = SimulatedDrive(Polyline([[0.0, 0.0], [600.0, 0.0]]))
+    rise = 50 / 3.6 / 2
+    assert straight.at(straight.duration / 2).speed == pytest.approx(50 / 3.6)
+    assert straight.duration == pytest.approx(600 / (50 / 3.6) + rise, abs=0.01)
+    assert straight.at(0.0).speed == 0
+    assert straight.at(straight.duration).speed == pytest.approx(0.0, abs=1e-6)
+    assert straight.at(rise / 2).speed == pytest.approx(rise, rel=0.01)
+    assert straight.at(straight.duration - rise / 2).speed == pytest.approx(rise, rel=0.01)
+    a = np.linspace(0, 2.5 * np.pi, 600)
+    bend = SimulatedDrive(
+        Polyline(np.column_stack([radius * np.sin(a), radius * (1 - np.cos(a))])), 50.0
+    )
+    assert bend.at(bend.duration / 2).speed == pytest.approx(np.sqrt(2.0 * radius), rel=0.01)
+
+
+@pytest.mark.parametrize("between", [0.3, 0.6, 5.0])
+def test_stops_close_to_each_other_are_reached_one_after_the_other(between: float) -> None:
+    """In between, the car drives: it takes the time of half of the way up and half down."""
+    drive = SimulatedDrive(
+        Polyline([[0.0, 0.0], [50.0, 0.0]]), 20.0, stops=[(20.0, 2.0), (20.0 + between, 3.0)]
+    )
+    t = drive.times(100.0)
+    state = drive.at(t)
+    x, standing = state.pose[:, 0], state.speed < 1e-9
+    for at, dwell in ((20.0, 2.0), (20.0 + between, 3.0)):
+        there = standing & (np.abs(x - at) < 1e-3)
+        assert there.sum() / 100 == pytest.approx(dwell, abs=0.03)
+    moving = (x > 20.001) & (x < 20 + between - 0.001)
+    assert moving.sum() / 100 <= 2.2 * np.sqrt(between / 2 * 2 / 2.0) + 0.05
+    assert (
+        state.speed[moving] ** 2 <= 2 * 2.0 * np.minimum(x - 20, 20 + between - x)[moving] + 1e-6
+    ).all()
