@@ -47,7 +47,7 @@ def written(path: Path, columns: dict[str, Any], delimiter: str = ",") -> Path:
 def test_a_drive_is_the_same_in_any_units(tmp_path: Path, delimiter: str) -> None:
     """Each unit of each quantity, with sigmas across and along the car."""
     for suffixes in itertools.zip_longest(*(UNITS[name] for name in RECORDS), fillvalue=""):
-        columns = {
+        columns: dict[str, Any] = {
             name + suffix: np.array(RECORDS[name]) / UNITS[name][suffix]
             for name, suffix in zip(RECORDS, suffixes, strict=True)
         }

@@ -191,13 +191,12 @@ def with_error(**errors: Any) -> SensorSetup:
 
 def test_the_wheel_speed_has_a_scale_and_a_slip() -> None:
     """True speed = (1 + scale) wheel speed - slip, as the filter of the localisation models it."""
-    for errors, error_of in (
-        ({"wheel_scale": GaussMarkov(0.1)}, lambda v: 20.0 / v - 1),
-        ({"speed": GaussMarkov(0.1)}, lambda v: v - 20.0),
-    ):
+    for name in ("wheel_scale", "speed"):
+        errors = {name: GaussMarkov(0.1)}
         speeds = np.array([x.wheel_speed for x in of(made(with_error(**errors), 500), Odometry)])
         assert np.ptp(speeds, axis=0) == pytest.approx(np.zeros(500), abs=1e-9)
-        assert error_of(speeds[0]).std() == pytest.approx(0.1, rel=4 / math.sqrt(1000))
+        error = 20.0 / speeds[0] - 1 if name == "wheel_scale" else speeds[0] - 20.0
+        assert error.std() == pytest.approx(0.1, rel=4 / math.sqrt(1000))
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0])

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from lane_maps import WIDTH, arc, lane
 
 from maplines_can.line import Kind
+from maplines_can.maps.lanelet_tags import Side
 from maplines_can.maps.lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
-from maplines_can.maps.osm import Side, aligned
+from maplines_can.maps.osm import aligned
 from maplines_can.maps.points import read as read_points
 from maplines_can.polyline import Polyline
 

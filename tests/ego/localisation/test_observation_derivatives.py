@@ -80,7 +80,7 @@ def test_the_jacobian_of_a_line_in_closed_form(
 
 POSE = np.array([[50.3, -0.2, 0.12], [49.9, 0.1, 0.09]])
 A = np.array([[0.3, 0, 0], [0.1, 0.2, 0], [0.01, 0.0, 0.02]])
-OBSERVATIONS = {
+OBSERVATIONS: dict[str, Any] = {
     "gnss": GnssFix(0.0, POSE[:, :2] + [[0.5, 0.2], [-0.3, 0.1]], np.diag([0.4, 0.5]) ** 2),
     "pose": PoseFix(0.0, POSE, np.diag([0.2, 0.1, 0.01]) ** 2),
     "shared": PoseFix(0.0, POSE, np.diag([0.2, 0.1, 0.01]) ** 2, A @ A.T),

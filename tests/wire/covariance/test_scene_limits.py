@@ -37,7 +37,7 @@ def steepest(mean: Any, fit_range: Any) -> Any:
 def scene_of(means: Any, ranges: Any) -> Scene:
     own = np.diag(SIGMA**2)
     lines = tuple(MapLine(Slot(i), Gaussian(mean, own)) for i, mean in enumerate(means))
-    cov = np.kron(np.eye(len(lines)), own)
+    cov: Any = np.kron(np.eye(len(lines)), own)
     return Scene(lines, cov, PoseError(PRODUCTION), ranges)
 
 

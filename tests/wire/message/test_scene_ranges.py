@@ -31,14 +31,15 @@ def received(scene: Scene, late_ns: Any = (0, 0), raw_age: int = 5, **raw: int) 
 
 def scene_of(ranges: Any, map_error: MapError | None = None, pose: Any = PRODUCTION) -> Scene:
     means = np.array([[1.75, 0.02, 1e-3, 1e-6], [-1.75, 0.0, -2e-3, 0.0]])
-    own = np.diag(SIGMA**2)
+    own: Any = np.diag(SIGMA**2)
+    cov: Any = np.kron(np.eye(2), own)
     lines = tuple(
         MapLine(slot, Gaussian(mean, own), kind)
         for slot, mean, kind in zip(
             (Slot.EGO_LEFT, Slot.ROUTE), means, (Kind.SOLID, Kind.VIRTUAL), strict=True
         )
     )
-    return Scene(lines, np.kron(np.eye(2), own), PoseError(pose, 4.0), ranges, map_error)
+    return Scene(lines, cov, PoseError(pose, 4.0), ranges, map_error)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1e-3, 2e-3])
