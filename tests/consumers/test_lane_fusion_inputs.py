@@ -386,3 +386,12 @@ def test_the_positive_part_has_no_negative_eigenvalue() -> None:
     indefinite = np.array([[1.0, 2.0], [2.0, 1.0]]) * np.outer(scale, scale)
     expected = 1.5 * np.ones((2, 2)) * np.outer(scale, scale)  # of the eigenvalue 3
     assert positive_part(indefinite) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    "wrong", [(math.inf, 0, 0, 0), (0, 0, 0, math.nan), (0, -1e-9, 0, 0), (0, 0, 0), 0.1]
+)
+def test_biases_are_four_finite_standard_deviations(wrong: Any) -> None:
+    with pytest.raises(ValueError, match="bias_sigma must be 4 numbers"):
+        LaneFusion(bias_sigma=wrong)
+    assert LaneFusion(bias_sigma=(0, 0, 0, 0)).step(0, STILL).scene is None

@@ -1,12 +1,14 @@
 """Drives along routes."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from lane_maps import lane, network
 
-from maplines_can.ego import drive_along
+from maplines_can import PoseSource
+from maplines_can.ego import LineSource, drive_along
 from maplines_can.maps import Map, Route
 
 LANES = [lane("a", length=100.0), lane("b", (100.0, 0.0, 0.0), 100.0)]
@@ -65,3 +67,14 @@ def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
     found = road(None, None)
     state = drive_along(found, found.route("a", "b"), start_speed=13.0).at(7.0)
     assert state.speed == pytest.approx(50 / 3.6)
+
+
+def test_the_lines_of_a_drive_are_those_from_20_m_behind_to_80_m_ahead() -> None:
+    """Unless another range is given."""
+    found = road(None, None)
+    for window, ends in ((None, (-20.0, 80.0)), ((-5.0, 30.0), (-5.0, 30.0))):
+        settings: dict[str, Any] = {} if window is None else {"window": window}
+        source = LineSource(found, PoseSource((1e-4, 1e-4, 1e-6)).pose, **settings)
+        cycle = source.cycle(0.0, np.array([100.0, 0.0, 0.0]))
+        for line in cycle.lines:
+            assert (line.x_min, line.x_max) == pytest.approx(ends, abs=0.05)

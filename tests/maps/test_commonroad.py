@@ -209,3 +209,21 @@ def test_load(tmp_path: Path) -> None:
     path.write_text(document(obstacle))
     with pytest.raises(MapFileError, match="contains no usable lane"):
         ml.maps.load(path)
+
+
+@pytest.mark.parametrize("both_ways", ["", "car", "vehicle", "bicycle", "pedestrian", "bus"])
+@pytest.mark.parametrize("one_way", ["", "car", "bicycle", "pedestrian", "bus"])
+@pytest.mark.parametrize("kind", ["urban", "highway exitRamp", "sidewalk"])
+def test_types_of_all_users(kind: str, one_way: str, both_ways: str) -> None:
+    """A lane of which only cyclists or walkers are users is theirs; cars may use it both ways."""
+    tags = (("userOneWay", one_way), ("userBidirectional", both_ways))
+    content = "".join(f"<{tag}>{user}</{tag}>" for tag, user in tags if user)
+    (found,) = read_map(lanelet(1, content=content, kind=kind)).lanes.values()
+    alone = {"urban": LaneType.DRIVING, "highway exitRamp": LaneType.EXIT}
+    expected = alone.get(kind, LaneType.SIDEWALK)
+    users = {one_way, both_ways} - {""}
+    if kind in alone and users and not users - {"bicycle", "pedestrian"}:
+        expected = LaneType.BIKING if "bicycle" in users else LaneType.SIDEWALK
+    elif kind == "urban" and both_ways in ("car", "vehicle"):
+        expected = LaneType.BIDIRECTIONAL
+    assert found.type == expected

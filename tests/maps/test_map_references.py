@@ -394,6 +394,40 @@ def test_a_way_that_turns_beyond_thirty_metres_is_straight() -> None:
     assert LaneGraph(found.lanes).straightest(Key("in")) == Key("late")
 
 
+@pytest.mark.parametrize(("turns_at", "is_seen"), [(4, True), (5, True), (6, False)])
+def test_a_way_of_short_lanes_is_judged_by_the_first_six(turns_at: int, is_seen: bool) -> None:
+    """Of 4 m each: its own first one and five after it; what turns later does not count."""
+    lanes, links = [lane("in", (-50.0, 0.0, 0.0), 50.0)], {"in": "a0 b0"}
+    for name, bends in (("a", {turns_at: 0.2}), ("b", {0: 0.01})):
+        start = (0.0, 0.0, 0.0)
+        for k in range(9):
+            curvature = bends.get(k, 0.0)
+            lanes.append(lane(f"{name}{k}", start, 4.0, curvature=curvature))
+            start = end(start, 4.0, curvature)
+            links[f"{name}{k}"] = f"{name}{k + 1}" if k < 8 else ""
+    found = network(*lanes, links=links)
+    assert LaneGraph(found.lanes).straightest(Key("in")) == Key("b0" if is_seen else "a0")
+
+
+@pytest.mark.parametrize("arm", [1, 2, 3])
+def test_the_line_of_a_route_is_around_the_car(arm: int) -> None:
+    """On each lane of a way round the ring: it passes the car, and ends before it comes again."""
+    route = RING.route("in0", f"out{arm}", via=["ring0", "ring1", "ring2", "ring3", "ring0"])
+    for place, name in enumerate(route.lanes):
+        one = RING.lanes[name]
+        line = RING.view.with_route(RING.view.around(Key(name), (), ()), route, place)[Slot.ROUTE]
+        pose = pose_on(one, 0.5 * one.length, 0.4)
+        (at,) = locate([line], pose[:2])
+        assert at.t == pytest.approx(0.4, abs=0.02)
+        assert abs(math.remainder(at.direction - pose[2], math.tau)) < 0.1
+        ahead, behind = line.length - at.s, at.s
+        rest = route.line.length - route.starts[place] - 0.5 * one.length
+        turn = 1.3 * math.pi * 20  # more than a line is seen in a ring
+        assert ahead <= max(turn, 60.0) + 60
+        assert ahead >= min(rest, 20.0) - 0.1
+        assert behind >= min(route.starts[place] + 0.5 * one.length, 20.0) - 0.1
+
+
 @settings(max_examples=60)
 @given(st.floats(0, 220), st.booleans())
 def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
