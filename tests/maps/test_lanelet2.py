@@ -109,3 +109,17 @@ def test_what_the_library_does_not_read(tmp_path: Path) -> None:
     path.write_text(osm.text())
     with pytest.raises(MapFileError, match="contains no usable lane"):
         lanelet2.read(path, UTM)
+
+
+def test_a_map_of_the_southern_hemisphere(tmp_path: Path) -> None:
+    """Its y begins 10 000 km south of the equator."""
+    osm = Osm()
+    osm.strip(0.0, 2000.0)
+    osm.elements = [one.replace('lat="49.', 'lat="-33.') for one in osm.elements]
+    path = tmp_path / "map.osm"
+    path.write_text(osm.text())
+    projection = utm(-33.0, 8.4)
+    found = osm.map(projection)
+    assert_same(found, lanelet2.read(path, projection))
+    (one, *_) = found.lanes.values()
+    assert 6e6 < one.left.points[0, 1] < 7e6
