@@ -172,6 +172,8 @@ class Sender:
         """Return the lines, as seen from the stated pose."""
         with self.cpu.of("lines"):
             cycle = self._source.cycle(float(row[0]), row[1:4])
+        if cycle.stated is None:
+            return cycle
         error = cycle.stated.mean - row[1:4]
         error[2] = math.remainder(error[2], 2 * math.pi)
         self.nees.append(float(error @ np.linalg.solve(cycle.stated.cov, error)) / 3)

@@ -346,6 +346,12 @@ def _text(result: dict[str, Any]) -> str:
         f"slots     {result['lane_changes']} lane changes, {result['slot_changes']} slots with a "
         f"new line; {result['off_map']} cycles off the map",
     ]
+    if result["no_pose"]:
+        share = 100 * result["no_pose"] / max(result["cycles"], 1)
+        rows.append(
+            f"no pose   in {result['no_pose']} cycles ({share:.1f} %) the car did not know its "
+            "pose, and no line was sent"
+        )
     unsent = {
         "down": "lines given up while the interface was down",
         "full": "lines given up with a full queue",

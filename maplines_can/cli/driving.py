@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -42,6 +43,7 @@ class Counters:
     lane_changes: int = 0
     slot_changes: int = 0  #: slots that got another line: new ones, and all at a lane change
     off_map: int = 0  #: cycles without a lane near the car
+    no_pose: int = 0  #: cycles in which the car did not know its pose, so that no line was sent
     other_lane: int = 0  #: cycles in which the car was on another lane than it believed
     left_out: Counter[str] = field(default_factory=Counter)  #: lines by reason
 
@@ -50,7 +52,8 @@ class Counters:
         self.cycles += 1
         self.lane_changes += cycle.tracked.lane_changed
         self.slot_changes += len(cycle.changed) if self.cycles > 1 else 0
-        self.off_map += cycle.tracked.match is None
+        self.no_pose += cycle.stated is None
+        self.off_map += cycle.tracked.match is None and cycle.stated is not None
         self.left_out.update(reason.name for reason in cycle.lines.left_out.values())
 
 
@@ -65,19 +68,26 @@ class TruthRecorder:
         self._writer, self._tracker, self._slots = writer, tracker, slots
 
     def add(self, time: float, state: State, cycle: Cycle) -> bool:
-        """Write a cycle, and return whether the car is on the lane on which it believes to be."""
+        """Write a cycle, and return whether the car is on the lane on which it believes to be.
+
+        A car without a pose believes nothing.
+        """
         from ..study.drives.truth import true_lines
 
         tracked = self._tracker.lines(state.pose)
-        cov = cycle.stated.cov
-        row = [time, float(state.t), *state.pose.tolist(), float(state.speed)]
-        row += [float(state.yaw_rate), *cycle.stated.mean.tolist()]
-        row += [cov[i, j].item() for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
+        motion = float(state.speed), float(state.yaw_rate)
+        row = [time, float(state.t), *state.pose.tolist(), *motion]
+        if cycle.stated is None:
+            row += [math.nan] * 9
+        else:
+            cov = cycle.stated.cov
+            row += cycle.stated.mean.tolist()
+            row += [cov[i, j].item() for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
         self._writer.write(
             [*row, tracked.lane or "", cycle.tracked.lane or "", float(cycle.tracked.lane_changed)],
             true_lines(tracked.lines, self._slots, state.pose),
         )
-        return tracked.lane == cycle.tracked.lane
+        return cycle.stated is None or tracked.lane == cycle.tracked.lane
 
 
 @dataclass

@@ -35,7 +35,8 @@ LEAST_TIME = 1e-3
 class StatedPose(NamedTuple):
     """Pose that the car knows."""
 
-    pose: Callable[[float, NDArray[np.float64]], Gaussian]  #: at a time [s], by the true pose
+    #: at a time [s], by the true pose; None if the car does not know it
+    pose: Callable[[float, NDArray[np.float64]], Gaussian | None]
     correlation_time: Callable[[], float]  #: of its error [s]
     localisation: SimulatedLocalisation | None = None
 

@@ -27,23 +27,25 @@ class Cycle(NamedTuple):
     """Pose and lines of one cycle."""
 
     t: float  #: time [s]
-    stated: Gaussian  #: over the pose x [m], y [m], heading [rad] in the map frame
+    #: over the pose x [m], y [m], heading [rad] in the map frame; None if the car does not know it
+    stated: Gaussian | None
     tracked: TrackedLines  #: lines of the map around the stated pose
     lines: MapLineList  #: lines as the car knows them, and those that are left out
     changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
-    #: the lines with their joint covariance, if the source was asked for it
+    #: the lines with their joint covariance, if the source was asked for it and there is a pose
     scene: Scene | None = None
 
 
 class LineSource:
     """Source of the lines around a car that knows its pose with an error.
 
-    The car finds its lane by the mean of the stated pose, as it knows no other one.
+    The car finds its lane by the mean of the stated pose, as it knows no other one. Without a pose,
+    there are no lines.
 
     Args:
         found: the map.
         stated: function from the time [s] and the true pose (3,) to the stated pose, such as
-            ``PoseSource.pose``.
+            ``PoseSource.pose``, or to None if the car does not know it.
         slots: lines to give.
         route: that the car follows.
         window: (x_min, x_max) ahead of the car that the ranges of the lines may extend to [m].
@@ -68,7 +70,7 @@ class LineSource:
     def __init__(
         self,
         found: Map,
-        stated: Callable[[float, NDArray[np.float64]], Gaussian],
+        stated: Callable[[float, NDArray[np.float64]], Gaussian | None],
         slots: Collection[Slot] = tuple(Slot)[:4],
         route: Route | None = None,
         window: tuple[float, float] = WINDOW,
@@ -98,6 +100,9 @@ class LineSource:
             ValueError: a value is not finite, or the time is not later.
         """
         stated = self._stated(t, true_pose)
+        if stated is None:
+            tracked = self._tracker.lose()
+            return Cycle(t, None, tracked, MapLineList([], {}), tracked.changed & self._slots)
         tracked = self._tracker.lines(stated.mean)
         chosen = {slot: line for slot, line in tracked.lines.items() if slot in self._slots}
         own, time, changed = self._components, self._correlation_time, tracked.changed & self._slots

@@ -35,7 +35,7 @@ class SimulatedLocalisation:
     >>> drive = SimulatedDrive(Polyline([[0, 0], [200, 0]]))
     >>> source = SimulatedLocalisation(drive, LocalisationLayer(maps.Map({}, {})))
     >>> stated = source.pose(1.0, drive.at(1.0).pose)
-    >>> stated.dimension
+    >>> None if stated is None else stated.dimension
     3
     """
 
@@ -57,10 +57,11 @@ class SimulatedLocalisation:
         self._arrivals = simulated_measurements(way, layer, setup, rng)
         self._next = 0
 
-    def pose(self, t: float, _true_pose: ArrayLike | None = None) -> Gaussian:
+    def pose(self, t: float, _true_pose: ArrayLike | None = None) -> Gaussian | None:
         """Return the stated pose at a time not earlier than that of the previous call [s].
 
-        The filter takes the measurements that have arrived by then.
+        The filter takes the measurements that have arrived by then. None if it does not know the
+        pose.
 
         Raises:
             ValueError: the time is earlier.
@@ -69,7 +70,8 @@ class SimulatedLocalisation:
         while self._next < len(arrivals) and arrivals[self._next].t <= t:
             self._localisation.add(arrivals[self._next].measurement)
             self._next += 1
-        return self._localisation.ego(t)
+        # Only wrong stamps of the odometry are ahead of the time at which they arrive.
+        return self._localisation.ego(t) if self._localisation.t <= t else None
 
     @property
     def correlation_time(self) -> float:

@@ -113,9 +113,7 @@ class LaneTracker:
         last = self._track
         match = self._choose(floats(pose, "pose"))
         if match is None:
-            self._track = None
-            gone = frozenset(last.lines if last else ())
-            return TrackedLines({}, None, lane_changed=last is not None, changed=gone)
+            return self.lose()
         key = Key(match.lane, match.is_against)
         if last is not None and key == last.key:
             return TrackedLines(last.lines, match)
@@ -129,6 +127,12 @@ class LaneTracker:
         )
         lane_changed = {Slot.EGO_LEFT, Slot.EGO_RIGHT} <= changed
         return TrackedLines(track.lines, match, lane_changed, changed)
+
+    def lose(self) -> TrackedLines:
+        """Return the lines of a car that is off the map, or does not know its pose: no lines."""
+        last, self._track = self._track, None
+        gone = frozenset(last.lines if last else ())
+        return TrackedLines({}, None, lane_changed=last is not None, changed=gone)
 
     def _choose(self, pose: NDArray[np.float64]) -> LaneMatch | None:
         """Return the match that the car has now."""

@@ -163,7 +163,7 @@ class Moment(NamedTuple):
 class Seen(NamedTuple):
     """Lines at one time, and the pose from which the sender sees them."""
 
-    stated: Gaussian
+    stated: Gaussian | None
     scene: Scene | None
     speed_limit: float  #: [m/s]
 
@@ -171,7 +171,7 @@ class Seen(NamedTuple):
 #: Lines at a time [s] and a true pose.
 LineSender = Callable[[float, NDArray[np.float64]], Seen]
 #: Stated pose at a time [s] and a true pose.
-Stated = Callable[[float, NDArray[np.float64]], Gaussian]
+Stated = Callable[[float, NDArray[np.float64]], Gaussian | None]
 
 
 def on_map(
@@ -214,9 +214,11 @@ def on_street(
 
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
         known = stated(t, pose)
-        scene = map_scene(
-            sent, known, correlation_time=correlation_time, window=WINDOW, max_misfit=MISFIT
-        )
+        scene = None
+        if known is not None:
+            scene = map_scene(
+                sent, known, correlation_time=correlation_time, window=WINDOW, max_misfit=MISFIT
+            )
         return Seen(known, scene, DEFAULT_SPEED)
 
     centre = lines[Slot.CENTRE]
@@ -271,7 +273,7 @@ class ClosedLoop:
             if along > self.way[1] - MARGIN:
                 break
             stated, scene, speed_limit = self.seen(t, car.pose)
-            dx, dy, _ = stated.mean - car.pose
+            dx, dy, _ = np.full(3, math.nan) if stated is None else stated.mean - car.pose
             across = place.direction @ [dy, -dx]
             route = Slot.ROUTE if any(a <= along <= b for a, b in self.changes) else None
             lost = any(begin <= t < end for begin, end in self.line_outages)

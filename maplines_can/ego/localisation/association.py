@@ -27,7 +27,14 @@ class Verdict(IntEnum):
     TOO_LATE = 5  #: it is older than the history
     NO_ODOMETRY = 6  #: it is too far ahead of the last odometry
     UNCONFIRMED = 7  #: the pose is so uncertain that another one must confirm it, but none does
-    INVALID = 8  #: it is not finite
+    INVALID = 8  #: a number is not finite, or a shape is wrong
+    COVARIANCE = 9  #: its covariance is not symmetric, or not positive definite
+    SINGULAR = 10  #: it is exact, and the filter knows exactly what it measures
+    SPEED = 11  #: no car drives so fast
+    YAW_RATE = 12  #: no car turns so fast, or not at its speed
+    ACCELERATION = 13  #: speed or yaw rate differ too much from the odometry before
+    AHEAD = 14  #: its time is ahead of the odometry before, and no other one confirms it
+    LOST = 15  #: the pose is not known, so it was only compared: see ``Consistency``
 
 
 #: Gates of the squared Mahalanobis distance by the number of values.

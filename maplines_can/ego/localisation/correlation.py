@@ -50,9 +50,21 @@ class ErrorCorrelation:
     def __init__(self, t: float, cov: Array) -> None:
         self._spans: list[_Span] = []
         self._t, self._cov, self._open = t, cov, _Span(t, cov, np.eye(N) + np.zeros_like(cov))
+        self._begin = np.full(len(cov), -math.inf)  # of the pose of each filter
 
-    def advance(self, t: float, cov: Array, transition: Array) -> None:
-        """Take the covariance at a time [s], and the transition of the error to it."""
+    def advance(
+        self, t: float, cov: Array, transition: Array, is_new: NDArray[np.bool_] | None = None
+    ) -> None:
+        """Take the covariance at a time [s], and the transition of the error to it.
+
+        Args:
+            t: [s].
+            cov: (n, N, N).
+            transition: (n, N, N).
+            is_new: (n,) filters that start again with another pose; None for none.
+        """
+        if is_new is not None:
+            self._begin[is_new] = t
         start, first, Psi = self._open
         self._open = _Span(start, first, transition @ Psi)
         self._t, self._cov = t, cov
@@ -106,7 +118,8 @@ class ErrorCorrelation:
     def times(self, heading: Array) -> Array:
         """Return the (n, 3) correlation times along, across and of the heading [s].
 
-        They are infinite, as unknown, as long as there is no loss of correlation to be seen.
+        They are infinite, as unknown, as long as there is no loss of correlation to be seen. What
+        was before a filter started again says nothing.
 
         Args:
             heading: (n,) of the cars [rad].
@@ -116,8 +129,9 @@ class ErrorCorrelation:
         if not len(lags):
             return found
         lags, rho = np.append(0.0, lags), np.concatenate([np.ones((1, *rho.shape[1:])), rho])
-        below = rho <= math.exp(-1)
-        k = np.where(below.any(axis=0), below.argmax(axis=0), len(lags) - 1)
+        own = (self._t - lags[:, None] >= self._begin)[..., None]  # (k, n, 1)
+        below = own & (rho <= math.exp(-1))
+        k = np.where(below.any(axis=0), below.argmax(axis=0), own.sum(axis=0) - 1)
         before = np.where(below.any(axis=0), k - 1, 0)
         one, other = (np.take_along_axis(rho, i[None], axis=0)[0] for i in (before, k))
         one, other = np.log(one.clip(1e-6)), np.log(other.clip(1e-6))

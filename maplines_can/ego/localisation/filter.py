@@ -14,13 +14,16 @@ from numpy.typing import ArrayLike, NDArray
 from ...arrays import floats
 from ...gaussian import Gaussian
 from ...scene import PoseError
+from .admission import admitted, finite_time, is_covariance
 from .association import Verdict
+from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
 from .localisation_layer import LocalisationLayer
 from .measurements import Measurement, Observation, Odometry
-from .motion_model import CAMERA, GNSS, HEADING, POSE, N, initial, predict, speed_of, update
-from .observation_models import innovation
+from .motion_model import CAMERA, GNSS, HEADING, POSE, N, initial, predict, speed_of
+from .odometry_stream import CarLimits, OdometryStream, Sample
 from .sensor_errors import SensorErrors
+from .step import Outcome, Point, missed, predicted, updated, widen
 
 Array = NDArray[np.float64]
 
@@ -28,30 +31,12 @@ Array = NDArray[np.float64]
 HISTORY = 0.5
 
 
-class Outcome(NamedTuple):
-    """What became of the B blocks of an observation of n cars, when it can no longer change."""
-
-    t: float  #: [s]
-    source: str  #: "gnss", "line", "landmark" or "pose"
-    verdict: NDArray[np.intp]  #: (n, B) values of ``Verdict``
-    squared: Array  #: (n, B) normalised innovations squared (NIS), of 2 values; of 3 for a pose
-
-
 class Poses(NamedTuple):
     """Poses of n cars with their covariances."""
 
     mean: Array  #: (n, 3) x [m], y [m], heading [rad] in the map frame
     cov: Array  #: (n, 3, 3)
-
-
-class _Point(NamedTuple):
-    """State of the filter after an odometry or an observation."""
-
-    t: float
-    mean: Array
-    cov: Array
-    transition: Array  #: (n, N, N) of the error since the point before
-    outcome: Outcome | None = None
+    known: NDArray[np.bool_]  #: (n,) whether the pose is known; the others must not be used
 
 
 class Localisation:
@@ -68,6 +53,10 @@ class Localisation:
         odometry      o----o----o----o----o----o   now
         observation          x    arrives here ^   and takes effect between the 2nd and the 3rd
 
+    A sensor may be wrong. Odometry that no car can have is refused (``CarLimits``), and so is what
+    is no measurement. If the sensors contradict each other, the filter widens what it states, and
+    then says that it does not know the pose, until it is found again: see ``consistency``.
+
     Args:
         start: Gaussian over the pose x [m], y [m], heading [rad] in the map frame; for several
             cars, the (n, 3) means.
@@ -77,9 +66,10 @@ class Localisation:
         cov: (3, 3) or (n, 3, 3) covariance of the start of several cars.
         history: longest time by which an observation may be late [s].
         on_outcome: takes each ``Outcome``, in order of time.
+        limits: what the car can do.
 
     Raises:
-        ValueError: a value is not finite, or a shape is wrong.
+        ValueError: a value is not finite, a shape is wrong, or ``cov`` is no covariance.
     """
 
     def __init__(
@@ -92,6 +82,7 @@ class Localisation:
         cov: ArrayLike | None = None,
         history: float = HISTORY,
         on_outcome: Callable[[Outcome], None] | None = None,
+        limits: CarLimits | None = None,
     ) -> None:
         if isinstance(start, Gaussian):
             poses, P = start.mean[None], start.cov
@@ -104,14 +95,16 @@ class Localisation:
             )
         if not (np.isfinite(poses).all() and np.isfinite(P).all() and math.isfinite(t)):
             raise ValueError("start, cov and t must be finite")
+        if not is_covariance(P).all():
+            raise ValueError(f"cov must be symmetric and positive semidefinite, got {P!r}")
         if not 0 <= history < math.inf:
             raise ValueError(f"history must be finite and 0 s or more, got {history!r}")
         self.errors, self._layer, self._history = errors or SensorErrors(), layer, history
         self._on_outcome = on_outcome
         mean, full = initial(poses, P, self.errors)
-        self._points = [_Point(t, mean, full, np.eye(N) + np.zeros_like(full))]
+        self._points = [_first(t, mean, full)]
         self._correlation = ErrorCorrelation(t, full)
-        self._odometry: list[Odometry] = []
+        self._odometry = OdometryStream(len(poses), t, limits or CarLimits())
         self._observations: list[Observation] = []
         self._counts = Counter[tuple[str, Verdict]]()
 
@@ -125,22 +118,39 @@ class Localisation:
         """Time of the last odometry, up to which measurements have taken effect [s]."""
         return self._points[-1].t
 
-    def add(self, measurement: Measurement) -> None:
-        """Take a measurement.
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """(n,) whether the poses at the last odometry are known."""
+        return self._points[-1].trust.known
 
-        One that is too late, or is too far ahead of the odometry, is counted and has no effect;
-        so is odometry that is not finite, or not later than the one before.
+    def add(self, measurement: Measurement) -> None:
+        """Take a measurement, of any content.
+
+        One that is no measurement, that no car could give, or that is too late or too far ahead of
+        the odometry, is counted with its reason (``Verdict``) and has no effect.
+
+        Raises:
+            TypeError: it is of another type than ``Measurement``.
         """
         if isinstance(measurement, Odometry):
             self._add_odometry(measurement)
-        elif measurement.t < max(self._points[0].t, self.t - self._history):
-            self._count_dropped(measurement, Verdict.TOO_LATE)
-        elif measurement.t > self.t + self._history:
-            self._count_dropped(measurement, Verdict.NO_ODOMETRY)
+            return
+        found, refused = admitted(measurement, self.cars)
+        t = finite_time(measurement.t)
+        if t is None:
+            found, refused = None, {Verdict.INVALID: self.cars}
+        for verdict, cars in refused.items():
+            self._counts[type(measurement).__name__, verdict] += cars
+        if t is None or found is None:
+            return
+        if t < max(self._points[0].t, self.t - self._history):
+            self._count_dropped(found, Verdict.TOO_LATE)
+        elif t > self.t + self._history:
+            self._count_dropped(found, Verdict.NO_ODOMETRY)
         else:
-            bisect.insort(self._observations, measurement, key=lambda one: one.t)
-            if measurement.t <= self.t:
-                self._repeat_from(measurement.t)
+            bisect.insort(self._observations, found, key=_time)
+            if t <= self.t:
+                self._repeat_from(t)
 
     def counts(self) -> dict[str, Counter[str]]:
         """Return what became of the measurements by their source, by the name of the verdict.
@@ -156,37 +166,45 @@ class Localisation:
     def poses(self, t: float | None = None) -> Poses:
         """Return the poses at a time at or after the last odometry [s], None for its time.
 
-        Beyond it, the cars keep their speed and yaw rate.
+        Beyond it, the cars keep their speed and yaw rate; the longer, the less certain they are.
+        They are not known if odometry is missing for longer than ``CarLimits.gap``.
 
         Raises:
-            ValueError: the time is before it.
+            ValueError: the time is before it, and a pose is known.
         """
-        point = self._points[-1]
-        mean, cov = point.mean, point.cov
-        if t is not None and t != point.t:
+        point, last = self._points[-1], self._odometry.last
+        mean, cov, known = point.mean, point.cov.copy(), point.trust.known
+        if t is not None and t != point.t and known.any():
             if not point.t < t < math.inf:
                 raise ValueError(f"t must be finite and {point.t:g} s or later, got {t!r}")
-            if self._odometry:
-                _, speed, rate = self._odometry[-1]
-                mean, cov, _ = predict(mean, cov, speed, rate, t - point.t, self.errors)
-        return Poses(mean[:, POSE], cov[:, POSE, POSE])
+            if last is not None:
+                dt = t - point.t
+                mean, cov, _ = predict(mean, cov, *last[1:3], dt, self.errors)
+                noise = self._odometry.gap_noise(point.t, t, last.latest, last.wheel_speed)
+                widen(cov, *noise)
+                known = known & (t - last.latest <= self._odometry.limits.gap)
+        nis, position, heading = widening(point.trust)
+        cov = cov[:, POSE, POSE] * nis[:, None, None]
+        widen(cov, position, heading)
+        return Poses(mean[:, POSE], cov, known)
 
-    def ego(self, t: float | None = None) -> Gaussian:
-        """Return the Gaussian over the pose of the one car: see ``poses``.
+    def ego(self, t: float | None = None) -> Gaussian | None:
+        """Return the Gaussian over the pose of the one car, None if it is not known: see ``poses``.
 
         Raises:
             ValueError: there are several cars, or the time is before the last odometry.
         """
         if self.cars != 1:
             raise ValueError(f"there are {self.cars} cars; use poses()")
-        mean, cov = self.poses(t)
-        return Gaussian(mean[0], (cov[0] + cov[0].T) / 2)
+        mean, cov, known = self.poses(t)
+        return Gaussian(mean[0], (cov[0] + cov[0].T) / 2) if known[0] else None
 
     def speed(self) -> Array:
         """Return the (n,) speeds at the last odometry [m/s]; NaN before the first one."""
-        if not self._odometry:
+        last = self._odometry.last
+        if last is None:
             return np.full(self.cars, math.nan)
-        return speed_of(self._points[-1].mean, self._odometry[-1].wheel_speed)
+        return speed_of(self._points[-1].mean, last.wheel_speed)
 
     def gnss_bias(self) -> Array:
         """Return the (n, 2) errors of the GNSS position, as estimated [m]."""
@@ -203,8 +221,8 @@ class Localisation:
         """
         return self._correlation.times(self._points[-1].mean[:, HEADING])
 
-    def pose_error(self, t: float | None = None) -> PoseError:
-        """Return the error of the pose of the one car, as a ``Scene`` states it.
+    def pose_error(self, t: float | None = None) -> PoseError | None:
+        """Return the error of the pose of the one car, as a ``Scene`` states it; None without one.
 
         Its correlation time is that of the error across, the one which the lines beside the car
         show.
@@ -213,23 +231,31 @@ class Localisation:
             ValueError: there are several cars, or the time is before the last odometry.
         """
         ego = self.ego(t)
+        if ego is None:
+            return None
         c, s = math.cos(ego.mean[2]), math.sin(ego.mean[2])
         T_ego_map = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         P = T_ego_map @ ego.cov @ T_ego_map.T
         return PoseError((P + P.T) / 2, float(self.correlation_times()[0, 1]))
 
     def _add_odometry(self, odometry: Odometry) -> None:
-        speed, rate = (np.broadcast_to(one, (self.cars,)) for one in odometry[1:])
-        is_new = odometry.t > self.t or (odometry.t == self.t and not self._odometry)
-        verdict = Verdict.USED if is_new else Verdict.TOO_LATE
-        if not (np.isfinite(speed).all() and np.isfinite(rate).all() and odometry.t < math.inf):
-            verdict = Verdict.INVALID
-        self._counts["odometry", verdict] += self.cars
-        if verdict != Verdict.USED:
-            return
-        self._odometry.append(Odometry(odometry.t, speed, rate))
-        self._extend(self.t, odometry.t)
-        self._forget()
+        samples, counts, is_set_back = self._odometry.take(odometry)
+        for verdict, cars in counts.items():
+            self._counts["odometry", verdict] += cars
+        if is_set_back and samples:
+            self._start_again(samples[0].t)
+        for sample in samples:
+            self._extend(self.t, sample.t)
+            self._forget()
+
+    def _start_again(self, t: float) -> None:
+        """Go on from an earlier time, as the clock of the odometry has been set back."""
+        for one in self._observations:
+            self._count_dropped(one, Verdict.NO_ODOMETRY)
+        self._observations.clear()
+        last = self._points[-1]
+        self._points = [_first(t, last.mean, last.cov)._replace(trust=last.trust)]
+        self._correlation = ErrorCorrelation(t, last.cov)
 
     def _repeat_from(self, t: float) -> None:
         """Repeat the filter from a time on, with all observations."""
@@ -244,54 +270,29 @@ class Localisation:
         if begin == self._points[0].t and len(self._points) == 1:
             first = bisect.bisect_left(self._observations, begin, key=lambda one: one.t)
         waiting = self._observations[first:]
-        events: list[tuple[float, Observation | None]] = [
-            (one.t, one) for one in waiting if one.t <= end
-        ]
-        events += [(one.t, None) for one in self._odometry if begin < one.t <= end]
-        for t, observation in sorted(events, key=lambda event: event[0]):
-            point = self._predicted(t)
-            self._points.append(point if observation is None else self._updated(point, observation))
-
-    def _predicted(self, t: float) -> _Point:
-        last = self._points[-1]
-        dt = t - last.t
-        if dt <= 0:
-            return _Point(t, last.mean, last.cov, np.eye(N) + np.zeros_like(last.cov))
-        speed, rate = self._input((last.t + t) / 2)
-        mean, cov, F = predict(last.mean, last.cov, speed, rate, dt, self.errors)
-        return _Point(t, mean, cov, F)
-
-    def _input(self, t: float) -> tuple[Array, Array]:
-        """Return wheel speed and yaw rate at a time, between two odometries."""
-        after = bisect.bisect_left(self._odometry, t, key=lambda one: one.t)
-        one, other = self._odometry[max(after - 1, 0)], self._odometry[after]
-        share = (t - one.t) / (other.t - one.t) if other.t > one.t else 0.0
-        speed, rate = (a + share * (b - a) for a, b in zip(one[1:], other[1:], strict=True))
-        return speed, rate
-
-    def _updated(self, point: _Point, observation: Observation) -> _Point:
-        t, mean, cov, transition, _ = point
-        found = innovation(observation, mean, cov, self._layer)
-        used = found.verdict == Verdict.USED
-        outcome = Outcome(t, found.source, found.verdict, found.squared)
-        if used.any():
-            mean, cov, reduction = update(mean, cov, found.residual, found.H, found.R, used)
-            transition = reduction @ transition
-        return _Point(t, mean, cov, transition, outcome)
+        events: list[Observation | Sample] = [one for one in waiting if one.t <= end]
+        events += self._odometry.between(begin, end)
+        for event in sorted(events, key=_time):
+            point = predicted(self._points[-1], event.t, self._odometry, self.errors)
+            if not isinstance(event, Sample):
+                point = updated(point, event, self._layer, self.errors)
+            elif event.broken.any():
+                point = missed(point, event.broken)
+            self._points.append(point)
 
     def _forget(self) -> None:
         """Drop what is older than the history, and count its outcomes."""
         horizon = self.t - self._history
         keep = bisect.bisect_left(self._points, horizon, key=lambda point: point.t) - 1
         for point in self._points[1 : keep + 1]:
-            self._correlation.advance(point.t, point.cov, point.transition)
+            self._correlation.advance(point.t, point.cov, point.transition, point.is_new)
             if point.outcome is not None:
                 self._count(point.outcome)
         if keep > 0:
             del self._points[:keep]
             first = self._points[0].t
             del self._observations[: bisect.bisect_right(self._observations, first, key=_time)]
-            del self._odometry[: max(bisect.bisect_right(self._odometry, first, key=_time) - 1, 0)]
+            self._odometry.forget(first)
 
     def _count(self, outcome: Outcome) -> None:
         for value, count in zip(*np.unique(outcome.verdict, return_counts=True), strict=True):
@@ -303,5 +304,10 @@ class Localisation:
         self._counts[type(observation).__name__, verdict] += self.cars
 
 
-def _time(one: Measurement) -> float:
+def _first(t: float, mean: Array, cov: Array) -> Point:
+    """Return the point with which a filter starts."""
+    return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), unsuspicious(len(mean)))
+
+
+def _time(one: Observation | Sample) -> float:
     return one.t

@@ -118,7 +118,7 @@ def update(
     S = H @ PHt
     for b in range(B):
         own = slice(m * b, m * b + m)
-        S[:, own, own] += R[:, b]
+        S[:, own, own] += np.where(used[:, b, None, None], R[:, b], np.eye(m))
     K = PHt @ np.linalg.inv(S)
     reduction = np.eye(N) - K @ H
     after = cov - K @ PHt.transpose(0, 2, 1)

@@ -28,6 +28,9 @@ SAME_LANDMARK, LANDMARK_REACH = 0.05, 10.0
 #: Ratio of the covariance of an innovation to that of the measurement beyond which another
 #: measurement must confirm it.
 WIDE = 5.0
+#: Least eigenvalue of the covariance of an innovation [m^2, rad^2], or share of the variances of
+#: which it is the difference, if they are more than 1; below, it is rounding.
+SINGULAR = 1e-12
 
 
 class Innovation(NamedTuple):
@@ -120,11 +123,18 @@ def _pose(fix: PoseFix, mean: Array, cov: Array) -> Innovation:
 def _direct(source: str, residual: Array, H: Array, cov: Array, R: Array) -> Innovation:
     """Return the innovation of a measurement that needs no association."""
     S = H @ cov @ H.transpose(0, 2, 1) + R
-    given = np.asarray(np.isfinite(residual).all(axis=1))
-    residual = np.where(given[:, None], residual, 0.0)
-    inside = squared_distance(residual, S) <= GATES[residual.shape[1]]
-    verdict = np.where(given, np.where(inside, Verdict.USED, Verdict.OUTLIER), Verdict.MISSING)
     R = np.broadcast_to(R, S.shape)
+    given = np.asarray(np.isfinite(residual).all(axis=1))
+    # An exact measurement of what is known exactly, such as a second one at the same time.
+    size = np.diagonal(np.abs(H) @ np.abs(cov) @ np.abs(H.mT) + np.abs(R), axis1=-2, axis2=-1)
+    unit = np.sqrt(size.clip(min=1.0))
+    singular = np.linalg.eigvalsh(S / unit[:, :, None] / unit[:, None])[:, 0] <= SINGULAR
+    good = given & ~singular
+    residual = np.where(good[:, None], residual, 0.0)
+    S, R = (np.where(good[:, None, None], one, np.eye(R.shape[-1])) for one in (S, R))
+    inside = squared_distance(residual, S) <= GATES[residual.shape[1]]
+    verdict = np.where(inside, Verdict.USED, Verdict.OUTLIER)
+    verdict = np.where(given, np.where(singular, Verdict.SINGULAR, verdict), Verdict.MISSING)
     return Innovation(
         source, residual[:, None], H[:, None], R[:, None], S[:, None], verdict[:, None]
     )

@@ -5,7 +5,7 @@ A row for each cycle, as CSV or Parquet, with SI units:
 - ``time``: on the clock of the bus log; ``drive_time``: from the start of the drive;
 - ``x``, ``y``, ``heading``, ``speed``, ``yaw_rate``: true pose in the map frame, and true motion;
 - ``stated_x``, ``stated_y``, ``stated_heading``, ``stated_cov_xx`` to ``stated_cov_hh``: the pose
-  that the car knows, and its covariance;
+  that the car knows, and its covariance; empty if it does not know its pose;
 - ``lane``, ``stated_lane``: where the car is, and where it believes to be; empty off the map;
 - ``lane_changed``: 1 in the cycle in which all slots become those of another lane;
 - for each slot, such as ``ego_left``: ``ego_left_y_0`` to ``ego_left_y_80``, the lateral position

@@ -155,8 +155,10 @@ def test_late_measurements_are_as_in_order(history: float) -> None:
     """Whatever the order in which they arrive within the history."""
     rng = np.random.default_rng(3)
     errors = SensorErrors()
-    driving = [odometry(i * DT, 10 + math.sin(i / 50), 0.2) for i in range(251)]
-    seen = [fix(t, 10 * t, t) for t in rng.uniform(0.2, 4.0, 30)]
+    driving = [odometry(i * DT, 10.0, 0.2) for i in range(251)]
+    seen = [
+        fix(t, 50 * math.sin(t / 5), 50 - 50 * math.cos(t / 5)) for t in rng.uniform(0.2, 4, 30)
+    ]
     both: list[Any] = [*driving, *seen]
     in_order = sorted(both, key=lambda one: one.t)
     arrivals: list[tuple[float, Any]] = [(one.t, one) for one in driving]
@@ -214,7 +216,7 @@ def test_the_history_is_bounded() -> None:
     """What is older is forgotten."""
     found = driven([odometry(i * DT) for i in range(2000)])
     assert len(found._points) < 30
-    assert len(found._odometry) < 30
+    assert len(found._odometry._samples) < 30
     assert len(found._correlation._spans) < 80
 
 
