@@ -61,7 +61,9 @@ ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.colu
 ego.recorded ego.route_drive
 ego.localisation.sensor_errors ego.localisation.motion_model ego.localisation.measurements
 ego.localisation.localisation_layer ego.localisation.association
-ego.localisation.observation_models ego.localisation.correlation ego.localisation.filter
+ego.localisation.observation_models ego.localisation.correlation ego.localisation.admission
+ego.localisation.odometry_stream ego.localisation.consistency ego.localisation.alignment
+ego.localisation.step ego.localisation.filter
 ego.localisation ego.simulated_sensors ego.simulated_localisation
 ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
 ego.scan_matching ego

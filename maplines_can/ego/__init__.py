@@ -4,6 +4,7 @@ from .drive import SimulatedDrive, State
 from .line_source import Cycle, LineSource
 from .localisation import (
     CameraLines,
+    CarLimits,
     GaussMarkov,
     GnssFix,
     Localisation,
@@ -22,6 +23,7 @@ from .simulated_sensors import SensorSetup, SimulatedSensors, simulated_measurem
 
 __all__ = [
     "CameraLines",
+    "CarLimits",
     "Cycle",
     "GaussMarkov",
     "GnssFix",

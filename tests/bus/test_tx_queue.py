@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from dbcs import default_codec
 from fake_bus import (
@@ -19,6 +20,7 @@ from fake_codec import FakeCodec, sent_values
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from maplines_can import Codec, Gaussian, Polyline, map_scene
 from maplines_can.bus import (
     Link,
     Transmitter,
@@ -26,7 +28,7 @@ from maplines_can.bus import (
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
 from maplines_can.line import Slot
 from maplines_can.mixture import GaussianMixture
-from maplines_can.wire import POSE, Frame
+from maplines_can.wire import POSE, Frame, default_dbc_path
 
 
 def test_a_retracted_line_is_not_sent_again(link: Any) -> None:
@@ -436,3 +438,17 @@ def test_lines_of_a_scene_are_encoded_a_tenth_of_a_second_ahead_at_most(
     for transfer in transfers:
         assert transfer.frames[0].can_id == 0
         assert age_of(transfer) == pytest.approx(transfer.latest - T0)
+
+
+def test_no_lines_in_place_of_a_scene_end_its_pose_error() -> None:
+    """A sender without a pose publishes no lines: nothing of the scene before is sent on."""
+    codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+    road = Polyline([[-50.0, 1.7], [150.0, 1.7]])
+    ego = Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.001]) ** 2)
+    scene = map_scene({Slot.EGO_LEFT: road}, ego, correlation_time=3.0)
+    queue = TxQueue(codec, 0.05, fd=False, count=None, max_age=0.2)
+    queue.put_scene(codec.prepare_scene(scene), 0.0)
+    assert queue.take(0.01) is not None
+    queue.put([], 0.02)
+    assert queue.wait(0.02) is None
+    assert queue.take(1.0) is None

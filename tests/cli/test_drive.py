@@ -14,7 +14,7 @@ from drive_files import run, table, town
 from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
-from maplines_can.ego import Cycle, LineSource
+from maplines_can.ego import Cycle, LineSource, SimulatedLocalisation
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]
 
@@ -444,6 +444,46 @@ def test_the_pose_of_a_localisation_is_sent(
     truth = ["--truth", str(tmp_path / "truth.csv")]
     assert main(["drive", town(tmp_path), *FAST[:-1], "2", "--localise", *truth]) == 0
     assert "odometry" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("dbc", ["maplines.dbc", "maplines-pose.dbc"])
+def test_without_a_pose_no_line_is_sent(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    dbc: str,
+) -> None:
+    """It is counted and said; neither lines nor pose errors are sent, and then they are again."""
+    poses = SimulatedLocalisation.pose
+    lost = (0.5, 1.0)
+
+    def pose(self: SimulatedLocalisation, t: float, true: Any = None) -> Any:
+        return None if lost[0] <= t < lost[1] else poses(self, t, true)
+
+    monkeypatch.setattr(SimulatedLocalisation, "pose", pose)
+    log = tmp_path / "drive.log"
+    options = ["--localise", "--dbc", dbc, "--record", str(log)]
+    assert (
+        main(
+            [
+                "drive",
+                town(tmp_path),
+                *FAST[:-1],
+                "1.5",
+                *options,
+                "--truth",
+                str(tmp_path / "truth.csv"),
+            ]
+        )
+        == 0
+    )
+    assert "the car did not know its pose, and no line was sent" in capsys.readouterr().out
+    stamps = np.array([float(line.split(")")[0][1:]) for line in log.read_text().splitlines()])
+    gaps = np.diff(stamps)
+    assert 0.3 < gaps.max() < 0.7
+    rows = (tmp_path / "truth.csv").read_text().splitlines()
+    empty = [row for row in rows[1:] if ",,,,,,,,," in row]
+    assert len(empty) >= 9
 
 
 @pytest.mark.parametrize("option", [["--sigma", "1,1,1"], ["--correlation-time", "3"]])

@@ -75,6 +75,24 @@ def test_off_the_map_there_are_no_lines() -> None:
     assert cycle.tracked.match is None
 
 
+@pytest.mark.parametrize("time", [None, 3.0])
+def test_without_a_pose_there_are_no_lines(time: float | None) -> None:
+    """Nor a pose error; with a pose they are there again."""
+    poses = iter([True, False, True])
+
+    def stated(t: float, pose: Any) -> Gaussian | None:
+        return exact(t, pose) if next(poses) else None
+
+    source, pose = LineSource(ROWS, stated, correlation_time=time), pose_on(ROWS.lanes["r"], 50.0)
+    before, without, again = (source.cycle(t, pose) for t in (0.0, 0.1, 0.2))
+    assert without.stated is None
+    assert without.joint is None
+    assert (without.lines, without.lines.left_out) == ([], {})
+    assert without.scene.match is None
+    assert without.changed == {line.slot for line in before.lines}
+    assert [line.slot for line in again.lines] == [line.slot for line in before.lines]
+
+
 def test_with_a_correlation_time_a_cycle_has_the_joint_covariance() -> None:
     """Of the same lines; off the map there are none, and mixtures are refused."""
     pose = pose_on(ROWS.lanes["r"], 50.0)

@@ -20,10 +20,13 @@ from maplines_can.ego import (
     SensorSetup,
     SimulatedDrive,
     SimulatedLocalisation,
+    simulated_localisation,
     simulated_measurements,
 )
+from maplines_can.ego.simulated_sensors import Arrival
 from maplines_can.line import Kind
 from maplines_can.maps import Landmark, LandmarkKind
+from maplines_can.testing.sensor_faults import FAULTS, injected
 
 #: A straight motorway at 30 m/s, with a pole every 200 m.
 ROAD = [[0, 0], [1500, 0]]
@@ -84,6 +87,7 @@ def test_the_stated_pose_drives_a_line_source() -> None:
     for t in np.arange(0.1, 6.0, 0.05):
         cycle = lines.cycle(t, DRIVE.at(t).pose)
     assert cycle.scene is not None
+    assert cycle.stated is not None
     error = cycle.scene.pose_error
     assert error.correlation_time == source.correlation_time < 60
     assert np.sqrt(error.cov.diagonal())[1] == pytest.approx(cycle.stated.sigma[1], rel=1e-3)
@@ -91,10 +95,28 @@ def test_the_stated_pose_drives_a_line_source() -> None:
     assert source.counts()["line"]["USED"] > 50
 
 
+@pytest.mark.parametrize("name", ["60 s ahead", "60 s late", "dropped"])
+def test_wrong_stamps_give_no_pose(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """They never raise out of the source, and the pose is found again."""
+    (fault,) = (one for one in FAULTS if (one.sensor, one.name) == ("odometry", name))
+
+    def measurements(*args: Any) -> list[Arrival]:
+        return list(injected(simulated_measurements(*args), fault, 5.0, 9.0))
+
+    monkeypatch.setattr(simulated_localisation, "simulated_measurements", measurements)
+    source = SimulatedLocalisation(DRIVE, LAYER, SensorSetup(odometry_rate=20.0, camera_rate=2.0))
+    poses = {float(t): source.pose(t) for t in np.arange(0.1, 40.0, 0.1)}
+    assert all(pose is not None for t, pose in poses.items() if t < 5.0)
+    assert [t for t, pose in poses.items() if pose is None and 7.5 < t < 9.0]
+    assert list(poses.values())[-1] is not None
+
+
 def test_the_seed_gives_the_poses() -> None:
     means = []
     for seed in (1, 1, 2):
         source = SimulatedLocalisation(DRIVE, LAYER, seed=seed)
-        means.append(source.pose(2.0).mean)
+        stated = source.pose(2.0)
+        assert stated is not None
+        means.append(stated.mean)
     assert (means[0] == means[1]).all()
     assert (means[0] != means[2]).all()

@@ -62,9 +62,12 @@ def admitted(observation: Observation, cars: int) -> Admitted:
             "a measurement must be Odometry, GnssFix, CameraLines, SeenLandmarks or PoseFix, got "
             f"{type(observation).__name__}"
         )
+    t = finite_time(observation.t)
     try:
         values, covs, kind = _arrays(observation, cars)
     except (TypeError, ValueError, OverflowError):
+        t = None
+    if t is None:
         return Admitted(None, {Verdict.INVALID: cars})
     is_exact = isinstance(observation, GnssFix | PoseFix)
     given = ~np.isnan(values).any(axis=-1)  # (n, B)
@@ -81,7 +84,6 @@ def admitted(observation: Observation, cars: int) -> Admitted:
     }
     if refused and np.isnan(values).any(axis=-1).all():
         return Admitted(None, refused)
-    t = float(observation.t)
     if isinstance(observation, GnssFix):
         return Admitted(GnssFix(t, values[:, 0], covs[0][:, 0]), refused)
     if isinstance(observation, PoseFix):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...arrays import floats
 from ...gaussian import Gaussian
 from ...scene import PoseError
-from .admission import admitted, finite_time, is_covariance
+from .admission import admitted, is_covariance
 from .association import Verdict
 from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
@@ -136,13 +136,11 @@ class Localisation:
             self._add_odometry(measurement)
             return
         found, refused = admitted(measurement, self.cars)
-        t = finite_time(measurement.t)
-        if t is None:
-            found, refused = None, {Verdict.INVALID: self.cars}
         for verdict, cars in refused.items():
             self._counts[type(measurement).__name__, verdict] += cars
-        if t is None or found is None:
+        if found is None:
             return
+        t = found.t
         if t < max(self._points[0].t, self.t - self._history):
             self._count_dropped(found, Verdict.TOO_LATE)
         elif t > self.t + self._history:
@@ -254,7 +252,8 @@ class Localisation:
             self._count_dropped(one, Verdict.NO_ODOMETRY)
         self._observations.clear()
         last = self._points[-1]
-        self._points = [_first(t, last.mean, last.cov)._replace(trust=last.trust)]
+        point = _first(t, last.mean, last.cov)._replace(trust=last.trust)
+        self._points = [missed(point, np.full(self.cars, True))]
         self._correlation = ErrorCorrelation(t, last.cov)
 
     def _repeat_from(self, t: float) -> None:

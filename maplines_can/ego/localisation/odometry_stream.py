@@ -143,8 +143,6 @@ class OdometryStream:
             self._samples.clear()
             self._t = waiting[0].t
         samples = [sample for one in waiting for sample in self._judged(one, counts)]
-        if is_set_back and samples:
-            samples[0] = self._samples[0] = samples[0]._replace(broken=np.full(self._cars, True))
         return samples, counts, is_set_back
 
     def _dropped(self) -> dict[Verdict, int]:

@@ -251,6 +251,56 @@ def test_the_pose_between_odometries_is_predicted() -> None:
         found.ego(0.1)
 
 
+def test_the_pose_error_is_the_covariance_in_the_axes_of_the_car() -> None:
+    """Along, across, and of the heading, with all that they have in common."""
+    errors, turn = SensorErrors(), 0.7
+    c, s = math.cos(turn), math.sin(turn)
+    P = np.array([[0.5, 0.1, 0.02], [0.1, 0.3, -0.01], [0.02, -0.01, 0.04]])
+    found = Localisation(Gaussian([5.0, -3.0, turn], P), errors=errors).pose_error()
+    assert found is not None
+    rotation = np.zeros((3, 3))
+    rotation[:2, :2], rotation[2, 2] = np.array([[c, -s], [s, c]]).T, 1.0
+    assert found.cov == pytest.approx(rotation @ P @ rotation.T, abs=1e-12)
+    assert found.cov[2, 2] == pytest.approx(0.04)
+
+
+def test_a_loss_does_not_depend_on_the_order_of_arrival() -> None:
+    """Of positions that jump: the pose is lost and found again at the same times, with the same
+    values, whether the positions come late or not."""
+    rng = np.random.default_rng(8)
+    driving = [odometry(i * DT, 10.0, 0.1) for i in range(1, 2801)]
+    seen = []
+    for i in range(1, 275):
+        t = 0.2 * i + 0.01
+        x, y = 100 * math.sin(t / 10), 100 - 100 * math.cos(t / 10)
+        jump = 40.0 if t > 8 else 0.0
+        seen.append(fix(t, x + jump + 0.3 * rng.standard_normal(), y, 0.3))
+    start = Gaussian(np.zeros(3), np.diag([0.5, 0.5, 0.01]) ** 2)
+    courses = []
+    for delays in (np.zeros(len(seen)), rng.uniform(0.0, 0.4, len(seen))):
+        arrivals: list[tuple[float, Any]] = [(one.t, one) for one in driving]
+        arrivals += [(one.t + d, one) for one, d in zip(seen, delays, strict=True)]
+        localisation, course = Localisation(start), []
+        for t, one in sorted(arrivals, key=lambda arrival: arrival[0]):
+            localisation.add(one)
+            if round(t, 2) % 2 == 0.0 and isinstance(one, Odometry):
+                course.append((t, bool(localisation.known[0])))
+        courses.append((course, localisation.poses(), localisation.correlation_times()))
+    known = [is_known for _, is_known in courses[0][0]]
+    assert known[0]
+    assert not all(known)
+    assert known[-1]
+    assert sum(a != b for a, b in zip(*(course for course, *_ in courses), strict=True)) <= 1
+    for a, b in zip(courses[0][1], courses[1][1], strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+    np.testing.assert_allclose(courses[0][2], courses[1][2], rtol=1e-3)
+    mean = courses[0][1].mean[0]
+    t = driving[-1].t
+    assert mean[0] == pytest.approx(100 * math.sin(t / 10) + 40, abs=6)
+    # What was before the pose was found again says nothing about its error.
+    assert (courses[0][2] > 0).all()
+
+
 def test_several_cars_are_as_each_alone() -> None:
     """The filters of a batch do not see each other."""
     rng = np.random.default_rng(5)
