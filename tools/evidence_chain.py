@@ -147,8 +147,8 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
                     continue
                 scene = sender.cycle(rows[-1]).scene
                 with sender.cpu.of("lines"):
-                    if scene is not None:
-                        transmitter.publish(scene, start_ns + round(1e9 * rows[-1, 0]))
+                    sent_scene = [] if scene is None else scene
+                    transmitter.publish(sent_scene, start_ns + round(1e9 * rows[-1, 0]))
             transmitter.wait(PERIOD)
         stats = transmitter.stats()
     used = time.process_time() - before

@@ -60,7 +60,7 @@ START, WARM_UP = 20.0, 30.0
 #: Durations of the faults [s]; 0 is a single measurement.
 DURATIONS = (0.0, 1.0, 5.0, 30.0)
 #: Time after a fault within which the pose must be known again [s].
-AFTER = 60.0
+AFTER = 80.0
 #: Time after a fault for which all poses must have been known to end a course sooner [s].
 SETTLED = 10.0
 #: Time between two evaluations [s].

@@ -86,7 +86,7 @@ def test_without_a_pose_there_are_no_lines(time: float | None) -> None:
     source, pose = LineSource(ROWS, stated, correlation_time=time), pose_on(ROWS.lanes["r"], 50.0)
     before, without, again = (source.cycle(t, pose) for t in (0.0, 0.1, 0.2))
     assert without.stated is None
-    assert without.joint is None
+    assert without.scene is None
     assert (without.lines, without.lines.left_out) == ([], {})
     assert without.scene.match is None
     assert without.changed == {line.slot for line in before.lines}

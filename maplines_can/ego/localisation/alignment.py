@@ -26,7 +26,7 @@ MIN_COUNT, MIN_TIME, MIN_WAY = 8, 4.0, 20.0
 #: Longest time over which odometry is taken for one way [s].
 MAX_TIME = 15.0
 #: Probability that positions and odometry that fit each other are rejected.
-FALSE_ALARM = 1e-3
+FALSE_ALARM = 1e-5
 
 
 class Position(NamedTuple):
@@ -46,12 +46,13 @@ class Alignment(NamedTuple):
     pose: Array  #: (3,) x [m], y [m], heading [rad]
     cov: Array  #: (3, 3)
     bias_cov: Array  #: (3, 2) of the error of the pose and the GNSS bias, which is 0 in the mean
+    fits: bool  #: whether positions and odometry fit each other; otherwise, it is no pose
 
 
 def aligned(
     positions: Sequence[Position], car: int, since: float, pose: Array, errors: SensorErrors
 ) -> Alignment | None:
-    """Return the pose of a car by its last positions; None if they are too few, or do not fit.
+    """Return the pose of a car by its last positions; None if they are too few.
 
     Args:
         positions: in order of time.
@@ -85,13 +86,12 @@ def aligned(
     step = np.linalg.solve(information, J.T @ solved[:, 3])
     rest = residual - J @ step
     squared = float(rest @ np.linalg.solve(cov, rest))
-    if not squared <= chdtri(2 * K - 3, FALSE_ALARM):
-        return None
     P = np.linalg.inv(information)
     # The pose is off by G times the errors of the positions, of which the bias is a part.
     bias_cov = -P @ solved[:, :3].T @ bias
     found = np.array([*place, pose[2] + turn]) + step
-    return Alignment(found, (P + P.T) / 2, bias_cov)
+    fits = squared <= chdtri(2 * K - 3, FALSE_ALARM)
+    return Alignment(found, (P + P.T) / 2, bias_cov, bool(fits))
 
 
 def _last(positions: Sequence[Position], car: int, since: float) -> list[Position] | None:

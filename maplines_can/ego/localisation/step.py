@@ -154,9 +154,9 @@ def _sought(
     for car in np.flatnonzero(given):
         same = [one for one in positions if one.is_gnss == is_gnss]
         pose = aligned(same, car, trust.since[car], point.mean[car, POSE], errors)
-        if pose is None:
+        if pose is not None and not pose.fits:
             fits[car] = np.nan
-        else:
+        elif pose is not None:  # a car that stands shows nothing
             poses[car] = pose
             fits[car] = t if np.isnan(fits[car]) else fits[car]
     trust = trust._replace(fits=fits)

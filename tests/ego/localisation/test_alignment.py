@@ -60,7 +60,8 @@ def test_the_covariance_is_that_of_the_errors(rate: float) -> None:
             bias[i] = phi * bias[i - 1] + math.sqrt(1 - phi**2) * bias[i]
         seen = true[:, :2] + bias + sigma * rng.standard_normal((n, 2))
         one = aligned(positions(seen, true, sigma), 0, -1.0, true[-1], ERRORS)
-        if one is None:
+        assert one is not None
+        if not one.fits:
             continue
         joint = np.zeros((5, 5))
         joint[:3, :3], joint[3:, 3:] = one.cov, 2.25 * np.eye(2)
@@ -86,7 +87,11 @@ def test_the_covariance_is_that_of_the_errors(rate: float) -> None:
 )
 def test_positions_that_do_not_fit_give_no_pose(wrong: Any) -> None:
     true = way(40, 10.0, 0.1)
-    assert aligned(positions(wrong(true[:, :2]), true, 0.4), 0, -1.0, true[-1], ERRORS) is None
+    odometry = moved(true, [30.0, 5.0, 1.0])
+    for seen, fits in ((true[:, :2], True), (wrong(true[:, :2]), False)):
+        found = aligned(positions(seen, odometry, 0.4), 0, -1.0, odometry[-1], ERRORS)
+        assert found is not None
+        assert found.fits == fits
 
 
 def test_a_pose_needs_a_way_and_time() -> None:

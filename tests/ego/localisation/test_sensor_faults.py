@@ -55,8 +55,7 @@ CASES = [
 def test_a_fault_is_noticed(tool: Any, fault: Any, duration: float) -> None:
     """The error of a stated pose exceeds 5 of its sigmas for no longer than stated."""
     cars = {"odometry": "no map", "gnss": "no map", "pose": "lidar"}.get(fault.sensor, "map")
-    after = 70.0 if duration == 30.0 else 50.0
-    course = drive(cars).run(fault, duration, after)
+    course = drive(cars).run(fault, duration)
     found = tool.figures(course, tool.LONGEST[cars])
     assert found["beyond [s]"] <= tool.LONGEST[cars], found
     assert found["known at the end"] == SEEDS, found

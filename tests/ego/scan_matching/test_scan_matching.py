@@ -211,10 +211,12 @@ def test_the_filter_takes_the_pose() -> None:
     localisation = Localisation(Gaussian(start, np.diag([0.5, 0.5, 0.02]) ** 2))
     for i in range(30):
         localisation.add(Odometry(0.02 * i, np.zeros(1), np.zeros(1)))
-    found = match_ndt(REFERENCE, scan, localisation.ego().mean)
+    found = match_ndt(REFERENCE, scan, localisation.poses().mean[0])
     localisation.add(found.fix(0.3))
-    assert localisation.ego().mean[:2] == pytest.approx(POSE[:2], abs=0.05)
-    assert localisation.ego().sigma[:2] == pytest.approx(np.sqrt(found.cov.diagonal()[:2]), rel=0.5)
+    ego = localisation.ego()
+    assert ego is not None
+    assert ego.mean[:2] == pytest.approx(POSE[:2], abs=0.05)
+    assert ego.sigma[:2] == pytest.approx(np.sqrt(found.cov.diagonal()[:2]), rel=0.5)
 
 
 def test_without_small_gicp_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
