@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Fewest positions, shortest time [s] and shortest way [m] from which a pose is taken.
 MIN_COUNT, MIN_TIME, MIN_WAY = 8, 4.0, 20.0
+#: Variance that each position has at least [m^2], so that exact ones can be compared.
+MIN_VARIANCE = 1e-6
 #: Longest time over which odometry is taken for one way [s].
 MAX_TIME = 15.0
 #: Probability that positions and odometry that fit each other are rejected.
@@ -75,12 +77,12 @@ def aligned(
     way = arm @ R.T
     across = np.column_stack([-way[:, 1], way[:, 0]])  # derivative by the turn
     K = len(chosen)
-    J = np.zeros((K, 2, 3))
-    J[:, :, :2], J[:, :, 2] = np.eye(2), across
+    by_pose = np.zeros((K, 2, 3))
+    by_pose[:, :, :2], by_pose[:, :, 2] = np.eye(2), across
+    J = by_pose.reshape(2 * K, 3)
     place = (fixes - way).mean(axis=0)
     residual = (fixes - way - place).ravel()
     cov, bias = _covariance(chosen, car, t, way, across, errors)
-    J = J.reshape(2 * K, 3)
     solved = np.linalg.solve(cov, np.column_stack([J, residual[:, None]]))
     information = J.T @ solved[:, :3]
     step = np.linalg.solve(information, J.T @ solved[:, 3])
@@ -121,7 +123,7 @@ def _covariance(
     both = np.outer(~has_bias, ~has_bias)
     cov += both[:, None, :, None] * chosen[-1].common[car][None, :, None, :]
     for i, one in enumerate(chosen):
-        cov[i, :, i] += one.noise[car]
+        cov[i, :, i] += one.noise[car] + MIN_VARIANCE * np.eye(2)
     # Errors of the odometry: of the scale along, of the yaw rate across, growing to the past.
     for sigma, shape in (
         (errors.wheel_scale.sigma, way),

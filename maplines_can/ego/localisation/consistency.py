@@ -128,7 +128,9 @@ def compared(trust: Consistency, found: Innovation, t: float) -> tuple[Consisten
     normal *= np.sqrt(np.minimum(1.0, GATES[m] / np.maximum(squared, 1e-300)))[..., None]
     squared = squared.clip(max=GATES[m])
 
-    rejected, agreed, at, mean, nis, residual, turn = (one.copy() for one in trust[6:])
+    rejected, agreed, at = trust.rejected.copy(), trust.agreed.copy(), trust.at.copy()
+    mean, nis = trust.mean.copy(), trust.nis.copy()
+    residual, turn = trust.residual.copy(), trust.turn.copy()
     is_far = any_judged & ~is_used
     agrees = any_judged & (np.where(judged, squared, np.inf).min(axis=1) <= AGREEING[m])
     agrees = np.where(trust.known, is_used, agrees)

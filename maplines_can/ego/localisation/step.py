@@ -151,7 +151,7 @@ def _sought(
     past = [one for one in point.positions if t - one.t <= MAX_TIME]
     positions = (*past, new)
     fits, poses = trust.fits.copy(), dict[int, Alignment]()
-    for car in np.flatnonzero(given):
+    for car in np.flatnonzero(given).tolist():
         same = [one for one in positions if one.is_gnss == is_gnss]
         pose = aligned(same, car, trust.since[car], point.mean[car, POSE], errors)
         if pose is not None and not pose.fits:
@@ -165,7 +165,7 @@ def _sought(
     if not ready.any():
         return point
     mean, cov, transition = (one.copy() for one in point[1:4])
-    for car in np.flatnonzero(ready):
+    for car in np.flatnonzero(ready).tolist():
         pose = poses[car]
         mean[car : car + 1], cov[car : car + 1] = initial(pose.pose[None], pose.cov[None], errors)
         if is_gnss:
