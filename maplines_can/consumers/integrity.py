@@ -220,7 +220,6 @@ def onset(K: ArrayLike, rho: float) -> NDArray[np.float64]:
     return np.asarray((_WEIGHTS * density * leaves).sum(axis=-1) * width / 2)
 
 
-
 def availability(protection_levels: ArrayLike, alert_limit: float) -> Level:
     """Return (...,) protection levels with the places at which they are at most the alert limit.
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import pytest
 from bombs import MB, MOST, SIZE, read_in_little_memory
 
 #: A file with this suffix in front of the last one is read by this function.

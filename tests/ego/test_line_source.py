@@ -88,7 +88,7 @@ def test_without_a_pose_there_are_no_lines(time: float | None) -> None:
     assert without.stated is None
     assert without.scene is None
     assert (without.lines, without.lines.left_out) == ([], {})
-    assert without.scene.match is None
+    assert without.tracked.match is None
     assert without.changed == {line.slot for line in before.lines}
     assert [line.slot for line in again.lines] == [line.slot for line in before.lines]
 
