@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from bombs import MB, MOST, SIZE, read_in_little_memory
+from bombs import MB, MOST, SIZE, gzipped, read_in_little_memory
 
 #: A file with this suffix in front of the last one is read by this function.
 READ = """
@@ -73,11 +73,11 @@ def write_npz_files(folder: Path) -> Iterator[tuple[str, str]]:
 
 
 def write_parquet_files(folder: Path) -> Iterator[tuple[str, str]]:
-    zeros = pa.array(np.zeros(12 * MB))
+    zeros, small = pa.array(np.zeros(9 * MB)), pa.array(np.zeros(9 * MB, dtype=np.int8))
     plain = {"use_dictionary": False, "compression": "zstd", "row_group_size": len(zeros)}
     names = [f"mean_{i}" for i in range(4)]
     names += [f"cov_{i}{j}" for i in range(4) for j in range(i, 4)]
-    table = pa.table(dict.fromkeys(names, zeros))
+    table = pa.table(dict.fromkeys(names, small) | {"mean_0": zeros})
     pq.write_table(table, folder / "page.gaussians.parquet", data_page_size=SIZE * MB, **plain)
     yield "page.gaussians.parquet", "in a row group, more than"
     repeated = pa.DictionaryArray.from_arrays(np.zeros(10**5, dtype=np.int32), ["x" * MB])
@@ -107,6 +107,31 @@ def write_sparse_files(folder: Path) -> Iterator[tuple[str, str]]:
             file.truncate(SIZE * MB)
         (folder / name).chmod(0o600)
         yield name, reason
+
+
+#: Maps by name: how they begin, what they repeat, how many MB of it, and the reason.
+MAPS = {
+    "road.xodr": ("<OpenDRIVE><road>", "<a b='1'/>", 60, "<road> takes more than 128 MB"),
+    "way.osm": ("<osm><way id='1'>", "<nd ref='1'/>", 60, "<way> takes more than 128 MB"),
+    "lanelet.xml": ("<commonRoad><lanelet>", "<point><x>1</x></point>", 60, "<lanelet> takes"),
+    "values.geojson": ('{"a":[', "[],", 15, "values of more than 96 MB"),
+    "deep.geojson": ("[", "[", 15, "values of more than 96 MB"),
+    "row.csv": ("line,x,y\n", "x", 31, "line 2 has more than 65536 characters"),
+    "bytes.csv": ("line,x,y\n", "a,1,2\n", 60, "more than 32 MB"),
+}
+
+
+def test_no_map_fills_the_memory(tmp_path: Path) -> None:
+    """Compressed files of at most 100 kB, which took gigabytes."""
+    for name, (head, unit, size, _) in MAPS.items():
+        (tmp_path / f"{name}.gz").write_bytes(gzipped(head.encode(), unit.encode(), size))
+    read = "from maplines_can.maps import load\n\ndef read(path):\n    return [load(path)]\n"
+    outcomes = read_in_little_memory(read, [tmp_path / f"{name}.gz" for name in MAPS])
+    for name, (*_, reason) in MAPS.items():
+        _, text, peak = outcomes[f"{name}.gz"]
+        assert text.startswith("MapFileError: "), name
+        assert reason in text, name
+        assert peak < MOST, name
 
 
 def test_no_table_fills_the_memory(tmp_path: Path) -> None:
