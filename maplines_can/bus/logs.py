@@ -105,7 +105,9 @@ def read_log(source: str | PathLike[str] | IO[bytes]) -> Iterator[LogFrame]:
     The time stamps of ``candump -t d`` are differences. They are recognised and added up from the
     first one that is less than half of the previous one. ``candump -t A`` writes local time.
 
-    A damaged record of a text log is skipped. A damaged binary log is read up to the damage.
+    A damaged record of a text log is skipped, such as a line of more than ``MAX_LINE`` characters;
+    one of more than ``MAX_DAMAGE`` ends the reading. A damaged binary log is read up to the damage;
+    an object of more than 16 MB is damage, and so is a row of more than 64 kB.
     In both cases the error is raised once, after the last good frame.
 
     Args:
