@@ -22,7 +22,7 @@ for the rows of the errors that they are for:
 
 False alarms: an alarm is one event until it ends; the hours are those without one. The standard
 error is that of a Poisson process, or from the variance of the cars if it is larger. Where the
-errors are those of the model, the number must be within 3.3 standard errors (1 of 1000) of the
+errors are those of the model, the number must be within 3.3 standard deviations (1 of 1000) of the
 designed one; where they are in the stated range, it must not be more than these above it. Rows of
 errors that are outside of the stated range are there for comparison.
 
@@ -165,7 +165,8 @@ class FalseAlarms(NamedTuple):
             exact: the errors are those of the model, so there must not be fewer.
             covered: the errors are in the stated range, so there must not be more.
         """
-        z = (self.number - rate * self.hours) / max(self.deviation, 1e-9)
+        designed = rate * self.hours
+        z = (self.number - designed) / max(self.deviation, math.sqrt(designed))
         met = {"met": bool((z <= LIMIT) & (z >= -LIMIT or not exact))} if covered else {}
         return {
             "designed per hour": rate,
@@ -207,8 +208,8 @@ def false_alarms(
                 calm[i] += int((~verdict.alarm | verdict.raised).sum())
         tick(CARS)
     found = []
-    for (_, rate), count, images in zip(tests, counts, calm * DT / 3600, strict=True):
-        variance = max(rate * images, count.sum(), CARS * count.var())
+    for count, images in zip(counts, calm * DT / 3600, strict=True):
+        variance = max(1.0, count.sum(), CARS * count.var())
         found.append(FalseAlarms(float(images), int(count.sum()), math.sqrt(variance)))
     return found
 
