@@ -29,8 +29,8 @@ errors that are outside of the stated range are there for comparison.
 Detection: a fault begins at a random time of a drive. Times are those to the first alarm, and
 infinite if there is none in 150 s. Each way of testing has the same number of false alarms:
 residuals that are 3 correlation times apart; single innovations; and windows of innovations of all
-lengths, as the check has them, as modelled, with the white camera, and by default. In the last
-case, the fault is there from the beginning.
+lengths, as the check has them, as modelled, with the white camera, with heavy tails, by default. In
+the last case, the fault is there from the beginning.
 
     shift      the map is shifted by 0.5 m to the side
     camera     the camera is turned by 1 deg at once
@@ -229,7 +229,7 @@ def detections(
     root = np.linalg.inv(np.linalg.cholesky(model.marginal))
     for name, fault in faults(x).items():
         errors = Errors.of_model(model, time, cars, rng)
-        ways = {"windows": MODELLED, "white camera": "white camera", "default": "default"}
+        ways = {"windows": MODELLED} | {name: name for name in ("white camera", "tails", "default")}
         tests = {
             way: (SETTINGS[setting], SETTINGS[setting].test(DETECTION_RATE, cars))
             for way, setting in ways.items()
