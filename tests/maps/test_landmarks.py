@@ -146,3 +146,12 @@ def test_the_houses_of_the_town_stand_beside_its_streets() -> None:
     centres = np.vstack([lane.centre.resampled(0.5).points for lane in lanes])
     assert len(town.buildings) == 79
     assert cKDTree(centres).query(walls)[0].min() > 5
+
+
+@pytest.mark.parametrize(("s", "is_used"), [(-0.9e-6, True), (-1.1e-6, False), (100 + 0.9e-6, True),
+                                            (100 + 1.1e-6, False)])  # fmt: skip
+def test_a_landmark_stands_along_its_road(s: float, is_used: bool) -> None:
+    """Up to a micrometre beyond its ends."""
+    found = with_objects(pole(f'id="1" s="{s!r}" t="0"'))
+    assert bool(found.landmarks) is is_used
+    assert bool(reasons(found)) is not is_used

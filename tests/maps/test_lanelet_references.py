@@ -10,11 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lane_maps import WIDTH, arc, lane
+from lanelet_files import Osm
 
+from maplines_can.errors import MapFileError
 from maplines_can.line import Kind
 from maplines_can.maps.lanelet_tags import Side
 from maplines_can.maps.lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
 from maplines_can.maps.osm import aligned
+from maplines_can.maps.osm import read as read_osm
 from maplines_can.maps.points import read as read_points
 from maplines_can.polyline import Polyline
 
@@ -105,7 +108,7 @@ def test_the_centre_is_as_far_from_both_boundaries(
 def test_repeated_points_are_left_out(turn: int) -> None:
     """Those nearer than a micrometre to the one before, in each direction of the plane."""
     d = np.array([[1.0, 0], [0, 1], [-1, 0], [0, -1]])[turn]
-    points = np.array([0.0, 0.9e-6, 5.0, 5.0 + 1.1e-6, 9.0])[:, None] * d
+    points = np.array([0.0, 1e-6, 5.0, 5.0 + 1.1e-6, 9.0])[:, None] * d
     assert np.array_equal(boundary(points).points, points[[0, 2, 3, 4]])
     for far in (1e8, 1.0001e8):
         if far > 1e8:
@@ -192,3 +195,40 @@ def test_a_geojson_map_is_around_its_middle(latitude: float, longitude: float, b
     assert corner == pytest.approx(expected, rel=0.01, abs=2.0)
     if not both:
         assert found.polylines["1"].points[0] == pytest.approx(-corner, rel=0.01, abs=2.0)
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_a_side_of_a_lane_is_one_line(parts: int) -> None:
+    """A feature of several lines is none; without a lane, each of them is a line."""
+    lines = [[[0.001 * k, 0.0], [0.001 * (k + 1), 0.0]] for k in range(parts)]
+    for lane_name in ("a", None):
+        feature = {
+            "type": "Feature", "properties": {"lane": lane_name, "side": "left"},
+            "geometry": {"type": "MultiLineString", "coordinates": lines},
+        }  # fmt: skip
+        other = {
+            "type": "Feature", "properties": {"lane": "a", "side": "right"},
+            "geometry": {"type": "LineString", "coordinates": [[0.0, -3e-5], [0.001, -3e-5]]},
+        }  # fmt: skip
+        text = json.dumps({"type": "FeatureCollection", "features": [feature, other, feature]})
+        if lane_name and parts == 1:
+            found = read_points(io.BytesIO(text.encode()), "x.geojson")
+            assert [*found.lanes] == ["a"]
+        elif lane_name:
+            with pytest.raises(MapFileError, match="a side of a lane must be one LineString"):
+                read_points(io.BytesIO(text.encode()), "x.geojson")
+        else:
+            found = read_points(io.BytesIO(text.encode()), "x.geojson")
+            assert len(found.polylines) == 2 * parts
+
+
+@pytest.mark.parametrize(
+    ("longitude", "zone"),
+    [(179.8, 60), (-179.8, 1), (173.9, 59), (-173.9, 2), (-0.1, 30), (0.1, 31)],
+)
+def test_the_zone_of_a_map_is_that_of_its_middle(longitude: float, zone: int) -> None:
+    """On both sides of the 180th meridian, and of the zero one."""
+    osm = Osm(origin=(10.0, longitude))
+    osm.strip(-50.0, 50.0)
+    found = read_osm(io.BytesIO(osm.text().encode()), "map.osm")
+    assert f"+zone={zone} " in str(found.projection)

@@ -16,8 +16,10 @@ from scipy.stats import norm
 from maplines_can.line import Kind, Slot
 from maplines_can.maps import LaneTracker, Map, Road
 from maplines_can.maps.driven import Key, LaneGraph
+from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
 from maplines_can.maps.matching import LaneMatch, locate
+from maplines_can.maps.tour import _tour_from
 from maplines_can.maps.view import link_gaps
 from maplines_can.polyline import Polyline
 
@@ -199,6 +201,52 @@ def direction(line: Polyline, step: int) -> float:
 def test_a_lane_is_a_match_up_to_thirty_metres(distance: float) -> None:
     """From its centre line."""
     assert (ROAD.match([100.0, -WIDTH / 2 - distance, 0.0]) is not None) is (distance < 30)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_nearest_place_of_a_long_line_of_long_steps(seed: int) -> None:
+    """Lines of more than 512 points are searched by boxes, whose last steps lead out of them."""
+    rng = np.random.default_rng(seed)
+    line = Polyline(np.cumsum(rng.uniform(-9, 10, (700, 2)), axis=0))
+    a, d = line.points[:-1], np.diff(line.points, axis=0)
+    for at in rng.uniform(-100, 500, (60, 2)):
+        share = (((at - a) * d).sum(axis=1) / (d**2).sum(axis=1)).clip(0, 1)
+        expected = np.hypot(*(a + share[:, None] * d - at).T).min()
+        (place,) = locate([line], at)
+        assert math.hypot(place.t, place.overshoot) == pytest.approx(expected)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.integers(1, 3))
+def test_joints_of_lines_part_by_part(seed: int, lines: int) -> None:
+    """A part that begins within 5 cm, in any direction, of the end before it: one point of both."""
+    rng = np.random.default_rng(seed)
+    given_, expected = [], []
+    for _ in range(lines):
+        at, parts, points, begins = rng.uniform(-9, 9, 2), [], [], []
+        for k in range(rng.integers(1, 5)):
+            angle = rng.uniform(0, 2 * math.pi)
+            far = rng.choice([0.0, 0.049, 0.051, 0.2])
+            start = at + far * np.array([math.cos(angle), math.sin(angle)])
+            part = start + np.cumsum(rng.uniform(0, 2, (rng.integers(2, 5), 2)), axis=0) * 1.0
+            part = np.vstack([start, part])
+            at = part[-1]
+            parts.append(part)
+            length = np.hypot(*np.diff(np.array(points), axis=0).T).sum() if points else 0.0
+            if k and far < 0.05:
+                begins.append(length)
+                points += [*part[1:]]
+            else:
+                step = math.hypot(*(part[0] - points[-1])) if points else 0.0
+                begins.append(length + step)
+                points += [*part]
+        given_.append((parts, Kind.SOLID))
+        expected.append((np.array(points), begins))
+    for (line, begins), (points, starts) in zip(joined_lines(given_), expected, strict=True):
+        assert np.array_equal(line.points, points)
+        assert line.distance == pytest.approx(Polyline(points).distance)
+        assert begins == pytest.approx(starts)
+        assert line.kind == Kind.SOLID
 
 
 # ---- moved and mirrored maps ------------------------------------------------------------------
@@ -432,7 +480,9 @@ def test_the_line_of_a_route_is_around_the_car(arm: int) -> None:
 @given(st.floats(0, 220), st.booleans())
 def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
     """As driven, and the next one; two at least, and all of them at its end."""
-    one = lane("1", length=200.0, curvature=0.01)
+    places = [0.0, 1.0, 3.0, 30.0, 31.0, 100.0, 180.0, 200.0]
+    sides = (Polyline([[x, y] for x in places]) for y in (2.0, -2.0, 0.0))
+    one = replace(lane("1"), **dict(zip(("left", "right", "centre"), sides, strict=True)))
     line = LaneGraph(network(one).lanes)[Key("1", is_against)].left
     points = line.points_up_to(s)
     distance = np.append(0.0, np.hypot(*np.diff(line.points, axis=0).T).cumsum())
@@ -585,3 +635,21 @@ def test_the_lanes_around_a_place_of_a_route() -> None:
 def test_a_road_of_a_map_needs_its_lanes() -> None:
     with pytest.raises(ValueError, match="not in the map"):
         Map({}, {"1": Road("1", "", 1.0, ("a",))})
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_tour_is_as_long_as_its_legs(seed: int) -> None:
+    """Less the lanes in which two of them meet; its places are drawn at random."""
+    names, length = [f"ring{k}" for k in range(4)], 300.0
+    tour = _tour_from(RING, "ring0", names, length, np.random.default_rng(seed))
+    rng, stops, driven, shared = np.random.default_rng(seed), ["ring0"], 0.0, 0.0
+    while driven < length:
+        goal = names[rng.integers(4)]
+        if goal == stops[-1]:
+            continue
+        leg = RING.route(stops[-1], goal)
+        driven += leg.length
+        shared += RING.lanes[goal].length
+        stops.append(goal)
+    shared -= RING.lanes[stops[-1]].length
+    assert tour.length == pytest.approx(driven - shared, abs=0.01)
