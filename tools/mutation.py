@@ -244,16 +244,26 @@ class TestChoice:
     def __init__(self, tree: Path, lines: Lines, budget: float) -> None:
         self._lines, self._budget = lines, budget
         self._mentions: dict[str, list[tuple[str, int]]] = defaultdict(list)
+        self._derived: dict[str, set[str]] = defaultdict(set)  # constants that a constant is in
         for file in lines.tests:
-            for node in ast.walk(ast.parse((tree / file).read_bytes())):
+            module = ast.parse((tree / file).read_bytes())
+            for node in ast.walk(module):
                 match node:
                     case ast.Name(name) | ast.Attribute(_, name):
                         self._mentions[name].append((file, node.lineno))
+            for statement in module.body:
+                if isinstance(statement, ast.Assign | ast.AnnAssign):
+                    names = {n.id for n in ast.walk(statement) if isinstance(n, ast.Name)}
+                    for name in names:
+                        self._derived[name] |= names
 
     def __call__(self, file: str, mutant: Mutant) -> list[str]:
         """Return the tests, at most of ``budget`` seconds in total."""
         places = [(file, line) for line in mutant.lines]
-        places += [place for name in mutant.names for place in self._mentions[name]]
+        names, more = set(mutant.names), set(mutant.names)
+        while more := {other for name in more for other in self._derived[name]} - names:
+            names |= more
+        places += [place for name in sorted(names) for place in self._mentions[name]]
         covering = {t for file, line in places for t in self._lines.tests[file].get(line, ())}
         tests, total = list[str](), 0.0
         for test in sorted(covering, key=lambda test: (self._lines.seconds[test], test)):

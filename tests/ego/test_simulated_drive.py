@@ -266,3 +266,14 @@ def test_stops_close_to_each_other_are_reached_one_after_the_other(between: floa
     assert (
         state.speed[moving] ** 2 <= 2 * 2.0 * np.minimum(x - 20, 20 + between - x)[moving] + 1e-6
     ).all()
+
+
+@pytest.mark.parametrize("at", [12.3451, 12.3456, 30.0004, 49.9989, 49.9995])
+def test_a_stop_is_at_its_place(at: float) -> None:
+    """Within a millimetre of it, also next to the end of the path."""
+    drive = SimulatedDrive(Polyline([[0.0, 0.0], [50.0, 0.0]]), 20.0, stops=[(at, 4.0)])
+    state = drive.at(drive.times(20.0))
+    standing = state.pose[state.speed < 1e-9, 0]
+    there = standing[(standing > 1.0) & (np.abs(standing - at) < 0.1)]
+    assert len(there) >= 79
+    assert np.abs(there - at).max() <= 1.1e-3

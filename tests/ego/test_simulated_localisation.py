@@ -25,7 +25,7 @@ from maplines_can.ego import (
 )
 from maplines_can.ego.simulated_sensors import Arrival
 from maplines_can.line import Kind
-from maplines_can.maps import Landmark, LandmarkKind
+from maplines_can.maps import Landmark, LandmarkKind, Map
 from maplines_can.testing.sensor_faults import FAULTS, injected
 
 #: A straight motorway at 30 m/s, with a pole every 200 m.
@@ -120,3 +120,16 @@ def test_the_seed_gives_the_poses() -> None:
         means.append(stated.mean)
     assert (means[0] == means[1]).all()
     assert (means[0] != means[2]).all()
+
+
+def test_the_first_pose_is_off_by_what_is_stated() -> None:
+    """In each direction, over many seeds, within four standard errors."""
+    way = SimulatedDrive(Polyline([[0, 0], [50, 0]]))
+    layer, sigma = LocalisationLayer(Map({}, {})), np.array([0.5, 0.2, 0.02])
+    errors = []
+    for seed in range(150):
+        stated = SimulatedLocalisation(way, layer, seed=seed, start_sigma=sigma).pose(0.0)
+        assert stated is not None
+        errors.append((stated.mean - way.at(0.0).pose) / sigma)
+    assert np.std(errors, axis=0) == pytest.approx(np.ones(3), rel=4 / np.sqrt(300))
+    assert np.abs(np.mean(errors, axis=0)).max() < 4 / np.sqrt(150)

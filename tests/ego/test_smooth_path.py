@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from maplines_can.ego.smooth_path import SmoothPath
+from maplines_can.ego.smooth_path import SmoothPath, _graded
 from maplines_can.polyline import Polyline
 
 
@@ -99,3 +99,18 @@ def test_unusable_paths(points: list[list[float]], text: str) -> None:
     """The message says why."""
     with pytest.raises(ValueError, match=text):
         SmoothPath(Polyline(np.array(points)))
+
+
+@pytest.mark.parametrize(("first", "last"), [(0.1, 0.1), (0.1, 3.0), (0.5, 0.1)])
+@pytest.mark.parametrize("length", [1.0, 40.0, 1e4])
+def test_inserted_points_are_twice_as_far_apart_each_time(
+    first: float, last: float, length: float
+) -> None:
+    """Away from both ends, up to the middle."""
+    s = np.sort(_graded(7.0, 7.0 + length, first, last))
+    up, down = s[s < 7 + length / 2] - 7, 7 + length - s[s > 7 + length / 2][::-1]
+    for part, step in ((up, first), (down, last)):
+        gaps = np.diff(part, prepend=0.0)
+        np.testing.assert_allclose(gaps, step * 2.0 ** np.arange(len(part)), rtol=1e-6)
+        following = (part[-1] if len(part) else 0.0) + step * 2.0 ** len(part)
+        assert following >= length / 2 - 1e-9

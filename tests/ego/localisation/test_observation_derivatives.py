@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 from lane_maps import lane, network
 from scipy.stats import chi2
 
-from maplines_can.ego import CameraLines, GnssFix, LocalisationLayer, PoseFix, SeenLandmarks
+from maplines_can.ego import (
+    CameraLines,
+    GnssFix,
+    LocalisationLayer,
+    PoseFix,
+    SeenLandmarks,
+    SensorErrors,
+)
 from maplines_can.ego.localisation import Verdict
 from maplines_can.ego.localisation.association import GATES, associate
 from maplines_can.ego.localisation.correlation import ErrorCorrelation
@@ -303,3 +310,19 @@ def test_the_past_is_kept_in_few_spans_and_for_ten_minutes() -> None:
     assert lags[-1] <= 600.0
     assert lags[-1] > 600 / 1.3
     assert counts[1] - counts[0] < 12
+
+
+def test_verdicts_are_of_different_numbers() -> None:
+    """From 0 on: they are kept in arrays, and two of one number would be the same."""
+    assert [int(verdict) for verdict in Verdict.__members__.values()] == [*range(len(Verdict))]
+
+
+def test_the_errors_of_sensors_are_those_of_the_docs() -> None:
+    """Standard deviations, and correlation times [s], of a production car."""
+    errors, degree = SensorErrors(), math.radians(1.0)
+    assert [tuple(one) for one in errors.processes] == [
+        (0.05, 1.0), (0.2 * degree, 1000.0), (0.01, 3600.0), (1.5, 60.0), (1.5, 60.0),
+        (0.05, 20.0), (0.1 * degree, 100.0),
+    ]  # fmt: skip
+    assert errors.fix_distance == 20.0
+    assert errors.yaw_rate_noise == pytest.approx(0.02 * degree)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Polyline
-from maplines_can.ego.scan_matching import ScanReference, match_ndt, simulated_scan
+from maplines_can.ego.scan_matching import ScanReference, match_icp, match_ndt, simulated_scan
 from maplines_can.ego.scan_matching.match import (
     by_object,
     jacobian,
@@ -271,3 +271,26 @@ def test_the_match_moves_with_the_map() -> None:
     expected: Any = np.append(R @ one.pose[:2] + shift, one.pose[2] + turn)
     assert two.pose == pytest.approx(expected, abs=0.03)  # the cells are others
     assert one.pose == pytest.approx(pose, abs=0.03)
+
+
+@pytest.mark.parametrize("method", ["ndt", "icp"])
+def test_few_points_are_not_matched_at_all(method: str) -> None:
+    """Of 29, whatever they show: the pose is that of the start, and nothing is known of it."""
+    if method == "icp":
+        pytest.importorskip("small_gicp")
+    match = match_ndt if method == "ndt" else match_icp
+    scan = simulated_scan(REFERENCE, np.zeros(3), np.random.default_rng(1), false_share=0.0)
+    start = np.array([0.1, 0.1, 0.01])
+    found = match(REFERENCE, scan[:: len(scan) // 28][:29], start)
+    assert (found.is_valid, found.used) == (False, 0)
+    assert np.array_equal(found.pose, start)
+    assert np.isinf(found.cov.diagonal()).all()
+
+
+def test_a_scan_without_any_curvature_is_no_match() -> None:
+    found = result(
+        np.zeros(3), np.zeros((1, 3)), np.zeros((3, 3)), np.zeros((40, 2)), (0.0, 0.0, 0.0),
+        pulls=np.zeros((0, 3, 2)), map_error=0.0, used=40,
+    )  # fmt: skip
+    assert not found.is_valid
+    assert np.isinf(found.cov.diagonal()).all()
