@@ -149,7 +149,7 @@ class Drive:
                 break
             localisation.add(measurement)
         known, errors, sigmas = (np.array(column) for column in zip(*rows, strict=True))
-        return Course(STEP * np.arange(len(rows)), known, errors, sigmas)
+        return Course(STEP * np.arange(len(rows), dtype=float), known, errors, sigmas)
 
     def _row(self, localisation: Localisation, t: float) -> tuple[Any, Array, Array]:
         true = self.way.at(t).pose
@@ -191,7 +191,9 @@ def figures(course: Course, limit: float) -> dict[str, Any]:
     lost = ~course.known
     first = np.where(lost.any(axis=0), lost.argmax(axis=0) * STEP, math.nan)
     wrong = course.wrong
-    beyond, position = (float(longest(some.any(axis=-1)).max()) for some in (wrong, wrong[..., :2]))
+    beyond, position = (
+        float(longest(np.asarray(some.any(axis=-1))).max()) for some in (wrong, wrong[..., :2])
+    )
     share = np.abs(course.errors) / course.sigmas
     return {
         "beyond [s]": round(beyond, 1),
