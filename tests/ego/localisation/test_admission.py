@@ -27,7 +27,7 @@ LINES = CameraLines(
 )
 LANDMARKS = SeenLandmarks(0.5, np.array([[[10.0, 3.0]]]), 0.1 * np.eye(2))
 POSE = PoseFix(0.5, np.array([[5.0, 0.0, 0.0]]), 0.01 * np.eye(3))
-FIX = GnssFix(0.5, POSITION, COV)
+FIX: Any = GnssFix(0.5, POSITION, COV)
 
 
 def driven(*measurements: Any) -> Localisation:
