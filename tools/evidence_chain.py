@@ -147,8 +147,11 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
                     continue
                 scene = sender.cycle(rows[-1]).scene
                 with sender.cpu.of("lines"):
-                    sent_scene = [] if scene is None else scene
-                    transmitter.publish(sent_scene, start_ns + round(1e9 * rows[-1, 0]))
+                    t_pose_ns = start_ns + round(1e9 * rows[-1, 0])
+                    if scene is None:  # without a pose, there are no lines
+                        transmitter.publish([], t_pose_ns)
+                    else:
+                        transmitter.publish(scene, t_pose_ns)
             transmitter.wait(PERIOD)
         stats = transmitter.stats()
     used = time.process_time() - before
