@@ -152,7 +152,7 @@ def test_the_text_and_the_figures_agree() -> None:
     """Each requirement has a row with its verdicts."""
     accuracy = mixed(1.0)
     text, result = as_text(accuracy), accuracy.as_dict()
-    assert text.count("FAIL") == 4 * 2 + 2  # lateral 10 and 20 cm; absolute 10 and 15 cm
+    assert text.count("missed") == 4 * 2 + 2  # lateral 10 and 20 cm; absolute 10 and 15 cm
     assert all(requirement.source in text for requirement in REQUIREMENTS)
     assert result["errors"]["lateral"]["0"]["rms"] == pytest.approx(0.3)
     assert result["errors"]["absolute"]["line"]["max"] == pytest.approx(0.3, abs=1e-4)
