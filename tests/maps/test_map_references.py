@@ -216,6 +216,14 @@ def test_the_nearest_place_of_a_long_line_of_long_steps(seed: int) -> None:
         assert math.hypot(place.t, place.overshoot) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("x", [10.0, 400.0, 700.0, 990.0])
+def test_the_nearest_place_is_on_a_long_step_between_boxes(x: float) -> None:
+    """Beside many points that are close to each other, on both sides of it."""
+    places = [*(0.01 * np.arange(128)), *(1000 + 0.01 * np.arange(600))]
+    (place,) = locate([Polyline([[at, 0.0] for at in places])], np.array([x, 5.0]))
+    assert (place.s, place.t, place.overshoot) == pytest.approx((x, 5.0, 0.0))
+
+
 @settings(max_examples=60)
 @given(st.integers(0, 2**32), st.integers(1, 3))
 def test_joints_of_lines_part_by_part(seed: int, lines: int) -> None:
