@@ -216,11 +216,13 @@ def test_the_nearest_place_of_a_long_line_of_long_steps(seed: int) -> None:
         assert math.hypot(place.t, place.overshoot) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("x", [10.0, 400.0, 700.0, 990.0])
+@pytest.mark.parametrize("x", [10.0, 400.0, 700.0, 900.0])
 def test_the_nearest_place_is_on_a_long_step_between_boxes(x: float) -> None:
     """Beside many points that are close to each other, on both sides of it."""
-    places = [*(0.01 * np.arange(128)), *(1000 + 0.01 * np.arange(600))]
-    (place,) = locate([Polyline([[at, 0.0] for at in places])], np.array([x, 5.0]))
+    near = 0.01 * np.arange(128)
+    points = [*((at, 0.0) for at in near), *((1000 + 0.01 * k, 0.0) for k in range(512))]
+    points += [(at, 300.0) for at in near]
+    (place,) = locate([Polyline(points)], np.array([x, 5.0]))
     assert (place.s, place.t, place.overshoot) == pytest.approx((x, 5.0, 0.0))
 
 
