@@ -18,7 +18,7 @@ from xodr_files import (
     section,
 )
 
-from maplines_can import Polyline
+from maplines_can import Kind, Polyline
 from maplines_can.maps.opendrive.boundaries import (
     Boundaries,
     _deviation,
@@ -344,3 +344,13 @@ def test_intervals_are_divided_evenly(pieces: list[int]) -> None:
     assert end == pytest.approx(np.concatenate([part[1:] for part in expected]))
     assert np.isin(b, end).all()
     assert owner.tolist() == np.repeat([0, 0, 1], pieces).tolist()
+
+
+@pytest.mark.parametrize("lane_id", [-1, 1])
+def test_lines_have_the_kinds_of_their_marks(lane_id: int) -> None:
+    """The centre of a lane has none, in either direction of driving."""
+    marks = '<roadMark sOffset="0" type="solid"/>'
+    one = section(lane(lane_id, WIDTH + marks), centre='<roadMark sOffset="0" type="broken"/>')
+    (found,) = read_map(road(one)).lanes.values()
+    kinds = (found.left.kind, found.centre.kind, found.right.kind)
+    assert kinds == (Kind.DASHED, Kind.VIRTUAL, Kind.SOLID)

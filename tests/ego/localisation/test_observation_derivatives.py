@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from lane_maps import lane, network
 from scipy.stats import chi2
 
+from maplines_can import Gaussian
 from maplines_can.ego import (
     CameraLines,
     GnssFix,
+    Localisation,
     LocalisationLayer,
     PoseFix,
     SeenLandmarks,
@@ -326,3 +328,11 @@ def test_the_errors_of_sensors_are_those_of_the_docs() -> None:
     ]  # fmt: skip
     assert errors.fix_distance == 20.0
     assert errors.yaw_rate_noise == pytest.approx(0.02 * degree)
+
+
+@pytest.mark.parametrize("t", [-0.1, math.nan, math.inf, -math.inf])
+def test_there_are_no_poses_of_the_past_and_of_no_time(t: float) -> None:
+    localisation = Localisation(Gaussian(np.zeros(3), np.eye(3)))
+    assert localisation.poses(0.1).mean.shape == (1, 3)
+    with pytest.raises(ValueError, match="t must be"):
+        localisation.poses(t)
