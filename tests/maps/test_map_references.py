@@ -663,3 +663,10 @@ def test_a_tour_is_as_long_as_its_legs(seed: int) -> None:
         stops.append(goal)
     shared -= RING.lanes[stops[-1]].length
     assert tour.length == pytest.approx(driven - shared, abs=0.01)
+
+
+@pytest.mark.parametrize(("y", "near"), [(0.0, ["left", "right"]), (1.75, ["left"]),
+                                         (3.5, ["left", "other"]), (-3.4, ["right"])])  # fmt: skip
+def test_the_lanes_near_a_pose(y: float, near: list[str]) -> None:
+    """Those that it is in, and those less than about two metres from it."""
+    assert sorted(match.lane for match in ROAD.index.near([100.0, y, 0.0])) == near

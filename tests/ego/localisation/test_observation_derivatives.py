@@ -27,6 +27,7 @@ from maplines_can.ego.localisation.motion_model import FIX, HEADING, N, update
 from maplines_can.ego.localisation.observation_models import innovation, line_jacobian
 from maplines_can.line import Kind
 from maplines_can.maps import Landmark, LandmarkKind
+from maplines_can.maps.lane import LaneType
 
 KINDS = (Kind.DASHED, Kind.SOLID)
 SCALES = np.array([1, 1, 0.05, 0.1, 0.01, 0.02, 2, 2, 0.1, 0.01, 1, 1, 1])
@@ -336,3 +337,10 @@ def test_there_are_no_poses_of_the_past_and_of_no_time(t: float) -> None:
     assert localisation.poses(0.1).mean.shape == (1, 3)
     with pytest.raises(ValueError, match="t must be"):
         localisation.poses(t)
+
+
+def test_only_lines_of_drivable_lanes_are_in_the_layer() -> None:
+    """Not those of a sidewalk, whatever their kinds."""
+    for kind, lines in ((LaneType.DRIVING, 2), (LaneType.SIDEWALK, 0)):
+        layer = LocalisationLayer(network(lane("1", kinds=KINDS, type=kind)))
+        assert len(layer.lines_beside(np.array([[50.0, 0.0, 0.0]])).car) == lines
