@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from maplines_can import Gaussian, MapLine, Motion, PoseError, Scene, Slot
 from maplines_can.consumers import LaneFusion
 from maplines_can.consumers.lane_filter import LaneFilter, move_lines
-from maplines_can.consumers.lane_fusion import block_diagonal, positive_part
+from maplines_can.consumers.lane_fusion import positive_part
 from maplines_can.propagation import predict
 from maplines_can.seen_lines import SeenLines
 
@@ -360,7 +361,7 @@ def test_the_steps_are_those_of_a_lane_filter() -> None:
         moved = DRIVING.over(source.age, 0.004)
         lines, F, G = move_lines(MEANS, moved.mean, RANGES)
         fits = RANGES - moved.mean[0]
-        F, G = block_diagonal(F), G.reshape(-1, 3)
+        F, G = block_diag(*F), G.reshape(-1, 3)
         J = SeenLines(MEANS, RANGES).jacobian().reshape(-1, 3)
         own = F @ np.kron(np.eye(2), OWN) @ F.T + G @ moved.cov @ G.T
         peer.update_map(lines.ravel(), F @ J @ root, own, None, np.ones(8, dtype=bool))

@@ -491,8 +491,8 @@ def test_the_line_of_a_route_is_around_the_car(arm: int) -> None:
 def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
     """As driven, and the next one; two at least, and all of them at its end."""
     places = [0.0, 1.0, 3.0, 30.0, 31.0, 100.0, 180.0, 200.0]
-    sides = (Polyline([[x, y] for x in places]) for y in (2.0, -2.0, 0.0))
-    one = replace(lane("1"), **dict(zip(("left", "right", "centre"), sides, strict=True)))
+    left, right, centre = (Polyline([[x, y] for x in places]) for y in (2.0, -2.0, 0.0))
+    one = replace(lane("1"), left=left, right=right, centre=centre)
     line = LaneGraph(network(one).lanes)[Key("1", is_against)].left
     points = line.points_up_to(s)
     distance = np.append(0.0, np.hypot(*np.diff(line.points, axis=0).T).cumsum())
