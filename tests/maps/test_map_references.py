@@ -220,7 +220,10 @@ def test_the_nearest_place_of_a_long_line_of_long_steps(seed: int) -> None:
 def test_the_nearest_place_is_on_a_long_step_between_boxes(x: float) -> None:
     """Beside many points that are close to each other, on both sides of it."""
     near = 0.01 * np.arange(128)
-    points = [*((at, 0.0) for at in near), *((1000 + 0.01 * k, 0.0) for k in range(512))]
+    points: list[tuple[float, float]] = [
+        *((at, 0.0) for at in near),
+        *((1000 + 0.01 * k, 0.0) for k in range(512)),
+    ]
     points += [(at, 300.0) for at in near]
     (place,) = locate([Polyline(points)], np.array([x, 5.0]))
     assert (place.s, place.t, place.overshoot) == pytest.approx((x, 5.0, 0.0))
@@ -233,7 +236,10 @@ def test_joints_of_lines_part_by_part(seed: int, lines: int) -> None:
     rng = np.random.default_rng(seed)
     given_, expected = [], []
     for _ in range(lines):
-        at, parts, points, begins = rng.uniform(-9, 9, 2), [], [], []
+        at: Any = rng.uniform(-9, 9, 2)
+        parts: list[Any] = []
+        points: list[Any] = []
+        begins: list[float] = []
         for k in range(rng.integers(1, 5)):
             angle = rng.uniform(0, 2 * math.pi)
             far = rng.choice([0.0, 0.049, 0.051, 0.2])
@@ -252,10 +258,10 @@ def test_joints_of_lines_part_by_part(seed: int, lines: int) -> None:
                 points += [*part]
         given_.append((parts, Kind.SOLID))
         expected.append((np.array(points), begins))
-    for (line, begins), (points, starts) in zip(joined_lines(given_), expected, strict=True):
-        assert np.array_equal(line.points, points)
-        assert line.distance == pytest.approx(Polyline(points).distance)
-        assert begins == pytest.approx(starts)
+    for (line, got), (want, starts) in zip(joined_lines(given_), expected, strict=True):
+        assert np.array_equal(line.points, want)
+        assert line.distance == pytest.approx(Polyline(want).distance)
+        assert got == pytest.approx(starts)
         assert line.kind == Kind.SOLID
 
 
