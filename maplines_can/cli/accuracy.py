@@ -18,10 +18,10 @@ from ..study.drives.text import as_text
 from ..study.drives.truth import read_truth
 from ..wire import Decoder
 from .fitting_dbc import MOST_IDS, dbc_hint
-from .options import add_codec, add_cycle, add_json, add_transfer_timeout, decoder_of, keyed_codec
+from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
 from .overwriting import add_force, check_new
-from .parsing import add_command, option_group
+from .parsing import add_command, add_json, option_group
 from .stderr import note, with_progress
 from .truth_paths import truth_of
 

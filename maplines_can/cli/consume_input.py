@@ -19,14 +19,13 @@ from .options import (
     add_bus,
     add_codec,
     add_cycle,
-    add_json,
     add_transfer_timeout,
     bus_settings,
     decoder_of,
     keyed_codec,
 )
 from .output import counts_text
-from .parsing import number, option_group, seconds
+from .parsing import add_json, number, option_group, seconds
 from .stderr import note, with_progress
 
 #: Period of the consumers [s].

@@ -18,10 +18,10 @@ from ..study.figures.picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
 from ..study.scene_result import SceneResult
 from ..wire import POSE
-from .options import add_bus, add_codec, add_faults, add_json, bus_settings, keyed_codec
+from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
 from .overwriting import add_force, check_new
-from .parsing import add_command, option_group, seconds
+from .parsing import add_command, add_json, option_group, seconds
 from .scene_sending import sends_scenes, unfit_text
 from .sending import (
     LineComponents,

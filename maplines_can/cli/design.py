@@ -17,9 +17,8 @@ from ..study.design.result import Design
 from ..study.design.scenes import SceneDesign, design_scenes
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
-from .options import add_json
 from .overwriting import add_force, check_new
-from .parsing import number, option_group, positive
+from .parsing import add_json, number, option_group, positive
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_design"]

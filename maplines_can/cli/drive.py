@@ -30,7 +30,6 @@ from .options import (
     add_bus,
     add_codec,
     add_faults,
-    add_json,
     bus_settings,
     fault_counts,
     fault_injector,
@@ -39,7 +38,7 @@ from .options import (
 )
 from .output import counts_text, faults_text, pose_errors_text
 from .overwriting import add_force, check_new
-from .parsing import add_command, number, option_group, seconds
+from .parsing import add_command, add_json, number, option_group, seconds
 from .scene_sending import check_scene_load, sends_scenes
 from .sending import (
     MAX_LOAD,

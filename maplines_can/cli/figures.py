@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..study.figures.paper import draw_figures, figure_paths
-from .options import add_dbc, add_draws, add_json, codec_from
+from .options import add_dbc, add_draws, codec_from
 from .overwriting import add_force, check_new
-from .parsing import add_command, option_group
+from .parsing import add_command, add_json, option_group
 from .stderr import progress_bar
 
 __all__ = ["add_figures"]

@@ -12,9 +12,8 @@ import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
 from ..maps.load import SHIPPED
-from .options import add_json
 from .overwriting import add_force, check_new
-from .parsing import add_command, option_group
+from .parsing import add_command, add_json, option_group
 
 __all__ = ["add_map"]
 

@@ -20,13 +20,6 @@ if TYPE_CHECKING:
 SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
-def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
-    """Add ``--json``."""
-    option_group(parser, "output").add_argument(
-        "--json", action="store_true", help=f"print {what} as JSON"
-    )
-
-
 def add_bus(parser: argparse.ArgumentParser, *, private: bool = False) -> None:
     """Add the options of the CAN interface, by default a bus within the process if ``private``."""
     add = option_group(parser, "bus").add_argument

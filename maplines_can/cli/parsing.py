@@ -66,6 +66,13 @@ def option_group(parser: argparse.ArgumentParser, title: str) -> argparse._Argum
     return groups[title]
 
 
+def add_json(parser: argparse.ArgumentParser, what: str = "the result") -> None:
+    """Add ``--json``."""
+    option_group(parser, "output").add_argument(
+        "--json", action="store_true", help=f"print {what} as JSON"
+    )
+
+
 def add_command(
     commands: Any,
     name: str,

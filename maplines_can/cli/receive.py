@@ -16,7 +16,6 @@ from .options import (
     add_codec,
     add_cycle,
     add_faults,
-    add_json,
     add_scenes,
     add_transfer_timeout,
     bus_settings,
@@ -40,7 +39,7 @@ from .output import (
     scene_text,
     slot_text,
 )
-from .parsing import add_command, natural, option_group, seconds
+from .parsing import add_command, add_json, natural, option_group, seconds
 from .stderr import note
 
 #: Time without a line after which the reason is printed, once [s].

@@ -7,8 +7,7 @@ import json
 from typing import Any
 
 from ..scenarios import SCENARIOS, STREETS
-from .options import add_json
-from .parsing import add_command
+from .parsing import add_command, add_json
 
 
 def add_scenarios(commands: Any) -> None:

@@ -17,14 +17,13 @@ from .options import (
     add_bus,
     add_codec,
     add_faults,
-    add_json,
     bus_settings,
     fault_counts,
     fault_opener,
     keyed_codec,
 )
 from .output import faults_text, left_out_text, pose_errors_text, slot_text
-from .parsing import add_command, natural, option_group
+from .parsing import add_command, add_json, natural, option_group
 from .scene_sending import sends_scenes, unfit_slots, unfit_text
 from .sending import (
     AMPLITUDE,

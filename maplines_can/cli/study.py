@@ -13,8 +13,7 @@ from ..study.sets import DRAWN_SETS, MapView, line_set
 from ..study.sweep.plan import Study
 from ..study.sweep.run import run_study
 from ..study.sweep.tables import read_table, summary_text
-from .options import add_json
-from .parsing import number, option_group
+from .parsing import add_json, number, option_group
 from .stderr import Bar, progress_bar
 
 __all__ = ["add_run"]
