@@ -61,7 +61,7 @@ def slot_notes(capsys: pytest.CaptureFixture[str]) -> Any:
 
 @pytest.fixture
 def patient_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no time of ``receive --timeout`` pass before a frame has come, and none while lines come.
+    """Let no time of ``receive`` pass before a line or a reason has come, and none while lines come.
 
     A machine that is busy sends late, but not never.
     """
@@ -69,7 +69,8 @@ def patient_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
 
     def get_and_pass_time(receiver: Receiver, timeout: float | None = None) -> MapLine | None:
         line = get(receiver, timeout)
-        if line is None and receiver.stats().frames:
+        stats = receiver.stats()
+        if line is None and (stats.lines or stats.counts):
             clock.ns += 1_000_000_000
         return line
 

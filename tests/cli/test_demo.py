@@ -10,19 +10,25 @@ from typing import Any
 import numpy as np
 import pytest
 from dbcs import edited
+from fake_bus import LONG
 from scenes import lines_timed_out, scene_lines
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter, scenario
 from maplines_can.cli import main
 from maplines_can.cli.sending import choose_components, components_text
 from maplines_can.scenarios import SCENARIOS, STREETS
+from maplines_can.study.round_trip import _Arrivals
 
 
 @pytest.fixture(autouse=True)
 def no_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no transfer time out: a busy machine is no fault of the command."""
+    """Wait for all lines, and let no transfer time out: a busy machine is no fault of the command."""
     decoder = partialmethod(Codec.decoder, timeout_ms=3_600_000)
     monkeypatch.setattr(Codec, "decoder", decoder)
+    wait_for = _Arrivals.wait_for
+    monkeypatch.setattr(
+        _Arrivals, "wait_for", lambda self, lines, timeout: wait_for(self, lines, LONG + timeout)
+    )
 
 
 @pytest.mark.parametrize("fd", [False, True])

@@ -75,6 +75,7 @@ def test_a_receiver_without_a_line_says_why_once(
     assert rows.index(notes[0]) < rows.index("maplines: no line for 0.3 s")
 
 
+@pytest.mark.usefixtures("patient_timeout")
 def test_a_receiver_of_frames_that_it_cannot_read_says_why(
     capsys: pytest.CaptureFixture[str], channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
