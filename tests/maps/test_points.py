@@ -42,7 +42,7 @@ def geojson(*features: dict[str, Any], **members: Any) -> str:
     return json.dumps({"type": "FeatureCollection", "features": features} | members)
 
 
-def feature(*points: tuple[float, float], **properties: Any) -> dict[str, Any]:
+def feature(*points: tuple[Any, Any], **properties: Any) -> dict[str, Any]:
     return {
         "type": "Feature",
         "properties": properties,
