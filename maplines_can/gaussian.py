@@ -176,11 +176,16 @@ matrix is -1; use nearest_covariance(cov), which covers it
         that has probability 0 under ``other``.
 
         Raises:
+            ValueError: ``other`` has another number of variables.
             numpy.linalg.LinAlgError: the covariance of ``other`` is singular.
 
         >>> round(Gaussian([0.0], [[1.0]]).kl(Gaussian([1.0], [[1.0]])), 12)
         0.5
         """
+        if other.dimension != self.dimension:
+            raise ValueError(
+                f"other must be over {self.dimension} variables as this one, got {other.dimension}"
+            )
         L = other._factor()
         A = _solve_lower(L, self.root)
         z = _solve_lower(L, self.mean - other.mean)

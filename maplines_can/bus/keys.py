@@ -42,16 +42,18 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
                 f"{stat.S_IMODE(mode):04o}); chmod 600 {path}, and make a new key if others may "
                 "have read this one"
             )
-        if path.stat().st_size > MAX_FILE:
+        with path.open("rb") as file:
+            content = file.read(MAX_FILE + 1)
+        if len(content) > MAX_FILE:
             raise KeyMaterialError(
                 f"{path}: is no file of a key: it has more than {MAX_FILE} bytes"
             )
-        with path.open("rb") as file:  # a device or pipe has no size
-            return Key.from_hex(file.read(MAX_FILE).decode("ascii", "replace"), key_id, str(path))
+        return Key.from_hex(content.decode("ascii", "replace"), key_id, str(path))
     except OSError as error:
         raise KeyMaterialError(f"{path}: cannot be read: {error.strerror or error}") from error
     finally:
-        del path, key_id  # a traceback may show the locals
+        content = b""
+        del path, key_id, content  # a traceback may show the locals
 
 
 def key_from_env(name: str, key_id: int = 1) -> Key:

@@ -422,7 +422,8 @@ def test_the_text_tells_losses() -> None:
     """Of a result with all counters."""
     names = ["cycles", "lines", "frames", "lane_changes", "slot_changes", "off_map", "other_lane"]
     names += ["late_cycles", "down", "full", "overruns", "km", "seconds", "rate", "bus_load"]
-    numbers: dict[str, Any] = dict.fromkeys([*names, "ms_per_cycle", "core_share"], 3)
+    names += ["no_pose", "ms_per_cycle", "core_share"]
+    numbers: dict[str, Any] = dict.fromkeys(names, 3)
     text = _text(numbers | {"left_out": {"ACROSS": 7}, "record": "a.blf", "truth": "a.csv"})
     assert "3 lines given up with a full queue" in text
     assert "7 times, the line is across" in text

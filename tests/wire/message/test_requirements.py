@@ -262,7 +262,7 @@ def test_a_counter_of_a_slot_is_no_longer_than_that_of_its_records(
     else:
         with pytest.raises(LayoutError, match=r"RouteCounter .* at most 2 bits"):
             pose.check_slots(counters, levels=False)
-    with pytest.raises(LayoutError, match="RouteOwnLateral" if accepted else "RouteCounter"):
+    with pytest.raises(LayoutError, match="EgoLeftOwnLateral"):
         pose.check_slots(counters, levels=True)
 
 
