@@ -35,6 +35,8 @@ def key_from_file(path: str | Path, key_id: int = 1) -> Key:
             raise KeyMaterialError("path has a NUL character, so it is not that of a file")
         if KEY_LIKE.search(path.name) and not os.path.exists(path):
             raise KeyMaterialError(_TYPED.format("a file"))
+        if path.is_dir():
+            raise KeyMaterialError(f"{path}: is a directory, not the file of a key")
         mode = path.stat().st_mode
         if os.name != "nt" and mode & stat.S_IROTH:  # the mode means nothing on Windows
             raise KeyMaterialError(

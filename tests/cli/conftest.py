@@ -61,7 +61,7 @@ def slot_notes(capsys: pytest.CaptureFixture[str]) -> Any:
 
 @pytest.fixture
 def patient_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let no time of ``receive`` pass before a line or a reason has come, and none while lines come.
+    """Let no time of ``receive`` pass before a line or a reason comes, and none while lines come.
 
     A machine that is busy sends late, but not never.
     """

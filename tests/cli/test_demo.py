@@ -22,7 +22,7 @@ from maplines_can.study.round_trip import _Arrivals
 
 @pytest.fixture(autouse=True)
 def no_timeout(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Wait for all lines, and let no transfer time out: a busy machine is no fault of the command."""
+    """Wait for all lines, and let no transfer time out: a machine that is busy is no fault."""
     decoder = partialmethod(Codec.decoder, timeout_ms=3_600_000)
     monkeypatch.setattr(Codec, "decoder", decoder)
     wait_for = _Arrivals.wait_for
