@@ -100,7 +100,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     if not accuracy.received:
         dropped = sum((decoder.counts for decoder in decoders.values()), start=Counter())
         counts = counts_text({reason.name: n for reason, n in dropped.items()})
-        hint = dbc_hint(can_ids, codec) if can_ids else ""
+        hint = dbc_hint(can_ids, codec, dropped) if can_ids else ""
         raise LogError(
             f"{arguments.log}: has no lines; frames dropped: {counts}{'; ' * bool(hint)}{hint}"
         )

@@ -60,7 +60,7 @@ The motion of the car moves map lines to the time of the image; without --motion
 
 def add_check(commands: Any) -> None:
     """Add the sub-command ``check``."""
-    example = "maplines consume check drive.blf --simulate --shift 0.5"
+    example = "maplines consume check drive.log --dbc maplines-pose.dbc --simulate --shift 0.5"
     parser = add_command(commands, "check", _check, DESCRIPTION, example)
     add_input(parser, "results")
     scenario = option_group(parser, "scenario")

@@ -118,7 +118,7 @@ class Input:
             )
         if not (decoder.lines or decoder.pose_errors):
             counts = {reason.name: count for reason, count in decoder.counts.items()}
-            hint = dbc_hint(self._can_ids or codec.can_ids, codec)
+            hint = dbc_hint(self._can_ids or codec.can_ids, codec, decoder.counts)
             return (
                 f"none of {decoder.frames} frames completed a line (dropped: "
                 f"{counts_text(counts)}); "

@@ -26,7 +26,7 @@ a row of its own."""
 
 def add_steer(commands: Any) -> None:
     """Add the sub-command ``steer``."""
-    example = "maplines consume steer drive.blf --set-speed 13.9"
+    example = "maplines consume steer drive.log --dbc maplines-pose.dbc --set-speed 13.9"
     parser = add_command(commands, "steer", _steer, DESCRIPTION, example)
     add_input(parser, "demands")
     option_group(parser, "scenario").add_argument(

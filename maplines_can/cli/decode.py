@@ -152,9 +152,11 @@ def _decode(arguments: argparse.Namespace) -> int:
         )
     _summarize(decoders, last_ns)
     is_empty = not any(decoder.lines or decoder.pose_errors for decoder in decoders.values())
-    if not status and can_ids and is_empty and (hint := dbc_hint(can_ids, codec)):
-        note(f"error: {arguments.log}: {hint}")
-        return 1
+    if not status and can_ids and is_empty:
+        dropped = sum((decoder.counts for decoder in decoders.values()), Counter())
+        if hint := dbc_hint(can_ids, codec, dropped):
+            note(f"error: {arguments.log}: {hint}")
+            return 1
     return status
 
 

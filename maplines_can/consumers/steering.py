@@ -190,7 +190,7 @@ class LaneSteering:
         self.reset()
 
     def reset(self) -> None:
-        """Drive again after a handover."""
+        """Drive again after a handover, from the curvature of the car: a driver has steered it."""
         self._accepted: _Lines | None = None  # the last ones
         self._width: float | None = None
         self._t = -math.inf

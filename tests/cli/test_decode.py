@@ -12,6 +12,7 @@ from typing import Any
 
 import can
 import pytest
+from dbcs import edited
 from scenes import scene_lines
 
 from maplines_can import Codec, MapLine, Slot, scenario
@@ -295,3 +296,19 @@ def test_the_time_out_of_a_transfer_is_an_option(
     assert main(["decode", str(path), "--transfer-timeout", "25"]) == 0
     out, err = capsys.readouterr()
     assert (out, "0 lines from 4 frames" in err) == ("", True)
+
+
+def test_a_dbc_with_the_same_ids_and_other_records_is_an_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """No checksum is right then; the error names the DBC."""
+    path = tmp_path / "other.log"
+    other = edited(tmp_path, (r'(BA_ "E2EDataId" BO_ \d+ )1', r"\g<1>2"))
+    codec = Codec.from_dbc(other)
+    with can.Logger(path) as writer:
+        for frame in codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])):
+            writer(message(frame, 1.0, "can0"))
+    assert main(["decode", str(path), "--dbc", str(other)]) == 0
+    assert main(["decode", str(path)]) == 1
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "but no frame completes a line of it; take the --dbc of the sender" in last

@@ -59,8 +59,19 @@ WINDOW = 25
 WEIGHT = 2 / (WINDOW + 1)
 #: Probability that a window of a right filter is a contradiction, or widens the covariance.
 FALSE_ALARM = 1e-8
-#: Greatest squared mean of normalised innovations, by their number of values.
-MAX_MEAN = {m: float(chdtri(m, FALSE_ALARM)) * WEIGHT / (2 - WEIGHT) for m in (2, 3)}
+#: The same for a drift of GNSS: one across the road is followed by the heading, which nothing else
+#: measures, so that the innovations exceed what they may be by little, and not for long.
+GNSS_FALSE_ALARM = 1e-5
+#: Greatest squared mean of normalised innovations by source, which have 2 or 3 values.
+MAX_MEAN = {
+    source: float(chdtri(m, probability)) * WEIGHT / (2 - WEIGHT)
+    for source, m, probability in (
+        ("gnss", 2, GNSS_FALSE_ALARM),
+        ("line", 2, FALSE_ALARM),
+        ("landmark", 2, FALSE_ALARM),
+        ("pose", 3, FALSE_ALARM),
+    )
+}
 #: Greatest mean NIS of a value; the mean of a window is about that of so many values of chi-square.
 _VALUES = 2 * (2 - WEIGHT) / WEIGHT
 MAX_NIS = float(chdtri(_VALUES, FALSE_ALARM)) / _VALUES
@@ -147,7 +158,7 @@ def compared(trust: Consistency, found: Innovation, t: float) -> tuple[Consisten
     trust = trust._replace(
         rejected=rejected, agreed=agreed, at=at, mean=mean, nis=nis, residual=residual, turn=turn
     )
-    drifts = trust.known & ((mean[:, s] ** 2).sum(axis=-1) > MAX_MEAN[m])
+    drifts = trust.known & ((mean[:, s] ** 2).sum(axis=-1) > MAX_MEAN[found.source])
     too_many = rejected[:, s] >= REJECTED[s]
     return trust, any_judged & (too_many | drifts), any_judged & drifts & ~too_many
 
