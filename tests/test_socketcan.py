@@ -13,9 +13,9 @@ from typing import Any
 
 import can
 import pytest
+from example_lines import scenario_lines
 from fake_bus import collect
 from kernel_can import has_vcan
-from scenes import scene_lines
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, scenario
 
@@ -81,7 +81,7 @@ def test_lines_are_those_of_candump_cantools_and_canplayer(
     tmp_path: Path, channel: str, fd: bool
 ) -> None:
     """candump records the frames, cantools decodes them, canplayer replays them."""
-    lines = scene_lines(scenario("highway"))
+    lines = scenario_lines(scenario("highway"))
     candump = Candump(channel, fd)
 
     def send() -> Any:

@@ -5,9 +5,9 @@ from typing import Any
 
 import can
 import pytest
+from example_lines import scenario_lines
 from fake_bus import Clock as SecondsClock
 from fake_bus import drive, wait_until
-from scenes import scene_lines
 from secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
 
 from maplines_can import Link, Receiver, Transmitter, scenario
@@ -37,7 +37,7 @@ def test_an_attacker_and_a_key_change(channel: str) -> None:
     with Link(**bus) as out, Link(**bus) as back, can.Bus(**bus) as attacker:  # type: ignore[arg-type]
         with Receiver(back, receiver.decoder()) as listening:
             transmitter = Transmitter(out, sender, period=0.01, fd=True, count=40, clock=seconds)
-            transmitter.publish(scene_lines(scenario("highway"), 2))
+            transmitter.publish(scenario_lines(scenario("highway"), 2))
             heard = 0
             while not transmitter._tx_queue.over:
                 drive(transmitter, seconds, seconds.now + 0.002)
@@ -61,7 +61,7 @@ def test_a_slow_sender_signs_just_before_it_sends(clock: Any, period: float) -> 
     sender, receiver = codec_of(clock=clock), codec_of(clock=clock, window_ns=AHEAD * S + MS)
     decoder = receiver.decoder(cycle_ms=min(1e3 * period, 60_000))
     tx_queue = TxQueue(sender, period, fd=True, count=3, max_age=1.0)
-    tx_queue.put(scene_lines(scenario("highway"), 8), 0.0)
+    tx_queue.put(scenario_lines(scenario("highway"), 8), 0.0)
     now, answers = 0.0, []
     while not tx_queue.over:
         now += tx_queue.wait(now) + 1e-6  # type: ignore[operator]

@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 from dbcs import default_codec
+from example_lines import scenario_lines
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import scene_lines
 
 from maplines_can import scenario
 from maplines_can.bus import bus_load
@@ -26,13 +26,13 @@ def test_the_bus_load_stays_within_its_limit(
 ) -> None:
     """If one component for each line exceeds the limit, an error says so."""
     codec, scene = default_codec(), scenario(name)
-    one_each = codec.encode_lines(scene_lines(scene, lines), fd=fd)
+    one_each = codec.encode_lines(scenario_lines(scene, lines), fd=fd)
     if bus_load(chain(*one_each), 1 / rate, 5e5, 2e6) > max_load:
         with pytest.raises(ValueError, match=f"{100 * max_load:g} % are allowed"):
             choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
         return
     chosen = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
-    sent = scene_lines(
+    sent = scenario_lines(
         scene, lines, components={slot: line.components for slot, line in chosen.items()}
     )
     assert bus_load(chain(*codec.encode_lines(sent, fd=fd)), 1 / rate, 5e5, 2e6) <= max_load * (

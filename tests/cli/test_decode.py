@@ -13,7 +13,7 @@ from typing import Any
 import can
 import pytest
 from dbcs import edited
-from scenes import scene_lines
+from example_lines import scenario_lines
 
 from maplines_can import Codec, MapLine, Slot, scenario
 from maplines_can.cli import main
@@ -24,7 +24,7 @@ from maplines_can.cli.options import SHIPPED
 def log(tmp_path: Path) -> Any:
     """A candump log of 20 lines on can0 and 5 on can1, a foreign frame and an incomplete line."""
     codec, path = Codec.from_dbc(), tmp_path / "drive.log"
-    lines = scene_lines(scenario("highway"))
+    lines = scenario_lines(scenario("highway"))
     with can.Logger(path) as writer:
         t = 1000.0
         for k in range(5):
@@ -234,7 +234,7 @@ def test_a_closed_pipe_ends_the_command(log: Any) -> None:
 
 def drive(path: Any, *, cycle: Any, channels: Any = ("can0",), cut: Any = (), n: int = 20) -> Any:
     """Write a candump log of one slot, a line in each cycle [s], without the lines in ``cut``."""
-    (line,) = scene_lines(scenario("highway"), 1)
+    (line,) = scenario_lines(scenario("highway"), 1)
     codecs = {channel: Codec.from_dbc() for channel in channels}
     with can.Logger(path) as writer:
         for k in range(n):

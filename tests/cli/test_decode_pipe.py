@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 
 from maplines_can import Codec, scenario
 from maplines_can.cli import main
@@ -21,7 +21,7 @@ from maplines_can.cli.stderr import with_progress
 
 def rows(n: int) -> list[str]:
     """Return n lines as candump prints their frames without -L, one text for each line."""
-    codec, (line,) = Codec.from_dbc(), scene_lines(scenario("highway"), 1)
+    codec, (line,) = Codec.from_dbc(), scenario_lines(scenario("highway"), 1)
     return [
         "".join(
             f"  vcan0  {f.can_id:03X}   [{len(f.data)}]  {f.data.hex(' ').upper()}\n"

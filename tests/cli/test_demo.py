@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from dbcs import edited
+from example_lines import lines_timed_out, scenario_lines
 from fake_bus import LONG
-from scenes import lines_timed_out, scene_lines
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter, scenario
 from maplines_can.cli import main
@@ -93,7 +93,7 @@ def test_a_mixture_is_received_as_one_line(
         Link(interface="virtual", channel=channel) as link,
         Transmitter(link, Codec.from_dbc(), period=0.05) as transmitter,
     ):
-        transmitter.publish(scene_lines(scenario("street-turn"), 2, components=3))
+        transmitter.publish(scenario_lines(scenario("street-turn"), 2, components=3))
         bus = ["--interface", "virtual", "--channel", channel]
         assert main(["receive", *bus, "--count", "2", "--json"]) == 0
     row = json.loads(capsys.readouterr().out.splitlines()[0])
@@ -210,7 +210,7 @@ def test_item_11_lines_are_compared_within_their_valid_range(
     arguments = ["demo", "--seconds", "0.1", "--scenario", "street-turn"]
     assert main([*arguments, "--json", "--plot", str(tmp_path / "turn.png")]) == 0
     lines = json.loads(capsys.readouterr().out)["lines"]
-    sent = {line.slot.name: line for line in scene_lines(scenario("street-turn"))}
+    sent = {line.slot.name: line for line in scenario_lines(scenario("street-turn"))}
     for line in lines:
         true = sent[line["slot"]]
         assert 0 < line["x"] <= true.x_max < 30

@@ -11,7 +11,7 @@ from typing import Any
 
 import can
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_no_secret, codec_of, key_file, sent
 
 from maplines_can import Codec, Link, Transmitter, scenario
@@ -29,7 +29,7 @@ def clock() -> Any:
 
 @pytest.fixture
 def lines() -> Any:
-    return scene_lines(scenario("highway"), 2)
+    return scenario_lines(scenario("highway"), 2)
 
 
 COLONS = ":".join(f"{byte:02x}" for byte in SECRET)
@@ -133,7 +133,7 @@ def test_send_and_receive_with_keys(
         Link(interface="virtual", channel=channel, fd=True) as link,
         Transmitter(link, Codec.from_dbc(None, authenticator), period=0.02, fd=True) as transmitter,
     ):
-        transmitter.publish(scene_lines(scenario("highway"), 2))
+        transmitter.publish(scenario_lines(scenario("highway"), 2))
         keys = ["--key-env", "1:WRONG", "--key-file", f"2:{path}"]
         assert main(["receive", *bus, *keys, "--count", "4", "--json"]) == 0
         rows = [json.loads(row) for row in capsys.readouterr().out.splitlines()]

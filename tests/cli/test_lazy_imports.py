@@ -10,7 +10,7 @@ from typing import Any
 
 import can
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 
 import maplines_can
 from maplines_can import Codec, scenario
@@ -47,7 +47,7 @@ def log(tmp_path: Path) -> Any:
     """A log of 4 lines."""
     path = tmp_path / "drive.log"
     with can.Logger(path) as writer:
-        for line in scene_lines(scenario("production")):
+        for line in scenario_lines(scenario("production")):
             for frame in Codec.from_dbc().encode(line):
                 writer(can.Message(1.0, frame.can_id, is_extended_id=False, data=frame.data))
     return path

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 
 from maplines_can import Codec, Link, Transmitter, scenario
 from maplines_can.cli import main
@@ -24,7 +24,7 @@ def test_lines_are_printed_until_the_count(
         Link(interface="virtual", channel=channel) as link,
         Transmitter(link, Codec.from_dbc(), period=0.02, fd=True) as transmitter,  # no time-out
     ):
-        for line in scene_lines(scenario("highway")):
+        for line in scenario_lines(scenario("highway")):
             transmitter.publish(line)
         bus = ["--interface", "virtual", "--channel", channel]
         assert main(["receive", *bus, "--count", "8", "--json"]) == 0
@@ -85,7 +85,7 @@ def test_a_receiver_of_frames_that_it_cannot_read_says_why(
         Link(interface="virtual", channel=channel) as link,
         Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
     ):
-        transmitter.publish(scene_lines(scenario("highway"), 1))
+        transmitter.publish(scenario_lines(scenario("highway"), 1))
         bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
         assert main(["receive", *bus, "--timeout", "1"]) == 1
     (note,) = [row for row in capsys.readouterr().err.splitlines() if "no line for 0.05 s" in row]
@@ -101,7 +101,7 @@ def test_item_11_frames_without_a_line_are_an_error(
         Link(interface="virtual", channel=channel) as link,
         Transmitter(link, Codec.from_dbc(), period=0.01) as transmitter,
     ):
-        transmitter.publish(scene_lines(scenario("highway"), 1))
+        transmitter.publish(scenario_lines(scenario("highway"), 1))
         bus = ["--interface", "virtual", "--channel", channel, "--faults", "corrupt=1,seed=1"]
         assert main(["receive", *bus, "--timeout", "0.2"]) == 1
     last = capsys.readouterr().err.splitlines()
@@ -124,7 +124,7 @@ def test_item_11_a_receiver_that_outlives_its_sender_succeeds(
             return "a row"
 
         monkeypatch.setattr("maplines_can.cli.receive.line_text", stop)
-        transmitter.publish(scene_lines(scenario("highway"), 1))
+        transmitter.publish(scenario_lines(scenario("highway"), 1))
         bus = ["--interface", "virtual", "--channel", channel]
         assert main(["receive", *bus, "--timeout", "0.3"]) == 0
     out, err = capsys.readouterr()
@@ -155,7 +155,7 @@ def test_the_cycle_time_decides_whether_a_slot_is_valid(
 ) -> None:
     """The slot of a slow sender is VALID with --cycle-ms and not VALID without it."""
     bus = ["--interface", "virtual", "--channel", channel]
-    (line,) = scene_lines(scenario("highway"), 1)
+    (line,) = scenario_lines(scenario("highway"), 1)
     codec = Codec.from_dbc()
     transfers = [(1e9 + 0.2 * k, codec.encode(line)) for k in range(8)]
     replay(transfers)
@@ -179,7 +179,7 @@ def test_item_1_a_line_that_is_not_usable_is_printed_without_its_values(
     change: Any, words: str
 ) -> None:
     """With the reason; JSON has no infinite age."""
-    (line,) = scene_lines(scenario("highway"), 1)
+    (line,) = scenario_lines(scenario("highway"), 1)
     assert "y_off" in line_text(line)
     text = line_text(replace(line, **change))
     assert words in text

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from dbcs import edited
+from example_lines import scenario_lines
 from fake_bus import FakeOpener, FakeTime
-from scenes import scene_lines
 
 from maplines_can import Link, MapLine, Transmitter, scenario, transform_line
 from maplines_can.cli import main
@@ -113,7 +113,7 @@ def test_item_11_the_lines_are_those_of_a_moving_car(
             pose = weaving_ego(scene, (line.t_ns or 0) / 1e9 - 1000 - line.age)
         components = 3 if "--components" in options else 1
         there = replace(scene, ego=pose)
-        expected = {x.slot: x for x in scene_lines(there, len(slots), components=components)}
+        expected = {x.slot: x for x in scenario_lines(there, len(slots), components=components)}
         x = np.linspace(0.0, line.x_max, 5)
         assert line.y(x) == pytest.approx(expected[line.slot].y(x), abs=0.02)
     means = {line.gaussian.mean.tobytes() for line in sender.received}
@@ -133,7 +133,7 @@ def test_the_car_weaves_as_a_car_moves(name: str) -> None:
         along, across = SPEED * dt, new.mean[1] - old.mean[1]
         turned = new.mean[2] - old.mean[2] + curvature * along
         displacement = [c * along + s * across, c * across - s * along, turned]
-        before, after = (scene_lines(replace(scene, ego=pose), 1)[0] for pose in (old, new))
+        before, after = (scenario_lines(replace(scene, ego=pose), 1)[0] for pose in (old, new))
         moved = transform_line(before.gaussian.mean, displacement, (-5.0, 10.0))
         x = np.linspace(-4.0, 4.0, 5)
         straight = 0.01 if name == "production" else 0.25  # the turn ahead of the car is fixed

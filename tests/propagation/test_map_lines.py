@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 
 from maplines_can import (
     Gaussian,
@@ -184,7 +184,7 @@ def test_components_for_each_line() -> None:
 @pytest.mark.parametrize("scene", SCENARIOS.values(), ids=SCENARIOS)
 def test_kind_slot_and_order_are_those_of_the_scene(scene: Any) -> None:
     """The range is within the window."""
-    for line, (slot, polyline) in zip(scene_lines(scene, 8), scene.lines.items(), strict=True):
+    for line, (slot, polyline) in zip(scenario_lines(scene, 8), scene.lines.items(), strict=True):
         assert (line.slot, line.kind) == (slot, polyline.kind)
         assert scene.window[0] <= line.x_min < line.x_max <= scene.window[1]
 
@@ -192,7 +192,7 @@ def test_kind_slot_and_order_are_those_of_the_scene(scene: Any) -> None:
 def test_transform_map_error_and_misfit_are_used() -> None:
     """Another transform gives another covariance, a map error and a misfit a larger one."""
     default, other, wider, longer = (
-        scene_lines(SCENE, 1, **settings)[0]
+        scenario_lines(SCENE, 1, **settings)[0]
         for settings in (
             {},
             {"transform": Quadrature(5)},

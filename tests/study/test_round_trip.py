@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scenes import lines_timed_out, scene_lines
+from example_lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Slot, scenario
 from maplines_can.study.round_trip import BusSettings, round_trip
 from maplines_can.testing import Faults
 
-LINES = scene_lines(scenario("production"), 2)
+LINES = scenario_lines(scenario("production"), 2)
 
 
 def test_every_line_is_received_as_the_codec_decodes_it() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import cantools
 import numpy as np
 import pytest
-from scenes import lines_timed_out, scene_lines
+from example_lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Gaussian, MapLine, Slot, Status
 from maplines_can.errors import LayoutError
@@ -263,7 +263,7 @@ def test_messages_name_the_alternatives() -> None:
 @pytest.mark.parametrize("name", CODES)
 def test_lines_travel_over_a_bus_with_every_dbc(name: Any) -> None:
     """Lines are sent and received, and every received covariance is definite."""
-    lines = scene_lines(SCENARIOS["street-turn"])
+    lines = scenario_lines(SCENARIOS["street-turn"])
     trip = round_trip(lines, Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3)
     assert {line.status for line in trip.lines} - {None}
     assert all(line.mean is not None for line in trip.lines)

@@ -3,7 +3,7 @@
 from typing import Any
 
 import pytest
-from scenes import scene_lines
+from example_lines import scenario_lines
 from secoc_streams import Clock
 
 from maplines_can import scenario
@@ -16,4 +16,4 @@ def clock() -> Any:
 
 @pytest.fixture
 def lines() -> Any:
-    return scene_lines(scenario("highway"), 2)
+    return scenario_lines(scenario("highway"), 2)

@@ -14,9 +14,9 @@ import cantools
 import numpy as np
 import pytest
 from dbcs import new_codec
+from example_lines import scenario_lines
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import scene_lines
 from secoc_streams import (
     DATA_ID,
     LAYOUT,
@@ -142,7 +142,7 @@ def test_each_slot_has_its_own_freshness(clock: Any, lines: Any) -> None:
 
 def test_all_components_of_a_mixture_must_be_authentic(clock: Any) -> None:
     """With a forged or missing component there is no line."""
-    (line,) = scene_lines(scenario("street-turn"), 1, components=3)
+    (line,) = scenario_lines(scenario("street-turn"), 1, components=3)
     codec = codec_of(clock=clock)
     first, second, third = codec.encode(line, fd=True)
     forged = second._replace(data=bytes([second.data[0] ^ 1]) + second.data[1:])
@@ -517,7 +517,7 @@ def test_records_of_other_lengths_are_authenticated(tmp_path: Path, clock: Any, 
     path.write_text(replace(dbc_writer_for(code), first_secured_can_id=0x350).dbc())
     authenticator = Authenticator(Key(SECRET), clock=clock)
     codec = Codec.from_dbc(path, authenticator, codes=CODES)
-    (line,) = scene_lines(scenario("highway"), 1)
+    (line,) = scenario_lines(scenario("highway"), 1)
     (frame,) = codec.encode(line, fd=True)
     decoder = codec.decoder()
     padding = codec.layout.record_bytes

@@ -1,4 +1,4 @@
-"""Lines of example scenes, for tests."""
+"""Lines of scenarios, for tests."""
 
 from collections.abc import Mapping
 from itertools import islice
@@ -7,10 +7,10 @@ from typing import Any
 from maplines_can import map_lines
 
 
-def scene_lines(scene: Any, lines: int = 4, **settings: Any) -> Any:
-    """Return the first lines of a scene as ``map_lines`` does, with its settings."""
-    first = dict(islice(scene.lines.items(), lines))
-    return map_lines(first, scene.ego, window=scene.window, **settings)
+def scenario_lines(scenario: Any, lines: int = 4, **settings: Any) -> Any:
+    """Return the first lines of a scenario as ``map_lines`` does, with its settings."""
+    first = dict(islice(scenario.lines.items(), lines))
+    return map_lines(first, scenario.ego, window=scenario.window, **settings)
 
 
 def lines_timed_out(counts: Mapping[str, int], pending: int, frames: int) -> int:
