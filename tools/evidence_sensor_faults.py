@@ -214,7 +214,7 @@ def figures(course: Course, limit: float) -> dict[str, Any]:
         "sigma [m]": round(float(np.hypot(*course.sigmas[k, car, :2]) / math.sqrt(2)), 2),
         "largest sigmas": round(float(np.where(course.known[..., None], share, 0.0).max()), 1),
         "said after [s]": round(float(np.nanmedian(first)), 1) if lost.any() else math.nan,
-        "cars beyond for 10 s": int((longest(wrong.any(axis=-1)) > 10.0).sum()),
+        "cars beyond for 10 s": int((longest(np.asarray(wrong.any(axis=-1))) > 10.0).sum()),
         "cars without a pose": int(lost.any(axis=0).sum()),
         "without a pose [s]": round(float(np.median(STEP * lost.sum(axis=0))), 1),
         "known at the end": int(course.known[-1].sum()),
