@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from ..gaussian import Gaussian
 from ..line import MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
@@ -23,7 +22,7 @@ from .consistency import (
     ResidualModel,
     threshold,
 )
-from .error_times import positive_part
+from .error_times import block_diag, positive_part
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
