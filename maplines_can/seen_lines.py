@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .errors import IllPosedError
 from .gaussian import square_root
-from .line import lateral, transform_line_or_nan
+from .line import lateral, lateral_jacobian, line_of_cubic, transform_line_or_nan
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
@@ -24,8 +24,29 @@ NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
 #: Points of a line to which a cubic is fitted from another pose, and the weight of both ends. It
 #: gives them the share of the whole that they have among ``NODES``.
 POINTS, END_WEIGHT = 16, 0.62
+#: Chebyshev polynomials T_0 .. T_3, by columns, in terms of w^0 .. w^3.
+CHEBYSHEV = np.array([[1.0, 0, -1, 0], [0, 1, 0, -3], [0, 0, 2, 0], [0, 0, 0, 4]])
 #: Halvings of the distance to a pose at which a line is no function of x; then it has a value.
 HALVINGS = 60
+
+
+def bases(means: NDArray[np.float64], fit_ranges: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the (L, 4, 4) derivatives of lines with respect to their coefficients of T_0 .. T_3.
+
+    These are Chebyshev polynomials in the normalised variable w, -1 to 1 in the range. An error of
+    1 m of any coefficient moves the line by up to 1 m.
+
+    Args:
+        means: (L, 4) lines.
+        fit_ranges: (L, 2) ranges [m].
+    """
+    centre, half = fit_ranges.mean(axis=1), np.diff(fit_ranges, axis=1)[:, 0] / 2
+    shape = (4, 4, len(means))
+    q = np.broadcast_to(CHEBYSHEV[:, :, None], shape)
+    J = line_of_cubic(q, np.broadcast_to(centre, shape[1:]), np.broadcast_to(half, shape[1:]))
+    J = J.transpose(1, 2, 0).copy()  # (L, parameters, coefficients)
+    J[:, 1] = np.tan(J[:, 1]) * np.cos(means[:, 1, None]) ** 2
+    return J
 
 
 def extended(
@@ -195,12 +216,13 @@ def valid_ranges(
         means: (L, 4) lines.
         fit_ranges: (L, 2) [m].
         P: (3, 3) covariance of the pose in the ego frame.
-        own_covs: (L, 4, 4) covariances of what the lines have of their own; the variance of y_off
-            is taken to act along the line, too.
+        own_covs: (L, 4, 4) covariances of what the lines have of their own; the variance of the
+            lateral position in the middle of the range is taken to act along the line, too.
         heading_sigma: of the map, (L,) or one for all [rad].
     """
     ends = np.stack([fit_ranges, lateral(means[:, None], fit_ranges)], axis=-1)
-    shift = own_covs[:, 0, 0]
+    middle = lateral_jacobian(means, fit_ranges.mean(axis=1))
+    shift = np.einsum("li,lij,lj->l", middle, own_covs, middle)
     own = np.zeros((len(means), 3, 3))
     own[:, 0, 0], own[:, 1, 1], own[:, 2, 2] = shift, shift, np.square(heading_sigma)
     return np.asarray(fit_ranges + margins(P + own, ends) * [1, -1])

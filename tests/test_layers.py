@@ -17,8 +17,8 @@ ORDER = """
 arrays errors input_files
 gaussian mixture line map_error scene seen_lines search_tree polyline
 street_shapes scenarios
-propagation.valid_range propagation.refit propagation.transform propagation.linear
-propagation.monte_carlo
+propagation.valid_range propagation.misfit propagation.refit propagation.transform
+propagation.linear propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
 propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
 propagation.map_scene propagation.scene_mixture

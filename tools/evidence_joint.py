@@ -57,9 +57,9 @@ from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot
 from maplines_can.gaussian import block_diagonal
 from maplines_can.line import lateral_jacobian
 from maplines_can.propagation import map_scene
+from maplines_can.seen_lines import bases
 from maplines_can.study.scenes.source import noise_floor
 from maplines_can.wire import Codec
-from maplines_can.wire.covariance.own_levels import bases
 from maplines_can.wire.covariance.scene_code import RESOLUTION, DecodedLines
 from maplines_can.wire.covariance.scene_encoder import EncodedScene
 from maplines_can.wire.message.signals import PARAMETER_SIGNALS

@@ -14,7 +14,8 @@ from ..errors import IllPosedError
 from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
 from ..map_error import MapError
 from ..polyline import MAX_TURN, Polyline, Stretches, stretches
-from ..seen_lines import NODES
+from ..seen_lines import NODES, bases
+from .misfit import coefficient_variances
 from .valid_range import longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
@@ -118,10 +119,12 @@ class Refit:
         c, s = math.cos(pose[2]), math.sin(pose[2])
         self._to_ego = np.array([[c, -s], [s, c]])
         noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
+        mean = self._block(self.pose[None])[0]
         if map_error is not None:
-            noise_cov += self._noise_cov(map_error, seen.position(x))
+            noise_cov += self._noise_cov(map_error, mean, seen.position(x))
         if max_misfit < np.inf:
-            noise_cov[:, 0, 0] += self._misfit**2
+            J = bases(mean, self._x_range)
+            noise_cov += np.einsum("lik,lk,ljk->lij", J, coefficient_variances(seen, fitted), J)
         is_exact = map_error is None and max_misfit == np.inf
         #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
         self.noise_cov = None if is_exact else noise_cov.reshape(*self._trailing, 4, 4)
@@ -200,10 +203,13 @@ class Refit:
             q[:, ~well_posed] = np.nan
         return q
 
-    def _noise_cov(self, error: MapError, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _noise_cov(
+        self, error: MapError, mean: NDArray[np.float64], position: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
         """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.
 
-        ``position`` are (L, K) fractional indices of the fitted points among those of the map.
+        ``mean`` are the (L, 4) lines seen from the mean pose, ``position`` are (L, K) fractional
+        indices of the fitted points among those of the map.
         """
         step = 1e-4
         poses = self.pose + step * np.array([np.eye(3), -np.eye(3)])  # (2, 3, 3)
@@ -212,7 +218,6 @@ class Refit:
         pose_sigma = np.array([error.offset_sigma, error.offset_sigma, error.heading_sigma])
         J = J_line_pose * pose_sigma[:, None, None]
         cov = np.einsum("klm,kln->lmn", J, J)
-        mean = self._block(self.pose[None])[0]
         for i, points in enumerate(self.points):
             unit_cov = _fit_cov(points, position[i], mean[i], self._centre[0, i], self._half[i, 0])
             # The fit averages the point errors, but the line itself has them in full.

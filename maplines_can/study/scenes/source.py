@@ -30,9 +30,8 @@ from ...line import Slot, lateral_jacobian, line_of_cubic
 from ...polyline import Polyline
 from ...propagation import MapError, map_scene
 from ...scene import Scene
-from ...seen_lines import SeenLines
+from ...seen_lines import SeenLines, bases
 from ...street_shapes import Piece, Street
-from ...wire.covariance.own_levels import bases
 from ..sweep.limit import Limit
 
 Array = NDArray[np.float64]

@@ -20,8 +20,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import line_of_cubic
-from ...seen_lines import NODES
+from ...seen_lines import NODES, bases
 from ..message.requirement import OCTAVE
 from ..message.signals import Signal
 from .code import Array
@@ -31,32 +30,11 @@ from .joint import divergence, largest_ratio
 TRIED = np.array([0, 1, 2, 3, 5])
 #: Spacings for which all of them are tried: the best ones for the second.
 CHOSEN = 24
-#: Chebyshev polynomials T_0 .. T_3, by columns, in terms of w^0 .. w^3.
-CHEBYSHEV = np.array([[1.0, 0, -1, 0], [0, 1, 0, -3], [0, 0, 2, 0], [0, 0, 0, 4]])
 #: More than any level squared [m^2].
 BEYOND = 1e100
 GOLDEN_RATIO = (1 + 5**0.5) / 2
 #: (4, K) matrix from values at the nodes to the coefficients of their cubic fit.
 _FIT = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 3))
-
-
-def bases(means: Array, fit_ranges: Array) -> Array:
-    """Return the (L, 4, 4) derivatives of lines with respect to their coefficients of T_0 .. T_3.
-
-    These are Chebyshev polynomials in the normalised variable w, -1 to 1 in the range. An error of
-    1 m of any coefficient moves the line by up to 1 m.
-
-    Args:
-        means: (L, 4) lines.
-        fit_ranges: (L, 2) ranges [m].
-    """
-    centre, half = fit_ranges.mean(axis=1), np.diff(fit_ranges, axis=1)[:, 0] / 2
-    shape = (4, 4, len(means))
-    q = np.broadcast_to(CHEBYSHEV[:, :, None], shape)
-    J = line_of_cubic(q, np.broadcast_to(centre, shape[1:]), np.broadcast_to(half, shape[1:]))
-    J = J.transpose(1, 2, 0).copy()  # (L, parameters, coefficients)
-    J[:, 1] = np.tan(J[:, 1]) * np.cos(means[:, 1, None]) ** 2
-    return J
 
 
 def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> Array:

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from ...errors import IllPosedError
 from ...gaussian import block_diagonal
 from ...line import Slot
-from ...seen_lines import SeenLines
+from ...seen_lines import SeenLines, bases
 from ..message.record_layout import RecordLayout
 from ..message.signals import (
     FINE_SIGNALS,
@@ -39,7 +39,7 @@ from ..message.signals import (
 )
 from .cholesky import CholeskyCode
 from .code import Array
-from .own_levels import OwnLevels, bases
+from .own_levels import OwnLevels
 
 #: Signal that says whether a record has all entries of D_i.
 FORM = "HasCovariance"

@@ -22,12 +22,11 @@ from numpy.typing import NDArray
 from ...errors import EncodeError, IllPosedError
 from ...gaussian import diagonal_blocks
 from ...scene import Scene
-from ...seen_lines import SeenLines
+from ...seen_lines import SeenLines, bases
 from ..message.signals import Signal
 from .cholesky import CholeskyCode
 from .code import Array
 from .joint import divergence, largest_ratio, positive_part, uncovered
-from .own_levels import bases
 from .rounding import refined, rounded_means, split
 from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode
 

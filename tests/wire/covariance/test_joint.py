@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from strategies import ENTRIES, covariances, mild_lines, symmetric
 
 from maplines_can.gaussian import block_diagonal, diagonal_blocks
+from maplines_can.seen_lines import bases
 from maplines_can.wire.covariance.joint import positive_part, uncovered
-from maplines_can.wire.covariance.own_levels import bases
 
 RANGES = np.array([[-20.0, 80.0], [-5.0, 40.0], [0.0, 20.0]])
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scene_layouts import layout_of
 
-from maplines_can.wire.covariance.own_levels import bases
+from maplines_can.seen_lines import bases
 from maplines_can.wire.covariance.rounding import refined, rounded_means, split
 from maplines_can.wire.covariance.scene_code import RESOLUTION
 from maplines_can.wire.message.signals import FINE_SIGNALS, PARAMETER_SIGNALS

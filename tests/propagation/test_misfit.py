@@ -1,0 +1,92 @@
+"""Covariance of what a cubic misses: of the shape of a line, not only of its lateral position."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, lateral, map_lines
+from maplines_can.line import lateral_jacobian
+from maplines_can.street_shapes import Piece, Street
+
+ORIGIN = np.zeros(3)
+Curvatures = st.lists(st.floats(-0.02, 0.02), min_size=3, max_size=5)
+
+
+def polyline(street: Street) -> Polyline:
+    """The left line of a lane, with a point each metre."""
+    return Polyline(street.line(np.arange(street.begin, street.end, 1.0), 1.75))
+
+
+def true_lateral(line: Polyline, x: Any) -> Any:
+    """Lateral positions of a line that is a function of x in the frame of the map."""
+    return np.interp(x, *line.points.T)
+
+
+def second_differences(line: Polyline, refit: Refit, spacing: float) -> Any:
+    """Errors of the cubic's second differences, in standard deviations of the noise alone."""
+    low, high = refit.x_range
+    x = np.arange(low, high - 2 * spacing, 0.5)[:, None] + spacing * np.arange(3)
+    weights = np.array([1.0, -2.0, 1.0])
+    mean = refit(ORIGIN)
+    J = weights @ lateral_jacobian(mean, x)
+    sigma = np.sqrt(np.einsum("ki,ij,kj->k", J, np.asarray(refit.noise_cov), J))
+    return (true_lateral(line, x) - lateral(mean, x)) @ weights / sigma
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(curvatures=Curvatures)
+def test_second_differences_of_clothoids_are_within_three_sigma(curvatures: list[float]) -> None:
+    """97 % of them by construction within 2.9, at each spacing, without any error of the pose."""
+    ends = zip([0.0, *curvatures], [*curvatures, 0.0], strict=True)
+    street = Street([Piece(30, 0, 0), *(Piece(30, *pair) for pair in ends)], behind=30)
+    line = polyline(street)
+    refit = Refit(line, ORIGIN)
+    for spacing in (5.0, 10.0, 20.0):
+        z = second_differences(line, refit, spacing)
+        if len(z):
+            assert np.mean(np.abs(z) > 3) <= 0.04  # the grid differs from that of the product
+            assert np.sqrt(np.mean(z**2)) <= 1.1
+    x = np.linspace(*refit.x_range, 50)
+    J = lateral_jacobian(refit(ORIGIN), x)
+    sigma = np.sqrt(np.einsum("ki,ij,kj->k", J, np.asarray(refit.noise_cov), J))
+    assert np.all(np.abs(true_lateral(line, x) - lateral(refit(ORIGIN), x)) <= 2.1 * sigma)
+
+
+def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() -> None:
+    """40 m before a clothoid to a radius of 150 m the road is straight, and its cubic is not."""
+    street = Street([Piece(100), Piece(20, 0, 1 / 150), Piece(100, 1 / 150, 1 / 150)], behind=60)
+    ego = Gaussian(ORIGIN, np.diag([0.3, 0.1, 0.003]) ** 2)
+    lines = {Slot.EGO_LEFT: polyline(street)}
+    (line,) = map_lines(lines, ego, map_error=MapError(point_sigma=0.05))
+    x = np.array([-5.0, 0.0, 5.0])
+    weights = np.array([1.0, -2.0, 1.0]) / 25  # mean curvature over 10 m at the car
+    J = weights @ lateral_jacobian(line.gaussian.mean, x)
+
+    assert weights @ lateral(line.gaussian.mean, x) < -0.002
+    z = weights @ lateral(line.gaussian.mean, x) / np.sqrt(J @ line.gaussian.cov @ J)
+    assert abs(z) < 3
+
+
+def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None:
+    """A cubic with the coefficients 1, 1/4, 1, 2 has them; numpy evaluates the polynomials."""
+    street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
+    refit = Refit(polyline(street), ORIGIN)
+    x = np.linspace(*refit.x_range, 9)
+    J = lateral_jacobian(refit(ORIGIN), x)
+    cov = J @ np.asarray(refit.noise_cov) @ J.T
+    T = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 9), 3)
+    shape = (T[:, 1:] * [0.25, 1.0, 2.0]) @ T[:, 1:].T
+    rest = cov - float(refit.misfit) ** 2 / 4
+    level = np.trace(rest) / np.trace(shape)
+
+    assert level >= 0.1 * float(refit.misfit) ** 2
+    assert rest == pytest.approx(level * shape, abs=1e-9)
+
+
+def test_the_fit_of_the_paper_has_no_such_covariance() -> None:
+    """Without a limit of the misfit, only the error of the map is added."""
+    street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
+    assert Refit(polyline(street), ORIGIN, max_misfit=np.inf).noise_cov is None
