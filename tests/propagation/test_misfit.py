@@ -49,7 +49,7 @@ def test_second_differences_of_clothoids_are_within_three_sigma(curvatures: list
         if len(z):
             assert np.mean(np.abs(z) > 3) <= 0.04  # the grid differs from that of the product
             assert np.sqrt(np.mean(z**2)) <= 1.1
-    x = np.linspace(*refit.x_range, 50)
+    x = np.linspace(refit.x_range[0], refit.x_range[1], 50)
     J = lateral_jacobian(refit(ORIGIN), x)
     sigma = np.sqrt(np.einsum("ki,ij,kj->k", J, np.asarray(refit.noise_cov), J))
     assert np.all(np.abs(true_lateral(line, x) - lateral(refit(ORIGIN), x)) <= 2.1 * sigma)
@@ -74,7 +74,7 @@ def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None
     """A cubic with the coefficients 1, 1/4, 1, 2 has them; numpy evaluates the polynomials."""
     street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
     refit = Refit(polyline(street), ORIGIN)
-    x = np.linspace(*refit.x_range, 9)
+    x = np.linspace(refit.x_range[0], refit.x_range[1], 9)
     J = lateral_jacobian(refit(ORIGIN), x)
     cov = J @ np.asarray(refit.noise_cov) @ J.T
     T = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 9), 3)

@@ -13,9 +13,9 @@ from strategies import covariances, mild_lines, symmetric
 
 from maplines_can import Gaussian
 from maplines_can.line import lateral, lateral_jacobian, line_of_cubic
-from maplines_can.seen_lines import NODES
+from maplines_can.seen_lines import NODES, bases
 from maplines_can.wire.covariance.joint import divergence, largest_ratio
-from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, bases, point_noise
+from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, point_noise
 
 LINE = layout_of("maplines-pose.dbc")
 SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnSpacing"))
