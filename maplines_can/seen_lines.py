@@ -26,6 +26,8 @@ NODES = np.cos(np.pi * np.arange(64) / 63)[::-1]
 POINTS, END_WEIGHT = 16, 0.62
 #: Chebyshev polynomials T_0 .. T_3, by columns, in terms of w^0 .. w^3.
 CHEBYSHEV = np.array([[1.0, 0, -1, 0], [0, 1, 0, -3], [0, 0, 2, 0], [0, 0, 0, 4]])
+#: Variances of their coefficients, up to a common factor, for a line of uncertain shape.
+SHAPE = np.array([0.0, 0.25, 1.0, 2.0])
 #: Halvings of the distance to a pose at which a line is no function of x; then it has a value.
 HALVINGS = 60
 

@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..polyline import Stretches
-from ..seen_lines import NODES
+from ..seen_lines import NODES, SHAPE
 from .valid_range import Fitted, at_nodes
 
 #: Least misfit that is covered [m]; less is beyond any map, and would leave a singular covariance.
 LEAST_MISFIT = 0.001
 #: Variance of the coefficient of T_0, in units of the squared misfit.
 LATERAL_SHARE = 0.25
-#: Variances of the coefficients of T_1, T_2 and T_3, in units of the squared level of the shape.
-SHAPE = np.array([0.25, 1.0, 2.0])
 #: Least level of the shape squared, in units of the squared misfit.
 LEAST_SHAPE = 0.1
 #: Distances over which second differences of a line are covered [m].
@@ -36,7 +34,7 @@ def coefficient_variances(stretches: Stretches, fitted: Fitted) -> NDArray[np.fl
     misfit, but curvatures and differences of a line at several x see its shape: the rest bends
     within a few metres, and no uncertainty of y_off alone says so. So what the cubic tells of the
     shape is as uncertain as the rest makes it. T_0 takes a share of the misfit, and T_1 .. T_3 have
-    a common level. It is the least one with which the second differences
+    ``SHAPE`` times a common level. It is the least one with which the second differences
 
         y(x) - 2 y(x + d) + y(x + 2 d)
 
@@ -56,7 +54,9 @@ def coefficient_variances(stretches: Stretches, fitted: Fitted) -> NDArray[np.fl
         long = np.flatnonzero(2 * steps <= _STEPS)
         if len(long):
             level[long] = np.maximum(level[long], _least_level(rest[long], steps[long]))
-    return np.column_stack([LATERAL_SHARE * misfit**2, level[:, None] * SHAPE])
+    variances = level[:, None] * SHAPE
+    variances[:, 0] = LATERAL_SHARE * misfit**2
+    return np.asarray(variances)
 
 
 def _least_level(rest: NDArray[np.float64], steps: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -69,7 +69,7 @@ def _least_level(rest: NDArray[np.float64], steps: NDArray[np.int64]) -> NDArray
     )
     # Second differences of T_2 are 4 h^2, those of T_3 are 24 w h^2, with w in the middle.
     h, w = steps * 2 / _STEPS, _GRID[first] + steps * 2 / _STEPS
-    variance = h**4 * (16 * SHAPE[1] + (24 * w) ** 2 * SHAPE[2])
+    variance = h**4 * (4**2 * SHAPE[2] + (24 * w) ** 2 * SHAPE[3])
     squared = np.where(first < count, (y0 - 2 * y1 + y2) ** 2 / variance, np.inf)
     mean = np.where(first < count, squared, 0.0).sum(axis=1) / count[:, 0]
     place = np.ceil(SHARE * count).astype(np.int64) - 1

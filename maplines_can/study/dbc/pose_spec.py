@@ -86,26 +86,30 @@ _OWN = (
     _level(
         "OwnPoints", 5,
         "the points of the line, each by itself, in any direction.",
-        "18 %; with OwnSpacing it is finer"),
+        "18 %; with OwnShape they are finer"),
     SignalSpec(
-        name="OwnSpacing", bits=8, factor=0.025, offset=-5, unit="octave",
-        about="log2 of the distance of these points along the line, in halves of its length over "
-              "the fit range. By the fraction of the raw value times the golden ratio, 1.618..., "
-              "the first point is ahead of the range's start, in such distances.",
-        why="1/32 to 2.6 half lengths, with a phase that is near any phase"),
+        name="OwnShape", bits=8, factor=0.025, offset=-5, unit="octave",
+        about="With OwnPoints: log2 of the distance of these points along the line, in halves of "
+              "its length over the fit range. By the fraction of the raw value times the golden "
+              "ratio, 1.618..., the first point is ahead of the range's start, in such distances. "
+              "By its remainder modulo 6, the shape of the line is more uncertain. Without "
+              "OwnPoints, the raw value / 25 - 10 is log2 of the level [m] of an uncertain shape "
+              "alone; 0 means none.",
+        why="1/32 to 2.6 half lengths, with a phase and a shape near any; levels of 1 mm to 1.1 m "
+            "in steps of 2.8 %"),
     SignalSpec(
         name="Quartic", bits=3, factor=2**-5, unit="m", signed=True,
         about="Coefficient of the Chebyshev polynomial T_4 over the fit range that the cubic "
               "leaves of the line. It serves to see the line from another pose.",
         why="a cubic leaves at most 10 cm of its line"),
 )
-#: OwnSpacing of the Pose message: complete records cannot send all entries of what a line has of
+#: OwnShape of the Pose message: complete records cannot send all entries of what a line has of
 #: its own, so points that are far apart need finer steps.
-_SPACING = replace(
+_SHAPE = replace(
     _OWN[2], factor=2**-7, offset=2**-5, unit="1",
-    about=_OWN[2].about.replace("log2 of the distance", "Distance"),
-    why="1/32 to 2 half lengths, with a phase that is near any phase; finer for points that are "
-        "far apart, since the places of a few points matter most")
+    about=_OWN[2].about.replace("log2 of the distance", "distance"),
+    why="1/32 to 2 half lengths; finer for points that are far apart, since the places of a few "
+        "points matter most")
 #: How far the fit range exceeds the stated range, which is the valid range.
 _FIT = (
     SignalSpec(
@@ -128,7 +132,7 @@ def _own_page(slots: Iterable[Slot]) -> tuple[SignalSpec, ...]:
     return tuple(
         replace(spec, name=slot_title(slot) + spec.name)
         for slot in slots
-        for spec in (*_OWN[:2], _SPACING, _OWN[3], *_FIT)
+        for spec in (*_OWN[:2], _SHAPE, _OWN[3], *_FIT)
     )
 
 
@@ -171,7 +175,7 @@ _HAS_COVARIANCE = SignalSpec(
     name="HasCovariance", bits=1,
     about="1 if the record has the pages with the covariance of what the line has of its own, and "
           "with finer steps of its mean. 0 if it ends before them, and OwnLateral, OwnPoints and "
-          "OwnSpacing hold the covariance; the checksum then covers the pages before.",
+          "OwnShape hold the covariance; the checksum then covers the pages before.",
     why="two values")
 _FIT_RANGE = (
     SignalSpec(

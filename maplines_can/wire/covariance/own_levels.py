@@ -1,16 +1,20 @@
 """Levels of what a line has of its own: a covariance in a few bits.
 
-What a line has of its own, apart from the error of the pose, has a known structure. The misfit of
-the cubic and a common offset of the map move the line sideways, independent errors of the map
-points bend it. So its covariance is modelled as
+What a line has of its own, apart from the error of the pose, has a known structure. A common offset
+of the map moves the line sideways, what the cubic misses makes its shape uncertain (see
+``propagation.misfit``), and independent errors of the map points bend it. In the coefficients of
+the Chebyshev polynomials T_0 .. T_3 its covariance is modelled as one of
 
-    a^2 e e^T + p^2 N(spacing, phase)
+    a^2 e e^T + b^2 SHAPE                                  without errors of points
+    a^2 e e^T + p^2 (N(spacing, phase) + r^2 spacing SHAPE)
 
-with e the direction of y_off and N the covariance of a cubic through points with independent unit
-errors in any direction. They are at equal distances along the line. The first one is ahead of the
-end of the range by a phase, a share of that distance. One raw value k stands for both: the phase is
-the fraction of k times the golden ratio. So next to any spacing and phase there is a level, and
-where the points are dense, and the phase does not matter, the spacings are fine.
+with e the direction of T_0, which is that of y_off, and N the covariance of a cubic through points
+with independent unit errors in any direction. They are at equal distances along the line. The first
+one is ahead of the end of the range by a phase, a share of that distance. One raw value k stands
+for the spacing, the phase and r: the phase is the fraction of k times the golden ratio, and r is
+given by the remainder of k. So next to any spacing and phase there is a level, and where the points
+are dense, and the phase does not matter, the spacings are fine. Without errors of points k stands
+for b.
 """
 
 from __future__ import annotations
@@ -20,13 +24,18 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...seen_lines import NODES, bases
+from ...seen_lines import NODES, SHAPE, bases
 from ..message.requirement import OCTAVE
 from ..message.signals import Signal
 from .code import Array
 from .joint import divergence, largest_ratio
 
-#: Raw values above the least one of the points' level that are tried.
+#: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
+#: that of all bits set exceeds it.
+SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
+#: Values of r, by the remainder of the raw value of the shape.
+RATIOS = np.array([0.0, *(0.5 * 1.8 ** np.arange(5))])
+#: Raw values above the least one of the level of the points, or of the shape, that are tried.
 TRIED = np.array([0, 1, 2, 3, 5])
 #: Spacings for which all of them are tried: the best ones for the second.
 CHOSEN = 24
@@ -71,32 +80,37 @@ class OwnLevels:
     Args:
         lateral: signal of log2 a [m]; the raw value 0 means a = 0.
         points: signal of log2 p [m]; the raw value 0 means p = 0.
-        spacing: signal of the spacing, or with the unit ``OCTAVE`` of its exponent of 2. Its raw
-            values stand for the phase, too.
+        shape: signal of the spacing, or with the unit ``OCTAVE`` of its exponent of 2. Its raw
+            values stand for the phase and r, too, and for b if p = 0.
     """
 
-    def __init__(self, lateral: Signal, points: Signal, spacing: Signal) -> None:
-        self.lateral, self.points, self.spacing = lateral, points, spacing
-        self.signals = (lateral, points, spacing)
+    def __init__(self, lateral: Signal, points: Signal, shape: Signal) -> None:
+        self.lateral, self.points, self.shape = lateral, points, shape
+        self.signals = (lateral, points, shape)
+        self._shape_step = SHAPE_OCTAVES / (2**shape.length - 1)
 
     def noise(self, means: Array, fit_ranges: Array) -> Array:
-        """Return the (L, S, 4, 4) N of lines for all raw values of the spacing, as for ``encode``.
+        """Return the (L, S, 4, 4) covariances for p = 1 m of all raw values of the shape.
+
+        They are those of the coefficients of T_0 .. T_3.
 
         Args:
             means: (L, 4) lines.
             fit_ranges: (L, 2) ranges [m].
         """
-        raw = np.arange(self.spacing.raw_min, self.spacing.raw_max + 1)
+        raw = np.arange(self.shape.raw_min, self.shape.raw_max + 1)
         lines = zip(means, fit_ranges, strict=True)
-        return np.array([point_noise(*line, *self._arrangement(raw)) for line in lines])
+        return np.array([self._noise(*line, raw) for line in lines])
 
-    def _arrangement(self, raw: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Return spacings and phases."""
-        raw = raw.clip(self.spacing.raw_min, self.spacing.raw_max)
-        spacing = self.spacing.physical(raw)
-        if self.spacing.unit == OCTAVE:
+    def _noise(self, mean: Array, fit_range: Array, raw: NDArray[np.int64]) -> Array:
+        """Return the (S, 4, 4) covariances of a line for p = 1 m."""
+        raw = raw.clip(self.shape.raw_min, self.shape.raw_max)
+        spacing = self.shape.physical(raw)
+        if self.shape.unit == OCTAVE:
             spacing = np.exp2(spacing)
-        return spacing, np.asarray(raw * GOLDEN_RATIO % 1.0)
+        noise = point_noise(mean, fit_range, spacing, raw * GOLDEN_RATIO % 1.0)
+        amount = RATIOS[raw % len(RATIOS)] ** 2 * spacing
+        return np.asarray(noise + amount[:, None, None] * np.diag(SHAPE))
 
     def decode(
         self, raw: Mapping[str, NDArray[np.int64]], means: Array, fit_ranges: Array
@@ -104,12 +118,15 @@ class OwnLevels:
         """Return the (L, 4, 4) covariances of (L,) raw values by signal."""
         J = bases(means, fit_ranges)
         p = _level(self.points, raw[self.points.name])
-        arranged = zip(*self._arrangement(raw[self.spacing.name]), strict=True)
+        k = raw[self.shape.name].clip(self.shape.raw_min, self.shape.raw_max)
         noise = [
-            point_noise(mean, fit_range, *np.reshape(one, (2, 1)))[0]
-            for mean, fit_range, one in zip(means, fit_ranges, arranged, strict=True)
+            self._noise(*line, np.array([one]))[0]
+            for *line, one in zip(means, fit_ranges, k, strict=True)
         ]
-        cov = J @ (p[:, None, None] ** 2 * np.reshape(noise, (-1, 4, 4))) @ J.swapaxes(1, 2)
+        b = np.where(p == 0, self._shape_level(k), 0.0)
+        own = p[:, None, None] ** 2 * np.reshape(noise, (-1, 4, 4))
+        own += b[:, None, None] ** 2 * np.diag(SHAPE)
+        cov = J @ own @ J.swapaxes(1, 2)
         cov[:, 0, 0] += _level(self.lateral, raw[self.lateral.name]) ** 2
         return np.asarray(cov + cov.swapaxes(1, 2)) / 2
 
@@ -118,9 +135,10 @@ class OwnLevels:
     ) -> tuple[dict[str, NDArray[np.int64]], NDArray[np.bool_]]:
         """Return raw values of levels that cover targets together with common covariances.
 
-        Of all spacings and some levels of the points, those are chosen with the least cost: the
-        divergence from the true covariance plus the logarithm of the largest ratio of variances,
-        of the lateral position or the direction of the line at nine places of its range.
+        Of all spacings and some levels of the points, and of some levels of the shape alone, those
+        are chosen with the least cost: the divergence from the true covariance plus the logarithm
+        of the largest ratio of variances, of the lateral position or the direction of the line at
+        nine places of its range.
 
         Args:
             target: (L, 4, 4) symmetric matrices to be covered; they may be indefinite.
@@ -135,46 +153,72 @@ class OwnLevels:
         inverse = np.linalg.inv(J)
         # In coefficients of T_0 .. T_3:
         E, C, T = (inverse @ X @ inverse.swapaxes(1, 2) for X in (target - common, common, true))
-        E, C, T = (((X + X.swapaxes(1, 2)) / 2)[:, None, None] for X in (E, C, T))
+        E, C, T = (((X + X.swapaxes(1, 2)) / 2)[:, None] for X in (E, C, T))
+        lines = np.arange(len(E))
+        k_points, p, of_points = self._points_tried(E, C, T, noise)
+        k_shape, of_shape = self._shapes_tried(E)
+        k = np.concatenate([k_points, k_shape], axis=1)
+        raw_p = np.concatenate([p, np.zeros_like(k_shape)], axis=1)
+        raw_a, cost = self._cost(E, C, T, np.concatenate([of_points, of_shape], axis=1))
+        cost[(raw_p > self.points.raw_max) | (k > self.shape.raw_max)] = np.inf
+        best = lines, cost.argmin(axis=1)
+        raw = {self.lateral: raw_a[best], self.points: raw_p[best], self.shape: k[best]}
+        limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
+        return limited, np.isfinite(cost[best])
+
+    def _points_tried(
+        self, E: Array, C: Array, true: Array, noise: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return (L, K) raw values of the shape and the points, and their (L, K, 4, 4) covariances.
+
+        Arguments as for ``_cost``, and the (L, S, 4, 4) of ``noise``.
+        """
         # That of points far apart may be singular.
         whitening = np.linalg.inv(np.linalg.cholesky(noise[..., 1:, 1:] + 1e-6 * np.eye(3)))
-        whitened = whitening @ E[:, 0, :, 1:, 1:] @ whitening.swapaxes(-1, -2)  # (L, S, 3, 3)
+        whitened = whitening @ E[..., 1:, 1:] @ whitening.swapaxes(-1, -2)  # (L, S, 3, 3)
         least = np.linalg.eigvalsh(whitened)[..., -1].clip(1e-30)
         least_raw = np.ceil(_raw(self.points, np.sqrt(least))).clip(self.points.raw_min + 1)
-        lines = np.arange(len(E))[:, None]
-        _, _, cost = self._cost(E, C, T, noise, least_raw[..., None] + TRIED[1:2])
-        chosen = cost[..., 0].argsort(axis=1, kind="stable")[:, :CHOSEN]
-        raw_p, raw_a, cost = self._cost(
-            E, C, T, noise[lines, chosen], least_raw[lines, chosen][..., None] + TRIED
-        )
-        best = cost.reshape(len(E), -1).argmin(axis=1)
-        at = (lines[:, 0], *np.unravel_index(best, cost.shape[1:]))
-        raw = {
-            self.lateral: raw_a[at],
-            self.points: raw_p[at],
-            self.spacing: chosen[at[:2]] + self.spacing.raw_min,
-        }
-        limited = {s.name: s.limited(values).astype(np.int64) for s, values in raw.items()}
-        return limited, np.isfinite(cost[at])
 
-    def _cost(
-        self, E: Array, C: Array, true: Array, noise: Array, raw_p: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return raw levels of points and lateral levels that cover targets E, and their cost.
+        def covs(raw_p: Array, of: Array) -> Array:
+            return np.asarray(_level(self.points, raw_p)[..., None, None] ** 2 * of)
 
-        E, C and true are (L, 1, 1, 4, 4), the noise is (L, S, 4, 4), the others are (L, S, T).
+        raw_p = least_raw + TRIED[1]
+        _, cost = self._cost(E, C, true, covs(raw_p, noise))
+        cost[raw_p > self.points.raw_max] = np.inf
+        chosen = cost.argsort(axis=1, kind="stable")[:, :CHOSEN]
+        rows = np.arange(len(E))[:, None]
+        k = (chosen + self.shape.raw_min).repeat(len(TRIED), axis=1)
+        raw_p = (least_raw[rows, chosen][..., None] + TRIED).reshape(k.shape)
+        return k, raw_p, covs(raw_p, noise[rows, chosen].repeat(len(TRIED), axis=1))
+
+    def _shapes_tried(self, E: Array) -> tuple[Array, Array]:
+        """Return (L, K) raw values of levels of the shape, and their (L, K, 4, 4) covariances."""
+        scale = 1 / np.sqrt(SHAPE[1:])
+        scaled = E[:, 0, 1:, 1:] * np.outer(scale, scale)
+        least = np.sqrt(np.linalg.eigvalsh(scaled)[:, -1].clip(1e-30))
+        k = np.ceil((np.log2(least) - SHAPE_OFFSET) / self._shape_step)[:, None] + TRIED
+        k = k.clip(max(1, self.shape.raw_min))
+        return k, self._shape_level(k)[..., None, None] ** 2 * np.diag(SHAPE)
+
+    def _shape_level(self, raw: NDArray[np.int64] | Array) -> Array:
+        """Return the levels b of raw values of the shape [m]."""
+        return np.where(raw == 0, 0.0, np.exp2(SHAPE_OFFSET + self._shape_step * raw))
+
+    def _cost(self, E: Array, C: Array, true: Array, own: Array) -> tuple[Array, Array]:
+        """Return lateral levels with which covariances cover targets E, and their cost.
+
+        E, C and true are (L, 1, 4, 4), own is (L, K, 4, 4), the others are (L, K).
         """
-        p = _level(self.points, raw_p)
-        M = p[..., None, None] ** 2 * noise[:, :, None] - E  # (L, S, T, 4, 4)
+        M = own - E
         short = _shortfall(M)
         level_a = _raw(self.lateral, np.sqrt(short.clip(1e-30)))
         raw_a = np.where(short > 0, np.ceil(level_a).clip(1), 0)
-        decoded = C + M + E
+        decoded = C + own
         decoded[..., 0, 0] += _level(self.lateral, raw_a) ** 2
         with np.errstate(invalid="ignore", divide="ignore"):
             cost = divergence(true, decoded) + np.log(largest_ratio(decoded, true))
-        possible = (raw_p <= self.points.raw_max) & (raw_a <= self.lateral.raw_max)
-        return raw_p, raw_a, np.where(possible & np.isfinite(cost), cost, np.inf)
+        possible = (raw_a <= self.lateral.raw_max) & np.isfinite(cost)
+        return raw_a, np.where(possible, cost, np.inf)
 
 
 @np.errstate(invalid="ignore", divide="ignore", over="ignore")

@@ -161,7 +161,7 @@ REQUIREMENTS: Mapping[str, Sequence[Requirement]] = {
     "HasCovariance": (*NUMBER, holds(0, 1)),
     "OwnLateral": LEVEL,
     "OwnPoints": LEVEL,
-    "OwnSpacing": SPACING,
+    "OwnShape": SPACING,
     "Quartic": (*QUANTITY, POSITIVE, unit("m")),
     "FitBehind": DISTANCE,
     "FitAhead": DISTANCE,

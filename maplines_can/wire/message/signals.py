@@ -23,7 +23,7 @@ HEADER_SIGNALS = (
 #: Signals that a record has instead, if its covariance is conditional on the pose error.
 CONDITIONAL_SIGNALS = (
     *("Crc", "Counter", "Kind", "XMin", "XMax"),
-    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic"),
+    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnShape", "Quartic"),
 )
 #: End of the names of the signals that such a record has with a covariance: what is added to each
 #: signal of the mean.
@@ -34,7 +34,7 @@ POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHea
 #: Rows of the covariance of the pose error.
 POSE_ROWS = ("Along", "Across", "Heading")
 #: Levels of what a line has of its own: signals of a conditional record.
-OWN_SIGNALS = ("OwnLateral", "OwnPoints", "OwnSpacing")
+OWN_SIGNALS = ("OwnLateral", "OwnPoints", "OwnShape")
 #: Signals of the pose error, with the name of a slot before them, if its records are complete.
 SLOT_SIGNALS = (*OWN_SIGNALS, "Quartic", "FitBehind", "FitAhead")
 #: Signals at the end of an authenticated message, in this order, with their largest size [byte].

@@ -40,7 +40,7 @@ def test_bits_and_frames_are_those_of_the_dbcs(figures: Any) -> None:
     for lines, row in zip((2, 3, 4), figures["Cholesky and Pose"], strict=True):
         pose = codec_of("Cholesky and Pose").layout.pose
         assert pose is not None
-        names = ("OwnLateral", "OwnPoints", "OwnSpacing", "Quartic")
+        names = ("OwnLateral", "OwnPoints", "OwnShape", "Quartic")
         levels = sum(pose[f"EgoLeft{name}"].length for name in names)
         own = sum(
             signal.length
@@ -54,7 +54,7 @@ def test_bits_and_frames_are_those_of_the_dbcs(figures: Any) -> None:
 def test_a_conditional_record_with_levels_takes_fewer_bits(figures: Any) -> None:
     """One with all entries takes those of a covariance more."""
     layout = codec_of("PoseConditional").layout
-    names = ("HasCovariance", "OwnLateral", "OwnPoints", "OwnSpacing", "Quartic")
+    names = ("HasCovariance", "OwnLateral", "OwnPoints", "OwnShape", "Quartic")
     levels = sum(layout[name].length for name in names)
     assert layout.pose is not None
     pose = sum(

@@ -13,12 +13,12 @@ from strategies import covariances, mild_lines, symmetric
 
 from maplines_can import Gaussian
 from maplines_can.line import lateral, lateral_jacobian, line_of_cubic
-from maplines_can.seen_lines import NODES, bases
+from maplines_can.seen_lines import NODES, SHAPE, bases
 from maplines_can.wire.covariance.joint import divergence, largest_ratio
 from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, point_noise
 
 LINE = layout_of("maplines-pose.dbc")
-SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnSpacing"))
+SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnShape"))
 LEVELS = OwnLevels(*SIGNALS)
 #: A straight line, and its derivatives with respect to the coefficients of T_0 .. T_3 [m].
 STRAIGHT = np.zeros((1, 4)), np.array([[-20.0, 80.0]])
@@ -170,8 +170,17 @@ def test_the_raw_value_0_is_no_level() -> None:
     lateral_only = LEVELS.decode(zero | {"OwnLateral": np.array([50])}, *STRAIGHT)[0]
     assert lateral_only[0, 0] == pytest.approx(4.0 ** SIGNALS[0].physical_one(50))
     assert np.count_nonzero(lateral_only) == 1
-    raw = zero | {"OwnPoints": np.array([20]), "OwnSpacing": np.array([100])}
-    expected = 4.0 ** SIGNALS[1].physical_one(20) * straight_noise(SPACINGS[100], PHASES[100])
+    shape_only = in_metres(LEVELS, zero | {"OwnShape": np.array([100])})[0]
+    assert np.allclose(shape_only, 4.0 ** (100 / 25 - 10) * np.diag(SHAPE), rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize("k", [0, 100, 101, 255])
+def test_points_and_the_shape_beside_them_are_as_the_dbc_says(k: int) -> None:
+    """Raw values 100 and 101 have the remainders 4 and 5, the others 0 and 3."""
+    raw = {"OwnLateral": np.array([0]), "OwnPoints": np.array([20]), "OwnShape": np.array([k])}
+    r = {0: 0.0, 4: 0.5 * 1.8**3, 5: 0.5 * 1.8**4, 3: 0.5 * 1.8**2}[k % 6]
+    expected = straight_noise(SPACINGS[k], PHASES[k]) + r**2 * SPACINGS[k] * np.diag(SHAPE)
+    expected *= 4.0 ** SIGNALS[1].physical_one(20)
     assert np.allclose(in_metres(LEVELS, raw)[0], expected, rtol=1e-9, atol=1e-15)
 
 
@@ -241,21 +250,24 @@ def test_a_target_beyond_the_levels_is_not_covered(size: float) -> None:
         assert encoded(LEVELS, target, np.eye(4)[None], FLOOR)[1] == np.inf
 
 
-def test_a_target_of_the_family_costs_at_most_a_step() -> None:
+@pytest.mark.parametrize("with_points", [True, False])
+def test_a_target_of_the_family_costs_at_most_a_step(with_points: bool) -> None:
     """Covariances of levels between those of the code, beside no other part."""
     rng, n = np.random.default_rng(3), 50
     a = 2.0 ** rng.uniform(-6, -2.5, n)
-    p = 2.0 ** rng.uniform(-7, -4, n)
+    level = 2.0 ** rng.uniform(-7, -4, n)
     chosen = rng.integers(0, 200, n)
-    target = p[:, None, None] ** 2 * np.array(
-        [straight_noise(SPACINGS[k], PHASES[k]) for k in chosen]
-    )
+    family = LEVELS.noise(*STRAIGHT)[0, chosen]
+    if not with_points:
+        family = np.diag(SHAPE) + np.zeros((n, 1, 1))
+    target = level[:, None, None] ** 2 * family
     target[:, 0, 0] += a**2
-    _, kl = encoded(LEVELS, target, np.zeros((n, 4, 4)))
+    raw, kl = encoded(LEVELS, target, np.zeros((n, 4, 4)))
+    ratio = largest_ratio(in_metres(LEVELS, raw), target)
     # A level that is too large by d octaves costs (2^-2d - 1) / 2 + d ln 2 in each direction.
-    steps = 2 * SIGNALS[1].factor, SIGNALS[0].factor
+    steps = 2 * SIGNALS[1].factor if with_points else 0.04, SIGNALS[0].factor
     step = [(4.0**-d - 1) / 2 + d * np.log(2) for d in steps]
-    assert kl.max() <= 3 * step[0] + step[1] + 0.02
+    assert (kl + np.log(ratio)).max() <= 3 * step[0] + step[1] + np.log(4) * max(steps) + 0.02
     assert np.median(kl) <= 0.02
 
 

@@ -80,7 +80,7 @@ def test_pose_records_are_as_cantools_decodes_them(dbc: str) -> None:
 
 
 SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9}
-LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
+LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnShape": 3}
 WIDE = {
     name: s.raw_max
     for name, s in CONDITIONAL.signals.items()
@@ -99,7 +99,7 @@ def test_a_conditional_record_has_two_or_four_pages(
 ) -> None:
     """It comes back as it was, and its bytes are those of a shorter or a longer record."""
     if has_covariance:
-        raw |= dict.fromkeys(("OwnLateral", "OwnPoints", "OwnSpacing"), 0)
+        raw |= dict.fromkeys(("OwnLateral", "OwnPoints", "OwnShape"), 0)
     else:
         raw = {name: value for name, value in raw.items() if name not in WIDE | FINE}
     record = ConditionalRecord(raw, counter, kind, slot)

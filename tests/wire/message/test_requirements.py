@@ -135,28 +135,28 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(ONE_SLOT, "RouteOwnLateral", {"signed": True}, "unsigned", id="slot-level"),
         pytest.param(ONE_SLOT, "RouteOwnLateral", {"offset": -200.0}, "", id="octave-200"),
         pytest.param(ONE_SLOT, "RouteOwnLateral", {"offset": -201.0}, "-200 to 200", id="201"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.0}, "", id="spacing-10"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": -10.01}, r"2\^-10 to 2\^10", id="10.01"),
+        pytest.param(CONDITIONAL, "OwnShape", {"offset": -10.0}, "", id="spacing-10"),
+        pytest.param(CONDITIONAL, "OwnShape", {"offset": -10.01}, r"2\^-10 to 2\^10", id="10.01"),
         pytest.param(
-            CONDITIONAL, "OwnSpacing", {"factor": 1.0, "offset": -200.0}, "distances f", id="reach"
+            CONDITIONAL, "OwnShape", {"factor": 1.0, "offset": -200.0}, "distances f", id="reach"
         ),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.625}, "", id="to-10"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"offset": 3.63}, "distances fr", id="to-10.005"),
-        pytest.param(CONDITIONAL, "OwnSpacing", {"unit": ""}, 'unit "octave"', id="some-spacing"),
+        pytest.param(CONDITIONAL, "OwnShape", {"offset": 3.625}, "", id="to-10"),
+        pytest.param(CONDITIONAL, "OwnShape", {"offset": 3.63}, "distances fr", id="to-10.005"),
+        pytest.param(CONDITIONAL, "OwnShape", {"unit": ""}, 'unit "octave"', id="some-spacing"),
         pytest.param(
-            ONE_SLOT, "RouteOwnSpacing", {"offset": 2.0**-10}, "", id="spacing-from-1024th"
+            ONE_SLOT, "RouteOwnShape", {"offset": 2.0**-10}, "", id="spacing-from-1024th"
         ),
-        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"offset": 2.0**-11}, "distances", id="2048th"),
-        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"offset": 0.0}, "distances", id="spacing-0"),
-        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"factor": 4.0}, "", id="spacing-to-1020"),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"offset": 2.0**-11}, "distances", id="2048th"),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"offset": 0.0}, "distances", id="spacing-0"),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"factor": 4.0}, "", id="spacing-to-1020"),
         pytest.param(
-            ONE_SLOT, "RouteOwnSpacing", {"factor": 4.1}, "distances", id="spacing-to-1045"
+            ONE_SLOT, "RouteOwnShape", {"factor": 4.1}, "distances", id="spacing-to-1045"
         ),
-        pytest.param(ONE_SLOT, "RouteOwnSpacing", {"unit": "octave"}, "", id="spacing-in-octaves"),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"unit": "octave"}, "", id="spacing-in-octaves"),
         pytest.param(
-            ONE_SLOT, "RouteOwnSpacing", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"
+            ONE_SLOT, "RouteOwnShape", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"
         ),
-        pytest.param(LEVELS, "RouteOwnSpacing", {"factor": 0.01}, "for all slots", id="one-slot"),
+        pytest.param(LEVELS, "RouteOwnShape", {"factor": 0.01}, "for all slots", id="one-slot"),
         pytest.param(LEVELS, "EgoLeftQuartic", {"offset": 0.01}, "for all slots", id="first-slot"),
         # finer parts of the mean
         pytest.param(

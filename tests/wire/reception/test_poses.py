@@ -43,7 +43,7 @@ LAYOUTS = {
 }
 LAYOUT = LAYOUTS["maplines-pose.dbc"]
 RECORDS = ConditionalRecords(LAYOUT)
-LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnSpacing": 3}
+LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnShape": 3}
 SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
 LONG = SHORT | dict.fromkeys(LEVELS, 0)
 LONG |= {
