@@ -133,11 +133,13 @@ _PIVOTS_AND_RATIOS = (
     pivot_signal("C0", ("C1",), 9, 0.0401, -23),
     ratio_signal("C0", "C1", 12, 1 / 32, zero=5 / 8),
     pivot_signal("YOff", ("C1", "C0"), 9, 0.034, -12),
-    ratio_signal("YOff", "C1", 8, 5 / 128),
     ratio_signal("YOff", "C0", 8, 3 / 64),
+    ratio_signal(
+        "YOff", "C1", 10, 3 / 64,
+        why="for lines that begin ahead of the car, whose YOff depends on the shape"),
     pivot_signal("Beta", ("C1", "C0", "YOff"), 9, 0.0341, -18),
-    ratio_signal("Beta", "C1", 15, 3 / 64, zero=1 / 8),
-    ratio_signal("Beta", "C0", 15, 5 / 128),
+    ratio_signal("Beta", "C1", 14, 3 / 64, zero=1 / 8),
+    ratio_signal("Beta", "C0", 14, 5 / 128),
     ratio_signal("Beta", "YOff", 8, 1 / 32, zero=3 / 8),
 )
 _INFLATION = SignalSpec(
