@@ -103,10 +103,13 @@ class Poses(NamedTuple):
         """(3, 3) covariance of the poses."""
         return np.asarray(self.root @ self.root.T)
 
+    def draw(self) -> Array:
+        """Return a draw of (D, 3) poses."""
+        return np.asarray(self.mean + self.rng.standard_normal((self.number, 3)) @ self.root.T)
+
     def see(self, points: Array) -> Array:
         """Return the (D, n, 2) points seen from a draw; points are (n, 2) or (D, n, 2)."""
-        drawn = self.mean + self.rng.standard_normal((self.number, 3)) @ self.root.T
-        return seen_from(points, drawn)
+        return seen_from(points, self.draw())
 
 
 class Tally:

@@ -1,0 +1,223 @@
+"""Figures of the shape of lines: what a consumer may compute from the Gaussian over a cubic.
+
+Each is a weighted sum of lateral positions y(x) of one line, or of the difference of two lines of a
+scene. z is that sum of the true line, less that of the mean, in units of the standard deviation
+that the Gaussian gives the sum. For a mixture it is the normal quantile of the distribution
+function.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from line_witness import LEAST_VALUES, Array
+from scipy.special import log_ndtr, logsumexp, ndtri_exp
+
+#: Distances of slopes and of second differences, and where they begin [m].
+SLOPES, SECONDS = (10.0, 20.0), (5.0, 10.0, 20.0)
+SLOPES_AT, SECONDS_AT = (0.0, 20.0, 40.0), (-5.0, 0.0, 5.0, 10.0, 20.0, 30.0, 40.0)
+#: Where the lateral position is evaluated, and where its standard deviation is compared [m].
+Y_AT, SIGMA_AT = (0.0, 20.0, 40.0), (0.0, 40.0, 80.0)
+#: Bounds: largest share of |z| > 3, rms of z of y, largest median of the ratios of sigma of y.
+BEYOND, RMS, RATIO = 0.01, (0.8, 1.08), 1.05
+
+
+class Sums(NamedTuple):
+    """F weighted sums of lateral positions at three places each; unused ones have no weight."""
+
+    names: tuple[str, ...]  #: of the figures to which they belong
+    x: Array  #: (F, 3) [m]
+    weights: Array  #: (F, 3)
+
+    @classmethod
+    def of(cls, rows: Sequence[tuple[str, Sequence[float], Sequence[float]]]) -> Sums:
+        """Return the sums of names, places [m] and weights."""
+        filled = [
+            (n, [*x, *[x[0]] * (3 - len(x))], [*w, *[0.0] * (3 - len(w))]) for n, x, w in rows
+        ]
+        names, x, weights = zip(*filled, strict=True)
+        return cls(names, np.array(x), np.array(weights))
+
+    def within(self, x_min: float, x_max: float) -> Sums:
+        """Return those of which all places are in a range [m]."""
+        kept = np.flatnonzero(((self.x >= x_min) & (self.x <= x_max)).all(axis=1))
+        return Sums(tuple(self.names[i] for i in kept), self.x[kept], self.weights[kept])
+
+
+def _sums() -> Iterator[tuple[str, Sequence[float], Sequence[float]]]:
+    yield from (("y", (x,), (1.0,)) for x in Y_AT)
+    for d in SLOPES:
+        yield from ((f"slope {d:g} m", (x, x + d), (-1 / d, 1 / d)) for x in SLOPES_AT)
+    for d in SECONDS:
+        for x in SECONDS_AT:
+            yield f"2nd {d:g} m", (x, x + d, x + 2 * d), (1.0, -2.0, 1.0)
+    # The mean of the curvature over 10 m about the car, and ahead of it, with triangular weights.
+    for x in (-5.0, 0.0):
+        yield "curvature", (x, x + 5.0, x + 10.0), (0.04, -0.08, 0.04)
+
+
+#: Those of one line, and those of the difference of two.
+OF_LINE = Sums.of([*_sums()])
+OF_WIDTH = Sums.of([(f"width, {name}", x, w) for name, x, w in _sums() if name != "curvature"])
+FIGURES, WIDTH_FIGURES = tuple(dict.fromkeys(OF_LINE.names)), tuple(dict.fromkeys(OF_WIDTH.names))
+
+
+class Given(NamedTuple):
+    """Joint distribution of L lines that a consumer has, as a mixture of K components."""
+
+    shares: Array  #: (K,) of the components
+    means: Array  #: (K, L, 4)
+    covs: Array  #: (K, 4 L, 4 L)
+    references: Array  #: (K, 4 L, 4 L) the same with the misfit in the variance of y_off only
+    ranges: Array  #: (L, 2) in which the lines are valid [m]
+
+    def z(self, sums: Sums, lines: Sequence[int], true: Callable[[int, float], Array]) -> Array:
+        """Return (F, D) z of sums of a line, or of the first line less the second.
+
+        ``true`` gives the (D,) true lateral positions of a line at x [m].
+        """
+        means, variances = self._moments(sums, lines, self.covs)
+        at = [{x: true(i, x) for x in np.unique(sums.x)} for i in lines]
+        values = 0.0
+        for sign, y in zip((1, -1), at, strict=False):
+            places = np.array([[y[x] for x in row] for row in sums.x])  # (F, 3, D)
+            weights = np.broadcast_to(sign * sums.weights[:, :, None], places.shape)
+            # A place without weight may be one that the line does not cross.
+            values = values + np.where(weights == 0, 0.0, weights * places).sum(axis=1)
+        u = (values - means[:, :, None]) / np.sqrt(variances)[:, :, None]  # (K, F, D)
+        return normal_quantiles(u, self.shares)
+
+    def sigma_ratio(self, x: float, line: int) -> float:
+        """Return the standard deviation of y(x) by that of the reference."""
+        sums = Sums.of([("y", (x,), (1.0,))])
+        variance = []
+        for covs in (self.covs, self.references):
+            means, variances = self._moments(sums, [line], covs)
+            mean = self.shares @ means
+            variance.append(float(self.shares @ (variances + (means - mean) ** 2)[:, 0]))
+        return float(np.sqrt(variance[0] / variance[1]))
+
+    def _moments(self, sums: Sums, lines: Sequence[int], covs: Array) -> tuple[Array, Array]:
+        """Return the (K, F) means and variances of sums of a line or of a difference of two."""
+        mean = np.zeros((len(self.shares), len(sums.names)))
+        J = np.zeros((*mean.shape, covs.shape[-1]))
+        for sign, i in zip((1, -1), lines, strict=False):
+            y_off, beta, c0, c1 = np.moveaxis(self.means[:, i], -1, 0)[..., None, None]
+            x, w = sums.x, sign * sums.weights
+            y = y_off + np.tan(beta) * x + c0 / 2 * x**2 + c1 / 6 * x**3  # (K, F, 3)
+            mean += (w * y).sum(axis=-1)
+            slope = (1 + np.tan(beta) ** 2) * x
+            rows = np.broadcast_arrays(np.ones_like(slope), slope, x**2 / 2, x**3 / 6)
+            J[:, :, 4 * i : 4 * i + 4] += np.einsum("ft,pkft->kfp", w, np.array(rows))
+        return mean, np.einsum("kfi,kij,kfj->kf", J, covs, J)
+
+
+def normal_quantiles(u: Array, shares: Array) -> Array:
+    """Return the normal quantiles of a mixture's distribution function; (K, ...) u are z."""
+    if len(shares) == 1:
+        return np.asarray(u[0])
+    weights = np.log(shares).reshape(-1, *[1] * (u.ndim - 1))
+    below, above = (logsumexp(log_ndtr(side) + weights, axis=0) for side in (u, -u))
+    return np.where(below < above, ndtri_exp(below), -ndtri_exp(above))
+
+
+class Tally:
+    """Figures of the lines of a shape of road, or of a map."""
+
+    def __init__(self) -> None:
+        self.z: dict[str, list[Array]] = {}
+        self.ratios: dict[float, list[float]] = {x: [] for x in SIGMA_AT}
+        self.lines = self.lost = 0
+
+    def add(self, other: Tally) -> None:
+        """Add what another one has."""
+        for name, values in other.z.items():
+            self.z.setdefault(name, []).extend(values)
+        for x, ratios in other.ratios.items():
+            self.ratios[x] += ratios
+        self.lines += other.lines
+        self.lost += other.lost
+
+    def evaluate(self, given: Given, true: Callable[[int, float], Array]) -> None:
+        """Evaluate the lines, and the difference of the first two of a scene."""
+        for i, (low, high) in enumerate(given.ranges):
+            self._add(given, OF_LINE.within(low, high), [i], true)
+            for x in SIGMA_AT:
+                if low <= x <= high:
+                    self.ratios[x].append(given.sigma_ratio(x, i))
+        if len(given.ranges) > 1:
+            low, high = given.ranges[:2, 0].max(), given.ranges[:2, 1].min()
+            self._add(given, OF_WIDTH.within(low, high), [0, 1], true)
+
+    def _add(self, given: Given, sums: Sums, lines: list[int], true: Any) -> None:
+        if sums.names:
+            for name, values in zip(sums.names, given.z(sums, lines, true), strict=True):
+                self.z.setdefault(name, []).append(values)
+
+    def figures(self) -> dict[str, Any]:
+        """Return all figures by name."""
+        z = {name: np.concatenate(values) for name, values in sorted(self.z.items())}
+        return {
+            "lines": self.lines,
+            "lost": self.lost,
+            # A line that does not cross x counts as beyond.
+            "beyond 3 sigma": {k: float((~(np.abs(v) <= 3)).mean()) for k, v in z.items()},
+            "rms": {k: float(np.sqrt(np.nanmean(v**2))) for k, v in z.items()},
+            "values": {k: len(v) for k, v in z.items()},
+            "sigma ratio": {
+                f"{x:g}": [float(q) for q in np.quantile(values, [0.5, 0.95])]
+                for x, values in self.ratios.items()
+                if values
+            },
+            "lines at x": {f"{x:g}": len(values) for x, values in self.ratios.items()},
+        }
+
+
+def missed(name: str, row: Any) -> Iterator[str]:
+    """Yield the bounds that figures miss; too few values are not compared."""
+    for figure, n in row["values"].items():
+        if n < LEAST_VALUES:
+            continue
+        if row["beyond 3 sigma"][figure] > BEYOND:
+            yield f"{name}: {figure}: {row['beyond 3 sigma'][figure]:.2%} beyond 3 sigma"
+        if figure == "y" and not RMS[0] <= row["rms"]["y"] <= RMS[1]:
+            yield f"{name}: rms of z of y is {row['rms']['y']:.2f}"
+    for x, ratio in row["sigma ratio"].items():
+        if row["lines at x"][x] >= LEAST_VALUES / 40 and ratio[0] > RATIO:
+            yield f"{name}: sigma of y at {x} m is {ratio[0]:.3f} times the reference"
+
+
+def show(title: str, rows: dict[str, Any]) -> None:
+    """Print rows of figures as tables."""
+    width = max(map(len, rows), default=0) + 1
+    print(f"\n{title}")
+    for figures in (FIGURES, WIDTH_FIGURES):
+        if not any(name in row["values"] for row in rows.values() for name in figures):
+            continue
+        headings = "".join(f"{name.removeprefix('width, '):>14}" for name in figures)
+        what = "width" if figures is WIDTH_FIGURES else "lines"
+        tail = "" if figures is WIDTH_FIGURES else "    sigma ratio at " + ", ".join(
+            f"{x:g}" for x in SIGMA_AT
+        ) + " m   lines  lost"  # fmt: skip
+        print(f"{what:{width}}{headings}{tail}\n{'':{width}}{'  |z| > 3  rms' * len(figures)}")
+        for name, row in rows.items():
+            print(f"{name:{width}}{_cells(row, figures)}" + (_tail(row) if tail else ""))
+
+
+def _cells(row: Any, figures: Sequence[str]) -> str:
+    return "".join(
+        f"{row['beyond 3 sigma'][name]:9.2%}{row['rms'][name]:5.2f}"
+        if name in row["values"]
+        else f"{'-':>14}"
+        for name in figures
+    )
+
+
+def _tail(row: Any) -> str:
+    ratios = row["sigma ratio"]
+    cells = [
+        f"{ratios[x][0]:9.3f}" if x in ratios else f"{'-':>9}" for x in map("{:g}".format, SIGMA_AT)
+    ]
+    return f"{''.join(cells)}{row['lines']:8}{row['lost']:6}"
