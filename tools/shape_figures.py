@@ -78,7 +78,7 @@ class Given(NamedTuple):
 
         ``true`` gives the (D,) true lateral positions of a line at x [m].
         """
-        means, variances = self._moments(sums, lines, self.covs)
+        means, variances = self.moments(sums, lines, self.covs)
         at = [{x: true(i, x) for x in np.unique(sums.x)} for i in lines]
         values = 0.0
         for sign, y in zip((1, -1), at, strict=False):
@@ -94,12 +94,12 @@ class Given(NamedTuple):
         sums = Sums.of([("y", (x,), (1.0,))])
         variance = []
         for covs in (self.covs, self.references):
-            means, variances = self._moments(sums, [line], covs)
+            means, variances = self.moments(sums, [line], covs)
             mean = self.shares @ means
             variance.append(float(self.shares @ (variances + (means - mean) ** 2)[:, 0]))
         return float(np.sqrt(variance[0] / variance[1]))
 
-    def _moments(self, sums: Sums, lines: Sequence[int], covs: Array) -> tuple[Array, Array]:
+    def moments(self, sums: Sums, lines: Sequence[int], covs: Array) -> tuple[Array, Array]:
         """Return the (K, F) means and variances of sums of a line or of a difference of two."""
         mean = np.zeros((len(self.shares), len(sums.names)))
         J = np.zeros((*mean.shape, covs.shape[-1]))
