@@ -81,8 +81,14 @@ def excess_covs(case: Case, step: float) -> dict[Slot, Array]:
 
 
 def less(cov: Array, excess: Array) -> Array:
-    """Return a covariance less a part of it; the same if there is none."""
-    return nearest_covariance(cov - excess) if excess.any() else cov
+    """Return (..., n, n) covariances less a part of each, definite in spite of rounding."""
+    if not excess.any():
+        return cov
+    rest = cov - excess
+    rest = (rest + rest.swapaxes(-1, -2)) / 2
+    diagonal = np.arange(rest.shape[-1])
+    rest[..., diagonal, diagonal] = rest[..., diagonal, diagonal].clip(0)
+    return nearest_covariance(rest)
 
 
 def distribution(line: MapLine) -> tuple[Array, Array, Array]:
@@ -205,14 +211,13 @@ def scenes_by(carry: Callable[[Scene], Scene], case: Case) -> Result:
 
 def scene_with_less(scene: Scene, excess: Array) -> Scene:
     """Return a scene with a part of what each line has of its own taken off."""
-    cov = nearest_covariance(scene.cov - block_diagonal(excess))
+    cov = less(scene.cov, block_diagonal(excess))
     own = np.zeros_like(excess) if scene.own_covs is None else scene.own_covs
-    own = np.array([nearest_covariance(o - e) for o, e in zip(own, excess, strict=True)])
     lines = tuple(
         replace(line, gaussian=Gaussian(line.gaussian.mean, block))
         for line, block in zip(scene.lines, diagonal_blocks(cov, 4), strict=True)
     )
-    return replace(scene, cov=cov, own_covs=own, lines=lines)
+    return replace(scene, cov=cov, own_covs=less(own, excess), lines=lines)
 
 
 def scene_sent(scene: Scene) -> Scene:
