@@ -33,7 +33,10 @@ from maplines_can.polyline import stretches
 from maplines_can.propagation import scene_mixture
 from maplines_can.propagation.map_lines import view_of
 from maplines_can.propagation.map_scene import STEP
-from maplines_can.propagation.refit import Refit
+from maplines_can.propagation.misfit import coefficient_variances
+from maplines_can.propagation.refit import MAX_MISFIT, Refit
+from maplines_can.propagation.valid_range import longest_ranges
+from maplines_can.seen_lines import bases
 
 COMPONENTS = 3
 #: The motion of --by predicted: time [s], speed [m/s], and sigmas [m/s, rad/s].
@@ -73,10 +76,13 @@ def excess_covs(case: Case, step: float) -> dict[Slot, Array]:
     view = view_of(case.ego, WINDOW, case.error)
     seen = stretches([*case.lines.values()], case.ego.mean, view.window, view.max_turn)
     if len(seen.given):
-        refit = Refit(seen, case.ego.mean, room=view.room, step=step)
-        for i, cov, misfit in zip(seen.given, np.array(refit.noise_cov), refit.misfit, strict=True):
-            cov[0, 0] -= misfit**2
-            result[slots[i]] = cov
+        fitted = longest_ranges(seen, MAX_MISFIT, view.room, step)
+        mean = Refit(seen, case.ego.mean, room=view.room, step=step)(case.ego.mean[None])[0]
+        point_sigma = 0.0 if case.error is None else case.error.point_sigma
+        J, variances = bases(mean, fitted.x_range), coefficient_variances(seen, fitted, point_sigma)
+        covs = np.einsum("lik,lk,ljk->lij", J, variances, J)
+        covs[:, 0, 0] -= fitted.misfit**2
+        result |= {slots[i]: cov for i, cov in zip(seen.given, covs, strict=True)}
     return result
 
 

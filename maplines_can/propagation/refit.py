@@ -124,7 +124,9 @@ class Refit:
             noise_cov += self._noise_cov(map_error, mean, seen.position(x))
         if max_misfit < np.inf:
             J = bases(mean, self._x_range)
-            noise_cov += np.einsum("lik,lk,ljk->lij", J, coefficient_variances(seen, fitted), J)
+            point_sigma = 0.0 if map_error is None else map_error.point_sigma
+            variances = coefficient_variances(seen, fitted, point_sigma)
+            noise_cov += np.einsum("lik,lk,ljk->lij", J, variances, J)
         is_exact = map_error is None and max_misfit == np.inf
         #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
         self.noise_cov = None if is_exact else noise_cov.reshape(*self._trailing, 4, 4)
