@@ -71,11 +71,15 @@ class Status(IntEnum):
 
 
 class LeftOut(StrEnum):
-    """Reason for which a line of the map is not given."""
+    """Reason for which a line of the map is not given, or not sent."""
 
     NOT_IN_WINDOW = "the line is not in the window"
     ACROSS = "the line is across the car's x axis"
     TOO_SHORT = "the range of the line is shorter than the pose error"
+    UNCERTAIN = "the line is less certain than the limit"
+    RANGE = "the message cannot state the range of the line"
+    MEAN = "the message cannot state the parameters of the line"
+    COVARIANCE = "no covariance of the message covers the line"
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,8 @@ class TransmitterStats(NamedTuple):
     retries: int  #: attempts that met a full transmit queue and were repeated
     expired: int  #: lines sent as too old, because they were not published again in time
     pose_errors: int  #: pose errors of scenes sent with all their frames
-    #: lines left out of the published lists of ``map_lines`` and so retracted, by reason
+    #: lines of the map that were left out of what was published, by ``map_lines``, ``map_scene`` or
+    #: since they do not fit the message of scenes, and so retracted, by reason
     left_out: Mapping[LeftOut, int]
     lateness: Lateness  #: of the first frame of each transfer, after its deadline
 
@@ -138,8 +139,9 @@ class Transmitter(BackgroundThread):
     ) -> None:
         """Send this line from now on, instead of the previous one of its slot.
 
-        A line that ``map_lines`` left out is retracted: its slot does not go on with the previous
-        one. ``TransmitterStats.left_out`` counts such lines by reason.
+        A line that is left out is retracted: its slot does not go on with the previous one.
+        ``TransmitterStats.left_out`` counts such lines by reason: those that ``map_lines`` or
+        ``map_scene`` left out, and those of a scene that do not fit the message.
 
         A scene is sent instead of all that was published before: in each period the pose error
         first, then the lines that were seen from this pose. This call encodes the scene, in the
@@ -172,8 +174,7 @@ class Transmitter(BackgroundThread):
         if isinstance(line, Scene):
             line = self._codec.prepare_scene(line, fd=self._fd)
         prepared = line if isinstance(line, PreparedScene) else None
-        given = line.scene if isinstance(line, PreparedScene) else line
-        left_out = given.left_out if isinstance(given, MapLineList | Scene) else {}
+        left_out = line.left_out if isinstance(line, MapLineList | PreparedScene) else {}
         lines: list[MapLine] = []
         if not isinstance(line, PreparedScene):
             lines = [line] if isinstance(line, MapLine) else list(line)

@@ -91,6 +91,12 @@ class CholeskyCode(CovarianceCode):
         scale = lookup(self._variance_factor, self.inflation, raw[self.inflation.name])
         return self.factor.decode(raw, scale)
 
+    @property
+    def reach(self) -> Array:
+        """(k,) largest standard deviations, without what ratios add to them."""
+        greatest = [2.0 ** pivot.physical_range[1] for pivot in self.factor.pivots]
+        return np.array(greatest)[np.argsort(self.factor.order)]
+
     def decode_one(self, raw: Mapping[str, int]) -> Array:
         scale = lookup_one(self._variance_factor, self.inflation, raw[self.inflation.name])
         return self.factor.decode_one(raw, scale)

@@ -78,6 +78,11 @@ class CovarianceCode(ABC):
     def decode_one(self, raw: Mapping[str, int]) -> Array:
         """Return one (4, 4) covariance: as ``decode`` to the last bit."""
 
+    @property
+    def reach(self) -> Array:
+        """(4,) largest standard deviations of a decoded covariance; infinite if none is known."""
+        return np.full(4, np.inf)
+
     @abstractmethod
     def widest(self) -> dict[str, int]:
         """Return the raw values of the widest covariance, for a line without a covariance."""

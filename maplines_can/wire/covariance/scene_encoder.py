@@ -7,6 +7,10 @@ all means are one error, and the lines differ from f_i in different ways, the D_
 concerned are enlarged until they do.
 
 Lines for which levels cost too much send all entries.
+
+The message can state a part of all lines. Of a line with a range beyond it, the part within is
+sent. Of a line with parameters beyond it, that near the car that another cubic follows closely
+enough, whose deviation is covered like any error of a mean.
 """
 
 from __future__ import annotations
@@ -20,13 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import EncodeError, IllPosedError
-from ...gaussian import diagonal_blocks
+from ...gaussian import block_diagonal, diagonal_blocks
+from ...line import LeftOut
 from ...scene import Scene
 from ...seen_lines import SeenLines, bases
 from ..message.signals import Signal
 from .cholesky import CholeskyCode
 from .code import Array
 from .joint import divergence, largest_ratio, positive_part, uncovered
+from .nearest_line import is_within, nearest_line, slope_error
 from .rounding import refined, rounded_means, split
 from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode
 
@@ -44,6 +50,8 @@ TRIALS = 12
 FIRST_SHARE = 0.5
 #: Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
 LARGEST = 1e50
+#: Least valid range of a line of which a part is sent [m].
+LEAST_RANGE = 1.0
 Mask = NDArray[np.bool_]
 
 
@@ -54,6 +62,7 @@ class EncodedScene:
     pose: dict[str, int]
     lines: dict[int, dict[str, int]]  #: by their places in the scene; lines that do not fit lack
     decoded: DecodedLines | None  #: what a receiver decodes; None without lines
+    left_out: dict[int, LeftOut]  #: why the other lines do not fit, by their places
 
 
 class SceneEncoder:
@@ -66,12 +75,13 @@ class SceneEncoder:
     def __init__(self, code: SceneCode) -> None:
         self._code = code
         self._refined = [refined(*pair) for pair in zip(code.mean, code.fine, strict=False)]
+        self._reach = np.zeros(4) if code.own_code is None else code.own_code.reach
 
     def encode(self, scene: Scene, *, full: bool = False) -> EncodedScene:
         """Encode a scene for records that are conditional on the pose.
 
-        Lines that do not fit are left out: a mean or a range is out of the range of its signals,
-        or no covariance of the message covers what the line has of its own.
+        Lines that do not fit are left out, with a reason: the message can state no part of the
+        line that is long enough, or no covariance of it covers what the line has of its own.
 
         Args:
             scene: the lines with their joint covariance.
@@ -82,17 +92,18 @@ class SceneEncoder:
         """
         rows: list[Rows] = []
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # if it does not fit
-            ranges, fits = self._encode_ranges(scene)
-            fits &= _can_be_seen(scene)
-            parts = _Parts.of(scene, fits)
+            stated = self._stated(scene)
+            fits = np.array([i not in stated.left_out for i in range(len(scene.lines))], dtype=bool)
+            parts = _Parts.of(scene, stated, fits)
             for mean in (self._code.mean, self._refined):
-                raw, within = rounded_means(mean, scene.means, parts.own, parts.J, RESOLUTION)
+                raw, within = rounded_means(mean, stated.means, parts.own, parts.J, RESOLUTION)
+                stated.left_out.update(_reasons(fits & ~within, LeftOut.MEAN))
                 fits &= within
-                rows.append(ranges | raw)
+                rows.append(self._raw_ranges(stated.ranges) | raw)
         for signal, fine in zip(self._code.mean, self._code.fine, strict=True):
             pair = split(rows[1][signal.name], signal, fine)
             rows[1][signal.name], rows[1][fine.name] = pair
-        return self._encode(scene, rows[0], rows[1], fits, parts, full)
+        return self._encode(scene, stated, rows[0], rows[1], fits, parts, full)
 
     def encode_levels(
         self, scene: Scene, lines: Sequence[Mapping[str, int] | None]
@@ -114,12 +125,15 @@ class SceneEncoder:
         }
         low, high = (s.physical(raw[s.name]) for s in self._code.range)
         fits = np.array([line is not None for line in lines], dtype=bool) & (low < high)
+        left_out = _reasons(~fits, LeftOut.RANGE) | _reasons(~_can_be_seen(scene), LeftOut.ACROSS)
         fits &= _can_be_seen(scene)
-        return self._encode(scene, raw, raw, fits, _Parts.of(scene, fits), False)
+        stated = _Stated(scene.means, scene.fit_ranges, scene.quartics, left_out)
+        return self._encode(scene, stated, raw, raw, fits, _Parts.of(scene, stated, fits), False)
 
     def _encode(
         self,
         scene: Scene,
+        stated: _Stated,
         with_levels: Rows,
         with_entries: Rows,
         fits: Mask,
@@ -130,6 +144,7 @@ class SceneEncoder:
 
         Args:
             scene: the lines with their joint covariance.
+            stated: the parts of the lines that are sent.
             with_levels: (L,) raw values of means and ranges, if D_i are sent as levels.
             with_entries: the same, if all entries of D_i are sent.
             fits: (L,) which lines fit.
@@ -138,7 +153,7 @@ class SceneEncoder:
         """
         pose_raw = self._encode_pose(scene)
         pose = self._code.decode_pose(pose_raw)
-        shapes = self._encode_shapes(scene, with_levels)
+        shapes = self._encode_shapes(stated, with_levels)
         forms = with_levels | shapes, with_entries | shapes
         is_full, places = np.full(len(fits), full), np.flatnonzero(fits)
         noise: Array | None = None
@@ -166,6 +181,7 @@ class SceneEncoder:
                     d[:, :, None] * d[:, None],
                 )
                 true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
+                true += block_diagonal(parts.excess[places])
                 own, covered, needs_entries = self._cover(lines, true, seen.spread(pose.cov))
                 if needs_entries.any():
                     is_full[places] |= needs_entries
@@ -173,9 +189,13 @@ class SceneEncoder:
                 if covered.all():
                     sent = {int(place): self._row(raw | own, i) for i, place in enumerate(places)}
                     decoded = self._code.decode(pose, [*sent.values()])
-                    return EncodedScene(pose_raw, sent, decoded)
+                    return EncodedScene(pose_raw, sent, decoded, stated.left_out)
+                reason = LeftOut.COVARIANCE
+            else:
+                reason = LeftOut.ACROSS
+            stated.left_out.update(dict.fromkeys(places[~covered].tolist(), reason))
             places, noise = places[covered], None if noise is None else noise[covered]
-        return EncodedScene(pose_raw, {}, None)
+        return EncodedScene(pose_raw, {}, None, stated.left_out)
 
     def _row(self, raw: Mapping[str, NDArray[np.int64]], i: int) -> dict[str, int]:
         """Return the raw values of a line, without those of the other form of D_i."""
@@ -199,24 +219,44 @@ class SceneEncoder:
         raw[code.time.name] = code.raw_time(error.correlation_time)
         return raw
 
-    def _encode_ranges(self, scene: Scene) -> tuple[Rows, Mask]:
-        """Return the (L,) raw values of ranges, and which of them are exact."""
-        raw: Rows = {}
-        fits = np.ones(len(scene.lines), dtype=bool)
-        for signal, values in zip(self._code.range, scene.fit_ranges.T, strict=True):
-            limited = signal.limited(signal.raw(values))
-            fits &= signal.physical(limited) == values
-            raw[signal.name] = limited.astype(np.int64)
-        return raw, fits
+    def _stated(self, scene: Scene) -> _Stated:
+        """Return the parts of the lines that the message can state."""
+        seen = _can_be_seen(scene)
+        left_out = _reasons(~seen, LeftOut.ACROSS)
+        means, ranges = scene.means.copy(), scene.fit_ranges.copy()
+        within = is_within(self._code.mean, means)
+        for i in np.flatnonzero(seen & ~within):
+            line, fit_range = scene.lines[i], scene.fit_ranges[i]
+            room = max(line.x_min - fit_range[0], 0.0) + max(fit_range[1] - line.x_max, 0.0)
+            least = LEAST_RANGE + room
+            near = nearest_line(self._code.mean, means[i], fit_range, least, self._reach)
+            if near is None:
+                left_out[int(i)] = LeftOut.MEAN
+            else:
+                means[i], ranges[i] = near
+        first, last = self._code.range
+        ranges[:, 0] = np.ceil(ranges[:, 0]).clip(first.physical_range[0])
+        ranges[:, 1] = np.floor(ranges[:, 1]).clip(max=last.physical_range[1])
+        cannot = (ranges[:, 0] > first.physical_range[1]) | (ranges[:, 1] < last.physical_range[0])
+        cannot |= ranges[:, 0] >= ranges[:, 1]
+        left_out = _reasons(cannot, LeftOut.RANGE) | left_out
+        ranges[[*left_out]] = 0.0, 1.0
+        shorter = np.diff(ranges)[:, 0] / np.diff(scene.fit_ranges)[:, 0]
+        return _Stated(means, ranges, scene.quartics * shorter**4, left_out)
+
+    def _raw_ranges(self, ranges: Array) -> Rows:
+        """Return the (L,) raw values of ranges that the message can state."""
+        pairs = zip(self._code.range, ranges.T, strict=True)
+        return {signal.name: signal.raw(ends).astype(np.int64) for signal, ends in pairs}
 
     def _encode_shapes(
-        self, scene: Scene, raw: Mapping[str, NDArray[np.int64]]
+        self, stated: _Stated, raw: Mapping[str, NDArray[np.int64]]
     ) -> dict[str, NDArray[np.int64]]:
         """Return the (L,) raw values of T_4, and of the fit range beyond a stated valid range."""
-        values = [(self._code.quartic, scene.quartics)]
+        values = [(self._code.quartic, stated.quartics)]
         if self._code.fit:
             low, high = (s.physical(raw[s.name]) for s in self._code.range)
-            behind, ahead = low - scene.fit_ranges[:, 0], scene.fit_ranges[:, 1] - high
+            behind, ahead = low - stated.ranges[:, 0], stated.ranges[:, 1] - high
             values += zip(self._code.fit, (behind, ahead), strict=True)
         return {s.name: s.limited(s.raw(value)).astype(np.int64) for s, value in values}
 
@@ -283,22 +323,33 @@ class SceneEncoder:
         return raw, covered, (kl > LEVELS_KL) | (ratio > LEVELS_RATIO**2)
 
 
+class _Stated(NamedTuple):
+    """Parts of lines that a message can state; anything for the lines that are left out."""
+
+    means: Array  #: (L, 4) within the ranges of the message
+    ranges: Array  #: (L, 2) [m]
+    quartics: Array  #: (L,) [m]
+    left_out: dict[int, LeftOut]  #: lines of which the message can state no part
+
+
 class _Parts(NamedTuple):
     """Parts of the covariances of the lines of a scene; 0 for those that do not fit."""
 
     J: Array  #: (L, 4, 4) derivatives of ``bases``
     due_to_pose: Array  #: (L, 4, 4)
-    own: Array  #: (L, 4, 4)
+    own: Array  #: (L, 4, 4), with the excess
+    excess: Array  #: (L, 4, 4) squares of the errors of means that exceed the message
 
     @classmethod
-    def of(cls, scene: Scene, fits: NDArray[np.bool_]) -> _Parts:
+    def of(cls, scene: Scene, stated: _Stated, fits: NDArray[np.bool_]) -> _Parts:
         """Return the parts of a scene."""
         lines = len(scene.lines)
         J, due_to_pose, own = np.tile(np.eye(4), (lines, 1, 1)), *np.zeros((2, lines, 4, 4))
+        error = np.where(fits[:, None], slope_error(scene.means, stated.means), 0.0)
+        excess = error[:, :, None] * error[:, None]
         if fits.any():
-            means, fit_ranges = scene.means[fits], scene.fit_ranges[fits]
-            J[fits] = bases(means, fit_ranges)
-            seen = SeenLines(means, fit_ranges, scene.quartics[fits])
+            J[fits] = bases(stated.means[fits], stated.ranges[fits])
+            seen = SeenLines(scene.means[fits], stated.ranges[fits], stated.quartics[fits])
             due_to_pose[fits] = diagonal_blocks(seen.spread(scene.pose_error.cov), 4)
             if scene.own_covs is not None:
                 own[fits] = scene.own_covs[fits]
@@ -306,7 +357,7 @@ class _Parts(NamedTuple):
                 own[fits] = positive_part(
                     diagonal_blocks(scene.cov, 4)[fits] - due_to_pose[fits], J[fits]
                 )
-        return cls(J, due_to_pose, own)
+        return cls(J, due_to_pose, own + excess, excess)
 
 
 class _Lines(NamedTuple):
@@ -340,6 +391,11 @@ def _chosen(with_levels: Rows, with_entries: Rows, is_full: Mask, places: NDArra
         for name, values in with_entries.items()
     }
     return chosen | {FORM: is_full[places].astype(np.int64)}
+
+
+def _reasons(lines: Mask, reason: LeftOut) -> dict[int, LeftOut]:
+    """Return the reason of lines, by their places."""
+    return dict.fromkeys(np.flatnonzero(lines).tolist(), reason)
 
 
 def _floor(code: CholeskyCode) -> Array:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...errors import EncodeError
-from ...line import Slot
+from ...line import LeftOut, Slot
 from ...scene import Scene
 from ..covariance.scene_encoder import EncodedScene, SceneEncoder
 from .complete_records import CompleteRecords
@@ -40,6 +40,13 @@ class PreparedScene:
         """Raw values of the lines that are sent and belong to the pose error, by slot."""
         by_slot = {self.scene.lines[i].slot: raw for i, raw in self.encoded.lines.items()}
         return {slot: raw for slot, raw in by_slot.items() if slot in self.sent_slots}
+
+    @property
+    def left_out(self) -> dict[Slot, LeftOut]:
+        """Reasons of the lines that are not sent, by slot: those of the map and of the message."""
+        by_slot = {self.scene.lines[i].slot: why for i, why in self.encoded.left_out.items()}
+        unfit = {slot: why for slot, why in by_slot.items() if slot not in self.sent_slots}
+        return dict(self.scene.left_out) | unfit
 
     def without(self, slot: Slot) -> PreparedScene:
         """Return the scene without the line of a slot; there may be none."""

@@ -9,6 +9,7 @@ from ...errors import EncodeError
 from ...gaussian import nearest_covariance
 from ...line import Kind, MapLine, Status
 from ..covariance import CovarianceCode
+from ..covariance.nearest_line import is_within, nearest_line
 from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
 from .attributes import RecordAttributes
 from .layout import Layout
@@ -19,6 +20,8 @@ from .validation import CheckedGaussians
 #: Up to this number, records are packed one by one: with few records, arrays cost more than they
 #: save.
 FEW = 8
+#: Least range of a line that is sent instead of one that exceeds the message [m].
+LEAST_RANGE = 1.0
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
 
@@ -66,9 +69,14 @@ class RecordWriter:
             raise EncodeError(
                 f"component_index must be below component_count, got {index[i]} of {count[i]}"
             )
-        outside = self._put_valid_range(raw, attributes, n)
+        requested = self._supported(requested)
+        x_range = np.column_stack(
+            [_finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)]
+        )
+        near = self._nearest(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
+        outside = self._put_valid_range(raw, x_range)
         self._put_age_and_weight(raw, attributes, n)
-        self._put_gaussian(raw, gaussians, self._supported(requested), cover)
+        self._put_gaussian(raw, gaussians, near, requested, cover)
         raw["Status"] = np.where(outside, Status.OUT_OF_RANGE, raw["Status"])
         return self._protect(raw, data_ids, n)
 
@@ -102,10 +110,34 @@ class RecordWriter:
             return requested
         return np.where(_without_covariance(requested), requested, best)
 
+    def _nearest(
+        self, mean: NDArray[np.float64], x_range: NDArray[np.float64], rows: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """Return the (n, 4) lines to be sent: of those that exceed the message, the nearest ones.
+
+        Args:
+            mean: (n, 4) lines.
+            x_range: (n, 2) valid ranges [m], which are shortened to the part where a line within
+                the ranges of the message is near.
+            rows: (n,) lines that may be replaced.
+        """
+        near = mean
+        for i in np.flatnonzero(
+            rows & ~is_within(self._mean, mean) & (x_range[:, 0] < x_range[:, 1])
+        ):
+            found = nearest_line(
+                self._mean, mean[i], x_range[i], LEAST_RANGE, self._covariance.reach
+            )
+            if found is not None:
+                near = near.copy() if near is mean else near
+                near[i], x_range[i] = found
+        return near
+
     def _put_gaussian(
         self,
         raw: dict[str, NDArray[np.int64]],
         gaussians: CheckedGaussians,
+        near: NDArray[np.float64],
         requested: NDArray[np.int64],
         cover: NDArray[np.float64] | None,
     ) -> None:
@@ -114,9 +146,8 @@ class RecordWriter:
         clipped = np.zeros(len(mean), dtype=bool)
         decoded = np.empty_like(mean)
         for i, signal in enumerate(self._mean):
-            nearest = signal.raw(mean[:, i])
-            limited = signal.limited(nearest)
-            clipped |= nearest != limited
+            nearest, limited = signal.raw(mean[:, i]), signal.limited(signal.raw(near[:, i]))
+            clipped |= nearest != signal.limited(nearest)
             raw[signal.name] = limited.astype(np.int64)
             decoded[:, i] = signal.physical(limited)
         d = mean - decoded
@@ -151,14 +182,14 @@ class RecordWriter:
         raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
 
     def _put_valid_range(
-        self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
+        self, raw: dict[str, NDArray[np.int64]], x_range: NDArray[np.float64]
     ) -> NDArray[np.bool_]:
-        """Add the raw ends of the valid range, rounded inwards.
+        """Add the raw ends of (n, 2) valid ranges, rounded inwards.
 
         Returns:
             (n,) rows for which no range within the given one can be stated.
         """
-        x_min, x_max = _finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)
+        x_min, x_max = x_range.T
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
         first, last = self.layout["XMin"], self.layout["XMax"]
