@@ -293,6 +293,7 @@ def _source(
         map_error=map_error_of(arguments),
         components=components,
         correlation_time=stated.correlation_time if as_scene else None,
+        max_sigma=arguments.max_sigma,
     )
 
 

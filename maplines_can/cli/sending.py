@@ -17,6 +17,7 @@ from ..gaussian import Gaussian
 from ..line import MapLine, MapLineList, Slot
 from ..polyline import Polyline
 from ..propagation import MapError, Refit, component_counts, map_lines, map_scene, nonlinearity
+from ..propagation.certain_range import MAX_SIGMA
 from ..propagation.component_counts import remaining_nonlinearity
 from ..scenarios import SCENARIOS, STREETS, Scenario
 from ..scene import Scene
@@ -104,6 +105,14 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         help="standard deviation of the map [m]: of each point, and of the common offset of all "
         "points of a line; the pose error comes on top (default: the map is exact)",
     )
+    option_group(parser, "scenario").add_argument(
+        "--max-sigma",
+        type=number(float, 1e-3, math.inf),
+        default=MAX_SIGMA,
+        metavar="SIGMA",
+        help="largest standard deviation of the lateral position of a line [m]: its valid range "
+        f"ends where it passes this; inf for no limit (default: {MAX_SIGMA:g})",
+    )
 
 
 def first_lines(scenario: Scenario, lines: int) -> dict[Slot, Polyline]:
@@ -172,14 +181,18 @@ def lines_of(
         ValueError: all lines are left out as seen from the pose of the scenario.
     """
     first, pose = first_lines(scenario, arguments.lines), scenario.ego if ego is None else ego
-    window, map_error = scenario.window, map_error_of(arguments)
+    options: dict[str, Any] = {
+        "window": scenario.window,
+        "map_error": map_error_of(arguments),
+        "max_sigma": arguments.max_sigma,
+    }
     lines: MapLineList | Scene
     if as_scene:
         time = math.inf if arguments.correlation_time is None else arguments.correlation_time
-        lines = map_scene(first, pose, correlation_time=time, window=window, map_error=map_error)
+        lines = map_scene(first, pose, correlation_time=time, **options)
     else:
         counts = {slot: line.components for slot, line in components.items()}
-        lines = map_lines(first, pose, window=window, components=counts, map_error=map_error)
+        lines = map_lines(first, pose, components=counts, **options)
     if ego is None and not single_lines(lines):
         raise ValueError(
             f"no line of the scenario {scenario.name!r} can be sent; "

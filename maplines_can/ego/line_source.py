@@ -13,6 +13,7 @@ from ..line import MapLineList, Slot
 from ..maps import LaneTracker, Map, Route, TrackedLines
 from ..polyline import Polyline
 from ..propagation import MapError, map_lines, map_scene
+from ..propagation.certain_range import MAX_SIGMA
 from ..propagation.refit import MAX_MISFIT
 from ..scene import Scene
 
@@ -56,6 +57,8 @@ class LineSource:
             infinite if it is unknown. The cycles then have the joint covariance of their lines,
             which have one component each. None: they do not.
         max_misfit: largest deviation of a cubic from its line [m].
+        max_sigma: largest standard deviation of the lateral position of a line [m], see
+            ``map_lines``.
 
     >>> from maplines_can import PoseSource, maps, Polyline
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
@@ -78,13 +81,15 @@ class LineSource:
         components: int | ChooseComponents = 1,
         correlation_time: float | Callable[[], float] | None = None,
         max_misfit: float = MAX_MISFIT,
+        max_sigma: float = MAX_SIGMA,
     ) -> None:
         if correlation_time is not None and components != 1:
             raise ValueError(
                 "components must be 1 with a correlation_time, since a receiver of the pose error "
                 f"splits it itself, got {components!r}"
             )
-        self._correlation_time, self._max_misfit = correlation_time, max_misfit
+        self._correlation_time = correlation_time
+        self._max_misfit, self._max_sigma = max_misfit, max_sigma
         self._stated, self._slots = stated, frozenset(slots)
         self._window, self._map_error, self._components = window, map_error, components
         self._tracker = LaneTracker(found, route)
@@ -114,6 +119,7 @@ class LineSource:
                 window=self._window,
                 map_error=self._map_error,
                 max_misfit=self._max_misfit,
+                max_sigma=self._max_sigma,
             )
             lines = MapLineList(scene.lines, scene.left_out)
             return Cycle(t, stated, tracked, lines, changed, scene)
@@ -123,6 +129,7 @@ class LineSource:
             window=self._window,
             map_error=self._map_error,
             max_misfit=self._max_misfit,
+            max_sigma=self._max_sigma,
             components=own(chosen, stated) if callable(own) else own,
         )
         return Cycle(t, stated, tracked, lines, changed)

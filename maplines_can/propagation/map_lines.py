@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from ..map_error import MapError
 from ..mixture import GaussianMixture
 from ..polyline import MAX_TURN, Polyline, stretches, to_ego
 from ..seen_lines import extended, margins
+from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .refit import MAX_MISFIT, Refit
 from .splitting import Mixture
 from .transform import Transform
@@ -37,6 +39,7 @@ def map_lines(
     transform: Transform | None = None,
     map_error: MapError | None = None,
     max_misfit: float = MAX_MISFIT,
+    max_sigma: float = MAX_SIGMA,
     components: int | Mapping[Slot, int] = 1,
 ) -> MapLineList:
     """Return lines of the map as seen from an uncertain pose, ready for ``Transmitter``.
@@ -45,7 +48,7 @@ def map_lines(
     covers what the cubic misses there. So, at each x from x_min to x_max, the line of the map, as
     seen from a pose drawn from ``ego``, lies within the band of the Gaussian as often as its
     standard deviation says. The range leaves room for the pose error: the line seen from the true
-    pose does not end before it.
+    pose does not end before it. It ends where the line is less certain than ``max_sigma``.
 
     A line that cannot be given is left out, with a reason, and does not affect the others. A pose
     from which a line is not a function of x does not lose the line either: the parameters are
@@ -59,6 +62,8 @@ def map_lines(
             default of ``Mixture`` if there are several components.
         map_error: error of the map, in addition to the error of the pose.
         max_misfit: largest deviation of a cubic from its line [m].
+        max_sigma: largest standard deviation of the lateral position of a line [m]; its range ends
+            where it passes this. Infinite for no limit.
         components: components of the Gaussian mixture of each line, 1 to 8, as one number for
             all lines or one for each slot; 1 gives a single Gaussian.
 
@@ -78,6 +83,7 @@ def map_lines(
     {<Slot.EGO_RIGHT: 1>: <LeftOut.ACROSS: "the line is across the car's x axis">}
     """
     check_lines(lines, ego)
+    check_max_sigma(max_sigma)
     counts = _counts(lines, components)
     x_min, x_max = (floats(end, "window").item() for end in window)
     view = view_of(ego, (x_min, x_max), map_error)
@@ -108,11 +114,29 @@ def map_lines(
                 found[slot] = MapLine(slot, gaussians[0], **rest)
             else:
                 found[slot] = MapLine.of_mixture(slot, GaussianMixture(weights, gaussians), **rest)
+    found |= _as_far_as_certain([x for x in found.values() if isinstance(x, MapLine)], max_sigma)
     in_order = [(slot, found[slot]) for slot in counts]
     return MapLineList(
         [line for _, line in in_order if isinstance(line, MapLine)],
         {slot: reason for slot, reason in in_order if isinstance(reason, LeftOut)},
     )
+
+
+def _as_far_as_certain(lines: Sequence[MapLine], max_sigma: float) -> dict[Slot, MapLine | LeftOut]:
+    """Return by slot the lines whose ranges are to be shortened, or why they are left out."""
+    if not lines:
+        return {}
+    means = np.array([line.gaussian.mean for line in lines])
+    covs = np.array([line.gaussian.cov for line in lines])
+    x_ranges = np.array([[line.x_min, line.x_max] for line in lines])
+    certain = certain_ranges(means, covs, x_ranges, max_sigma)
+    found: dict[Slot, MapLine | LeftOut] = {}
+    for i in np.flatnonzero((certain != x_ranges).any(axis=1)):
+        low, high = certain[i].tolist()
+        is_long = high - low >= MIN_RANGE  # not if it is NaN
+        shorter = replace(lines[i], x_min=low, x_max=high) if is_long else LeftOut.UNCERTAIN
+        found[lines[i].slot] = shorter
+    return found
 
 
 class View(NamedTuple):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from ..map_error import MapError
 from ..polyline import Polyline, stretches
 from ..scene import PoseError, Scene
 from ..seen_lines import valid_ranges
+from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .map_lines import MIN_RANGE, ExtendedRefit, check_lines, ego_cov, view_of
 from .refit import MAX_MISFIT, Refit
 from .sigma_points import SigmaPoints
@@ -25,6 +28,8 @@ N = len(PARAMETERS)
 #: The ends of the ranges in which the cubics are fitted are multiples of this, so that a message
 #: can state them exactly [m].
 STEP = 1.0
+#: Most times that a line is fitted again in a shorter range, since it is uncertain at its end.
+TRIALS = 8
 
 
 def map_scene(
@@ -36,11 +41,13 @@ def map_scene(
     transform: Transform | None = None,
     map_error: MapError | None = None,
     max_misfit: float = MAX_MISFIT,
+    max_sigma: float = MAX_SIGMA,
 ) -> Scene:
     """Return lines of the map as seen from an uncertain pose, with their joint Gaussian.
 
-    The lines are those of ``map_lines``, but for two details. The ranges in which the cubics are
-    fitted end at whole metres. The valid ranges leave a little more room at their ends, since they
+    The lines are those of ``map_lines``, but for three details. The ranges in which the cubics are
+    fitted end at whole metres. A line that is uncertain far ahead is fitted again in a shorter
+    range. The valid ranges leave a little more room at their ends, since they
     are computed from what a receiver knows, too, and may exceed the window by that room. All lines
     are propagated through the same points, so their joint covariance is a covariance.
 
@@ -54,6 +61,8 @@ def map_scene(
         transform: for the moments; None for ``SigmaPoints()``.
         map_error: error of the map, in addition to the error of the pose.
         max_misfit: largest deviation of a cubic from its line [m].
+        max_sigma: largest standard deviation of the lateral position of a line [m]; its range ends
+            where it passes this. Infinite for no limit.
 
     Returns:
         The lines in the order of ``lines``; ``left_out`` has the reasons of the others by slot.
@@ -69,6 +78,7 @@ def map_scene(
     (np.float64(0.2), np.float64(0.001))
     """
     check_lines(lines, ego)
+    check_max_sigma(max_sigma)
     x_min, x_max = (floats(end, "window").item() for end in window)
     view = view_of(ego, (x_min, x_max), map_error)
     pose_error = PoseError(ego_cov(ego), correlation_time)
@@ -79,29 +89,45 @@ def map_scene(
     left_out = {slots[i]: reason for i, reason in seen.left_out.items()}
     if not len(seen.given):
         return _without_lines(pose_error, map_error, left_out)
-    refit = Refit(
-        seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
-    )
-    own_covs = np.zeros((len(seen.given), N, N)) if refit.noise_cov is None else refit.noise_cov
     heading_sigma = 0.0 if map_error is None else map_error.heading_sigma
-    x_ranges = valid_ranges(
-        refit(ego.mean[None])[0], refit.x_range, pose_error.cov, own_covs, heading_sigma
-    )
-    kept = (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across
-    kept &= (refit.x_range % STEP == 0).all(axis=1)
+    pose = Gaussian.trusted(np.zeros(3), pose_error.cov)
+    uncertain = np.zeros(len(seen.given), dtype=bool)
+    for trial in count():
+        refit = Refit(
+            seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
+        )
+        own_covs = np.zeros((len(seen.given), N, N)) if refit.noise_cov is None else refit.noise_cov
+        x_ranges = valid_ranges(
+            refit(ego.mean[None])[0], refit.x_range, pose_error.cov, own_covs, heading_sigma
+        )
+        kept = (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across & ~uncertain
+        kept &= (refit.x_range % STEP == 0).all(axis=1)
+        if not kept.any():
+            break
+        function = ExtendedRefit(refit, kept)
+        mean, cov = (transform or SigmaPoints()).moments(_Flat(function, ego.mean), pose)
+        means, covs = mean.reshape(-1, N), diagonal_blocks(cov, N)
+        # From the means that are sent, as a receiver does.
+        x_ranges = valid_ranges(
+            means, refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
+        )
+        certain = certain_ranges(means, covs, x_ranges, max_sigma)
+        long = (certain != x_ranges).any(axis=1)
+        if not long.any():
+            break
+        places = np.flatnonzero(kept)[long]
+        shorter = _shorter(refit.x_range[places], x_ranges[long], certain[long])
+        uncertain[places] = (trial >= TRIALS) | (np.diff(shorter)[:, 0] < MIN_RANGE)
+        ends = refit.x_range.copy()
+        ends[places] = np.where(uncertain[places, None], ends[places], shorter)
+        seen = replace(seen, x_range=ends)
     left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
+    left_out |= {slots[i]: LeftOut.UNCERTAIN for i in seen.given[uncertain]}
     if not kept.any():
         return _without_lines(pose_error, map_error, left_out)
-    function = ExtendedRefit(refit, kept)
-    pose = Gaussian.trusted(np.zeros(3), pose_error.cov)
-    mean, cov = (transform or SigmaPoints()).moments(_Flat(function, ego.mean), pose)
-    # From the means that are sent, as a receiver does.
-    x_ranges = valid_ranges(
-        mean.reshape(-1, N), refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
-    )
     given = [slots[i] for i in seen.given[kept]]
     # The scene checks the joint covariance, and so those of its lines.
-    gaussians = map(Gaussian.trusted, mean.reshape(-1, N), diagonal_blocks(cov, N))
+    gaussians = map(Gaussian.trusted, means, covs)
     found = [
         MapLine(slot, gaussian, kind=lines[slot].kind, x_min=low, x_max=high)
         for slot, gaussian, (low, high) in zip(given, gaussians, x_ranges.tolist(), strict=True)
@@ -116,6 +142,18 @@ def map_scene(
         refit.quartic[kept],
         own_covs[kept],
     )
+
+
+def _shorter(
+    fit_ranges: NDArray[np.float64], x_ranges: NDArray[np.float64], certain: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the (L, 2) ranges to be fitted for lines to be valid where they are certain.
+
+    A line that is certain nowhere may be so if less of it is fitted: half of what is ahead.
+    """
+    car = np.clip(0.0, fit_ranges[:, 0], fit_ranges[:, 1])[:, None]
+    half = car + (fit_ranges - car) / 2
+    return np.where(np.isnan(certain), half, certain + (fit_ranges - x_ranges))
 
 
 def _without_lines(

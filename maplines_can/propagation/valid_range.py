@@ -110,7 +110,7 @@ def _whole(x_range: NDArray[np.float64], step: float) -> NDArray[np.float64]:
     if not step:
         return x_range.copy()
     inner = np.column_stack([np.ceil(x_range[:, 0] / step), np.floor(x_range[:, 1] / step)]) * step
-    return np.where(inner[:, :1] + 4 * step <= inner[:, 1:], inner, x_range)
+    return np.where(inner[:, :1] + step <= inner[:, 1:], inner, x_range)
 
 
 def _search(
