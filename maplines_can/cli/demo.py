@@ -22,7 +22,7 @@ from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, option_group, seconds
-from .scene_sending import sends_scenes, unfit_text
+from .scene_sending import sends_scenes
 from .sending import (
     LineComponents,
     add_sending,
@@ -165,7 +165,7 @@ def _scene(scene: SceneResult) -> list[str]:
     if len(of_lines) > 1 and len(set(of_lines)) == 1:
         counts = f"{len(of_lines)} x {of_lines[0]}"
     rows += [
-        *([unfit_text(scene.unsent)] if scene.unsent else []),
+        *([left_out_text(scene.unsent)] if scene.unsent else []),
         f"{'frames':<12}{sum(scene.frames.values())} a cycle: {scene.frames[POSE]} for the pose "
         f"error, {counts or 'none'} for the lines; full records without the pose error: "
         f"{scene.frames_of_full_records}",

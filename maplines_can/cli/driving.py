@@ -18,7 +18,7 @@ from ..ego import Cycle, LineSource, State
 from ..line import MapLine, MapLineList, Slot
 from ..maps import LaneTracker
 from ..scene import Scene
-from ..wire import POSE, Codec, Frame, Owner
+from ..wire import POSE, Codec, Frame, Owner, PreparedScene
 
 if TYPE_CHECKING:
     from ..study.drives.truth import TruthWriter
@@ -45,7 +45,8 @@ class Counters:
     off_map: int = 0  #: cycles without a lane near the car
     no_pose: int = 0  #: cycles in which the car did not know its pose, so that no line was sent
     other_lane: int = 0  #: cycles in which the car was on another lane than it believed
-    left_out: Counter[str] = field(default_factory=Counter)  #: lines by reason
+    #: lines that were not sent, by reason: of the map, or since they do not fit the message
+    left_out: Counter[str] = field(default_factory=Counter)
 
     def add(self, cycle: Cycle) -> None:
         """Count a cycle."""
@@ -193,7 +194,8 @@ class Drive:
                             transmitter.retract(slot)
                         given = {line.slot for line in cycle.lines}
                         transmitter.publish(
-                            cycle.lines if cycle.scene is None else cycle.scene, t_ns
+                            cycle.lines if cycle.scene is None else self._prepared(cycle.scene),
+                            t_ns,
                         )
                     transmitter.wait(self.period)
                 stats = transmitter.stats()
@@ -259,7 +261,7 @@ class Drive:
             scene: the scene.
             numbers: next counters of the pose error and of each slot, which advance.
         """
-        prepared = self.codec.prepare_scene(scene, fd=self.fd)
+        prepared = self._prepared(scene)
         first, age = Counter(numbers), 0.0
         owners: tuple[Owner, ...] = (POSE, *prepared.sent_slots)
         for owner in owners:
@@ -269,6 +271,12 @@ class Drive:
             self.counters.lines += owner != POSE
             age += sum(map(self._duration, frames))
             yield frames
+
+    def _prepared(self, scene: Scene) -> PreparedScene:
+        """Return a scene for sending, and count the lines that do not fit the message."""
+        prepared = self.codec.prepare_scene(scene, fd=self.fd)
+        self.counters.left_out.update(reason.name for reason in prepared.unfit.values())
+        return prepared
 
     def _transfer_time(self, lines: MapLineList) -> float:
         """Return the time that the frames of one line take on the bus [s]; 0 without lines."""

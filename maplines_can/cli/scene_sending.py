@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import chain
 
 import numpy as np
 
 from ..bus import bus_load
-from ..line import MapLineList, Slot
+from ..line import LeftOut, MapLineList, Slot
 from ..scene import PoseError, Scene
 from ..wire import POSE, Codec
-from .output import slot_text
 from .parsing import option_group
 
 
@@ -81,19 +80,8 @@ def check_scene_load(
         )
 
 
-def unfit_slots(codec: Codec, lines: MapLineList | Scene, *, fd: bool) -> list[Slot]:
-    """Return the slots of a scene's lines that do not fit the message; none without a scene."""
-    if not isinstance(lines, Scene):
-        return []
-    sent = codec.prepare_scene(lines, fd=fd).sent_slots
-    return [line.slot for line in lines.lines if line.slot not in sent]
-
-
-def unfit_text(slots: Collection[Slot]) -> str:
-    """Return the lines of a scene that do not fit the message, as text.
-
-    >>> unfit_text([Slot.EGO_LEFT])
-    'not sent: ego left (the line does not fit the message)'
-    """
-    each = [f"{slot_text(slot.name)} (the line does not fit the message)" for slot in slots]
-    return f"not sent: {', '.join(each)}"
+def left_out_of(codec: Codec, lines: MapLineList | Scene, *, fd: bool) -> Mapping[Slot, LeftOut]:
+    """Return why lines are not sent, by slot: those of a scene that do not fit the message, too."""
+    return (
+        codec.prepare_scene(lines, fd=fd).left_out if isinstance(lines, Scene) else lines.left_out
+    )

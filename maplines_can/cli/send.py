@@ -24,7 +24,7 @@ from .options import (
 )
 from .output import faults_text, left_out_text, pose_errors_text, slot_text
 from .parsing import add_command, add_json, natural, option_group
-from .scene_sending import sends_scenes, unfit_slots, unfit_text
+from .scene_sending import left_out_of, sends_scenes
 from .sending import (
     AMPLITUDE,
     SINE_PERIOD,
@@ -104,10 +104,8 @@ def _send(arguments: argparse.Namespace) -> int:
                         for line in single_lines(lines):
                             text = components_text(components[line.slot])
                             note(f"{slot_text(line.slot.name)}: {text}")
-                    if lines.left_out:
-                        note(left_out_text(lines.left_out))
-                    if unfit := unfit_slots(codec, lines, fd=arguments.fd):
-                        note(unfit_text(unfit))
+                    if left_out := left_out_of(codec, lines, fd=arguments.fd):
+                        note(left_out_text(left_out))
                 _publish(transmitter, lines, sent, components, arguments, rate)
         except KeyboardInterrupt:
             pass

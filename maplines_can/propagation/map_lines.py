@@ -131,7 +131,7 @@ def _as_far_as_certain(lines: Sequence[MapLine], max_sigma: float) -> dict[Slot,
     x_ranges = np.array([[line.x_min, line.x_max] for line in lines])
     certain = certain_ranges(means, covs, x_ranges, max_sigma)
     found: dict[Slot, MapLine | LeftOut] = {}
-    for i in np.flatnonzero((certain != x_ranges).any(axis=1)):
+    for i in np.flatnonzero((certain != x_ranges).any(axis=1)).tolist():
         low, high = certain[i].tolist()
         is_long = high - low >= MIN_RANGE  # not if it is NaN
         shorter = replace(lines[i], x_min=low, x_max=high) if is_long else LeftOut.UNCERTAIN

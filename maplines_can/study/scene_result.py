@@ -8,7 +8,7 @@ from typing import Any
 
 from scipy.linalg import block_diag
 
-from ..line import Slot
+from ..line import LeftOut, Slot
 from ..scene import Scene
 from ..wire import POSE, Frame, Owner, PreparedScene
 
@@ -39,7 +39,7 @@ class SceneResult:
     lane: Sequence[LaneResult]  #: where both of its lines are valid
     frames: Mapping[str, int]  #: of each cycle: of the pose error ("pose"), then of each line
     frames_of_full_records: int  #: of a cycle, if each line had a covariance of its own
-    unsent: Sequence[Slot]  #: of the lines that do not fit the message
+    unsent: Mapping[Slot, LeftOut]  #: reasons of the lines that do not fit the message
 
     def as_dict(self) -> dict[str, Any]:
         """Return all figures, for JSON."""
@@ -74,7 +74,7 @@ def scene_result(
             for owner, frames in transfers.items()
         },
         frames_of_full_records=frames_of_full_records,
-        unsent=[line.slot for line in scene.lines if line.slot not in sent.sent_slots],
+        unsent=sent.unfit,
     )
 
 

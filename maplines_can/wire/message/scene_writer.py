@@ -42,11 +42,15 @@ class PreparedScene:
         return {slot: raw for slot, raw in by_slot.items() if slot in self.sent_slots}
 
     @property
-    def left_out(self) -> dict[Slot, LeftOut]:
-        """Reasons of the lines that are not sent, by slot: those of the map and of the message."""
+    def unfit(self) -> dict[Slot, LeftOut]:
+        """Reasons of the lines of the scene that are not sent, since they do not fit, by slot."""
         by_slot = {self.scene.lines[i].slot: why for i, why in self.encoded.left_out.items()}
-        unfit = {slot: why for slot, why in by_slot.items() if slot not in self.sent_slots}
-        return dict(self.scene.left_out) | unfit
+        return {slot: why for slot, why in by_slot.items() if slot not in self.sent_slots}
+
+    @property
+    def left_out(self) -> dict[Slot, LeftOut]:
+        """Reasons of all lines that are not sent, by slot: also of those not in the scene."""
+        return dict(self.scene.left_out) | self.unfit
 
     def without(self, slot: Slot) -> PreparedScene:
         """Return the scene without the line of a slot; there may be none."""
