@@ -6,7 +6,9 @@ of its own, and the error of its mean. If together they do not cover the scene, 
 all means are one error, and the lines differ from f_i in different ways, the D_i of the lines
 concerned are enlarged until they do.
 
-Lines for which levels cost too much send all entries.
+Lines for which levels cost too much send all entries; but not all lines of a scene do if there is
+one that levels cover, so that a scene with its pose error takes no more frames than complete
+records.
 
 The message can state a part of all lines. Of a line with a range beyond it, the part within is
 sent. Of a line with parameters beyond it, that near the car that another cubic follows closely
@@ -156,8 +158,12 @@ class SceneEncoder:
         shapes = self._encode_shapes(stated, with_levels)
         forms = with_levels | shapes, with_entries | shapes
         is_full, places = np.full(len(fits), full), np.flatnonzero(fits)
+        costs, is_spared = np.zeros(len(fits)), np.zeros(len(fits), dtype=bool)
         noise: Array | None = None
         while len(places):
+            cheapest = places[costs[places].argmin()]
+            if is_full[places].all() and 0 < costs[cheapest] < np.inf:
+                is_full[cheapest], is_spared[cheapest] = False, True
             raw = _chosen(*forms, is_full, places)
             means, fit_ranges, quartics = self._code.decode_lines(raw)
             covered = _are_functions(means, fit_ranges, quartics)
@@ -171,6 +177,7 @@ class SceneEncoder:
                 keep = (4 * places[:, None] + np.arange(4)).ravel()
                 lines = _Lines(
                     is_full[places],
+                    is_spared[places],
                     means,
                     fit_ranges,
                     bases(means, fit_ranges),
@@ -182,9 +189,10 @@ class SceneEncoder:
                 )
                 true = scene.cov[np.ix_(keep, keep)] + np.outer(d, d)
                 true += block_diagonal(parts.excess[places])
-                own, covered, needs_entries = self._cover(lines, true, seen.spread(pose.cov))
-                if needs_entries.any():
-                    is_full[places] |= needs_entries
+                own, covered, cost = self._cover(lines, true, seen.spread(pose.cov))
+                if (cost > 1).any():
+                    costs[places] = np.maximum(costs[places], cost)
+                    is_full[places] |= cost > 1
                     continue
                 if covered.all():
                     sent = {int(place): self._row(raw | own, i) for i, place in enumerate(places)}
@@ -260,8 +268,11 @@ class SceneEncoder:
             values += zip(self._code.fit, (behind, ahead), strict=True)
         return {s.name: s.limited(s.raw(value)).astype(np.int64) for s, value in values}
 
-    def _cover(self, lines: _Lines, true: Array, spread: Array) -> tuple[Rows, Mask, Mask]:
-        """Return raw values of (L,) D_i, which cover their lines, and which lines need all entries.
+    def _cover(self, lines: _Lines, true: Array, spread: Array) -> tuple[Rows, Mask, Array]:
+        """Return raw values of (L,) D_i, which cover their lines, and the costs of levels.
+
+        A line with a cost of more than 1 is to send all entries. It is infinite if levels do not
+        cover the line.
 
         Args:
             lines: the lines.
@@ -270,40 +281,41 @@ class SceneEncoder:
         """
         more = np.zeros_like(lines.own)
         for trial in range(TRIALS):
-            raw, covered, needs_entries = self._encode_own(lines, more)
-            if needs_entries.any() or not covered.all():
-                return raw, covered, needs_entries
+            raw, covered, cost = self._encode_own(lines, more)
+            if (cost > 1).any() or not covered.all():
+                return raw, covered, cost
             own = self._code.decode_own(raw, lines.means, lines.fit_ranges, lines.common)
             lacking = uncovered(true, spread, own, lines.J)
             if lacking is None:
-                return raw, covered, needs_entries
+                return raw, covered, cost
             more += FIRST_SHARE * 2.0**trial * lacking
         has_entries = self._code.own_code is not None
-        return raw, np.zeros_like(covered), ~lines.is_full & has_entries
+        return raw, np.zeros_like(covered), np.where(~lines.is_full & has_entries, np.inf, 0.0)
 
-    def _encode_own(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Mask]:
+    def _encode_own(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Array]:
         """Return what ``_cover`` does, for D_i that cover each line alone plus ``more``."""
         code, is_full = self._code, lines.is_full
         signals = [*code.levels.signals, *(code.own_code.signals if code.own_code else ())]
         raw = {signal.name: np.zeros(len(more), dtype=np.int64) for signal in signals}
-        covered, needs_entries = np.ones_like(is_full), np.zeros_like(is_full)
+        covered, cost = np.ones_like(is_full), np.zeros(len(is_full))
         if not is_full.all():
             short = ~is_full
-            levels, covered[short], is_costly = self._encode_levels(lines.of(short), more[short])
+            levels, covered[short], of_levels = self._encode_levels(lines.of(short), more[short])
             for name, values in levels.items():
                 raw[name][short] = values
             if code.own_code is not None:
-                needs_entries[short] = is_costly | ~covered[short]
+                of_levels[lines.is_spared[short]] = 0.0
+                cost[short] = np.where(covered[short], of_levels, np.inf)
         if code.own_code is not None and is_full.any():
             target = (lines.own + lines.error + lines.least + more)[is_full]
             coded = code.own_code.encode(target, _floor(code.own_code))
             covered[is_full] = coded.covered
             for name, values in coded.raw.items():
                 raw[name][is_full] = values
-        return raw | {FORM: is_full.astype(np.int64)}, covered, needs_entries
+        return raw | {FORM: is_full.astype(np.int64)}, covered, cost
 
-    def _encode_levels(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Mask]:
-        """Return the raw values of (L,) levels, which cover D_i, and which cost too much."""
+    def _encode_levels(self, lines: _Lines, more: Array) -> tuple[Rows, Mask, Array]:
+        """Return the raw values of (L,) levels, which lines they cover, and what they cost."""
         levels, known = self._code.levels, lines.own + lines.error
         raw, covered = levels.encode(
             known + more, lines.common, known + lines.least, lines.J, lines.noise
@@ -320,7 +332,7 @@ class SceneEncoder:
             )
         )
         kl, ratio = divergence(whole, decoded_whole), largest_ratio(decoded, true)
-        return raw, covered, (kl > LEVELS_KL) | (ratio > LEVELS_RATIO**2)
+        return raw, covered, np.maximum(kl / LEVELS_KL, ratio / LEVELS_RATIO**2)
 
 
 class _Stated(NamedTuple):
@@ -364,6 +376,7 @@ class _Lines(NamedTuple):
     """L lines as a receiver decodes them, and what their D_i have to cover."""
 
     is_full: Mask  #: (L,) of which lines all entries are sent
+    is_spared: Mask  #: (L,) of which lines levels are sent, whatever they cost
     means: Array  #: (L, 4)
     fit_ranges: Array  #: (L, 2) [m]
     J: Array  #: (L, 4, 4) derivatives of ``bases``
