@@ -8,6 +8,7 @@ import evidence_shape as tool
 import numpy as np
 import pytest
 import shape_figures as figures
+import shape_picture
 import shape_ways as ways
 from drive_files import town
 from scipy.special import ndtri
@@ -215,3 +216,17 @@ def test_a_line_that_does_not_cross_counts_as_beyond() -> None:
     assert beyond["y"] == pytest.approx(1 / 3)
     assert beyond["slope 10 m"] == pytest.approx(1 / 3)
     assert beyond["curvature"] == 0.0
+
+
+def test_the_picture_shows_a_band_that_holds_the_road(tmp_path: Path) -> None:
+    """Ahead of the bend the curvature is 0: within the band, and beyond it with y_off alone."""
+    bend = shape_picture.bend()
+    x, road, mean, sigma, before = bend.of(shape_picture.ROWS[2])
+    ahead = x < 30.0
+
+    assert np.abs(road[ahead]).max() < 1e-4
+    assert mean[0] < -0.002
+    assert (np.abs(road - mean) <= 3 * sigma).all()
+    assert np.abs(mean[0]) > 10 * before[0]
+    shape_picture.draw([bend], tmp_path / "shape.png")
+    assert (tmp_path / "shape.png").read_bytes().startswith(b"\x89PNG")

@@ -25,7 +25,7 @@ components), "scene-mixture" (scene_mixture of a scene), "predicted" (predict_to
 
 "sigma ratio" is the median ratio of the standard deviation of y to that with the misfit of the
 cubic in the variance of y_off alone. Of 2 lines each, -n roads are drawn for each shape, and -n
-poses for each map. The rows of maps, of all maps and of all roads are compared with the bounds.
+poses for each map. The rows of all maps and of all roads are compared with the bounds.
 
 The exit status is 1 if a bound is missed, and 2 if there is nothing to measure.
 """
@@ -146,8 +146,9 @@ def on_map(road_map: maps.Map, settings: Settings, step: Callable[[], Any]) -> T
 def rows_of(
     shapes: list[str], found: dict[str, maps.Map], settings: Settings, progress: Any
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the figures of maps and shapes of roads by name, and the names to compare."""
+    """Return the figures of maps and shapes of roads by name, and the names of the totals."""
     rows: dict[str, Any] = {}
+    totals = []
     for whole, names in (("all maps", [*found]), ("all roads", shapes)):
         total = Tally()
         for name in names:
@@ -160,7 +161,8 @@ def rows_of(
             total.add(tally)
         if names:
             rows[whole] = total.figures()
-    return rows, [name for name in rows if name not in SHAPES]
+            totals.append(whole)
+    return rows, totals
 
 
 def maps_of(paths: list[str]) -> Iterator[tuple[str, maps.Map]]:
