@@ -12,7 +12,7 @@ from .valid_range import Fitted, at_nodes
 #: Least misfit that is covered [m]; less is beyond any map, and would leave a singular covariance.
 LEAST_MISFIT = 0.001
 #: Variance of the coefficient of T_0, in units of the squared misfit.
-LATERAL_SHARE = 0.25
+LATERAL_SHARE = 0.2
 #: Least level of the shape squared, in units of the squared misfit.
 LEAST_SHAPE = 0.1
 #: Distances over which second differences of a line are covered [m].
@@ -22,8 +22,9 @@ SPACINGS = (5.0, 10.0, 20.0)
 LIMIT, SHARE = 2.9, 0.97
 #: The same for the part of it that errors of the map's points explain: 97 % are within it.
 NOISE_LIMIT = 2.17
-#: Errors of the points are taken to be as stated if these times the variance that they show is.
-SHOWN = 4.0
+#: Points that show more than this times the stated variance are not what is stated: all that they
+#: leave is taken for the shape of the road.
+MOST_SHOWN = 2.0
 #: Least number of points that show it, and median of a squared standard normal variable.
 LEAST_POINTS, MEDIAN = 8, 0.455
 #: Intervals of a range, at whose ends the rest is evaluated.
@@ -63,7 +64,9 @@ def coefficient_variances(
     position = stretches.position(x)
     noise = np.zeros(len(x))
     for i in range(len(x) if point_sigma > 0 else 0):
-        noise[i] = min(SHOWN * _shown_noise(stretches, i, x[i], cubic[i]), point_sigma**2)
+        shown = _shown_noise(stretches, i, x[i], cubic[i])
+        if shown <= MOST_SHOWN * point_sigma**2:
+            noise[i] = min(shown, point_sigma**2)
     misfit = np.maximum(fitted.misfit, LEAST_MISFIT)
     level = LEAST_SHAPE * misfit**2
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]

@@ -143,19 +143,13 @@ CONDITIONAL = layout_of("maplines-pose.dbc").signals
         pytest.param(CONDITIONAL, "OwnShape", {"offset": 3.625}, "", id="to-10"),
         pytest.param(CONDITIONAL, "OwnShape", {"offset": 3.63}, "distances fr", id="to-10.005"),
         pytest.param(CONDITIONAL, "OwnShape", {"unit": ""}, 'unit "octave"', id="some-spacing"),
-        pytest.param(
-            ONE_SLOT, "RouteOwnShape", {"offset": 2.0**-10}, "", id="spacing-from-1024th"
-        ),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"offset": 2.0**-10}, "", id="spacing-from-1024th"),
         pytest.param(ONE_SLOT, "RouteOwnShape", {"offset": 2.0**-11}, "distances", id="2048th"),
         pytest.param(ONE_SLOT, "RouteOwnShape", {"offset": 0.0}, "distances", id="spacing-0"),
         pytest.param(ONE_SLOT, "RouteOwnShape", {"factor": 4.0}, "", id="spacing-to-1020"),
-        pytest.param(
-            ONE_SLOT, "RouteOwnShape", {"factor": 4.1}, "distances", id="spacing-to-1045"
-        ),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"factor": 4.1}, "distances", id="spacing-to-1045"),
         pytest.param(ONE_SLOT, "RouteOwnShape", {"unit": "octave"}, "", id="spacing-in-octaves"),
-        pytest.param(
-            ONE_SLOT, "RouteOwnShape", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"
-        ),
+        pytest.param(ONE_SLOT, "RouteOwnShape", {"unit": "m"}, 'unit "octave"', id="spacing-in-m"),
         pytest.param(LEVELS, "RouteOwnShape", {"factor": 0.01}, "for all slots", id="one-slot"),
         pytest.param(LEVELS, "EgoLeftQuartic", {"offset": 0.01}, "for all slots", id="first-slot"),
         # finer parts of the mean
