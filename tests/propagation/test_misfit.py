@@ -72,7 +72,7 @@ def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() 
 
 
 def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None:
-    """1/5 for T_0, and 1/4, 1 and 2 times a level for the others; numpy evaluates the polynomials."""
+    """1/5 for T_0, and 1/4, 1 and 2 times a level for the others, which numpy evaluates."""
     street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
     refit = Refit(polyline(street), ORIGIN)
     x = np.linspace(refit.x_range[0], refit.x_range[1], 9)
