@@ -230,3 +230,9 @@ def test_the_picture_shows_a_band_that_holds_the_road(tmp_path: Path) -> None:
     assert np.abs(mean[0]) > 10 * before[0]
     shape_picture.draw([bend], tmp_path / "shape.png")
     assert (tmp_path / "shape.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_line_whose_range_the_mean_leaves_empty_is_left_out() -> None:
+    """With a poor pose: its range from the mean that is sent is shorter than from the mean pose."""
+    settings = tool.Settings("scene", "poor", MapError(point_sigma=0.05), "map", 8, 2, 1)
+    assert tool.roads("lane-ends", settings, lambda: None).lines > 0

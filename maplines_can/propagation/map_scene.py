@@ -91,7 +91,8 @@ def map_scene(
         return _without_lines(pose_error, map_error, left_out)
     heading_sigma = 0.0 if map_error is None else map_error.heading_sigma
     pose = Gaussian.trusted(np.zeros(3), pose_error.cov)
-    uncertain = np.zeros(len(seen.given), dtype=bool)
+    short = np.zeros(len(seen.given), dtype=bool)
+    uncertain = short.copy()
     for trial in count():
         refit = Refit(
             seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
@@ -100,7 +101,9 @@ def map_scene(
         x_ranges = valid_ranges(
             refit(ego.mean[None])[0], refit.x_range, pose_error.cov, own_covs, heading_sigma
         )
-        kept = (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across & ~uncertain
+        kept = (
+            (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across & ~short & ~uncertain
+        )
         kept &= (refit.x_range % STEP == 0).all(axis=1)
         if not kept.any():
             break
@@ -111,6 +114,10 @@ def map_scene(
         x_ranges = valid_ranges(
             means, refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
         )
+        ended = x_ranges[:, 1] - x_ranges[:, 0] < MIN_RANGE
+        if ended.any():
+            short[np.flatnonzero(kept)[ended]] = True
+            continue
         certain = certain_ranges(means, covs, x_ranges, max_sigma)
         long = (certain != x_ranges).any(axis=1)
         if not long.any():
