@@ -1,0 +1,213 @@
+"""Lines that exceed a message: the nearest ones within it, alone and in records and scenes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from exact import covers
+from hypothesis import example, given
+from hypothesis import strategies as st
+from pose_bits import PRODUCTION
+from scene_layouts import COMPLETE, CONDITIONAL, layout_of, scene_code, scene_encoder
+from scene_streams import codec_of
+
+from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, PoseError, Scene, Slot
+from maplines_can.line import lateral
+from maplines_can.propagation import map_scene
+from maplines_can.seen_lines import SeenLines
+from maplines_can.wire.covariance.nearest_line import MOST_DEVIATION, is_within, nearest_line
+from maplines_can.wire.message.signals import PARAMETER_SIGNALS
+
+SIGNALS = {
+    name: [layout_of(name)[signal] for signal in PARAMETER_SIGNALS]
+    for name in (CONDITIONAL, COMPLETE)
+}
+NO_LIMIT = np.full(4, np.inf)
+SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
+#: Lines about as large as the ranges of both messages, and up to four times as large.
+LINES = st.tuples(
+    st.floats(-60, 60), st.floats(-1.2, 1.2), st.floats(-0.6, 0.6), st.floats(-0.1, 0.1)
+)
+RANGES = st.tuples(st.floats(-20, 30), st.floats(2, 60)).map(
+    lambda pair: np.array([pair[0], pair[0] + pair[1]])
+)
+
+
+def scene_of(means: Any, ranges: Any, sigma: Any = SIGMA) -> Scene:
+    """A scene of lines with own errors only, valid in the ranges in which they were fitted."""
+    own = np.diag(np.square(sigma))
+    lines = tuple(
+        MapLine(Slot(i), Gaussian(mean, own), x_min=low, x_max=high)
+        for i, (mean, (low, high)) in enumerate(zip(means, np.asarray(ranges), strict=True))
+    )
+    cov: Any = np.kron(np.eye(len(lines)), own)
+    return Scene(lines, cov, PoseError(PRODUCTION), np.asarray(ranges, float))
+
+
+def is_covered(scene: Scene, sent: Any) -> bool:
+    """Whether what is decoded covers the lines that are sent, in exact arithmetic."""
+    truth = scene.joint([scene.lines[i].slot for i in sent.lines])
+    return covers(sent.decoded.cov, sent.decoded.means.ravel(), truth.cov, truth.mean)
+
+
+@given(LINES, RANGES, st.sampled_from([CONDITIONAL, COMPLETE]))
+@example((2.0, -0.55, 0.008, 8e-4), np.array([-12.0, 2.0]), CONDITIONAL)
+@example((4.3, 0.0, -0.05, -0.066), np.array([-2.0, 4.0]), CONDITIONAL)
+def test_the_nearest_line_is_within_the_message_and_near(line: Any, x_range: Any, dbc: str) -> None:
+    """In a part of the range about its place nearest to the car, as long as it is asked for."""
+    signals = SIGNALS[dbc]
+    near = nearest_line(signals, np.array(line), x_range, 1.0, NO_LIMIT)
+    if is_within(signals, np.array(line)):
+        assert near is not None
+        assert near.x_range == pytest.approx(x_range)
+    if near is None:
+        return
+    for signal, value in zip(signals, near.mean, strict=True):
+        assert signal.raw_min < signal.raw(value) < signal.raw_max
+    low, high = near.x_range
+    assert x_range[0] - 1e-9 <= low <= np.clip(0.0, *x_range) + 1e-9
+    assert np.clip(0.0, *x_range) - 1e-9 <= high <= x_range[1] + 1e-9
+    assert high - low >= 1.0 - 1e-9
+    x = np.linspace(low, high, 400)
+    assert np.abs(lateral(near.mean, x) - lateral(np.array(line), x)).max() <= 1.1 * MOST_DEVIATION
+
+
+def test_a_line_beside_the_message_has_none() -> None:
+    """No other parameter makes up for an offset of 60 m."""
+    beside = np.array([60.0, 0.0, 0.0, 0.0])
+    assert (
+        nearest_line(SIGNALS[CONDITIONAL], beside, np.array([-20.0, 80.0]), 1.0, NO_LIMIT) is None
+    )
+
+
+def limits(dbc: str) -> Any:
+    """Least and greatest parameters of a message."""
+    return np.array([signal.physical_range for signal in SIGNALS[dbc]]).T
+
+
+@given(st.lists(st.tuples(*[st.floats(-0.99, 0.99)] * 4), min_size=1, max_size=4), st.data())
+def test_a_scene_within_the_limits_of_the_message_loses_no_line(shares: Any, data: Any) -> None:
+    """Lines of any parameters and ranges that the message can state, if they are functions of x."""
+    means = np.array(shares) * np.abs(limits(CONDITIONAL)).min(axis=0)
+    ranges = np.array(
+        [(low, low + data.draw(st.integers(1, 40))) for low in
+         data.draw(st.lists(st.integers(-32, 31), min_size=len(means), max_size=len(means)))],
+        dtype=float,
+    )  # fmt: skip
+    ranges[:, 1] = ranges[:, 1].clip(0.0)
+    ranges[:, 0] = np.minimum(ranges[:, 0], ranges[:, 1] - 1)
+    scene = scene_of(means, ranges)
+    sent = scene_encoder(CONDITIONAL).encode(scene)
+    assert sent.lines.keys() | sent.left_out.keys() == {*range(len(means))}
+    assert sent.lines.keys().isdisjoint(sent.left_out)
+    for i in sent.left_out:
+        assert not is_function(means[i], ranges[i])
+    if sent.decoded is not None:
+        L = np.linalg.cholesky(sent.decoded.cov / 2)  # definite
+        assert np.isfinite(L).all()
+
+
+def is_function(mean: Any, x_range: Any) -> bool:
+    """Whether a line is one, also if it is a little steeper."""
+    try:
+        seen = SeenLines([mean, mean * 1.001, mean * 0.999], np.tile(x_range, (3, 1)))
+        seen.spread(PRODUCTION)
+    except Exception:  # noqa: BLE001 - any reason
+        return False
+    x = np.linspace(*x_range, 50)
+    slope = np.tan(mean[1]) + mean[2] * x + mean[3] * x**2 / 2
+    return bool(np.abs(slope).max() < 3)
+
+
+PARTS = {
+    "behind": ([5.0, 0, 0, 0], (-40.0, 80.0), (-32.0, 80.0)),
+    "half metres": ([5.0, 0, 0, 0], (-20.5, 79.5), (-20.0, 79.0)),
+    "long": ([5.0, 0, 0, 0], (-20.0, 200.0), (-20.0, 127.0)),
+    "turned": ([2.0, -0.55, 0.008, 8e-4], (-12.0, 2.0), (-12.0, 2.0)),
+    "bent": ([4.3, 0, -0.05, -0.066], (-2.0, 4.0), (-2.0, 4.0)),
+}
+
+
+@pytest.mark.parametrize("full", [False, True])
+@pytest.mark.parametrize(("mean", "x_range", "part"), PARTS.values(), ids=PARTS)
+def test_the_part_of_a_line_that_the_message_can_state_is_sent(
+    mean: Any, x_range: Any, part: Any, full: bool
+) -> None:
+    """Near the line, covered, and nothing beyond its range; the other line is there, too."""
+    scene = scene_of([mean, [-1.75, 0, 1e-3, 0]], [x_range, (-20.0, 60.0)])
+    sent = scene_encoder(CONDITIONAL).encode(scene, full=full)
+    assert [*sent.lines] == [0, 1]
+    assert sent.left_out == {}
+    assert sent.decoded is not None
+    assert sent.decoded.fit_ranges[0] == pytest.approx(part)
+    x = np.linspace(*part, 100)
+    apart = lateral(sent.decoded.means[0], x) - lateral(np.array(mean), x)
+    assert np.abs(apart).max() <= 1.2 * MOST_DEVIATION
+    assert is_covered(scene, sent)
+
+
+UNFIT = {
+    "beside": ([60.0, 0, 0, 0], (-20.0, 80.0), 1.0, LeftOut.MEAN),
+    "across": ([0.0, 1.3, 0, 0], (-20.0, 80.0), 1.0, LeftOut.MEAN),
+    "behind the car": ([2.0, 0, 0, 0], (-20.0, -1.0), 1.0, LeftOut.RANGE),
+    "far ahead": ([2.0, 0, 0, 0], (40.0, 80.0), 1.0, LeftOut.RANGE),
+    "between metres": ([2.0, 0, 0, 0], (3.2, 3.8), 1.0, LeftOut.RANGE),
+    "wide": ([2.0, 0, 0, 0], (-20.0, 80.0), 1e5, LeftOut.COVARIANCE),
+    "no function of x": ([0.0, 0, 0.3, 0], (-20.0, 80.0), 1.0, LeftOut.ACROSS),
+}
+
+
+@pytest.mark.parametrize(("mean", "x_range", "size", "reason"), UNFIT.values(), ids=UNFIT)
+def test_a_line_that_is_left_out_has_its_reason(
+    mean: Any, x_range: Any, size: float, reason: LeftOut
+) -> None:
+    scene = scene_of([mean], [x_range], size * SIGMA)
+    sent = scene_encoder(CONDITIONAL).encode(scene)
+    assert (sent.lines, sent.left_out) == ({}, {0: reason})
+    prepared = codec_of(CONDITIONAL).prepare_scene(scene)
+    assert prepared.left_out == prepared.unfit == {Slot(0): reason}
+
+
+@given(LINES, st.tuples(st.integers(-5, 2), st.integers(1, 6)))
+@example((2.0, 0.1, 0.05, -0.05), (0, 5))
+def test_a_complete_record_of_a_line_beyond_the_message_is_near_it(line: Any, steps: Any) -> None:
+    """Where it is valid, if any other line is near; what is decoded covers it."""
+    low, high = 4.0 * steps[0], 4.0 * (steps[0] + steps[1])
+    codec = codec_of(COMPLETE)
+    near = nearest_line(
+        SIGNALS[COMPLETE], np.array(line), np.array([low, high]), 1.0, codec.covariance.reach
+    )
+    payload = codec.encode_batch([line], [np.diag(SIGMA**2)], x_min=low, x_max=high)
+    batch = codec.decode_batch(payload)
+    if near is None or batch.status[0] == 5:
+        return
+    x = np.linspace(batch.x_min[0], batch.x_max[0], 50)
+    apart = np.abs(lateral(batch.mean[0], x) - lateral(np.array(line), x)).max()
+    assert apart <= 1.2 * MOST_DEVIATION
+    assert low <= batch.x_min[0] <= batch.x_max[0] <= high
+    assert covers(batch.cov[0], batch.mean[0], np.diag(SIGMA**2), np.array(line))
+
+
+@pytest.mark.parametrize("error", [None, MapError(0.05, 0.05, 0.001)])
+@pytest.mark.parametrize("radius", [30.0, 150.0, 1e6])
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_scene_takes_no_more_frames_than_complete_records(
+    count: int, radius: float, error: MapError | None
+) -> None:
+    """Four classic frames a line, with its pose error, also if levels cost all lines much."""
+    s = np.arange(-60.0, 100.0, 7.0) / radius
+    lines = {
+        Slot(i): Polyline(
+            np.column_stack([(radius - y) * np.sin(s), radius - (radius - y) * np.cos(s)])
+        )
+        for i, y in enumerate([1.75, -1.75, 5.25, -5.25][:count])
+    }
+    for seed in range(3):
+        sigma = np.diag([0.3, 0.2, 0.01 * 4.0**-seed]) ** 2
+        scene = map_scene(lines, Gaussian([0.0, 0.1 * seed, 0.0], sigma), map_error=error)
+        frames = codec_of(CONDITIONAL).encode_scene(scene, counters={})
+        assert len(frames) == 1 + count
+        assert sum(map(len, frames.values())) <= 4 * count
+        sent = scene_encoder(CONDITIONAL).encode(scene)
+        assert is_covered(scene, sent)
+        assert scene_code(CONDITIONAL).is_conditional
