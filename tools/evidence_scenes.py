@@ -15,8 +15,8 @@ given       lines of map_scene; of the others, the reason
 sent        with levels, with all entries, or left out by the encoder, with its reason
 lost        share of the given lines with 10 m ahead that are left out
 frames      classic frames of a scene and its pose error over four for each line sent: mean, max
-width       sigma of the width of the ego lane at 0, 20 and 40 m, decoded over the true one with 2 mm
-            of resolution: median, 99 %
+width       sigma of the width of the ego lane at 0, 20 and 40 m, decoded over the true one with
+            2 mm of resolution: median, 99 %
 KL          divergence of a scene from the covered target (the covariance, the squares of the errors
             of the means and the resolution) to what is decoded: median, 99 %, largest
 error       95 % of the errors of decoded usable lines, 20 m ahead within their valid ranges: what

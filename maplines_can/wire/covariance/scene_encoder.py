@@ -168,10 +168,8 @@ class SceneEncoder:
             means, fit_ranges, quartics = self._code.decode_lines(raw)
             covered = _are_functions(means, fit_ranges, quartics)
             if covered.all():
-                if noise is None:
-                    noise = np.zeros((len(means), 0))
-                    if not full:
-                        noise = self._code.levels.noise(means, fit_ranges)
+                if noise is None and not is_full[places].all():
+                    noise = self._code.levels.noise(means, fit_ranges)
                 seen = SeenLines(means, fit_ranges, quartics)
                 d = scene.means[places] - means
                 keep = (4 * places[:, None] + np.arange(4)).ravel()
@@ -182,7 +180,7 @@ class SceneEncoder:
                     fit_ranges,
                     bases(means, fit_ranges),
                     self._code.common(seen, pose),
-                    noise,
+                    np.zeros((len(means), 0)) if noise is None else noise,
                     parts.due_to_pose[places],
                     parts.own[places],
                     d[:, :, None] * d[:, None],
@@ -198,6 +196,13 @@ class SceneEncoder:
                     sent = {int(place): self._row(raw | own, i) for i, place in enumerate(places)}
                     decoded = self._code.decode(pose, [*sent.values()])
                     return EncodedScene(pose_raw, sent, decoded, stated.left_out)
+                # Entries have ranges; what levels stand for has none in a range of a few metres.
+                by_levels = ~covered & is_full[places] & ~is_spared[places]
+                by_levels &= np.isfinite(costs[places])
+                if by_levels.any():
+                    is_spared[places] |= by_levels
+                    is_full[places] &= ~by_levels
+                    continue
                 reason = LeftOut.COVARIANCE
             else:
                 reason = LeftOut.ACROSS
