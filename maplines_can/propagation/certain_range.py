@@ -71,7 +71,7 @@ def certain_ranges(
             continue
         roots = chebyshev.chebroots(chebyshev.chebtrim(excess[i]))
         ends = roots[np.abs(roots.imag) < _REAL].real
-        low = ends[(ends <= car) & (ends > -1)].max(initial=-1.0)
-        high = ends[(ends >= car) & (ends < 1)].min(initial=1.0)
-        found[i] = centre[i] + half[i] * np.array([low, high])
+        low = centre[i] + half[i] * ends[ends <= car].max(initial=-np.inf)
+        high = centre[i] + half[i] * ends[ends >= car].min(initial=np.inf)
+        found[i] = max(x_ranges[i, 0], low), min(x_ranges[i, 1], high)
     return found

@@ -91,8 +91,7 @@ def map_scene(
         return _without_lines(pose_error, map_error, left_out)
     heading_sigma = 0.0 if map_error is None else map_error.heading_sigma
     pose = Gaussian.trusted(np.zeros(3), pose_error.cov)
-    short = np.zeros(len(seen.given), dtype=bool)
-    uncertain = short.copy()
+    is_shorter, uncertain, short = np.zeros((3, len(seen.given)), dtype=bool)
     for trial in count():
         refit = Refit(
             seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
@@ -124,12 +123,13 @@ def map_scene(
             break
         places = np.flatnonzero(kept)[long]
         shorter = _shorter(refit.x_range[places], x_ranges[long], certain[long])
+        is_shorter[places] = True
         uncertain[places] = (trial >= TRIALS) | (np.diff(shorter)[:, 0] < MIN_RANGE)
         ends = refit.x_range.copy()
         ends[places] = np.where(uncertain[places, None], ends[places], shorter)
         seen = replace(seen, x_range=ends)
     left_out |= {slots[i]: LeftOut.TOO_SHORT for i in seen.given[~kept]}
-    left_out |= {slots[i]: LeftOut.UNCERTAIN for i in seen.given[uncertain]}
+    left_out |= {slots[i]: LeftOut.UNCERTAIN for i in seen.given[is_shorter & ~kept]}
     if not kept.any():
         return _without_lines(pose_error, map_error, left_out)
     given = [slots[i] for i in seen.given[kept]]

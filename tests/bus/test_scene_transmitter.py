@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -23,6 +23,7 @@ from scene_streams import (
 from maplines_can import (
     Codec,
     EncodeError,
+    Gaussian,
     LeftOut,
     Link,
     MapLine,
@@ -249,6 +250,30 @@ def test_a_line_that_was_left_out_is_retracted(make_bench: Any) -> None:
     assert view.scene is not None
     assert tuple(view.scene.index) == SLOTS[:1]
     assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
+
+
+def test_lines_that_do_not_fit_the_message_are_retracted_and_counted(make_bench: Any) -> None:
+    """By their reasons, each time that they are published; also of a scene that is prepared."""
+    bench = make_bench(CONDITIONAL)
+    bench.transmitter.publish(scene_of())
+    bench.run(1.95 * PERIOD)
+    full = scene_of()
+    lines = [
+        replace(line, gaussian=Gaussian([60.0, 0, 0, 0], line.gaussian.cov))
+        if line.slot is Slot.EGO_RIGHT
+        else line
+        for line in full.lines
+    ]
+    beside = replace(full, lines=tuple(lines), left_out={Slot.CENTRE: LeftOut.ACROSS})
+    bench.transmitter.publish(beside)
+    bench.run(3.95 * PERIOD)
+    view = bench.view()
+    assert view.scene is not None
+    assert tuple(view.scene.index) == (Slot.EGO_LEFT, Slot.ROUTE)
+    bench.transmitter.publish(bench.codec.prepare_scene(beside))
+    stats = bench.transmitter.stats()
+    assert stats.left_out == {LeftOut.MEAN: 2, LeftOut.ACROSS: 2}
+    assert stats.as_dict()["left_out"] == {"MEAN": 2, "ACROSS": 2}
 
 
 def test_scenes_then_plain_lines_and_back(make_bench: Any) -> None:

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from can.interfaces import virtual
 from drive_files import run, table, town
+from xodr_files import document, geometry, lane, road, section
 
 from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
 from maplines_can.ego import Cycle, LineSource, SimulatedLocalisation
+from maplines_can.wire import default_dbc_path
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]
 
@@ -47,6 +49,25 @@ def test_the_log_has_every_line_of_every_cycle(
     assert max(line.age for line in lines) <= 0.008
     assert result["left_out"] == {}
     assert result["late_cycles"] == result["off_map"] == 0
+
+
+def test_each_line_of_a_cycle_is_sent_or_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Around a corner whose inner line turns within 1 m, which no record of a scene can state."""
+    corner = geometry(length=60.0) + geometry(
+        '<arc curvature="-0.22"/>', s=60.0, x=60.0, length=7.0
+    )
+    path = tmp_path / "corner.xodr"
+    path.write_text(document(road(section(lane(-1)), plan=corner, length=67.0)))
+    result = run(
+        capsys, str(path), "--route", "1:0:-1..1:0:-1", "--lines", "2", "--as-fast-as-possible",
+        "--dbc", str(default_dbc_path("maplines-pose.dbc")), "--sigma", "0.1,0.1,0.1",
+        "--rate", "10",
+    )  # fmt: skip
+    left_out = result["left_out"]
+    assert sum(left_out.get(reason, 0) for reason in ("MEAN", "COVARIANCE", "ACROSS")) > 0
+    assert result["lines"] + sum(left_out.values()) == 2 * result["cycles"]
 
 
 def test_the_bus_load_is_that_of_the_frames(

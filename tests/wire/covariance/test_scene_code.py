@@ -231,9 +231,9 @@ UNFIT = {
     "far": ([1e300, 0, 0, 0], WINDOW, SIGMA),
     "bent": ([0, 0, 0, 1.7e308], WINDOW, SIGMA),
     "steep": ([0, 0, 0.12, 0], WINDOW, SIGMA),
-    "half metres": ([5.0, 0, 0, 0], [-20.5, 80.0], SIGMA),
-    "behind": ([5.0, 0, 0, 0], [-40.0, 80.0], SIGMA),
-    "long": ([5.0, 0, 0, 0], [-20.0, 1e200], SIGMA),
+    "between metres": ([5.0, 0, 0, 0], [3.2, 3.8], SIGMA),
+    "behind": ([5.0, 0, 0, 0], [-40.0, -1.0], SIGMA),
+    "ahead": ([5.0, 0, 0, 0], [40.0, 1e200], SIGMA),
     "wide": ([5.0, 0, 0, 0], WINDOW, SIGMA * [1e6, 1, 1, 1]),
     "wider": ([5.0, 0, 0, 0], WINDOW, [0, 0, 0, 1e3 * LARGEST]),
 }

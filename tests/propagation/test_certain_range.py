@@ -1,0 +1,154 @@
+"""The valid range ends where the lateral position of a line is less certain than a limit."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from line_witness import POSES, Poses
+from random_roads import SHAPES, random_scene
+from scene_streams import CONDITIONAL, feed, new_codec
+from strategies import covariances
+
+from maplines_can import (
+    Gaussian,
+    LeftOut,
+    MapError,
+    MapLine,
+    Polyline,
+    Slot,
+    map_lines,
+    map_scene,
+    scenario,
+)
+from maplines_can.propagation.certain_range import certain_ranges
+
+WINDOW = (-20.0, 80.0)
+MAP_ERROR = MapError(0.05, 0.05, 0.001)
+
+
+def sigma_of(mean: Any, cov: Any, x: Any) -> Any:
+    """The standard deviation of y(x) from its definition, to first order."""
+    slope = 1 + np.tan(mean[1]) ** 2
+    g = np.stack([np.ones_like(x), slope * x, x**2 / 2, x**3 / 6], axis=-1)
+    return np.sqrt(np.einsum("ki,ij,kj->k", g, cov, g).clip(0))
+
+
+@given(
+    covariances(jitters=(0.0, 1e-12, 1e-6)),
+    st.floats(-1.2, 1.2),
+    st.tuples(st.floats(-60, 100), st.floats(1.0, 120.0)),
+    st.floats(-2.0, 0.2),
+)
+@example(np.diag([0.1, 0.01, 0, 0]) ** 2, 0.0, (-20.0, 100.0), -0.3)
+@example(np.full((4, 4), 0.25), 0.0, (0.05, 2.0), -1.0)
+@example(np.zeros((4, 4)), 0.0, (-20.0, 100.0), 0.0)
+def test_the_range_is_the_longest_one_about_the_car(
+    cov: Any, beta: float, place: Any, decades: float
+) -> None:
+    """Within it the line is certain, at its ends it is at the limit; a scan is the witness."""
+    mean = np.array([1.0, beta, 0.001, 0.0])
+    low, high = place[0], place[0] + place[1]
+    car = np.clip(0.0, low, high)
+    largest = sigma_of(mean, cov, np.linspace(low, high, 100)).max()
+    limit = 10.0**decades * max(largest, 1e-9)
+    (found,) = certain_ranges(mean[None], cov[None], np.array([[low, high]]), limit)
+    if np.isnan(found).any():
+        assert sigma_of(mean, cov, np.array([car]))[0] >= limit * (1 - 1e-6)
+        return
+    slack = 1e-6 * (high - low)
+    assert low <= found[0] <= car + slack
+    assert car - slack <= found[1] <= high
+    assert (sigma_of(mean, cov, np.linspace(*found, 300)) <= limit * (1 + 1e-5)).all()
+    for end, last in zip(found, (low, high), strict=True):
+        if end != last:
+            assert sigma_of(mean, cov, np.array([end]))[0] == pytest.approx(limit, rel=1e-4)
+
+
+def lines_of(shape: str, number: int) -> Any:
+    """Lines of a random road, and a poor pose."""
+    rng = np.random.default_rng([7, number])
+    case = random_scene(shape, rng, 4)
+    poses = Poses.about(case.pose, POSES["poor"], 1, rng)
+    lines = {slot: Polyline(points) for slot, points in case.lines.items()}
+    return lines, Gaussian(case.pose, poses.cov)
+
+
+def is_certain(line: MapLine, max_sigma: float) -> bool:
+    x = np.linspace(line.x_min, line.x_max, 200)
+    return bool((line.y_sigma(x) <= max_sigma * (1 + 1e-6)).all())
+
+
+@pytest.mark.parametrize("max_sigma", [0.5, 1.05, 1.5, 4.0])
+@pytest.mark.parametrize("shape", ["motorway", "rural", "city", "hairpin", "roundabout-12m"])
+def test_lines_and_scenes_are_certain_in_their_ranges(shape: str, max_sigma: float) -> None:
+    """All that are given; without a limit, the same lines are given, or longer ones."""
+    assert shape in SHAPES
+    for number in range(4):
+        lines, ego = lines_of(shape, number)
+        for of in (map_lines, map_scene):
+            found: Any = of(lines, ego, map_error=MAP_ERROR, max_sigma=max_sigma)
+            free: Any = of(lines, ego, map_error=MAP_ERROR, max_sigma=np.inf)
+            given = {line.slot: line for line in getattr(found, "lines", found)}
+            longest = {line.slot: line for line in getattr(free, "lines", free)}
+            assert given.keys() <= longest.keys()
+            assert given.keys() | found.left_out.keys() == lines.keys()
+            for slot in longest.keys() - given.keys():
+                assert found.left_out[slot] is LeftOut.UNCERTAIN
+            for slot, line in given.items():
+                assert is_certain(line, max_sigma)
+                if is_certain(longest[slot], max_sigma):
+                    assert (line.x_min, line.x_max) == (longest[slot].x_min, longest[slot].x_max)
+                else:
+                    assert line.x_max - line.x_min < longest[slot].x_max - longest[slot].x_min
+
+
+def test_a_range_ends_where_the_limit_is_passed() -> None:
+    """Heading errors of 10 deg: 10 m of sigma at 57 m; the scene loses up to 2 m more."""
+    case = scenario("highway-10deg")
+    for of, less in ((map_lines, 1e-6), (map_scene, 2.0)):
+        found: Any = of(case.lines, case.ego, window=case.window)
+        for line in getattr(found, "lines", found):
+            expected = np.sqrt(10.0**2 - case.ego.cov[1, 1]) / case.ego.sigma[2]
+            assert expected - 1.0 - less <= line.x_max <= expected + 1.0
+            assert is_certain(line, 10.0)
+    free = map_lines(case.lines, case.ego, window=case.window, max_sigma=np.inf)
+    assert min(line.x_max for line in free) > 60
+
+
+def test_a_mixture_ends_where_it_is_uncertain_as_a_whole() -> None:
+    case = scenario("highway")
+    single, mixture = (
+        map_lines(case.lines, case.ego, window=case.window, components=k, max_sigma=2.0)
+        for k in (1, 3)
+    )
+    for one, other in zip(single, mixture, strict=True):
+        assert other.mixture is not None
+        assert other.x_max == pytest.approx(one.x_max, abs=1.0)
+        assert is_certain(other, 2.0)
+
+
+def test_the_receiver_knows_no_more() -> None:
+    """The valid range of a received line is within that of the sender, which ends at the limit."""
+    codec = new_codec(CONDITIONAL)
+    for number in range(3):
+        lines, ego = lines_of("rural", number)
+        scene = map_scene(lines, ego, map_error=MAP_ERROR, max_sigma=1.2)
+        decoder = codec.decoder()
+        feed(decoder, codec.encode_scene(scene, counters={}), 0)
+        received = decoder.scene()
+        assert received is not None
+        assert len(received.scene.lines) == len(scene.lines) > 0
+        for line in received.scene.lines:
+            sent = scene.line(line.slot)
+            assert sent.x_min <= line.x_min <= line.x_max <= sent.x_max
+
+
+@pytest.mark.parametrize("max_sigma", [0.0, -1.0, np.nan])
+def test_a_wrong_limit_is_refused(max_sigma: float) -> None:
+    lines = {Slot.EGO_LEFT: Polyline([[-50, 1.75], [100, 1.75]])}
+    ego = Gaussian([0, 0, 0], np.diag([0.1, 0.1, 0.01]) ** 2)
+    for of in (map_lines, map_scene):
+        with pytest.raises(ValueError, match=r"max_sigma must be more than 0 m.*got"):
+            of(lines, ego, max_sigma=max_sigma)  # type: ignore[operator]
