@@ -20,7 +20,8 @@ street_shapes scenarios
 propagation.valid_range propagation.misfit propagation.refit propagation.transform
 propagation.linear propagation.monte_carlo
 propagation.nonlinearity propagation.quadrature propagation.sigma_points propagation.motion
-propagation.prediction propagation.splitting propagation.component_counts propagation.map_lines
+propagation.prediction propagation.splitting propagation.component_counts propagation.certain_range
+propagation.map_lines
 propagation.map_scene propagation.scene_mixture
 propagation
 maps.landmarks maps.lane maps.joints maps.matching maps.driven maps.routing maps.view maps.model
@@ -40,6 +41,7 @@ wire.message.dbc_reader wire.message.layout
 wire.message.validation
 wire.covariance.code wire.covariance.factor wire.covariance.cholesky
 wire.covariance.joint wire.covariance.own_levels wire.covariance.rounding
+wire.covariance.nearest_line
 wire.covariance.scene_code wire.covariance.scene_encoder wire.covariance
 wire.protection wire.protection.e2e
 wire.message.reader wire.message.writer wire.message.components wire.message.line_writer
