@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drive_files import town
 
-from maplines_can import LeftOut
+from maplines_can import Codec, LeftOut
 from maplines_can.wire import PreparedScene
 from maplines_can.wire.covariance.scene_code import SceneCode
 
@@ -55,7 +55,7 @@ def test_lost_lines_are_found(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The first line of each scene is not sent."""
-    prepare = tool.Codec.prepare_scene
+    prepare = Codec.prepare_scene
 
     def without_first(codec: Any, scene: Any, **settings: Any) -> PreparedScene:
         prepared = prepare(codec, scene, **settings)
@@ -63,7 +63,7 @@ def test_lost_lines_are_found(
         encoded = replace(prepared.encoded, left_out=prepared.encoded.left_out | first)
         return replace(prepared, encoded=encoded, sent_slots=prepared.sent_slots[1:])
 
-    monkeypatch.setattr(tool.Codec, "prepare_scene", without_first)
+    monkeypatch.setattr(Codec, "prepare_scene", without_first)
     result = rows_of(capsys, status=1)
     assert any("of the lines with 10 m ahead are lost" in text for text in result["missed"])
 

@@ -196,10 +196,10 @@ def compare(scene: Scene, received: Scene, figures: Figures) -> None:
             figures.values["width"].append(float(ratio))
 
 
-def whitened(L: Array, cov: Array) -> Array:
+def whitened(L: Any, cov: Array) -> Array:
     """Return the eigenvalues of a covariance in units of another one's Cholesky factor."""
     half = np.linalg.solve(L, cov)
-    return np.linalg.eigvalsh(np.linalg.solve(L, half.T))
+    return np.asarray(np.linalg.eigvalsh(np.linalg.solve(L, half.T)))
 
 
 def errors(line: MapLine, road: Polyline, poses: Poses, into: list[float]) -> None:

@@ -60,7 +60,7 @@ def test_the_range_is_the_longest_one_about_the_car(
     slack = 1e-6 * (high - low)
     assert low <= found[0] <= car + slack
     assert car - slack <= found[1] <= high
-    assert (sigma_of(mean, cov, np.linspace(*found, 300)) <= limit * (1 + 1e-5)).all()
+    assert (sigma_of(mean, cov, np.linspace(found[0], found[1], 300)) <= limit * (1 + 1e-5)).all()
     for end, last in zip(found, (low, high), strict=True):
         if end != last:
             assert sigma_of(mean, cov, np.array([end]))[0] == pytest.approx(limit, rel=1e-4)
@@ -151,4 +151,4 @@ def test_a_wrong_limit_is_refused(max_sigma: float) -> None:
     ego = Gaussian([0, 0, 0], np.diag([0.1, 0.1, 0.01]) ** 2)
     for of in (map_lines, map_scene):
         with pytest.raises(ValueError, match=r"max_sigma must be more than 0 m.*got"):
-            of(lines, ego, max_sigma=max_sigma)  # type: ignore[operator]
+            of(lines, ego, max_sigma=max_sigma)

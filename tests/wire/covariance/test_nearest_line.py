@@ -120,7 +120,7 @@ def test_a_scene_within_the_limits_of_the_message_loses_no_line(seed: int) -> No
 
 def is_moderate(mean: Any, x_range: Any) -> bool:
     """Whether a line rises by at most 3 for 1 in its range, as lines of a map do."""
-    x = np.linspace(*x_range, 50)
+    x = np.linspace(x_range[0], x_range[1], 50)
     slope = np.tan(mean[1]) + mean[2] * x + mean[3] * x**2 / 2
     return bool(np.abs(slope).max() < 3)
 
@@ -148,7 +148,7 @@ def test_the_part_of_a_line_that_the_message_can_state_is_sent(
     assert sent.left_out == {}
     assert sent.decoded is not None
     assert sent.decoded.fit_ranges[0] == pytest.approx(part)
-    x = np.linspace(*part, 100)
+    x = np.linspace(part[0], part[1], 100)
     apart = lateral(sent.decoded.means[0], x) - lateral(np.array(mean), x)
     assert np.abs(apart).max() <= 1.2 * MOST_DEVIATION
     assert is_covered(scene, sent)
