@@ -63,7 +63,8 @@ ego.smooth_path ego.drive ego.pose_source ego.line_source ego.map_frame ego.colu
 ego.recorded ego.route_drive
 ego.localisation.sensor_errors ego.localisation.motion_model ego.localisation.measurements
 ego.localisation.localisation_layer ego.localisation.association
-ego.localisation.observation_models ego.localisation.correlation ego.localisation.admission
+ego.localisation.observation_models ego.localisation.confirmation
+ego.localisation.correlation ego.localisation.admission
 ego.localisation.odometry_stream ego.localisation.consistency ego.localisation.alignment
 ego.localisation.step ego.localisation.filter
 ego.localisation ego.simulated_sensors ego.simulated_localisation

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,38 +47,42 @@ def squared_distance(residual: Array, S: Array) -> Array:
     return np.asarray((residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=-1))
 
 
+class Association(NamedTuple):
+    """Candidates of n measurements, k in all."""
+
+    best: NDArray[np.intp]  #: (n,) the nearest one; 0 without one
+    share: Array  #: (k,) probability of each, among those that are taken for the nearest one
+    verdict: NDArray[np.intp]  #: (n,) ``Verdict`` without MISSING
+
+
 def associate(
     count: int,
     of: NDArray[np.intp],
     squared: Array,
-    log_det: Array,
+    cost: Array,
     place: Array,
     same: float,
     gate: float,
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the nearest candidate of each measurement, and the verdict on it.
+) -> Association:
+    """Return the candidates that each measurement is of, and the verdict on it.
 
-    Nearest is that of the greatest likelihood: least squared distance plus log det S. A second
-    candidate within the distance ``same`` of it is taken for the same object, such as the
-    boundary that two lanes have in common.
+    Nearest is that of the greatest likelihood. A second candidate within the distance ``same`` of
+    it is taken for the same object, such as the boundary that two lanes have in common. Which of
+    them is seen remains open: each has its share.
 
     Args:
         count: number n of measurements.
         of: (k,) measurement of each candidate, ascending.
         squared: (k,) squared Mahalanobis distances.
-        log_det: (k,) of the covariances of the residuals.
+        cost: (k,) -2 log of the likelihoods, but for a constant.
         place: (k, d) of the candidates, to compare them [m].
         same: [m].
         gate: of the squared distance.
-
-    Returns:
-        (n,) indices of candidates, 0 without one; (n,) ``Verdict`` without MISSING.
     """
     best = np.zeros(count, dtype=np.intp)
     verdict = np.full(count, Verdict.UNMATCHED, dtype=np.intp)
     if not len(of):
-        return best, verdict
-    cost = squared + log_det
+        return Association(best, np.empty(0), verdict)
     order = np.lexsort((cost, of))
     first = order[np.append(True, np.diff(of[order]) > 0)]
     some = of[first]
@@ -89,4 +94,5 @@ def associate(
     close = rival[some] - cost[first] < 2 * np.log(LEAST_RATIO)
     ambiguous = some[close & (squared[first] <= gate)]
     verdict[ambiguous] = Verdict.AMBIGUOUS
-    return best, verdict
+    weight = np.where(is_other, 0.0, np.exp((cost[best[of]] - cost) / 2))
+    return Association(best, weight / np.bincount(of, weight, count)[of], verdict)

@@ -25,9 +25,8 @@ SAME_LINE = 0.3
 #: Landmarks that are closer to each other are the same one, and farthest from the place where it
 #: is seen that one is looked for [m].
 SAME_LANDMARK, LANDMARK_REACH = 0.05, 10.0
-#: Ratio of the covariance of an innovation to that of the measurement beyond which another
-#: measurement must confirm it.
-WIDE = 5.0
+#: Places at which lines are looked for, ahead of the estimate [standard deviations along].
+PLACES = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 #: Least eigenvalue of the covariance of an innovation [m^2, rad^2], or share of the variances of
 #: which it is the difference, if they are more than 1; below, it is rounding.
 SINGULAR = 1e-12
@@ -65,39 +64,8 @@ def innovation(
     if isinstance(observation, PoseFix):
         return _pose(observation, mean, cov)
     if isinstance(observation, CameraLines):
-        return confirmed(_lines(observation, mean, cov, layer), cov)
-    return confirmed(_landmarks(observation, mean, cov, layer), cov)
-
-
-def confirmed(found: Innovation, cov: Array) -> Innovation:
-    """Return an innovation without the blocks that are not confirmed.
-
-    Where the pose is uncertain, the gate is wide, so that something false passes it, and pulls the
-    pose far away. So a block whose innovation covariance S exceeds ``WIDE`` R in some direction
-    must agree with another block: both together must pass the gate of the joint innovation (joint
-    compatibility, Neira and Tardos 2001), to which an error of the pose is common.
-    """
-    n, B, m = found.residual.shape
-    used = found.verdict == Verdict.USED
-    root = np.linalg.inv(np.linalg.cholesky(found.R))
-    spread = np.linalg.eigvalsh(root @ found.S @ root.swapaxes(-1, -2))[..., -1]
-    doubtful = used & (spread > WIDE)
-    if not doubtful.any():
-        return found
-    is_confirmed = ~doubtful
-    H = found.H @ cov[:, None]
-    for i in range(B):
-        for j in range(i):
-            S = np.empty((n, 2 * m, 2 * m))
-            S[:, :m, :m], S[:, m:, m:] = found.S[:, i], found.S[:, j]
-            S[:, :m, m:] = H[:, i] @ found.H[:, j].swapaxes(-1, -2)
-            S[:, m:, :m] = S[:, :m, m:].swapaxes(-1, -2)
-            both = np.concatenate([found.residual[:, i], found.residual[:, j]], axis=-1)
-            agree = used[:, i] & used[:, j] & (squared_distance(both, S) <= GATES[2 * m])
-            is_confirmed[:, i] |= agree
-            is_confirmed[:, j] |= agree
-    verdict = np.where(is_confirmed, found.verdict, Verdict.UNCONFIRMED)
-    return found._replace(verdict=verdict)
+        return _lines(observation, mean, cov, layer)
+    return _landmarks(observation, mean, cov, layer)
 
 
 def _gnss(fix: GnssFix, mean: Array, cov: Array) -> Innovation:
@@ -149,20 +117,42 @@ def _lines(
     given = np.asarray(np.isfinite(seen).all(axis=-1))
     if layer is None:
         return _unmatched("line", given, R)
-    beside = layer.lines_beside(mean[:, POSE])
+    places = places_ahead(mean, cov)
+    beside = layer.lines_beside(places.reshape(-1, 3))
     # Each block of each car with each line beside this car, in the order of blocks n B.
-    car, block = (a.ravel() for a in np.broadcast_arrays(beside.car[:, None], np.arange(B)))
+    row_place, block = (a.ravel() for a in np.broadcast_arrays(beside.car[:, None], np.arange(B)))
     row = np.repeat(np.arange(len(beside.car)), B)
+    car, k = np.divmod(row_place, len(PLACES))
     kind = lines.kind[car, block]
     fits = given[car, block] & ((kind == Kind.UNKNOWN) | (kind == beside.kind[row]))
     order = np.flatnonzero(fits)
     order = order[np.argsort(car[order] * B + block[order], kind="stable")]
-    car, block, row = car[order], block[order], row[order]
+    car, k, block, row = car[order], k[order], block[order], row[order]
+    there = places[car, k]
     expected = np.stack([beside.offset[row], beside.heading[row]], axis=-1)
-    H = line_jacobian(expected, beside.curvature[row], mean[car, HEADING])
+    H = line_jacobian(expected, beside.curvature[row], there[:, 2])
+    expected = expected + (H[:, :, POSE] @ (mean[car, POSE] - there)[..., None])[..., 0]
     residual = seen[car, block] - expected - mean[car, CAMERA]
     place = expected[:, :1]
-    return _associated("line", car, block, residual, H, cov, R, given, place, SAME_LINE)
+    return _associated(
+        "line", car, block, residual, H, cov, R, given, place, SAME_LINE, PLACES[k] ** 2
+    )
+
+
+def places_ahead(mean: Array, cov: Array) -> Array:
+    """Return (n, 5, 3) poses of n cars if they are ahead of, or behind, their estimate.
+
+    A line is straight here and bent there, or begins, ends, or changes its kind: at one place only,
+    the filter would take it for what it is at its own estimate. So lines are looked for at
+    ``PLACES`` standard deviations along the car, at each with the pose that is the most likely one
+    there. Each is a line of its own, with its own Jacobian.
+    """
+    along = np.stack([np.cos(mean[:, HEADING]), np.sin(mean[:, HEADING])], axis=-1)
+    P = cov[:, POSE, POSE]
+    gain = (P[:, :, :2] @ along[..., None])[..., 0]  # (n, 3)
+    variance = (along * gain[:, :2]).sum(axis=-1)
+    step = gain / np.sqrt(variance.clip(min=1e-12))[:, None]
+    return np.asarray(mean[:, None, POSE] + PLACES[:, None] * step[:, None])
 
 
 def line_jacobian(expected: Array, curvature: Array, heading: Array) -> Array:
@@ -223,8 +213,11 @@ def _associated(
     given: NDArray[np.bool_],
     place: Array,
     same: float,
+    rarity: Array | float = 0.0,
 ) -> Innovation:
     """Return the innovations of the nearest candidates of k: see ``associate``.
+
+    Candidates that are the same object become one, of their mean; what they differ by is noise.
 
     Args:
         source: of the innovation.
@@ -237,25 +230,29 @@ def _associated(
         given: (n, B) whether there is a measurement.
         place: (k, d) of the candidates [m].
         same: distance within which candidates are the same object [m].
+        rarity: (k,) -2 log of their prior probabilities.
     """
     full = _unmatched(source, given, R)
     n, B = given.shape
-    S = H @ cov[car] @ H.transpose(0, 2, 1) + R[car, block]
-    best, verdict = associate(
-        n * B,
-        car * B + block,
-        squared_distance(residual, S),
-        np.log(np.linalg.det(S)),
-        place,
-        same,
-        GATES[2],
-    )
-    verdict = verdict.reshape(n, B)
-    found = given & (verdict != Verdict.UNMATCHED)
-    for array, values in ((full.residual, residual), (full.H, H), (full.S, S)):
-        array[found] = values[best.reshape(n, B)[found]]
-    full.verdict[found] = verdict[found]
-    return full
+    of = car * B + block
+    S = H @ cov[car] @ H.mT + R[car, block]
+    squared = squared_distance(residual, S)
+    cost = squared + np.log(np.linalg.det(S)) + rarity
+    found = associate(n * B, of, squared, cost, place, same, GATES[2])
+    verdict = found.verdict.reshape(n, B)
+    matched = given & (verdict != Verdict.UNMATCHED)
+    full.verdict[matched] = verdict[matched]
+    for array, values in ((full.residual, residual), (full.H, H)):
+        flat = array.reshape(n * B, *values.shape[1:])
+        np.add.at(flat, of, found.share.reshape(-1, *[1] * (values.ndim - 1)) * values)
+    # What the candidates differ by, at the estimate and within its covariance, is noise.
+    r = residual - full.residual.reshape(n * B, 2)[of]
+    d = H - full.H.reshape(n * B, 2, N)[of]
+    spread = r[:, :, None] * r[:, None] + d @ cov[car] @ d.mT
+    noise = np.zeros((n * B, 2, 2))
+    np.add.at(noise, of, found.share[:, None, None] * spread)
+    R = R + noise.reshape(n, B, 2, 2)
+    return full._replace(R=R, S=full.H @ cov[:, None] @ full.H.mT + R)
 
 
 def _unmatched(source: str, given: NDArray[np.bool_], R: Array) -> Innovation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from .alignment import MAX_TIME, Alignment, Position, aligned
 from .association import Verdict
+from .confirmation import Sightings, confirmed
 from .consistency import (
     Consistency,
     agreeing,
@@ -21,7 +23,7 @@ from .consistency import (
     vouched,
 )
 from .localisation_layer import LocalisationLayer
-from .measurements import GnssFix, Observation, PoseFix
+from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
 from .motion_model import CAMERA, FIX, GNSS, HEADING, POSE, N, X, Y, initial, predict, update
 from .observation_models import Innovation, innovation
 from .odometry_stream import OdometryStream
@@ -54,6 +56,7 @@ class Point(NamedTuple):
     positions: tuple[Position, ...] = ()  #: of the cars whose pose is lost
     outcome: Outcome | None = None
     is_new: Cars | None = None  #: (n,) cars whose pose does not follow from the point before
+    sightings: Mapping[str, Sightings] = {}  #: of the last image, by source
 
 
 def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorErrors) -> Point:
@@ -81,7 +84,10 @@ def updated(
 ) -> Point:
     """Return the point after an observation at its time."""
     t, mean, cov, transition, trust, *_ = point
-    found = innovation(observation, mean, cov, layer)
+    found, sightings = innovation(observation, mean, cov, layer), point.sightings
+    if isinstance(observation, CameraLines | SeenLandmarks):
+        found, seen = confirmed(found, cov, sightings.get(found.source), t)
+        sightings = {**sightings, found.source: seen}
     was_known = trust.known
     trust, contradicted, drifts = compared(trust, found, t)
     trust = _contradicted(trust, contradicted, found.source, t, drifts)
@@ -102,7 +108,7 @@ def updated(
     trust = found_again(trust, agreeing(trust))
     verdict = np.where((found.verdict == Verdict.USED) & ~used, Verdict.LOST, found.verdict)
     outcome = Outcome(t, found.source, verdict, found.squared)
-    after = Point(t, mean, cov, transition, trust, point.positions, outcome)
+    after = Point(t, mean, cov, transition, trust, point.positions, outcome, None, sightings)
     return after if trust.known.all() else _sought(after, observation, found, errors)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from maplines_can.ego import CameraLines, LocalisationLayer, SeenLandmarks, SensorErrors
 from maplines_can.ego.localisation import Verdict
+from maplines_can.ego.localisation.confirmation import confirmed
 from maplines_can.ego.localisation.motion_model import CAMERA, initial
 from maplines_can.ego.localisation.observation_models import innovation, line_jacobian
 from maplines_can.line import Kind
@@ -40,7 +41,8 @@ def landmarks(*seen: tuple[float, float]) -> SeenLandmarks:
 
 
 def verdicts(observation: Any, mean: Any, cov: Any, layer: LocalisationLayer) -> list[Verdict]:
-    return [Verdict(v) for v in innovation(observation, mean, cov, layer).verdict[0]]
+    found = innovation(observation, mean, cov, layer)
+    return [Verdict(v) for v in confirmed(found, cov, None, 0.0)[0].verdict[0]]
 
 
 @pytest.mark.parametrize("curvature", [0.0, 0.02, -0.05])
