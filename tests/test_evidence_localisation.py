@@ -1,6 +1,7 @@
 """tools/evidence_localisation.py: its figures on data whose answers are known."""
 
 import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -99,3 +100,44 @@ def test_a_recorded_drive_shows_the_bias(tool: Any, tmp_path: Path) -> None:
     assert found["bias as a state"]["RMS along, across [m]"].startswith("1.")
     far = tool.recorded(recording(tmp_path / "far.npz", (12.0, 0.4)))
     assert not far["met"]
+
+
+def drives_of(scale: float) -> list[Any]:
+    """50 drives whose errors are ``scale`` times what is stated; half the poses are known."""
+    from localised_drives import Localised
+
+    rng, sigma = np.random.default_rng(RNG_SEED), np.array([0.3, 0.1, 0.01])
+    drives = []
+    for _ in range(50):
+        unit = scale * rng.standard_normal((100, 3))
+        unit[::2] = np.nan
+        other, counts = np.arange(100) % 4 == 1, Counter(USED=3, AMBIGUOUS=1)
+        nees = (unit**2).sum(axis=1)
+        drives.append(Localised(unit * sigma, sigma + 0 * unit, nees, other, counts))
+    return drives
+
+
+@pytest.mark.usefixtures("tool")
+def test_the_figures_of_drives_are_those_of_their_errors() -> None:
+    """Of known poses only; a covariance that is too small is found."""
+    from localised_drives import figures
+
+    right, wrong = figures(drives_of(1.0)), figures(drives_of(1.5))
+    assert right["NEES"] == pytest.approx(3, abs=0.15)
+    assert right["inside"] == pytest.approx(0.95, abs=0.015)
+    assert right["stated along, across [m]"] == "0.30, 0.10"
+    assert right["RMS along, across [m]"] in ("0.29, 0.10", "0.30, 0.10", "0.31, 0.10")
+    assert (right["known"], right["lines used"], right["other lane"]) == (0.5, 0.75, 0.5)
+    assert right["more than 1 m beside"] == 0
+    assert wrong["NEES"] == pytest.approx(6.75, abs=0.3)
+    assert wrong["inside"] < 0.8
+
+
+@pytest.mark.usefixtures("tool")
+def test_a_drive_on_a_random_road_uses_the_lines() -> None:
+    from localised_drives import on_road
+
+    drive = on_road("rural", RNG_SEED, 3.0)
+    assert len(drive.nees) == 30
+    assert drive.known.all()
+    assert drive.lines["USED"] > 20

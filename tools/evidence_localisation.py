@@ -4,6 +4,8 @@
     evidence_localisation.py                       town, motorway and tunnel, 50 seeds
     evidence_localisation.py --scenario tunnel     one of them
     evidence_localisation.py --recorded FILE.npz   a recorded drive, instead of them
+    evidence_localisation.py --maps DIR            drives on maps, 20 each, instead of them
+    evidence_localisation.py --roads               drives on random roads, 20 each
 
 Run it in the environment of the project: python3 tools/run.py python tools/evidence_localisation.py
 
@@ -24,7 +26,17 @@ A recorded drive is an .npz of a car without a map: gnss_t, gnss_enu, gnss_beari
 speed, imu_t, gyro_frd, and the truth truth_t, truth_enu, truth_vel_enu. The parameters come from
 the data sheet of the GNSS receiver (2.5 m CEP) and from the scatter of its first 15 s, not from
 the truth. Beside it, GNSS is taken as white noise of 0.5 m. One drive has one bias, so its NEES is
-one draw. The exit status is 1 if a bound is missed.
+one draw.
+
+Drives on maps are those of maplines drive MAP --localise --seconds 60, with the seeds from --seed
+on, which draw the route and the errors of the sensors; those on random roads are in the middle of
+three lanes, whose outer lines may have no marking. There, "inside" is the share of poses within
+their own 95 % region, "lines used" that of the lines of the camera, and "other lane" that of the
+times at which the car is on another lane than it believes, by the ids of the map: also one that
+overlaps with it or follows it. Errors of a drive last for a minute, so 20 drives are hardly more
+than 20 draws, and the bounds of their mean NEES are those of 99 % of 20 draws.
+
+The exit status is 1 if a bound is missed.
 """
 
 from __future__ import annotations
@@ -32,16 +44,21 @@ from __future__ import annotations
 import argparse
 import math
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from evidence_maps import files_of
+from localised_drives import ROADS, Localised, on_map, on_road
+from localised_drives import figures as figures_of_drives
 from numpy.typing import NDArray
 from reporting import parser_of, progress, report
 from scipy.stats import chi2
 
-from maplines_can import Gaussian
+from maplines_can import Gaussian, MapFileError
 from maplines_can.ego import (
     GaussMarkov,
     GnssFix,
@@ -70,6 +87,8 @@ SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]
 STEP = 0.5
 #: Least share of times at which the mean over the seeds must be within its 95 % bounds.
 LEAST_INSIDE = 0.9
+#: Least share of poses on a map within their 95 % region.
+LEAST_SHARE = 0.9
 #: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
 #: Gaussian has 1.177 sigma.
 CEP = 2.5
@@ -108,12 +127,53 @@ def main() -> int:
     parser = parser_of(__doc__)
     parser.add_argument("--scenario", choices=SCENARIOS, help="only this one")
     parser.add_argument("--recorded", type=Path, help="a recorded drive, .npz")
-    parser.add_argument("--seeds", type=int, default=50, help="cars of each scenario (default: 50)")
+    parser.add_argument("--maps", nargs="+", metavar="DIR", help="folders or files of maps")
+    parser.add_argument("--roads", action="store_true", help="random roads")
+    parser.add_argument(
+        "-n",
+        "--seeds",
+        type=int,
+        help="cars of each scenario (default: 50), or drives on each map and kind of road (20)",
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=60.0, help="of each drive on a map or road (default: 60)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
-    result = recorded(arguments.recorded) if arguments.recorded else simulated(arguments)
+    on_roads = bool(arguments.maps) or arguments.roads
+    arguments.seeds = arguments.seeds or (20 if on_roads else 50)
+    if on_roads:
+        result = driven_on(arguments)
+    else:
+        result = recorded(arguments.recorded) if arguments.recorded else simulated(arguments)
     return report(result, arguments.json, 34)
+
+
+def driven_on(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the figures of the drives on each map and on each kind of random road."""
+    drives: dict[str, Callable[[int, float], Localised]] = {}
+    not_used: dict[str, str] = {}
+    for path in files_of(arguments.maps or []):
+        try:
+            found = load(path)
+        except (MapFileError, ImportError) as error:
+            not_used[path.name] = str(error)
+        else:
+            drives[path.name] = partial(on_map, found, LocalisationLayer(found))
+    if arguments.roads:
+        drives |= {shape: partial(on_road, shape) for shape in ROADS}
+    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
+    result: dict[str, Any] = {}
+    for name, drive in drives.items():
+        found_drives = [drive(seed, arguments.seconds) for seed in progress(seeds, name)]
+        row = result[name] = figures_of_drives(found_drives)
+        low, high = chi2.ppf([0.005, 0.995], 3 * arguments.seeds) / arguments.seeds
+        row["met"] = bool(row["inside"] >= LEAST_SHARE and low <= row["NEES"] <= high)
+    return result | {
+        **({"not used": not_used} if not_used else {}),
+        "met": bool(result) and all(row["met"] for row in result.values()),
+    }
 
 
 def simulated(arguments: argparse.Namespace) -> dict[str, Any]:
