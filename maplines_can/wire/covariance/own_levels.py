@@ -120,8 +120,8 @@ class OwnLevels:
         p = _level(self.points, raw[self.points.name])
         k = raw[self.shape.name].clip(self.shape.raw_min, self.shape.raw_max)
         noise = [
-            self._noise(*line, np.array([one]))[0]
-            for *line, one in zip(means, fit_ranges, k, strict=True)
+            self._noise(mean, fit_range, np.array([one]))[0]
+            for mean, fit_range, one in zip(means, fit_ranges, k, strict=True)
         ]
         b = np.where(p == 0, self._shape_level(k), 0.0)
         own = p[:, None, None] ** 2 * np.reshape(noise, (-1, 4, 4))
@@ -187,7 +187,7 @@ class OwnLevels:
         cost[raw_p > self.points.raw_max] = np.inf
         chosen = cost.argsort(axis=1, kind="stable")[:, :CHOSEN]
         rows = np.arange(len(E))[:, None]
-        k = (chosen + self.shape.raw_min).repeat(len(TRIED), axis=1)
+        k = np.asarray(chosen + self.shape.raw_min, dtype=float).repeat(len(TRIED), axis=1)
         raw_p = (least_raw[rows, chosen][..., None] + TRIED).reshape(k.shape)
         return k, raw_p, covs(raw_p, noise[rows, chosen].repeat(len(TRIED), axis=1))
 
