@@ -108,7 +108,9 @@ class OwnLevels:
         spacing = self.shape.physical(raw)
         if self.shape.unit == OCTAVE:
             spacing = np.exp2(spacing)
-        noise = point_noise(mean, fit_range, spacing, raw * GOLDEN_RATIO % 1.0)
+        noise = point_noise(
+            mean, fit_range, spacing, np.asarray(raw * GOLDEN_RATIO % 1.0, dtype=float)
+        )
         amount = RATIOS[raw % len(RATIOS)] ** 2 * spacing
         return np.asarray(noise + amount[:, None, None] * np.diag(SHAPE))
 
