@@ -18,6 +18,8 @@ Array = NDArray[np.float64]
 
 #: Spacing of the points of the lines [m].
 SPACING = 0.5
+#: Length over which its curvature is taken [m].
+BASE = 2.0
 #: Farthest that a line is looked for [m], and largest angle to the car's x axis [rad].
 REACH, MAX_ANGLE = 8.0, 0.6
 #: A line ends where no point of it is this close to the y axis of the car [m].
@@ -128,6 +130,11 @@ def _sampled(line: Polyline) -> Array:
         xy = points[0] + np.outer(s / distance[-1], step)
         return np.column_stack([xy, np.full(len(s), angle), np.zeros(len(s))])
     spline = Akima1DInterpolator(distance, points)
-    (dx, dy), (ddx, ddy) = spline(s, 1).T, spline(s, 2).T
-    curvature = (dx * ddy - dy * ddx) / np.hypot(dx, dy) ** 3
-    return np.column_stack([spline(s), np.arctan2(dy, dx), curvature])
+    dx, dy = spline(s, 1).T
+    angle = np.unwrap(np.arctan2(dy, dx))
+    # The second derivative of such a spline jumps from point to point, by 12 % on a circle. A
+    # filter would find its place along the circle by it, which nothing shows.
+    reach = max(1, round(BASE / 2 / (s[1] - s[0])))
+    ahead, behind = (np.clip(np.arange(len(s)) + k, 0, len(s) - 1) for k in (reach, -reach))
+    curvature = (angle[ahead] - angle[behind]) / (s[ahead] - s[behind])
+    return np.column_stack([spline(s), angle, curvature])

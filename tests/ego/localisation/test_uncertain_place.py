@@ -18,6 +18,8 @@ from maplines_can.ego.localisation.confirmation import IN_A_ROW, PAUSE, confirme
 from maplines_can.ego.localisation.motion_model import POSE, initial, update
 from maplines_can.ego.localisation.observation_models import innovation
 from maplines_can.line import Kind
+from maplines_can.maps import Lane
+from maplines_can.polyline import Polyline
 
 COV = np.diag([0.05, math.radians(0.3)]) ** 2
 ALONG = 0.85  #: standard deviation of the place along the road [m]
@@ -144,3 +146,27 @@ def test_false_lines_are_not_used_for_their_number() -> None:
     found = images(places, 0.1 * np.arange(2000), layer_of(ONE_MARKING))
     assert Verdict.USED not in found
     assert found.count(Verdict.UNCONFIRMED) > 1000
+
+
+@pytest.mark.parametrize("spacing", [0.2, 0.35, 0.5])
+@pytest.mark.parametrize("radius", [10.5, 50.0])
+def test_the_curvature_of_a_line_is_that_of_its_road(spacing: float, radius: float) -> None:
+    """A filter finds its place along a circle by curvature that changes where there is none."""
+    s = spacing * np.arange(int(40 / spacing))
+    rng = np.random.default_rng(3)
+    angle = (s + spacing * rng.uniform(-0.3, 0.3, len(s))) / radius
+    points = np.column_stack([radius * np.sin(angle), radius * (1 - np.cos(angle))])
+    road = Lane(
+        "1",
+        Polyline(points + np.array([0, 1.5]), Kind.UNKNOWN),
+        Polyline(points, Kind.SOLID),
+        Polyline(points, Kind.VIRTUAL),
+        road="1",
+    )
+    layer = layer_of(road)
+    middle = np.linspace(5, 30, 101) / radius
+    x, y = (radius + 0.1) * np.sin(middle), radius - (radius + 0.1) * np.cos(middle)
+    beside = layer.lines_beside(np.column_stack([x, y, middle]))
+    own = np.abs(beside.offset - 0.1) < 0.05
+    assert own.sum() == len(middle)
+    assert np.sqrt(np.mean((radius * beside.curvature[own] - 1) ** 2)) < 0.05
