@@ -35,7 +35,6 @@ from maplines_can.study.closed_loop import (
     PERIOD,
     SLOTS,
     STEP,
-    WINDOW,
     Car,
     Place,
 )
@@ -153,7 +152,6 @@ class Sender:
             lambda t, _: self._localisation.ego(max(t, self._localisation.t)),
             SLOTS,
             route,
-            WINDOW,
             correlation_time=lambda: float(self._localisation.correlation_times()[0, 1]),
         )
         self.cpu, self.nees, self.across = CpuTimes(float), list[float](), list[float]()

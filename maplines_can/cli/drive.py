@@ -22,6 +22,7 @@ from ..ego.line_source import WINDOW, ChooseComponents
 from ..gaussian import Gaussian
 from ..line import LeftOut, Slot
 from ..maps import LaneTracker, Map, Route, load, town_path
+from ..maps.view import AHEAD, BEHIND
 from ..polyline import Polyline
 from ..propagation.component_counts import component_counts
 from ..wire import Codec, Frame
@@ -100,6 +101,16 @@ def add_drive(commands: Any) -> None:
         + ", ".join(slot.name.lower().replace("_", " ") for slot in Slot)
         + " (default: 4)",
     )
+    scenario.add_argument(
+        "--window",
+        nargs=2,
+        type=number(float, -BEHIND, AHEAD),
+        default=WINDOW,
+        metavar=("MIN", "MAX"),
+        help="range of the lines ahead of the car [m], "
+        f"-{BEHIND:g} to {AHEAD:g}; in a corner, what is behind the car shortens what is ahead "
+        f"(default: {WINDOW[0]:g} {WINDOW[1]:g})",
+    )
     add_stated_pose(parser)
     add_line_model(parser)
     scenario.add_argument(
@@ -140,6 +151,9 @@ def _drive(arguments: argparse.Namespace) -> int:
             "--record for a log"
         )
     check_way(arguments)
+    if not arguments.window[0] < arguments.window[1]:
+        low, high = arguments.window
+        raise ValueError(f"--window must be MIN < MAX [m], got {low:g} {high:g}")
     check_stated_pose(arguments)
     _check_overwriting(arguments)
     clock_ns = time.time_ns()
@@ -251,7 +265,7 @@ def _components(
     )
 
     def choose(lines: Mapping[Slot, Polyline], ego: Gaussian) -> Mapping[Slot, int]:
-        amounts = [line_nonlinearity(line, ego, WINDOW) for line in lines.values()]
+        amounts = [line_nonlinearity(line, ego, arguments.window) for line in lines.values()]
         return dict(zip(lines, component_counts(amounts, budget=budget), strict=True))
 
     return choose if auto else least
@@ -290,6 +304,7 @@ def _source(
         stated.pose,
         slots,
         route,
+        arguments.window,
         map_error=map_error_of(arguments),
         components=components,
         correlation_time=stated.correlation_time if as_scene else None,

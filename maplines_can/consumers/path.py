@@ -23,8 +23,10 @@ BEHIND = -3.0
 MOST_BEND = 0.9
 #: Rest of a line that is a cubic.
 EXACT = Chebyshev([0.0])
-#: Least lane width of a received scene, and the largest one [m].
-WIDTHS = (2.0, 6.0)
+#: Least lane width of a received scene, and the largest one [m]. Lanes through city junctions and
+#: beside parking are up to 7.5 m wide. Of two lanes taken for one, the middle is 1.75 m beside that
+#: of each, which the offset of the car shows.
+WIDTHS = (2.0, 8.0)
 
 
 class Path(NamedTuple):

@@ -20,8 +20,9 @@ from ..scene import Scene
 #: Number of mixture components of each line, from the lines of the map and the stated pose.
 ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
 
-#: Range of the lines ahead of the car [m].
-WINDOW = (-20.0, 80.0)
+#: Range of the lines around the car [m]. A car drives by what is ahead, and a cubic that must be
+#: true for 20 m behind the car is not true for what is ahead in a sharp corner.
+WINDOW = (-4.0, 80.0)
 
 
 class Cycle(NamedTuple):

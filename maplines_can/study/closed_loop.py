@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..consumers.steering import LaneSteering, Reason, State
 from ..ego import LineSource, PoseSource
+from ..ego.line_source import WINDOW
 from ..gaussian import Gaussian
 from ..line import Slot
 from ..maps import Map, Route
@@ -33,9 +34,6 @@ START = 2.0
 DEFAULT_SPEED = 50 / 3.6
 #: Distance from the end of the way at which the drive ends [m].
 MARGIN = 10.0
-#: Range of the lines around the car [m]. A cubic that must be true for 20 m behind the car is not
-#: true for what is ahead in a sharp corner.
-WINDOW = (-4.0, 80.0)
 #: Largest deviation of a cubic from its line [m]. At the end of a corner, that is what the car is
 #: off the lane although it knows its pose.
 MISFIT = 0.05
@@ -191,7 +189,6 @@ def on_map(
         stated,
         SLOTS,
         route,
-        window=WINDOW,
         map_error=map_error,
         correlation_time=correlation_time,
         max_misfit=MISFIT,

@@ -367,6 +367,9 @@ def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
             ["--as-fast-as-possible", "--channel", "x"], "leave out --interface", id="no bus"
         ),
         pytest.param(["--interface", "warp"], "warp", id="interface"),
+        pytest.param(
+            ["--window", "80", "-4"], "--window must be MIN < MAX .*, got 80 -4", id="window"
+        ),
         pytest.param(["--drive", "a.blf"], "a.blf: a bus log needs --signals", id="no signals"),
         pytest.param(
             ["--drive", "a.blf", "--signals", "s.toml"], "needs --signals-dbc", id="no DBC"
@@ -399,6 +402,25 @@ def test_a_mistake_is_one_line(
     err = capsys.readouterr().err
     (error,) = [line for line in err.splitlines() if "error:" in line]
     assert re.search(words, error)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        pytest.param([], (-4, 80), id="default"),
+        pytest.param(["--window", "-20", "40"], (-20, 40), id="shorter"),
+        pytest.param(["--window", "0", "120"], (0, 120), id="longer"),
+    ],
+)
+def test_the_window_is_that_of_the_lines(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], expected: Any
+) -> None:
+    """On a straight road, up to the steps of the message and the margin for the pose error."""
+    log = tmp_path / "a.log"
+    run(capsys, town(tmp_path), *FAST, *options, "--record", str(log))
+    last = decoded(log)[-1]
+    assert 0 <= last.x_min - expected[0] <= 8
+    assert 0 <= expected[1] - last.x_max <= 8
 
 
 @pytest.mark.parametrize("sigma", ["1,2", "a,b,c", "-1,0,0", "1,1,inf"])

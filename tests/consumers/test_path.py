@@ -168,7 +168,7 @@ def test_the_line_of_the_route_is_followed_itself() -> None:
     assert lane_path(seen("exit"), STILL, 3.5, Slot.ROUTE)[0] is None
 
 
-@pytest.mark.parametrize("half", [0.9, 3.1])
+@pytest.mark.parametrize("half", [0.9, 4.1])
 def test_no_lane_of_an_impossible_width(half: float) -> None:
     lines = (line([half, 0, 0, 0], LEFT), line([-half, 0, 0, 0], RIGHT))
     ranges = np.array([[-4.0, 80.0]] * 2)
@@ -309,7 +309,7 @@ def test_a_mean_path_of_two_is_that_of_both_as_far_as_they_reach() -> None:
 
 
 @pytest.mark.parametrize(
-    ("width", "found"), [(2.0, True), (1.99, False), (6.0, True), (6.01, False)]
+    ("width", "found"), [(2.0, True), (1.99, False), (8.0, True), (8.01, False)]
 )
 def test_the_widths_of_lanes(width: float, found: bool) -> None:
     """From 2 m to 6 m, of a scene and as given for one boundary."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from maplines_can import STREETS, Gaussian, MapLine, Motion, Scene, Slot, map_scene
+from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import Path
 from maplines_can.consumers.steering import (
     COST,
@@ -23,6 +23,7 @@ from maplines_can.consumers.steering import (
     preview_gains,
     riccati,
 )
+from maplines_can.ego.line_source import WINDOW
 from maplines_can.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
@@ -245,8 +246,8 @@ def bend_path(curvature: float, first: float, length: float) -> Path:
 @pytest.mark.parametrize(
     ("curvature", "share", "reason"),
     [
-        pytest.param(0.25, 0.98, Reason.NONE, id="short-peak"),
-        pytest.param(0.25, 1.02, Reason.TIGHT, id="bend"),
+        pytest.param(0.3, 0.98, Reason.NONE, id="short-peak"),
+        pytest.param(0.3, 1.02, Reason.TIGHT, id="bend"),
         pytest.param(0.8, 0.96, Reason.NONE, id="high-peak"),
         pytest.param(0.8, 1.04, Reason.TIGHT, id="corner"),
     ],
@@ -263,11 +264,71 @@ def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
 
 
 @pytest.mark.parametrize(
+    ("width", "room"),
+    [
+        pytest.param(None, CUT, id="unknown-width"),
+        pytest.param(2.1, CUT, id="narrow-lane"),
+        pytest.param(3.5, 0.85 - 3 * 0.05, id="lane"),
+        pytest.param(5.0, 1.6 - 3 * 0.05, id="wide-lane"),
+    ],
+)
+@pytest.mark.parametrize(("share", "reason"), [(0.98, Reason.NONE), (1.02, Reason.TIGHT)])
+def test_a_curve_is_too_tight_if_the_car_leaves_its_lane_at_full_lock(
+    width: float | None, room: float, share: float, reason: Reason
+) -> None:
+    """The room is what a car of 1.8 m has beside it, less 3 sigma; at least the error of lines."""
+    k = SteeringLimits().curvature
+    e = 0.3 - k
+    path = bend_path(0.3, 0.0, share * math.sqrt(2 * room / (e + e**2 / k)))
+    assert LaneSteering()._fastest(path, 2.0, 2.0, width)[0] is reason
+
+
+@pytest.mark.parametrize("turn", [60.0, 90.0, 120.0])
+@pytest.mark.parametrize("radius", [4.2, 5.0, 8.0])
+@pytest.mark.parametrize("speed", [2.0, 2.8])
+def test_a_turn_at_a_junction_is_driven(radius: float, turn: float, speed: float) -> None:
+    """From the straight road before it to the one behind, as the lines of each place permit."""
+    step = 0.25
+    arc = np.radians(turn) * radius
+    s = np.arange(-60.0, arc + 120.0, step)
+    heading = np.clip(s / radius, 0.0, np.radians(turn))
+    chords = step * np.column_stack([np.cos(heading), np.sin(heading)])
+    points = np.cumsum(chords, axis=0) - [60.0, 0.0]
+    normal = np.column_stack([-np.sin(heading), np.cos(heading)])
+    lines = {slot: Polyline(points + y * normal) for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))}
+    cov = np.diag([0.1, 0.1, 0.003]) ** 2
+    steering = LaneSteering()
+    for k, at in enumerate(np.arange(-15.0, arc + 5.0, 0.05 * speed)):
+        i = s.searchsorted(at)
+        pose = Gaussian([*points[i], heading[i]], cov)
+        motion = Motion.with_sigma(speed, speed / radius * (0 < at < arc), (0.05, 0.003))
+        command = steering.update(
+            0.05 * k, map_scene(lines, pose, window=WINDOW), 0.0, motion, speed
+        )
+        assert command.state is not State.HANDOVER, (at, command.reason)
+
+
+def test_one_cycle_with_a_curve_that_is_too_tight_is_no_handover() -> None:
+    """The ends of cubics change from cycle to cycle; a curve that is there remains there."""
+    lines = {slot: STREETS["roundabout-12m"].lines[slot] for slot in (LEFT, RIGHT)}
+    tight = map_scene(
+        lines, Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2), window=(-4, 60)
+    )
+    steering = LaneSteering(SteeringLimits(curvature=1 / 25))
+    commands = driven(steering, [straight()] * 3 + [tight] + [straight()] * 3, speed=3.0)
+    assert {command.state for command in commands} <= {State.DRIVING, State.SLOWING}
+    commands = driven(steering, [tight] * 20, speed=3.0, first=0.4)
+    assert (commands[-1].state, commands[-1].reason) == (State.HANDOVER, Reason.TIGHT)
+    begin = [command.state for command in commands].index(State.HANDOVER)
+    assert 0.05 * begin == pytest.approx(0.5, abs=0.1)  # as long as without lines
+
+
+@pytest.mark.parametrize(
     ("first", "reason"), [(2.0, Reason.TIGHT), (5.9, Reason.TIGHT), (6.2, Reason.NONE)]
 )
 def test_it_hands_over_while_it_can_stop_before_a_tight_curve(first: float, reason: Reason) -> None:
     """At 4.86 m/s, and with 0.3 s and 2.5 m/s^2, it stops within 6.18 m."""
-    path = bend_path(0.25, first, 5.0)
+    path = bend_path(0.3, first, 5.0)
     found = LaneSteering()._fastest(path, 4.86, 3.0)[0]
     assert found is reason
 

@@ -69,10 +69,10 @@ def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
     assert state.speed == pytest.approx(50 / 3.6)
 
 
-def test_the_lines_of_a_drive_are_those_from_20_m_behind_to_80_m_ahead() -> None:
+def test_the_lines_of_a_drive_are_those_from_4_m_behind_to_80_m_ahead() -> None:
     """Unless another range is given."""
     found = road(None, None)
-    for window, ends in ((None, (-20.0, 80.0)), ((-5.0, 30.0), (-5.0, 30.0))):
+    for window, ends in ((None, (-4.0, 80.0)), ((-5.0, 30.0), (-5.0, 30.0))):
         settings: dict[str, Any] = {} if window is None else {"window": window}
         source = LineSource(found, PoseSource((1e-4, 1e-4, 1e-6)).pose, **settings)
         cycle = source.cycle(0.0, np.array([100.0, 0.0, 0.0]))
