@@ -25,10 +25,10 @@ from typing import Any
 
 import numpy as np
 from evidence_maps import Array, beside, files_of
-from random_roads import _random_street  # noqa: PLC2701
+from random_roads import ROADS, random_map
 from reporting import bar, parser_of, report
 
-from maplines_can import MapFileError, Polyline, PoseSource, Slot, maps
+from maplines_can import MapFileError, PoseSource, Slot, maps
 from maplines_can.consumers.path import WIDTHS
 from maplines_can.consumers.steering import LaneSteering, Reason, State, SteeringLimits
 from maplines_can.ego import LineSource, drive_along
@@ -43,20 +43,6 @@ SIGMA, CORRELATION = (0.3, 0.1, np.radians(0.2)), 10.0
 PERIOD, LENGTH = 0.1, 3000.0
 #: Distance ahead in which a bend, or the end of the route, is trouble for a driver [m].
 NEAR, END = 10.0, 60.0
-#: Shapes of random roads with lanes that go on, and how many of each are driven.
-ROADS = ("motorway", "exit", "rural", "s-bend", "city", "corner", "roundabout-12m", "hairpin")
-WIDTH = 3.5
-
-
-def random_map(shape: str, seed: int) -> maps.Map:
-    """Return a map of one lane along a random road."""
-    street, points_at = _random_street(shape, np.random.default_rng([seed, ROADS.index(shape)]))
-    s = points_at()
-    left, centre, right = (
-        Polyline(street.line(s, np.full(len(s), y))) for y in (WIDTH / 2, 0.0, -WIDTH / 2)
-    )
-    lane = maps.Lane("1", left, right, centre, road="A")
-    return maps.Map({"1": lane}, {"A": maps.Road("A", "", centre.length, ("1",))})
 
 
 def watched(

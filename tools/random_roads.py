@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maplines_can import Slot
+from maplines_can import Polyline, Slot, maps
 from maplines_can.street_shapes import Piece, Street, widening
 
 Array = NDArray[np.float64]
@@ -188,6 +188,21 @@ def random_scene(shape: str, rng: Any, lines: int) -> SceneCase:
             found[slot] = street.line(s[there], across[there])
     pose, R = _random_pose(rng)
     return SceneCase({slot: points @ R + pose.place for slot, points in found.items()}, pose.mean)
+
+
+#: Shapes of road on which the lanes go on.
+ROADS = ("motorway", "exit", "rural", "s-bend", "city", "corner", "roundabout-12m", "hairpin")
+
+
+def random_map(shape: str, seed: int, width: float = 3.5) -> maps.Map:
+    """Return a map with one lane along a random road, one of ``ROADS``."""
+    street, points_at = _random_street(shape, np.random.default_rng([seed, ROADS.index(shape)]))
+    s = points_at()
+    left, centre, right = (
+        Polyline(street.line(s, np.full(len(s), y))) for y in (width / 2, 0.0, -width / 2)
+    )
+    lane = maps.Lane("1", left, right, centre, road="A")
+    return maps.Map({"1": lane}, {"A": maps.Road("A", "", centre.length, ("1",))})
 
 
 class _Pose(NamedTuple):

@@ -140,6 +140,7 @@ class ResidualFilter:
         correlation_time: float | tuple[float, float],
         turn: float = 0.0,
         keys: tuple[object, ...] | None = None,
+        kept: NDArray[np.float64] | None = None,
     ) -> None:
         """Predict to the next cycle.
 
@@ -150,6 +151,7 @@ class ResidualFilter:
                 [s].
             turn: of the car since the last one [rad].
             keys: identities of the residuals; errors of new ones are unknown. None: the same ones.
+            kept: (n,) largest correlations of the errors f of both cycles, from 0 to 1; None: 1.
         """
         n = len(model.H)
         keys = tuple(range(n)) if keys is None else keys
@@ -163,9 +165,10 @@ class ResidualFilter:
         F_pose, Q_pose, self._pose_blocks = transition(
             self._pose_blocks, weights[:, None, None] * model.pose_cov, np.exp(-dt / times), R
         )
-        F_own, Q_own, self._own_blocks = transition(
-            self._own_blocks, own, np.exp(-dt / self._own_times), np.eye(n)
-        )
+        decay = np.exp(-dt / self._own_times)[:, None].repeat(n, axis=1)
+        if kept is not None:
+            decay[0] = np.minimum(decay[0], kept)
+        F_own, Q_own, self._own_blocks = transition(self._own_blocks, own, decay, np.eye(n))
         F = block_diag(*F_pose, *F_own)
         self._mean = self._mean @ F.T
         self._cov = F @ self._cov @ F.T + block_diag(*Q_pose, *Q_own)
@@ -299,6 +302,7 @@ class ConsistencyTest:
         correlation_time: float | tuple[float, float],
         turn: float = 0.0,
         keys: tuple[object, ...] | None = None,
+        kept: NDArray[np.float64] | None = None,
     ) -> Verdict:
         """Test (..., n) residuals.
 
@@ -310,8 +314,9 @@ class ConsistencyTest:
                 [s].
             turn: of the car within this time [rad].
             keys: identities of the residuals; None: the same as before.
+            kept: see ``ResidualFilter.predict``.
         """
-        self._filter.predict(model, dt, correlation_time, turn, keys)
+        self._filter.predict(model, dt, correlation_time, turn, keys, kept)
         w = self._filter.update(z, model.noise_cov)
         lengths = window_lengths(float(np.max(correlation_time)))
         # Lines that come and go do not begin the windows of the others anew.

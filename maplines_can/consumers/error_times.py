@@ -74,7 +74,7 @@ def transition(
     Args:
         before: (b, n, n) their stationary covariances.
         after: (b, n, n) those that the model states for the next cycle.
-        decay: (b,) autocorrelations.
+        decay: (b,) autocorrelations, or (b, n) of each component.
         R: (n, n) rotation between the cycles.
 
     Returns:
@@ -83,7 +83,8 @@ def transition(
     turned = (R @ before @ R.T).diagonal(axis1=1, axis2=2)
     stated = after.diagonal(axis1=1, axis2=2)
     ratio = np.divide(stated, turned, out=np.zeros_like(turned), where=turned > 0)
-    F = (decay[:, None] * np.sqrt(ratio))[..., None] * R
+    decay = decay.reshape(len(before), -1)
+    F = (decay * np.sqrt(ratio))[..., None] * R
     kept = F @ before @ F.swapaxes(1, 2)
     noise = positive_part(after - kept)
     return F, noise, kept + noise

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
 from ..line import MapLine, Slot, lateral_jacobian
+from ..propagation.misfit import LATERAL_SHARE
 from ..scene import Scene
+from ..seen_lines import bases
 
 #: Spacing of the points of a path along x [m].
 SPACING = 0.25
@@ -71,6 +73,7 @@ def path_beside(
     distance: float,
     displacement: Gaussian,
     rest: Chebyshev = EXACT,
+    own_cov: NDArray[np.float64] | None = None,
 ) -> Path | None:
     """Return the path parallel to a line, as seen after a displacement of the car.
 
@@ -84,6 +87,10 @@ def path_beside(
         displacement: the new pose in the ego frame of the line (x [m], y [m], heading [rad]).
         rest: what the cubic leaves of the line, in the range in which it was fitted [m]. It goes
             on straight beyond.
+        own_cov: (4, 4) part of the covariance of the line that is not due to the pose. What a cubic
+            misses makes its shape uncertain, most of all at the ends of its range; but it misses no
+            more than ``1 / sqrt(LATERAL_SHARE)`` times the sigma of the coefficient of T_0
+            anywhere, so more does not count. None: all of it counts.
 
     Returns:
         The path from the point that is nearest to the car; None if the car has passed its end,
@@ -114,6 +121,10 @@ def path_beside(
     # Lateral means across the path, and so does the displacement of the car.
     J = lateral_jacobian(line.gaussian.mean, x) / norm[:, None]
     variance = np.einsum("ki,ij,kj->k", J, line.gaussian.cov, J)
+    if own_cov is not None:
+        to_t0 = np.linalg.inv(bases(line.gaussian.mean[None], rest.domain[None])[0])[0]
+        most = to_t0 @ own_cov @ to_t0 / (LATERAL_SHARE * norm**2)
+        variance -= (np.einsum("ki,ij,kj->k", J, own_cov, J) - most).clip(0)
     dx, dy, turn = displacement.mean
     arm = points - [dx, dy]
     J = np.column_stack([normal, (tangent * arm).sum(axis=1)])
@@ -163,7 +174,8 @@ def lane_path(
     def beside(slot: Slot, distance: float) -> Path | None:
         i = given[slot]
         rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
-        return path_beside(scene.lines[i], distance, displacement, rest)
+        own_cov = None if scene.own_covs is None else scene.own_covs[i]
+        return path_beside(scene.lines[i], distance, displacement, rest, own_cov)
 
     if route is not None:
         return (beside(route, 0.0) if route in given else None), width

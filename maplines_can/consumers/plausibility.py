@@ -9,6 +9,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
@@ -134,6 +135,7 @@ class PlausibilityCheck:
         self._test = ConsistencyTest(self.false_alarms, noise=self.camera_noise)
         self._t = self._compared = -math.inf
         self._turn = 0.0  # of the car since the last comparison [rad]
+        self._fit_ranges: dict[Slot, NDArray[np.float64]] = {}  # of the last comparison [m]
 
     def update(
         self,
@@ -169,6 +171,10 @@ class PlausibilityCheck:
         bias = model.H @ self.camera_bias.cov @ model.H.T
         model = model._replace(slow_cov=model.slow_cov + bias)
         keys = tuple((slot, i) for slot in slots for i in range(2))
+        fit_ranges = {slot: scene.fit_ranges[scene.index[slot]] for slot in slots}
+        shares = [
+            common_share(self._fit_ranges.get(slot, now), now) for slot, now in fit_ranges.items()
+        ]
         verdict = self._test.step(
             z,
             model,
@@ -176,8 +182,9 @@ class PlausibilityCheck:
             pose_times(scene.pose_error.correlation_time, self.longest_pose_time),
             self._turn,
             keys,
+            np.repeat(shares, 2),
         )
-        self._compared, self._turn = t, 0.0
+        self._compared, self._turn, self._fit_ranges = t, 0.0, fit_ranges
         alarm = bool(verdict.alarm)
         return Check(
             Outcome.INCONSISTENT if alarm else Outcome.CONSISTENT,
@@ -201,6 +208,25 @@ def pose_times(stated: float, longest: float) -> tuple[float, float]:
     return UNKNOWN_TIMES if math.isinf(stated) else (stated, max(stated, longest))
 
 
+def common_share(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """Return the length that two (2,) ranges have in common, as a share of what both cover.
+
+    >>> common_share(np.array([-4.0, 12.0]), np.array([0.0, 16.0]))
+    0.6
+    """
+    common = min(one[1], other[1]) - max(one[0], other[0])
+    return float(max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0])))
+
+
+def stations(low: float, high: float) -> NDArray[np.float64]:
+    """Return the (2,) distances ahead at which lines are compared that are valid in a range [m].
+
+    >>> stations(-20.0, 80.0), stations(-20.0, 9.0), stations(3.0, 5.0)
+    (array([ 2., 20.]), array([2., 9.]), array([3., 5.]))
+    """
+    return np.array([max(low, min(STATIONS[0], high - LEAST_LENGTH)), min(high, STATIONS[1])])
+
+
 def residuals(
     scene: Scene,
     camera: Mapping[Slot, Gaussian | MapLine],
@@ -222,14 +248,16 @@ def residuals(
             continue
         gaussian = seen.gaussian if isinstance(seen, MapLine) else seen
         window = (line.x_min, line.x_max)
+        i = scene.index[line.slot]
         mean = transform_line_or_nan(line.gaussian.mean, move, window)
         low, high = window[0] - move[0], window[1] - move[0]
         if isinstance(seen, MapLine):
             low, high = max(low, seen.x_min), min(high, seen.x_max)
-        x = np.array([max(low, min(STATIONS[0], high - LEAST_LENGTH)), min(high, STATIONS[1])])
+        x = stations(low, high)
         if np.isnan(mean).any() or x[0] < BEHIND or x[1] - x[0] < LEAST_LENGTH:
             continue
-        y, J = lateral(mean, x), lateral_jacobian(mean, x)
+        rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
+        y, J = lateral(mean, x) + rest(x + move[0]), lateral_jacobian(mean, x)
         slope = (lateral(mean, x + 0.1) - lateral(mean, x - 0.1)) / 0.2
         # A pose that is wrong by (along, across, heading) shifts the line by this at x.
         J_y_pose = np.column_stack([slope, -np.ones(2), -(x + y * slope)])

@@ -341,3 +341,16 @@ def test_the_width_is_across_the_lane(angle: float, low: float, length: float) -
     x = min(max(low, 0.0), max(high, 0.0))
     slope = math.tan(angle) + 0.01 * x / 2
     assert width_of(scene) == pytest.approx((4 + 0.005 * x**2) / math.hypot(1, slope))
+
+
+@pytest.mark.parametrize("name", ["roundabout-12m", "s-bend", "exit"])
+def test_the_band_is_no_wider_than_what_the_cubics_miss(name: str) -> None:
+    """Along all of the path, in addition to the pose error; with an exact pose, next to nothing."""
+    lines = {slot: STREETS[name].lines[slot] for slot in (LEFT, RIGHT)}
+    for misfit in (0.03, 0.1):
+        scene = map_scene(
+            lines, Gaussian(np.zeros(3), 1e-12 * np.eye(3)), window=(-4, 80), max_misfit=misfit
+        )
+        path, _ = lane_path(scene, STILL)
+        assert path is not None
+        assert path.sigma.max() <= 1.001 * misfit

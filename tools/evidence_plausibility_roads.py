@@ -1,0 +1,305 @@
+#!/usr/bin/env python3
+"""Measure false alarms of the plausibility check on the roads of maps, and on random roads.
+
+    evidence_plausibility_roads.py DIR           every map in a folder, and random roads
+    evidence_plausibility_roads.py --cars 100    random roads only, with fewer cars
+
+Run it in the environment of the project:
+python3 tools/run.py python tools/evidence_plausibility_roads.py DIR
+
+A car follows random routes as a driver does. In 20 images a second, the camera sees both boundaries
+of its lane where the points of the map are, with noise that is new in each image, and with a bias.
+The map lines are the cubics of ``map_scene`` at the pose of the car. Many cars drive the same route:
+each has its own error of the pose (Gauss-Markov), of the map, of the camera, and its own noise. To
+first order these add to what the cubics miss of the road, which all of them have in common.
+
+The errors of the map are those of MapError: 5 cm of each point and 5 cm of each line, for the whole
+drive; or none. Two cameras: sigmas of 5 cm and 0.17 deg, and of 2 cm and 0.06 deg.
+
+False alarms count as in evidence_plausibility.py, also in two settings: as modelled, where the
+errors are those of the model; and default. There must not be more than twice as many as designed,
+beyond 3.3 standard deviations of the number that cars with independent errors have. The exit status
+is 1 if there are more.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from evidence_maps import files_of
+from evidence_plausibility import LIMIT, RATES, SETTINGS
+from line_witness import POSES, Array, crossings, place_of, seen_from
+from random_roads import ROADS, random_map
+from reporting import bar, parser_of, report
+
+from maplines_can import Gaussian, MapError, MapFileError, MapLine, Scene, Slot, map_scene, maps
+from maplines_can.consumers.plausibility import CameraBias, common_share, residuals, stations
+from maplines_can.ego import drive_along
+from maplines_can.ego.line_source import WINDOW
+from maplines_can.seen_lines import NODES
+from maplines_can.study.fusion.drive_view import turned
+
+#: Period of the images [s].
+DT = 0.05
+SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+#: Correlation times of the errors of the pose and of the camera [s].
+POSE_TIME, BIAS_TIME = 5.0, 30.0
+#: Sigmas of the parameters of a camera line in one image, and how far the camera sees [m].
+CAMERAS = {"5 cm": (0.05, 0.003, 2e-4, 2e-6), "2 cm": (0.02, 0.001, 1e-4, 1e-6)}
+SIGHT = 50.0
+MAP_ERRORS = {"exact": None, "5 cm": MapError(0.05, 0.05)}
+#: Settings of evidence_plausibility.py, and the most times as many alarms as designed.
+TESTED, MOST = ("as modelled", "default"), 2.0
+#: Points of the map farther away along a line are not used [m], and the length of a route.
+NEAR, LENGTH = 160.0, 3000.0
+#: (4, nodes): coefficients of the cubic that is fitted to values at the nodes.
+_TO_CUBIC = np.linalg.pinv(np.vander(NODES, 4))
+
+
+class Sight(NamedTuple):
+    """What the check compares in one image, of a map line that has no errors."""
+
+    slots: tuple[Slot, ...]
+    missed: Array  #: (2 L,) what the cubics are beside the road [m]
+    model: Any  #: of the residuals
+    fit_ranges: dict[Slot, Array]  #: [m]
+    fits: list[tuple[Slot, Array, Array]]  #: positions of the nodes along the line, (2, K) weights
+    turn: float  #: of the car since the last image [rad]
+    heading: float  #: of the car [rad]
+
+
+def seen(scene: Scene, lines: Any, pose: Array, sigma: Any) -> tuple[Any, ...] | None:
+    """Return the slots, what is missed, the model and the fits of an image; None without lines."""
+    noise = np.diag(np.square(sigma))
+    camera = {
+        x.slot: MapLine(x.slot, Gaussian(x.gaussian.mean, noise), x_min=0.0, x_max=SIGHT)
+        for x in scene.lines
+    }
+    compared = residuals(scene, camera)
+    if compared is None:
+        return None
+    slots, z, model = compared
+    missed, fits = [], []
+    for i, slot in enumerate(slots):
+        line, (low, high) = scene.line(slot), scene.fit_ranges[scene.index[slot]]
+        x = stations(max(line.x_min, 0.0), min(line.x_max, SIGHT))
+        local = seen_from(lines[slot].points, pose[None])
+        _, s = place_of(local[0])
+        near = np.abs(s) <= NEAR
+        truth = [float(crossings(local[:, near], s[near], at)[0]) for at in x]
+        given = z[2 * i : 2 * i + 2] + line.y(x)  # as compared with the camera
+        missed += (given - truth).tolist()
+        in_range = near & (local[0, :, 0] >= low - 40) & (local[0, :, 0] <= high + 40)
+        u = np.maximum.accumulate(local[0, in_range, 0])
+        nodes = (low + high) / 2 + (high - low) / 2 * NODES
+        along = np.interp(nodes, u, lines[slot].distance[in_range])
+        w = (x - (low + high) / 2) / ((high - low) / 2)
+        fits.append((slot, along, np.vander(w, 4) @ _TO_CUBIC))
+    if not np.isfinite(missed).all():
+        return None
+    ranges = {slot: scene.fit_ranges[scene.index[slot]] for slot in slots}
+    return slots, np.array(missed), model, ranges, fits
+
+
+class Cars:
+    """Errors of many cars on one route, image by image.
+
+    Args:
+        number: of the cars.
+        pose_sigma: standard deviations along [m], across [m], heading [rad].
+        error: of the map.
+        rng: source of the random numbers.
+    """
+
+    def __init__(self, number: int, pose_sigma: Any, error: MapError | None, rng: Any) -> None:
+        self._number, self._rng, self._error = number, rng, error
+        self._root = np.asarray(pose_sigma, dtype=float)
+        self._pose = rng.standard_normal((number, 3))
+        self._bias = rng.standard_normal((number, 3))
+        self._of_line: dict[int, tuple[Any, Array, Array]] = {}
+
+    def errors(self, sight: Sight, lines: Any) -> Array:
+        """Return the (cars, 2 L) residuals of the next image [m]."""
+        for state, time in ((self._pose, POSE_TIME), (self._bias, BIAS_TIME)):
+            rho = math.exp(-DT / time)
+            state *= rho
+            state += math.sqrt(1 - rho**2) * self._rng.standard_normal(state.shape)
+        H = sight.model.H
+        z = sight.missed + (self._pose * self._root) @ H.T
+        z += (self._bias * np.sqrt(CameraBias().cov.diagonal())) @ H.T
+        root = np.linalg.cholesky(sight.model.noise_cov)
+        z += self._rng.standard_normal(z.shape) @ root.T
+        if self._error is not None:
+            z += np.hstack(
+                [
+                    self._of_map(lines[slot], along, W, H[2 * i : 2 * i + 2], sight.heading)
+                    for i, (slot, along, W) in enumerate(sight.fits)
+                ]
+            )
+        return np.asarray(z)
+
+    def _of_map(self, line: Any, along: Array, W: Array, H: Array, heading: float) -> Array:
+        """Return the (cars, 2) errors of a map line: of its points, and of all of it."""
+        if id(line) not in self._of_line:
+            points = self._rng.standard_normal((self._number, len(line.points)), dtype=np.float32)
+            # The last one keeps the line, so that another one does not get its id.
+            self._of_line[id(line)] = line, points, self._rng.standard_normal((self._number, 2))
+        _, points, offset = self._of_line[id(line)]
+        at = np.interp(along, line.distance, np.arange(len(line.distance)))
+        below = np.minimum(at.astype(int), len(line.distance) - 2)
+        share = at - below
+        e = points[:, below] * (1 - share) + points[:, below + 1] * share
+        c, s = math.cos(heading), math.sin(heading)
+        moved = offset @ np.array([[c, -s], [s, c]])
+        error = self._error
+        return error.point_sigma * e @ W.T - error.offset_sigma * moved @ H[:, :2].T
+
+
+def sights(
+    road_map: maps.Map, route: maps.Route, seconds: float, pose_cov: Array, tick: Any
+) -> Iterator[tuple[dict[tuple[str, str], Sight], Any]]:
+    """Yield what is compared in each image, by map error and camera, and the lines of the map."""
+    drive = drive_along(road_map, route)
+    state = drive.at(np.arange(0.5, min(drive.end - 0.1, seconds), DT))
+    tracker = maps.LaneTracker(road_map, route)
+    for pose, yaw_rate in zip(state.pose, state.yaw_rate.tolist(), strict=True):
+        tick(DT)
+        tracked = tracker.lines(pose).lines
+        lines = {slot: tracked[slot] for slot in SLOTS if slot in tracked}
+        ego = Gaussian(pose, turned(pose_cov, pose[2]))
+        found = {}
+        for error_name, error in MAP_ERRORS.items():
+            scene = map_scene(
+                lines, ego, window=WINDOW, map_error=error, correlation_time=POSE_TIME
+            )
+            for camera, sigma in CAMERAS.items():
+                parts = seen(scene, lines, pose, sigma) if scene.lines else None
+                if parts is not None:
+                    found[error_name, camera] = Sight(*parts, yaw_rate * DT, float(pose[2]))
+        yield found, lines
+
+
+class Counted:
+    """Alarms of one way to test, and the images without one, of each car."""
+
+    def __init__(self, name: str, rate: float, cars: int) -> None:
+        self._setting, self.rate = SETTINGS[name], rate
+        self._test = self._setting.test(rate, cars)
+        self.alarms, self.calm = np.zeros(cars), 0
+        self._dt = math.inf
+        self._fit_ranges: dict[Slot, Array] = {}
+
+    def add(self, z: Array | None, sight: Sight | None) -> None:
+        """Test the residuals of an image; None if there are none."""
+        self._dt += DT
+        if z is None or sight is None:
+            return
+        bias = sight.model.H @ CameraBias().cov @ sight.model.H.T
+        model = sight.model._replace(slow_cov=sight.model.slow_cov + bias)
+        keys = tuple((slot, i) for slot in sight.slots for i in range(2))
+        times = self._setting.times(POSE_TIME)
+        shares = [
+            common_share(self._fit_ranges.get(slot, now), now)
+            for slot, now in sight.fit_ranges.items()
+        ]
+        kept = np.repeat(shares, 2)
+        verdict = self._test.step(z, model, self._dt, times, sight.turn, keys, kept)
+        self._dt, self._fit_ranges = 0.0, sight.fit_ranges
+        self.alarms += verdict.raised
+        self.calm += int((~verdict.alarm | verdict.raised).sum())
+
+
+def of_route(
+    road_map: maps.Map, route: maps.Route, options: Any, seed: int, tick: Callable[[float], object]
+) -> dict[str, list[tuple[float, float]]]:
+    """Return the alarms and the hours without an alarm of all cars on a route, by row."""
+    a, b, c = POSES["production"]
+    sigma = np.array([a, b, math.radians(c)])
+    variants = [(error, camera) for error in MAP_ERRORS for camera in CAMERAS]
+    cars = {
+        v: Cars(options.cars, sigma, MAP_ERRORS[v[0]], np.random.default_rng([seed, i]))
+        for i, v in enumerate(variants)
+    }
+    tests = {
+        (v, name, rate): Counted(name, rate, options.cars)
+        for v in variants
+        for name in TESTED
+        for rate in RATES
+    }
+    for found, lines in sights(road_map, route, options.seconds, np.diag(sigma**2), tick):
+        for v in variants:
+            sight = found.get(v)
+            z = None if sight is None else cars[v].errors(sight, lines)
+            for (variant, _, _), test in tests.items():
+                if variant == v:
+                    test.add(z, sight)
+    return {
+        f"{error} map, {camera} camera, {name}, {rate:g}/h": (
+            float(test.alarms.sum()),
+            test.calm * DT / 3600,
+        )
+        for ((error, camera), name, rate), test in tests.items()
+    }
+
+
+def figures(rows: list[dict[str, tuple[float, float]]]) -> dict[str, Any]:
+    """Return the figures of the routes of a map, or of all."""
+    result: dict[str, Any] = {}
+    for name in rows[0]:
+        rate = float(name.rsplit(" ", 1)[1].removesuffix("/h"))
+        alarms, hours = np.sum([row[name] for row in rows], axis=0).tolist()
+        most = MOST * rate * hours
+        result[name] = {
+            "hours": round(hours, 1),
+            "alarms": round(alarms),
+            "per hour": round(alarms / hours, 3) if hours else math.nan,
+            "met": alarms <= most + LIMIT * math.sqrt(most),
+        }
+    return result
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print the figures; return 0 if the bounds are met, else 1."""
+    parser = parser_of(__doc__)
+    parser.add_argument("paths", nargs="*", metavar="DIR", help="folders or files of maps")
+    parser.add_argument("-n", "--routes", type=int, default=3, help="routes on each map and road")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each route")
+    parser.add_argument("--cars", type=int, default=400, help="on each route")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(argv)
+    found: list[tuple[str, Callable[[int], maps.Map]]] = []
+    for path in files_of(options.paths):
+        try:
+            road_map = maps.load(path)
+        except (MapFileError, OSError):
+            continue
+        if any(lane.type.is_drivable for lane in road_map.lanes.values()):
+            found.append((path.name, lambda _, same=road_map: same))
+    found += [(f"random: {x}", lambda seed, x=x: random_map(x, seed)) for x in ROADS]
+    result, every = {}, []
+    with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
+        for name, map_of in found:
+            rows = []
+            for seed in range(options.seed, options.seed + options.routes):
+                road_map = map_of(seed)
+                is_road = len(road_map.lanes) == 1
+                route = (
+                    road_map.route("1", "1")
+                    if is_road
+                    else maps.random_tour(road_map, LENGTH, seed)
+                )
+                rows.append(of_route(road_map, route, options, seed, shown.update))
+            result[name] = figures(rows)
+            every += rows
+    result["all"] = figures(every)
+    result["met"] = all(row["met"] for row in result["all"].values())
+    return report(result, options.json, 44)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
