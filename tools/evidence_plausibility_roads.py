@@ -37,7 +37,7 @@ from random_roads import ROADS, random_map
 from reporting import bar, parser_of, report
 
 from maplines_can import Gaussian, MapError, MapFileError, MapLine, Scene, Slot, map_scene, maps
-from maplines_can.consumers.plausibility import CameraBias, common_share, residuals, stations
+from maplines_can.consumers.plausibility import CameraBias, fit_correlation, residuals, stations
 from maplines_can.ego import drive_along
 from maplines_can.ego.line_source import WINDOW
 from maplines_can.seen_lines import NODES
@@ -68,7 +68,8 @@ class Sight(NamedTuple):
     model: Any  #: of the residuals
     fit_ranges: dict[Slot, Array]  #: [m]
     fits: list[tuple[Slot, Array, Array]]  #: positions of the nodes along the line, (2, K) weights
-    turn: float  #: of the car since the last image [rad]
+    travel: float  #: of the car since the last image [m]
+    turn: float  #: the same [rad]
     heading: float  #: of the car [rad]
 
 
@@ -166,7 +167,8 @@ def sights(
     drive = drive_along(road_map, route)
     state = drive.at(np.arange(0.5, min(drive.end - 0.1, seconds), DT))
     tracker = maps.LaneTracker(road_map, route)
-    for pose, yaw_rate in zip(state.pose, state.yaw_rate.tolist(), strict=True):
+    for i, pose in enumerate(state.pose):
+        moved = float(state.speed[i]) * DT, float(state.yaw_rate[i]) * DT
         tick(DT)
         tracked = tracker.lines(pose).lines
         lines = {slot: tracked[slot] for slot in SLOTS if slot in tracked}
@@ -179,7 +181,7 @@ def sights(
             for camera, sigma in CAMERAS.items():
                 parts = seen(scene, lines, pose, sigma) if scene.lines else None
                 if parts is not None:
-                    found[error_name, camera] = Sight(*parts, yaw_rate * DT, float(pose[2]))
+                    found[error_name, camera] = Sight(*parts, *moved, float(pose[2]))
         yield found, lines
 
 
@@ -191,7 +193,7 @@ class Counted:
         self._test = self._setting.test(rate, cars)
         self.alarms, self.calm = np.zeros(cars), 0
         self._dt = math.inf
-        self._fit_ranges: dict[Slot, Array] = {}
+        self._last: Sight | None = None
 
     def add(self, z: Array | None, sight: Sight | None) -> None:
         """Test the residuals of an image; None if there are none."""
@@ -202,13 +204,15 @@ class Counted:
         model = sight.model._replace(slow_cov=sight.model.slow_cov + bias)
         keys = tuple((slot, i) for slot in sight.slots for i in range(2))
         times = self._setting.times(POSE_TIME)
-        shares = [
-            common_share(self._fit_ranges.get(slot, now), now)
+        last, self._last = self._last, sight
+        kept = [
+            fit_correlation(
+                now if last is None else last.fit_ranges.get(slot, now), now, sight.travel
+            )
             for slot, now in sight.fit_ranges.items()
         ]
-        kept = np.repeat(shares, 2)
-        verdict = self._test.step(z, model, self._dt, times, sight.turn, keys, kept)
-        self._dt, self._fit_ranges = 0.0, sight.fit_ranges
+        verdict = self._test.step(z, model, self._dt, times, sight.turn, keys, np.repeat(kept, 2))
+        self._dt = 0.0
         self.alarms += verdict.raised
         self.calm += int((~verdict.alarm | verdict.raised).sum())
 

@@ -162,8 +162,10 @@ class ResidualFilter:
         R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         camera = np.broadcast_to(self._weight * model.noise_cov, (len(self._camera), n, n))
         own = np.stack([model.fast_cov, model.slow_cov, *camera])
+        # Whether the error turns with the car or not, no more of it than this remains.
+        decay = np.exp(-dt / times[:, None] - np.array([1.0, 1.0, 0.0]) * abs(turn))
         F_pose, Q_pose, self._pose_blocks = transition(
-            self._pose_blocks, weights[:, None, None] * model.pose_cov, np.exp(-dt / times), R
+            self._pose_blocks, weights[:, None, None] * model.pose_cov, decay, R
         )
         decay = np.exp(-dt / self._own_times)[:, None].repeat(n, axis=1)
         if kept is not None:

@@ -13,7 +13,7 @@ from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
-from ..line import MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
+from ..line import PARAMETERS, MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
 from ..propagation.motion import Motion
 from ..scene import Scene
 from .consistency import (
@@ -135,6 +135,7 @@ class PlausibilityCheck:
         self._test = ConsistencyTest(self.false_alarms, noise=self.camera_noise)
         self._t = self._compared = -math.inf
         self._turn = 0.0  # of the car since the last comparison [rad]
+        self._travel = 0.0  # since then [m]
         self._fit_ranges: dict[Slot, NDArray[np.float64]] = {}  # of the last comparison [m]
 
     def update(
@@ -163,6 +164,7 @@ class PlausibilityCheck:
             raise ValueError(f"t must be finite and later than {self._t:g} s, got {t!r}")
         if motion is not None and self._t > -math.inf:
             self._turn += motion.yaw_rate * (t - self._t)
+            self._travel += motion.speed * (t - self._t)
         self._t = t
         compared = None if scene is None else residuals(scene, camera, displacement)
         if scene is None or compared is None:
@@ -172,9 +174,8 @@ class PlausibilityCheck:
         model = model._replace(slow_cov=model.slow_cov + bias)
         keys = tuple((slot, i) for slot in slots for i in range(2))
         fit_ranges = {slot: scene.fit_ranges[scene.index[slot]] for slot in slots}
-        shares = [
-            common_share(self._fit_ranges.get(slot, now), now) for slot, now in fit_ranges.items()
-        ]
+        last, travel = self._fit_ranges, self._travel
+        kept = [fit_correlation(last.get(slot, x), x, travel) for slot, x in fit_ranges.items()]
         verdict = self._test.step(
             z,
             model,
@@ -182,9 +183,10 @@ class PlausibilityCheck:
             pose_times(scene.pose_error.correlation_time, self.longest_pose_time),
             self._turn,
             keys,
-            np.repeat(shares, 2),
+            np.repeat(kept, 2),
         )
-        self._compared, self._turn, self._fit_ranges = t, 0.0, fit_ranges
+        self._compared, self._turn, self._travel = t, 0.0, 0.0
+        self._fit_ranges = fit_ranges
         alarm = bool(verdict.alarm)
         return Check(
             Outcome.INCONSISTENT if alarm else Outcome.CONSISTENT,
@@ -208,14 +210,27 @@ def pose_times(stated: float, longest: float) -> tuple[float, float]:
     return UNKNOWN_TIMES if math.isinf(stated) else (stated, max(stated, longest))
 
 
-def common_share(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
-    """Return the length that two (2,) ranges have in common, as a share of what both cover.
+def fit_correlation(before: NDArray[np.float64], now: NDArray[np.float64], travel: float) -> float:
+    """Return the largest correlation of the errors of two fits of a cubic to a line.
 
-    >>> common_share(np.array([-4.0, 12.0]), np.array([0.0, 16.0]))
-    0.6
+    The fits have a stretch of the line in common. Each parameter of a cubic is due to another part
+    of the stretch, so for four of them the correlation is taken to be the share of what both fits
+    cover, to the power of four.
+
+    Args:
+        before: (2,) range of the first fit [m].
+        now: (2,) range of the second one [m].
+        travel: distance that the car has driven between both [m].
+
+    >>> fit_correlation(np.array([0.0, 16.0]), np.array([-4.0, 12.0]), travel=4.0)
+    1.0
+    >>> round(fit_correlation(np.array([-4.0, 80.0]), np.array([-4.0, 80.0]), travel=1.0), 3)
+    0.909
     """
-    common = min(one[1], other[1]) - max(one[0], other[0])
-    return float(max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0])))
+    low, high = before - travel
+    common = min(high, now[1]) - max(low, now[0])
+    share = max(common, 0.0) / (max(high, now[1]) - min(low, now[0]))
+    return float(share ** len(PARAMETERS))
 
 
 def stations(low: float, high: float) -> NDArray[np.float64]:
