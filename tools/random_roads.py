@@ -194,10 +194,24 @@ def random_scene(shape: str, rng: Any, lines: int) -> SceneCase:
 ROADS = ("motorway", "exit", "rural", "s-bend", "city", "corner", "roundabout-12m", "hairpin")
 
 
-def random_map(shape: str, seed: int, width: float = 3.5) -> maps.Map:
+#: A straight road, and a bend of radius 150 m between two spirals.
+SPIRAL = (Piece(150), Piece(60, 0, 1 / 150), Piece(150, 1 / 150, 1 / 150), Piece(60, 1 / 150, 0))
+
+
+def spiral_map() -> maps.Map:
+    """Return a map with one lane along ``SPIRAL`` and a straight road behind it."""
+    street = Street([*SPIRAL, Piece(150)], 0.0)
+    return _lane_map(street, np.arange(street.begin, street.end, 2.0))
+
+
+def random_map(shape: str, seed: int) -> maps.Map:
     """Return a map with one lane along a random road, one of ``ROADS``."""
     street, points_at = _random_street(shape, np.random.default_rng([seed, ROADS.index(shape)]))
-    s = points_at()
+    return _lane_map(street, points_at())
+
+
+def _lane_map(street: Street, s: Array, width: float = 3.5) -> maps.Map:
+    """Return a map with one lane along a road, with points at arc lengths s [m]."""
     left, centre, right = (
         Polyline(street.line(s, np.full(len(s), y))) for y in (width / 2, 0.0, -width / 2)
     )

@@ -274,3 +274,52 @@ def test_lines_that_come_and_go_do_not_hide_a_lasting_error() -> None:
         for k, row in enumerate(z)
     ]
     assert alarms[-1]
+
+
+@pytest.mark.parametrize("frame", ["map", "ego"])
+def test_whether_the_pose_error_turns_with_the_car_or_not(frame: str) -> None:
+    """In a corner, sums of innovations have at most the variance that the test takes them to have.
+
+    400 cars, 20 images of a turn by 1 rad, after some straight ones. The standard error of the mean
+    square of their 800 sums is 0.05.
+    """
+    H = np.array([[0.0, -1.0, -2.0], [1.0, -1.0, -20.0]])
+    model = ResidualModel(
+        H, np.diag([0.2, 0.2, 0.003]) ** 2, 1e-6 * np.eye(2), 1e-6 * np.eye(2), 0.03**2 * np.eye(2)
+    )
+    rng = np.random.default_rng(2)
+    cars, one = 400, ResidualFilter((400,))
+    error = rng.standard_normal((cars, 3)) * [0.2, 0.2, 0.003]
+    rho, squares = math.exp(-0.05 / 5.0), []
+    total = np.zeros((cars, 2))
+    for k in range(60):
+        turn = 0.05 if k >= 40 else 0.0
+        c, s = math.cos(turn), math.sin(turn)
+        R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) if frame == "map" else np.eye(3)
+        new = rng.standard_normal((cars, 3)) * [0.2, 0.2, 0.003]
+        error = rho * error @ R.T + math.sqrt(1 - rho**2) * new
+        one.predict(model, 0.05, 5.0, turn)
+        z = error @ H.T + 0.03 * rng.standard_normal((cars, 2))
+        w = one.update(z, model.noise_cov)
+        total = total + w * (k >= 40)
+        squares.append((w**2).mean())
+    assert np.mean(squares[40:]) <= 1.05
+    assert (total**2).mean() / 20 <= 1.15
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.5, 0.0])
+def test_errors_of_a_new_fit_are_new(kept: float) -> None:
+    """The variance of an innovation is that of the noise, of g, and of what f has anew."""
+    own, noise = 0.08, 0.02
+    eye = np.eye(2)
+    model = ResidualModel(
+        np.zeros((2, 3)), np.zeros((3, 3)), own**2 * eye, 1e-12 * eye, noise**2 * eye
+    )
+    one = ResidualFilter()
+    for _ in range(400):
+        one.predict(model, 0.05, 5.0)
+        one.update(np.zeros(2), model.noise_cov)
+    known = one._cov[9, 9]  # variance of f after an image
+    one.predict(model, 0.05, 5.0, kept=np.full(2, kept))
+    rho = min(kept, math.exp(-0.05 / 1.0))
+    assert one._cov[9, 9] == pytest.approx(rho**2 * known + (1 - rho**2) * own**2, rel=1e-6)
