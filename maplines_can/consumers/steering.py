@@ -33,12 +33,10 @@ SLOW = 4.0
 #: The offset counts as far as it demands so many times the largest change of the curvature. From 1
 #: to 3 the car does not swing, from wherever it starts; the larger, the faster it corrects.
 MOST_CHANGES = 3.0
-#: Least deviation from the path at the largest curvature of the car from which a curve is too tight
-#: [m]: received lines may be ``MAX_MISFIT`` to either side of the true ones. The curvature of their
+#: Deviation from the path at the largest curvature of the car from which a curve is too tight [m]:
+#: received lines may be ``MAX_MISFIT`` to either side of the true ones. The curvature of their
 #: cubics may be far off at the ends of their ranges, such as beside a car that leaves a corner.
 CUT = 2 * MAX_MISFIT
-#: Standard deviations of the lateral position that must remain beside the car in a tight curve.
-BESIDE = 3.0
 #: Longest age of a line that is followed, and in a handover, until the car has stopped [s].
 OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
 #: In a handover, the car brakes by so many times the deceleration for what is ahead.
@@ -87,10 +85,8 @@ class SteeringLimits:
             lines are [m/s^2]. The default is that of ISO 11270:2014, 5.4.
         max_lateral_jerk: its largest change [m/s^3]. The default is that of ISO 11270:2014, 5.4,
             which takes the mean over half a second; here it is for each update.
-        curvature: the largest one that the car can steer [1/m]. The default is that of the rear
-            axle of a car with a wheelbase of 2.7 m and a turning circle of 11 m between kerbs.
+        curvature: the largest one that the car can steer [1/m].
         curvature_rate: the largest change of the demand [1/m/s].
-        width: of the car [m].
         delay: of the actuator [s].
         lag: time constant of the actuator [s].
         reaction: time until the car brakes, for the stopping distance [s].
@@ -110,9 +106,8 @@ class SteeringLimits:
     lateral_acceleration: float = 2.0
     max_lateral_acceleration: float = 3.0
     max_lateral_jerk: float = 5.0
-    curvature: float = 0.25
+    curvature: float = 0.2
     curvature_rate: float = 0.2
-    width: float = 1.8
     delay: float = 0.1
     lag: float = 0.1
     reaction: float = 0.3
@@ -173,8 +168,9 @@ class LaneSteering:
         HANDOVER   until ``reset``; follows the last accepted path by odometry, and brakes to a stop
 
     Lines are accepted if they permit to drive on. Those that make it hand over are not followed. If
-    a curve is too tight, but not on the lines that were accepted last, it follows these for as long
-    as if no others had come: the ends of cubics change from cycle to cycle.
+    a curve is too tight, but not on the lines that were accepted last, which reach as far, it
+    follows these for as long as if no others had come: the ends of cubics change from cycle to
+    cycle.
     Lines that are no lane, such as those of swapped slots, count as none.
 
     In each state the demand stays within the largest lateral acceleration and the largest lateral
@@ -250,14 +246,16 @@ class LaneSteering:
 
         lines = self._usable(scene, age, motion, route)
         path, width = self._path(lines, motion, ahead)
-        reason, fastest = self._fastest(path, speed, set_speed, width)
+        reason, fastest = self._fastest(path, speed, set_speed)
         if path is not None and (fastest > 0 or reason is Reason.NONE):
             self._accepted, self._width = lines, width
         else:
             kept, _ = self._path(self._accepted, motion, ahead)
-            doubtful = path is None or (reason is Reason.TIGHT and kept is not None)
-            if doubtful and self._accepted is not None and self._accepted.since <= OLDEST:
-                reason, fastest = self._fastest(kept, speed, set_speed, self._width)
+            knows_better = path is None or (
+                reason is Reason.TIGHT and kept is not None and kept.reach >= path.reach
+            )
+            if knows_better and self._accepted is not None and self._accepted.since <= OLDEST:
+                reason, fastest = self._fastest(kept, speed, set_speed)
             path = kept if self._engaged else path
 
         if self._handover is not Reason.NONE:
@@ -341,17 +339,8 @@ class LaneSteering:
         offset = min(max(path.offset, -largest), largest)
         return float(-K @ [offset, path.heading, curvature, limiter.demand] + F @ ahead)
 
-    def _fastest(
-        self, path: Path | None, speed: float, set_speed: float, width: float | None = None
-    ) -> tuple[Reason, float]:
-        """Return the largest speed now, and what limits it; 0 m/s for a handover.
-
-        Args:
-            path: to follow.
-            speed: of the car [m/s].
-            set_speed: if nothing limits it [m/s].
-            width: of the lane; None if it is unknown [m].
-        """
+    def _fastest(self, path: Path | None, speed: float, set_speed: float) -> tuple[Reason, float]:
+        """Return the largest speed now, and what limits it; 0 m/s for a handover."""
         limits = self.limits
         if path is None:
             return Reason.NO_LINES, 0.0
@@ -367,10 +356,7 @@ class LaneSteering:
             Reason.BAND: math.inf if known.all() else _sure_speed(sure, limits),
         }
         stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
-        room = np.full(len(path.s), CUT)
-        if width is not None:
-            room = np.maximum((width - limits.width) / 2 - BESIDE * path.sigma, CUT)
-        if _tight_from(path, limits.curvature, room) <= stopping:
+        if _tight_from(path, limits.curvature) <= stopping:
             return Reason.TIGHT, 0.0
         bend = np.abs(path.curvature).clip(max=limits.curvature)
         with np.errstate(divide="ignore", over="ignore"):
@@ -382,25 +368,24 @@ class LaneSteering:
         return reason, fastest if fastest >= limits.least_speed or reason is Reason.NONE else 0.0
 
 
-def _tight_from(path: Path, largest: float, room: NDArray[np.float64]) -> float:
+def _tight_from(path: Path, largest: float) -> float:
     """Return the distance along a path at which a curve begins that is too tight to steer [m].
 
     From where the path bends more than the car can, the car turns at the largest curvature, until
     it has the direction of the path again. The curve is too tight if the car is off the path by
-    more than the room that it has then.
+    more than ``CUT`` then.
 
     Args:
         path: to follow.
         largest: curvature that the car can steer [1/m].
-        room: (n,) largest deviation from each point of the path [m].
 
     Returns:
         The distance of the first such curve; infinite if there is none.
 
     >>> s = np.linspace(0.0, 20.0, 81)
     >>> path = Path(0.0, 0.0, s, np.where(s > 10.0, 0.25, 0.0), 0 * s)
-    >>> [_tight_from(path, largest, 0 * s + 0.2) for largest in (0.2, 0.25)]
-    [10.25, inf]
+    >>> _tight_from(path, 0.2), _tight_from(path, 0.25)
+    (10.25, inf)
     """
     s, step = path.s, np.diff(path.s)
     begins = [math.inf]
@@ -410,7 +395,7 @@ def _tight_from(path: Path, largest: float, room: NDArray[np.float64]) -> float:
         lacking = turned - np.minimum.accumulate(turned)  # direction, less than that of the path
         off = np.append(0.0, np.cumsum((lacking[1:] + lacking[:-1]) / 2 * step))
         begin = np.maximum.accumulate(np.where(lacking == 0, np.arange(len(s)), 0))
-        begins += s[begin][off - off[begin] > room][:1].tolist()
+        begins += s[begin][off - off[begin] > CUT][:1].tolist()
     return min(begins)
 
 

@@ -246,8 +246,8 @@ def bend_path(curvature: float, first: float, length: float) -> Path:
 @pytest.mark.parametrize(
     ("curvature", "share", "reason"),
     [
-        pytest.param(0.3, 0.98, Reason.NONE, id="short-peak"),
-        pytest.param(0.3, 1.02, Reason.TIGHT, id="bend"),
+        pytest.param(0.25, 0.98, Reason.NONE, id="short-peak"),
+        pytest.param(0.25, 1.02, Reason.TIGHT, id="bend"),
         pytest.param(0.8, 0.96, Reason.NONE, id="high-peak"),
         pytest.param(0.8, 1.04, Reason.TIGHT, id="corner"),
     ],
@@ -263,28 +263,8 @@ def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
     assert LaneSteering()._fastest(path, 2.0, 2.0)[0] is reason
 
 
-@pytest.mark.parametrize(
-    ("width", "room"),
-    [
-        pytest.param(None, CUT, id="unknown-width"),
-        pytest.param(2.1, CUT, id="narrow-lane"),
-        pytest.param(3.5, 0.85 - 3 * 0.05, id="lane"),
-        pytest.param(5.0, 1.6 - 3 * 0.05, id="wide-lane"),
-    ],
-)
-@pytest.mark.parametrize(("share", "reason"), [(0.98, Reason.NONE), (1.02, Reason.TIGHT)])
-def test_a_curve_is_too_tight_if_the_car_leaves_its_lane_at_full_lock(
-    width: float | None, room: float, share: float, reason: Reason
-) -> None:
-    """The room is what a car of 1.8 m has beside it, less 3 sigma; at least the error of lines."""
-    k = SteeringLimits().curvature
-    e = 0.3 - k
-    path = bend_path(0.3, 0.0, share * math.sqrt(2 * room / (e + e**2 / k)))
-    assert LaneSteering()._fastest(path, 2.0, 2.0, width)[0] is reason
-
-
 @pytest.mark.parametrize("turn", [60.0, 90.0, 120.0])
-@pytest.mark.parametrize("radius", [4.2, 5.0, 8.0])
+@pytest.mark.parametrize("radius", [6.5, 8.0])
 @pytest.mark.parametrize("speed", [2.0, 2.8])
 def test_a_turn_at_a_junction_is_driven(radius: float, turn: float, speed: float) -> None:
     """From the straight road before it to the one behind, as the lines of each place permit."""
@@ -314,7 +294,7 @@ def test_one_cycle_with_a_curve_that_is_too_tight_is_no_handover() -> None:
     tight = map_scene(
         lines, Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2), window=(-4, 60)
     )
-    steering = LaneSteering(SteeringLimits(curvature=1 / 25))
+    steering = LaneSteering(SteeringLimits(curvature=1 / 20))
     commands = driven(steering, [straight()] * 3 + [tight] + [straight()] * 3, speed=3.0)
     assert {command.state for command in commands} <= {State.DRIVING, State.SLOWING}
     commands = driven(steering, [tight] * 20, speed=3.0, first=0.4)
@@ -328,7 +308,7 @@ def test_one_cycle_with_a_curve_that_is_too_tight_is_no_handover() -> None:
 )
 def test_it_hands_over_while_it_can_stop_before_a_tight_curve(first: float, reason: Reason) -> None:
     """At 4.86 m/s, and with 0.3 s and 2.5 m/s^2, it stops within 6.18 m."""
-    path = bend_path(0.3, first, 5.0)
+    path = bend_path(0.25, first, 5.0)
     found = LaneSteering()._fastest(path, 4.86, 3.0)[0]
     assert found is reason
 
