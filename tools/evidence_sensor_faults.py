@@ -4,6 +4,7 @@
     evidence_sensor_faults.py                          all sensors, faults and durations, 8 seeds
     evidence_sensor_faults.py --sensor gnss --fault 30 the faults of a sensor whose names have "30"
     evidence_sensor_faults.py --markdown               the table of docs/localisation.md
+    evidence_sensor_faults.py --unknown-gnss           filters that find out the error of GNSS
 
 Run it in the environment of the project:
 python3 tools/run.py python tools/evidence_sensor_faults.py
@@ -32,6 +33,7 @@ import copy
 import math
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +47,7 @@ from maplines_can.ego import (
     LocalisationLayer,
     PoseFix,
     SeenLandmarks,
+    SensorErrors,
     SensorSetup,
     SimulatedDrive,
     drive_along,
@@ -108,10 +111,16 @@ class Drive:
         layer: of the map.
         cars: "map", "no map" or "lidar".
         seeds: number of cars.
+        errors: that the filters know of the sensors.
     """
 
     def __init__(
-        self, way: SimulatedDrive, layer: LocalisationLayer, cars: str, seeds: int
+        self,
+        way: SimulatedDrive,
+        layer: LocalisationLayer,
+        cars: str,
+        seeds: int,
+        errors: SensorErrors = SETUP.errors,
     ) -> None:
         self.way, self._layer = way, layer
         self.begin = START + WARM_UP
@@ -127,7 +136,7 @@ class Drive:
         sigma = np.array(START_SIGMA)
         start = way.at(START).pose + sigma * rng.standard_normal((seeds, 3))
         self._ready = Localisation(
-            start, START, setup.errors, layer if cars == "map" else None, cov=np.diag(sigma**2)
+            start, START, errors, layer if cars == "map" else None, cov=np.diag(sigma**2)
         )
         self._first = 0
         while arrivals[self._first].measurement.t < self.begin - 2.0:
@@ -178,13 +187,14 @@ def poses_of(
     ]
 
 
-def drive_of(cars: str, seeds: int) -> Drive:
+def drive_of(cars: str, seeds: int, errors: SensorErrors = SETUP.errors) -> Drive:
     """Return the drive of cars with what ``CARS`` says, through the town or on a straight road."""
     if cars == "straight road":
         way = SimulatedDrive(Polyline([[0.0, 0.0], [4000.0, 0.0]]))
-        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds)
+        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors)
     town = load(town_path())
-    return Drive(drive_along(town, town_tour(town)), LocalisationLayer(town), cars, seeds)
+    way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
+    return Drive(way, layer, cars, seeds, errors)
 
 
 def longest(flags: NDArray[np.bool_]) -> Array:
@@ -229,10 +239,12 @@ def main() -> int:
     parser.add_argument("--fault", default="", help="only those with this in their name")
     parser.add_argument("--cars", choices=LONGEST, help="only these")
     parser.add_argument("--seeds", type=int, default=8, help="cars (default: 8)")
+    parser.add_argument("--unknown-gnss", action="store_true", help="do not tell the GNSS error")
     parser.add_argument("--seconds", type=float, nargs="+", default=DURATIONS, help="of a fault")
     parser.add_argument("--markdown", action="store_true", help="print the table of the docs")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args()
+    errors = replace(SETUP.errors, gnss=None) if arguments.unknown_gnss else SETUP.errors
     result: dict[str, Any] = {}
     drives: dict[str, Drive] = {}
     chosen = [
@@ -246,7 +258,7 @@ def main() -> int:
     ]
     for fault, cars, duration in progress(chosen, "faults"):
         if cars not in drives:
-            drives[cars] = drive_of(cars, arguments.seeds)
+            drives[cars] = drive_of(cars, arguments.seeds, errors)
         found = figures(drives[cars].run(fault, duration), LONGEST[cars])
         result[f"{fault.sensor}, {fault.name}; {cars}; {duration:g} s"] = found
     if arguments.markdown:

@@ -35,7 +35,8 @@ class SensorSetup:
     Rates are in Hz, latencies in s. An observation arrives after its latency.
 
     Args:
-        errors: of the sensors, as far as they are correlated in time, and of the yaw rate.
+        errors: of the sensors, as far as they are correlated in time, and of the yaw rate; that of
+            GNSS must be given.
         odometry_rate: of wheel speed and yaw rate.
         gnss_rate, gnss_latency: of the positions.
         gnss_sigma: of their white noise, in each axis [m].
@@ -51,7 +52,7 @@ class SensorSetup:
         most_landmarks: that are seen at once.
     """
 
-    errors: SensorErrors = SensorErrors()
+    errors: SensorErrors = SensorErrors(gnss=SensorErrors.UNKNOWN_GNSS)
     odometry_rate: float = 50.0
     gnss_rate: float = 5.0
     gnss_latency: float = 0.1
@@ -96,6 +97,9 @@ class SimulatedSensors:
         rng: random numbers.
         n: number of cars.
         start: time of the first measurements [s].
+
+    Raises:
+        ValueError: the setup does not know the error of GNSS.
     """
 
     def __init__(
@@ -110,6 +114,11 @@ class SimulatedSensors:
         self._start = start
         self._taken = dict.fromkeys(("odometry", "gnss", "camera"), 0)
         errors = setup.errors
+        if errors.gnss is None:
+            raise ValueError(
+                "setup.errors.gnss must be a GaussMarkov process, got None: what is not known "
+                "cannot be simulated"
+            )
 
         def process(one: GaussMarkov, rate: float, *shape: int) -> ErrorProcess:
             return ErrorProcess(one, 1 / rate, (n, *shape), rng)

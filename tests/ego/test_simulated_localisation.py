@@ -51,6 +51,7 @@ def nees(*, with_bias: bool = True, **settings: Any) -> NDArray[np.float64]:
     start = DRIVE.at(0.0).pose + SIGMA * rng.standard_normal((CARS, 3))
     errors, extra = setup.errors, 0.0
     if not with_bias:
+        assert errors.gnss is not None
         errors, extra = replace(errors, gnss=GaussMarkov(0.0)), errors.gnss.sigma**2
     localisation = Localisation(start, 0.0, errors, LAYER, cov=np.diag(SIGMA**2))
     found, due = [], 2.0

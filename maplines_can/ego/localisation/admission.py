@@ -65,6 +65,7 @@ def admitted(observation: Observation, cars: int) -> Admitted:
     t = finite_time(observation.t)
     try:
         values, covs, kind = _arrays(observation, cars)
+        error = _stated_error(observation, cars)
     except (TypeError, ValueError, OverflowError):
         t = None
     if t is None:
@@ -76,6 +77,11 @@ def admitted(observation: Observation, cars: int) -> Admitted:
     for i, cov in enumerate(covs):
         bad |= given & ~wrong & ~is_covariance(cov, 0.0 if is_exact else LEAST_VARIANCE)
         covs[i] = np.where((given & ~wrong & ~bad)[..., None, None], cov, np.eye(cov.shape[-1]))
+    if error is not None:
+        sigma, time = error.T
+        is_error = (sigma >= 0) & (sigma <= LARGEST) & (time > 0)
+        bad |= given & ~wrong & ~(is_error | np.isnan(sigma))[:, None]
+        error = np.where(is_error[:, None], error, np.nan)
     values = np.where((wrong | bad)[..., None], np.nan, values)
     refused = {
         verdict: int(some.any(axis=1).sum())
@@ -85,7 +91,7 @@ def admitted(observation: Observation, cars: int) -> Admitted:
     if refused and np.isnan(values).any(axis=-1).all():
         return Admitted(None, refused)
     if isinstance(observation, GnssFix):
-        return Admitted(GnssFix(t, values[:, 0], covs[0][:, 0]), refused)
+        return Admitted(GnssFix(t, values[:, 0], covs[0][:, 0], error), refused)
     if isinstance(observation, PoseFix):
         shared = covs[1][:, 0] if len(covs) > 1 else None
         return Admitted(PoseFix(t, values[:, 0], covs[0][:, 0], shared), refused)
@@ -129,6 +135,17 @@ def _arrays(observation: Observation, n: int) -> tuple[Array, list[Array], NDArr
             cov = cov[:, None]  # (n, m, m) of one block
         covs.append(np.array(np.broadcast_to(cov, (*shape, m, m))))
     return values, covs, kind
+
+
+def _stated_error(observation: Observation, n: int) -> Array | None:
+    """Return the (n, 2) correlated error that a GNSS position states; None without one.
+
+    Raises:
+        ValueError: the shape is wrong, or something is no number.
+    """
+    if not isinstance(observation, GnssFix) or observation.error is None:
+        return None
+    return np.broadcast_to(floats(observation.error, "error"), (n, 2))
 
 
 def is_covariance(cov: Array, least: float = 0.0) -> NDArray[np.bool_]:

@@ -115,11 +115,11 @@ def _covariance(
     chosen: list[Position], car: int, t: Array, way: Array, across: Array, errors: SensorErrors
 ) -> tuple[Array, Array]:
     """Return the (2 K, 2 K) covariance of K positions, and the (2 K, 2) one with the GNSS bias."""
-    K = len(chosen)
+    K, gnss = len(chosen), errors.gnss or errors.UNKNOWN_GNSS
     cov = np.zeros((K, 2, K, 2))
     has_bias = np.array([one.is_gnss for one in chosen])
-    share = np.exp(-np.abs(t[:, None] - t) / errors.gnss.time) * np.outer(has_bias, has_bias)
-    cov += errors.gnss.sigma**2 * share[:, None, :, None] * np.eye(2)[None, :, None, :]
+    share = np.exp(-np.abs(t[:, None] - t) / gnss.time) * np.outer(has_bias, has_bias)
+    cov += gnss.sigma**2 * share[:, None, :, None] * np.eye(2)[None, :, None, :]
     both = np.outer(~has_bias, ~has_bias)
     cov += both[:, None, :, None] * chosen[-1].common[car][None, :, None, :]
     for i, one in enumerate(chosen):
@@ -130,6 +130,6 @@ def _covariance(
         (errors.yaw_rate.sigma, across * (t - t[-1])[:, None] / 2),
     ):
         cov += sigma**2 * shape[:, :, None, None] * shape[None, None]
-    decay = np.exp(-(t[-1] - t) / errors.gnss.time) * has_bias
-    bias = errors.gnss.sigma**2 * decay[:, None, None] * np.eye(2)
+    decay = np.exp(-(t[-1] - t) / gnss.time) * has_bias
+    bias = gnss.sigma**2 * decay[:, None, None] * np.eye(2)
     return cov.reshape(2 * K, 2 * K), bias.reshape(2 * K, 2)

@@ -174,7 +174,7 @@ def _sizes(found: Innovation, share: Array) -> tuple[Array, Array]:
     return size, size / LEVER
 
 
-def implausible(mean: Array, errors: SensorErrors) -> tuple[Cars, Cars]:
+def implausible(mean: Array, errors: SensorErrors, gnss_sigma: Array) -> tuple[Cars, Cars]:
     """Return (n,) whether the estimated errors of GNSS, and of the odometry, are impossible.
 
     Only those are judged that would grow without limit if a fault were taken for them.
@@ -182,9 +182,10 @@ def implausible(mean: Array, errors: SensorErrors) -> tuple[Cars, Cars]:
     Args:
         mean: (n, N) states.
         errors: of the sensors.
+        gnss_sigma: (n,) standard deviations of the GNSS error [m].
     """
     far = IMPLAUSIBLE**2
-    gnss = (mean[:, GNSS] ** 2).sum(axis=1) > far * errors.gnss.sigma**2
+    gnss = (mean[:, GNSS] ** 2).sum(axis=1) > far * gnss_sigma**2
     scale = mean[:, SCALE] ** 2 > far * errors.wheel_scale.sigma**2
     rate = mean[:, YAW_RATE] ** 2 > far * errors.yaw_rate.sigma**2
     return gnss, scale | rate

@@ -18,12 +18,13 @@ from .admission import admitted, is_covariance
 from .association import Verdict
 from .consistency import unsuspicious, widening
 from .correlation import ErrorCorrelation
+from .gnss_hypotheses import bank
 from .localisation_layer import LocalisationLayer
 from .measurements import Measurement, Observation, Odometry
-from .motion_model import CAMERA, GNSS, HEADING, POSE, N, initial, predict, speed_of
+from .motion_model import CAMERA, GNSS, HEADING, POSE, initial, predict, speed_of
 from .odometry_stream import CarLimits, OdometryStream, Sample
 from .sensor_errors import SensorErrors
-from .step import Outcome, Point, missed, predicted, updated, widen
+from .step import Outcome, first, missed, predicted, updated, widen
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,8 @@ class Localisation:
         observation          x    arrives here ^   and takes effect between the 2nd and the 3rd
 
     A sensor may be wrong. Odometry that no car can have is refused (``CarLimits``), and so is what
-    is no measurement. If the sensors contradict each other, the filter widens what it states, and
+    is no measurement. The error of GNSS is found out, unless it is known: see ``gnss_hypotheses``.
+    If the sensors contradict each other, the filter widens what it states, and
     then says that it does not know the pose, until it is found again: see ``consistency``.
 
     Args:
@@ -101,17 +103,21 @@ class Localisation:
             raise ValueError(f"history must be finite and 0 s or more, got {history!r}")
         self.errors, self._layer, self._history = errors or SensorErrors(), layer, history
         self._on_outcome = on_outcome
-        mean, full = initial(poses, P, self.errors)
-        self._points = [_first(t, mean, full)]
-        self._correlation = ErrorCorrelation(t, full)
-        self._odometry = OdometryStream(len(poses), t, limits or CarLimits())
+        held = bank(len(poses), t, self.errors)
+        n, K = held.weight.shape
+        poses = np.repeat(poses, K, axis=0)
+        P = np.repeat(np.broadcast_to(P, (n, 3, 3)), K, axis=0)
+        mean, full = initial(poses, P, self.errors, held.rows)
+        self._points = [first(t, mean, full, held, unsuspicious(n))]
+        self._correlation = ErrorCorrelation(t, self._points[0].mixture[1])
+        self._odometry = OdometryStream(n, t, limits or CarLimits())
         self._observations: list[Observation] = []
         self._counts = Counter[tuple[str, Verdict]]()
 
     @property
     def cars(self) -> int:
         """Number n of cars."""
-        return len(self._points[-1].mean)
+        return len(self._points[-1].trust.known)
 
     @property
     def t(self) -> float:
@@ -171,7 +177,7 @@ class Localisation:
             ValueError: the time is before it, and a pose is known.
         """
         point, last = self._points[-1], self._odometry.last
-        mean, cov, known = point.mean, point.cov.copy(), point.trust.known
+        (mean, cov), known = point.mixture, point.trust.known
         if t is not None and t != point.t and known.any():
             if not point.t < t < math.inf:
                 raise ValueError(f"t must be finite and {point.t:g} s or later, got {t!r}")
@@ -202,22 +208,27 @@ class Localisation:
         last = self._odometry.last
         if last is None:
             return np.full(self.cars, math.nan)
-        return speed_of(self._points[-1].mean, last.wheel_speed)
+        return speed_of(self._points[-1].mixture[0], last.wheel_speed)
 
     def gnss_bias(self) -> Array:
         """Return the (n, 2) errors of the GNSS position, as estimated [m]."""
-        return self._points[-1].mean[:, GNSS]
+        return self._points[-1].mixture[0][:, GNSS]
+
+    def gnss_sigma(self) -> Array:
+        """Return the (n,) standard deviations of the GNSS error, as told or as is likeliest [m]."""
+        held = self._points[-1].bank
+        return held.gnss_sigma[held.likeliest]
 
     def camera_error(self) -> Array:
         """Return the (n, 2) errors of the camera, as estimated: lateral [m], direction [rad]."""
-        return self._points[-1].mean[:, CAMERA]
+        return self._points[-1].mixture[0][:, CAMERA]
 
     def correlation_times(self) -> Array:
         """Return the (n, 3) correlation times of the errors along, across and of the heading [s].
 
         They are those of the end of the history: see ``ErrorCorrelation``. Infinite means unknown.
         """
-        return self._correlation.times(self._points[-1].mean[:, HEADING])
+        return self._correlation.times(self._points[-1].mixture[0][:, HEADING])
 
     def pose_error(self, t: float | None = None) -> PoseError | None:
         """Return the error of the pose of the one car, as a ``Scene`` states it; None without one.
@@ -252,9 +263,10 @@ class Localisation:
             self._count_dropped(one, Verdict.NO_ODOMETRY)
         self._observations.clear()
         last = self._points[-1]
-        point = _first(t, last.mean, last.cov)._replace(trust=last.trust)
+        held = last.bank._replace(at=np.full(self.cars, t))
+        point = first(t, last.mean, last.cov, held, last.trust)
         self._points = [missed(point, np.full(self.cars, True))]
-        self._correlation = ErrorCorrelation(t, last.cov)
+        self._correlation = ErrorCorrelation(t, last.mixture[1])
 
     def _repeat_from(self, t: float) -> None:
         """Repeat the filter from a time on, with all observations."""
@@ -284,7 +296,8 @@ class Localisation:
         horizon = self.t - self._history
         keep = bisect.bisect_left(self._points, horizon, key=lambda point: point.t) - 1
         for point in self._points[1 : keep + 1]:
-            self._correlation.advance(point.t, point.cov, point.transition, point.is_new)
+            cov, transition = point.mixture[1], point.mean_transition
+            self._correlation.advance(point.t, cov, transition, point.is_new)
             if point.outcome is not None:
                 self._count(point.outcome)
         if keep > 0:
@@ -301,11 +314,6 @@ class Localisation:
 
     def _count_dropped(self, observation: Observation, verdict: Verdict) -> None:
         self._counts[type(observation).__name__, verdict] += self.cars
-
-
-def _first(t: float, mean: Array, cov: Array) -> Point:
-    """Return the point with which a filter starts."""
-    return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), unsuspicious(len(mean)))
 
 
 def _time(one: Observation | Sample) -> float:

@@ -23,11 +23,19 @@ class Odometry(NamedTuple):
 
 
 class GnssFix(NamedTuple):
-    """GNSS position in the map frame, of the origin of the ego frame."""
+    """GNSS position in the map frame, of the origin of the ego frame.
+
+    A receiver that knows how large the error is that a position shares with those before and after
+    it, states it as ``error``, such as ``GaussMarkov(15.0, 20.0)``, with each fix. It holds until
+    the next fix, and overrides ``SensorErrors.gnss``.
+    """
 
     t: float  #: [s]
     position: Array  #: (n, 2) x, y [m]
     cov: Array  #: (n, 2, 2) or (2, 2), of its white noise; the bias is a state [m^2]
+    #: (2,) or (n, 2) standard deviation [m] and correlation time [s] of its correlated error; None,
+    #: or NaN for a car, if it is not known
+    error: Array | tuple[float, float] | None = None
 
 
 class CameraLines(NamedTuple):

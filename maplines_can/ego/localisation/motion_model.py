@@ -37,12 +37,18 @@ POSE, GNSS, CAMERA, FIX = slice(0, 3), slice(6, 8), slice(8, 10), slice(10, 13)
 ERRORS = slice(3, N)
 
 
-def initial(pose: Array, cov: Array, errors: SensorErrors) -> tuple[Array, Array]:
-    """Return (n, N) means and (n, N, N) covariances for (n, 3) poses with (n, 3, 3) covariances."""
+def initial(
+    pose: Array, cov: Array, errors: SensorErrors, processes: Array | None = None
+) -> tuple[Array, Array]:
+    """Return (n, N) means and (n, N, N) covariances for (n, 3) poses with (n, 3, 3) covariances.
+
+    The processes are as in ``predict``.
+    """
     mean, full = np.zeros((len(pose), N)), np.zeros((len(pose), N, N))
     mean[:, POSE] = pose
     full[:, POSE, POSE] = cov
-    full[:, ERRORS, ERRORS] = np.diag(errors.sigmas**2)
+    rows = range(3, N)
+    full[:, rows, rows] = (errors.sigmas if processes is None else processes[:, 0]) ** 2
     return mean, full
 
 
@@ -52,7 +58,13 @@ def speed_of(mean: Array, wheel_speed: Array) -> Array:
 
 
 def predict(
-    mean: Array, cov: Array, wheel_speed: Array, yaw_rate: Array, dt: float, errors: SensorErrors
+    mean: Array,
+    cov: Array,
+    wheel_speed: Array,
+    yaw_rate: Array,
+    dt: float,
+    errors: SensorErrors,
+    processes: Array | None = None,
 ) -> tuple[Array, Array, Array]:
     """Return states, covariances and transition matrices after a time step.
 
@@ -63,6 +75,8 @@ def predict(
         yaw_rate: (n,) mean over the step [rad/s].
         dt: [s], of some 10 ms.
         errors: of the sensors.
+        processes: (n, 2, N - 3) standard deviations and correlation times [s] of the errors of each
+            filter; None for those of ``errors``.
 
     Returns:
         (n, N) means, (n, N, N) covariances, (n, N, N) transition matrices F.
@@ -71,7 +85,10 @@ def predict(
     turn = (yaw_rate - mean[:, YAW_RATE]) * dt
     middle = mean[:, HEADING] + turn / 2
     c, s = np.cos(middle), np.sin(middle)
-    phi = np.tile(np.exp(-dt / errors.times), (len(mean), 1))  # (n, N - 3)
+    if processes is None:
+        processes = np.tile([errors.sigmas, errors.times], (len(mean), 1, 1))
+    sigmas, times = processes[:, 0], processes[:, 1]
+    phi = np.exp(-dt / times)  # (n, N - 3)
     phi[:, -3:] = np.exp(-np.abs(wheel_speed) * dt / errors.fix_distance)[:, None]
     after = mean.copy()
     after[:, X] += v * dt * c
@@ -91,7 +108,7 @@ def predict(
     moved = F @ cov @ F.transpose(0, 2, 1)
     moved[:, HEADING, HEADING] += errors.yaw_rate_noise**2 * dt
     rows = range(3, N)
-    moved[:, rows, rows] += errors.sigmas**2 * (1 - phi**2)
+    moved[:, rows, rows] += sigmas**2 * (1 - phi**2)
     return after, moved, F
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,13 +26,15 @@ class SensorErrors:
     """Errors of the sensors: what is correlated in time, and the white noise of the yaw rate.
 
     The white noise of the other sensors comes with each measurement, as its covariance. The
-    defaults are those of a production car with a single-frequency GNSS receiver.
+    defaults are those of a production car; the error of its GNSS receiver is not known.
 
     Args:
         speed: of the wheel speed, such as by slip [m/s].
         yaw_rate: bias of the yaw rate [rad/s].
         wheel_scale: relative error of the wheel radius: true speed over wheel speed, less 1.
-        gnss: of the GNSS position, to the east and to the north alike [m].
+        gnss: of the GNSS position, to the east and to the north alike [m]; None if it is not
+            known, so that the filter finds it out: see ``gnss_hypotheses``. A fix may state its
+            own, see ``GnssFix``.
         camera_offset: common to the lateral positions of all lines that the camera sees [m].
         camera_heading: common to their directions [rad].
         fix_distance: way of the car over which the autocorrelation of the error that successive
@@ -47,15 +49,20 @@ class SensorErrors:
     speed: GaussMarkov = GaussMarkov(0.05, 1.0)
     yaw_rate: GaussMarkov = GaussMarkov(math.radians(0.2), 1000.0)
     wheel_scale: GaussMarkov = GaussMarkov(0.01, 3600.0)
-    gnss: GaussMarkov = GaussMarkov(1.5, 60.0)
+    gnss: GaussMarkov | None = None
     camera_offset: GaussMarkov = GaussMarkov(0.05, 20.0)
     camera_heading: GaussMarkov = GaussMarkov(math.radians(0.1), 100.0)
     fix_distance: float = 20.0
     yaw_rate_noise: float = math.radians(0.02)
 
+    #: Error of a single-frequency GNSS receiver on an open road [m].
+    UNKNOWN_GNSS: ClassVar[GaussMarkov] = GaussMarkov(1.5, 60.0)
+
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
+            if value is None:
+                continue
             sigma, time = value if isinstance(value, tuple) else (value, math.inf)
             if not (0 <= sigma < math.inf and time > 0):
                 raise ValueError(
@@ -68,12 +75,13 @@ class SensorErrors:
     @property
     def processes(self) -> tuple[GaussMarkov, ...]:
         """Processes in time, in the order of the states of the filter."""
+        gnss = self.gnss or self.UNKNOWN_GNSS
         return (
             self.speed,
             self.yaw_rate,
             self.wheel_scale,
-            self.gnss,
-            self.gnss,
+            gnss,
+            gnss,
             self.camera_offset,
             self.camera_heading,
         )

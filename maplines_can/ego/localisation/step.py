@@ -1,8 +1,13 @@
-"""One step of the localisation: from an odometry or an observation to the next."""
+"""One step of the localisation: from an odometry or an observation to the next.
+
+Each of n cars has K filters, which are n K rows: see ``gnss_hypotheses``. What is known of the
+consistency of a car is that of its likeliest row.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,12 +27,35 @@ from .consistency import (
     may_align,
     vouched,
 )
+from .gnss_hypotheses import (
+    Bank,
+    discarded,
+    first_weight,
+    hypotheses,
+    mixture,
+    renewed,
+    stated,
+    weighed,
+)
 from .localisation_layer import LocalisationLayer
 from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
-from .motion_model import CAMERA, FIX, GNSS, HEADING, POSE, N, X, Y, initial, predict, update
+from .motion_model import (
+    CAMERA,
+    ERRORS,
+    FIX,
+    GNSS,
+    HEADING,
+    POSE,
+    N,
+    X,
+    Y,
+    initial,
+    predict,
+    update,
+)
 from .observation_models import Innovation, innovation
 from .odometry_stream import OdometryStream
-from .sensor_errors import SensorErrors
+from .sensor_errors import GaussMarkov, SensorErrors
 
 Array = NDArray[np.float64]
 Cars = NDArray[np.bool_]
@@ -49,14 +77,32 @@ class Point(NamedTuple):
     """State of the filter after an odometry or an observation."""
 
     t: float
-    mean: Array
-    cov: Array
-    transition: Array  #: (n, N, N) of the error since the point before
+    mean: Array  #: (n K, N)
+    cov: Array  #: (n K, N, N)
+    transition: Array  #: (n K, N, N) of the error since the point before
+    bank: Bank
     trust: Consistency
     positions: tuple[Position, ...] = ()  #: of the cars whose pose is lost
     outcome: Outcome | None = None
     is_new: Cars | None = None  #: (n,) cars whose pose does not follow from the point before
     sightings: Mapping[str, Sightings] = {}  #: of the last image, by source
+
+    @property
+    def mixture(self) -> tuple[Array, Array]:
+        """(n, N) means and (n, N, N) covariances of the cars, over their hypotheses."""
+        return mixture(self.mean, self.cov, self.bank.weight)
+
+    @property
+    def mean_transition(self) -> Array:
+        """(n, N, N) transition of the error of the mixture since the point before."""
+        n, K = self.bank.weight.shape
+        rows = self.transition.reshape(n, K, N, N)
+        return np.asarray((self.bank.weight[..., None, None] * rows).sum(axis=1))
+
+
+def first(t: float, mean: Array, cov: Array, held: Bank, trust: Consistency) -> Point:
+    """Return the point with which a filter starts."""
+    return Point(t, mean, cov, np.eye(N) + np.zeros_like(cov), held, trust)
 
 
 def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorErrors) -> Point:
@@ -67,8 +113,10 @@ def predicted(last: Point, t: float, stream: OdometryStream, errors: SensorError
             t=t, transition=np.eye(N) + np.zeros_like(last.cov), outcome=None, is_new=None
         )
     speed, rate, since = stream.at((last.t + t) / 2)
-    mean, cov, F = predict(last.mean, last.cov, speed, rate, dt, errors)
-    widen(cov, *stream.gap_noise(last.t, t, since, speed))
+    both = speed, rate, *stream.gap_noise(last.t, t, since, speed)
+    speed, rate, position, heading = (np.repeat(one, last.bank.weight.shape[1]) for one in both)
+    mean, cov, F = predict(last.mean, last.cov, speed, rate, dt, errors, last.bank.rows)
+    widen(cov, position, heading)
     return last._replace(t=t, mean=mean, cov=cov, transition=F, outcome=None, is_new=None)
 
 
@@ -83,33 +131,86 @@ def updated(
     point: Point, observation: Observation, layer: LocalisationLayer | None, errors: SensorErrors
 ) -> Point:
     """Return the point after an observation at its time."""
-    t, mean, cov, transition, trust, *_ = point
-    found, sightings = innovation(observation, mean, cov, layer), point.sightings
+    t, mean, cov, transition, held, trust, *_ = point
+    K = held.weight.shape[1]
+    if isinstance(observation, GnssFix):
+        mean, cov, transition, held = _gnss_error(point, observation, errors)
+    found, sightings = innovation(_repeated(observation, K), mean, cov, layer), point.sightings
     if isinstance(observation, CameraLines | SeenLandmarks):
-        found, seen = confirmed(found, cov, sightings.get(found.source), t)
-        sightings = {**sightings, found.source: seen}
+        found, images = confirmed(found, cov, sightings.get(found.source), t)
+        sightings = {**sightings, found.source: images}
+    likeliest = held.likeliest
+    seen = _rows(found, likeliest)
     was_known = trust.known
-    trust, contradicted, drifts = compared(trust, found, t)
+    trust, contradicted, drifts = compared(trust, _predicted_fixes(seen, found, K), t)
+    is_gnss = found.source == "gnss"
+    if is_gnss and K > 1:
+        held = discarded(held, drifts)
+        trust, contradicted = forgiven(trust, drifts, "gnss"), contradicted & ~drifts
     trust = _contradicted(trust, contradicted, found.source, t, drifts)
-    used = (found.verdict == Verdict.USED) & trust.known[:, None]
+    used = (found.verdict == Verdict.USED) & np.repeat(trust.known, K)[:, None]
     if used.any():
         mean, cov, reduction = update(mean, cov, found.residual, found.H, found.R, used)
         transition = reduction @ transition
-    far_gnss, far_odometry = implausible(mean, errors)
-    far_gnss, far_odometry = far_gnss & trust.known, far_odometry & trust.known
-    far_odometry &= ~vouched(trust, None, t)
+    if is_gnss:
+        given = (seen.verdict[:, 0] != Verdict.MISSING) & trust.known
+        held = weighed(held, found, given, t)
+    far_gnss, far_odometry = implausible(mean, errors, held.gnss_sigma)
+    far_gnss = (far_gnss.reshape(-1, K).all(axis=1) | held.blames_odometry) & trust.known
+    far_odometry = far_odometry[held.likeliest] & trust.known & ~vouched(trust, None, t)
     trust = _contradicted(trust, far_gnss, "gnss", t, far_gnss)
+    held = discarded(held, held.blames_odometry & trust.known)
     trust = lost(trust, far_odometry, t, misled=True)
-    biases = np.zeros((len(mean), N), dtype=bool)
+    biases = np.zeros((len(trust.known), N), dtype=bool)
     biases[contradicted & was_known, _BIASES[found.source]] = True
     biases[far_gnss, GNSS] = True
     if biases.any():
-        mean, cov, transition = _forgotten(mean, cov, transition, biases, errors)
+        states = np.repeat(biases, K, axis=0)
+        mean, cov, transition = _forgotten(mean, cov, transition, states, held)
     trust = found_again(trust, agreeing(trust))
-    verdict = np.where((found.verdict == Verdict.USED) & ~used, Verdict.LOST, found.verdict)
-    outcome = Outcome(t, found.source, verdict, found.squared)
-    after = Point(t, mean, cov, transition, trust, point.positions, outcome, None, sightings)
-    return after if trust.known.all() else _sought(after, observation, found, errors)
+    own = used[likeliest]
+    verdict = np.where((seen.verdict == Verdict.USED) & ~own, Verdict.LOST, seen.verdict)
+    outcome = Outcome(t, seen.source, verdict, seen.squared)
+    after = Point(t, mean, cov, transition, held, trust, point.positions, outcome, None, sightings)
+    return after if trust.known.all() else _sought(after, observation, seen, errors)
+
+
+def _gnss_error(
+    point: Point, fix: GnssFix, errors: SensorErrors
+) -> tuple[Array, Array, Array, Bank]:
+    """Return means, covariances, transitions and the bank with the GNSS error of a fix."""
+    t, mean, cov, transition, held, trust, *_ = point
+    error = np.full((len(trust.known), 2), np.nan) if fix.error is None else np.asarray(fix.error)
+    mean, cov, share, held = stated(mean, cov, held, error, hypotheses(errors))
+    given = np.isfinite(fix.position).all(axis=1) & trust.known & np.isnan(error[:, 0])
+    mean, cov, factor, held = renewed(mean, cov, held, given, t)
+    return mean, cov, (share * factor)[:, :, None] * transition, held
+
+
+def _repeated(observation: Observation, K: int) -> Observation:
+    """Return an observation of n cars for n K rows."""
+    if K == 1:
+        return observation
+    rows = (None if one is None else np.repeat(one, K, axis=0) for one in observation[1:])
+    return type(observation)(observation.t, *rows)  # type: ignore[arg-type]
+
+
+def _rows(found: Innovation, rows: NDArray[np.intp]) -> Innovation:
+    """Return the innovations of some rows."""
+    source, residual, H, R, S, verdict = found
+    return Innovation(source, residual[rows], H[rows], R[rows], S[rows], verdict[rows])
+
+
+def _predicted_fixes(seen: Innovation, found: Innovation, K: int) -> Innovation:
+    """Return the innovations of cars without the fixes that not the likeliest hypothesis predicts.
+
+    If another one does, they say that the hypothesis is wrong, not the pose: the weights follow.
+    """
+    if K == 1 or seen.source != "gnss":
+        return seen
+    other = (found.verdict == Verdict.USED).reshape(-1, K).any(axis=1)[:, None]
+    is_explained = other & (seen.verdict == Verdict.OUTLIER)
+    return seen._replace(verdict=np.where(is_explained, Verdict.MISSING, seen.verdict))
 
 
 def _contradicted(
@@ -124,11 +225,12 @@ def _contradicted(
 
 
 def _forgotten(
-    mean: Array, cov: Array, transition: Array, states: Cars, errors: SensorErrors
+    mean: Array, cov: Array, transition: Array, states: Cars, held: Bank
 ) -> tuple[Array, Array, Array]:
-    """Return means, covariances and transitions in which (n, N) errors of sensors are unknown."""
+    """Return means, covariances and transitions in which (n K, N) errors are unknown."""
     keep = ~states[:, :, None]
-    prior = np.append(np.zeros(3), errors.sigmas**2)
+    prior = np.zeros(mean.shape)
+    prior[:, ERRORS] = held.rows[:, 0] ** 2
     cov = np.where(keep & keep.swapaxes(1, 2), cov, 0.0)
     cov[:, range(N), range(N)] += np.where(states, prior, 0.0)
     return np.where(states, 0.0, mean), cov, np.where(keep, transition, 0.0)
@@ -140,7 +242,8 @@ def _sought(
     """Return the point after a position of cars whose pose is lost, which may find it."""
     if not isinstance(observation, GnssFix | PoseFix):
         return point
-    t, trust, n = point.t, point.trust, len(point.mean)
+    t, trust, n = point.t, point.trust, len(point.trust.known)
+    own = point.mean[point.bank.likeliest]
     given = (found.verdict[:, 0] != Verdict.MISSING) & ~trust.known
     is_gnss = isinstance(observation, GnssFix)
     noise = np.broadcast_to(observation.cov, (n, *observation.cov.shape[-2:]))[:, :2, :2]
@@ -151,15 +254,13 @@ def _sought(
             common = common + observation.shared[..., :2, :2]
     else:
         place = observation.position
-    new = Position(
-        t, is_gnss, np.where(given[:, None], place, np.nan), noise, common, point.mean[:, :2]
-    )
+    new = Position(t, is_gnss, np.where(given[:, None], place, np.nan), noise, common, own[:, :2])
     past = [one for one in point.positions if t - one.t <= MAX_TIME]
     positions = (*past, new)
     fits, poses = trust.fits.copy(), dict[int, Alignment]()
     for car in np.flatnonzero(given).tolist():
         same = [one for one in positions if one.is_gnss == is_gnss]
-        pose = aligned(same, car, trust.since[car], point.mean[car, POSE], errors)
+        pose = aligned(same, car, trust.since[car], own[car, POSE], _with_error(point, car, errors))
         if pose is not None and not pose.fits:
             fits[car] = np.nan
         elif pose is not None:  # a car that stands shows nothing
@@ -168,17 +269,34 @@ def _sought(
     trust = trust._replace(fits=fits)
     ready = may_align(trust, t) & np.isin(np.arange(n), [*poses])
     point = point._replace(trust=found_again(trust, ready), positions=positions, is_new=ready)
-    if not ready.any():
-        return point
+    return _placed(point, poses, ready, is_gnss, errors) if ready.any() else point
+
+
+def _with_error(point: Point, car: int, errors: SensorErrors) -> SensorErrors:
+    """Return the errors of the sensors of a car by its likeliest hypothesis."""
+    sigma, time = point.bank.rows[point.bank.likeliest[car], :, GNSS.start - 3].tolist()
+    return replace(errors, gnss=GaussMarkov(sigma, time))
+
+
+def _placed(
+    point: Point, poses: dict[int, Alignment], ready: Cars, is_gnss: bool, errors: SensorErrors
+) -> Point:
+    """Return the point with the poses that were found, of which the GNSS error is that found by."""
     mean, cov, transition = (one.copy() for one in point[1:4])
+    held, K = point.bank, point.bank.weight.shape[1]
+    weight, at = held.weight.copy(), np.where(ready, point.t, held.at)
     for car in np.flatnonzero(ready).tolist():
-        pose = poses[car]
-        mean[car : car + 1], cov[car : car + 1] = initial(pose.pose[None], pose.cov[None], errors)
+        pose, rows = poses[car], slice(car * K, car * K + K)
+        where, spread = np.tile(pose.pose, (K, 1)), np.tile(pose.cov, (K, 1, 1))
+        mean[rows], cov[rows] = initial(where, spread, errors, held.rows[rows])
         if is_gnss:
-            cov[car, POSE, GNSS] = pose.bias_cov
-            cov[car, GNSS, POSE] = pose.bias_cov.T
-        transition[car] = 0.0
-    return point._replace(mean=mean, cov=cov, transition=transition)
+            row = held.likeliest[car]
+            cov[row, POSE, GNSS] = pose.bias_cov
+            cov[row, GNSS, POSE] = pose.bias_cov.T
+        transition[rows] = 0.0
+        weight[car] = first_weight(K)
+    held = held._replace(weight=weight, at=at)
+    return point._replace(mean=mean, cov=cov, transition=transition, bank=held)
 
 
 def missed(point: Point, cars: Cars) -> Point:

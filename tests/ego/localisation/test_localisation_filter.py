@@ -39,6 +39,10 @@ def odometry(t: float, speed: float = 10.0, rate: float = 0.0) -> Odometry:
     return Odometry(t, np.array([speed]), np.array([rate]))
 
 
+#: With a known error of GNSS.
+TOLD = SensorErrors(gnss=GaussMarkov(1.5, 60.0))
+
+
 def fix(t: float, x: float, y: float, sigma: float = SIGMA) -> GnssFix:
     return GnssFix(t, np.array([[x, y]]), sigma**2 * np.eye(2))
 
@@ -289,7 +293,7 @@ def test_a_loss_does_not_depend_on_the_order_of_arrival() -> None:
     for delays in (np.zeros(len(seen)), rng.uniform(0.0, 0.4, len(seen))):
         arrivals: list[tuple[float, Any]] = [(one.t, one) for one in driving]
         arrivals += [(one.t + d, one) for one, d in zip(seen, delays, strict=True)]
-        localisation, course = Localisation(start), []
+        localisation, course = Localisation(start, errors=TOLD), []
         for t, one in sorted(arrivals, key=lambda arrival: arrival[0]):
             localisation.add(one)
             if round(t, 2) % 2 == 0.0 and isinstance(one, Odometry):
@@ -335,7 +339,7 @@ def test_several_cars_are_as_each_alone() -> None:
 
 def test_a_curve_is_as_by_an_unscented_filter() -> None:
     """Of filterpy, on a circle: the linearisation is harmless, and so is the code."""
-    errors = SensorErrors()
+    errors = TOLD
     mean, cov = initial(np.zeros((1, 3)), np.diag([0.5, 0.5, 0.02]) ** 2, errors)
     points = MerweScaledSigmaPoints(N, alpha=0.5, beta=2.0, kappa=0.0)
     H = np.zeros((2, N))
