@@ -21,12 +21,13 @@ from maplines_can.ego.localisation import Outcome
 from maplines_can.ego.localisation.motion_model import GNSS, N, initial, predict
 
 DT = 0.02
+LINEAR_GNSS = GaussMarkov(1.5, 6.0)
 #: With an exact heading, the filter is linear.
 LINEAR = SensorErrors(
     speed=GaussMarkov(0.2, 1.0),
     yaw_rate=GaussMarkov(0.0),
     wheel_scale=GaussMarkov(0.02),
-    gnss=GaussMarkov(1.5, 6.0),
+    gnss=LINEAR_GNSS,
     camera_offset=GaussMarkov(0.0),
     camera_heading=GaussMarkov(0.0),
     yaw_rate_noise=0.0,
@@ -87,7 +88,7 @@ class Closed:
         sums = np.pad(sums.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         self.cov = EXACT_HEADING[0, 0] + LINEAR.wheel_scale.sigma**2 * 100 * np.outer(t, t)
         self.cov += sums[np.ix_(steps, steps)]
-        bias = LINEAR.gnss.sigma**2 * np.exp(-np.abs(np.subtract.outer(t, t)) / LINEAR.gnss.time)
+        bias = LINEAR_GNSS.sigma**2 * np.exp(-np.abs(np.subtract.outer(t, t)) / LINEAR_GNSS.time)
         self.seen = self.cov + bias + SIGMA**2 * np.eye(len(t))
 
     def gain(self, k: int) -> NDArray[np.float64]:
