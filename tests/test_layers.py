@@ -66,6 +66,7 @@ ego.localisation.localisation_layer ego.localisation.association
 ego.localisation.observation_models ego.localisation.confirmation
 ego.localisation.correlation ego.localisation.admission
 ego.localisation.odometry_stream ego.localisation.consistency ego.localisation.alignment
+ego.localisation.gnss_hypotheses
 ego.localisation.step ego.localisation.filter
 ego.localisation ego.simulated_sensors ego.simulated_localisation
 ego.scan_matching.reference ego.scan_matching.match ego.scan_matching.ndt ego.scan_matching.icp
