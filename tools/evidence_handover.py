@@ -21,10 +21,12 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
-from evidence_maps import Array, beside, files_of
+from evidence_maps import beside, files_of
+from line_witness import Array
 from random_roads import ROADS, random_map
 from reporting import bar, parser_of, report
 
@@ -122,6 +124,10 @@ def figures(rows: list[tuple[Reason | None, float, float]]) -> dict[str, Any]:
     }
 
 
+def _same(road_map: maps.Map, _: int) -> maps.Map:
+    return road_map
+
+
 def main(argv: list[str] | None = None) -> int:
     """Print the figures; return 0 if the bounds are met, else 1."""
     parser = parser_of(__doc__)
@@ -140,12 +146,12 @@ def main(argv: list[str] | None = None) -> int:
         except (MapFileError, OSError):
             continue
         if any(lane.type.is_drivable for lane in road_map.lanes.values()):
-            found.append((path.name, lambda _, same=road_map: same))
-    found += [(f"random: {x}", lambda seed, x=x: random_map(x, seed)) for x in ROADS]
+            found.append((path.name, partial(_same, road_map)))
+    found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
     result: dict[str, Any] = {}
     with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
         for name, map_of in found:
-            rows = []
+            rows: list[tuple[Reason | None, float, float]] = []
             for seed in range(options.seed, options.seed + options.routes):
                 road_map = map_of(seed)
                 route = maps.random_tour(road_map, LENGTH, seed)

@@ -30,6 +30,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -161,7 +162,7 @@ class Cars:
         e = points[:, below] * (1 - share) + points[:, below + 1] * share
         c, s = math.cos(heading), math.sin(heading)
         moved = offset @ np.array([[c, -s], [s, c]])
-        error = self._error
+        error = self._error or MapError()
         return error.point_sigma * e @ W.T - error.offset_sigma * moved @ H[:, :2].T
 
 
@@ -186,7 +187,7 @@ def sights(
             for camera, sigma in CAMERAS.items():
                 parts = seen(scene, lines, pose, sigma) if scene.lines else None
                 if parts is not None:
-                    found[error_name, camera] = Sight(*parts, *moved, float(pose[2]))
+                    found[error_name, camera] = Sight(*(*parts, *moved, float(pose[2])))
         yield found, lines
 
 
@@ -303,6 +304,10 @@ def figures(
     return result
 
 
+def _same(road_map: maps.Map, _: int) -> maps.Map:
+    return road_map
+
+
 def main(argv: list[str] | None = None) -> int:
     """Print the figures; return 0 if the bounds are met, else 1."""
     parser = parser_of(__doc__)
@@ -320,10 +325,11 @@ def main(argv: list[str] | None = None) -> int:
         except (MapFileError, OSError):
             continue
         if any(lane.type.is_drivable for lane in road_map.lanes.values()):
-            found.append((path.name, lambda _, same=road_map: same))
-    found.append(("straight, spiral, bend of 150 m", lambda _: spiral_map()))
-    found += [(f"random: {x}", lambda seed, x=x: random_map(x, seed)) for x in ROADS]
-    result, every = {}, []
+            found.append((path.name, partial(_same, road_map)))
+    found.append(("straight, spiral, bend of 150 m", partial(_same, spiral_map())))
+    found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
+    result: dict[str, Any] = {}
+    every = []
     with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
         for name, map_of in found:
             rows = []
