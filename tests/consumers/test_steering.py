@@ -264,7 +264,7 @@ def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
 
 
 @pytest.mark.parametrize("turn", [60.0, 90.0, 120.0])
-@pytest.mark.parametrize("radius", [6.5, 8.0])
+@pytest.mark.parametrize("radius", [8.0, 10.0])
 @pytest.mark.parametrize("speed", [2.0, 2.8])
 def test_a_turn_at_a_junction_is_driven(radius: float, turn: float, speed: float) -> None:
     """From the straight road before it to the one behind, as the lines of each place permit."""
