@@ -40,7 +40,7 @@ def test_what_cubics_miss_is_found_if_it_is_not_covered(monkeypatch: pytest.Monk
     alarms, times = alarms_of(spiral_map(), monkeypatch, 40, 5.0)
     assert max(number for number, _ in alarms.values()) >= 30
     figures = tool.figures([(alarms, times)])
-    assert not all(row.get("met", True) for row in figures.values())
+    assert not all(row.get("as designed", True) for row in figures.values())
 
 
 def test_a_shift_of_the_map_is_detected(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,9 +20,9 @@ The errors of the map are those of MapError: 5 cm of each point and 5 cm of each
 drive; or none. Two cameras: sigmas of 5 cm and 0.17 deg, and of 2 cm and 0.06 deg.
 
 False alarms count as in evidence_plausibility.py, also in two settings: as modelled, where the
-errors are those of the model; and default. There must not be more than twice as many as designed,
-beyond 3.3 standard deviations of the number that cars with independent errors have. The exit status
-is 1 if there are more.
+errors are those of the model; and default. By default, there must not be more than twice as many as
+designed, beyond 3.3 standard deviations of the number that cars with independent errors have. The
+exit status is 1 if there are more.
 """
 
 from __future__ import annotations
@@ -58,6 +58,8 @@ SIGHT = 50.0
 MAP_ERRORS = {"exact": None, "5 cm": MapError(0.05, 0.05)}
 #: Settings of evidence_plausibility.py, and the most times as many alarms as designed.
 TESTED, MOST = ("as modelled", "default"), 2.0
+#: Setting for which the number of alarms is a bound.
+BOUND = "default"
 #: Shift of the map that is to be detected [m], and designed false alarms then [1/h].
 SHIFT, DETECTION_RATE = 0.5, 0.01
 #: Points of the map farther away along a line are not used [m], and the length of a route.
@@ -289,8 +291,10 @@ def figures(
             "hours": round(hours, 1),
             "alarms": round(alarms),
             "per hour": round(alarms / hours, 3) if hours else math.nan,
-            "met": alarms <= most + LIMIT * math.sqrt(most),
+            "as designed": alarms <= most + LIMIT * math.sqrt(most),
         }
+        if BOUND in name:
+            result[name]["met"] = result[name]["as designed"]
     for name in routes[0][1]:
         times = np.concatenate([times[name] for _, times in routes])
         shares = (
