@@ -9,8 +9,9 @@ from ..polyline import Stretches
 from ..seen_lines import NODES, SHAPE
 from .valid_range import Fitted, at_nodes
 
-#: Least misfit that is covered [m]; less is beyond any map, and would leave a singular covariance.
-LEAST_MISFIT = 0.001
+#: Least level of the shape, and standard deviation of T_0 beside the misfit [m]: no map is exact to
+#: a centimetre, and a covariance that says so is far from singular.
+LEAST_SIGMA = 0.01
 #: Variance of the coefficient of T_0, in units of the squared misfit.
 LATERAL_SHARE = 0.2
 #: Least level of the shape squared, in units of the squared misfit.
@@ -67,8 +68,7 @@ def coefficient_variances(
         shown = _shown_noise(stretches, i, x[i], cubic[i])
         if shown <= MOST_SHOWN * point_sigma**2:
             noise[i] = min(shown, point_sigma**2)
-    misfit = np.maximum(fitted.misfit, LEAST_MISFIT)
-    level = LEAST_SHAPE * misfit**2
+    level = np.maximum(LEAST_SHAPE * fitted.misfit**2, LEAST_SIGMA**2)
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]
     for spacing in SPACINGS:
         steps = np.rint(_STEPS * spacing / lengths).astype(np.int64).clip(1)
@@ -77,7 +77,7 @@ def coefficient_variances(
             least = _least_level(rest[long], steps[long], position[long], noise[long])
             level[long] = np.maximum(level[long], least)
     variances = level[:, None] * SHAPE
-    variances[:, 0] = LATERAL_SHARE * misfit**2
+    variances[:, 0] = LATERAL_SHARE * fitted.misfit**2 + LEAST_SIGMA**2
     return np.asarray(variances)
 
 

@@ -35,6 +35,7 @@ from maplines_can.errors import BusError, EncodeError
 from maplines_can.line import LeftOut, MapLineList, Slot
 from maplines_can.scene import Scene
 from maplines_can.wire import POSE, Frame, PreparedScene
+from maplines_can.wire.covariance.scene_encoder import EncodedScene
 
 
 def transfer(sent: Any, n: Any = PAGES) -> Any:
@@ -372,7 +373,7 @@ class SceneCodec(FakeCodec):
 
     def prepare_scene(self, scene: Scene, *, fd: bool) -> PreparedScene:
         assert fd is False
-        return PreparedScene(scene, None, tuple(scene.index))  # type: ignore[arg-type]
+        return PreparedScene(scene, EncodedScene({}, {}, None, {}), tuple(scene.index))
 
     def encode_scene(self, prepared: PreparedScene, *, age: Any, fd: bool, counters: Any) -> Any:
         assert fd is False

@@ -96,7 +96,7 @@ def test_item_3_two_points_300_m_apart_are_a_line() -> None:
 
     assert (line.x_min, line.x_max) == (-20.0, 80.0)
     assert line.y([-20.0, 0.0, 80.0]) == pytest.approx([1.75] * 3, abs=1e-4)
-    assert line.y_sigma(0.0) == pytest.approx(0.2, rel=1e-3)
+    assert line.y_sigma(0.0) == pytest.approx(0.2, rel=5e-3)
     assert share_outside(STRAIGHT, line, EGO) <= MOST_OUTSIDE
 
 

@@ -131,19 +131,19 @@ def test_fit_ranges_are_whole_metres_that_contain_the_valid_ones(shape: str) -> 
 
 
 def test_the_pose_error_moves_the_lines_together() -> None:
-    """The width of a straight lane is exact; the centre is as uncertain as the pose."""
+    """The width of a straight lane is nearly exact; the centre is as uncertain as the pose."""
     scene = map_scene(ROADS, EGO)
     assert scene.width([0.0, 40.0]).value == pytest.approx([3.5, 3.5], abs=1e-4)
-    assert scene.width(0.0).sigma < 1e-3
-    assert scene.centre(0.0).sigma == pytest.approx(0.2, rel=1e-3)
-    assert scene.centre(40.0).sigma == pytest.approx(np.hypot(0.2, 40 * 0.003), rel=1e-3)
+    assert scene.width(0.0).sigma < 0.025  # two lines, a centimetre in T_0 and in T_2
+    assert scene.centre(0.0).sigma == pytest.approx(0.2, rel=1e-2)
+    assert scene.centre(40.0).sigma == pytest.approx(np.hypot(0.2, 40 * 0.003), rel=1e-2)
 
 
 def test_the_map_error_moves_each_line_by_itself() -> None:
     """The width has twice the variance of the offset, the centre half of it."""
     scene = map_scene(ROADS, EGO, map_error=MapError(offset_sigma=0.1))
-    assert scene.width(0.0).sigma == pytest.approx(np.sqrt(2) * 0.1, rel=1e-3)
-    assert scene.centre(0.0).sigma == pytest.approx(np.hypot(0.2, 0.1 / np.sqrt(2)), rel=1e-3)
+    assert scene.width(0.0).sigma == pytest.approx(np.sqrt(2) * 0.1, rel=2e-2)
+    assert scene.centre(0.0).sigma == pytest.approx(np.hypot(0.2, 0.1 / np.sqrt(2)), rel=2e-2)
 
 
 def test_the_pose_error_is_in_the_frame_of_the_car() -> None:
@@ -154,7 +154,7 @@ def test_the_pose_error_is_in_the_frame_of_the_car() -> None:
     assert np.allclose(scene.pose_error.cov, np.diag([0.1, 0.2, 0.003]) ** 2, atol=1e-12)
     assert scene.pose_error.correlation_time == 3.0
     assert scene.line(LEFT).gaussian.mean[0] == pytest.approx(1.75, abs=1e-4)
-    assert scene.line(LEFT).gaussian.sigma[0] == pytest.approx(0.2, rel=1e-3)
+    assert scene.line(LEFT).gaussian.sigma[0] == pytest.approx(0.2, rel=1e-2)
 
 
 def test_lines_that_cannot_be_given_have_reasons_and_do_not_affect_others() -> None:

@@ -24,6 +24,8 @@ MOST_DEVIATION = 0.1
 #: Factor by which a range is shortened towards the car, until the deviation is that small, and the
 #: most times.
 SHORTER, TRIALS = 0.8, 24
+#: Greatest direction of such a line [rad].
+STEEPEST = 1.5
 #: Steps of its signal that a parameter keeps from the end of its range, for the rounding.
 STEPS = 8
 #: Share of the largest standard deviation of a parameter that may make up for its deviation.
@@ -65,10 +67,10 @@ def nearest_line(
     bounds = np.column_stack(
         [np.maximum(bounds[:, 0], mean - away), np.minimum(bounds[:, 1], mean + away)]
     )
-    if not (bounds[:, 0] < bounds[:, 1]).all():
-        return None
     line = np.array(mean)
-    bounds[1], line[1] = np.tan(bounds[1]), np.tan(mean[1])
+    bounds[1], line[1] = np.tan(bounds[1].clip(-STEEPEST, STEEPEST)), np.tan(mean[1])
+    if not (np.diff(bounds)[:, 0] > 1e-9 * np.abs(bounds).max(axis=1)).all():
+        return None
     scale = np.abs(bounds).max(axis=1)
     car = np.clip(0.0, *x_range)
     for trial in range(TRIALS):
