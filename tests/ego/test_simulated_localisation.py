@@ -49,10 +49,10 @@ def nees(*, with_bias: bool = True, **settings: Any) -> NDArray[np.float64]:
     rng = np.random.default_rng(4)
     arrivals = simulated_measurements(DRIVE, LAYER, setup, rng, CARS, (0.0, 30.0))
     start = DRIVE.at(0.0).pose + SIGMA * rng.standard_normal((CARS, 3))
-    errors, extra = setup.errors, 0.0
+    errors, extra, gnss = setup.errors, 0.0, setup.errors.gnss
     if not with_bias:
-        assert errors.gnss is not None
-        errors, extra = replace(errors, gnss=GaussMarkov(0.0)), errors.gnss.sigma**2
+        assert gnss is not None
+        errors, extra = replace(errors, gnss=GaussMarkov(0.0)), gnss.sigma**2
     localisation = Localisation(start, 0.0, errors, LAYER, cov=np.diag(SIGMA**2))
     found, due = [], 2.0
     for t, one in arrivals:
