@@ -23,6 +23,8 @@ SPACINGS = (5.0, 10.0, 20.0)
 LIMIT, SHARE = 2.9, 0.97
 #: The same for the part of it that errors of the map's points explain: 97 % are within it.
 NOISE_LIMIT = 2.17
+#: Errors of the points are taken to be as stated if these times the variance that they show is.
+SHOWN = 4.0
 #: Points that show more than this times the stated variance are not what is stated: all that they
 #: leave is taken for the shape of the road.
 MOST_SHOWN = 2.0
@@ -67,7 +69,7 @@ def coefficient_variances(
     for i in range(len(x) if point_sigma > 0 else 0):
         shown = _shown_noise(stretches, i, x[i], cubic[i])
         if shown <= MOST_SHOWN * point_sigma**2:
-            noise[i] = min(shown, point_sigma**2)
+            noise[i] = min(SHOWN * shown, point_sigma**2)
     level = np.maximum(LEAST_SHAPE * fitted.misfit**2, LEAST_SIGMA**2)
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]
     for spacing in SPACINGS:
