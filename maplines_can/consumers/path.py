@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from ..gaussian import Gaussian
 from ..line import MapLine, Slot, lateral_jacobian
-from ..propagation.misfit import LATERAL_SHARE
+from ..map_error import MapError
+from ..propagation.misfit import LATERAL_SHARE, LEAST_SIGMA
 from ..scene import Scene
-from ..seen_lines import bases
+from ..seen_lines import SeenLines, bases
 
 #: Spacing of the points of a path along x [m].
 SPACING = 0.25
@@ -87,10 +88,11 @@ def path_beside(
         displacement: the new pose in the ego frame of the line (x [m], y [m], heading [rad]).
         rest: what the cubic leaves of the line, in the range in which it was fitted [m]. It goes
             on straight beyond.
-        own_cov: (4, 4) part of the covariance of the line that is not due to the pose. What a cubic
-            misses makes its shape uncertain, most of all at the ends of its range; but it misses no
-            more than ``1 / sqrt(LATERAL_SHARE)`` times the sigma of the coefficient of T_0
-            anywhere, so more does not count. None: all of it counts.
+        own_cov: (4, 4) part of the covariance of the line that is due to what its cubic misses,
+            and to errors of the points of the map. It makes the shape of the cubic uncertain, most
+            of all at the ends of its range; but the variance of the lateral position is nowhere
+            more than that of the coefficient of T_0 states, so more does not count. It needs
+            ``rest``. None: all of the covariance counts.
 
     Returns:
         The path from the point that is nearest to the car; None if the car has passed its end,
@@ -123,8 +125,9 @@ def path_beside(
     variance = np.einsum("ki,ij,kj->k", J, line.gaussian.cov, J)
     if own_cov is not None:
         to_t0 = np.linalg.inv(bases(line.gaussian.mean[None], rest.domain[None])[0])[0]
-        most = to_t0 @ own_cov @ to_t0 / (LATERAL_SHARE * norm**2)
-        variance -= (np.einsum("ki,ij,kj->k", J, own_cov, J) - most).clip(0)
+        least = LEAST_SIGMA**2
+        most = max(0.0, to_t0 @ own_cov @ to_t0 - least) / LATERAL_SHARE + least
+        variance -= (np.einsum("ki,ij,kj->k", J, own_cov, J) - most / norm**2).clip(0)
     dx, dy, turn = displacement.mean
     arm = points - [dx, dy]
     J = np.column_stack([normal, (tangent * arm).sum(axis=1)])
@@ -175,6 +178,8 @@ def lane_path(
         i = given[slot]
         rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
         own_cov = None if scene.own_covs is None else scene.own_covs[i]
+        if own_cov is not None and scene.map_error is not None:
+            own_cov = own_cov - _offset_and_heading(scene, i)
         return path_beside(scene.lines[i], distance, displacement, rest, own_cov)
 
     if route is not None:
@@ -187,6 +192,15 @@ def lane_path(
     sides = {Slot.EGO_LEFT: -width / 2, Slot.EGO_RIGHT: width / 2}
     paths = [beside(slot, sides[slot]) for slot in ego]
     return mean_path([path for path in paths if path is not None]), width
+
+
+def _offset_and_heading(scene: Scene, i: int) -> NDArray[np.float64]:
+    """Return the (4, 4) covariance of a line due to the offset and the heading of it on the map."""
+    error = scene.map_error or MapError()
+    line = slice(i, i + 1)
+    seen = SeenLines(scene.means[line], scene.fit_ranges[line], scene.quartics[line])
+    J = seen.jacobian()[0] * [error.offset_sigma, error.offset_sigma, error.heading_sigma]
+    return np.asarray(J @ J.T)
 
 
 def width_of(scene: Scene) -> float:

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Chebyshev
 
-from maplines_can import STREETS, Gaussian, MapLine, Scene, Slot, map_scene
+from maplines_can import STREETS, Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import Path, lane_path, mean_path, path_beside, width_of
+from maplines_can.propagation.misfit import LEAST_SIGMA
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 STILL = Gaussian(np.zeros(3), np.zeros((3, 3)))
@@ -353,4 +354,23 @@ def test_the_band_is_no_wider_than_what_the_cubics_miss(name: str) -> None:
         )
         path, _ = lane_path(scene, STILL)
         assert path is not None
-        assert path.sigma.max() <= 1.001 * misfit
+        assert path.sigma.max() <= 1.001 * math.hypot(misfit, LEAST_SIGMA)
+
+
+@pytest.mark.parametrize("heading_sigma", [0.005, 0.02])
+def test_the_band_has_all_of_the_heading_error_of_the_map(heading_sigma: float) -> None:
+    """Whose part in the lateral position grows with the distance, and in T_0 may be next to none.
+
+    The larger one of two lines is taken, which are uncertain by at least that.
+    """
+    x = np.arange(-150.0, 151.0, 5.0)
+    lines = {
+        slot: Polyline(np.column_stack([x, np.full_like(x, y)]))
+        for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))
+    }
+    error = MapError(0.05, 0.05, heading_sigma)
+    exact = Gaussian(np.zeros(3), 1e-12 * np.eye(3))
+    scene = map_scene(lines, exact, window=(-80, 80), map_error=error)
+    path, _ = lane_path(scene, STILL)
+    assert path is not None
+    assert path.sigma[-1] >= heading_sigma * (path.s[-1] - 1.0)
