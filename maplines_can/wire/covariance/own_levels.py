@@ -31,7 +31,7 @@ from .code import Array
 from .joint import divergence, largest_ratio
 
 #: log2 of the level b of the shape [m]: that of the raw value 0, which means b = 0, and by how much
-#: that of all bits set exceeds it.
+#: that of the greatest raw value exceeds it.
 SHAPE_OFFSET, SHAPE_OCTAVES = -10.0, 10.2
 #: Values of r, by the remainder of the raw value of the shape.
 RATIOS = np.array([0.0, *(0.5 * 1.8 ** np.arange(5))])
@@ -87,7 +87,7 @@ class OwnLevels:
     def __init__(self, lateral: Signal, points: Signal, shape: Signal) -> None:
         self.lateral, self.points, self.shape = lateral, points, shape
         self.signals = (lateral, points, shape)
-        self._shape_step = SHAPE_OCTAVES / (2**shape.length - 1)
+        self._shape_step = SHAPE_OCTAVES / max(1, shape.raw_max)
 
     def noise(self, means: Array, fit_ranges: Array) -> Array:
         """Return the (L, S, 4, 4) covariances for p = 1 m of all raw values of the shape.

@@ -87,7 +87,7 @@ class SceneEncoder:
 
         Args:
             scene: the lines with their joint covariance.
-            full: send all entries of each D_i, not levels.
+            full: send all entries of each D_i, not levels, unless only levels cover it.
 
         Raises:
             EncodeError: the pose error does not fit.
