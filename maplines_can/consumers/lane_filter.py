@@ -61,7 +61,8 @@ class LaneFilter:
 
     A map line is the line plus ``loading u + own_root v``. u and b are first-order Gauss-Markov
     processes, v is constant. v is a *consider* variable (Schmidt 1966): the covariances with it are
-    kept, but it is not estimated, since it differs from place to place.
+    kept, but it is not estimated, since it differs from place to place. For the same reason, no
+    number of scenes makes the lines more certain than v.
 
     u is estimated from camera lines (``handling="state"``), or only considered. A scene never
     updates it: what successive scenes say of it depends on how it changes from cycle to cycle. The
@@ -169,9 +170,11 @@ class LaneFilter:
         noise = NOISE_SHARE * own if noise is None else noise
         H = self._rows(used)
         H[..., :, self.u] = loading * used[..., None]
-        H[..., :, self.v] = roots(own) * used[..., None]
+        root = roots(own)
+        H[..., :, self.v] = root * used[..., None]
         self._admit_change(lines, H, noise, used)
         self._update(lines, H, noise, used, self._map_gain)
+        self._keep_own(root, used)
 
     def update_camera(self, lines: Array, cov: Array, used: Mask, gate: float = GATE) -> Mask:
         """Update with the lines of a camera; those beyond the gate are not used.
@@ -209,6 +212,23 @@ class LaneFilter:
         misfits = squared_distance(r, S) > CHANGE
         r = r * misfits[..., None]
         self.cov[..., :N, :N] += r[..., :, None] * r[..., None, :]
+
+    def _keep_own(self, root: Array, used: Mask) -> None:
+        """Raise the covariance of the lines to that of what the map lines have of their own.
+
+        The cubic of the next cycle misses the road by nearly as much as this one, but by another
+        shape once the car has moved. If this were a constant, it could be told from the road, and
+        the lines would seem to be known better with each scene. What is due to the pose error and
+        to the biases is in addition to it.
+        """
+        others = np.r_[self.u, self.b]
+        P, X = self.cov[..., :N, :N], self.cov[..., :N, others]
+        rest = P - X @ np.linalg.solve(self.cov[..., others[:, None], others], X.mT)
+        inverse = np.linalg.inv(root)
+        both = used[..., None] & used[..., None, :]
+        values, vectors = np.linalg.eigh(np.where(both, inverse @ rest @ inverse.mT, np.eye(N)))
+        lacking = root @ vectors
+        self.cov[..., :N, :N] += lacking * (1 - values).clip(0)[..., None, :] @ lacking.mT
 
     def _innovation(self, z: Array, H: Array, R: Array, used: Mask) -> tuple[Array, Array, Array]:
         """Return the innovation, its covariance, and that of the variables with it."""
