@@ -30,7 +30,7 @@ def nees_of(figures: Any, quantity: str) -> float:
 
 def test_the_shape_of_the_fused_lane_is_as_uncertain_as_that_of_its_scenes() -> None:
     """Scenes alone say no more of a shape than one of them, however many there are."""
-    figures = figures_of(["rural", "s-bend"], None, 4.0)
+    figures = figures_of(["s-bend"], None, 5.0)
     assert nees_of(figures, "shape") <= tool.BOUND
     assert nees_of(figures, "width, 0 m") <= tool.BOUND
 
@@ -38,7 +38,7 @@ def test_the_shape_of_the_fused_lane_is_as_uncertain_as_that_of_its_scenes() -> 
 def test_a_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Here the mean of many scenes seems to have no errors of its own."""
     monkeypatch.setattr(lane_filter.LaneFilter, "_keep_own", lambda *_: None)
-    figures = figures_of(["rural", "s-bend"], None, 4.0)
+    figures = figures_of(["s-bend"], None, 5.0)
     assert nees_of(figures, "shape") > 5
     assert not figures["scenes"]["met"]
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from maplines_can import lateral, lateral_jacobian, transform_line
@@ -394,6 +395,35 @@ def test_a_camera_line_is_a_measurement_of_the_line_and_its_biases(
     assert np.array_equal(used.cov, used.cov.T)
 
 
+def of_lines_alone(lane_filter: LaneFilter, cov: Any) -> Any:
+    """Covariance of the lines without what is due to the pose error and to the biases."""
+    others = np.r_[lane_filter.u, lane_filter.b]
+    X = cov[:N, others]
+    return cov[:N, :N] - X @ np.linalg.solve(cov[np.ix_(others, others)], X.T)
+
+
+@pytest.mark.parametrize("rows", [ALL, np.arange(N) < 4])
+@pytest.mark.parametrize("metres", [0.0, 1.5])
+def test_scenes_are_no_more_certain_than_what_their_lines_have_of_their_own(
+    metres: float, rows: Any
+) -> None:
+    """In no direction, however many they are: errors of the fit of a cubic, which are as a bend."""
+    w = np.linspace(-1, 1, 30)
+    to_cubic = np.linalg.pinv(lateral_jacobian(np.zeros(4), 20 + 40 * w))
+    fit = to_cubic @ np.polynomial.chebyshev.chebvander(w, 3) * np.sqrt([0.2, 0.3, 2.0, 3.0])
+    own = np.kron(np.eye(2), 0.02**2 * fit @ fit.T)
+    used = LaneFilter()
+    for _ in range(60):
+        used.predict(np.array([metres, 0, 0]), np.zeros((3, 3)), 0.1, WINDOWS, 5.0)
+        own_there = own * np.outer(rows, rows)
+        used.update_map(LANE * rows, loading() * rows[:, None], own_there, None, rows)
+    there = np.flatnonzero(rows)
+    rest = of_lines_alone(used, used.cov)[np.ix_(there, there)]
+    least = eigh(rest, own[np.ix_(there, there)], eigvals_only=True)
+    assert least[0] >= 1 - 1e-4
+    assert np.linalg.eigvalsh(used.cov / np.outer(*[np.sqrt(used.cov.diagonal())] * 2))[0] > -1e-9
+
+
 @pytest.mark.parametrize("noise", [None, 0.25 * OWN])
 def test_a_scene_is_a_measurement_with_what_it_shares(used: LaneFilter, noise: Any) -> None:
     """H = (lane, loading, root of what the lines have of their own); only lane and biases learn."""
@@ -412,6 +442,10 @@ def test_a_scene_is_a_measurement_with_what_it_shares(used: LaneFilter, noise: A
     used.update_map(z, A, OWN, noise, ALL)
     assert used.mean == pytest.approx(x + K @ r, rel=1e-6, abs=1e-9)
     expected = (np.eye(n) - K @ H) @ P @ (np.eye(n) - K @ H).T + K @ R @ K.T
+    own = roots(OWN) @ roots(OWN).T
+    values, vectors = eigh(of_lines_alone(used, expected), own)
+    lacking = own @ vectors  # v with v' own v = 1
+    expected[:N, :N] += lacking * (1 - values).clip(0) @ lacking.T
     scale = np.sqrt(P.diagonal())
     assert np.abs((used.cov - expected) / np.outer(scale, scale)).max() <= 1e-6
 
