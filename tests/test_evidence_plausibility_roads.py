@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from random_roads import random_map, spiral_map
 
+from maplines_can import Polyline
+
 ONE = ("exact", "2 cm")
 
 
@@ -48,6 +50,23 @@ def test_a_shift_of_the_map_is_detected(monkeypatch: pytest.MonkeyPatch) -> None
     for found in times.values():
         assert len(found) >= 39
         assert np.median(found) <= 0.3
+
+
+def test_a_point_of_the_map_keeps_its_error() -> None:
+    """Also if the line is made anew, of some more points; another line has errors of its own."""
+    cars = tool.Cars(3, np.ones(3), tool.MAP_ERRORS["5 cm"], np.random.default_rng(0))
+    x = np.arange(0.0, 60.0, 5.0)
+    line, longer, other = (
+        Polyline(np.column_stack([x[part], np.full(len(x[part]), y)]))
+        for part, y in ((slice(0, 8), 1.75), (slice(2, 12), 1.75), (slice(0, 8), -1.75))
+    )
+    points, offset = cars.line_errors(line)
+    again, same = cars.line_errors(longer)
+    assert np.array_equal(again[:, :6], points[:, 2:])
+    assert np.array_equal(same, offset)
+    points_of_other, offset_of_other = cars.line_errors(other)
+    assert not np.isin(points_of_other, again).any()
+    assert not np.isin(offset_of_other, offset).any()
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any, NamedTuple
@@ -41,7 +42,14 @@ from random_roads import ROADS, random_map, spiral_map
 from reporting import bar, parser_of, report
 
 from maplines_can import Gaussian, MapError, MapFileError, MapLine, Scene, Slot, map_scene, maps
-from maplines_can.consumers.plausibility import CameraBias, fit_correlation, residuals, stations
+from maplines_can.consumers.plausibility import (
+    CameraBias,
+    Fit,
+    fit_correlation,
+    fits_of,
+    residuals,
+    stations,
+)
 from maplines_can.ego import drive_along
 from maplines_can.ego.line_source import WINDOW
 from maplines_can.seen_lines import NODES
@@ -74,7 +82,7 @@ class Sight(NamedTuple):
     slots: tuple[Slot, ...]
     missed: Array  #: (2 L,) what the cubics are beside the road [m]
     model: Any  #: of the residuals
-    fit_ranges: dict[Slot, Array]  #: [m]
+    cubics: dict[Slot, Fit]  #: of the lines
     fits: list[tuple[Slot, Array, Array]]  #: positions of the nodes along the line, (2, K) weights
     travel: float  #: of the car since the last image [m]
     turn: float  #: the same [rad]
@@ -110,8 +118,7 @@ def seen(scene: Scene, lines: Any, pose: Array, sigma: Any) -> tuple[Any, ...] |
         fits.append((slot, along, np.vander(w, 4) @ _TO_CUBIC))
     if not np.isfinite(missed).all():
         return None
-    ranges = {slot: scene.fit_ranges[scene.index[slot]] for slot in slots}
-    return slots, np.array(missed), model, ranges, fits
+    return slots, np.array(missed), model, fits_of(scene, slots), fits
 
 
 class Cars:
@@ -130,6 +137,8 @@ class Cars:
         self._pose = rng.standard_normal((number, 3))
         self._bias = rng.standard_normal((number, 3))
         self._of_line: dict[int, tuple[Any, Array, Array]] = {}
+        self._at_point: dict[tuple[float, float], Any] = {}  # (cars,) errors
+        self._offset_at: dict[tuple[float, float], Array] = {}  # (cars, 2) of the line there
 
     def errors(self, sight: Sight, lines: Any) -> Array:
         """Return the (cars, 2 L) residuals of the next image [m]."""
@@ -153,11 +162,7 @@ class Cars:
 
     def _of_map(self, line: Any, along: Array, W: Array, H: Array, heading: float) -> Array:
         """Return the (cars, 2) errors of a map line: of its points, and of all of it."""
-        if id(line) not in self._of_line:
-            points = self._rng.standard_normal((self._number, len(line.points)), dtype=np.float32)
-            # The last one keeps the line, so that another one does not get its id.
-            self._of_line[id(line)] = line, points, self._rng.standard_normal((self._number, 2))
-        _, points, offset = self._of_line[id(line)]
+        points, offset = self.line_errors(line)
         at = np.interp(along, line.distance, np.arange(len(line.distance)))
         below = np.minimum(at.astype(int), len(line.distance) - 2)
         share = at - below
@@ -166,6 +171,29 @@ class Cars:
         moved = offset @ np.array([[c, -s], [s, c]])
         error = self._error or MapError()
         return error.point_sigma * e @ W.T - error.offset_sigma * moved @ H[:, :2].T
+
+    def line_errors(self, line: Any) -> tuple[Array, Array]:
+        """Return (cars, n) errors of the points of a line and its (cars, 2) offset, of sigma 1.
+
+        The lane tracker makes a line anew as the car drives on, mostly of the same points of the
+        map, which keep their errors. The line has the offset that most of its points had before.
+        """
+        if id(line) not in self._of_line:
+            at = [(x, y) for x, y in line.points.round(3).tolist()]
+            before = {id(x): x for x in map(self._offset_at.get, at) if x is not None}
+            if before:
+                counted = Counter(id(self._offset_at.get(p)) for p in at)
+                offset = before[max(before, key=counted.__getitem__)]
+            else:
+                offset = self._rng.standard_normal((self._number, 2))
+            for p in at:
+                if p not in self._at_point:
+                    self._at_point[p] = self._rng.standard_normal(self._number, dtype=np.float32)
+                    self._offset_at[p] = offset
+            points = np.stack([self._at_point[p] for p in at], axis=1)
+            # The line itself is kept, so that another one does not get its id.
+            self._of_line[id(line)] = line, points, offset
+        return self._of_line[id(line)][1:]
 
 
 def sights(
@@ -221,10 +249,10 @@ class Counted:
             z = z + SHIFT
         last, self._last = self._last, sight
         kept = [
-            fit_correlation(
-                now if last is None else last.fit_ranges.get(slot, now), now, sight.travel
-            )
-            for slot, now in sight.fit_ranges.items()
+            1.0
+            if last is None or slot not in last.cubics
+            else fit_correlation(last.cubics[slot], now, sight.travel, sight.turn)
+            for slot, now in sight.cubics.items()
         ]
         verdict = self._test.step(z, model, self._dt, times, sight.turn, keys, np.repeat(kept, 2))
         self._dt = 0.0

@@ -151,7 +151,8 @@ class ResidualFilter:
                 [s].
             turn: of the car since the last one [rad].
             keys: identities of the residuals; errors of new ones are unknown. None: the same ones.
-            kept: (n,) largest correlations of the errors f of both cycles, from 0 to 1; None: 1.
+            kept: (n,) largest correlations of the errors f of both cycles, from 0 to 1; 0 if it is
+                another line, whose g is another one, too. None: 1.
         """
         n = len(model.H)
         keys = tuple(range(n)) if keys is None else keys
@@ -170,6 +171,7 @@ class ResidualFilter:
         decay = np.exp(-dt / self._own_times)[:, None].repeat(n, axis=1)
         if kept is not None:
             decay[0] = np.minimum(decay[0], kept)
+            decay[1] *= kept > 0
         F_own, Q_own, self._own_blocks = transition(self._own_blocks, own, decay, np.eye(n))
         F = block_diag(*F_pose, *F_own)
         self._mean = self._mean @ F.T

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple
@@ -35,6 +35,9 @@ BEHIND = -2.0
 OWN_SIGMA = 0.01
 #: Shortest and longest correlation time of the pose error if its sender does not know it [s].
 UNKNOWN_TIMES = (1.0, 600.0)
+#: A map line that moves by more than this from one image to the next, beside the car, is another
+#: one, such as after a lane change: half of the least width of a lane [m].
+OTHER_LINE = 1.0
 #: Probability that the remaining lines are less plausible than the limit for ``Check.suspect``.
 REMAINING = 1e-3
 
@@ -136,7 +139,7 @@ class PlausibilityCheck:
         self._t = self._compared = -math.inf
         self._turn = 0.0  # of the car since the last comparison [rad]
         self._travel = 0.0  # since then [m]
-        self._fit_ranges: dict[Slot, NDArray[np.float64]] = {}  # of the last comparison [m]
+        self._fits: dict[Slot, Fit] = {}  # of the last comparison
 
     def update(
         self,
@@ -173,9 +176,14 @@ class PlausibilityCheck:
         bias = model.H @ self.camera_bias.cov @ model.H.T
         model = model._replace(slow_cov=model.slow_cov + bias)
         keys = tuple((slot, i) for slot in slots for i in range(2))
-        fit_ranges = {slot: scene.fit_ranges[scene.index[slot]] for slot in slots}
-        last, travel = self._fit_ranges, self._travel
-        kept = [fit_correlation(last.get(slot, x), x, travel) for slot, x in fit_ranges.items()]
+        fits = fits_of(scene, slots)
+        kept = [
+            # The errors of a slot that is new are unknown anyway.
+            fit_correlation(self._fits[slot], fit, self._travel, self._turn)
+            if slot in self._fits
+            else 1.0
+            for slot, fit in fits.items()
+        ]
         verdict = self._test.step(
             z,
             model,
@@ -186,7 +194,7 @@ class PlausibilityCheck:
             np.repeat(kept, 2),
         )
         self._compared, self._turn, self._travel = t, 0.0, 0.0
-        self._fit_ranges = fit_ranges
+        self._fits = fits
         alarm = bool(verdict.alarm)
         return Check(
             Outcome.INCONSISTENT if alarm else Outcome.CONSISTENT,
@@ -210,26 +218,55 @@ def pose_times(stated: float, longest: float) -> tuple[float, float]:
     return UNKNOWN_TIMES if math.isinf(stated) else (stated, max(stated, longest))
 
 
-def fit_correlation(before: NDArray[np.float64], now: NDArray[np.float64], travel: float) -> float:
-    """Return the largest correlation of the errors of two fits of a cubic to a line.
+class Fit(NamedTuple):
+    """Cubic of a map line, and where it was fitted."""
+
+    mean: NDArray[np.float64]  #: (4,)
+    fit_range: NDArray[np.float64]  #: (2,) [m]
+
+
+def fits_of(scene: Scene, slots: Iterable[Slot]) -> dict[Slot, Fit]:
+    """Return the fits of some lines of a scene."""
+    return {
+        slot: Fit(scene.line(slot).gaussian.mean, scene.fit_ranges[scene.index[slot]])
+        for slot in slots
+    }
+
+
+def fit_correlation(before: Fit, now: Fit, travel: float, turn: float = 0.0) -> float:
+    """Return the largest correlation of the errors of two fits of the line of a slot.
 
     The fits have a stretch of the line in common. Each parameter of a cubic is due to another part
     of the stretch, so for four of them the correlation is taken to be the share of what both fits
-    cover, to the power of four.
+    cover, to the power of four. It is 0 without such a stretch; and for another line, which is
+    more than ``OTHER_LINE`` beside the first one, 2 m ahead of the car or as near as both reach.
 
     Args:
-        before: (2,) range of the first fit [m].
-        now: (2,) range of the second one [m].
+        before: the first fit.
+        now: the second one.
         travel: distance that the car has driven between both [m].
+        turn: of the car between both [rad].
 
-    >>> fit_correlation(np.array([0.0, 16.0]), np.array([-4.0, 12.0]), travel=4.0)
+    >>> line = np.zeros(4)
+    >>> first, second = Fit(line, np.array([0.0, 16.0])), Fit(line, np.array([-4.0, 12.0]))
+    >>> fit_correlation(first, second, travel=4.0)
     1.0
-    >>> round(fit_correlation(np.array([-4.0, 80.0]), np.array([-4.0, 80.0]), travel=1.0), 3)
+    >>> first = Fit(line, np.array([-4.0, 80.0]))
+    >>> round(fit_correlation(first, first, travel=1.0), 3)
     0.909
+    >>> fit_correlation(first, Fit(line + [3.5, 0, 0, 0], first.fit_range), travel=1.0)
+    0.0
     """
-    low, high = before - travel
-    common = min(high, now[1]) - max(low, now[0])
-    share = max(common, 0.0) / (max(high, now[1]) - min(low, now[0]))
+    low, high = before.fit_range - travel
+    first, last = max(low, now.fit_range[0]), min(high, now.fit_range[1])
+    if last <= first:
+        return 0.0
+    moved = np.array([travel * math.cos(turn / 2), travel * math.sin(turn / 2), turn])
+    mean = transform_line_or_nan(before.mean, moved, tuple(before.fit_range))
+    at = np.array([min(max(STATIONS[0], first), last)])
+    if abs(float((lateral(now.mean, at) - lateral(mean, at))[0])) > OTHER_LINE:
+        return 0.0
+    share = (last - first) / (max(high, now.fit_range[1]) - min(low, now.fit_range[0]))
     return float(share ** len(PARAMETERS))
 
 

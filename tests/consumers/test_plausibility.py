@@ -21,7 +21,9 @@ NOISE = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
 SIGMA = np.array([0.3, 0.1, 0.003])
 
 
-def lane_scene(pose_error: Any = (0, 0, 0), bend: float = 0.0, time: float = 5.0) -> Scene:
+def lane_scene(
+    pose_error: Any = (0, 0, 0), bend: float = 0.0, time: float = 5.0, offset: float = 0.03
+) -> Scene:
     """Scene of a lane of constant curvature, as seen from a pose that is wrong."""
     x = np.linspace(-40, 120, 161)
     lines = {
@@ -29,7 +31,7 @@ def lane_scene(pose_error: Any = (0, 0, 0), bend: float = 0.0, time: float = 5.0
         for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))
     }
     ego = Gaussian(np.array(pose_error, float), np.diag(SIGMA**2))
-    return map_scene(lines, ego, correlation_time=time, map_error=MapError(0.03, 0.03, 0.0005))
+    return map_scene(lines, ego, correlation_time=time, map_error=MapError(0.03, offset, 0.0005))
 
 
 def camera(scene: Scene, **shifts: float) -> dict[Slot, Gaussian]:
@@ -170,6 +172,26 @@ def test_lines_come_and_go_without_an_alarm() -> None:
     found = [check.update(0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]
     assert {check.outcome for check in found} == {Outcome.CONSISTENT}
     assert {check.slots for check in found} == {(LEFT, RIGHT), (LEFT,)}
+
+
+@pytest.mark.parametrize("known", [{}, {"camera_noise": WHITE_NOISE, "longest_pose_time": 0.0}])
+def test_another_line_has_errors_of_its_own(known: dict[str, Any]) -> None:
+    """After a lane change, the slots have other lines: what was known of the last ones is not true.
+
+    Each line is off by 1.5 standard deviations, to the other side than the one before it.
+    """
+    before, after = lane_scene((0, 1.65, 0), offset=0.2), lane_scene((0, -1.85, 0), offset=0.2)
+    check, ahead = PlausibilityCheck(1.0, **known), Motion(10.0, 0.0)
+    found = [
+        check.update(
+            0.05 * k,
+            scene,
+            camera(scene, EGO_LEFT=side * 0.3, EGO_RIGHT=-side * 0.3),
+            motion=ahead,
+        ).outcome
+        for k, (scene, side) in enumerate([(before, 1)] * 400 + [(after, -1)] * 400)
+    ]
+    assert {*found} == {Outcome.CONSISTENT}
 
 
 def test_the_motion_of_an_outage_counts() -> None:
