@@ -75,5 +75,5 @@ def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Mon
     assert tool.main(quick) == 0
     result = json.loads(capsys.readouterr().out)
     assert set(result) == {
-        "straight, spiral, bend of 150 m", "random: roundabout-12m", "all", "met",
+        "straight", "straight, spiral, bend of 150 m", "random: roundabout-12m", "all", "met",
     }  # fmt: skip

@@ -38,7 +38,7 @@ import numpy as np
 from evidence_maps import files_of
 from evidence_plausibility import LIMIT, RATES, SETTINGS
 from line_witness import POSES, Array, crossings, place_of, seen_from
-from random_roads import ROADS, random_map, spiral_map
+from random_roads import ROADS, random_map, spiral_map, straight_map
 from reporting import bar, parser_of, report
 
 from maplines_can import Gaussian, MapError, MapFileError, MapLine, Scene, Slot, map_scene, maps
@@ -358,6 +358,7 @@ def main(argv: list[str] | None = None) -> int:
             continue
         if any(lane.type.is_drivable for lane in road_map.lanes.values()):
             found.append((path.name, partial(_same, road_map)))
+    found.append(("straight", partial(_same, straight_map())))
     found.append(("straight, spiral, bend of 150 m", partial(_same, spiral_map())))
     found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
     result: dict[str, Any] = {}

@@ -204,6 +204,12 @@ def spiral_map() -> maps.Map:
     return _lane_map(street, np.arange(street.begin, street.end, 2.0))
 
 
+def straight_map() -> maps.Map:
+    """Return a map with one lane along a straight road of 900 m."""
+    street = Street([Piece(900)], 0.0)
+    return _lane_map(street, np.arange(street.begin, street.end, 5.0))
+
+
 def random_map(shape: str, seed: int) -> maps.Map:
     """Return a map with one lane along a random road, one of ``ROADS``."""
     street, points_at = _random_street(shape, np.random.default_rng([seed, ROADS.index(shape)]))
