@@ -411,7 +411,7 @@ def test_scenes_are_no_more_certain_than_what_their_lines_have_of_their_own(
     w = np.linspace(-1, 1, 30)
     to_cubic = np.linalg.pinv(lateral_jacobian(np.zeros(4), 20 + 40 * w))
     fit = to_cubic @ np.polynomial.chebyshev.chebvander(w, 3) * np.sqrt([0.2, 0.3, 2.0, 3.0])
-    own = np.kron(np.eye(2), 0.02**2 * fit @ fit.T)
+    own: Any = np.kron(np.eye(2), 0.02**2 * fit @ fit.T)
     used = LaneFilter()
     for _ in range(60):
         used.predict(np.array([metres, 0, 0]), np.zeros((3, 3)), 0.1, WINDOWS, 5.0)
