@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -9,7 +11,7 @@ from ...errors import EncodeError
 from ...gaussian import nearest_covariance
 from ...line import Kind, MapLine, Status
 from ..covariance import CovarianceCode
-from ..covariance.nearest_line import is_within, nearest_line
+from ..covariance.nearest_line import nearest_line, slope_error
 from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
 from .attributes import RecordAttributes
 from .layout import Layout
@@ -24,6 +26,15 @@ FEW = 8
 LEAST_RANGE = 1.0
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
 SLACK = 1e-9
+
+
+class _Sent(NamedTuple):
+    """Means and valid ranges of n lines, as they are sent."""
+
+    raw: dict[str, NDArray[np.int64]]  #: (n,) by signal
+    clipped: NDArray[np.bool_]  #: (n,) lines whose means exceed the signals
+    cut: NDArray[np.bool_]  #: (n,) lines whose ranges exceed the signals
+    outside: NDArray[np.bool_]  #: (n,) lines of whose ranges no part can be stated
 
 
 class RecordWriter:
@@ -73,11 +84,11 @@ class RecordWriter:
         x_range = np.column_stack(
             [_finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)]
         )
-        near = self._nearest(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
-        outside = self._put_valid_range(raw, x_range)
+        sent = self._sent(gaussians.mean, x_range, (requested == Status.FULL) & (count == 1))
+        raw |= sent.raw
         self._put_age_and_weight(raw, attributes, n)
-        self._put_gaussian(raw, gaussians, near, requested, cover)
-        raw["Status"] = np.where(outside, Status.OUT_OF_RANGE, raw["Status"])
+        self._put_covariance(raw, gaussians, sent, requested, cover)
+        raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
         return self._protect(raw, data_ids, n)
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -91,17 +102,13 @@ class RecordWriter:
 
         None if a value is clipped, or the range cannot be stated: nothing covers such a line.
         """
-        mean = zip(self._mean, line.gaussian.mean, strict=True)
-        raw = {signal.name: signal.raw(x) for signal, x in mean}
+        x_range = np.array([[line.x_min, line.x_max]])
+        sent = self._sent(line.gaussian.mean[None], x_range, np.zeros(1, dtype=bool))
+        raw = {name: int(values[0]) for name, values in sent.raw.items()}
         first, last = self.layout["XMin"], self.layout["XMax"]
-        raw |= {
-            first.name: up(first, np.array(line.x_min)),
-            last.name: down(last, np.array(line.x_max)),
-        }
-        limited = {name: self.layout[name].limited(value) for name, value in raw.items()}
-        if limited != raw or first.physical(raw[first.name]) >= last.physical(raw[last.name]):
+        if first.physical_one(raw[first.name]) >= last.physical_one(raw[last.name]):
             return None
-        return {name: int(value) for name, value in raw.items()}
+        return None if sent.clipped[0] or sent.cut[0] else raw
 
     def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the (n,) requested status, as far as the covariance code supports it."""
@@ -110,46 +117,74 @@ class RecordWriter:
             return requested
         return np.where(_without_covariance(requested), requested, best)
 
-    def _nearest(
+    def _sent(
         self, mean: NDArray[np.float64], x_range: NDArray[np.float64], rows: NDArray[np.bool_]
-    ) -> NDArray[np.float64]:
-        """Return the (n, 4) lines to be sent: of those that exceed the message, the nearest ones.
+    ) -> _Sent:
+        """Return the raw means and valid ranges that are sent.
+
+        Of a line whose mean would be clipped, the nearest one within the message is sent, in the
+        part of its range where it is near, if there is one.
 
         Args:
             mean: (n, 4) lines.
-            x_range: (n, 2) valid ranges [m], which are shortened to the part where a line within
-                the ranges of the message is near.
+            x_range: (n, 2) valid ranges [m].
             rows: (n,) lines that may be replaced.
         """
-        near = mean
-        for i in np.flatnonzero(
-            rows & ~is_within(self._mean, mean) & (x_range[:, 0] < x_range[:, 1])
-        ):
-            found = nearest_line(
+        raw, clipped = self._raw_mean(mean)
+        ends, cut, outside = self._raw_range(x_range)
+        for i in np.flatnonzero(rows & clipped & (x_range[:, 0] < x_range[:, 1])):
+            near = nearest_line(
                 self._mean, mean[i], x_range[i], LEAST_RANGE, self._covariance.reach
             )
-            if found is not None:
-                near = near.copy() if near is mean else near
-                near[i], x_range[i] = found
-        return near
+            if near is not None:
+                raw[i] = self._raw_mean(near.mean[None])[0]
+                ends[i], cut[i], outside[i] = self._raw_range(near.x_range[None])
+        columns = np.column_stack([raw, ends]).astype(np.int64).T
+        return _Sent(
+            dict(zip((*PARAMETER_SIGNALS, "XMin", "XMax"), columns, strict=True)),
+            clipped,
+            cut,
+            outside,
+        )
 
-    def _put_gaussian(
+    def _raw_mean(self, mean: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return the (n, 4) raw values of means, and the (n,) rows that are clipped."""
+        nearest = [s.raw(x) for s, x in zip(self._mean, mean.T, strict=True)]
+        limited = [s.limited(raw) for s, raw in zip(self._mean, nearest, strict=True)]
+        raw = np.column_stack(limited)
+        return raw, (raw != np.column_stack(nearest)).any(axis=1)
+
+    def _raw_range(
+        self, x_range: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return the (n, 2) raw ends of (n, 2) valid ranges, rounded inwards.
+
+        Also the (n,) rows that are cut at the ends of the signals, and those for which no range
+        within the given one can be stated.
+        """
+        x_min, x_max = x_range.T
+        if (x_min > x_max).any():
+            raise EncodeError("x_min must be x_max or less")
+        first, last = self.layout["XMin"], self.layout["XMax"]
+        low, high = up(first, x_min), down(last, x_max)
+        raw_min, raw_max = first.limited(low), last.limited(high)
+        start, end = first.physical(raw_min), last.physical(raw_max)
+        outside = (start < x_min) | (start > end) | (end > x_max)
+        cut = (raw_min != low) | (raw_max != high)
+        return np.column_stack([raw_min, raw_max]), cut, np.asarray(outside)
+
+    def _put_covariance(
         self,
         raw: dict[str, NDArray[np.int64]],
         gaussians: CheckedGaussians,
-        near: NDArray[np.float64],
+        sent: _Sent,
         requested: NDArray[np.int64],
         cover: NDArray[np.float64] | None,
     ) -> None:
-        """Add the raw mean, covariance and status."""
+        """Add the raw covariance and status."""
         mean, cov, indefinite = gaussians
-        clipped = np.zeros(len(mean), dtype=bool)
-        decoded = np.empty_like(mean)
-        for i, signal in enumerate(self._mean):
-            nearest, limited = signal.raw(mean[:, i]), signal.limited(signal.raw(near[:, i]))
-            clipped |= nearest != signal.limited(nearest)
-            raw[signal.name] = limited.astype(np.int64)
-            decoded[:, i] = signal.physical(limited)
+        clipped = sent.clipped
+        decoded = np.column_stack([signal.physical(sent.raw[signal.name]) for signal in self._mean])
         d = mean - decoded
         error = cov + d[:, :, None] * d[:, None, :]
         if indefinite.any():
@@ -161,7 +196,7 @@ class RecordWriter:
             indefinite = indefinite & ~diagonal
         # For a clipped beta, the first-order sigma of the lateral position has to cover the
         # difference of the tangents, which grows faster than that of the angles.
-        d_beta = (np.tan(mean[:, 1]) - np.tan(decoded[:, 1])) * np.cos(decoded[:, 1]) ** 2
+        d_beta = slope_error(mean, decoded)[:, 1]
         error[:, 1, 1] += np.where(clipped, (d_beta**2 - d[:, 1] ** 2).clip(0), 0.0)
         if cover is not None:
             error += cover
@@ -180,23 +215,6 @@ class RecordWriter:
         far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
         status[np.where(without, far, ~coded.covered)] = Status.OUT_OF_RANGE
         raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
-
-    def _put_valid_range(
-        self, raw: dict[str, NDArray[np.int64]], x_range: NDArray[np.float64]
-    ) -> NDArray[np.bool_]:
-        """Add the raw ends of (n, 2) valid ranges, rounded inwards.
-
-        Returns:
-            (n,) rows for which no range within the given one can be stated.
-        """
-        x_min, x_max = x_range.T
-        if (x_min > x_max).any():
-            raise EncodeError("x_min must be x_max or less")
-        first, last = self.layout["XMin"], self.layout["XMax"]
-        raw_min, raw_max = (first.limited(up(first, x_min)), last.limited(down(last, x_max)))
-        raw |= {"XMin": raw_min.astype(np.int64), "XMax": raw_max.astype(np.int64)}
-        start, end = first.physical(raw_min), last.physical(raw_max)
-        return np.asarray((start < x_min) | (start > end) | (end > x_max))
 
     def _put_age_and_weight(
         self, raw: dict[str, NDArray[np.int64]], attributes: RecordAttributes, n: int
