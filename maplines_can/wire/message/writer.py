@@ -123,7 +123,7 @@ class RecordWriter:
         """Return the raw means and valid ranges that are sent.
 
         Of a line whose mean would be clipped, the nearest one within the message is sent, in the
-        part of its range where it is near, if there is one.
+        part of its range where it is near, if enough of that can be stated.
 
         Args:
             mean: (n, 4) lines.
@@ -136,9 +136,15 @@ class RecordWriter:
             near = nearest_line(
                 self._mean, mean[i], x_range[i], LEAST_RANGE, self._covariance.reach
             )
-            if near is not None:
+            if near is None:
+                continue
+            (short,), (is_cut,), (is_outside,) = self._raw_range(near.x_range[None])
+            first, last = self.layout["XMin"], self.layout["XMax"]
+            # Rounding inwards may leave nothing of a short range.
+            length = last.physical(short[1]) - first.physical(short[0])
+            if not is_outside and length >= LEAST_RANGE:
                 raw[i] = self._raw_mean(near.mean[None])[0]
-                ends[i], cut[i], outside[i] = self._raw_range(near.x_range[None])
+                ends[i], cut[i], outside[i] = short, is_cut, is_outside
         columns = np.column_stack([raw, ends]).astype(np.int64).T
         return _Sent(
             dict(zip((*PARAMETER_SIGNALS, "XMin", "XMax"), columns, strict=True)),
