@@ -238,11 +238,12 @@ class SceneEncoder:
         left_out = _reasons(~seen, LeftOut.ACROSS)
         means, ranges = scene.means.copy(), scene.fit_ranges.copy()
         within = is_within(self._code.mean, means)
+        least = np.zeros(len(means))  # of the lengths of the ranges of other lines [m]
         for i in np.flatnonzero(seen & ~within):
             line, fit_range = scene.lines[i], scene.fit_ranges[i]
             room = max(line.x_min - fit_range[0], 0.0) + max(fit_range[1] - line.x_max, 0.0)
-            least = LEAST_RANGE + room
-            near = nearest_line(self._code.mean, means[i], fit_range, least, self._reach)
+            least[i] = LEAST_RANGE + room
+            near = nearest_line(self._code.mean, means[i], fit_range, least[i], self._reach)
             if near is None:
                 left_out[int(i)] = LeftOut.MEAN
             else:
@@ -252,6 +253,7 @@ class SceneEncoder:
         ranges[:, 1] = np.floor(ranges[:, 1]).clip(max=last.physical_range[1])
         cannot = (ranges[:, 0] > first.physical_range[1]) | (ranges[:, 1] < last.physical_range[0])
         cannot |= ranges[:, 0] >= ranges[:, 1]
+        cannot |= np.diff(ranges)[:, 0] < least  # rounding inwards may leave too little
         left_out = _reasons(cannot, LeftOut.RANGE) | left_out
         ranges[[*left_out]] = 0.0, 1.0
         shorter = np.diff(ranges)[:, 0] / np.diff(scene.fit_ranges)[:, 0]

@@ -176,6 +176,22 @@ def test_a_line_that_is_left_out_has_its_reason(
     assert prepared.left_out == prepared.unfit == {Slot(0): reason}
 
 
+@given(LINES, RANGES, st.floats(0.0, 2.0))
+@example((2.0, 0.62, 0.0, 0.0), np.array([-6.0, 1.0]), 0.9)
+@example((2.0, 0.56, 0.0, 0.0), np.array([-1.5, 1.5]), 0.69)
+def test_a_near_line_in_a_scene_is_valid_for_a_metre(line: Any, x_range: Any, room: float) -> None:
+    """After the rounding to whole metres, and without the room at the ends; or it is left out."""
+    low, high = x_range
+    room = min(room, (high - low) / 4)
+    own = np.diag(SIGMA**2)
+    given = MapLine(Slot(0), Gaussian(line, own), x_min=low + room, x_max=high - room)
+    scene = Scene((given,), own, PoseError(PRODUCTION), x_range[None])
+    sent = scene_encoder(CONDITIONAL).encode(scene)
+    assert len(sent.lines) + len(sent.left_out) == 1
+    if sent.decoded is not None and not is_within(SIGNALS[CONDITIONAL], np.array(line)):
+        assert np.diff(sent.decoded.fit_ranges[0])[0] >= 1.0 + 2 * room - 1e-9
+
+
 @given(LINES, st.tuples(st.integers(-5, 2), st.integers(1, 6)))
 @example((2.0, 0.1, 0.05, -0.05), (0, 5))
 @example((2.0, 0.55, 0.0, 0.0), (-1, 3))
