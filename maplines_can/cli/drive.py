@@ -153,7 +153,7 @@ def _drive(arguments: argparse.Namespace) -> int:
     check_way(arguments)
     if not arguments.window[0] < arguments.window[1]:
         low, high = arguments.window
-        raise ValueError(f"--window must be MIN < MAX [m], got {low:g} {high:g}")
+        raise ValueError(f"window must be MIN < MAX [m], got {low:g} {high:g}")
     check_stated_pose(arguments)
     _check_overwriting(arguments)
     clock_ns = time.time_ns()

@@ -111,7 +111,7 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         default=MAX_SIGMA,
         metavar="SIGMA",
         help="largest standard deviation of the lateral position of a line [m]: its valid range "
-        f"ends where it passes this; inf for no limit (default: {MAX_SIGMA:g})",
+        f"ends where it passes this, before rounding; inf for no limit (default: {MAX_SIGMA:g})",
     )
 
 

@@ -368,7 +368,7 @@ def test_a_drive_elsewhere_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
         ),
         pytest.param(["--interface", "warp"], "warp", id="interface"),
         pytest.param(
-            ["--window", "80", "-4"], "--window must be MIN < MAX .*, got 80 -4", id="window"
+            ["--window", "80", "-4"], " --window must be MIN < MAX .*, got 80 -4", id="window"
         ),
         pytest.param(["--drive", "a.blf"], "a.blf: a bus log needs --signals", id="no signals"),
         pytest.param(
