@@ -7,6 +7,7 @@ from typing import Any
 import evidence_fusion_roads as tool
 import numpy as np
 import pytest
+import road_sources
 from random_roads import random_map
 
 from maplines_can import MapError, Polyline, Slot
@@ -53,7 +54,7 @@ def test_points_keep_their_errors_in_other_lines() -> None:
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tool, "ROADS", ("roundabout-12m",))
+    monkeypatch.setattr(road_sources, "ROADS", ("roundabout-12m",))
     assert tool.main(["--cars", "1", "--seconds", "1", "--json"]) in (0, 1)
     result = json.loads(capsys.readouterr().out)
     assert {"all, exact", "all, 5 cm", "met"} <= set(result)

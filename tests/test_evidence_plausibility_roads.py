@@ -7,6 +7,7 @@ from typing import Any
 import evidence_plausibility_roads as tool
 import numpy as np
 import pytest
+import road_sources
 from random_roads import random_map, spiral_map
 
 from maplines_can import Polyline
@@ -70,7 +71,7 @@ def test_a_point_of_the_map_keeps_its_error() -> None:
 
 
 def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tool, "ROADS", ("roundabout-12m",))
+    monkeypatch.setattr(road_sources, "ROADS", ("roundabout-12m",))
     quick = ["-n", "1", "--seconds", "1", "--cars", "3", "--json"]
     assert tool.main(quick) == 0
     result = json.loads(capsys.readouterr().out)

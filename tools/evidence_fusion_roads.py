@@ -29,17 +29,16 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from evidence_fusion import upper_bound
-from evidence_maps import files_of
 from line_witness import Array
-from random_roads import ROADS, random_map, spiral_map
+from random_roads import spiral_map
 from reporting import bar, parser_of, report
+from road_sources import route_of, sources_of
 
-from maplines_can import Codec, MapError, MapFileError, PoseSource, Scene, map_scene, maps
+from maplines_can import Codec, MapError, PoseSource, Scene, map_scene, maps
 from maplines_can.consumers import LaneFusion
 from maplines_can.ego import SimulatedDrive, drive_along
 from maplines_can.ego.line_source import WINDOW
@@ -250,10 +249,6 @@ def figures(cars: list[dict[str, Array]], bound: float) -> dict[str, Any]:
     return result
 
 
-def _same(road_map: maps.Map, _: int) -> maps.Map:
-    return road_map
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print the figures; return 0 if the bounds are met, else 1."""
     parser = parser_of(__doc__)
@@ -263,16 +258,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
-    found: list[tuple[str, Callable[[int], maps.Map]]] = []
-    for path in files_of(options.paths):
-        try:
-            road_map = maps.load(path)
-        except (MapFileError, OSError):
-            continue
-        if any(lane.type.is_drivable for lane in road_map.lanes.values()):
-            found.append((path.name, partial(_same, road_map)))
-    found.append(("straight, spiral, bend of 150 m", partial(_same, spiral_map())))
-    found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
+    found = sources_of(options.paths, ("straight, spiral, bend of 150 m", spiral_map()))
     result: dict[str, Any] = {}
     every: dict[str, list[dict[str, Array]]] = {name: [] for name in MAP_ERRORS}
     total = round(options.seconds) * options.cars * len(found) * len(MAP_ERRORS)
@@ -282,11 +268,7 @@ def main(argv: list[str] | None = None) -> int:
                 cars = []
                 for seed in range(options.seed, options.seed + options.cars):
                     road_map = map_of(seed)
-                    route = (
-                        road_map.route("1", "1")
-                        if len(road_map.lanes) == 1
-                        else maps.random_tour(road_map, LENGTH, seed)
-                    )
+                    route = route_of(road_map, LENGTH, seed)
                     own = 1000 * place + seed  # each car on each road has errors of its own
                     cars.append(of_car(road_map, route, error, options, own, shown.update))
                 result[f"{name}, {error_name}"] = figures(cars, BOUND)

@@ -21,16 +21,15 @@ import argparse
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import numpy as np
-from evidence_maps import beside, files_of
+from evidence_maps import beside
 from line_witness import Array
-from random_roads import ROADS, random_map
 from reporting import bar, parser_of, report
+from road_sources import route_of, sources_of
 
-from maplines_can import MapFileError, PoseSource, Slot, maps
+from maplines_can import PoseSource, Slot, maps
 from maplines_can.consumers.path import WIDTHS
 from maplines_can.consumers.steering import LaneSteering, Reason, State, SteeringLimits
 from maplines_can.ego import LineSource, drive_along
@@ -124,10 +123,6 @@ def figures(rows: list[tuple[Reason | None, float, float]]) -> dict[str, Any]:
     }
 
 
-def _same(road_map: maps.Map, _: int) -> maps.Map:
-    return road_map
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print the figures; return 0 if the bounds are met, else 1."""
     parser = parser_of(__doc__)
@@ -139,24 +134,14 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
-    found: list[tuple[str, Callable[[int], maps.Map]]] = []
-    for path in files_of(options.paths):
-        try:
-            road_map = maps.load(path)
-        except (MapFileError, OSError):
-            continue
-        if any(lane.type.is_drivable for lane in road_map.lanes.values()):
-            found.append((path.name, partial(_same, road_map)))
-    found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
+    found = sources_of(options.paths)
     result: dict[str, Any] = {}
     with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
         for name, map_of in found:
             rows: list[tuple[Reason | None, float, float]] = []
             for seed in range(options.seed, options.seed + options.routes):
                 road_map = map_of(seed)
-                route = maps.random_tour(road_map, LENGTH, seed)
-                if len(road_map.lanes) == 1:
-                    route = road_map.route("1", "1")
+                route = route_of(road_map, LENGTH, seed)
                 rows += watched(road_map, route, seed, options, shown.update)
             result[name] = figures(rows)
     result["met"] = all(row["met"] for row in result.values())

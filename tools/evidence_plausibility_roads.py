@@ -31,17 +31,16 @@ import math
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from evidence_maps import files_of
 from evidence_plausibility import LIMIT, RATES, SETTINGS
 from line_witness import POSES, Array, crossings, place_of, seen_from
-from random_roads import ROADS, random_map, spiral_map, straight_map
+from random_roads import spiral_map, straight_map
 from reporting import bar, parser_of, report
+from road_sources import route_of, sources_of
 
-from maplines_can import Gaussian, MapError, MapFileError, MapLine, Scene, Slot, map_scene, maps
+from maplines_can import Gaussian, MapError, MapLine, Scene, Slot, map_scene, maps
 from maplines_can.consumers.plausibility import (
     CameraBias,
     Fit,
@@ -336,10 +335,6 @@ def figures(
     return result
 
 
-def _same(road_map: maps.Map, _: int) -> maps.Map:
-    return road_map
-
-
 def main(argv: list[str] | None = None) -> int:
     """Print the figures; return 0 if the bounds are met, else 1."""
     parser = parser_of(__doc__)
@@ -350,17 +345,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args(argv)
-    found: list[tuple[str, Callable[[int], maps.Map]]] = []
-    for path in files_of(options.paths):
-        try:
-            road_map = maps.load(path)
-        except (MapFileError, OSError):
-            continue
-        if any(lane.type.is_drivable for lane in road_map.lanes.values()):
-            found.append((path.name, partial(_same, road_map)))
-    found.append(("straight", partial(_same, straight_map())))
-    found.append(("straight, spiral, bend of 150 m", partial(_same, spiral_map())))
-    found += [(f"random: {x}", partial(random_map, x)) for x in ROADS]
+    found = sources_of(
+        options.paths,
+        ("straight", straight_map()),
+        ("straight, spiral, bend of 150 m", spiral_map()),
+    )
     result: dict[str, Any] = {}
     every = []
     with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
@@ -368,12 +357,7 @@ def main(argv: list[str] | None = None) -> int:
             rows = []
             for seed in range(options.seed, options.seed + options.routes):
                 road_map = map_of(seed)
-                is_road = len(road_map.lanes) == 1
-                route = (
-                    road_map.route("1", "1")
-                    if is_road
-                    else maps.random_tour(road_map, LENGTH, seed)
-                )
+                route = route_of(road_map, LENGTH, seed)
                 rows.append(of_route(road_map, route, options, seed, shown.update))
             result[name] = figures(rows)
             every += rows
