@@ -34,29 +34,6 @@ if TYPE_CHECKING:
         read_log,
         read_signals,
     )
-    from .ego import PoseSource, RecordedDrive, SimulatedDrive
-    from .errors import (
-        DriveFileError,
-        EncodeError,
-        IllPosedError,
-        LayoutError,
-        MapFileError,
-        MaplinesError,
-    )
-    from .gaussian import Gaussian, nearest_covariance
-    from .line import (
-        Kind,
-        LeftOut,
-        MapLine,
-        MapLineList,
-        Slot,
-        Status,
-        lateral,
-        lateral_jacobian,
-        transform_line,
-    )
-    from .mixture import GaussianMixture
-    from .polyline import Polyline
     from .propagation import (
         Linear,
         MapError,
@@ -74,8 +51,33 @@ if TYPE_CHECKING:
         predict_to,
         scene_mixture,
     )
-    from .scenarios import SCENARIOS, STREETS, Scenario, scenario
-    from .scene import Estimate, PoseError, Scene
+    from .simulation.pose_source import PoseSource
+    from .simulation.recorded import RecordedDrive
+    from .simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
+    from .simulation.trajectory import SimulatedDrive
+    from .values.errors import (
+        DriveFileError,
+        EncodeError,
+        IllPosedError,
+        LayoutError,
+        MapFileError,
+        MaplinesError,
+    )
+    from .values.gaussian import Gaussian, nearest_covariance
+    from .values.line import (
+        Kind,
+        LeftOut,
+        MapLine,
+        MapLineList,
+        Slot,
+        Status,
+        lateral,
+        lateral_jacobian,
+        transform_line,
+    )
+    from .values.mixture import GaussianMixture
+    from .values.polyline import Polyline
+    from .values.scene import Estimate, PoseError, Scene
     from .wire import (
         Authenticator,
         Batch,

@@ -21,7 +21,7 @@ from scipy.linalg.blas import dgemm
 #: Calls of which the first ones fill caches, such as the gains of a speed.
 REPEATS = 2
 #: Threads that work for longer without a job do not sleep at all [s].
-LONGEST_SPIN = 60.0
+MAX_SPIN = 60.0
 
 
 class Thread(NamedTuple):
@@ -44,13 +44,13 @@ def others() -> dict[str, Thread]:
 
 def asleep() -> dict[str, Thread]:
     """Return ``others`` when all of them sleep; after their last work they spin for a while."""
-    end = time.monotonic() + LONGEST_SPIN
+    end = time.monotonic() + MAX_SPIN
     while time.monotonic() < end:
         found = others()
         if all(thread.state == "S" for thread in found.values()):
             return found
         time.sleep(1e-3)
-    raise RuntimeError(f"threads have not slept for {LONGEST_SPIN:g} s: {found}")
+    raise RuntimeError(f"threads have not slept for {MAX_SPIN:g} s: {found}")
 
 
 def wakes(call: Callable[[], Any]) -> bool:

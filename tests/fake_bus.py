@@ -9,7 +9,7 @@ from typing import Any
 import can
 
 from maplines_can.bus import Sent
-from maplines_can.line import MapLine, Slot
+from maplines_can.values.line import MapLine, Slot
 
 LONG = 120.0  #: how long a test waits for something that must happen [s]
 

@@ -6,7 +6,7 @@ from enum import Enum
 from types import SimpleNamespace
 from typing import Any
 
-from maplines_can.line import MapLine, Slot
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Frame
 
 PAGES = 4

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from maplines_can.line import Kind
 from maplines_can.maps import Lane, Map, Road
-from maplines_can.polyline import Polyline
+from maplines_can.values.line import Kind
+from maplines_can.values.polyline import Polyline
 
 Start = tuple[float, float, float]
 WIDTH = 3.5

@@ -4,7 +4,7 @@ import io
 from collections.abc import Mapping, Sequence
 
 from maplines_can.maps import Map
-from maplines_can.maps.osm import read
+from maplines_can.maps.formats.osm import read
 
 #: Latitude and longitude of the origin of ``Osm`` [deg], and of one metre.
 ORIGIN = (49.0, 8.4)

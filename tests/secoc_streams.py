@@ -9,7 +9,7 @@ from dbcs import new_codec
 
 from maplines_can import MapLine
 from maplines_can.wire import Authenticator, Key
-from maplines_can.wire.message.slot_messages import SecuredLayout
+from maplines_can.wire.layout.slot_messages import SecuredLayout
 
 SECRET = bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c")  # of RFC 4493
 OTHER = bytes.fromhex("603deb1015ca71be2b73aef0857d7781")

@@ -12,9 +12,9 @@ from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 
 from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
-from maplines_can.wire.message.pose_layout import Owner
-from maplines_can.wire.message.pose_records import ConditionalRecord
-from maplines_can.wire.message.scene_reader import SceneReader
+from maplines_can.wire.layout.pose_layout import Owner
+from maplines_can.wire.records.pose_records import ConditionalRecord
+from maplines_can.wire.records.scene_reader import SceneReader
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 #: Radius of the bend [m] and standard deviation of the pose error across [m] of each sender.

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from maplines_can.gaussian import Gaussian
+from maplines_can.values.gaussian import Gaussian
 
 #: Numbers with few digits: they shrink well, and their squares do not underflow.
 ENTRIES = st.floats(-1, 1, width=16)

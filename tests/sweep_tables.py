@@ -7,13 +7,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from maplines_can.line import Status
 from maplines_can.study import LATERAL_X, evaluate, paper
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.values.line import Status
 from maplines_can.wire import Codec
-from maplines_can.wire.message.layout import Layout
+from maplines_can.wire.layout.message_layout import Layout
 
 USED = ["Cholesky", "LinearNearest", "MeanOnly"]
 #: A set may be a user's file, and a file may be called anything.

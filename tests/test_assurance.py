@@ -193,7 +193,7 @@ def test_the_command_runs_the_tests(tmp_path: Path) -> None:
 def test_the_coverage_of_packages_adds_up() -> None:
     """Files of two packages and of the top level."""
     files = {
-        "maplines_can/line.py": summary(10, 9, 4, 3),
+        "maplines_can/values/line.py": summary(10, 9, 4, 3),
         "maplines_can/wire/codec.py": summary(20, 20, 0, 0),
         "maplines_can\\wire\\message\\layout.py": summary(20, 10, 8, 4),
     }

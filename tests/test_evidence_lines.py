@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from random_roads import SHAPES, random_case
 
 from maplines_can import Gaussian, MapError, map_lines
-from maplines_can.scenarios import STREETS
+from maplines_can.simulation.scenarios import STREETS
 
 #: Draws of the pose for each line; at least this share of them must be within three sigmas.
 DRAWS, WITHIN = 1000, 0.98
@@ -177,7 +177,7 @@ def test_dishonest_lines_are_found(
         return lines
 
     monkeypatch.setattr(tool, "map_lines", halved)
-    monkeypatch.setattr(witness, "LEAST_VALUES", 100)
+    monkeypatch.setattr(witness, "MIN_VALUES", 100)
     status, result = run(capsys, "--shape", "city")
     text = "\n".join(result["missed"])
     assert status == 1

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.ego.localisation import Outcome, Verdict
+from maplines_can.localisation import Outcome, Verdict
 
 TOOLS = Path(__file__).parents[1] / "tools"
 RNG_SEED = 6

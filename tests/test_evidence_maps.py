@@ -83,7 +83,7 @@ def test_wrong_slots_are_found(
         return {swap.get(slot, slot): line for slot, line in lines_of(found, pose).items()}
 
     monkeypatch.setattr(Map, "lines", exchanged)
-    monkeypatch.setattr(tool, "LEAST_POSES", 50)
+    monkeypatch.setattr(tool, "MIN_POSES", 50)
     result = result_of(capsys, town(tmp_path), status=1)
     assert result["maps"]["map.xodr"]["slots right"] < 0.9
     assert "of the poses are right" in result["missed"][-1]
@@ -115,7 +115,7 @@ def test_dishonest_lines_are_found(
         return lines
 
     monkeypatch.setattr(tool, "map_lines", halved)
-    monkeypatch.setattr(line_witness, "LEAST_VALUES", 100)
+    monkeypatch.setattr(line_witness, "MIN_VALUES", 100)
     result = result_of(capsys, town(tmp_path), status=1)
     assert any("beyond 3 sigma at x = x_min" in text for text in result["missed"])
 

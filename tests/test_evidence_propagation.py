@@ -8,7 +8,7 @@ import pytest
 from line_witness import seen_from
 
 from maplines_can import Polyline
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
 
 

@@ -169,7 +169,7 @@ def test_a_misfit_in_y_off_alone_is_found(
         excess = excess_covs(case, 0.0)
         return MapLineList([ways.with_less(x, excess[x.slot]) for x in found], found.left_out)
 
-    monkeypatch.setattr(figures, "LEAST_VALUES", 100)
+    monkeypatch.setattr(figures, "MIN_VALUES", 100)
     monkeypatch.setattr(ways, "map_lines", in_y_off)
     monkeypatch.setattr(
         ways, "excess_covs", lambda case, _: dict.fromkeys(case.lines, np.zeros(()))

@@ -4,10 +4,10 @@ import io
 from collections.abc import Iterable
 
 from maplines_can.maps import Map, Skipped
-from maplines_can.maps.opendrive import read
-from maplines_can.maps.opendrive.boundaries import Boundaries
-from maplines_can.maps.opendrive.road import RoadRecord, read_road
-from maplines_can.maps.xml_tree import Document
+from maplines_can.maps.formats.opendrive import read
+from maplines_can.maps.formats.opendrive.boundaries import Boundaries
+from maplines_can.maps.formats.opendrive.road import RoadRecord, read_road
+from maplines_can.maps.formats.xml_tree import Document
 
 #: The usual cross-section: one driving lane in each direction.
 TWO_LANES = {1: "driving", -1: "driving"}

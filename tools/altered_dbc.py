@@ -43,9 +43,9 @@ from reporting import parser_of, progress
 from scene_alterations import FORMS, alterations_in, scenes_outcome
 from scene_alterations import original as original_with_scenes
 
-from maplines_can.errors import LayoutError
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.message.dbc_reader import parse_database
+from maplines_can.wire.layout.dbc_reader import parse_database
 
 MESSAGES, SCENES = "messages", "scenes"
 #: Most records in a row of the pose error and of conditional records.

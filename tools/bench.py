@@ -72,15 +72,15 @@ from filterpy.kalman import unscented_transform
 from map_copies import copies_of_town
 
 from maplines_can import maps
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import MapLine, Slot
 from maplines_can.maps.view import View
-from maplines_can.polyline import Polyline, to_ego, to_map
 from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.sets import road
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import MapLine, Slot
+from maplines_can.values.polyline import Polyline, to_ego, to_map
 from maplines_can.wire import Codec, default_dbc_path
-from maplines_can.wire.message.packing import Packing
+from maplines_can.wire.layout.packing import Packing
 
 ENCODE, DECODE = "cantools encode", "cantools decode"
 

@@ -33,7 +33,7 @@ TARGET = 1.3
 #: Pairs of turns, and length of a turn [s].
 ROUNDS, SECONDS = 9, 0.1
 #: Longest time for which a busy process runs, should it not be ended [s].
-LONGEST_LOAD = 3600
+MAX_LOAD = 3600
 COMPARISON = "np.linalg.eigh of 32x32"
 COLUMNS = "{:<52} {:>8} {:>8}   {:>6} {:>6}   {:>6} {:>6}"
 
@@ -110,7 +110,7 @@ class Server:
 @contextmanager
 def busy(processes: int) -> Iterator[None]:
     """Keep some cores busy."""
-    text = f"import time\nend = time.monotonic() + {LONGEST_LOAD}\nwhile time.monotonic() < end: 0"
+    text = f"import time\nend = time.monotonic() + {MAX_LOAD}\nwhile time.monotonic() < end: 0"
     running = [subprocess.Popen([sys.executable, "-c", text]) for _ in range(processes)]
     try:
         yield

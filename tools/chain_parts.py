@@ -18,17 +18,14 @@ from maplines_can import Gaussian, Motion, Slot, maps
 from maplines_can.consumers import FusedLane, LaneFusion
 from maplines_can.consumers.lane_fusion import SceneSource
 from maplines_can.consumers.steering import Command, LaneSteering, State
-from maplines_can.ego import (
-    Cycle,
-    LineSource,
-    Localisation,
-    LocalisationLayer,
-    SensorSetup,
-    SimulatedSensors,
-)
-from maplines_can.ego import State as Motions
-from maplines_can.ego.simulated_localisation import START_SIGMA
-from maplines_can.ego.simulated_sensors import Arrival
+from maplines_can.localisation import Localisation, LocalisationLayer
+from maplines_can.maps.line_source import Cycle, LineSource
+from maplines_can.simulation.camera import Errors, GaussMarkov
+from maplines_can.simulation.camera_view import LANE, PLACES
+from maplines_can.simulation.car_stream import camera_view
+from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import State as Motions
 from maplines_can.study.closed_loop import (
     BESIDE_CHANGE,
     DEFAULT_SPEED,
@@ -38,9 +35,6 @@ from maplines_can.study.closed_loop import (
     Car,
     Place,
 )
-from maplines_can.study.fusion.drive_view import LANE, PLACES
-from maplines_can.study.fusion.simulation import Errors, GaussMarkov
-from maplines_can.study.fusion.stream import camera_view
 
 Array = Any
 

@@ -39,19 +39,24 @@ from maplines_can.consumers import LaneFusion
 from maplines_can.consumers.integrity import protection_level
 from maplines_can.consumers.plausibility import PlausibilityCheck
 from maplines_can.consumers.steering import LaneSteering
-from maplines_can.ego import (
+from maplines_can.localisation import (
     CameraLines,
     GnssFix,
-    LineSource,
     Localisation,
     LocalisationLayer,
     Odometry,
     PoseFix,
     SeenLandmarks,
 )
-from maplines_can.ego.scan_matching import ScanReference, match_icp, match_ndt, simulated_scan
+from maplines_can.localisation.scan_matching import (
+    ScanReference,
+    match_icp,
+    match_ndt,
+    simulated_scan,
+)
+from maplines_can.maps.line_source import LineSource
 from maplines_can.propagation.nonlinearity import nonlinearity
-from maplines_can.scenarios import parallel, scenario
+from maplines_can.simulation.scenarios import parallel, scenario
 from maplines_can.wire import default_dbc_path
 
 Call = Callable[[], Any]

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
-from maplines_can.line import Slot
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED
-from maplines_can.wire.message.signals import FINE_SIGNALS, SECURED_SIGNALS, slot_title
+from maplines_can.values.line import Slot
+from maplines_can.wire.layout.signals import FINE_SIGNALS, SECURED_SIGNALS, slot_title
 
 #: Slots of the original.
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from cantools.database.can import Database, Message
 
-from maplines_can.errors import EncodeError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import PARAMETERS, Kind, MapLine, Slot, Status
-from maplines_can.mixture import GaussianMixture
+from maplines_can.values.errors import EncodeError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import PARAMETERS, Kind, MapLine, Slot, Status
+from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Authenticator, Codec, Key
-from maplines_can.wire.message.layout import PARAMETER_SIGNALS
+from maplines_can.wire.layout.message_layout import PARAMETER_SIGNALS
 
 SECRET = bytes(range(16))
 #: Time between lines, and between the frames of one [ns].

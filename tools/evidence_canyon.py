@@ -42,8 +42,7 @@ import numpy as np
 from numpy.typing import NDArray
 from reporting import parser_of, progress, report
 
-from maplines_can.ego import GnssFix, Localisation, Odometry
-from maplines_can.ego.localisation import SensorErrors
+from maplines_can.localisation import GnssFix, Localisation, Odometry, SensorErrors
 
 Array = NDArray[np.float64]
 

@@ -53,9 +53,9 @@ from reporting import bar, parser_of, report
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, maps
 from maplines_can.consumers.steering import State
+from maplines_can.simulation.camera_view import AGE, COLUMNS, FRAME, LANE, PLACES
+from maplines_can.simulation.truth import true_lines
 from maplines_can.study.closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
-from maplines_can.study.drives.truth import true_lines
-from maplines_can.study.fusion.drive_view import AGE, COLUMNS, FRAME, LANE, PLACES
 from maplines_can.wire import POSE, Frame, Monitor, default_dbc_path
 
 #: Largest distance from the middle of the lane at which the car is in it [m].

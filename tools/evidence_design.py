@@ -18,7 +18,7 @@ from reporting import bar, parser_of
 from maplines_can.study.dbc.record_spec import DEFAULT
 from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
-from maplines_can.wire.message.layout import PARAMETER_SIGNALS
+from maplines_can.wire.layout.message_layout import PARAMETER_SIGNALS
 
 #: The targets in dbc/README.md.
 OF_THE_DEFAULT = Targets(

@@ -35,13 +35,13 @@ from reporting import parser_of, progress, report
 
 from maplines_can import Codec, MapError, maps
 from maplines_can.consumers import LaneFusion
-from maplines_can.ego import drive_along
-from maplines_can.line import lateral_jacobian
-from maplines_can.study.fusion.drive_view import LANE, PLACES, drive_view
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.camera import Errors, Simulation
+from maplines_can.simulation.camera_view import LANE, PLACES, drive_view
+from maplines_can.simulation.car_stream import CarStream
 from maplines_can.study.fusion.picture import draw
-from maplines_can.study.fusion.simulation import Errors, Simulation
-from maplines_can.study.fusion.stream import CarStream
 from maplines_can.study.fusion.variants import RIGHT, WRONG
+from maplines_can.values.line import lateral_jacobian
 from maplines_can.wire import default_dbc_path
 
 Array = Any

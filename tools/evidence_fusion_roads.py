@@ -40,16 +40,17 @@ from road_sources import route_of, sources_of
 
 from maplines_can import Codec, MapError, PoseSource, Scene, map_scene, maps
 from maplines_can.consumers import LaneFusion
-from maplines_can.ego import SimulatedDrive, drive_along
-from maplines_can.ego.line_source import WINDOW
-from maplines_can.line import MapLine, Slot, lateral_jacobian
 from maplines_can.maps import LaneTracker
-from maplines_can.polyline import Polyline
+from maplines_can.maps.line_source import WINDOW
 from maplines_can.propagation import Motion
-from maplines_can.study.drives.truth import Y_PLACES, true_lines
-from maplines_can.study.fusion.drive_view import AGE, FRAME, LANE
-from maplines_can.study.fusion.simulation import Errors, GaussMarkov
-from maplines_can.study.fusion.stream import camera_view
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.camera import Errors, GaussMarkov
+from maplines_can.simulation.camera_view import AGE, FRAME, LANE
+from maplines_can.simulation.car_stream import camera_view
+from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.truth import Y_PLACES, true_lines
+from maplines_can.values.line import MapLine, Slot, lateral_jacobian
+from maplines_can.values.polyline import Polyline
 from maplines_can.wire import Monitor, default_dbc_path
 
 #: Period of the scenes [s], and the correlation time of the pose error [s].
@@ -64,7 +65,7 @@ QUANTITIES: dict[str, tuple[tuple[float, float], dict[int, float]]] = {
     "width, 0 m": ((1.0, -1.0), {0: 1.0}),
 }
 #: Least share of errors within the 95 % interval.
-LEAST_INSIDE = 0.9
+MIN_INSIDE = 0.9
 #: Largest mean NEES.
 BOUND = upper_bound(50)
 INTERVAL = 1.96
@@ -244,7 +245,7 @@ def figures(cars: list[dict[str, Array]], bound: float) -> dict[str, Any]:
             for i, name in enumerate(QUANTITIES)
         }
         if way != WAYS[-1]:
-            is_met = (nees <= bound) & (inside >= LEAST_INSIDE) | (known == 0)
+            is_met = (nees <= bound) & (inside >= MIN_INSIDE) | (known == 0)
             result[way]["met"] = bool(is_met.all())
     return result
 

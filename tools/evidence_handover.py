@@ -32,10 +32,10 @@ from road_sources import route_of, sources_of
 from maplines_can import PoseSource, Slot, maps
 from maplines_can.consumers.path import WIDTHS
 from maplines_can.consumers.steering import LaneSteering, Reason, State, SteeringLimits
-from maplines_can.ego import LineSource, drive_along
-from maplines_can.ego.line_source import WINDOW
+from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation.motion import Motion
 from maplines_can.propagation.refit import MAX_MISFIT
+from maplines_can.simulation.along_route import drive_along
 from maplines_can.study.closed_loop import BESIDE_CHANGE, ODOMETRY
 
 #: Standard deviations of the pose, and their correlation time [s].
@@ -43,7 +43,7 @@ SIGMA, CORRELATION = (0.3, 0.1, np.radians(0.2)), 10.0
 #: Period of the cycles [s], and length of the routes [m].
 PERIOD, LENGTH = 0.1, 3000.0
 #: Largest share of cycles that hand over for TIGHT.
-MOST_TIGHT = 0.01
+MAX_TIGHT = 0.01
 #: Distance ahead in which a bend, or the end of the route, is trouble for a driver [m].
 NEAR, END = 10.0, 60.0
 
@@ -119,7 +119,7 @@ def figures(rows: list[tuple[Reason | None, float, float]]) -> dict[str, Any]:
         "handovers, by reason": dict(reasons),
         "range ahead, 5 % and median [m]": np.nanquantile(reach, [0.05, 0.5]).round(1).tolist(),
         "sigma at the car, median [m]": round(float(np.nanmedian(sigma)), 3),
-        "met": not reasons["RANGE"] and reasons["TIGHT"] <= MOST_TIGHT * len(rows),
+        "met": not reasons["RANGE"] and reasons["TIGHT"] <= MAX_TIGHT * len(rows),
     }
 
 

@@ -39,9 +39,9 @@ from maplines_can.consumers.integrity import (
     risk_bound,
     samples_of,
 )
-from maplines_can.ego import drive_along
-from maplines_can.study.fusion.drive_view import PLACES, drive_view
-from maplines_can.study.fusion.simulation import Errors, Simulation
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.camera import Errors, Simulation
+from maplines_can.simulation.camera_view import PLACES, drive_view
 from maplines_can.study.fusion.variants import RIGHT
 from maplines_can.study.integrity.sampling import (
     excursion_probability,

@@ -55,22 +55,22 @@ from scene_layouts import (
 )
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot
-from maplines_can.gaussian import block_diagonal
-from maplines_can.line import lateral_jacobian
 from maplines_can.propagation import map_scene
-from maplines_can.seen_lines import bases
 from maplines_can.study.scenes.source import noise_floor
+from maplines_can.values.gaussian import block_diagonal
+from maplines_can.values.line import lateral_jacobian
+from maplines_can.values.seen_lines import bases
 from maplines_can.wire import Codec
 from maplines_can.wire.covariance.scene_code import RESOLUTION, DecodedLines
 from maplines_can.wire.covariance.scene_encoder import EncodedScene
-from maplines_can.wire.message.signals import PARAMETER_SIGNALS
+from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 #: Range of the standard deviations of the map error: of the points and of the offset [m].
 MAP_ERROR = (0.03, 0.10)
 X = (0.0, 20.0, 40.0)
 FAR = 80.0
 #: Error of a coefficient of T_0 .. T_3 beyond which a line exceeds the message [m].
-LARGEST_ROUNDING = 0.02
+MAX_ROUNDING = 0.02
 #: Scenes that a process takes at a time.
 CHUNK = 50
 
@@ -230,7 +230,7 @@ def compare(truth: Truth, decoded: DecodedLines, add: Callable[..., None]) -> No
         block = np.s_[4 * i : 4 * i + 4]
         d = truth.means[i] - decoded.means[i]
         target = true[block, block] + np.outer(d, d)
-        if np.abs(inverse[i] @ d).max() > LARGEST_ROUNDING:
+        if np.abs(inverse[i] @ d).max() > MAX_ROUNDING:
             continue
         T, C = (inverse[i] @ cov @ inverse[i].T for cov in (target, decoded.cov[block, block]))
         L = np.linalg.cholesky(C)

@@ -33,16 +33,16 @@ from reporting import bar, parser_of, report
 from maplines_can import Codec, Gaussian, Kind, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.wire import POSE, Decoder, Frame, Owner, default_dbc_path
-from maplines_can.wire.message.frames import FrameWriter
-from maplines_can.wire.message.packing import Packing
-from maplines_can.wire.message.pose_records import (
+from maplines_can.wire.layout.packing import Packing
+from maplines_can.wire.layout.signals import SLOT_SIGNALS, slot_title
+from maplines_can.wire.records.frames import FrameWriter
+from maplines_can.wire.records.pose_records import (
     ConditionalRecord,
     ConditionalRecords,
     PoseRecord,
     PoseRecords,
     absent_counter,
 )
-from maplines_can.wire.message.signals import SLOT_SIGNALS, slot_title
 
 PERIOD, FRAME = 0.05, 0.00025  #: [s]
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)

@@ -61,21 +61,21 @@ from reporting import parser_of, progress, report
 from scipy.stats import chi2
 
 from maplines_can import Gaussian, MapFileError
-from maplines_can.ego import (
+from maplines_can.localisation import (
     GaussMarkov,
     GnssFix,
     Localisation,
     LocalisationLayer,
     Odometry,
+    Outcome,
     SensorErrors,
-    SensorSetup,
-    SimulatedDrive,
-    drive_along,
-    simulated_measurements,
+    Verdict,
 )
-from maplines_can.ego.localisation import Outcome, Verdict
-from maplines_can.ego.simulated_localisation import START_SIGMA
 from maplines_can.maps import load, town_path, town_tour
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import SimulatedDrive
 
 Array = NDArray[np.float64]
 
@@ -88,9 +88,9 @@ SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]
 #: Time between two evaluations [s].
 STEP = 0.5
 #: Least share of times at which the mean over the seeds must be within its 95 % bounds.
-LEAST_INSIDE = 0.9
+MIN_INSIDE = 0.9
 #: Least share of poses on a map within their 95 % region.
-LEAST_SHARE = 0.9
+MIN_SHARE = 0.9
 #: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
 #: Gaussian has 1.177 sigma.
 CEP = 2.5
@@ -171,7 +171,7 @@ def driven_on(arguments: argparse.Namespace) -> dict[str, Any]:
         found_drives = [drive(seed, arguments.seconds) for seed in progress(seeds, name)]
         row = result[name] = figures_of_drives(found_drives)
         low, high = chi2.ppf([0.005, 0.995], 3 * arguments.seeds) / arguments.seeds
-        row["met"] = bool(row["inside"] >= LEAST_SHARE and low <= row["NEES"] <= high)
+        row["met"] = bool(row["inside"] >= MIN_SHARE and low <= row["NEES"] <= high)
     return result | {
         **({"not used": not_used} if not_used else {}),
         "met": bool(result) and all(row["met"] for row in result.values()),
@@ -188,7 +188,7 @@ def simulated(arguments: argparse.Namespace) -> dict[str, Any]:
         for with_bias in (True, False):
             run = driven(way, layer, name, arguments, with_bias=with_bias)
             found = figures(run)
-            fails = found["NEES inside"] < LEAST_INSIDE
+            fails = found["NEES inside"] < MIN_INSIDE
             found["met"] = found.pop("consistent") if with_bias else fails
             result[name if with_bias else f"{name}, without bias"] = found
     return result | {"met": all(found["met"] for found in result.values())}
@@ -263,9 +263,9 @@ def figures(run: Run) -> dict[str, Any]:
         **{f"NIS {source}": found for source, found in innovations.items()},
         "autocorrelation": autocorrelations(run),
         "measurements": {name: dict(counts) for name, counts in run.counts.items()},
-        "consistent": inside >= LEAST_INSIDE
+        "consistent": inside >= MIN_INSIDE
         and low <= mean <= high
-        and all(found["inside"] >= LEAST_INSIDE for found in innovations.values()),
+        and all(found["inside"] >= MIN_INSIDE for found in innovations.values()),
     }
 
 

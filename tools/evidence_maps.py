@@ -52,7 +52,7 @@ OFFSET, TURN = 0.5, np.radians(3.0)
 #: between the car and its lane [rad].
 TOLERANCE, SKEW = 0.1, np.radians(60.0)
 #: Least share of right slots, and the least number of poses for which it is a bound.
-RIGHT, LEAST_POSES = 0.995, 200
+RIGHT, MIN_POSES = 0.995, 200
 
 
 def random_pose(lane: maps.Lane, rng: np.random.Generator) -> Array:
@@ -200,7 +200,7 @@ def measure(found: maps.Map, sigma: Any, poses: int, draws: int, seed: int, step
 
 def missed_slots(name: str, row: Any) -> Iterator[str]:
     """Yield the bound of the slots if it is missed."""
-    if row["poses"] >= LEAST_POSES and row["slots right"] < RIGHT:
+    if row["poses"] >= MIN_POSES and row["slots right"] < RIGHT:
         yield f"{name}: the slots of {row['slots right']:.2%} of the poses are right"
 
 

@@ -49,10 +49,10 @@ from maplines_can.consumers.plausibility import (
     residuals,
     stations,
 )
-from maplines_can.ego import drive_along
-from maplines_can.ego.line_source import WINDOW
-from maplines_can.seen_lines import NODES
-from maplines_can.study.fusion.drive_view import turned
+from maplines_can.maps.line_source import WINDOW
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.camera_view import turned
+from maplines_can.values.seen_lines import NODES
 
 #: Period of the images [s].
 DT = 0.05

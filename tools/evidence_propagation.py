@@ -20,10 +20,10 @@ import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 from reporting import bar, parser_of
 
-from maplines_can.line import PARAMETERS
 from maplines_can.propagation import Mixture, MonteCarlo, Quadrature, SigmaPoints
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.line import PARAMETERS
 
 CHUNK, POSES = 50_000, 2000
 #: Bounds of the differences: two in standard deviations, then two in standard errors. The others

@@ -44,18 +44,8 @@ from reporting import parser_of, progress, report
 from scipy.stats import chi2
 
 from maplines_can import Polyline
-from maplines_can.ego import (
-    GnssFix,
-    Localisation,
-    LocalisationLayer,
-    Odometry,
-    PoseFix,
-    SensorSetup,
-    SimulatedDrive,
-    drive_along,
-    simulated_measurements,
-)
-from maplines_can.ego.scan_matching import (
+from maplines_can.localisation import GnssFix, Localisation, LocalisationLayer, Odometry, PoseFix
+from maplines_can.localisation.scan_matching import (
     ScanMatch,
     ScanReference,
     match_icp,
@@ -63,6 +53,9 @@ from maplines_can.ego.scan_matching import (
     simulated_scan,
 )
 from maplines_can.maps import Map, load, town_path, town_tour
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
+from maplines_can.simulation.trajectory import SimulatedDrive
 
 Array = NDArray[np.float64]
 Match = Callable[..., ScanMatch]
@@ -72,12 +65,12 @@ SPAN = (2.0, 240.0)
 #: Standard deviations of the pose with which a matching starts: x, y [m], heading [rad].
 START = np.array([0.3, 0.3, math.radians(0.5)])
 #: Errors of the map that are compared [m], and the largest RMS [m] and NEES.
-MAP_ERRORS, MOST_RMS, MOST_NEES = (0.0, 0.05), 0.1, 3.72
+MAP_ERRORS, MAX_RMS, MAX_NEES = (0.0, 0.05), 0.1, 3.72
 METHODS: dict[str, Match] = {"NDT": match_ndt, "ICP": match_icp}
 #: Part of the tour for the localisation [s], with 7 s without houses; time between two scans [s].
 FED_SPAN, SCAN_STEP = (40.0, 100.0), 0.5
 #: Least share of errors of the localisation within their 95 % bound.
-LEAST_WITHIN = 0.9
+MIN_WITHIN = 0.9
 
 
 def main() -> int:
@@ -133,13 +126,13 @@ def compared(
         x, y, heading = np.sqrt((difference**2).mean(axis=0))
         found[f"{name}, RMS x, y [m]"] = f"{x:.3f}, {y:.3f}"
         found[f"{name}, RMS heading [deg]"] = float(math.degrees(heading))
-        met = met and max(x, y) <= MOST_RMS
+        met = met and max(x, y) <= MAX_RMS
     for name, some in matches.items():
         e = (poses[name] - true)[valid[name]]
         P = np.array([m.cov for m in some if m.is_valid])
         nees = float((e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1).mean())
         found[f"NEES {name}"] = nees
-        met = met and nees <= MOST_NEES
+        met = met and nees <= MAX_NEES
     return found | {"met": bool(met)}
 
 
@@ -233,7 +226,7 @@ def fed_figures(run: Run, is_white: bool) -> dict[str, Any]:
         "RMS heading [deg]": math.degrees(rms[2]),
         "stated sigma of x, y [m]": float(sigma),
         "poses": dict(run.counts.get("pose", {})),
-        "met": bool(mean > high if is_white else mean <= high and inside >= LEAST_WITHIN),
+        "met": bool(mean > high if is_white else mean <= high and inside >= MIN_WITHIN),
     }
 
 

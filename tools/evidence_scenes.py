@@ -58,9 +58,9 @@ from maplines_can import (
     map_scene,
     maps,
 )
-from maplines_can.gaussian import block_diagonal
-from maplines_can.seen_lines import bases
 from maplines_can.study.scenes.source import noise_floor
+from maplines_can.values.gaussian import block_diagonal
+from maplines_can.values.seen_lines import bases
 from maplines_can.wire import POSE, Codec
 from maplines_can.wire.covariance.scene_code import RESOLUTION
 
@@ -69,7 +69,7 @@ ERRORS = {"exact": 0.0, "5 cm": 0.05}
 #: Lines with this much ahead must be sent [m], and the largest share of them that may be lost.
 AHEAD, LOST = 10.0, 0.01
 #: Most frames of a scene, in units of four for each line.
-MOST_FRAMES = 1.0
+MAX_FRAMES = 1.0
 #: Where the width of the lane is compared, and where errors of lines are [m].
 WIDTH_AT, ERROR_AT = (0.0, 20.0, 40.0), 20.0
 #: Draws of the pose for each line.
@@ -236,7 +236,7 @@ def missed(name: str, row: Mapping[str, Any]) -> Iterator[str]:
     """Yield the bounds that a row misses."""
     if row["lost"] > LOST:
         yield f"{name}: {row['lost']:.1%} of the lines with {AHEAD:g} m ahead are lost"
-    if row["frames"] and row["frames"]["max"] > MOST_FRAMES:
+    if row["frames"] and row["frames"]["max"] > MAX_FRAMES:
         yield f"{name}: a scene takes {row['frames']['max']:.2f} of four frames a line"
     for what in ("overconfident", "not received"):
         if count := row["counts"].get(what, 0):

@@ -30,11 +30,11 @@ import numpy as np
 from reporting import bar, parser_of, progress, report
 
 from maplines_can import map_lines
-from maplines_can.line import MapLine
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.dbc.record_spec import SECURED
+from maplines_can.values.line import MapLine
 from maplines_can.wire import Authenticator, Codec, Decoder, Frame, Key, Layout, Reason
-from maplines_can.wire.message.slot_messages import SecuredLayout
+from maplines_can.wire.layout.slot_messages import SecuredLayout
 
 US, MS = 1_000, 1_000_000
 START = 1_750_000_000 * 10**9

@@ -41,21 +41,19 @@ from numpy.typing import NDArray
 from reporting import parser_of, progress, report
 
 from maplines_can import Polyline
-from maplines_can.ego import (
+from maplines_can.localisation import (
     CameraLines,
     Localisation,
     LocalisationLayer,
     PoseFix,
     SeenLandmarks,
     SensorErrors,
-    SensorSetup,
-    SimulatedDrive,
-    drive_along,
-    simulated_measurements,
 )
-from maplines_can.ego.simulated_localisation import START_SIGMA
-from maplines_can.ego.simulated_sensors import Arrival
 from maplines_can.maps import Map, load, town_path, town_tour
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import SimulatedDrive
 from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
 
 Array = NDArray[np.float64]

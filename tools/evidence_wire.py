@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from reporting import bar, parser_of, progress, report
 
-from maplines_can.line import MapLine, Slot, Status
 from maplines_can.study import LATERAL_X, adversarial, evaluate, paper, road
+from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Codec, Frame
 
 Array = NDArray[np.float64]

@@ -24,8 +24,8 @@ import can
 
 from maplines_can import map_lines
 from maplines_can.cli.output import line_dict
-from maplines_can.line import MapLine, Slot
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Codec
 
 MAPLINES = [sys.executable, "-m", "maplines_can.cli"]

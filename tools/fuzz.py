@@ -54,7 +54,7 @@ INSTRUMENTED = (
 #: Folders whose lines count in the choice of the corpus.
 COVERED = ("/maplines_can/", "/can/io/", "/cantools/database/can/")
 #: Largest corpus of a target: files, bytes.
-MOST_FILES, MOST_BYTES = 190, 290_000
+MAX_FILES, MAX_BYTES = 190, 290_000
 #: Time limit of one input [s].
 INPUT_TIMEOUT = 20
 #: Time limit of one process [s]: atheris leaks 40 kB with each input of the decoder.
@@ -251,7 +251,7 @@ def minimize(target: str, folders: Iterable[Path], kept: Path) -> dict[str, int]
         total = sum(map(len, chosen)) + len(best)
         if not gain:
             break
-        if len(chosen) < MOST_FILES and total <= MOST_BYTES:
+        if len(chosen) < MAX_FILES and total <= MAX_BYTES:
             chosen.append(best)
             missing -= gain
     for path in kept.iterdir():

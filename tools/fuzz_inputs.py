@@ -18,8 +18,8 @@ import numpy as np
 from fuzz_scenes import DBCS
 from fuzz_targets import CODES, SUFFIXES, codec_of, valid_record
 
-from maplines_can.line import Slot
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.values.line import Slot
 
 # ---- frames ------------------------------------------------------------------------------
 

@@ -20,20 +20,20 @@ from fuzz_targets import (
     valid_record,
 )
 
-from maplines_can.line import MapLine, Slot
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Monitor, Reason, default_dbc_path
 from maplines_can.wire.covariance import CholeskyCode
-from maplines_can.wire.message.frames import FrameWriter
-from maplines_can.wire.message.packing import Packing
-from maplines_can.wire.message.pose_layout import PoseLayout
-from maplines_can.wire.message.pose_records import (
+from maplines_can.wire.layout.packing import Packing
+from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can.wire.layout.record_layout import RecordLayout
+from maplines_can.wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.records.frames import FrameWriter
+from maplines_can.wire.records.pose_records import (
     ConditionalRecord,
     ConditionalRecords,
     PoseRecord,
     PoseRecords,
 )
-from maplines_can.wire.message.record_layout import RecordLayout
-from maplines_can.wire.message.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
 DBCS = ("maplines-pose.dbc", "maplines.dbc")

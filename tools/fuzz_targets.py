@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 
 from maplines_can.bus import read_log
-from maplines_can.errors import EncodeError, LayoutError, LogError
-from maplines_can.line import MapLine, Slot, Status
 from maplines_can.study.codes import CODES as STUDY_CODES
 from maplines_can.study.dbc.record_spec import dbc_writer_for
+from maplines_can.values.errors import EncodeError, LayoutError, LogError
+from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Monitor, Reason
-from maplines_can.wire.message.layout import PAGE, PAGE_BYTES, TRANSFER_ID
-from maplines_can.wire.message.packing import Packing
+from maplines_can.wire.layout.message_layout import PAGE, PAGE_BYTES, TRANSFER_ID
+from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc_one
 
 MS = 1_000_000

@@ -20,7 +20,7 @@ RATIO = {"conditional": 1.1, "complete": 1.3}
 #: Bounds of the conditional records with a map error: mean and 99 % of KL; of all, lateral ratio.
 KL_MEAN, KL_99, LATERAL_99 = 3e-3, 1.2e-2, 1.03
 #: Bounds of the witness: largest share of |z| > 3 and largest rms, and draws for which they hold.
-BEYOND, RMS, LEAST_VALUES = 0.005, 1.08, 20_000
+BEYOND, RMS, MIN_VALUES = 0.005, 1.08, 20_000
 BITRATE, RATES, LINES = 500_000.0, (20, 50), (4, 8)
 
 
@@ -133,7 +133,7 @@ def missed(result: Mapping[str, Any]) -> Iterator[str]:
         for group, figures in row["groups"].items():
             for what in ("z of width", "z of centre"):
                 z = figures[what]
-                if z and z["values"] >= LEAST_VALUES and (z["beyond"] > BEYOND or z["rms"] > RMS):
+                if z and z["values"] >= MIN_VALUES and (z["beyond"] > BEYOND or z["rms"] > RMS):
                     yield (
                         f"{carrier}, {group}: {what}: {z['beyond']:.2%} beyond 3 sigma, "
                         f"rms {z['rms']:.2f}"

@@ -29,7 +29,7 @@ PLACES: dict[str, Callable[[float, float], float]] = {
 #: Bounds: largest share of |z| > 3, and largest share of refused lines.
 BEYOND, REFUSED = 0.005, 0.02
 #: Fewer values at a place are too few to compare their figures with the bounds.
-LEAST_VALUES = 4000
+MIN_VALUES = 4000
 #: Headings of the columns that ``Tally.figures`` and ``cells`` give.
 HEADINGS = (
     "".join(f"{'x = ' + name:>14}" for name in PLACES) + "  range  x_max",
@@ -154,7 +154,7 @@ class Tally:
 def missed(name: str, row: Any, rms: tuple[float, float] = (0.0, np.inf)) -> Iterator[str]:
     """Yield the bounds that figures miss; ``rms`` are those of the rms of z."""
     for place, n in row["values"].items():
-        if n < LEAST_VALUES:
+        if n < MIN_VALUES:
             continue
         if row["beyond 3 sigma"][place] > BEYOND:
             yield f"{name}: {row['beyond 3 sigma'][place]:.2%} beyond 3 sigma at x = {place}"

@@ -17,7 +17,7 @@ from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.wire.covariance.code import OCTAVES
 from maplines_can.wire.covariance.factor import RATIO
-from maplines_can.wire.message.requirements import (
+from maplines_can.wire.layout.requirements import (
     CONDITIONAL_REQUIREMENTS,
     EXACT,
     QUANTITY,

@@ -88,7 +88,7 @@ SCENES = [
     *(f"maplines_can/{name}.py" for name in ("map_error", "scene", "seen_lines")),
     *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "own_levels")),
     *(f"maplines_can/wire/covariance/scene_{n}.py" for n in ("code", "encoder")),
-    *(f"maplines_can/wire/message/scene_{n}.py" for n in ("reader", "writer")),
+    *(f"maplines_can/wire/records/scene_{n}.py" for n in ("reader", "writer")),
     *(f"maplines_can/wire/reception/{n}.py" for n in ("epochs", "poses", "scenes")),
 ]
 #: Areas by name. Tests that run commands are left out: they are slow.
@@ -108,7 +108,7 @@ AREAS = {
         [
             *(f"tests/test_{what}.py" for what in ("map_error", "scene", "seen_lines")),
             *("tests/wire/covariance", "tests/wire/test_scenes_on_wire.py"),
-            *(f"tests/wire/message/test_{what}.py" for what in ("pose_records", "scene_ranges")),
+            *(f"tests/wire/layout/test_{what}.py" for what in ("pose_records", "scene_ranges")),
             *(
                 f"tests/wire/reception/test_{what}.py"
                 for what in ("epochs", "latest_epoch", "poses", "scenes")

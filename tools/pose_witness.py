@@ -8,17 +8,10 @@ from typing import Any
 import numpy as np
 from dbc_witness import CYCLE_NS, WrongResultError
 
-from maplines_can.line import Kind, Slot
+from maplines_can.values.line import Kind, Slot
 from maplines_can.wire import E2EConfig, Layout
 from maplines_can.wire.covariance import CholeskyCode
-from maplines_can.wire.message.frames import Frame, FrameWriter
-from maplines_can.wire.message.pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-)
-from maplines_can.wire.message.signals import (
+from maplines_can.wire.layout.signals import (
     FINE_SIGNALS,
     OWN_SIGNALS,
     PARAMETER_SIGNALS,
@@ -28,6 +21,13 @@ from maplines_can.wire.message.signals import (
 from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+from maplines_can.wire.records.frames import Frame, FrameWriter
+from maplines_can.wire.records.pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+)
 
 
 def require(holds: Any, message: str) -> None:

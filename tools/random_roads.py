@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maplines_can import Polyline, Slot, maps
-from maplines_can.street_shapes import Piece, Street, widening
+from maplines_can.simulation.street_shapes import Piece, Street, widening
 
 Array = NDArray[np.float64]
 

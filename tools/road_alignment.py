@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maplines_can.maps.opendrive.reference_line import clothoid
+from maplines_can.maps.formats.opendrive.reference_line import clothoid
 
 #: Shorter pieces are left out [m].
 SHORTEST = 1e-9

@@ -13,16 +13,16 @@ import numpy as np
 from cantools.database.can import Database, Signal
 from dbc_witness import CYCLE_NS, FRAME_NS, WrongResultError
 
-from maplines_can.errors import LayoutError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import MapLine, Slot
-from maplines_can.polyline import Polyline
 from maplines_can.propagation import map_scene
-from maplines_can.scene import Scene
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
 from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.values.errors import LayoutError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import MapLine, Slot
+from maplines_can.values.polyline import Polyline
+from maplines_can.values.scene import Scene
 from maplines_can.wire import Codec, Layout
-from maplines_can.wire.message.dbc_reader import parse_database
+from maplines_can.wire.layout.dbc_reader import parse_database
 
 #: Writers of DBCs with scenes: beside complete records, and beside those conditional on the pose.
 FORMS = {"complete": DEFAULT, "conditional": CONDITIONAL}

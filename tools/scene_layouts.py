@@ -6,8 +6,8 @@ from functools import lru_cache
 
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance import SceneCode, SceneEncoder
-from maplines_can.wire.message.dbc_reader import default_dbc_path
-from maplines_can.wire.message.pose_layout import PoseLayout
+from maplines_can.wire.layout.dbc_reader import default_dbc_path
+from maplines_can.wire.layout.pose_layout import PoseLayout
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from line_witness import LEAST_VALUES, Array
+from line_witness import MIN_VALUES, Array
 from scipy.special import log_ndtr, logsumexp, ndtri_exp
 
 #: Distances of slopes and of second differences, and where they begin [m].
@@ -178,14 +178,14 @@ class Tally:
 def missed(name: str, row: Any) -> Iterator[str]:
     """Yield the bounds that figures miss; too few values are not compared."""
     for figure, n in row["values"].items():
-        if n < LEAST_VALUES:
+        if n < MIN_VALUES:
             continue
         if row["beyond 3 sigma"][figure] > BEYOND:
             yield f"{name}: {figure}: {row['beyond 3 sigma'][figure]:.2%} beyond 3 sigma"
         if figure == "y" and not RMS[0] <= row["rms"]["y"] <= RMS[1]:
             yield f"{name}: rms of z of y is {row['rms']['y']:.2f}"
     for x, ratio in row["sigma ratio"].items():
-        if row["lines at x"][x] >= LEAST_VALUES / 40 and ratio[0] > RATIO:
+        if row["lines at x"][x] >= MIN_VALUES / 40 and ratio[0] > RATIO:
             yield f"{name}: sigma of y at {x} m is {ratio[0]:.3f} times the reference"
 
 

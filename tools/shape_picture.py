@@ -26,7 +26,7 @@ from shape_figures import Given, Sums
 from shape_ways import Case, excess_covs, given_of, with_less
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_lines, maps
-from maplines_can.street_shapes import Piece, Street
+from maplines_can.simulation.street_shapes import Piece, Street
 from maplines_can.study.figures.panels import Z99
 from maplines_can.study.figures.picture import COLOURS
 

@@ -26,23 +26,23 @@ from maplines_can import (
     predict_to,
     wire,
 )
-from maplines_can.errors import EncodeError, MaplinesError
-from maplines_can.gaussian import block_diagonal, diagonal_blocks, nearest_covariance
-from maplines_can.mixture import GaussianMixture
-from maplines_can.polyline import stretches
 from maplines_can.propagation import scene_mixture
 from maplines_can.propagation.map_lines import view_of
 from maplines_can.propagation.map_scene import STEP
 from maplines_can.propagation.misfit import coefficient_variances
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
 from maplines_can.propagation.valid_range import longest_ranges
-from maplines_can.seen_lines import bases
+from maplines_can.values.errors import EncodeError, MaplinesError
+from maplines_can.values.gaussian import block_diagonal, diagonal_blocks, nearest_covariance
+from maplines_can.values.mixture import GaussianMixture
+from maplines_can.values.polyline import stretches
+from maplines_can.values.seen_lines import bases
 
 COMPONENTS = 3
 #: The motion of --by predicted: time [s], speed [m/s], and sigmas [m/s, rad/s].
 SECONDS, SPEED, MOTION_SIGMA = 1.0, 12.0, (0.3, 0.01)
 #: Largest yaw rate of that motion [rad/s].
-MOST_YAW_RATE = 0.6
+MAX_YAW_RATE = 0.6
 #: From a line, the true poses with the mean one, and random numbers to what a consumer has.
 Carry = Callable[[MapLine, Array, np.random.Generator], tuple[MapLine | None, Array]]
 
@@ -165,7 +165,7 @@ def sent(line: MapLine, drawn: Array, _: Any) -> tuple[MapLine | None, Array]:
 def predicted(line: MapLine, drawn: Array, rng: Any) -> tuple[MapLine | None, Array]:
     """Return a line that is predicted, and the true poses of that time."""
     curvature = line.gaussian.mean[2] + line.gaussian.mean[3] * SPEED * SECONDS / 2
-    yaw_rate = float(np.clip(SPEED * curvature, -MOST_YAW_RATE, MOST_YAW_RATE))
+    yaw_rate = float(np.clip(SPEED * curvature, -MAX_YAW_RATE, MAX_YAW_RATE))
     motion = Motion.with_sigma(SPEED, yaw_rate, MOTION_SIGMA)
     rates = np.array([SPEED, yaw_rate]) + rng.standard_normal((len(drawn), 2)) * MOTION_SIGMA
     rates[-1] = SPEED, yaw_rate  # of the mean pose

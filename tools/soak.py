@@ -33,11 +33,11 @@ import numpy as np
 from reporting import bar, parser_of, progress, report
 
 from maplines_can.bus import Link, Receiver, Transmitter
-from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults, FaultyBus, FaultyOpener
+from maplines_can.values.line import Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec
-from maplines_can.wire.message.layout import PAGE_BYTES
+from maplines_can.wire.layout.message_layout import PAGE_BYTES
 from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc
 
 FAULTS = "loss=0.1,dup=0.05,reorder=0.05,corrupt=0.02"

@@ -13,7 +13,7 @@ from can.interfaces.virtual import VirtualBus
 from can.typechecking import CanFilter
 from can.util import load_config
 
-from ..errors import BusError
+from ..values.errors import BusError
 from . import socketcan
 from .driver_errors import error_text
 

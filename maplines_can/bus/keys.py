@@ -7,7 +7,7 @@ import re
 import stat
 from pathlib import Path
 
-from ..errors import KeyMaterialError
+from ..values.errors import KeyMaterialError
 from ..wire import Key
 
 #: Text that may be a key or a part of one: 16 or more hex digits with at most one separator

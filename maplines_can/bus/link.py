@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 import can
 from can.typechecking import CanFilter
 
-from ..errors import BusError
+from ..values.errors import BusError
 from .background import ForkSafeCondition
 from .bus_factory import BusFactory, UnsuitableInterfaceError
 from .driver_errors import DriverError, classify_error, error_text
@@ -70,8 +70,8 @@ class Link:
     >>> Link(interface="socketcan", channel="nocan0")
     Traceback (most recent call last):
     ...
-    maplines_can.errors.BusError: socketcan nocan0 cannot be opened: there is no such interface; \
-'ip -br link' lists those that are
+    maplines_can.values.errors.BusError: socketcan nocan0 cannot be opened: there is no such \
+interface; 'ip -br link' lists those that are
     """
 
     #: How long a driver may fail without an error number before the interface counts as lost [s].

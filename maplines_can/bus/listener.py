@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import can
 
-from ..line import MapLine, Slot
+from ..values.line import MapLine, Slot
 from ..wire import Decoder, Monitor, Reason, SceneView, SlotStats, SlotView
 from ..wire.reception.monitor import STALE_CYCLES
 from .background import ForkSafeCondition

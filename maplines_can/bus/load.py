@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from ..wire import Frame
-from ..wire.message.slot_messages import FD_LENGTHS
+from ..wire.layout.slot_messages import FD_LENGTHS
 
 
 class FrameBits(NamedTuple):

@@ -10,8 +10,8 @@ from typing import Any
 import can
 from can.io.logger import MESSAGE_WRITERS
 
-from ..errors import LogError, missing_extra
-from ..input_files import checked_path
+from ..values.errors import LogError, missing_extra
+from ..values.input_files import checked_path
 from ..wire import Frame
 
 #: Suffixes of the formats: candump -L, Vector ASC and BLF, ASAM MDF 4.

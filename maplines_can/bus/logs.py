@@ -20,8 +20,8 @@ import can
 from can.io.blf import BLFParseError
 from can.io.player import MESSAGE_READERS
 
-from ..errors import LogError, missing_extra
-from ..input_files import MAX_LINE, checked_path
+from ..values.errors import LogError, missing_extra
+from ..values.input_files import MAX_LINE, checked_path
 from .binary_logs import BlfReader, Mf4Reader, SqliteReader
 
 # Exceptions that python-can's readers raise on damaged files.
@@ -79,7 +79,7 @@ _MAX_DATA = 64
 #: Most characters of a reason in a message.
 _MAX_REASON = 200
 #: Smaller time stamps are relative to the start of the log or to the previous frame [s].
-_LEAST_ABSOLUTE = 10**8
+_MIN_ABSOLUTE = 10**8
 
 
 class LogFrame(NamedTuple):
@@ -297,7 +297,7 @@ class _CandumpReader:
     def _t_ns(self, text: str) -> int:
         """Return the time of a row [ns]; differences are added up."""
         stamp = _nanoseconds(text)
-        if 2 * stamp < self._stamp < _LEAST_ABSOLUTE * 10**9:
+        if 2 * stamp < self._stamp < _MIN_ABSOLUTE * 10**9:
             self._is_difference = True
         self._stamp = stamp
         self._time = self._time + stamp if self._is_difference else stamp

@@ -9,7 +9,7 @@ from typing import Literal, Self
 import can
 from can.typechecking import CanFilters
 
-from ..line import MapLine, Slot
+from ..values.line import MapLine, Slot
 from ..wire import Decoder, SceneView, SlotStats, SlotView
 from ..wire.reception.monitor import STALE_CYCLES
 from .background import BackgroundThread

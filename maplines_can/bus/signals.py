@@ -15,13 +15,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DriveFileError, LogError
-from ..input_files import checked_path
-from ..wire.message.dbc_reader import Database, parse_database, read_text
+from ..values.errors import DriveFileError, LogError
+from ..values.input_files import checked_path
+from ..wire.layout.dbc_reader import Database, parse_database, read_text
 from .logs import read_log
 
 #: Largest table of signal names [B].
-LARGEST_TABLE = 10**6
+MAX_TABLE = 10**6
 
 Series = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -167,13 +167,13 @@ def read_table(path: str | PathLike[str]) -> dict[str, str]:
     source = checked_path(path, DriveFileError)
     try:
         with source.open("rb") as file:
-            data = file.read(LARGEST_TABLE + 1)
+            data = file.read(MAX_TABLE + 1)
         text = data.decode("utf-8-sig")
     except OSError as error:
         raise DriveFileError(f"{source}: cannot be read: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise DriveFileError(f"{source}: is not a text in UTF-8: {error}") from error
-    if len(data) > LARGEST_TABLE:
+    if len(data) > MAX_TABLE:
         raise DriveFileError(f"{source}: is too large for a table of signals")
     if source.suffix.lower() == ".csv":
         rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines()) if row]

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, Self
 
 import can
 
-from ..errors import BusError, EncodeError
-from ..line import LeftOut, MapLine, MapLineList, Slot
-from ..scene import Scene
+from ..values.errors import BusError, EncodeError
+from ..values.line import LeftOut, MapLine, MapLineList, Slot
+from ..values.scene import Scene
 from ..wire import POSE, Codec, Frame, PreparedScene
 from .background import BackgroundThread
 from .link import Link, Sent, link_of

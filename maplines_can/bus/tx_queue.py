@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
-from ..line import MapLine, Slot
+from ..values.line import MapLine, Slot
 from ..wire import POSE, Codec, Frame, Owner, PreparedScene
 from .schedule import Schedule
 

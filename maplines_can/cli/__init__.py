@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from .. import __version__
-from ..errors import MaplinesError
+from ..values.errors import MaplinesError
 from .parsing import Parser
 from .stderr import note
 

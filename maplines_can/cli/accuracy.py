@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import read_log
-from ..errors import LogError
-from ..line import MapLine
-from ..study.drives.consistency import consistency_of
-from ..study.drives.evaluation import accuracy_of
-from ..study.drives.text import as_text
-from ..study.drives.truth import read_truth
+from ..simulation.truth import read_truth
+from ..study.accuracy.consistency import consistency_of
+from ..study.accuracy.evaluation import accuracy_of
+from ..study.accuracy.text import as_text
+from ..values.errors import LogError
+from ..values.line import MapLine
 from ..wire import Decoder
-from .fitting_dbc import MOST_IDS, dbc_hint
+from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
 from .overwriting import add_force, check_new
@@ -79,7 +79,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         nonlocal status, has_time
         try:
             for frame in with_progress(frames, " frames"):
-                if len(can_ids) < MOST_IDS:
+                if len(can_ids) < MAX_IDS:
                     can_ids.add(frame.can_id)
                 decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
                 has_time = frame.has_time
@@ -105,7 +105,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
             f"{arguments.log}: has no lines; frames dropped: {counts}{'; ' * bool(hint)}{hint}"
         )
     if arguments.plot:
-        from ..study.drives.plot import draw_accuracy
+        from ..study.accuracy.plot import draw_accuracy
 
         draw_accuracy(accuracy, arguments.plot)
     if arguments.json:

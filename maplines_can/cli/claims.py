@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from ..scenarios import SCENARIOS, scenario
-from ..study.accuracy.table import accuracy_table
-from ..study.accuracy.text import as_csv, as_markdown, as_text
+from ..simulation.scenarios import SCENARIOS, scenario
+from ..study.claims.table import accuracy_table
+from ..study.claims.text import as_csv, as_markdown, as_text
 from .options import add_dbc, add_draws, codec_from
 from .parsing import add_command, option_group
 from .stderr import progress_bar

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bus import Link, Receiver, read_log
-from ..gaussian import Gaussian
-from ..line import PARAMETERS, MapLine, Slot
 from ..propagation import pose_time_ns
+from ..values.gaussian import Gaussian
+from ..values.line import PARAMETERS, MapLine, Slot
 from ..wire import Codec
 from .consume_input import table_rows
 from .options import bus_settings, codec_from

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ..consumers.consistency import SLOW, CameraNoise
 from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
-from ..gaussian import Gaussian
-from ..line import MapLine, Slot, transform_line_or_nan
 from ..propagation import Motion
+from ..values.gaussian import Gaussian
+from ..values.line import MapLine, Slot, transform_line_or_nan
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, Cycle, Input, add_input
 from .consume_motion import add_motion, motion_of

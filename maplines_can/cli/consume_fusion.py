@@ -12,8 +12,8 @@ import numpy as np
 
 from ..consumers import FusedLane, LaneFusion
 from ..consumers.integrity import RISKS, multiplier
-from ..line import MapLine
 from ..propagation import Motion
+from ..values.line import MapLine
 from ..wire import Codec
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, Cycle, Input, add_input, scene_codec
@@ -122,9 +122,9 @@ def _epochs(
 
 def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
     """Yield the epochs of a simulated car in the town."""
-    from ..ego import drive_along
     from ..maps import load, town_path, town_tour
-    from ..study.fusion.stream import CarStream
+    from ..simulation.along_route import drive_along
+    from ..simulation.car_stream import CarStream
 
     found = load(town_path())
     route = town_tour(found)

@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 from ..bus import Link, Receiver, read_log
-from ..input_files import lines_of
+from ..values.input_files import lines_of
 from ..wire import Codec, Monitor, SceneView
-from .fitting_dbc import MOST_IDS, dbc_hint
+from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_bus,
     add_codec,
@@ -149,7 +149,7 @@ class Input:
         for frame in with_progress(read_log(path), " frames"):
             if not frame.has_time:
                 raise ValueError(f"LOG: {path} has no time stamps; record it with candump -L")
-            if len(self._can_ids) < MOST_IDS:
+            if len(self._can_ids) < MAX_IDS:
                 self._can_ids.add(frame.can_id)
             due = frame.t_ns + step if due is None else due
             if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
@@ -207,7 +207,7 @@ def table_rows(path: str, wanted: Container[str], most: int) -> Iterator[dict[st
 
 
 def _parquet_rows(path: str, wanted: Container[str]) -> Iterator[dict[str, Any]]:
-    from ..study.parquet_files import parquet_batches
+    from ..simulation.parquet_files import parquet_batches
 
     def choose(names: list[str]) -> list[str]:
         return [name for name in names if name in wanted]

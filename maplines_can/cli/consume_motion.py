@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bus import Link, SignalDecoder, read_signals
-from ..ego.columns import COLUMNS
 from ..propagation import Motion
+from ..simulation.columns import COLUMNS
 from .consume_input import table_rows
 from .options import bus_settings
 from .output import counts_text

@@ -12,10 +12,10 @@ from dataclasses import replace
 from typing import Any
 
 from ..bus import read_log
-from ..errors import LogError
-from ..line import MapLine
+from ..values.errors import LogError
+from ..values.line import MapLine
 from ..wire import Decoder, Monitor, SceneView
-from .fitting_dbc import MOST_IDS, dbc_hint
+from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_codec,
     add_cycle,
@@ -40,7 +40,7 @@ from .parsing import add_command, option_group
 from .stderr import note, with_progress
 
 #: No log of a car has more channels. Each one needs a decoder, some 16 kB.
-MOST_CHANNELS = 256
+MAX_CHANNELS = 256
 
 DESCRIPTION = """\
 Print the lines in a log file, or in a pipe as they arrive, one row of JSON each. At the end,
@@ -105,10 +105,10 @@ def _decode(arguments: argparse.Namespace) -> int:
         nonlocal last_ns, status, beyond, has_time
         try:
             for frame in with_progress(frames, " frames"):
-                if len(can_ids) < MOST_IDS:
+                if len(can_ids) < MAX_IDS:
                     can_ids.add(frame.can_id)
                 if frame.channel not in decoders:
-                    if len(decoders) == MOST_CHANNELS:
+                    if len(decoders) == MAX_CHANNELS:
                         beyond += 1
                         continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
@@ -128,7 +128,7 @@ def _decode(arguments: argparse.Namespace) -> int:
         if beyond:
             note(
                 f"error: {arguments.log}: {beyond} frames are not read, they are of channels "
-                f"beyond the first {MOST_CHANNELS}; split the log by channel"
+                f"beyond the first {MAX_CHANNELS}; split the log by channel"
             )
             status = 1
         for channel, decoder in decoders.items():

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from ..line import MapLineList, Slot, Status
 from ..propagation.component_counts import TOLERANCE
-from ..scenarios import Scenario, scenario
-from ..scene import Scene
+from ..simulation.scenarios import Scenario, scenario
 from ..study.figures.picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
 from ..study.scene_result import SceneResult
+from ..values.line import MapLineList, Slot, Status
+from ..values.scene import Scene
 from ..wire import POSE
 from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ..line import PARAMETERS
-from ..study.design.plan import MOST_FRAMES, Targets
+from ..study.design.plan import MAX_FRAMES, Targets
 from ..study.design.result import Design
 from ..study.design.scenes import SceneDesign, design_scenes
 from ..study.design.search import SETS, design, sets_of
 from ..study.sets import Gaussians, line_set
+from ..values.line import PARAMETERS
 from .overwriting import add_force, check_new
 from .parsing import add_json, number, option_group, positive
 from .stderr import Bar, progress_bar
@@ -83,9 +83,9 @@ def add_design(subparsers: Any, bar: Bar = progress_bar) -> argparse.ArgumentPar
     add = option_group(parser, "message").add_argument
     add(
         "--frames",
-        type=number(int, 1, MOST_FRAMES),
+        type=number(int, 1, MAX_FRAMES),
         metavar="N",
-        help=f"number of classic CAN frames of a line, 1 to {MOST_FRAMES}",
+        help=f"number of classic CAN frames of a line, 1 to {MAX_FRAMES}",
     )
     add("--max-kl", type=positive, metavar="X", help="largest divergence [nat]")
     add(

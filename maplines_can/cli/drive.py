@@ -17,16 +17,16 @@ import numpy as np
 
 from ..bus import LogWriter, frame_time
 from ..bus.log_writer import check_log_path
-from ..ego import LineSource, State
-from ..ego.line_source import WINDOW, ChooseComponents
-from ..gaussian import Gaussian
-from ..line import LeftOut, Slot
 from ..maps import LaneTracker, Map, Route, load, town_path
+from ..maps.line_source import WINDOW, ChooseComponents, LineSource
 from ..maps.view import AHEAD, BEHIND
-from ..polyline import Polyline
 from ..propagation.component_counts import component_counts
+from ..simulation.trajectory import State
+from ..simulation.transmission import Counters, Drive, TruthRecorder
+from ..values.gaussian import Gaussian
+from ..values.line import LeftOut, Slot
+from ..values.polyline import Polyline
 from ..wire import Codec, Frame
-from .driving import Counters, Drive, TruthRecorder
 from .options import (
     add_bus,
     add_codec,
@@ -57,7 +57,7 @@ from .ways import TOUR, add_way, check_way, states_of, way_of
 #: Name of the map of this package.
 TOWN = town_path().name
 #: Share of cycles off the map above which the drive may be of another one.
-MOST_OFF_MAP = 0.1
+MAX_OFF_MAP = 0.1
 
 DESCRIPTION = f"""\
 Let a car drive on a map and send the lines around it until the drive ends, or until Ctrl-C. Then
@@ -185,7 +185,7 @@ def _drive(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         truth = None
         if path := _truth_path(arguments):
-            from ..study.drives.truth import TruthWriter
+            from ..simulation.truth import TruthWriter
 
             writer = stack.enter_context(TruthWriter(path, slots))
             truth = TruthRecorder(writer, LaneTracker(found, route), slots)
@@ -210,7 +210,7 @@ def _drive(arguments: argparse.Namespace) -> int:
         else:
             sent = _send(drive, arguments)
     result = _result(states, counters, arguments) | sent
-    if counters.off_map > MOST_OFF_MAP * counters.cycles:
+    if counters.off_map > MAX_OFF_MAP * counters.cycles:
         share = 100 * counters.off_map / counters.cycles
         note(f"in {share:.0f} % of the cycles no lane is near the car: is the drive of this map?")
     if counters.stopped:

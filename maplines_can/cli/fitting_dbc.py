@@ -9,7 +9,7 @@ from ..wire import Codec, Reason
 from .options import SHIPPED, codec_from
 
 #: CAN IDs of a log that are kept for this; more than the classic ones.
-MOST_IDS = 4096
+MAX_IDS = 4096
 
 
 #: Reasons for which the frames of another DBC with the same CAN IDs are dropped.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..maps import Map, Skipped, link_gaps, load, town_path
-from ..maps.load import SHIPPED
+from ..maps.formats.load import SHIPPED
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, option_group
 

@@ -7,11 +7,11 @@ from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
-from ..maps.load import SHIPPED as MAPS
+from ..maps.formats.load import SHIPPED as MAPS
 from .options import SHIPPED as DBCS
 
 #: Files of a folder whose names are compared.
-MOST_FILES = 10_000
+MAX_FILES = 10_000
 #: Logs that ``maplines drive`` writes, and suffixes of maps.
 LOGS, MAP_SUFFIXES = (".log", ".asc", ".blf", ".mf4"), (".xodr", ".osm", ".xml", ".geojson")
 
@@ -36,7 +36,7 @@ def _hint(path: Path) -> str:
     is_here = path.parent == Path()
     shipped = [*DBCS, *MAPS] if is_here else []
     try:
-        there = [one.name for one in islice(path.parent.iterdir(), MOST_FILES)]
+        there = [one.name for one in islice(path.parent.iterdir(), MAX_FILES)]
     except OSError:
         there = []
     if like := get_close_matches(path.name, [*there, *shipped], 1):

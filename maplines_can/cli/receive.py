@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..bus import Link, Receiver, ReceiverStats
-from ..line import MapLine
+from ..values.line import MapLine
 from ..wire import E2EState, SceneView, SlotStats
 from .options import (
     add_bus,

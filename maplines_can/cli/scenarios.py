@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from ..scenarios import SCENARIOS, STREETS
+from ..simulation.scenarios import SCENARIOS, STREETS
 from .parsing import add_command, add_json
 
 

@@ -9,8 +9,8 @@ from itertools import chain
 import numpy as np
 
 from ..bus import bus_load
-from ..line import LeftOut, MapLineList, Slot
-from ..scene import PoseError, Scene
+from ..values.line import LeftOut, MapLineList, Slot
+from ..values.scene import PoseError, Scene
 from ..wire import POSE, Codec
 from .parsing import option_group
 

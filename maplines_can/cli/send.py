@@ -10,9 +10,9 @@ from typing import Any
 
 from ..bus import Link, Transmitter
 from ..bus.schedule import Schedule
-from ..line import MapLineList, Slot
-from ..scenarios import Scenario, scenario
-from ..scene import Scene
+from ..simulation.scenarios import Scenario, scenario
+from ..values.line import MapLineList, Slot
+from ..values.scene import Scene
 from .options import (
     add_bus,
     add_codec,
@@ -44,7 +44,7 @@ from .stderr import note
 
 #: Bounds of the rate at which lines are computed [1/s]. With a lower --rate they would become too
 #: old; with a higher one they are sent several times with a growing age.
-LEAST_RATE, MOST_RATE = 20.0, 50.0
+MIN_RATE, MAX_RATE = 20.0, 50.0
 
 DESCRIPTION = f"""\
 Send the lines of a scenario until Ctrl-C, each as a Gaussian over its lateral offset, heading,
@@ -52,8 +52,8 @@ curvature and curvature rate. Then print the counters.
 
 The car drives along the road of the scenario at {SPEED:g} m/s and weaves within its lane: its
 lateral offset is a sine with an amplitude of {AMPLITUDE:g} m and a period of {SINE_PERIOD:g} s.
-The lines are computed from each new pose, at --rate, but at least {LEAST_RATE:g} and at most
-{MOST_RATE:g} times a second."""
+The lines are computed from each new pose, at --rate, but at least {MIN_RATE:g} and at most
+{MAX_RATE:g} times a second."""
 
 
 def add_send(commands: Any) -> None:
@@ -142,7 +142,7 @@ def _publish(
 ) -> None:
     """Publish the lines of the moving car until the transmitter ends."""
     start = time.monotonic()
-    schedule: Schedule[str] = Schedule(1 / min(max(rate, LEAST_RATE), MOST_RATE))
+    schedule: Schedule[str] = Schedule(1 / min(max(rate, MIN_RATE), MAX_RATE))
     schedule.add("pose", 0.0, start)
     pause = 0.0
     as_scene = isinstance(lines, Scene)

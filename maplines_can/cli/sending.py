@@ -12,15 +12,15 @@ from typing import Any, Literal
 import numpy as np
 
 from ..bus import bus_load, transfers_within
-from ..errors import IllPosedError
-from ..gaussian import Gaussian
-from ..line import MapLine, MapLineList, Slot
-from ..polyline import Polyline
 from ..propagation import MapError, Refit, component_counts, map_lines, map_scene, nonlinearity
 from ..propagation.certain_range import MAX_SIGMA
 from ..propagation.component_counts import remaining_nonlinearity
-from ..scenarios import SCENARIOS, STREETS, Scenario
-from ..scene import Scene
+from ..simulation.scenarios import SCENARIOS, STREETS, Scenario
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian
+from ..values.line import MapLine, MapLineList, Slot
+from ..values.polyline import Polyline
+from ..values.scene import Scene
 from ..wire import Codec
 from .output import left_out_text
 from .parsing import number, option_group, positive

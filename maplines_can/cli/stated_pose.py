@@ -10,15 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..ego import (
-    LocalisationLayer,
-    PoseSource,
-    RecordedDrive,
-    SimulatedDrive,
-    SimulatedLocalisation,
-)
-from ..gaussian import Gaussian
+from ..localisation import LocalisationLayer
 from ..maps import Map
+from ..simulation.pose_source import PoseSource
+from ..simulation.recorded import RecordedDrive
+from ..simulation.simulated_localisation import SimulatedLocalisation
+from ..simulation.trajectory import SimulatedDrive
+from ..values.gaussian import Gaussian
 from .parsing import number, option_group
 from .stderr import note
 
@@ -29,7 +27,7 @@ SIGMA = (0.3, 0.1, 0.2)
 CORRELATION_TIME = 10.0
 #: Least correlation time that is stated [s]: errors that are independent from cycle to cycle have
 #: none of 0.
-LEAST_TIME = 1e-3
+MIN_TIME = 1e-3
 
 
 class StatedPose(NamedTuple):
@@ -85,7 +83,7 @@ def stated_pose_of(
     """Return the pose that the car knows, by the options."""
     if arguments.localise:
         source = SimulatedLocalisation(way, LocalisationLayer(found), seed=arguments.seed)
-        return StatedPose(source.pose, lambda: max(source.correlation_time, LEAST_TIME), source)
+        return StatedPose(source.pose, lambda: max(source.correlation_time, MIN_TIME), source)
     time = arguments.correlation_time
     if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
         note(
@@ -103,7 +101,7 @@ def stated_pose_of(
 
 
 def _sent(time: float | None, default: float) -> float:
-    return max(default if time is None else time, LEAST_TIME)
+    return max(default if time is None else time, MIN_TIME)
 
 
 def _sigma(text: str) -> tuple[float, float, float]:

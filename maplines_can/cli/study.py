@@ -31,7 +31,7 @@ A set is
                columns mean_0 .. mean_3 and cov_00, cov_01 .. cov_33 (the upper triangle is
                enough); with mean_0 .. mean_2 it is poses (x [m], y [m], heading [rad]), which see
                the lines of --map: a CSV with the columns line, x, y [m], or another map
-               that maplines_can.maps.load reads
+               that maplines_can.maps.formats.load reads
 
 The tables are written to DIR as Parquet: summary (codes and widths), fields (a bit more or less in
 each field), terms (the part of each field in the divergence, and theory), worst (the worst cases),

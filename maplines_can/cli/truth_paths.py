@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..errors import DriveFileError
+from ..values.errors import DriveFileError
 
 
 def truth_paths(log: str) -> tuple[Path, Path]:

@@ -7,10 +7,13 @@ from itertools import islice, product
 from pathlib import Path
 
 from ..bus import read_signals
-from ..ego import RecordedDrive, SimulatedDrive, State, check_on_map, drive_along
-from ..errors import DriveFileError, RouteError
 from ..maps import Map, Route, random_tour, town_path, town_tour
-from ..maps.load import map_path
+from ..maps.formats.load import map_path
+from ..simulation.along_route import drive_along
+from ..simulation.map_frame import check_on_map
+from ..simulation.recorded import RecordedDrive
+from ..simulation.trajectory import SimulatedDrive, State
+from ..values.errors import DriveFileError, RouteError
 from .output import counts_text
 from .parsing import option_group
 from .stderr import note
@@ -18,7 +21,7 @@ from .stderr import note
 #: Length of a route that is chosen at random [m].
 TOUR = 10_000.0
 #: Ways from road to road that are compared, if a route is given by roads.
-MOST_WAYS = 400
+MAX_WAYS = 400
 #: Suffixes of bus logs, which have no columns of a drive. A .csv file is a table of the drive.
 LOG_SUFFIXES = (".log", ".asc", ".blf", ".mf4", ".trc", ".db")
 
@@ -97,7 +100,7 @@ def _route(found: Map, text: str) -> Route:
         raise RouteError(f"--route must be A..B, two ids of lanes or roads, got {text!r}")
     best: Route | None = None
     error = RouteError("there is none")
-    for start, *via, goal in islice(product(*stops), MOST_WAYS):
+    for start, *via, goal in islice(product(*stops), MAX_WAYS):
         try:
             route = found.route(start, goal, via)
         except RouteError as wrong:

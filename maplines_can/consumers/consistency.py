@@ -23,13 +23,13 @@ FAST, SLOW = 1.0, 30.0
 #: longer than the model says.
 CORRELATION_TIMES = 8.0
 #: Longest correlation time that counts for the windows [s].
-LONGEST_TIME = 60.0
+MAX_TIME = 60.0
 #: The shortest window of more than one cycle [s].
 SHORTEST = 0.125
 #: Ratio of the lengths of windows. With 2, every tenth alarm would be that of two windows.
 RATIO = 4.0
 #: Most false alarms that can be designed [1/h].
-MOST_ALARMS = 10.0
+MAX_ALARMS = 10.0
 HOUR = 3600.0
 #: Most correlation times of the pose error in the state, if a range of them is stated.
 POSE_NODES = 3
@@ -285,9 +285,9 @@ class ConsistencyTest:
         batch: tuple[int, ...] = (),
         noise: CameraNoise = WHITE_NOISE,
     ) -> None:
-        if not 0 < false_alarms <= MOST_ALARMS:
+        if not 0 < false_alarms <= MAX_ALARMS:
             raise ValueError(
-                f"false_alarms must be more than 0 and up to {MOST_ALARMS:g} per hour, "
+                f"false_alarms must be more than 0 and up to {MAX_ALARMS:g} per hour, "
                 f"got {false_alarms!r}"
             )
         self._rate = false_alarms / HOUR
@@ -420,7 +420,7 @@ def window_lengths(correlation_time: float) -> NDArray[np.float64]:
     >>> window_lengths(1.0)
     array([ 0.125,  0.5  ,  2.   ,  8.   , 32.   ])
     """
-    longest = max(CORRELATION_TIMES * min(correlation_time, LONGEST_TIME), SLOW)
+    longest = max(CORRELATION_TIMES * min(correlation_time, MAX_TIME), SLOW)
     most = round(math.log(longest / SHORTEST, RATIO))
     return SHORTEST * RATIO ** np.arange(most + 1.0)
 

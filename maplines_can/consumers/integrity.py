@@ -35,7 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import brentq
 from scipy.special import erfc, ndtr
 
-from ..arrays import floats
+from ..values.arrays import floats
 
 #: Time to which a risk refers [s].
 HOUR = 3600.0

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import transform_line_or_nan
+from ..values.line import transform_line_or_nan
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -26,7 +26,7 @@ UNKNOWN = np.tile([30.0, 1.0, 0.3, 0.1], LINES)
 #: lateral jerk [m/s^3]. It is a random walk with this standard deviation in each ``JERK_LENGTH``.
 JERK, JERK_LENGTH = 2.0, 10.0
 #: Roads are not more winding for lower speeds than this [m/s].
-LEAST_SPEED = 5.0
+MIN_SPEED = 5.0
 #: Both lines bend together: share of the process noise that is of one line alone (in sigma).
 OWN_SHARE = 0.1
 #: Squared Mahalanobis distance of a scene beyond which the road has changed (95 % of 8 variables).
@@ -275,7 +275,7 @@ def roots(covs: Array) -> Array:
 
 def road_noise(distance: Array, dt: float) -> Array:
     """Return the (..., 8, 8) covariance of what (...,) metres of road change of both lines."""
-    speed = np.maximum(np.abs(distance) / dt, LEAST_SPEED)
+    speed = np.maximum(np.abs(distance) / dt, MIN_SPEED)
     sigma = JERK / speed**3 * np.sqrt(np.abs(distance) / JERK_LENGTH)
     s = np.asarray(distance)[..., None]
     g = sigma[..., None] * np.concatenate([s**3 / 6, s**2 / 2, s, np.ones_like(s)], axis=-1)

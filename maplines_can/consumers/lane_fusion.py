@@ -9,11 +9,11 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian, block_diagonal, square_root
-from ..line import MapLine, Slot
 from ..propagation import Motion, pose_time_ns
-from ..scene import PoseError, Scene
-from ..seen_lines import SeenLines
+from ..values.gaussian import Gaussian, block_diagonal, square_root
+from ..values.line import MapLine, Slot
+from ..values.scene import PoseError, Scene
+from ..values.seen_lines import SeenLines
 from ..wire import SceneView, SlotView
 from .lane_filter import BIAS_SIGMA, BIAS_TIME, Handling, LaneFilter, N, move_lines
 

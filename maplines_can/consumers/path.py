@@ -9,21 +9,21 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
-from ..line import MapLine, Slot, lateral_jacobian
-from ..map_error import MapError
-from ..propagation.misfit import LATERAL_SHARE, LEAST_SIGMA
-from ..scene import Scene
-from ..seen_lines import SeenLines, bases
+from ..propagation.misfit import LATERAL_SHARE, MIN_SIGMA
+from ..values.gaussian import Gaussian
+from ..values.line import MapLine, Slot, lateral_jacobian
+from ..values.map_error import MapError
+from ..values.scene import Scene
+from ..values.seen_lines import SeenLines, bases
 
 #: Spacing of the points of a path along x [m].
 SPACING = 0.25
 #: Behind a corner, the valid ranges begin a little ahead of the car. If it is not more than this,
 #: a line is used from ``BEHIND`` on, since its cubic is nearly exact so close to its range [m].
-MOST_GAP = 4.0
+MAX_GAP = 4.0
 BEHIND = -3.0
 #: Largest product of curvature and distance to the line; at 1 the parallel line has a cusp.
-MOST_BEND = 0.9
+MAX_BEND = 0.9
 #: Rest of a line that is a cubic.
 EXACT = Chebyshev([0.0])
 #: Least lane width of a received scene, and the largest one [m]. Lanes through city junctions and
@@ -104,7 +104,7 @@ def path_beside(
     >>> round(path.offset, 3), round(path.heading, 3), path.reach, path.sigma[0].round(3)
     (0.3, 0.01, 48.0, np.float64(0.1))
     """
-    if line.x_min - displacement.mean[0] > MOST_GAP:
+    if line.x_min - displacement.mean[0] > MAX_GAP:
         return None
     low = min(line.x_min, BEHIND)
     x = np.linspace(low, line.x_max, max(2, round((line.x_max - low) / SPACING) + 1))
@@ -119,13 +119,13 @@ def path_beside(
     tangent = np.column_stack([1 / norm, slope / norm])
     normal = tangent[:, ::-1] * [-1.0, 1.0]
     points = np.column_stack([x, y]) + distance * normal
-    bend = bend / (1 - (bend * distance).clip(max=MOST_BEND))
+    bend = bend / (1 - (bend * distance).clip(max=MAX_BEND))
     # Lateral means across the path, and so does the displacement of the car.
     J = lateral_jacobian(line.gaussian.mean, x) / norm[:, None]
     variance = np.einsum("ki,ij,kj->k", J, line.gaussian.cov, J)
     if own_cov is not None:
         to_t0 = np.linalg.inv(bases(line.gaussian.mean[None], rest.domain[None])[0])[0]
-        least = LEAST_SIGMA**2
+        least = MIN_SIGMA**2
         most = max(0.0, to_t0 @ own_cov @ to_t0 - least) / LATERAL_SHARE + least
         variance -= (np.einsum("ki,ij,kj->k", J, own_cov, J) - most / norm**2).clip(0)
     dx, dy, turn = displacement.mean

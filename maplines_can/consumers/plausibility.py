@@ -12,10 +12,17 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
-from ..line import PARAMETERS, MapLine, Slot, lateral, lateral_jacobian, transform_line_or_nan
 from ..propagation.motion import Motion
-from ..scene import Scene
+from ..values.gaussian import Gaussian
+from ..values.line import (
+    PARAMETERS,
+    MapLine,
+    Slot,
+    lateral,
+    lateral_jacobian,
+    transform_line_or_nan,
+)
+from ..values.scene import Scene
 from .consistency import (
     SLOW,
     CameraNoise,
@@ -28,7 +35,7 @@ from .error_times import block_diag, positive_part
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
 #: Shortest distance between both [m].
-LEAST_LENGTH = 4.0
+MIN_LENGTH = 4.0
 #: Lines are compared beside the car and ahead, not behind [m].
 BEHIND = -2.0
 #: Least standard deviation of what a map line has of its own [m].
@@ -113,7 +120,7 @@ class PlausibilityCheck:
         ValueError: the number is not more than 0 and at most 10, or the time is out of range.
 
     >>> from maplines_can.consumers.consistency import WHITE_NOISE
-    >>> from maplines_can.scene import PoseError
+    >>> from maplines_can.values.scene import PoseError
     >>> pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2, correlation_time=5.0)
     >>> line = MapLine(0, Gaussian([1.75, 0, 0, 0], np.diag([0.011, 4e-6, 0, 0])))
     >>> scene = Scene([line], line.gaussian.cov, pose, [[-20, 80]])
@@ -276,7 +283,7 @@ def stations(low: float, high: float) -> NDArray[np.float64]:
     >>> stations(-20.0, 80.0), stations(-20.0, 9.0), stations(3.0, 5.0)
     (array([ 2., 20.]), array([2., 9.]), array([3., 5.]))
     """
-    return np.array([max(low, min(STATIONS[0], high - LEAST_LENGTH)), min(high, STATIONS[1])])
+    return np.array([max(low, min(STATIONS[0], high - MIN_LENGTH)), min(high, STATIONS[1])])
 
 
 def residuals(
@@ -306,7 +313,7 @@ def residuals(
         if isinstance(seen, MapLine):
             low, high = max(low, seen.x_min), min(high, seen.x_max)
         x = stations(low, high)
-        if np.isnan(mean).any() or x[0] < BEHIND or x[1] - x[0] < LEAST_LENGTH:
+        if np.isnan(mean).any() or x[0] < BEHIND or x[1] - x[0] < MIN_LENGTH:
             continue
         rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
         y, J = lateral(mean, x) + rest(x + move[0]), lateral_jacobian(mean, x)

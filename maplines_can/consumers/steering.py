@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
-from ..line import Slot
 from ..propagation.motion import Motion
 from ..propagation.refit import MAX_MISFIT
-from ..scene import Scene
+from ..values.gaussian import Gaussian
+from ..values.line import Slot
+from ..values.scene import Scene
 from .curvature_limiter import CurvatureLimiter
 from .path import Path, lane_path
 
@@ -32,7 +32,7 @@ DOUBLINGS = 20
 SLOW = 4.0
 #: The offset counts as far as it demands so many times the largest change of the curvature. From 1
 #: to 3 the car does not swing, from wherever it starts; the larger, the faster it corrects.
-MOST_CHANGES = 3.0
+MAX_CHANGES = 3.0
 #: Deviation from the path at the largest curvature of the car from which a curve is too tight [m]:
 #: received lines may be ``MAX_MISFIT`` to either side of the true ones. The curvature of their
 #: cubics may be far off at the ends of their ranges, such as beside a car that leaves a corner.
@@ -328,14 +328,14 @@ class LaneSteering:
     ) -> float:
         """Return the change of the curvature demand by preview control.
 
-        The offset counts up to that for which it alone demands ``MOST_CHANGES`` times the largest
+        The offset counts up to that for which it alone demands ``MAX_CHANGES`` times the largest
         change of the curvature. Else the demand runs into its limits, from which it comes back too
         late, and the car swings.
         """
         steps = max(1, round(speed / SPEED_STEP))
         K, F = preview_gains(steps * SPEED_STEP, self.period, self.limits.lag)
         ahead = path.curvature_at(np.linspace(0.0, speed * self.period * (len(F) - 1), len(F)))
-        largest = MOST_CHANGES * limiter.max_change(speed, self.period) / K[0]
+        largest = MAX_CHANGES * limiter.max_change(speed, self.period) / K[0]
         offset = min(max(path.offset, -largest), largest)
         return float(-K @ [offset, path.heading, curvature, limiter.demand] + F @ ahead)
 

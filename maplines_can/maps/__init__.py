@@ -1,7 +1,7 @@
 """Maps: lanes with their boundary lines, from files of several formats."""
 
+from .formats.load import load
 from .landmarks import Landmark, LandmarkKind
-from .load import load
 from .matching import LaneMatch
 from .model import Lane, LaneType, Map, Road, Skipped
 from .routing import LaneChange, Route

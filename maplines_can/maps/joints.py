@@ -9,8 +9,8 @@ from itertools import accumulate, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import Kind
-from ..polyline import Polyline
+from ..values.line import Kind
+from ..values.polyline import Polyline
 
 #: Ends of lines nearer to each other are one point [m].
 SNAP = 0.05

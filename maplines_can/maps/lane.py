@@ -11,7 +11,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from ..polyline import Polyline
+from ..values.polyline import Polyline
 
 #: Points at which ``Lane.width`` measures.
 WIDTH_SAMPLES = 33

@@ -10,8 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import floats
-from ..polyline import Polyline
+from ..values.arrays import floats
+from ..values.polyline import Polyline
 from .lane import Lane
 
 #: Lanes farther from the pose are no match [m].
@@ -31,9 +31,9 @@ HEADING_SIGMA = math.radians(5.0)
 #: Prior probability that a car drives against the direction of its lane.
 AGAINST_PRIOR = 0.01
 #: Candidates of less probability are left out.
-LEAST_PROBABILITY = 1e-6
+MIN_PROBABILITY = 1e-6
 #: Least standard deviation of a position [m], so that a covariance may be 0.
-LEAST_SIGMA = 1e-3
+MIN_SIGMA = 1e-3
 
 #: Lines of more points are searched by boxes around so many steps.
 _LARGE = 512
@@ -191,7 +191,7 @@ class LaneIndex:
         found = (
             replace(match, probability=weight / total)
             for match, weight in zip(near, weights, strict=True)
-            if weight >= LEAST_PROBABILITY * total
+            if weight >= MIN_PROBABILITY * total
         )
         return tuple(sorted(found, key=lambda match: -match.probability))
 
@@ -208,8 +208,8 @@ def _weight(match: LaneMatch, pose: NDArray[np.float64], P: NDArray[np.float64])
         difference -= math.copysign(math.pi, difference)
     # The lateral position given that the car drives along the lane, by the Kalman gain tp / pp.
     shift = -tp / pp * difference
-    sigma_t = math.sqrt(max(tt - tp * tp / pp, LEAST_SIGMA**2))
-    sigma_s = math.sqrt(max(ss, LEAST_SIGMA**2))
+    sigma_t = math.sqrt(max(tt - tp * tp / pp, MIN_SIGMA**2))
+    sigma_s = math.sqrt(max(ss, MIN_SIGMA**2))
     left, right, start, end = match.margins
     lateral = _mass(-right - shift, left - shift, sigma_t)
     along = _mass(-start, end, sigma_s)

@@ -10,9 +10,9 @@ from typing import overload
 
 from numpy.typing import ArrayLike
 
-from ..errors import RouteError
-from ..line import Slot
-from ..polyline import Polyline
+from ..values.errors import RouteError
+from ..values.line import Slot
+from ..values.polyline import Polyline
 from .landmarks import Landmark
 from .lane import Lane, LaneType, Road, Skipped
 from .matching import LaneIndex, LaneMatch

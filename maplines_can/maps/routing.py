@@ -13,9 +13,9 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import RouteError
-from ..line import Kind
-from ..polyline import Polyline
+from ..values.errors import RouteError
+from ..values.line import Kind
+from ..values.polyline import Polyline
 from .joints import joined
 from .lane import Lane
 

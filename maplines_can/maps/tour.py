@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import RouteError
+from ..values.errors import RouteError
 from .model import Map
 from .routing import Route
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import floats
-from ..line import Slot
-from ..polyline import Polyline
-from .driven import Key
+from ..values.arrays import floats
+from ..values.line import Slot
+from ..values.polyline import Polyline
+from .lane_graph import Key
 from .matching import LaneMatch
 from .model import Map
 from .routing import Route
@@ -28,7 +28,7 @@ LOOKAHEAD = 60.0
 #: Distance behind the lane in which it may have taken another branch [m].
 BRANCH = 30.0
 #: Lanes behind the car that it remembers.
-MOST_BEHIND = 16
+MAX_BEHIND = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -168,7 +168,7 @@ class LaneTracker:
         behind, ahead = view.paths(route, index)
         if last is not None:
             driven = (last.key.back, *last.behind) if key in last.followed else last.behind
-            behind = driven[:MOST_BEHIND]
+            behind = driven[:MAX_BEHIND]
         around = view.around(key, ahead, behind)
         self._crossing = None
         return _Track(

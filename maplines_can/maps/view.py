@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import Slot
-from ..polyline import MAX_TURN, Polyline
-from .driven import DrivenLine, Key, LaneGraph
+from ..values.line import Slot
+from ..values.polyline import MAX_TURN, Polyline
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
+from .lane_graph import DrivenLine, Key, LaneGraph
 from .matching import LaneMatch, locate, wrapped
 from .routing import Route
 
@@ -31,11 +31,11 @@ PARALLEL = math.radians(45.0)
 
 #: A car sees a line as far as it turns ``MAX_TURN`` to either side, so from a part of a line at
 #: most twice as much.
-LEAST_COSINE = math.cos(2 * MAX_TURN)
+MIN_COSINE = math.cos(2 * MAX_TURN)
 #: Margin of that cosine for a direction that is taken over a single step.
 MARGIN = 0.2
 #: Tangent of the angle between such a step and the direction opposite to that of the part.
-NEARLY_OPPOSITE = math.tan(math.pi - math.acos(LEAST_COSINE + MARGIN))
+NEARLY_OPPOSITE = math.tan(math.pi - math.acos(MIN_COSINE + MARGIN))
 #: Length over which the direction of a line is taken for that [m].
 CHORD = 1.0
 
@@ -261,8 +261,8 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
     chord = np.diff(x + 1j * y)
     chord /= np.maximum(np.abs(chord), 1e-12)
     first, last = (s[1:-1].searchsorted(at) for at in (start, end))
-    ahead = (chord[last:] * chord[last].conj()).real < LEAST_COSINE
-    behind = (chord[first::-1] * chord[first].conj()).real < LEAST_COSINE
+    ahead = (chord[last:] * chord[last].conj()).real < MIN_COSINE
+    behind = (chord[first::-1] * chord[first].conj()).real < MIN_COSINE
     if not (ahead.any() or behind.any()):
         return line
     low = s[first - behind.argmax() + 1] if behind.any() else 0.0

@@ -1,6 +1,6 @@
 """Propagation of a pose Gaussian to the Gaussian of a line, and of a line over time."""
 
-from ..map_error import MapError
+from ..values.map_error import MapError
 from .component_counts import component_counts, remaining_nonlinearity
 from .linear import Linear
 from .map_lines import map_lines

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
-from ..line import lateral_jacobian
+from ..values.line import lateral_jacobian
 
 #: Default of the largest standard deviation of the lateral position of a line [m]. A line that is
 #: less certain tells no lane from the next but one, and its band is that of the first order only

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..gaussian import Gaussian
+from ..values.gaussian import Gaussian
 from .transform import Moments, Transform, values_at
 
 

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import floats
-from ..gaussian import Gaussian, indefinite
-from ..line import LeftOut, MapLine, MapLineList, Slot
-from ..map_error import MapError
-from ..mixture import GaussianMixture
-from ..polyline import MAX_TURN, Polyline, stretches, to_ego
-from ..seen_lines import extended, margins
+from ..values.arrays import floats
+from ..values.gaussian import Gaussian, indefinite
+from ..values.line import LeftOut, MapLine, MapLineList, Slot
+from ..values.map_error import MapError
+from ..values.mixture import GaussianMixture
+from ..values.polyline import MAX_TURN, Polyline, stretches, to_ego
+from ..values.seen_lines import extended, margins
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .refit import MAX_MISFIT, Refit
 from .splitting import Mixture

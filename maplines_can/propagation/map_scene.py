@@ -10,13 +10,13 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import floats
-from ..gaussian import Gaussian, block_diagonal, diagonal_blocks
-from ..line import PARAMETERS, LeftOut, MapLine, Slot
-from ..map_error import MapError
-from ..polyline import Polyline, stretches
-from ..scene import PoseError, Scene
-from ..seen_lines import valid_ranges
+from ..values.arrays import floats
+from ..values.gaussian import Gaussian, block_diagonal, diagonal_blocks
+from ..values.line import PARAMETERS, LeftOut, MapLine, Slot
+from ..values.map_error import MapError
+from ..values.polyline import Polyline, stretches
+from ..values.scene import PoseError, Scene
+from ..values.seen_lines import valid_ranges
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .map_lines import MIN_RANGE, ExtendedRefit, check_lines, ego_cov, view_of
 from .refit import MAX_MISFIT, Refit

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..polyline import Stretches
-from ..seen_lines import NODES, SHAPE
+from ..values.polyline import Stretches
+from ..values.seen_lines import NODES, SHAPE
 from .valid_range import Fitted, at_nodes
 
 #: Least level of the shape, and standard deviation of T_0 beside the misfit [m]: no map is exact to
 #: a centimetre, and a covariance that says so is far from singular.
-LEAST_SIGMA = 0.01
+MIN_SIGMA = 0.01
 #: Variance of the coefficient of T_0, in units of the squared misfit.
 LATERAL_SHARE = 0.2
 #: Least level of the shape squared, in units of the squared misfit.
-LEAST_SHAPE = 0.1
+MIN_SHAPE = 0.1
 #: Distances over which second differences of a line are covered [m].
 SPACINGS = (5.0, 10.0, 20.0)
 #: Standard deviations within which this share of the second differences of the rest lies. A
@@ -27,9 +27,9 @@ NOISE_LIMIT = 2.17
 SHOWN = 4.0
 #: Points that show more than this times the stated variance are not what is stated: all that they
 #: leave is taken for the shape of the road.
-MOST_SHOWN = 2.0
+MAX_SHOWN = 2.0
 #: Least number of points that show it, and median of a squared standard normal variable.
-LEAST_POINTS, MEDIAN = 8, 0.455
+MIN_POINTS, MEDIAN = 8, 0.455
 #: Intervals of a range, at whose ends the rest is evaluated.
 _STEPS = 128
 _GRID = np.linspace(-1.0, 1.0, _STEPS + 1)
@@ -68,9 +68,9 @@ def coefficient_variances(
     noise = np.zeros(len(x))
     for i in range(len(x) if point_sigma > 0 else 0):
         shown = _shown_noise(stretches, i, x[i], cubic[i])
-        if shown <= MOST_SHOWN * point_sigma**2:
+        if shown <= MAX_SHOWN * point_sigma**2:
             noise[i] = min(SHOWN * shown, point_sigma**2)
-    level = np.maximum(LEAST_SHAPE * fitted.misfit**2, LEAST_SIGMA**2)
+    level = np.maximum(MIN_SHAPE * fitted.misfit**2, MIN_SIGMA**2)
     lengths = np.diff(fitted.x_range, axis=1)[:, 0]
     for spacing in SPACINGS:
         steps = np.rint(_STEPS * spacing / lengths).astype(np.int64).clip(1)
@@ -79,7 +79,7 @@ def coefficient_variances(
             least = _least_level(rest[long], steps[long], position[long], noise[long])
             level[long] = np.maximum(level[long], least)
     variances = level[:, None] * SHAPE
-    variances[:, 0] = LATERAL_SHARE * fitted.misfit**2 + LEAST_SIGMA**2
+    variances[:, 0] = LATERAL_SHARE * fitted.misfit**2 + MIN_SIGMA**2
     return np.asarray(variances)
 
 
@@ -123,7 +123,7 @@ def _shown_noise(
     """
     inside = (stretches.line == line) & (stretches.x >= x[0]) & (stretches.x <= x[-1])
     rest = stretches.y[inside] - np.interp(stretches.x[inside], x, cubic)
-    if len(rest) < LEAST_POINTS:
+    if len(rest) < MIN_POINTS:
         return 0.0
     return float(np.median(np.diff(rest, 3) ** 2)) / (20 * MEDIAN)
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IllPosedError
-from ..gaussian import Gaussian, square_root
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian, square_root
 from .transform import Moments, Transform, weighted_products
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import floats
-from ..gaussian import Gaussian, independent, variances
+from ..values.arrays import floats
+from ..values.gaussian import Gaussian, independent, variances
 from .sigma_points import SigmaPoints
 from .transform import Transform
 

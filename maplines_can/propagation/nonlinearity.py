@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
+from ..values.gaussian import Gaussian
 from .transform import values_at
 
 #: Distance of the evaluation points from the mean [standard deviations], that of sigma points.
@@ -17,7 +17,7 @@ SIGMA_SPREAD = np.sqrt(3.0)
 
 #: Outputs of less spread than this share of the largest value have rounding errors only, such as
 #: the curvature of a straight line.
-LEAST_SPREAD = 1e-9
+MIN_SPREAD = 1e-9
 
 
 class Nonlinearity(NamedTuple):
@@ -59,7 +59,7 @@ def nonlinearity(function: Callable[..., Any], gaussian: Gaussian) -> Nonlineari
     slopes = (ahead - behind) / (2 * SIGMA_SPREAD)
     variance = (slopes**2).sum(axis=0) + (H**2).sum(axis=(1, 2)) / 2
     spread = np.sqrt(variance)
-    varies = spread > LEAST_SPREAD * np.abs(values).max(initial=0.0)
+    varies = spread > MIN_SPREAD * np.abs(values).max(initial=0.0)
     H = H[varies] / spread[varies, None, None]
 
     def strength(u: NDArray[np.float64]) -> float:

@@ -9,10 +9,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import number_text
-from ..gaussian import Gaussian, independent
-from ..line import PARAMETERS, MapLine, Status, lateral, transform_line, transform_line_or_nan
-from ..mixture import GaussianMixture
+from ..values.arrays import number_text
+from ..values.gaussian import Gaussian, independent
+from ..values.line import (
+    PARAMETERS,
+    MapLine,
+    Status,
+    lateral,
+    transform_line,
+    transform_line_or_nan,
+)
+from ..values.mixture import GaussianMixture
 from .motion import Motion
 from .sigma_points import SigmaPoints
 from .transform import Transform

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IllPosedError
-from ..gaussian import Gaussian
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian
 from .transform import Moments, Transform, weighted_moments
 
 #: Largest total weight of points that may be excluded.

@@ -9,12 +9,12 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import floats
-from ..errors import IllPosedError
-from ..line import LEAST_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
-from ..map_error import MapError
-from ..polyline import MAX_TURN, Polyline, Stretches, stretches
-from ..seen_lines import NODES, bases
+from ..values.arrays import floats
+from ..values.errors import IllPosedError
+from ..values.line import MIN_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
+from ..values.map_error import MapError
+from ..values.polyline import MAX_TURN, Polyline, Stretches, stretches
+from ..values.seen_lines import NODES, bases
 from .misfit import coefficient_variances
 from .valid_range import longest_ranges
 
@@ -29,12 +29,12 @@ CHORD = (len(NODES) - 1) // 16
 #: Default of the largest deviation of a cubic from its line [m].
 MAX_MISFIT = 0.1
 #: Minimum |net| / total absolute advance in x; 1/3 allows a third of it to run backwards. Applies
-#: in addition to LEAST_ADVANCE.
-LEAST_PROGRESS = 1 / 3
+#: in addition to MIN_ADVANCE.
+MIN_PROGRESS = 1 / 3
 #: (K,) from the values at the nodes to the coefficient of T_4 in their fit.
 _TO_QUARTIC = np.linalg.pinv(np.polynomial.chebyshev.chebvander(NODES, 4))[4]
 #: Smallest pivot of the normal equations; below it there are fewer than 4 distinct points.
-LEAST_PIVOT = 1e-13
+MIN_PIVOT = 1e-13
 
 
 class Refit:
@@ -115,7 +115,7 @@ class Refit:
         self._harmonics = _harmonics_of_sums(scaled)  # (11 L, 2 DEGREE + 1)
         chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
         self._chords = chords.reshape(-1, 2)
-        self._least_advance = LEAST_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
+        self._least_advance = MIN_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
         c, s = math.cos(pose[2]), math.sin(pose[2])
         self._to_ego = np.array([[c, -s], [s, c]])
         noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
@@ -199,8 +199,8 @@ class Refit:
         q, least_pivot = _solve_normal(sums.swapaxes(0, 1))
         advance = (self._chords @ turn).reshape(lines, -1, poses)  # (L, CHORDS, N)
         net, total = np.abs(advance.sum(axis=1)), np.abs(advance).sum(axis=1)
-        well_posed = (net >= self._least_advance) & (net >= LEAST_PROGRESS * total)
-        well_posed &= least_pivot > LEAST_PIVOT
+        well_posed = (net >= self._least_advance) & (net >= MIN_PROGRESS * total)
+        well_posed &= least_pivot > MIN_PIVOT
         if not well_posed.all():
             q[:, ~well_posed] = np.nan
         return q

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian, nearest_covariance
-from ..line import PARAMETERS, Slot
-from ..mixture import GaussianMixture
-from ..scene import Scene
-from ..seen_lines import SeenLines
+from ..values.gaussian import Gaussian, nearest_covariance
+from ..values.line import PARAMETERS, Slot
+from ..values.mixture import GaussianMixture
+from ..values.scene import Scene
+from ..values.seen_lines import SeenLines
 from .splitting import Mixture
 from .transform import Transform
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..gaussian import Gaussian
+from ..values.gaussian import Gaussian
 from .transform import Moments, Transform, values_at, weighted_moments
 
 

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import IllPosedError
-from ..gaussian import Gaussian
-from ..mixture import GaussianMixture
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian
+from ..values.mixture import GaussianMixture
 from .nonlinearity import nonlinearity
 from .quadrature import NEGLIGIBLE, Quadrature
 from .sigma_points import SigmaPoints

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IllPosedError
-from ..gaussian import Gaussian
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian
 
 #: Points of one product: so few that BLAS computes it in the calling thread, even of eight lines.
 BLOCK = 128

@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..consumers.steering import LaneSteering, Reason, State
-from ..ego import LineSource, PoseSource
-from ..ego.line_source import WINDOW
-from ..gaussian import Gaussian
-from ..line import Slot
 from ..maps import Map, Route
-from ..polyline import Polyline
+from ..maps.line_source import WINDOW, LineSource
 from ..propagation import MapError, Motion, map_scene
-from ..scene import Scene
+from ..simulation.pose_source import PoseSource
+from ..values.gaussian import Gaussian
+from ..values.line import Slot
+from ..values.polyline import Polyline
+from ..values.scene import Scene
 from ..wire import Codec, Monitor, default_dbc_path
 
 #: Period of the lines and of the control [s].

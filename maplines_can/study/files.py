@@ -31,13 +31,13 @@ from typing import BinaryIO, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import MapFileError, StudyError
-from ..gaussian import asymmetric, indefinite, nearest_covariance
-from ..input_files import checked_path, lines_of
 from ..maps import load
-from ..maps.load import map_path
-from ..polyline import Polyline
-from .parquet_files import parquet_batches
+from ..maps.formats.load import map_path
+from ..simulation.parquet_files import parquet_batches
+from ..values.errors import MapFileError, StudyError
+from ..values.gaussian import asymmetric, indefinite, nearest_covariance
+from ..values.input_files import checked_path, lines_of
+from ..values.polyline import Polyline
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import Status, lateral, lateral_jacobian
+from ..values.line import Status, lateral, lateral_jacobian
 
 #: Distances ahead at which the lateral position is evaluated [m].
 LATERAL_X = (0.0, 20.0, 40.0, 80.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..line import Slot
 from ..propagation import MapError, Refit
-from ..scenarios import Scenario
+from ..simulation.scenarios import Scenario
+from ..values.line import Slot
 
 #: Settings with which ``Refit`` fits all of a window, as the paper does: up to 80 deg from the x
 #: axis, and without regard to the deviation of the cubic from the line.

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from ..line import Kind, Slot
-from ..polyline import Polyline
-from ..scenarios import Scenario, pose
+from ..simulation.scenarios import Scenario, pose
+from ..values.line import Kind, Slot
+from ..values.polyline import Polyline
 
 
 def curve(

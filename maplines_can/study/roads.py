@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IllPosedError
-from ..gaussian import Gaussian
-from ..polyline import MAX_TURN, Polyline
 from ..propagation import MapError, Refit, SigmaPoints
 from ..propagation.refit import MAX_MISFIT
+from ..values.errors import IllPosedError
+from ..values.gaussian import Gaussian
+from ..values.polyline import MAX_TURN, Polyline
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
-from ..line import MapLine, Slot, Status
-from ..scene import Scene
+from ..values.line import MapLine, Slot, Status
+from ..values.scene import Scene
 from ..wire import Codec, Decoder, PreparedScene
 from .metrics import evaluate
 from .scene_result import SceneResult, scene_result
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 #: Period of publishing the lines again [s]; they would be sent as too old after 0.24 s.
 REFRESH = 0.05
 #: Greatest distance at which lines are compared [m].
-MOST_X = 80.0
+MAX_X = 80.0
 
 
 @dataclass(frozen=True)
@@ -288,7 +288,7 @@ def _result(line: MapLine, back: MapLine | None, codec: Codec) -> LineResult:
     """Compare a line as sent with the same line as received, within the valid range of both."""
     # A line that a busy machine delivers too late is compared where it is valid, too.
     known = line if back is None or back.status is Status.OUT_OF_RANGE else back
-    x = min(MOST_X, known.x_max)
+    x = min(MAX_X, known.x_max)
     sent: dict[str, Any] = {
         "slot": line.slot.name,
         "true_mean": line.gaussian.mean.tolist(),

@@ -8,8 +8,8 @@ from typing import Any
 
 from scipy.linalg import block_diag
 
-from ..line import LeftOut, Slot
-from ..scene import Scene
+from ..values.line import LeftOut, Slot
+from ..values.scene import Scene
 from ..wire import POSE, Frame, Owner, PreparedScene
 
 #: Distances at which the ego lane is compared [m].

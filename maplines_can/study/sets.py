@@ -16,11 +16,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import IllPosedError, StudyError
-from ..gaussian import Gaussian
-from ..polyline import Polyline
 from ..propagation import MapError, Quadrature, Refit, SigmaPoints, Transform
-from ..scenarios import SCENARIOS, Scenario
+from ..simulation.scenarios import SCENARIOS, Scenario
+from ..values.errors import IllPosedError, StudyError
+from ..values.gaussian import Gaussian
+from ..values.polyline import Polyline
 from .files import GaussianFile, read_map
 from .paper_refit import PAPER, paper_refit
 from .random_scenarios import random_scenarios

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..ego import CameraLines, GnssFix, Odometry, PoseFix, SeenLandmarks
-from ..ego.localisation.measurements import Measurement
-from ..ego.simulated_sensors import Arrival
+from ..localisation import CameraLines, GnssFix, Odometry, PoseFix, SeenLandmarks
+from ..localisation.measurements import Measurement
+from ..simulation.sensors import Arrival
 
 
 class Moment(NamedTuple):

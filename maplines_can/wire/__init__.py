@@ -1,12 +1,9 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
 from .codec import CODES, Codec
-from .message.dbc_reader import default_dbc_path
-from .message.frames import Frame
-from .message.layout import Layout
-from .message.pose_layout import POSE, Owner
-from .message.reader import Batch
-from .message.scene_writer import PreparedScene
+from .layout.dbc_reader import default_dbc_path
+from .layout.message_layout import Layout
+from .layout.pose_layout import POSE, Owner
 from .protection.e2e_state import E2EConfig, E2EState, ProfileStatus
 from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
@@ -15,6 +12,9 @@ from .reception.decoder import Decoder
 from .reception.monitor import Monitor, SceneView, SlotView
 from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
+from .records.frames import Frame
+from .records.reader import Batch
+from .records.scene_writer import PreparedScene
 
 __all__ = [
     "CODES",

@@ -10,20 +10,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import EncodeError, LayoutError
-from ..line import MapLine, Slot
-from ..scene import Scene
+from ..values.errors import EncodeError, LayoutError
+from ..values.line import MapLine, Slot
+from ..values.scene import Scene
 from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
-from .message.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
-from .message.complete_records import CompleteRecords, complete_records, record_reading
-from .message.dbc_reader import Database, default_dbc_path
-from .message.frames import Frame, FrameWriter
-from .message.layout import POSE_CONDITIONAL, Layout
-from .message.pose_layout import Owner, PoseLayout
-from .message.reader import Batch, DecodedRecord
-from .message.scene_reader import SceneReader
-from .message.scene_writer import PreparedScene, SceneWriter
-from .message.validation import checked_gaussians, checked_mixtures, checked_payloads
+from .layout.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
+from .layout.dbc_reader import Database, default_dbc_path
+from .layout.message_layout import POSE_CONDITIONAL, Layout
+from .layout.pose_layout import Owner, PoseLayout
+from .layout.validation import checked_gaussians, checked_mixtures, checked_payloads
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
@@ -31,6 +26,11 @@ from .reception.decoder import Decoder
 from .reception.poses import PoseReceiver
 from .reception.scenes import SceneReceiver
 from .reception.settings import decoder_settings, pose_settings
+from .records.complete_records import CompleteRecords, complete_records, record_reading
+from .records.frames import Frame, FrameWriter
+from .records.reader import Batch, DecodedRecord
+from .records.scene_reader import SceneReader
+from .records.scene_writer import PreparedScene, SceneWriter
 
 #: Covariance codes of the package, by the name in the DBC's attribute CovarianceCode.
 CODES: Mapping[str, type[CovarianceCode]] = {CholeskyCode.name: CholeskyCode}

@@ -3,7 +3,7 @@
 import pytest
 from expressions import WRONG_CLASS, cases, evaluate
 
-from maplines_can.errors import BusError, LogError
+from maplines_can.values.errors import BusError, LogError
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,10 @@ import maplines_can as ml
 from maplines_can import maps
 from maplines_can.bus import LogWriter, key_from_file, read_log, read_signals
 from maplines_can.bus.signals import read_table
-from maplines_can.errors import (
+from maplines_can.simulation.truth import TruthWriter, read_truth
+from maplines_can.study.files import GaussianFile, read_map
+from maplines_can.study.sweep.directory import StudyDirectory
+from maplines_can.values.errors import (
     DriveFileError,
     KeyMaterialError,
     LayoutError,
@@ -18,9 +21,6 @@ from maplines_can.errors import (
     MapFileError,
     StudyError,
 )
-from maplines_can.study.drives.truth import TruthWriter, read_truth
-from maplines_can.study.files import GaussianFile, read_map
-from maplines_can.study.sweep.directory import StudyDirectory
 
 
 def study_directory(path: str) -> StudyDirectory:

@@ -3,7 +3,7 @@
 import pytest
 from expressions import WRONG_CLASS, cases, evaluate
 
-from maplines_can.errors import EncodeError, KeyMaterialError, LayoutError
+from maplines_can.values.errors import EncodeError, KeyMaterialError, LayoutError
 
 
 @pytest.mark.parametrize(

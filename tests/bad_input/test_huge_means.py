@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from maplines_can import Codec, GaussianMixture, MapLine, Motion, Slot, predict, predict_to
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Status
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Status
 
 
 @pytest.mark.filterwarnings("error")

@@ -16,7 +16,7 @@ from maplines_can.bus import (
     Link,
     Sent,
 )
-from maplines_can.errors import BusError
+from maplines_can.values.errors import BusError
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from cantools.logreader import Parser
 
 from maplines_can.bus import read_log
-from maplines_can.errors import LogError
+from maplines_can.values.errors import LogError
 
 T0 = 1_700_000_000.123456
 #: Time [s], CAN ID as printed, data, and whether the frame is CAN FD.

@@ -15,7 +15,7 @@ from fake_bus import FULL, Clock, FakeOpener, map_line
 
 from maplines_can import Codec, Link, MapLine, Monitor, Motion, Slot, Transmitter, predict_to
 from maplines_can.bus.tx_queue import ALLOWANCE
-from maplines_can.line import Status
+from maplines_can.values.line import Status
 from maplines_can.wire import E2EState
 from maplines_can.wire.reception.monitor import STALE_CYCLES
 

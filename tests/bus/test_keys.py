@@ -11,7 +11,7 @@ import pytest
 from secoc_streams import AES_256, OTHER, SECRET, check_no_secret, key_file
 
 from maplines_can.bus import key_from_env, key_from_file
-from maplines_can.errors import KeyMaterialError
+from maplines_can.values.errors import KeyMaterialError
 from maplines_can.wire import Codec, Key
 
 HEX = SECRET.hex()

@@ -33,8 +33,8 @@ from maplines_can.bus import (
     Sent,
     Transmitter,
 )
-from maplines_can.errors import BusError
-from maplines_can.line import Slot
+from maplines_can.values.errors import BusError
+from maplines_can.values.line import Slot
 
 
 def test_an_outage_and_the_reconnect_are_each_reported_once(

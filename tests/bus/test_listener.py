@@ -17,7 +17,7 @@ from scene_streams import CONDITIONAL, codec_of, road_scene
 
 import maplines_can
 from maplines_can.bus import LineListener, Receiver
-from maplines_can.line import Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, E2EState
 
 POLL = 0.02  #: after which a notifier sees that it shall stop [s]

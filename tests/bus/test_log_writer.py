@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from maplines_can import Link, MapLine, Slot, Transmitter, read_log
 from maplines_can.bus import LogWriter
 from maplines_can.bus.log_writer import message_of
-from maplines_can.errors import LogError, MissingExtraError
+from maplines_can.values.errors import LogError, MissingExtraError
 from maplines_can.wire import Frame
 
 START = 1_700_000_000.0

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from maplines_can.bus import (
     read_log,
 )
-from maplines_can.errors import LogError, MissingExtraError
+from maplines_can.values.errors import LogError, MissingExtraError
 
 LOGGED = [
     can.Message(timestamp=100.0, arbitration_id=0x123, is_extended_id=False, data=b"12345678"),

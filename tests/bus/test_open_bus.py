@@ -21,7 +21,7 @@ from fake_codec import FakeCodec
 from kernel_can import Events, ip
 
 from maplines_can.bus import Link, Receiver, Sent, Transmitter
-from maplines_can.line import Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import Codec
 
 HOUR_MS = 3_600_000  #: a time-out of the reassembly that no busy machine exceeds

@@ -26,8 +26,8 @@ from maplines_can.bus import (
     Receiver,
     Sent,
 )
-from maplines_can.errors import BusError
-from maplines_can.line import MapLine, Slot
+from maplines_can.values.errors import BusError
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Codec, Frame
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from maplines_can import DriveFileError, LayoutError, RecordedDrive, read_signals
 from maplines_can.bus.signals import SignalDecoder, read_table
-from maplines_can.errors import LogError
+from maplines_can.values.errors import LogError
 
 DBC = """VERSION ""
 NS_ :

@@ -12,7 +12,7 @@ from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
 from maplines_can.bus import Link, Sent
 from maplines_can.bus.bus_factory import BusFactory, UnsuitableInterfaceError
 from maplines_can.bus.socketcan import index, problem
-from maplines_can.errors import BusError
+from maplines_can.values.errors import BusError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="SocketCAN is of Linux")
 

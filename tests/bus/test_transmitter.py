@@ -31,9 +31,9 @@ from maplines_can.bus import (
     Transmitter,
 )
 from maplines_can.bus.transmitter import TransmitterStats
-from maplines_can.errors import BusError, EncodeError
-from maplines_can.line import LeftOut, MapLineList, Slot
-from maplines_can.scene import Scene
+from maplines_can.values.errors import BusError, EncodeError
+from maplines_can.values.line import LeftOut, MapLineList, Slot
+from maplines_can.values.scene import Scene
 from maplines_can.wire import POSE, Frame, PreparedScene
 from maplines_can.wire.covariance.scene_encoder import EncodedScene
 

@@ -26,8 +26,8 @@ from maplines_can.bus import (
     Transmitter,
 )
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE, Published, PublishedScene, Transfer, TxQueue
-from maplines_can.line import Slot
-from maplines_can.mixture import GaussianMixture
+from maplines_can.values.line import Slot
+from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import POSE, Frame, default_dbc_path
 
 

@@ -16,7 +16,7 @@ from fake_bus import LONG
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter, scenario
 from maplines_can.cli import main
 from maplines_can.cli.sending import choose_components, components_text
-from maplines_can.scenarios import SCENARIOS, STREETS
+from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 from maplines_can.study.round_trip import _Arrivals
 
 

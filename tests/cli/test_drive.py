@@ -15,7 +15,8 @@ from xodr_files import document, geometry, lane, road, section
 from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
-from maplines_can.ego import Cycle, LineSource, SimulatedLocalisation
+from maplines_can.maps.line_source import Cycle, LineSource
+from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
 from maplines_can.wire import default_dbc_path
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]

@@ -99,13 +99,17 @@ def test_a_receiver_loads_no_estimation_and_no_study() -> None:
     bus = ["--interface", "virtual", "--channel", "silent", "--timeout", "0.05"]
     modules = modules_after(MAIN.format(["receive", *bus]))
     assert "maplines_can.bus.receiver" in modules
-    assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
+    assert not among(
+        modules, *STUDY, "maplines_can.propagation", "maplines_can.simulation.scenarios"
+    )
 
 
 def test_decoding_loads_no_estimation_and_no_study(log: Any) -> None:
     """Decoding a log with lines."""
     modules = modules_after(MAIN.format(["decode", str(log)]))
-    assert not among(modules, *STUDY, "maplines_can.propagation", "maplines_can.scenarios")
+    assert not among(
+        modules, *STUDY, "maplines_can.propagation", "maplines_can.simulation.scenarios"
+    )
 
 
 def test_sending_loads_nothing_of_the_study() -> None:
@@ -117,7 +121,7 @@ def test_sending_loads_nothing_of_the_study() -> None:
 def test_a_map_loads_neither_bus_nor_study() -> None:
     """Only its picture needs matplotlib."""
     modules = modules_after(MAIN.format(["map"]))
-    assert "maplines_can.maps.opendrive.reader" in modules
+    assert "maplines_can.maps.formats.opendrive.reader" in modules
     assert not among(modules, *STUDY, "can", "cantools", "maplines_can.wire", "maplines_can.bus")
 
 

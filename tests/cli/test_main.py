@@ -13,7 +13,7 @@ import pytest
 import maplines_can
 from maplines_can.cli import COMMANDS, STUDY_COMMANDS, main
 from maplines_can.cli.parsing import GROUPS
-from maplines_can.errors import missing_extra
+from maplines_can.values.errors import missing_extra
 
 ROOT = Path(__file__).parents[2]
 ALL = [*COMMANDS, *(f"study {name}" for name in STUDY_COMMANDS)]

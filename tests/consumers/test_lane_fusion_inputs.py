@@ -13,7 +13,7 @@ from maplines_can.consumers import LaneFusion
 from maplines_can.consumers.lane_filter import LaneFilter, move_lines
 from maplines_can.consumers.lane_fusion import positive_part
 from maplines_can.propagation import predict
-from maplines_can.seen_lines import SeenLines
+from maplines_can.values.seen_lines import SeenLines
 
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 P = np.diag([0.3, 0.2, 0.003]) ** 2

@@ -12,7 +12,7 @@ from numpy.polynomial import Chebyshev
 
 from maplines_can import STREETS, Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import Path, lane_path, mean_path, path_beside, width_of
-from maplines_can.propagation.misfit import LEAST_SIGMA
+from maplines_can.propagation.misfit import MIN_SIGMA
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 STILL = Gaussian(np.zeros(3), np.zeros((3, 3)))
@@ -354,7 +354,7 @@ def test_the_band_is_no_wider_than_what_the_cubics_miss(name: str) -> None:
         )
         path, _ = lane_path(scene, STILL)
         assert path is not None
-        assert path.sigma.max() <= 1.001 * math.hypot(misfit, LEAST_SIGMA)
+        assert path.sigma.max() <= 1.001 * math.hypot(misfit, MIN_SIGMA)
 
 
 @pytest.mark.parametrize("heading_sigma", [0.005, 0.02])

@@ -23,8 +23,8 @@ from maplines_can.consumers.steering import (
     preview_gains,
     riccati,
 )
-from maplines_can.ego.line_source import WINDOW
-from maplines_can.scene import PoseError
+from maplines_can.maps.line_source import WINDOW
+from maplines_can.values.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 POSE = PoseError(np.diag([0.1, 0.1, 0.003]) ** 2)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from maplines_can import Gaussian, MapLine, Motion, Scene, Slot
 from maplines_can.consumers.curvature_limiter import MAX_DECELERATION, CurvatureLimiter
 from maplines_can.consumers.steering import Command, LaneSteering, Reason, State
-from maplines_can.scene import PoseError
+from maplines_can.values.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 #: ISO 11270:2014, 5.4 [m/s^2, m/s^3].

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lane_maps import lane, network
 
-from maplines_can.line import Kind
-from maplines_can.maps.driven import Key, LaneGraph
 from maplines_can.maps.joints import SNAP, joined_lines
-from maplines_can.polyline import Polyline
+from maplines_can.maps.lane_graph import Key, LaneGraph
+from maplines_can.values.line import Kind
+from maplines_can.values.polyline import Polyline
 
 POINT = st.tuples(*[st.integers(-3, 3).map(lambda i: i * SNAP * 0.8)] * 2)  # often near
 PARTS = st.lists(st.lists(POINT, min_size=2, max_size=4), min_size=1, max_size=4)

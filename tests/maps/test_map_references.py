@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from lane_maps import WIDTH, carriageway, crossing, end, lane, network, pose_on, roundabout
 from scipy.stats import norm
 
-from maplines_can.line import Kind, Slot
 from maplines_can.maps import LaneTracker, Map, Road
-from maplines_can.maps.driven import Key, LaneGraph
 from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
+from maplines_can.maps.lane_graph import Key, LaneGraph
 from maplines_can.maps.matching import LaneMatch, locate
 from maplines_can.maps.tour import _tour_from
 from maplines_can.maps.view import link_gaps
-from maplines_can.polyline import Polyline
+from maplines_can.values.line import Kind, Slot
+from maplines_can.values.polyline import Polyline
 
 CROSSING, RING = crossing(), roundabout()
 ROAD = network(

@@ -11,7 +11,7 @@ from lane_maps import WIDTH, crossing, lane, network, pose_on
 from maplines_can.maps import Map
 from maplines_can.maps.lane import LaneType
 from maplines_can.maps.matching import locate, wrapped
-from maplines_can.polyline import Polyline
+from maplines_can.values.polyline import Polyline
 
 ROAD = network(
     lane("left", t=WIDTH / 2),

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 
-from maplines_can.errors import RouteError
-from maplines_can.line import Kind
 from maplines_can.maps import Map
+from maplines_can.values.errors import RouteError
+from maplines_can.values.line import Kind
 
 CROSSING = crossing()
 RING = roundabout()

@@ -3,8 +3,8 @@
 import pytest
 from lane_maps import crossing, lane, network, roundabout
 
-from maplines_can.errors import RouteError
 from maplines_can.maps import Map, random_tour
+from maplines_can.values.errors import RouteError
 
 RING = roundabout()
 

@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 
 from maplines_can import Slot
-from maplines_can.ego import SimulatedDrive
-from maplines_can.errors import RouteError
 from maplines_can.maps import (
     Lane,
     LaneTracker,
@@ -27,6 +25,8 @@ from maplines_can.maps import (
     town_tour,
 )
 from maplines_can.maps.joints import gap
+from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.values.errors import RouteError
 
 ROOT = Path(__file__).resolve().parents[2]
 Pose = tuple[float, float, float]

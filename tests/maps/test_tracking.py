@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from lane_maps import WIDTH, crossing, lane, network, pose_on, roundabout
 from numpy.typing import ArrayLike
 
-from maplines_can.line import Slot
 from maplines_can.maps import LaneTracker, Map, Route, TrackedLines
-from maplines_can.polyline import Polyline
+from maplines_can.values.line import Slot
+from maplines_can.values.polyline import Polyline
 
 CROSSING = crossing()
 RING = roundabout()

@@ -11,9 +11,9 @@ from lane_maps import WIDTH, carriageway, crossing, lane, network, pose_on, roun
 from xodr_files import cubic, linked, read_map, road, section
 from xodr_files import lane as xodr_lane
 
-from maplines_can.line import Kind, Slot
 from maplines_can.maps import Map, link_gaps, view
-from maplines_can.polyline import Polyline, stretches
+from maplines_can.values.line import Kind, Slot
+from maplines_can.values.polyline import Polyline, stretches
 
 ORDER = (
     Slot.EDGE_LEFT,

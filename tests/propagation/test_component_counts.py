@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot
 from maplines_can.propagation import (
     Quadrature,
     component_counts,
@@ -17,8 +15,10 @@ from maplines_can.propagation import (
     remaining_nonlinearity,
 )
 from maplines_can.propagation.splitting import SPLITS, Mixture
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 amounts = st.lists(st.floats(0, 1), min_size=1, max_size=8)
 tolerances = st.floats(0.01, 1)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.gaussian import Gaussian
 from maplines_can.propagation import Linear
+from maplines_can.values.gaussian import Gaussian
 
 
 @pytest.mark.parametrize(

@@ -18,9 +18,9 @@ from maplines_can import (
     Slot,
     map_lines,
 )
-from maplines_can.polyline import to_ego
-from maplines_can.scenarios import SCENARIOS, pose
+from maplines_can.simulation.scenarios import SCENARIOS, pose
 from maplines_can.study.random_scenarios import curve
+from maplines_can.values.polyline import to_ego
 
 SCENE = SCENARIOS["street-turn"]
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
@@ -58,7 +58,7 @@ def share_outside(polyline: Any, line: Any, ego: Any, n: int = 4000) -> float:
 
 
 #: Share of a Gaussian beyond three sigmas, 0.27 %, and 4 standard errors of 4000 draws.
-MOST_OUTSIDE = 0.0027 + 4 * np.sqrt(0.0027 / 4000)
+MAX_OUTSIDE = 0.0027 + 4 * np.sqrt(0.0027 / 4000)
 
 
 def given(polyline: Any, ego: Any = EGO, **settings: Any) -> Any:
@@ -87,7 +87,7 @@ def test_item_3_a_tight_bend_does_not_pull_the_line_from_the_road(
 
     assert abs(line.y(0.0) - at_car) <= 0.11
     assert line.x_max >= least
-    assert share_outside(polyline, line, EGO) <= MOST_OUTSIDE
+    assert share_outside(polyline, line, EGO) <= MAX_OUTSIDE
 
 
 def test_item_3_two_points_300_m_apart_are_a_line() -> None:
@@ -97,7 +97,7 @@ def test_item_3_two_points_300_m_apart_are_a_line() -> None:
     assert (line.x_min, line.x_max) == (-20.0, 80.0)
     assert line.y([-20.0, 0.0, 80.0]) == pytest.approx([1.75] * 3, abs=1e-4)
     assert line.y_sigma(0.0) == pytest.approx(0.2, rel=5e-3)
-    assert share_outside(STRAIGHT, line, EGO) <= MOST_OUTSIDE
+    assert share_outside(STRAIGHT, line, EGO) <= MAX_OUTSIDE
 
 
 def test_item_3_a_stub_far_ahead_claims_nothing_at_the_car() -> None:
@@ -131,7 +131,7 @@ def test_item_3_a_jump_of_3_5_m_ends_the_line() -> None:
     assert line.x_max <= 30.5
     assert line.x_max >= 28.0
     assert line.y([0.0, 20.0, line.x_max]) == pytest.approx([1.75] * 3, abs=0.1)
-    assert share_outside(jump, line, EGO) <= MOST_OUTSIDE
+    assert share_outside(jump, line, EGO) <= MAX_OUTSIDE
 
 
 def test_only_lines_left_out_give_an_empty_list() -> None:

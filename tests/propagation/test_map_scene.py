@@ -19,9 +19,9 @@ from maplines_can import (
     Slot,
     map_lines,
 )
-from maplines_can.line import lateral, lateral_jacobian
 from maplines_can.propagation import map_scene
 from maplines_can.propagation.map_lines import view_of
+from maplines_can.values.line import lateral, lateral_jacobian
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 ROADS = {

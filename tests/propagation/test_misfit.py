@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, lateral, map_lines
-from maplines_can.line import lateral_jacobian
-from maplines_can.propagation.misfit import LEAST_SIGMA, second_difference_variance
-from maplines_can.street_shapes import Piece, Street
+from maplines_can.propagation.misfit import MIN_SIGMA, second_difference_variance
+from maplines_can.simulation.street_shapes import Piece, Street
+from maplines_can.values.line import lateral_jacobian
 
 ORIGIN = np.zeros(3)
 Curvatures = st.lists(st.floats(-0.02, 0.02), min_size=3, max_size=5)
@@ -81,7 +81,7 @@ def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None
     cov = J @ np.asarray(refit.noise_cov) @ J.T
     T = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, 9), 3)
     shape = (T[:, 1:] * [0.25, 1.0, 2.0]) @ T[:, 1:].T
-    rest = cov - float(refit.misfit) ** 2 / 5 - LEAST_SIGMA**2
+    rest = cov - float(refit.misfit) ** 2 / 5 - MIN_SIGMA**2
     level = np.trace(rest) / np.trace(shape)
 
     assert level >= 0.1 * float(refit.misfit) ** 2

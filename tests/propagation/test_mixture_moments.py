@@ -10,11 +10,11 @@ from dbcs import default_codec
 from line_witness import crossings, place_of, seen_from
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, SigmaPoints, map_lines
-from maplines_can.line import Slot, lateral, lateral_jacobian
 from maplines_can.propagation import Mixture
-from maplines_can.scenarios import SCENARIOS, pose
+from maplines_can.simulation.scenarios import SCENARIOS, pose
 from maplines_can.study.paper_refit import paper_refit
 from maplines_can.study.random_scenarios import random_scenarios
+from maplines_can.values.line import Slot, lateral, lateral_jacobian
 
 DRAWS = 200_000
 COUNTS = range(2, 9)

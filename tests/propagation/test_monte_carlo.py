@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from closed_forms import CLOSED
 
-from maplines_can.gaussian import Gaussian
 from maplines_can.propagation import MapError, MonteCarlo
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.gaussian import Gaussian
 
 N = 20_000
 TURN = scenario("street-turn")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from maplines_can import Gaussian, Polyline
-from maplines_can.line import Slot
 from maplines_can.propagation import Refit, nonlinearity
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.line import Slot
 
 
 def test_a_refit_is_nonlinear_in_the_heading() -> None:

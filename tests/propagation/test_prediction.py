@@ -10,20 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import ENTRIES, mild_lines, motions
 
-from maplines_can.errors import IllPosedError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import (
-    VAGUE_SIGMA,
-    Kind,
-    MapLine,
-    Slot,
-    Status,
-    lateral,
-    lateral_jacobian,
-    transform_line,
-)
-from maplines_can.mixture import GaussianMixture
-from maplines_can.polyline import to_ego
 from maplines_can.propagation import (
     Linear,
     Mixture,
@@ -34,8 +20,22 @@ from maplines_can.propagation import (
     predict,
     predict_to,
 )
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import (
+    VAGUE_SIGMA,
+    Kind,
+    MapLine,
+    Slot,
+    Status,
+    lateral,
+    lateral_jacobian,
+    transform_line,
+)
+from maplines_can.values.mixture import GaussianMixture
+from maplines_can.values.polyline import to_ego
 
 N = 100_000
 WINDOW = (0.0, 80.0)

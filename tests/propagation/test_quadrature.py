@@ -10,12 +10,12 @@ from closed_forms import CLOSED
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.errors import IllPosedError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot
 from maplines_can.propagation import MonteCarlo, Quadrature, Refit
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import PAPER
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 
 def without_warnings(call: Any, *arguments: Any) -> Any:

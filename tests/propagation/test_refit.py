@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import mild_lines, motions
 
-from maplines_can.errors import IllPosedError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot, lateral, lateral_jacobian, transform_line
-from maplines_can.polyline import Polyline, to_ego, to_map
 from maplines_can.propagation import MapError, MonteCarlo, Refit
-from maplines_can.scenarios import SCENARIOS, scenario
+from maplines_can.simulation.scenarios import SCENARIOS, scenario
 from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.random_scenarios import random_scenarios
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot, lateral, lateral_jacobian, transform_line
+from maplines_can.values.polyline import Polyline, to_ego, to_map
 
 HIGHWAY, TURN = scenario("highway"), scenario("street-turn-10deg")
 CHEBYSHEV = np.cos(np.pi * np.array([7, 5, 3, 1]) / 8)

@@ -14,7 +14,7 @@ from maplines_can import (
     scene_mixture,
 )
 from maplines_can.propagation import Refit
-from maplines_can.scene import Scene
+from maplines_can.values.scene import Scene
 
 ANGLE = np.linspace(-1.3, 1.3, 200)
 BEND = Polyline(30 * np.column_stack([np.sin(ANGLE), 1 - np.cos(ANGLE)]))

@@ -8,11 +8,11 @@ import pytest
 from closed_forms import square
 from filterpy.kalman import MerweScaledSigmaPoints, unscented_transform
 
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot
 from maplines_can.propagation import SigmaPoints
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 
 @pytest.mark.parametrize("alpha", [1.0, 0.3, 1e-2, 1e-3])

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import norm, truncnorm
 
-from maplines_can.errors import IllPosedError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot
 from maplines_can.propagation import MapError, MonteCarlo, Quadrature, SigmaPoints
 from maplines_can.propagation.splitting import SPLITS, Mixture, standard_split
-from maplines_can.scenarios import pose, scenario
+from maplines_can.simulation.scenarios import pose, scenario
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 SEVERAL = [k for k in SPLITS if k > 1]
 

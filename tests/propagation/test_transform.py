@@ -8,9 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import covariances
 
-from maplines_can.errors import IllPosedError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Slot
 from maplines_can.propagation import (
     Linear,
     MapError,
@@ -19,8 +16,11 @@ from maplines_can.propagation import (
     SigmaPoints,
     Transform,
 )
-from maplines_can.scenarios import scenario
+from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Slot
 
 N = 20_000
 EXACT = [

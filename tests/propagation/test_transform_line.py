@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.errors import IllPosedError
-from maplines_can.line import Slot, lateral, transform_line, transform_line_or_nan
-from maplines_can.polyline import Polyline, to_ego
 from maplines_can.propagation import Refit
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.paper_refit import PAPER, paper_refit
 from maplines_can.study.random_scenarios import curve, random_scenarios
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.line import Slot, lateral, transform_line, transform_line_or_nan
+from maplines_can.values.polyline import Polyline, to_ego
 
 WINDOW = (0.0, 80.0)
 X = np.linspace(*WINDOW, 9)

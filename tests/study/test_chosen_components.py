@@ -5,11 +5,11 @@ from typing import Any
 import pytest
 
 from maplines_can import MonteCarlo, scenario
-from maplines_can.line import Slot
 from maplines_can.propagation import Mixture, component_counts, nonlinearity
-from maplines_can.study.accuracy.approximations import Approximation
-from maplines_can.study.accuracy.evaluation import evaluate_approximation, true_distribution
+from maplines_can.study.claims.approximations import Approximation
+from maplines_can.study.claims.evaluation import evaluate_approximation, true_distribution
 from maplines_can.study.paper_refit import paper_refit
+from maplines_can.values.line import Slot
 
 
 @pytest.mark.filterwarnings("ignore:.* draws are ill-posed")

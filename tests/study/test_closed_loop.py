@@ -9,8 +9,8 @@ import pytest
 
 from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.steering import LaneSteering, Reason, State
-from maplines_can.scene import PoseError
 from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street, without
+from maplines_can.values.scene import PoseError
 
 SIGMA = (0.3, 0.1, 0.003)
 

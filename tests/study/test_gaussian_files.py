@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from study_helpers import table_of, write_csv
 
-from maplines_can.errors import MaplinesError, StudyError
 from maplines_can.study import road
 from maplines_can.study.files import GaussianFile, read_map
 from maplines_can.study.sets import line_set
+from maplines_can.values.errors import MaplinesError, StudyError
 
 
 def triangle(cov: Any) -> Any:

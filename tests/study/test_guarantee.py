@@ -10,8 +10,8 @@ from dbcs import DBC, default_codec, edited
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.line import VAGUE_SIGMA, Status
 from maplines_can.study import adversarial, evaluate, paper, road
+from maplines_can.values.line import VAGUE_SIGMA, Status
 from maplines_can.wire import Codec
 
 LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])

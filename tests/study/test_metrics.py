@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from maplines_can.gaussian import Gaussian
 from maplines_can.study import evaluate, road
 from maplines_can.study.metrics import KL_BINS, RATIO_BINS, Figure, Score, kl_terms, share_se
+from maplines_can.values.gaussian import Gaussian
 
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 

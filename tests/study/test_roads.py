@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.polyline import Polyline
 from maplines_can.propagation import MapError, Refit, SigmaPoints
-from maplines_can.scenarios import pose
+from maplines_can.simulation.scenarios import pose
 from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.roads import lines_of_roads, random_roads
+from maplines_can.values.polyline import Polyline
 
 
 @pytest.mark.parametrize("settings", [{}, PAPER], ids=["honest", "paper"])

@@ -11,10 +11,10 @@ from fault_streams import MIX, bits_apart, content, number_of, numbered, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.line import MapLine, Slot
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults, ScriptedFault
 from maplines_can.testing.faults import LENGTHS
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Frame
 
 

@@ -16,7 +16,6 @@ from fake_bus import LONG, Clock, FakeTime, wait_until
 from fault_streams import MIX, content, numbered
 
 from maplines_can.bus import Link, Receiver, Sent, Transmitter
-from maplines_can.line import Slot
 from maplines_can.study import road
 from maplines_can.testing import (
     FaultInjector,
@@ -25,6 +24,7 @@ from maplines_can.testing import (
     FaultyBus,
     FaultyOpener,
 )
+from maplines_can.values.line import Slot
 
 
 @pytest.fixture

@@ -11,11 +11,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_lines import random_lines
 
-from maplines_can.errors import EncodeError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
+from maplines_can.values.errors import EncodeError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec, Frame, Reason
-from maplines_can.wire.message.signals import PARAMETER_SIGNALS
+from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 
 def test_huge_numbers_do_not_overflow(codec: Any) -> None:

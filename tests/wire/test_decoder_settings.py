@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from dbcs import default_codec, edited
 
-from maplines_can.line import Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings, timeout_cycles
 

@@ -39,7 +39,7 @@ from maplines_can import (
 )
 from maplines_can.testing import FaultInjector, Faults
 from maplines_can.wire import POSE, Decoder, Reason, default_dbc_path
-from maplines_can.wire.message.pose_layout import PoseLayout
+from maplines_can.wire.layout.pose_layout import PoseLayout
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 X = np.array([0.0, 20.0, 40.0])

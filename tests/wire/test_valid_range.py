@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Codec, GaussianMixture, MapLine, Slot
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Status
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Status
 from maplines_can.wire import Reason
 
 COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])

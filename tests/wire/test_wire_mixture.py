@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapLine, Slot, Status
-from maplines_can.mixture import GaussianMixture
 from maplines_can.propagation.splitting import SPLITS, Mixture
 from maplines_can.study import adversarial, evaluate
+from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Codec, E2EConfig, Reason
-from maplines_can.wire.message.components import deficit, quantized_weights
+from maplines_can.wire.records.components import deficit, quantized_weights
 
 
 def test_weights_of_a_split_are_multiples_of_the_step() -> None:

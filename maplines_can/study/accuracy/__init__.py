@@ -1,1 +1,1 @@
-"""Accuracy of the representations of a line against its true distribution."""
+"""Recorded drives on a map: the truth, and how accurate the received lines are."""

@@ -1,296 +1,269 @@
-"""The true distribution as a sample, and the figures of an approximation of it.
+"""Accuracy of received lines against the truth of a drive, and the requirements of the survey.
 
-The module ``table`` defines the figures.
+The survey is Liu, Wang and Zhang, High definition map for automated driving: overview and
+analysis, Journal of Navigation 73, 2020; its tables 3, 5 and 6 list what map providers, EDMap and
+others state or require. It takes the definitions of accuracy from EDMap (2004):
+
+- absolute: largest deviation of a line from the true one;
+- relative: the same after the line is aligned with the true one, here by a shift across and a
+  rotation (least squares).
+
+An accuracy is met if 95 % of the errors are within it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
 
-from ...gaussian import Gaussian
-from ...line import PARAMETERS, lateral, lateral_jacobian
-from ...mixture import GaussianMixture
-from ..metrics import LATERAL_X
-from .approximations import Approximation
+from ...simulation.truth import PLACES, Y_PLACES, Truth
+from ...values.errors import DriveFileError
+from ...values.line import MapLine, Slot, Status
 
 Array = NDArray[np.float64]
 
-#: Mass of the regions.
-MASS = 0.99
-#: Cells of the grid along each parameter.
-BINS = 60
-#: Batches of the samples, for the jackknife.
-BATCHES = 10
-#: Draws from each approximation, for its mass outside the true region.
-DRAWS = 400_000
-#: Smallest eigenvalue of the correlation matrix below which a covariance is singular.
-SINGULAR = 1e-12
-PAIRS = tuple(combinations(range(len(PARAMETERS)), 2))
+#: Share of the errors that an accuracy contains.
+QUANTILE = 0.95
+#: Lines of less curvature have no relative error of the curvature [1/m].
+MIN_CURVATURE = 1e-3
+#: Fewest lateral positions of a line that is aligned.
+MIN_ALIGNED = 3
+#: Smaller times of a log are relative to its start [s].
+MIN_ABSOLUTE = 1e8
+#: Mean of the time by which the age of a line is rounded up [s].
+AGE_ROUNDING = 0.004
+#: A line is of a cycle if its pose is at most this many cycles from it.
+MAX_CYCLES = 1.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """Figures of one representation of a scenario's line; ``_se`` is a figure's standard error."""
+class Requirement(NamedTuple):
+    """An accuracy that the survey lists."""
 
-    scenario: str
-    representation: str
-    wire: str  #: "before" or "after"
-    false_negatives: float  #: in all four parameters
-    false_negatives_se: float
-    false_negatives_pairs: float  #: mean over the six pairs
-    false_negatives_pairs_se: float
-    false_positives: float  #: mean over the six pairs
-    false_positives_se: float
-    kl: float  #: [nat]
-    kl_se: float
-    mean_error: tuple[float, ...]  #: of l(x) at each of LATERAL_X [m]
-    mean_error_se: tuple[float, ...]
-    sigma_ratio: tuple[float, ...]  #: of l(x) at each of LATERAL_X
-    sigma_ratio_se: tuple[float, ...]
+    quantity: str  #: key of ``Accuracy.errors``
+    limit: float  #: [m], [deg] or [%]
+    source: str
 
-    @property
-    def coverage(self) -> float:
-        """Share of the true samples inside the region, in all four parameters."""
-        return 1 - self.false_negatives
 
-    @property
-    def coverage_se(self) -> float:
-        """Standard error of the coverage."""
-        return self.false_negatives_se
+REQUIREMENTS = (
+    Requirement("lateral", 0.10, "table 6, lane boundary geometry, 10 cm"),
+    Requirement("lateral", 0.20, "table 6, lane boundary geometry, 20 cm"),
+    Requirement("heading", 0.05, "table 6, heading, 0.05 deg"),
+    Requirement("curvature", 1.0, "table 5, EDMap and NextMap, 1 %"),
+    Requirement("curvature", 2.0, "table 5, Kotei, 2 %"),
+    Requirement("absolute", 0.10, "table 3, Sanborn, 10 cm"),
+    Requirement("absolute", 0.15, "table 3, and.com, 15 cm"),
+    Requirement("absolute", 1.00, "table 3, TomTom lane model, 100 cm"),
+    Requirement("relative", 0.05, "table 3, and.com, 5 cm"),
+    Requirement("relative", 0.15, "table 3, TomTom lane model, 15 cm"),
+    Requirement("relative", 0.20, "table 3, HERE, Baidu and NavInfo, 20 cm"),
+)
 
 
 @dataclass(frozen=True, eq=False)
-class TrueDistribution:
-    """Samples of the true distribution, with moments and regions for the jackknife.
-
-    Arrays of 1 + BATCHES entries have one for all samples, then one without each batch.
-    """
-
-    samples: Array  #: (n, 4)
-    low: Array  #: (4,) lower ends of the grid
-    width: Array  #: (4,) of its cells
-    regions: NDArray[np.bool_]  #: (1 + BATCHES, 6, BINS + 2, BINS + 2); the border is outside
-    moments: tuple[Gaussian, ...]  #: 1 + BATCHES
-    lateral_mean: Array  #: (1 + BATCHES, X) [m]
-    lateral_sigma: Array  #: (1 + BATCHES, X) [m]
-
-
-def true_distribution(samples: Array) -> TrueDistribution:
-    """Return the true distribution of (n, 4) samples.
-
-    Raises:
-        ValueError: fewer than 100 samples.
-    """
-    if not len(samples) >= 10 * BATCHES:
-        raise ValueError(f"n must be {10 * BATCHES} or more, got {len(samples)!r}")
-    low, high = samples.min(axis=0), samples.max(axis=0)
-    width = np.where(high > low, high - low, 1.0) / BINS
-    x = np.array(LATERAL_X)
-    mean, line_mean = samples.mean(axis=0), lateral(samples.mean(axis=0), x)
-    sums = []
-    for batch in np.array_split(samples, BATCHES):
-        cells = _cells(batch, low, width).clip(1, BINS)  # rounding moves no sample out
-        d, e = batch - mean, lateral(batch[:, None, :], x) - line_mean
-        moments = (d.sum(axis=0), d.T @ d, e.sum(axis=0), (e**2).sum(axis=0))
-        sums.append((len(batch), _counts(cells), *moments))
-
-    def left(values: tuple[Array, ...]) -> Array:
-        """Return the sum of all batches, then the sums that leave out one batch."""
-        parts = np.array(values, dtype=float)
-        whole = parts.sum(axis=0)
-        return np.concatenate([whole[None], whole - parts])
-
-    size, counts, *totals = map(left, zip(*sums, strict=True))
-    first, second, line, line2 = (
-        total / size.reshape(-1, *[1] * (total.ndim - 1)) for total in totals
-    )
-    return TrueDistribution(
-        samples=samples,
-        low=low,
-        width=width,
-        regions=np.array([[_densest(pair) for pair in count] for count in counts]),
-        moments=tuple(
-            Gaussian(mean + a, S - np.outer(a, a)) for a, S in zip(first, second, strict=True)
-        ),
-        lateral_mean=line_mean + line,
-        lateral_sigma=np.sqrt((line2 - line**2).clip(0)),
-    )
-
-
-def evaluate_approximation(
-    true: TrueDistribution,
-    approximation: Approximation,
-    names: tuple[str, str, str],
-    seed: int = 0,
-) -> Row:
-    """Return all figures of one representation.
+class Accuracy:
+    """Errors of the received lines of a drive.
 
     Args:
-        true: the true distribution.
-        approximation: the representation.
-        names: scenario, representation, and "before" or "after".
-        seed: of the draws from the approximation, which are the same before and after the wire.
+        errors: by quantity; "lateral" [m], "heading" [deg] and "curvature" [% of the true one] are
+            (n, 4) at ``PLACES``, "absolute" and "relative" (n, 1) [m]. NaN where there is none.
+        slot: (n,) slot of each line.
+        time: (n,) time of its pose [s].
+        sigmas: (n, 4) lateral error in standard deviations of the line.
+        received: lines that were received.
+        not_usable: of these, lines that are too old or out of range.
+        unknown: of these, lines of a time or a slot for which the truth has no line.
+        other_lane: of these, lines of cycles in which the car was on another lane than it believed.
+        saturated: lines compared that are wider than necessary, because a value reached the end of
+            its range in the message.
     """
-    weights, means, covs = approximation.weights, approximation.means, approximation.covs
-    if covs is None:
-        negatives, pairs, positives, kl = (1.0, 0.0), (1.0, 0.0), (0.0, 0.0), (np.inf, 0.0)
-    else:
-        mixture = GaussianMixture(weights, tuple(map(Gaussian, means, covs)))
-        draws = _draws(mixture, seed)
-        negatives, pairs = _false_negatives(true.samples, mixture, draws)
-        positives, kl = _false_positives(true, draws), _kl(true, mixture.overall)
-    x = np.array(LATERAL_X)
-    lines = lateral(means[:, None, :], x)  # (k, X)
-    mean, sigma = weights @ lines, np.zeros(len(x))
-    if covs is not None:
-        J = lateral_jacobian(means[:, None, :], x)
-        within = np.einsum("kxi,kij,kxj->kx", J, covs, J)
-        sigma = np.sqrt(weights @ (within + (lines - mean) ** 2))
-    ratios = sigma / true.lateral_sigma
-    return Row(
-        *names,
-        *negatives,
-        *pairs,
-        *positives,
-        *kl,
-        mean_error=tuple((mean - true.lateral_mean[0]).tolist()),
-        mean_error_se=tuple(_jackknife(true.lateral_mean).tolist()),
-        sigma_ratio=tuple(ratios[0].tolist()),
-        sigma_ratio_se=tuple(_jackknife(ratios).tolist()),
-    )
+
+    errors: Mapping[str, Array]
+    slot: NDArray[np.int_]
+    time: Array
+    sigmas: Array
+    received: int
+    not_usable: int
+    unknown: int
+    other_lane: int
+    saturated: int
+
+    @property
+    def lines(self) -> int:
+        """Number of lines that were compared."""
+        return len(self.slot)
+
+    def figures(self, quantity: str, place: int) -> dict[str, float | int]:
+        """Return the number of errors at a place, and their rms, 95 % quantile and maximum.
+
+        ``place`` is an index into ``PLACES``; 0 for "absolute" and "relative".
+        """
+        error = self.errors[quantity][:, place]
+        error = np.abs(error[np.isfinite(error)])
+        if not len(error):
+            return {"n": 0}
+        return {
+            "n": len(error),
+            "rms": float(np.sqrt(np.mean(error**2))),
+            "95 %": float(np.quantile(error, QUANTILE)),
+            "max": float(error.max()),
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all figures, for JSON."""
+        counts = {name: getattr(self, name) for name in ("received", "not_usable", "unknown")}
+        counts |= {name: getattr(self, name) for name in ("lines", "other_lane", "saturated")}
+        sigmas = [values[np.isfinite(values)] for values in self.sigmas.T]
+        return counts | {
+            "errors": {
+                quantity: {
+                    str(x): self.figures(quantity, i)
+                    for i, x in enumerate(PLACES if error.shape[1] > 1 else ("line",))
+                }
+                for quantity, error in self.errors.items()
+            },
+            "beyond 3 sigma": {
+                str(x): float((np.abs(values) > 3).mean()) if len(values) else None
+                for x, values in zip(PLACES, sigmas, strict=True)
+            },
+            "requirements": [
+                requirement._asdict() | {"met": self.met(requirement)}
+                for requirement in REQUIREMENTS
+            ],
+        }
+
+    def met(self, requirement: Requirement) -> dict[str, bool | None]:
+        """Return whether a requirement is met, by place; None without errors there."""
+        columns = self.errors[requirement.quantity].shape[1]
+        found = [self.figures(requirement.quantity, i) for i in range(columns)]
+        names = map(str, PLACES) if columns > 1 else ["line"]
+        return {
+            name: one["95 %"] <= requirement.limit if one["n"] else None
+            for name, one in zip(names, found, strict=True)
+        }
 
 
-def _jackknife(values: Array) -> Array:
-    """Return the standard error from (1 + BATCHES, ...) values; 0 if one is not finite."""
-    if not np.isfinite(values).all():
-        return np.zeros(values.shape[1:])
-    spread = ((values[1:] - values[1:].mean(axis=0)) ** 2).sum(axis=0)
-    return np.asarray(np.sqrt((BATCHES - 1) / BATCHES * spread), dtype=float)
+def accuracy_of(truth: Truth, lines: Iterable[MapLine]) -> Accuracy:
+    """Return the accuracy of received lines.
 
+    A line is compared with the truth of the cycle whose pose it has, which is the time at which it
+    was received less its age. Only what is within its range is compared.
 
-# -- false positives ------------------------------------------------------------
+    Args:
+        truth: of the drive.
+        lines: as received, with reception times on the clock of the truth, or from the start of
+            the drive on.
 
-
-def _cells(samples: Array, low: Array, width: Array) -> NDArray[np.intp]:
-    """Return the (n, 4) cells of samples, 1 to BINS; 0 and BINS + 1 are outside the grid."""
-    return np.floor((samples - low) / width).clip(-1, BINS).astype(np.intp) + 1
-
-
-def _counts(cells: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the (6, BINS + 2, BINS + 2) number of samples in each cell of each pair."""
-    side = BINS + 2
-    return np.array(
-        [
-            np.bincount(cells[:, i] * side + cells[:, j], minlength=side**2).reshape(side, side)
-            for i, j in PAIRS
-        ]
-    )
-
-
-def _densest(count: Array) -> NDArray[np.bool_]:
-    """Return the smallest set of cells that holds ``MASS`` of the samples."""
-    order = np.argsort(-count, axis=None, kind="stable")
-    total = np.cumsum(count.ravel()[order])
-    chosen = np.zeros(count.size, dtype=bool)
-    chosen[order[: int(np.searchsorted(total, MASS * total[-1])) + 1]] = True
-    return chosen.reshape(count.shape)
-
-
-def _draws(mixture: GaussianMixture, seed: int) -> Array:
-    """Draw (DRAWS, 4) samples, stratified: each component gets exactly its share.
-
-    The normal numbers are the same before and after the wire.
+    Raises:
+        DriveFileError: no line is of the time of the truth.
     """
-    draws = np.random.default_rng([seed, 3]).standard_normal((DRAWS, len(PARAMETERS)))
-    edges = np.round(np.cumsum(mixture.weights) * DRAWS).astype(int)
-    for start, end, component in zip((0, *edges), edges, mixture.components, strict=False):
-        draws[start:end] = component.mean + draws[start:end] @ component.root.T
-    return draws
-
-
-def _false_positives(true: TrueDistribution, draws: Array) -> tuple[float, float]:
-    cells = _cells(draws, true.low, true.width)
-    inside = np.einsum("bpij,pij->b", true.regions, _counts(cells)) / (len(draws) * len(PAIRS))
-    out = np.zeros(len(draws))
-    for region, (i, j) in zip(true.regions[0], PAIRS, strict=True):
-        out += ~region[cells[:, i], cells[:, j]]
-    own = out.std() / len(PAIRS) / np.sqrt(len(draws))
-    return float(1 - inside[0]), float(np.hypot(own, _jackknife(inside)))
-
-
-# -- false negatives and KL -----------------------------------------------------
-
-
-def _false_negatives(
-    samples: Array, mixture: GaussianMixture, draws: Array
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return share and standard error in four parameters, and as the mean over the pairs."""
-    (four, edge_error), *pairs = (
-        _outside(mixture, list(columns), samples, draws) for columns in (range(4), *PAIRS)
+    received = not_usable = 0
+    values: list[tuple[float, ...]] = []
+    saturated: list[bool] = []
+    for line in lines:
+        received += 1
+        if not line.is_usable or line.t_ns is None:
+            not_usable += 1
+            continue
+        t = 1e-9 * line.t_ns - line.age + AGE_ROUNDING
+        places = [float(line.y_sigma(x)) for x in PLACES]
+        values.append((t, line.slot, line.x_min, line.x_max, *line.gaussian.mean, *places))
+        saturated.append(line.status is Status.SATURATED)
+    table = np.array(values).reshape(-1, 8 + len(PLACES))
+    rows, is_timed = _rows(truth, table[:, 0])
+    same = truth.same_lane[rows] & is_timed
+    if len(table) and not is_timed.any():
+        first, last = truth.time[[0, -1]]
+        raise DriveFileError(
+            f"the log has no lines of the time of the truth, {first:.3f} to {last:.3f} s, but from "
+            f"{table[:, 0].min():.3f} to {table[:, 0].max():.3f} s; give the truth and the log of "
+            "the same drive"
+        )
+    true = np.full((len(table), 9 + 2 * len(PLACES)), np.nan)
+    for slot, of_slot in truth.lines.items():
+        chosen = (table[:, 1] == slot) & same
+        true[chosen] = of_slot[rows[chosen]]
+    known = np.isfinite(true[:, : len(Y_PLACES)]).any(axis=1)
+    errors, sigmas = _errors(table[known], true[known])
+    return Accuracy(
+        errors,
+        table[known, 1].astype(int),
+        truth.time[rows[known]],
+        sigmas,
+        received,
+        not_usable,
+        int((~known & (same | ~is_timed)).sum()),
+        int((is_timed & ~truth.same_lane[rows]).sum()),
+        int(np.array(saturated, dtype=bool)[known].sum()),
     )
-    edge = max(edge_error, *(error for _, error in pairs))
-    of_pairs = np.mean([out for out, _ in pairs], axis=0)
-    return tuple(  # type: ignore[return-value]  # two of them
-        (float(out.mean()), float(np.hypot(out.std() / np.sqrt(len(samples)), edge)))
-        for out in (four, of_pairs)
-    )
 
 
-def _outside(
-    mixture: GaussianMixture, columns: list[int], samples: Array, draws: Array
-) -> tuple[NDArray[np.bool_], float]:
-    """Return which (n, 4) samples lie outside a marginal's region, and the error of its mass.
+def _rows(truth: Truth, t: Array) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the row of the truth nearest to (n,) times, and whether it is of that time."""
+    time = truth.time
+    if len(t) and t.min() < MIN_ABSOLUTE <= time[0]:
+        t = t + time[0]  # the log has relative times
+    after = time.searchsorted(t).clip(1, max(len(time) - 1, 1)).clip(max=len(time) - 1)
+    before = (after - 1).clip(0)
+    rows = np.where(t - time[before] <= time[after] - t, before, after)
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+    return rows, np.abs(time[rows] - t) <= MAX_CYCLES * period
 
-    The edge of the region is found from the draws of the mixture, unless that is one Gaussian. If
-    a component is singular, all samples are outside.
+
+def _errors(table: Array, true: Array) -> tuple[dict[str, Array], Array]:
+    """Return the errors by quantity, and the lateral errors in standard deviations.
+
+    Args:
+        table: (n, 12) time, slot, range, parameters, and standard deviations at ``PLACES``.
+        true: (n, 17) as of ``true_lines``.
     """
-    marginal = mixture.marginal(columns)
-    whiteners = [W for cov in marginal.covs if (W := _whitener(cov)) is not None]
-    k = len(marginal.weights)
-    if len(whiteners) < k:
-        return np.ones(len(samples), dtype=bool), 0.0
-    log_weights = np.log(marginal.weights)
-    log_weights += [np.log(np.abs(W.diagonal())).sum() for W in whiteners]
-    log_weights -= log_weights.max()
+    low, high, y_off, beta, c0, c1 = (column[:, None] for column in table[:, 2:8].T)
 
-    def depth(points: Array) -> Array:
-        """Return -2 log density of (n, 4) points, up to a constant."""
-        x = np.ascontiguousarray(points.T)[columns]
-        depths = [
-            ((W @ (x - mean[:, None])) ** 2).sum(axis=0) - 2 * log_weight
-            for mean, W, log_weight in zip(marginal.means, whiteners, log_weights, strict=True)
-        ]
-        least = np.min(depths, axis=0)
-        total = sum(np.exp((least - each) / 2) for each in depths)
-        return np.asarray(least - 2 * np.log(total), dtype=float)
+    def within(x: Array) -> NDArray[np.bool_]:
+        return (low <= x) & (x <= high)
 
-    edge, edge_error = 2 * gammaincinv(len(columns) / 2, MASS), 0.0
-    if k > 1:
-        edge = float(np.quantile(depth(draws), MASS))
-        edge_error = float(np.sqrt(MASS * (1 - MASS) / len(draws)))
-    out = [depth(part) > edge for part in np.array_split(samples, BATCHES)]
-    return np.concatenate(out), edge_error
+    all_x = np.array(Y_PLACES, dtype=float)
+    y = y_off + all_x * (np.tan(beta) + all_x * (c0 / 2 + all_x * c1 / 6))
+    deviation = np.where(within(all_x), y - true[:, : len(all_x)], np.nan)
+    x = np.array(PLACES, dtype=float)
+    at = [Y_PLACES.index(place) for place in PLACES]
+    heading, curvature = np.split(true[:, len(all_x) :], 2, axis=1)
+    slope = np.tan(beta) + x * (c0 + x * c1 / 2)
+    bend = (c0 + x * c1) / np.hypot(1, slope) ** 3
+    curved = within(x) & (np.abs(curvature) >= MIN_CURVATURE)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = {
+            "lateral": deviation[:, at],
+            "heading": np.where(within(x), np.degrees(np.arctan(slope) - heading), np.nan),
+            "curvature": np.where(curved, 100 * (bend - curvature) / np.abs(curvature), np.nan),
+            "absolute": _largest(deviation),
+            "relative": _largest(_aligned(all_x, deviation)),
+        }
+        return errors, deviation[:, at] / table[:, 8:]
 
 
-def _whitener(cov: Array) -> Array | None:
-    """Return the lower-triangular W with ``W cov W^T = I``, or None if cov is singular."""
-    variance = cov.diagonal()
-    if not (variance > 0).all():
-        return None
-    scale = np.sqrt(variance)
-    R = cov / scale / scale[:, None]
-    if np.linalg.eigvalsh(R)[0] < SINGULAR:
-        return None
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / scale, dtype=float)
+def _aligned(x: Array, deviation: Array) -> Array:
+    """Return (n, k) deviations less a shift and a rotation; NaN with fewer than 3 of them."""
+    known = np.isfinite(deviation)
+    weight = known / np.maximum(known.sum(axis=1, keepdims=True), 1)
+    d = np.where(known, deviation, 0.0)
+    from_middle = x - (weight * x).sum(axis=1, keepdims=True)
+    shift = (weight * d).sum(axis=1, keepdims=True)
+    spread = np.maximum((weight * from_middle**2).sum(axis=1, keepdims=True), 1e-12)
+    turn = (weight * from_middle * d).sum(axis=1, keepdims=True) / spread
+    enough = known.sum(axis=1, keepdims=True) >= MIN_ALIGNED
+    return np.where(known & enough, deviation - shift - turn * from_middle, np.nan)
 
 
-def _kl(true: TrueDistribution, other: Gaussian) -> tuple[float, float]:
-    if _whitener(other.cov) is None:
-        return np.inf, 0.0
-    values = np.array([each.kl(other) for each in true.moments])
-    return float(values[0]), float(_jackknife(values))
+def _largest(deviation: Array) -> Array:
+    """Return the (n, 1) largest absolute deviations of each line; NaN without any."""
+    largest = np.abs(np.nan_to_num(deviation)).max(axis=1, initial=0.0)
+    return np.where(np.isfinite(deviation).any(axis=1), largest, np.nan)[:, None]
+
+
+def slots_of(accuracy: Accuracy) -> list[Slot]:
+    """Return the slots of the lines that were compared."""
+    return [Slot(value) for value in np.unique(accuracy.slot).tolist()]

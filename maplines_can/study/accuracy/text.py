@@ -1,79 +1,60 @@
-"""The accuracy table as text, CSV and Markdown."""
+"""The accuracy of a drive as text."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import chain
+from ...simulation.truth import PLACES
+from ..text_table import aligned
+from .consistency import consistency_of
+from .evaluation import MIN_CURVATURE, REQUIREMENTS, Accuracy
 
-import numpy as np
-
-from ..metrics import LATERAL_X
-from ..text_table import aligned, csv_text, markdown
-from .evaluation import Row
-
-_NAMES = ("scenario", "representation", "wire")
-#: Headings of the figures by their names in CSV.
-_HEADINGS = {
-    "false_negatives": "FN 4-D",
-    "false_negatives_pairs": "FN pairs",
-    "false_positives": "FP pairs",
-    "kl": "KL [nat]",
-    "coverage": "coverage",
-    **{f"mean_error_at_{x:g}m_m": f"error {x:g} m [m]" for x in LATERAL_X},
-    **{f"sigma_ratio_at_{x:g}m": f"sigma ratio {x:g} m" for x in LATERAL_X},
+#: Headings of the errors, with their units, and the factors from the unit of the error.
+_SHOWN = {
+    "lateral": ("lateral [cm]", 100.0),
+    "heading": ("heading [deg]", 1.0),
+    "curvature": ("curvature [%]", 1.0),
+    "absolute": ("absolute [cm]", 100.0),
+    "relative": ("relative [cm]", 100.0),
 }
 
 
-def as_csv(rows: Sequence[Row]) -> str:
-    """Return one line per row: each figure to six digits, followed by its standard error."""
-    heading = [*_NAMES, *(f"{name}{end}" for name in _HEADINGS for end in ("", "_se"))]
-    body = ([*_names(row), *chain.from_iterable(_figures(row))] for row in rows)
-    return csv_text([heading, *body])
+def as_text(accuracy: Accuracy) -> str:
+    """Return the errors and the requirements of the survey as tables.
 
-
-def as_markdown(rows: Sequence[Row]) -> str:
-    """Return one Markdown table of figures with their standard errors."""
-    body = [[*_names(row), *(_with_error(*pair) for pair in _figures(row))] for row in rows]
-    return markdown([[*_NAMES, *_HEADINGS.values()], *body], left=len(_NAMES))
-
-
-def as_text(rows: Sequence[Row]) -> str:
-    """Return three tables per scenario for a terminal: shares and KL, mean error, sigma ratio."""
-    blocks, headings = [], list(_HEADINGS.values())
-    for scenario in dict.fromkeys(row.scenario for row in rows):
-        of_scenario = [row for row in rows if row.scenario == scenario]
-        blocks.append(scenario)
-        for part in (slice(5), slice(5, 9), slice(9, None)):
-            body = [
-                [*_names(row)[1:], *(_with_error(*pair) for pair in _figures(row)[part])]
-                for row in of_scenario
-            ]
-            blocks.append(aligned([[*_NAMES[1:], *headings[part]], *body], left=2))
-    return "\n\n".join(blocks) + "\n"
-
-
-def _names(row: Row) -> list[str]:
-    return [str(getattr(row, name)) for name in _NAMES]
-
-
-def _figures(row: Row) -> list[tuple[float, float]]:
-    """Return each figure and its standard error, in the order of the headings."""
-    pairs = [
-        (np.atleast_1d(getattr(row, name)), np.atleast_1d(getattr(row, f"{name}_se")))
-        for name in (*list(_HEADINGS)[:5], "mean_error", "sigma_ratio")
-    ]
-    values, errors = (np.concatenate(part).tolist() for part in zip(*pairs, strict=True))
-    return list(zip(values, errors, strict=True))
-
-
-def _with_error(value: float, error: float) -> str:
-    """Return a figure and its error, rounded to the second digit of the error.
-
-    >>> _with_error(0.0123456, 0.00012), _with_error(1.0, 0.0), _with_error(12345.6, 210)
-    ('0.01235 ± 0.00012', '1', '12350 ± 210')
+    The first sentence says whether the errors are as large as the sender states.
     """
-    if not error:
-        return f"{value:g}"
-    digits = 1 - int(np.floor(np.log10(error)))
-    places = max(digits, 0)
-    return f"{round(value, digits):.{places}f} ± {round(error, digits):.{places}f}"
+    consistency = consistency_of(accuracy)
+    blank = [""] * (len(PLACES) + 1)
+    rows = [["error", "", *(f"{x} m" for x in PLACES), "whole line"]]
+    for quantity, (heading, factor) in _SHOWN.items():
+        columns = accuracy.errors[quantity].shape[1]
+        found = [accuracy.figures(quantity, i) for i in range(columns)]
+        for k, name in enumerate(("rms", "95 %", "max")):
+            cells = [f"{one[name] * factor:.3g}" if one["n"] else "-" for one in found]
+            cells = [*cells, ""] if columns > 1 else [*blank[:-1], *cells]
+            rows.append([heading if not k else "", name, *cells])
+    rows.append(["lines", "", *(str(accuracy.figures("lateral", i)["n"]) for i in range(4)), ""])
+    rows[-1][-1] = str(accuracy.figures("absolute", 0)["n"])
+    verdicts = [["requirement of the survey", "", *(f"{x} m" for x in PLACES), "whole line"]]
+    for requirement in REQUIREMENTS:
+        met = [
+            {True: "met", False: "missed", None: "-"}[m] for m in accuracy.met(requirement).values()
+        ]
+        cells = [*met, ""] if len(met) > 1 else [*blank[:-1], *met]
+        verdicts.append([requirement.quantity, requirement.source, *cells])
+    return "\n".join(
+        [
+            *([] if consistency is None else [consistency.text(accuracy), ""]),
+            f"{accuracy.received} lines received, {accuracy.lines} compared with the truth, "
+            f"{accuracy.saturated} of these saturated; not compared: {accuracy.not_usable} too old "
+            f"or out of range, {accuracy.other_lane} while the car was on another lane than it "
+            f"believed, {accuracy.unknown} without a true line",
+            "",
+            aligned(rows, left=2),
+            "",
+            aligned(verdicts, left=2),
+            "",
+            "A requirement is met if 95 % of the errors are within it. Absolute: largest deviation "
+            "of a line\nfrom the true one; relative: after both are aligned (EDMap). Curvature: "
+            f"lines of radii up to {1 / MIN_CURVATURE:g} m.",
+        ]
+    )

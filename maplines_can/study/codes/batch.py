@@ -8,9 +8,9 @@ from typing import final
 import numpy as np
 
 from ...wire.covariance.code import Array, CovarianceCode
-from ...wire.message.layout import Layout
-from ...wire.message.requirements import POSITIVE, QUANTITY, Requirement, check, holds
-from ...wire.message.signals import Signal
+from ...wire.layout.message_layout import Layout
+from ...wire.layout.requirements import POSITIVE, QUANTITY, Requirement, check, holds
+from ...wire.layout.signals import Signal
 
 
 class BatchCode(CovarianceCode):

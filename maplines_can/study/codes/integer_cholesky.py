@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...wire.covariance.code import Array, Coded, check_octaves
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
 #: States in the order of the factor, and the unit of each.
@@ -24,7 +24,7 @@ UNIT = np.array([2.0**-8, 2.0**-12, 2.0**-14, 2.0**-16])
 MARGIN = 1e-6
 TRIES = 24
 #: Least squared pivot of a factor, relative to the diagonal element of its row.
-LEAST_PIVOT = 8 * np.finfo(float).eps
+MIN_PIVOT = 8 * np.finfo(float).eps
 
 
 def entry_name(i: int, j: int) -> str:
@@ -131,7 +131,7 @@ def _factors(M: Array) -> Array:
         for j in range(i):
             L[:, i, j] = (M[:, i, j] - (L[:, i, :j] * L[:, j, :j]).sum(axis=1)) / L[:, j, j]
         pivot = M[:, i, i] - (L[:, i, :i] ** 2).sum(axis=1)
-        L[:, i, i] = np.sqrt(np.maximum(pivot, LEAST_PIVOT * M[:, i, i]))
+        L[:, i, i] = np.sqrt(np.maximum(pivot, MIN_PIVOT * M[:, i, i]))
     return L
 
 

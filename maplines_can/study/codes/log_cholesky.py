@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...wire.covariance.code import Array, Coded, CovarianceCode, nearest_raw
 from ...wire.covariance.factor import CholeskyFactor
-from ...wire.message.layout import Layout
+from ...wire.layout.message_layout import Layout
 
 
 class LogCholesky(CovarianceCode):

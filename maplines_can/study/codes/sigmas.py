@@ -12,10 +12,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import VAGUE_SIGMA, Status
+from ...values.line import VAGUE_SIGMA, Status
 from ...wire.covariance.code import Array, Coded, CovarianceCode, check_octaves, nearest_raw
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import Signal
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.signals import Signal
 from .batch import BatchCode, check_linear
 
 

@@ -16,9 +16,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import LayoutError
+from ...values.errors import LayoutError
 from ...wire.covariance.code import Array, Coded, nearest_raw
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from .batch import BatchCode, check_linear
 
 #: The upper triangle, row by row, as in the paper.

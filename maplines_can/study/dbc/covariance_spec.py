@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from ...wire.message.layout import PARAMETER_SIGNALS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from ..codes.integer_cholesky import ORDER, entry_name
 from ..codes.triangle import PAIRS, half_name, triangle_name
 from .dbc_writer import SignalSpec
@@ -20,9 +20,9 @@ _UNIT_OF_ROW = {
     "Heading": "rad",
 }
 #: Largest standard deviations of the linear codes: a street turn with 10 deg of heading.
-LARGEST_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
+MAX_SIGMA = (4.0, 0.25, 0.0625, 0.015625)
 #: log2 of the smallest standard deviation [octave], usually half a step of the mean.
-LEAST_OCTAVES = (-12.0, -18.0, -24.0, -32.0)
+MIN_OCTAVES = (-12.0, -18.0, -24.0, -32.0)
 
 
 def covariance_signals(code: str, finer_bits: int = 0) -> tuple[SignalSpec, ...]:
@@ -171,10 +171,10 @@ def _integer_entries() -> Iterator[SignalSpec]:
 
 def _linear_triangle() -> Iterator[SignalSpec]:
     for i, j in PAIRS:
-        first, second = (f"{LARGEST_SIGMA[k]:g} {UNITS[k]}" for k in (i, j))
+        first, second = (f"{MAX_SIGMA[k]:g} {UNITS[k]}" for k in (i, j))
         yield SignalSpec(
             name=triangle_name(i, j), bits=16,
-            factor=LARGEST_SIGMA[i] * LARGEST_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
+            factor=MAX_SIGMA[i] * MAX_SIGMA[j] * 2.0 ** (-16 if i == j else -15),
             unit=f"{UNITS[i]} {UNITS[j]}", signed=i != j,
             about=f"Covariance of {PARAMETER_SIGNALS[i]} and {PARAMETER_SIGNALS[j]}.",
             why=f"up to sigmas of {first} and {second}")
@@ -195,7 +195,7 @@ def _float_triangle(bits: int) -> Iterator[SignalSpec]:
 
 
 def _sigmas() -> Iterator[SignalSpec]:
-    for state, unit, least in zip(PARAMETER_SIGNALS, UNITS, LEAST_OCTAVES, strict=True):
+    for state, unit, least in zip(PARAMETER_SIGNALS, UNITS, MIN_OCTAVES, strict=True):
         yield SignalSpec(
             name=f"Sigma{state}", bits=8, factor=0.0625 if least > -20 else 0.109375, offset=least,
             unit="octave",

@@ -15,15 +15,15 @@ from cantools.database.can.formats.dbc.dbc_attribute import DbcAttribute
 from cantools.database.can.formats.dbc.dbc_attribute_definition import DbcAttributeDefinition
 from cantools.database.can.formats.dbc.dbc_specifics import DbcSpecifics
 
-from ...line import Slot
-from ...wire.message.layout import SECURED_SIGNALS, fd_length, slot_title
+from ...values.line import Slot
+from ...wire.layout.message_layout import SECURED_SIGNALS, fd_length, slot_title
 from .record_pages import PAGE_BYTES, RecordPages, SignalSpec, dbc_signal
 
 __all__ = ["TRANSFER_ID_BITS", "DbcWriter", "PoseSpec", "SignalSpec", "paged"]
 
 TRANSFER_ID_BITS = 4
 #: Largest payload of CAN FD; a longer record has no FD message [byte].
-LARGEST_FD_PAYLOAD = 64
+MAX_FD_PAYLOAD = 64
 
 
 # fmt: off
@@ -170,7 +170,7 @@ class DbcWriter:
             f"{optional}."
         )
         yield self._message(name, can_id, PAGE_BYTES, record.paged(), about, attributes)
-        if size <= LARGEST_FD_PAYLOAD:
+        if size <= MAX_FD_PAYLOAD:
             about = f"{what}: the pages of {name} laid end to end."
             signals, length = record.end_to_end(), fd_length(size)
             yield self._message(f"{name}Fd", fd_can_id, length, signals, about, attributes, True)

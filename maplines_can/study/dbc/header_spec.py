@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...line import Kind
+from ...values.line import Kind
 from .record_pages import SignalSpec
 
 # fmt: off

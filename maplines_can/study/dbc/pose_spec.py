@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
-from ...line import Slot
-from ...wire.message.layout import slot_title
+from ...values.line import Slot
+from ...wire.layout.message_layout import slot_title
 from .covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from .dbc_writer import DbcWriter, PoseSpec
 from .header_spec import AGE, CRC, KIND

@@ -10,7 +10,7 @@ from typing import Any
 from cantools.database.can import Signal
 from cantools.database.conversion import BaseConversion
 
-from ...wire.message.layout import PAGE, PAGE_BYTES, TRANSFER_ID
+from ...wire.layout.message_layout import PAGE, PAGE_BYTES, TRANSFER_ID
 
 __all__ = ["PAGE_BYTES", "RecordPages", "SignalSpec", "dbc_signal"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ...line import Status
+from ...values.line import Status
 from ..codes import CODES
 from .covariance_spec import covariance_signals
 from .dbc_writer import DbcWriter, SignalSpec, paged

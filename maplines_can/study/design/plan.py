@@ -8,14 +8,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import PARAMETERS
-from ...wire.message.layout import PARAMETER_SIGNALS
+from ...values.line import PARAMETERS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from .sensitivity import Width, inflation_width
 
 Array = NDArray[np.float64]
 
 #: The longest record that also fits into a CAN FD frame.
-MOST_FRAMES = 8
+MAX_FRAMES = 8
 INFLATION = "Inflation"
 
 
@@ -49,9 +49,9 @@ class Targets:
     def __post_init__(self) -> None:
         if self.frames is None and self.max_kl is None:
             raise ValueError("frames or max_kl must be given: the length of a line, or its KL")
-        if self.frames is not None and self.frames not in range(1, MOST_FRAMES + 1):
+        if self.frames is not None and self.frames not in range(1, MAX_FRAMES + 1):
             raise ValueError(
-                f"frames must be from 1 to {MOST_FRAMES}, as one CAN FD frame holds, "
+                f"frames must be from 1 to {MAX_FRAMES}, as one CAN FD frame holds, "
                 f"got {self.frames!r}"
             )
         for name in ("max_kl", "max_lateral", "max_saturated"):

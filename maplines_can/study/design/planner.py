@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import PARAMETERS, lateral_jacobian
-from ...wire.message.layout import PAGE_BYTES, PARAMETER_SIGNALS
+from ...values.line import PARAMETERS, lateral_jacobian
+from ...wire.layout.message_layout import PAGE_BYTES, PARAMETER_SIGNALS
 from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ..dbc.record_spec import SERVICE
@@ -45,7 +45,7 @@ ENDS_AIM = 0.5
 #: Lines of each set from which the blur is estimated.
 BLUR_ROWS = 1000
 #: Least relative improvement; smaller ones are noise of the set.
-LEAST_GAIN = 2e-3
+MIN_GAIN = 2e-3
 #: Error of the lateral position at 80 m on a straight line, per unit of each state.
 LEVERS = lateral_jacobian(np.zeros(4), np.array(80.0))
 
@@ -296,7 +296,7 @@ class Planner:
                 for move in self._with_bits(less, taker, 1)
             ]
             losses = [self.loss(move) for move in moves]
-            if min(losses, default=np.inf) > loss * (1 - LEAST_GAIN):
+            if min(losses, default=np.inf) > loss * (1 - MIN_GAIN):
                 return plan
             best = int(np.argmin(losses))
             plan, loss = moves[best], losses[best]

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from ...wire.message.layout import PARAMETER_SIGNALS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..text_table import aligned, markdown
 from .plan import Prediction, Targets

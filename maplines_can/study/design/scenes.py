@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import LayoutError
-from ...line import Slot
-from ...scene import Scene
+from ...values.errors import LayoutError
+from ...values.line import Slot
+from ...values.scene import Scene
 from ...wire import Codec
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import FINE, FINE_SIGNALS, OWN_SIGNALS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.signals import FINE, FINE_SIGNALS, OWN_SIGNALS
 from ..dbc.dbc_writer import DbcWriter, SignalSpec
 from ..dbc.pose_spec import CONDITIONAL, POSE
 from ..scenes.carriers import with_pose
@@ -33,7 +33,7 @@ from ..text_table import aligned
 #: Lines of a scene.
 LINES = 4
 #: Least bits of a field.
-LEAST_BITS = 2
+MIN_BITS = 2
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ def design_scenes(
             f"max_kl must be {best.kl_mean:.2g} nat or more, what the widths of maplines-pose.dbc "
             f"reach on these scenes, got {max_kl!r}; the frames of a line hold no more bits"
         )
-    total = sum(width - LEAST_BITS for width in bits.values())
+    total = sum(width - MIN_BITS for width in bits.values())
     # The cost of a bit hardly changes with the widths of other fields: it is measured again only
     # when the bit is about to be saved.
     costs = {name: _cost(bits, name, best, scenes) for name in bits}
@@ -222,7 +222,7 @@ def _scenes(n: int, seed: int) -> list[Scene]:
 
 def _cost(bits: Mapping[str, int], name: str, now: Figures, scenes: Sequence[Scene]) -> Cost:
     """Return what a bit less in a field changes."""
-    if bits[name] <= LEAST_BITS:
+    if bits[name] <= MIN_BITS:
         return Cost(math.nan, math.nan)
     try:
         fewer = figures_of({**bits, name: bits[name] - 1}, scenes)

@@ -15,21 +15,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...errors import LayoutError
-from ...line import Slot, Status
+from ...values.errors import LayoutError
+from ...values.line import Slot, Status
 from ...wire import Codec, Layout
-from ...wire.message.layout import PARAMETER_SIGNALS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road
-from .plan import MOST_FRAMES, Plan, Targets
-from .planner import ENDS_AIM, LEAST_GAIN, PRICES, Planner
+from .plan import MAX_FRAMES, Plan, Targets
+from .planner import ENDS_AIM, MIN_GAIN, PRICES, Planner
 from .result import Design, Figures
 
 #: Sets of lines to design for, by the name of the choice.
 SETS = {"paper": (paper,), "road": (road,), "both": (paper, road)}
 #: Fewer lines do not represent a set.
-LEAST_LINES = 100
+MIN_LINES = 100
 #: Number of orders of the rows that are measured.
 MEASURED = 3
 #: Fraction of the requested divergence to aim at, since the held-out lines are others.
@@ -76,9 +76,9 @@ def design(
     if held_out is None:
         held_out = {name: Gaussians(s.mean[1::2], s.cov[1::2]) for name, s in sets.items()}
         sets = {name: Gaussians(s.mean[::2], s.cov[::2]) for name, s in sets.items()}
-    if not sets or any(len(s.mean) < LEAST_LINES for s in (*sets.values(), *held_out.values())):
+    if not sets or any(len(s.mean) < MIN_LINES for s in (*sets.values(), *held_out.values())):
         raise ValueError(
-            f"sets must have {LEAST_LINES} lines or more for the search and for the figures"
+            f"sets must have {MIN_LINES} lines or more for the search and for the figures"
         )
     left = 1.0
 
@@ -91,7 +91,7 @@ def design(
 
     search = _Search(sets, targets, step)
     if targets.max_kl is None:
-        plan = search.best_in(targets.frames or MOST_FRAMES).plan
+        plan = search.best_in(targets.frames or MAX_FRAMES).plan
     else:
         plan = search.least(targets.max_kl)
     planner = search.planner
@@ -161,7 +161,7 @@ class _Search:
 
     def least(self, max_kl: float) -> Plan:
         """Return the plan with the fewest bits that meets the divergence."""
-        cap, enough = self._targets.frames or MOST_FRAMES, AIM * max_kl
+        cap, enough = self._targets.frames or MAX_FRAMES, AIM * max_kl
         few = range(1, cap)
         frames = bisect_left(few, -enough, key=lambda n: -self._predicted(self.planner.room(n))) + 1
         while (best := self.best_in(frames, enough)).kl > max_kl and frames < cap:
@@ -188,7 +188,7 @@ class _Search:
 
     def _enough(self, room: int, enough: float) -> Plan | None:
         """Return a plan in a number of bits that meets the divergence, if one is found."""
-        frames = next(n for n in range(1, MOST_FRAMES + 1) if self.planner.room(n) >= room)
+        frames = next(n for n in range(1, MAX_FRAMES + 1) if self.planner.room(n) >= room)
         found = self._best(room, frames, enough)
         return found.plan if found is not None and found.kl <= enough else None
 
@@ -232,7 +232,7 @@ class _Search:
         while best is not None and best.kl > enough:
             for plan in self.planner.neighbours(best.plan):
                 other = self._measured(plan, frames)
-                if other is not None and other.loss < best.loss * (1 - LEAST_GAIN):
+                if other is not None and other.loss < best.loss * (1 - MIN_GAIN):
                     best = other
                     break
             else:

@@ -38,7 +38,7 @@ STEPS = np.outer(2.0 ** np.arange(-24, 4), (1.0, 1.25, 1.5, 1.75)).ravel()
 #: Places of zero in a ratio's range: eighths of it.
 ZEROS = np.arange(1, 8) / 8
 #: Least distance of both ends of a ratio's range from zero.
-LEAST_END = 1.0
+MIN_END = 1.0
 #: Largest ratios of unseen lines over the outermost ones of the set.
 UNSEEN = 2.0
 #: Number of sampled roundings.
@@ -163,7 +163,7 @@ class RatioSpread:
         """Return loss, beyond and beyond_loss; the loss of a too narrow range is infinite."""
         beyond_loss, beyond = _beyond(self._all, low, high)
         loss = RATIO_WEIGHT * factor**2 / 24 + beyond_loss + price * beyond
-        return np.where(np.minimum(low, high) < LEAST_END, np.inf, loss), beyond, beyond_loss
+        return np.where(np.minimum(low, high) < MIN_END, np.inf, loss), beyond, beyond_loss
 
 
 def _ends(bits: int | Bits, factor: Array, zero: Array) -> tuple[Array, Array]:

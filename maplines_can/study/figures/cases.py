@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gaussian import Gaussian
-from ...line import Slot, lateral
-from ...polyline import to_ego
 from ...propagation import MonteCarlo, Refit, SigmaPoints
-from ...scenarios import Scenario
+from ...simulation.scenarios import Scenario
+from ...values.gaussian import Gaussian
+from ...values.line import Slot, lateral
+from ...values.polyline import to_ego
 from ..paper_refit import paper_refit
 from .panels import View
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import Kind
 from ...maps import Lane, LaneType, Map
+from ...values.line import Kind
 from .panels import new_figure
 
 #: Colours of the surfaces, and the types of lanes that have them. Later ones are drawn above.
@@ -65,7 +65,7 @@ BACKGROUND = "#f6f4ee"
 #: Size of the larger side of the overview, and of both sides of the detail [inch].
 OVERVIEW, DETAIL = 9.0, 7.0
 #: Least width of a picture without a detail [inch].
-LEAST_WIDTH = 7.0
+MIN_WIDTH = 7.0
 DPI = 200
 #: Side of the detail [m]. A smaller map has none.
 WINDOW = 260.0
@@ -74,7 +74,7 @@ ARROW_SPACING, ARROW_GAP, ARROW_SIZE = 0.6, 0.07, 0.045
 #: Their outline, for a size of 1.
 ARROW = np.array([[1.0, 0.0], [-0.8, 0.7], [-0.4, 0.0], [-0.8, -0.7]])
 #: Least and largest width of a boundary in the picture [pt].
-LEAST_STROKE, LARGEST_STROKE = 0.12, 1.6
+MIN_STROKE, MAX_STROKE = 0.12, 1.6
 
 
 def draw_map(found: Map, path: str | Path) -> None:
@@ -102,7 +102,7 @@ def draw_map(found: Map, path: str | Path) -> None:
     if has_detail:
         inches = width + DETAIL, max(height, DETAIL)
     else:
-        inches = max(width, LEAST_WIDTH), height
+        inches = max(width, MIN_WIDTH), height
     figure = new_figure(inches[0] + 1.0, inches[1] + 1.6)
     if has_detail:
         overview, detail = figure.subplots(1, 2, width_ratios=[width, DETAIL])
@@ -146,7 +146,7 @@ def _draw(
     bounds = {id(line): line for lane in lanes for line in (lane.left, lane.right)}
     every = [*bounds.values(), *found.polylines.values()]
     for kind, stroke in STROKES.items():
-        width = float(np.clip(stroke.width / point, LEAST_STROKE, LARGEST_STROKE))
+        width = float(np.clip(stroke.width / point, MIN_STROKE, MAX_STROKE))
         is_dashed = stroke.dashes is not None and stroke.dashes[0] / point > 1.0
         dashes = (0, tuple(d / point / width for d in stroke.dashes or ())) if is_dashed else "-"
         points = [line.points for line in every if line.kind is kind]

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import missing_extra
-from ...gaussian import Gaussian
-from ...line import lateral
+from ...values.errors import missing_extra
+from ...values.gaussian import Gaussian
+from ...values.line import lateral
 
 Array = NDArray[np.float64]
 LineStyle = str | tuple[float, tuple[float, ...]]

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import missing_extra
-from ...gaussian import Gaussian
-from ...line import lateral_jacobian
-from ...scenarios import SCENARIOS
+from ...simulation.scenarios import SCENARIOS
+from ...values.errors import missing_extra
+from ...values.gaussian import Gaussian
+from ...values.line import lateral_jacobian
 from ...wire import Codec
-from ..accuracy.approximations import Approximation, through_the_wire
+from ..claims.approximations import Approximation, through_the_wire
 from ..metrics import LATERAL_X
 from . import panels
 from .cases import LINES, SLOT, Case, case_of, close_up, view_of
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 #: Samples drawn as dots; more would hide each other.
 DOTS = 3000
 #: Fewer samples show no distribution.
-LEAST_SAMPLES = 100
+MIN_SAMPLES = 100
 #: Widths and heights [in]; left ends of the two columns.
 WIDTH, PANEL, HEAD, FOOT = 10.6, 4.6, 1.72, 0.72
 COLUMNS = (0.55, 5.7)
@@ -156,8 +156,8 @@ def draw_figures(
         import matplotlib as mpl
     except ImportError as error:
         raise missing_extra("figures need matplotlib", "plot") from error
-    if not samples >= LEAST_SAMPLES:
-        raise ValueError(f"samples must be {LEAST_SAMPLES} or more, got {samples!r}")
+    if not samples >= MIN_SAMPLES:
+        raise ValueError(f"samples must be {MIN_SAMPLES} or more, got {samples!r}")
     unknown = set(formats) - set(METADATA)
     if unknown:
         raise ValueError(f"formats must be of {', '.join(METADATA)}, got {sorted(unknown)}")

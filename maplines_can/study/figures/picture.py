@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...gaussian import Gaussian
-from ...line import MapLine
-from ...scenarios import Scenario
+from ...simulation.scenarios import Scenario
+from ...values.gaussian import Gaussian
+from ...values.line import MapLine
 from ..round_trip import RoundTrip
 from .panels import Z99, ellipse, new_figure
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ...simulation.camera_view import PLACES
 from ..figures.picture import COLOURS
-from .drive_view import PLACES
 from .variants import RIGHT
 
 #: Place of which the figures are drawn [m].

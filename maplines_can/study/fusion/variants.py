@@ -21,8 +21,8 @@ from ...consumers.lane_filter import (
     roots,
     squared_distance,
 )
-from .drive_view import PLACES
-from .simulation import MapFilter
+from ...simulation.camera import MapFilter
+from ...simulation.camera_view import PLACES
 
 Array = NDArray[np.float64]
 

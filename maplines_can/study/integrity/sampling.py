@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
-from ...line import lateral, transform_line_or_nan
-from ..fusion.drive_view import PLACES, DriveView
-from ..fusion.simulation import Errors
+from ...simulation.camera import Errors
+from ...simulation.camera_view import PLACES, DriveView
+from ...values.line import lateral, transform_line_or_nan
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from ..fusion.drive_view import PLACES
+from ...simulation.camera_view import PLACES
 
 Array = NDArray[np.float64]
 

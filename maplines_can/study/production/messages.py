@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...line import PARAMETERS
+from ...values.line import PARAMETERS
 from ...wire import Layout
-from ...wire.message.layout import PARAMETER_SIGNALS
-from ...wire.message.signals import Signal
+from ...wire.layout.message_layout import PARAMETER_SIGNALS
+from ...wire.layout.signals import Signal
 from ..dbc.covariance_spec import covariance_signals
 
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...line import PARAMETERS, lateral, lateral_jacobian
+from ...values.line import PARAMETERS, lateral, lateral_jacobian
 from ..metrics import evaluate
 from ..sets import Gaussians, paper, road
 from .messages import PRODUCTION, Message, default_message

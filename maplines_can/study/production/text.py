@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...line import PARAMETERS
-from ...wire.message.signals import Signal
+from ...values.line import PARAMETERS
+from ...wire.layout.signals import Signal
 from ..text_table import aligned, csv_text, markdown
 from .messages import Message
 from .rounding import DISTANCES, KL_QUANTILES, Row

@@ -11,7 +11,7 @@ from bokeh.models import ColumnDataSource, FactorRange, Range1d
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from ...line import Status, lateral, lateral_jacobian
+from ...values.line import Status, lateral, lateral_jacobian
 from ..metrics import LATERAL_X
 from .drawing import BLUE, VERMILLION, add_hover, clip, draw_rule, new_plot, set_options
 from .tables import SUMMARY, Row, Tables, number, percent, with_error

@@ -6,12 +6,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ...errors import missing_extra
+from ...values.errors import missing_extra
 from ..codes import CODES
 from ..metrics import LATERAL_X
 from ..scenes.table import HEAD, cells_of
 from .tables import (
-    LARGEST_KL,
+    MAX_KL,
     SUMMARY,
     Row,
     Tables,
@@ -106,7 +106,7 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         "lateral_x": [f"{x:g}" for x in LATERAL_X],
         "not_definite": NOT_DEFINITE,
         "saturation": SATURATION,
-        "largest_kl": LARGEST_KL,
+        "largest_kl": MAX_KL,
         "scene_heads": HEAD,
         "scene_cells": cells_of,
     }

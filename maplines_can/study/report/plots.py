@@ -25,7 +25,7 @@ from .drawing import (
     set_ticks,
     ticks,
 )
-from .tables import LARGEST_KL, SUMMARY, Row, Tables, number, percent, share, with_error
+from .tables import MAX_KL, SUMMARY, Row, Tables, number, percent, share, with_error
 
 Looks = Mapping[str, Look]
 
@@ -41,7 +41,7 @@ ABOVE: dict[str, Any] = {"angle": math.pi / 2, "x_offset": 5, "y_offset": -8}
 LEFT_OUT = 0.01
 #: Ratios of sigmas that are marked on the axis, and the largest one on it.
 RATIOS = (0.5, 0.9, 0.98, 1, 1.02, 1.1, 1.5, 3, 10, 30)
-LARGEST_RATIO = 30.0
+MAX_RATIO = 30.0
 #: Name of the only curve if all codes give the same: they share the mean.
 ALL_CODES = "all codes"
 
@@ -148,7 +148,7 @@ def _draw_limit(plot: figure, tables: Tables, set_: str, low: float) -> None:
     rows = tables.limit_of(set_)
     if len(rows) < 2:
         return
-    kl = [low, *(row["kl"] for row in rows), LARGEST_KL]
+    kl = [low, *(row["kl"] for row in rows), MAX_KL]
     bits = [tables.limit_bits(set_, each) or 0.0 for each in kl]
     bias = max(0.0, *(row["bias_bits"] for row in rows))
     plot.harea(x1=[max(0.0, b - bias) for b in bits], x2=bits, y=kl, alpha=0.25, color=LIMIT)
@@ -201,7 +201,7 @@ def sigma_ratio_plot(tables: Tables, set_: str, looks: Looks) -> figure:
     """Plot decoded over true sigma of l(x) along x: median, whiskers from least to 99 %."""
     shown = [row for name in tables.sets for row in tables.shipped_of(name)]
     seen = [row[f"sigma_ratio_p99_{x:g}"] for row in shown for x in LATERAL_X]
-    most = min(LARGEST_RATIO, max([2.0, *(ratio for ratio in seen if math.isfinite(ratio))]))
+    most = min(MAX_RATIO, max([2.0, *(ratio for ratio in seen if math.isfinite(ratio))]))
     more = _stretched(most) + 1.0  #: place of a larger ratio
     none = _stretched(0) - 1.0  #: place of a ratio that does not exist: a variance is negative
     y_range = Range1d(start=none - 0.5, end=more + 0.6)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import StudyError, missing_extra
+from ...values.errors import StudyError, missing_extra
 from ..codes import CODES
 from ..metrics import LATERAL_X
 
@@ -25,7 +25,7 @@ SUMMARY = {
     "kl_untouched_mean": "KL of the true Gaussian, mean",
 }
 #: The rate-distortion limit is an approximation for high rates, and does not hold for a larger KL.
-LARGEST_KL = 0.1
+MAX_KL = 0.1
 #: The columns that the report reads from each table.
 COLUMNS: dict[str, list[str]] = {
     "summary": [
@@ -105,11 +105,11 @@ class Tables:
     def limit_bits(self, set_: str, kl: float) -> float | None:
         """Return the bits of the covariance at the limit.
 
-        The table is interpolated and extrapolated linearly in log KL, up to ``LARGEST_KL``.
+        The table is interpolated and extrapolated linearly in log KL, up to ``MAX_KL``.
         Return None above it, and if the limit or the KL is not known.
         """
         rows = self.limit_of(set_)
-        if len(rows) < 2 or not 0 < kl <= LARGEST_KL:
+        if len(rows) < 2 or not 0 < kl <= MAX_KL:
             return None
         before = [i for i, row in enumerate(rows) if row["kl"] <= kl]
         i = min(before[-1] if before else 0, len(rows) - 2)

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from ...line import Status, lateral_jacobian
-from ...scene import Scene
+from ...values.line import Status, lateral_jacobian
+from ...values.scene import Scene
 from ...wire import Codec, PreparedScene
 from ...wire.covariance.scene_code import RESOLUTION
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
-from ...wire.message.signals import FINE_SIGNALS, OWN_SIGNALS
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS
 from ..codes import CODES
 from ..dbc.pose_spec import CONDITIONAL
 from ..dbc.record_spec import DEFAULT, dbc_writer_for

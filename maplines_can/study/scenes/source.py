@@ -25,13 +25,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...gaussian import Gaussian, block_diagonal
-from ...line import Slot, lateral_jacobian, line_of_cubic
-from ...polyline import Polyline
 from ...propagation import MapError, map_scene
-from ...scene import Scene
-from ...seen_lines import SeenLines, bases
-from ...street_shapes import Piece, Street
+from ...simulation.street_shapes import Piece, Street
+from ...values.gaussian import Gaussian, block_diagonal
+from ...values.line import Slot, lateral_jacobian, line_of_cubic
+from ...values.polyline import Polyline
+from ...values.scene import Scene
+from ...values.seen_lines import SeenLines, bases
 from ..sweep.limit import Limit
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from .source import information, joint_limit, random_scene
 Row = dict[str, Any]
 
 #: The limit holds at high rates only: at this many bits for each parameter and more.
-LEAST_RATE = 1.0
+MIN_RATE = 1.0
 
 
 def chunk(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def figures(code: str, lines: int, scenes: Sequence[Row], informations: np.ndarr
     if kl > 0:
         limit = joint_limit(informations, kl)
         bits = float(limit.bits(kl))
-        if bits >= LEAST_RATE * limit.dimension:
+        if bits >= MIN_RATE * limit.dimension:
             row |= {"limit_kl": kl, "limit_bits": bits, "limit_se_bits": limit.entropy_se_bits}
             row |= {"limit_dimension": limit.dimension, "over_bits": row["joint_bits"] - bits}
     return row

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ...errors import StudyError
+from ...values.errors import StudyError
 
 
 class StudyDirectory:

@@ -20,7 +20,7 @@ from itertools import islice
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any, NamedTuple
 
-from ...errors import StudyError, missing_extra
+from ...values.errors import StudyError, missing_extra
 
 #: Number of times in a row that a process may die before the study is given up.
 DEATHS = 3

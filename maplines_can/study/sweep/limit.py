@@ -47,7 +47,7 @@ BLOCK = 1024
 #: Least eigenvalue of a correlation matrix whose coordinates are independent.
 COLLINEAR = 1e-9
 #: Sources that fill their n dimensions are estimated at 0.9 n and more, surfaces at 0.8 n.
-LEAST_DIMENSION = 0.85
+MIN_DIMENSION = 0.85
 
 
 @dataclass(frozen=True)
@@ -177,7 +177,7 @@ def limit_of(
     se = np.sqrt((batches.var(ddof=1) + np.var(error_batches, ddof=1)) / BATCHES)
     local_dimension = n * filled / normal_filled
     caveat = ""
-    if local_dimension < LEAST_DIMENSION * n:
+    if local_dimension < MIN_DIMENSION * n:
         caveat = (
             f"the samples fill about {local_dimension:.1f} of {n} dimensions: the true bound is "
             "lower, and rises more slowly as KL falls"

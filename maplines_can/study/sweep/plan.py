@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import StudyError
-from ...line import Slot
+from ...values.errors import StudyError
+from ...values.line import Slot
 from ...wire import Codec
-from ...wire.message.layout import PARAMETER_SIGNALS, Layout
+from ...wire.layout.message_layout import PARAMETER_SIGNALS, Layout
 from ..codes import CODES
 from ..dbc.covariance_spec import covariance_signals
 from ..dbc.record_spec import dbc_writer_for

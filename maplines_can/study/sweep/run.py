@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from ..parquet_files import arrow
+from ...simulation.parquet_files import arrow
 from .directory import StudyDirectory
 from .engines import in_processes, in_this_process, on_dask
 from .plan import Study

@@ -13,10 +13,10 @@ from math import isnan
 from textwrap import indent
 from typing import Any
 
-from ...line import Status
+from ...simulation.parquet_files import arrow
+from ...values.line import Status
 from ..codes import CODES
 from ..metrics import LATERAL_X, Figure, Score
-from ..parquet_files import arrow
 from ..scenes import table as scene_table
 from ..sets import LineSet
 from ..text_table import aligned

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import Status
+from ...values.line import Status
 from ...wire.covariance.cholesky import CholeskyCode
-from ...wire.message.packing import Packing
+from ...wire.layout.packing import Packing
 from ..metrics import Figure, Score, evaluate, kl_terms
 from ..sets import Chunk, Gaussians
 from .engines import Result, Task

@@ -25,8 +25,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..message.record_layout import RecordLayout
-from ..message.signals import PARAMETER_SIGNALS
+from ..layout.record_layout import RecordLayout
+from ..layout.signals import PARAMETER_SIGNALS
 from .code import Array, Coded, CovarianceCode, check_octaves
 from .factor import BLOCK, CholeskyFactor, exp2_table, lookup, lookup_one
 

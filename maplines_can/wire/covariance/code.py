@@ -10,11 +10,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import Status
-from ..message.layout import Layout
-from ..message.record_layout import RecordLayout
-from ..message.requirements import POSITIVE, QUANTITY, Requirement, check, unit
-from ..message.signals import Signal
+from ...values.line import Status
+from ..layout.message_layout import Layout
+from ..layout.record_layout import RecordLayout
+from ..layout.requirements import POSITIVE, QUANTITY, Requirement, check, unit
+from ..layout.signals import Signal
 
 Array = NDArray[np.float64]
 #: Greatest exponent of 2 that a signal may hold, so that squares and products of four are finite.

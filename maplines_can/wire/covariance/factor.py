@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import LayoutError
-from ..message.record_layout import RecordLayout
-from ..message.requirements import POSITIVE, QUANTITY, check, unit
-from ..message.signals import PARAMETER_SIGNALS, Signal
+from ...values.errors import LayoutError
+from ..layout.record_layout import RecordLayout
+from ..layout.requirements import POSITIVE, QUANTITY, check, unit
+from ..layout.signals import PARAMETER_SIGNALS, Signal
 from .code import Array, check_octaves
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
 BLOCK = 2048
 #: Largest condition number of a decoded correlation matrix that double precision holds.
-LARGEST_CONDITION = 1e13
+MAX_CONDITION = 1e13
 #: Requirements of a ratio; beyond them, ``_largest_condition`` bounds all ratios together.
 RATIO = (*QUANTITY, POSITIVE, unit("1", "-"))
 
@@ -70,7 +70,7 @@ class CholeskyFactor:
         check_octaves(layout, self.pivots)
         for ratio in chain(*self.ratios):
             check(ratio, RATIO, layout.source)
-        if (condition := self._largest_condition()) > LARGEST_CONDITION:
+        if (condition := self._largest_condition()) > MAX_CONDITION:
             raise LayoutError(
                 f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "
                 f"matrix could have the condition number {condition:.0e}, too large for double "

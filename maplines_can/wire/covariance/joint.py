@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...gaussian import block_diagonal, diagonal_blocks
+from ...values.gaussian import block_diagonal, diagonal_blocks
 from .code import Array
 
 #: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's

@@ -13,14 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...line import PARAMETERS
-from ...seen_lines import NODES
-from ..message.signals import Signal
+from ...values.line import PARAMETERS
+from ...values.seen_lines import NODES
+from ..layout.signals import Signal
 from .code import Array
 
 #: Largest deviation of such a line from the given one in its range [m]: as much as a cubic may
 #: deviate from the line of the map.
-MOST_DEVIATION = 0.1
+MAX_DEVIATION = 0.1
 #: Factor by which a range is shortened towards the car, until the deviation is that small, and the
 #: most times.
 SHORTER, TRIALS = 0.8, 24
@@ -38,7 +38,7 @@ class NearestLine(NamedTuple):
     """A line within the ranges of a message."""
 
     mean: Array  #: (4,)
-    x_range: Array  #: (2,) where it deviates by at most ``MOST_DEVIATION`` [m]
+    x_range: Array  #: (2,) where it deviates by at most ``MAX_DEVIATION`` [m]
 
 
 def nearest_line(
@@ -81,7 +81,7 @@ def nearest_line(
         A = np.vander(x, len(PARAMETERS), increasing=True) / [1, 1, 2, 6] * scale
         y = A @ (line / scale)
         found = lsq_linear(A, y, (bounds.T / scale), method="bvls").x
-        if np.abs(A @ found - y).max() <= MOST_DEVIATION:
+        if np.abs(A @ found - y).max() <= MAX_DEVIATION:
             found = (found * scale).clip(*bounds.T)
             found[1] = np.arctan(found[1])
             return NearestLine(found, np.array([low, high]))

@@ -24,9 +24,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from ...seen_lines import NODES, SHAPE, bases
-from ..message.requirement import OCTAVE
-from ..message.signals import Signal
+from ...values.seen_lines import NODES, SHAPE, bases
+from ..layout.requirement import OCTAVE
+from ..layout.signals import Signal
 from .code import Array
 from .joint import divergence, largest_ratio
 

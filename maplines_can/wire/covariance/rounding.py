@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..message.signals import Signal
+from ..layout.signals import Signal
 from .code import Array
 
 #: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.

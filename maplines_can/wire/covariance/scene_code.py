@@ -25,18 +25,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import IllPosedError
-from ...gaussian import block_diagonal
-from ...line import Slot
-from ...seen_lines import SeenLines, bases
-from ..message.record_layout import RecordLayout
-from ..message.signals import (
-    FINE_SIGNALS,
-    PARAMETER_SIGNALS,
-    POSE_ROWS,
-    SLOT_SIGNALS,
-    slot_title,
-)
+from ...values.errors import IllPosedError
+from ...values.gaussian import block_diagonal
+from ...values.line import Slot
+from ...values.seen_lines import SeenLines, bases
+from ..layout.record_layout import RecordLayout
+from ..layout.signals import FINE_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, SLOT_SIGNALS, slot_title
 from .cholesky import CholeskyCode
 from .code import Array
 from .own_levels import OwnLevels

@@ -25,12 +25,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import EncodeError, IllPosedError
-from ...gaussian import block_diagonal, diagonal_blocks
-from ...line import LeftOut
-from ...scene import Scene
-from ...seen_lines import SeenLines, bases
-from ..message.signals import Signal
+from ...values.errors import EncodeError, IllPosedError
+from ...values.gaussian import block_diagonal, diagonal_blocks
+from ...values.line import LeftOut
+from ...values.scene import Scene
+from ...values.seen_lines import SeenLines, bases
+from ..layout.signals import Signal
 from .cholesky import CholeskyCode
 from .code import Array
 from .joint import divergence, largest_ratio, positive_part, uncovered
@@ -53,7 +53,7 @@ FIRST_SHARE = 0.5
 #: Largest standard deviation of a line that is encoded: no D_i covers more, and none overflows.
 LARGEST = 1e50
 #: Least valid range of a line of which a part is sent [m].
-LEAST_RANGE = 1.0
+MIN_RANGE = 1.0
 Mask = NDArray[np.bool_]
 
 
@@ -242,7 +242,7 @@ class SceneEncoder:
         for i in np.flatnonzero(seen & ~within):
             line, fit_range = scene.lines[i], scene.fit_ranges[i]
             room = max(line.x_min - fit_range[0], 0.0) + max(fit_range[1] - line.x_max, 0.0)
-            least[i] = LEAST_RANGE + room
+            least[i] = MIN_RANGE + room
             near = nearest_line(self._code.mean, means[i], fit_range, least[i], self._reach)
             if near is None:
                 left_out[int(i)] = LeftOut.MEAN

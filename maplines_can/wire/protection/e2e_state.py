@@ -13,8 +13,8 @@ from enum import IntEnum
 #: Counter modulus of profile 5.
 COUNTERS = 256
 #: Greatest step of the counter; a larger one may as well be a step back.
-LONGEST_DELTA = COUNTERS // 2 - 1
-LONGEST_WINDOW = 255
+MAX_DELTA = COUNTERS // 2 - 1
+MAX_WINDOW = 255
 
 
 class ProfileStatus(IntEnum):
@@ -92,7 +92,7 @@ got 9 + 2 > 10
         for name in (field.name for field in fields(self) if field.name != "clear_to_invalid"):
             value = getattr(self, name)
             least = 0 if name.startswith("max_error") else 1
-            most = LONGEST_DELTA if name == "max_delta_counter" else LONGEST_WINDOW
+            most = MAX_DELTA if name == "max_delta_counter" else MAX_WINDOW
             if not (isinstance(value, int) and least <= value <= most):
                 raise ValueError(
                     f"{name} must be a whole number from {least} to {most}, got {value!r}"

@@ -6,12 +6,12 @@ import hmac
 import re
 from typing import Any
 
-from ...errors import KeyMaterialError, missing_extra
+from ...values.errors import KeyMaterialError, missing_extra
 
 #: Bytes of the secrets of AES-128 and AES-256.
 SECRET_BYTES = (16, 32)
 #: An integer of at least this magnitude may be a secret.
-LEAST_SECRET_NUMBER = 2**64
+MIN_SECRET_NUMBER = 2**64
 
 
 def shown(value: object) -> str:
@@ -20,7 +20,7 @@ def shown(value: object) -> str:
     >>> shown(300), shown(-0.5), shown(None), shown("2b7e1516"), shown(2**100)
     ('300', '-0.5', 'None', 'a str', 'an int of 101 bits')
     """
-    if isinstance(value, int) and abs(value) >= LEAST_SECRET_NUMBER:
+    if isinstance(value, int) and abs(value) >= MIN_SECRET_NUMBER:
         return f"an int of {value.bit_length()} bits"
     return repr(value) if isinstance(value, int | float | None) else f"a {type(value).__name__}"
 
@@ -46,8 +46,8 @@ class Key:
     >>> Key.from_hex("00ff", source="the file")
     Traceback (most recent call last):
     ...
-    maplines_can.errors.KeyMaterialError: the file must hold 32 or 64 hex digits (AES-128 or \
-AES-256), got 4 characters
+    maplines_can.values.errors.KeyMaterialError: the file must hold 32 or 64 hex digits (AES-128 \
+or AES-256), got 4 characters
     """
 
     __slots__ = ("_base", "_check", "fingerprint", "key_id")

@@ -22,14 +22,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from ...errors import EncodeError, LayoutError
-from ..message.slot_messages import SecuredLayout
+from ...values.errors import EncodeError, LayoutError
+from ..layout.slot_messages import SecuredLayout
 from ..reasons import Reason
 from .key import Key, shown
 
 DATA_ID_BYTES, FRESHNESS_BYTES = 2, 8
 #: Greatest freshness value that a caller may pass, so that a reconstructed one fits 64 bits.
-MOST_FRESHNESS = 2**63 - 1
+MAX_FRESHNESS = 2**63 - 1
 #: Bytes of a complete freshness value, enough for 2283 years.
 WHOLE_FRESHNESS = 7
 
@@ -186,7 +186,7 @@ class Authenticator:
         if now is None:
             raise EncodeError("an authenticator that sends needs a clock, such as time.time_ns")
         freshness = max(self.last_sent + 1, now)
-        if freshness > MOST_FRESHNESS:
+        if freshness > MAX_FRESHNESS:
             raise EncodeError(f"freshness must be 2^63 - 1 us at most, got {freshness}")
         self.last_sent = freshness
         key = self._active
@@ -265,7 +265,7 @@ def _problem(clock: object, window_ns: object, not_before: object) -> str | None
             f"window_ns must be at least 1000 ns and finite, got {shown(window_ns)}; a second is "
             "1_000_000_000"
         )
-    if not (isinstance(not_before, int) and 0 <= not_before <= MOST_FRESHNESS):
+    if not (isinstance(not_before, int) and 0 <= not_before <= MAX_FRESHNESS):
         return (
             "not_before must be a whole number (int) from 0 to 2^63 - 1 us, got "
             f"{shown(not_before)}; take a stored last_sent, or a stored last accepted value"

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping
 
-from ...line import MapLine, Slot
-from ..message.layout import Layout
-from ..message.pose_records import ConditionalRecord
-from ..message.reader import DecodedRecord
+from ...values.line import MapLine, Slot
+from ..layout.message_layout import Layout
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
 from ..reasons import Reason
+from ..records.pose_records import ConditionalRecord
+from ..records.reader import DecodedRecord
 from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .scenes import ReceivedLine, ReceivedScene, SceneReceiver

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Generic, NamedTuple, TypeVar
 
-from ...line import Slot
+from ...values.line import Slot
 from ..reasons import Reason
 
 Pose = TypeVar("Pose")
@@ -23,7 +23,7 @@ MIXTURE_WINDOW = (0.5, 1.5)
 #: the time in which the rest of a record may arrive.
 HOLD_CYCLES, KEEP_CYCLES = 3.0, 5.0
 #: Most epochs that are kept.
-MOST_EPOCHS = 8
+MAX_EPOCHS = 8
 #: Intervals between pose errors whose median is the cycle of a sender that is fast.
 INTERVALS = 5
 
@@ -86,7 +86,7 @@ class EpochAssembler(Generic[Pose, Line]):
     is lost does not shorten the wait of the next epoch.
 
     If the sender is faster than ``cycle_ns``, the window shrinks with the median time between pose
-    errors. Memory is bounded: one waiting line for each slot, the newest, and ``MOST_EPOCHS``.
+    errors. Memory is bounded: one waiting line for each slot, the newest, and ``MAX_EPOCHS``.
 
     Args:
         slot_bits: number of bits that a pose error states for each slot.
@@ -98,7 +98,7 @@ class EpochAssembler(Generic[Pose, Line]):
         self._moduli = {slot: 2**bits for slot, bits in slot_bits.items()}
         self._longest_cycle_ns = cycle_ns
         self._early, self._late = MIXTURE_WINDOW if has_mixtures else WINDOW
-        self._epochs: deque[Epoch[Pose, Line]] = deque(maxlen=MOST_EPOCHS)
+        self._epochs: deque[Epoch[Pose, Line]] = deque(maxlen=MAX_EPOCHS)
         self._waiting: dict[Slot, _Waiting[Line]] = {}
         self._since_ns: dict[Slot, int] = {}  # sequence break of a slot
         self._pose_ns: int | None = None  # time of the last pose error

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...line import Kind, MapLine, Slot, Status
-from ...mixture import GaussianMixture
-from ..message.reader import DecodedRecord
+from ...values.line import Kind, MapLine, Slot, Status
+from ...values.mixture import GaussianMixture
 from ..reasons import Reason
+from ..records.reader import DecodedRecord
 
 #: The status of a mixture is that of its worst component; from best to worst.
 SEVERITY = (

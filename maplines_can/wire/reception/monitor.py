@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from ...line import MapLine, Slot
-from ...scene import Scene
+from ...values.line import MapLine, Slot
+from ...values.scene import Scene
 from ..protection.e2e_state import E2EState, ProfileStatus
 from ..reasons import Reason
 from .decoder import Decoder

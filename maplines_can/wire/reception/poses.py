@@ -6,11 +6,11 @@ from collections import Counter
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
-from ..message.pose_layout import POSE, PoseLayout
-from ..message.pose_records import PoseRecord, PoseRecords
+from ..layout.pose_layout import POSE, PoseLayout
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
 from ..reasons import Reason
+from ..records.pose_records import PoseRecord, PoseRecords
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import takewhile
 from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
-from ...errors import LayoutError
-from ..message.packing import pieces_of
-from ..message.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
+from ...values.errors import LayoutError
+from ..layout.packing import pieces_of
+from ..layout.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 from ..reasons import Reason
 
 #: Owner of records, such as a slot, and decoded content of a record.

@@ -7,13 +7,13 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ...errors import IllPosedError
-from ...line import MapLine
-from ...scene import Scene
-from ..message.layout import Layout
-from ..message.pose_records import ConditionalRecord
-from ..message.scene_reader import Member, SceneReader
+from ...values.errors import IllPosedError
+from ...values.line import MapLine
+from ...values.scene import Scene
+from ..layout.message_layout import Layout
 from ..reasons import Reason
+from ..records.pose_records import ConditionalRecord
+from ..records.scene_reader import Member, SceneReader
 from .epochs import Epoch, EpochAssembler, Joined
 from .poses import PoseReceiver, ReceivedPose
 from .sequence import SequenceCheck

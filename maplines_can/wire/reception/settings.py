@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from ...arrays import number_text
-from ...line import Slot
-from ..message.layout import Layout
-from ..message.pose_layout import PoseLayout
-from ..message.record_layout import RecordLayout
-from ..message.signals import TRANSFER_ID
-from ..message.slot_messages import LONGEST_MS
+from ...values.arrays import number_text
+from ...values.line import Slot
+from ..layout.message_layout import Layout
+from ..layout.pose_layout import PoseLayout
+from ..layout.record_layout import RecordLayout
+from ..layout.signals import TRANSFER_ID
+from ..layout.slot_messages import MAX_MS
 from ..protection.e2e_state import E2EConfig
 from .deadline import GRACE_CYCLES
 
@@ -24,9 +24,9 @@ def decoder_settings(
 ) -> tuple[dict[Slot, int], dict[Slot, int], E2EConfig]:
     """Return time-outs [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
     for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
-        if value is not None and not 0 < value <= LONGEST_MS:
+        if value is not None and not 0 < value <= MAX_MS:
             raise ValueError(
-                f"{name} must be more than 0 ms and at most an hour ({LONGEST_MS} ms), "
+                f"{name} must be more than 0 ms and at most an hour ({MAX_MS} ms), "
                 f"got {number_text(value)}"
             )
     timeouts_ms, cycles_ms = dict[Slot, float](), dict[Slot, float]()

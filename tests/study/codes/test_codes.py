@@ -10,14 +10,14 @@ import pytest
 from example_lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Gaussian, MapLine, Slot, Status
-from maplines_can.errors import LayoutError
-from maplines_can.scenarios import SCENARIOS
+from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
 from maplines_can.study.codes.integer_cholesky import ORDER, UNIT
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
 
 ROOT = Path(__file__).parents[3]

@@ -8,10 +8,10 @@ from typing import Any
 import cantools
 import pytest
 
-from maplines_can.line import Kind, Slot, Status
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.values.line import Kind, Slot, Status
 from maplines_can.wire import Codec, Layout
 
 ROOT = Path(__file__).parents[3]

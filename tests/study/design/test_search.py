@@ -13,8 +13,6 @@ import pytest
 
 from maplines_can.bus import Link, Receiver, Transmitter
 from maplines_can.cli.design import add_design
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import Kind, MapLine, Slot, Status
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.study.codes import CODES
 from maplines_can.study.design.plan import Targets
@@ -29,6 +27,8 @@ from maplines_can.study.design.sensitivity import (
     rows_of,
 )
 from maplines_can.study.sets import Gaussians
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import Kind, MapLine, Slot, Status
 from maplines_can.wire import Codec, Layout
 
 N = 1500

@@ -14,13 +14,13 @@ from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
 from maplines_can import Codec, scenario
-from maplines_can.errors import MissingExtraError
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import lateral
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
 from maplines_can.study.figures import cases, panels
 from maplines_can.study.figures import paper as figures
 from maplines_can.study.paper_refit import PAPER
+from maplines_can.values.errors import MissingExtraError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import lateral
 
 SAMPLES = 1500
 PLANS = {plan.number: plan for plan in figures.FIGURES}

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from maplines_can.cli.production import add_production
-from maplines_can.line import PARAMETERS, lateral
 from maplines_can.study import Gaussians, road
 from maplines_can.study.production.messages import PRODUCTION, default_message
 from maplines_can.study.production.rounding import (
@@ -24,6 +23,7 @@ from maplines_can.study.production.rounding import (
     worst,
 )
 from maplines_can.study.production.text import as_csv, as_markdown, as_records, as_text
+from maplines_can.values.line import PARAMETERS, lateral
 from maplines_can.wire import Layout
 
 MOBILEYE, TESLA, FORD, GM_EGO, HONDA = (PRODUCTION[i] for i in (0, 1, 3, 6, 8))

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from sweep_tables import USED
 
-from maplines_can.line import lateral, lateral_jacobian
 from maplines_can.study.report.cases import fields_plot, worst_key, worst_plots
 from maplines_can.study.report.drawing import plot_styles
 from maplines_can.study.report.plots import kl_plot
 from maplines_can.study.report.tables import read_tables
+from maplines_can.values.line import lateral, lateral_jacobian
 
 
 def test_an_infinite_kl_is_above_the_axis_with_its_share(folder: Any) -> None:

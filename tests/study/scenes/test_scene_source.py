@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
-from maplines_can.seen_lines import SeenLines
 from maplines_can.study.scenes import source
 from maplines_can.study.scenes.source import (
     box,
@@ -19,6 +18,7 @@ from maplines_can.study.scenes.source import (
     pose_cov,
     random_scene,
 )
+from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire.covariance.scene_code import RESOLUTION
 
 LINES = 3

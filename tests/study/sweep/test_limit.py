@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 from scipy.special import digamma
 
-from maplines_can.gaussian import Gaussian
 from maplines_can.study.sets import paper
 from maplines_can.study.sweep import limit as limit_module
 from maplines_can.study.sweep.limit import Limit, limit_of
+from maplines_can.values.gaussian import Gaussian
 
 LN2 = np.log(2)
 NORMAL_BITS = np.log2(2 * np.pi * math.e) / 2  # entropy of a standard normal number

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 from study_helpers import small, tables
 
-from maplines_can.errors import StudyError
 from maplines_can.study.sweep.engines import Task, _check_versions, in_processes
 from maplines_can.study.sweep.run import run_study
+from maplines_can.values.errors import StudyError
 
 
 def kill_this_process() -> None:

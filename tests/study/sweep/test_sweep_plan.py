@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 from study_helpers import small
 
-from maplines_can.errors import StudyError
 from maplines_can.study.sets import DrawnSet
 from maplines_can.study.sweep.plan import Plan, codec_of, theory
+from maplines_can.values.errors import StudyError
 
 
 def test_theory_has_a_term_for_each_field() -> None:

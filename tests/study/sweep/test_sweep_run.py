@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from study_helpers import small, tables, write_csv
 
-from maplines_can.errors import StudyError
 from maplines_can.study import road
 from maplines_can.study.sets import DrawnSet, MapView, line_set
 from maplines_can.study.sweep.run import run_study
 from maplines_can.study.sweep.tables import summary_text
+from maplines_can.values.errors import StudyError
 
 
 def test_a_finished_study_is_not_run_again(undisturbed: Any, tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from maplines_can.errors import LayoutError
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance.cholesky import CholeskyCode
-from maplines_can.wire.message.record_layout import RecordLayout
-from maplines_can.wire.message.signals import Signal
+from maplines_can.wire.layout.record_layout import RecordLayout
+from maplines_can.wire.layout.signals import Signal
 
 LAYOUT = Layout.from_dbc()
 CODE = CholeskyCode(LAYOUT)

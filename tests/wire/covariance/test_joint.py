@@ -10,8 +10,8 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import block_diag
 from strategies import ENTRIES, covariances, mild_lines, symmetric
 
-from maplines_can.gaussian import block_diagonal, diagonal_blocks
-from maplines_can.seen_lines import bases
+from maplines_can.values.gaussian import block_diagonal, diagonal_blocks
+from maplines_can.values.seen_lines import bases
 from maplines_can.wire.covariance.joint import positive_part, uncovered
 
 RANGES = np.array([[-20.0, 80.0], [-5.0, 40.0], [0.0, 20.0]])

@@ -12,12 +12,12 @@ from scene_layouts import COMPLETE, CONDITIONAL, layout_of, scene_code, scene_en
 from scene_streams import codec_of
 
 from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, PoseError, Scene, Slot
-from maplines_can.gaussian import block_diagonal
-from maplines_can.line import lateral
 from maplines_can.propagation import map_scene
-from maplines_can.seen_lines import bases
-from maplines_can.wire.covariance.nearest_line import MOST_DEVIATION, is_within, nearest_line
-from maplines_can.wire.message.signals import PARAMETER_SIGNALS
+from maplines_can.values.gaussian import block_diagonal
+from maplines_can.values.line import lateral
+from maplines_can.values.seen_lines import bases
+from maplines_can.wire.covariance.nearest_line import MAX_DEVIATION, is_within, nearest_line
+from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 SIGNALS = {
     name: [layout_of(name)[signal] for signal in PARAMETER_SIGNALS]
@@ -70,7 +70,7 @@ def test_the_nearest_line_is_within_the_message_and_near(line: Any, x_range: Any
     assert np.clip(0.0, *x_range) - 1e-9 <= high <= x_range[1] + 1e-9
     assert high - low >= 1.0 - 1e-9
     x = np.linspace(low, high, 400)
-    assert np.abs(lateral(near.mean, x) - lateral(np.array(line), x)).max() <= 1.1 * MOST_DEVIATION
+    assert np.abs(lateral(near.mean, x) - lateral(np.array(line), x)).max() <= 1.1 * MAX_DEVIATION
 
 
 def test_a_line_beside_the_message_has_none() -> None:
@@ -150,7 +150,7 @@ def test_the_part_of_a_line_that_the_message_can_state_is_sent(
     assert sent.decoded.fit_ranges[0] == pytest.approx(part)
     x = np.linspace(part[0], part[1], 100)
     apart = lateral(sent.decoded.means[0], x) - lateral(np.array(mean), x)
-    assert np.abs(apart).max() <= 1.2 * MOST_DEVIATION
+    assert np.abs(apart).max() <= 1.2 * MAX_DEVIATION
     assert is_covered(scene, sent)
 
 
@@ -213,7 +213,7 @@ def test_a_complete_record_of_a_line_beyond_the_message_is_near_it(line: Any, st
         return  # nothing of the other line's range can be stated
     x = np.linspace(batch.x_min[0], batch.x_max[0], 50)
     apart = np.abs(lateral(batch.mean[0], x) - lateral(np.array(line), x)).max()
-    assert apart <= 1.2 * MOST_DEVIATION
+    assert apart <= 1.2 * MAX_DEVIATION
 
 
 @pytest.mark.parametrize("error", [None, MapError(0.05, 0.05, 0.001)])

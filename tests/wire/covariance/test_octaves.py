@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.errors import LayoutError
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire.covariance.code import FARTHEST_OCTAVE, check_octaves
 from maplines_can.wire.covariance.factor import exp2_table, lookup, lookup_one
-from maplines_can.wire.message.signals import Signal
+from maplines_can.wire.layout.signals import Signal
 
 LAYOUT: Any = SimpleNamespace(source="test.dbc")
 

@@ -16,10 +16,10 @@ from scene_streams import feed, new_codec, road_scene
 from strategies import covariances
 
 from maplines_can import MapError, PoseError, Scene
-from maplines_can.errors import LayoutError
+from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
 from maplines_can.wire.covariance import SceneCode, SceneEncoder
-from maplines_can.wire.message.dbc_reader import default_dbc_path
+from maplines_can.wire.layout.dbc_reader import default_dbc_path
 
 CODE, ENCODER = scene_code(), scene_encoder()
 

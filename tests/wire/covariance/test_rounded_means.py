@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scene_layouts import layout_of
 
-from maplines_can.seen_lines import bases
+from maplines_can.values.seen_lines import bases
 from maplines_can.wire.covariance.rounding import refined, rounded_means, split
 from maplines_can.wire.covariance.scene_code import RESOLUTION
-from maplines_can.wire.message.signals import FINE_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.layout.signals import FINE_SIGNALS, PARAMETER_SIGNALS
 
 SIGNALS = [layout_of("maplines-pose.dbc")[name] for name in PARAMETER_SIGNALS]
 FINE = [layout_of("maplines-pose.dbc")[name] for name in FINE_SIGNALS]

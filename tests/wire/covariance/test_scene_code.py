@@ -17,13 +17,13 @@ from scene_layouts import COMPLETE, CONDITIONAL, layout_of, scene_code, scene_en
 from strategies import covariances
 
 from maplines_can import Gaussian, MapError, MapLine, Polyline, PoseError, Scene, Slot
-from maplines_can.errors import EncodeError, IllPosedError
-from maplines_can.line import lateral, lateral_jacobian
 from maplines_can.propagation import map_scene
 from maplines_can.study.scenes.source import noise_floor
+from maplines_can.values.errors import EncodeError, IllPosedError
+from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.wire.covariance.scene_code import RESOLUTION, SceneCode
 from maplines_can.wire.covariance.scene_encoder import LARGEST
-from maplines_can.wire.message.signals import FINE_SIGNALS
+from maplines_can.wire.layout.signals import FINE_SIGNALS
 
 CODE, LEVELS_CODE = scene_code(CONDITIONAL), scene_code(COMPLETE)
 ENCODER, LEVELS_ENCODER = scene_encoder(CONDITIONAL), scene_encoder(COMPLETE)

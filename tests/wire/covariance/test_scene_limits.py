@@ -9,8 +9,8 @@ from pose_bits import PRODUCTION
 from scene_layouts import COMPLETE, CONDITIONAL, scene_code, scene_encoder
 
 from maplines_can import Gaussian, MapLine, PoseError, Scene, Slot
-from maplines_can.errors import EncodeError, IllPosedError
-from maplines_can.seen_lines import SeenLines
+from maplines_can.values.errors import EncodeError, IllPosedError
+from maplines_can.values.seen_lines import SeenLines
 
 SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
 ORDINARY = np.array([[1.75, 0.0, 1e-3, 0.0], [-1.75, 0.0, 1e-3, 0.0]])

@@ -21,7 +21,7 @@ from secoc_streams import (
 )
 
 from maplines_can.bus import key_from_env, key_from_file
-from maplines_can.errors import EncodeError, KeyMaterialError, MissingExtraError
+from maplines_can.values.errors import EncodeError, KeyMaterialError, MissingExtraError
 from maplines_can.wire import Authenticator, Key
 from maplines_can.wire.protection.key import shown
 

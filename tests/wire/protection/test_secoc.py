@@ -35,11 +35,11 @@ from secoc_streams import (
 )
 
 from maplines_can import Codec, Slot, scenario
-from maplines_can.errors import EncodeError, LayoutError
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
+from maplines_can.values.errors import EncodeError, LayoutError
 from maplines_can.wire import Authenticator, E2EState, Key, Layout, Reason, Verifier
-from maplines_can.wire.message.slot_messages import SecuredLayout
+from maplines_can.wire.layout.slot_messages import SecuredLayout
 from maplines_can.wire.protection.secoc import complete
 
 ROOT = Path(__file__).parents[3]

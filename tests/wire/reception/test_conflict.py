@@ -7,7 +7,7 @@ import pytest
 from dbcs import default_codec
 from e2e_streams import MS, mixture_frames
 
-from maplines_can.line import Kind, MapLine, Slot
+from maplines_can.values.line import Kind, MapLine, Slot
 from maplines_can.wire import E2EConfig, E2EState, Monitor, Reason, SequenceCheck
 from maplines_can.wire.reception.conflict import SenderConflict
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.line import Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire import E2EConfig, ProfileStatus, Reason, SequenceCheck
-from maplines_can.wire.message.pose_records import absent_counter
-from maplines_can.wire.reception.epochs import MOST_EPOCHS, EpochAssembler
+from maplines_can.wire.reception.epochs import MAX_EPOCHS, EpochAssembler
+from maplines_can.wire.records.pose_records import absent_counter
 
 CYCLE = 1_000_000  # [ns]
 SLOTS = (Slot.EGO_LEFT, Slot.ROUTE)
@@ -118,7 +118,7 @@ def receive(
     receiver = Receiver(has_mixtures=has_mixtures)
     for t, _, record in sorted(arrivals):
         receiver.feed(record, int(t * CYCLE))
-        assert len(receiver.epochs.epochs) <= MOST_EPOCHS
+        assert len(receiver.epochs.epochs) <= MAX_EPOCHS
         assert receiver.epochs.pending <= 2 * len(SLOTS)
     return receiver
 

@@ -5,7 +5,7 @@ from typing import Any
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.line import Slot
+from maplines_can.values.line import Slot
 from maplines_can.wire.reception.epochs import EpochAssembler
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.errors import EncodeError
-from maplines_can.line import Kind, Slot
+from maplines_can.values.errors import EncodeError
+from maplines_can.values.line import Kind, Slot
 from maplines_can.wire import (
     Authenticator,
     E2EConfig,
@@ -24,18 +24,18 @@ from maplines_can.wire import (
     Verifier,
     default_dbc_path,
 )
-from maplines_can.wire.message.frames import FrameWriter
-from maplines_can.wire.message.pose_layout import POSE
-from maplines_can.wire.message.pose_records import (
+from maplines_can.wire.layout.pose_layout import POSE
+from maplines_can.wire.layout.signals import FINE_SIGNALS
+from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
+from maplines_can.wire.reception.reassembly import Reassembler, Record
+from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+from maplines_can.wire.records.frames import FrameWriter
+from maplines_can.wire.records.pose_records import (
     ConditionalRecord,
     ConditionalRecords,
     PoseRecord,
     PoseRecords,
 )
-from maplines_can.wire.message.signals import FINE_SIGNALS
-from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
-from maplines_can.wire.reception.reassembly import Reassembler, Record
-from maplines_can.wire.reception.settings import decoder_settings, pose_settings
 
 CYCLE = 50_000_000  # [ns]
 LAYOUTS = {

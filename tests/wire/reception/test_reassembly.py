@@ -11,9 +11,9 @@ from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can.errors import LayoutError
-from maplines_can.line import MapLine, Slot
 from maplines_can.study import road
+from maplines_can.values.errors import LayoutError
+from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Codec, Reason
 
 MS = 1_000_000

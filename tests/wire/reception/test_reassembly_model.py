@@ -14,9 +14,9 @@ from hypothesis import note, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from maplines_can.gaussian import Gaussian
-from maplines_can.line import MapLine, Slot
-from maplines_can.mixture import GaussianMixture
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import MapLine, Slot
+from maplines_can.values.mixture import GaussianMixture
 from maplines_can.wire import Reason
 
 MS = 1_000_000

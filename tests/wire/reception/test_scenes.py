@@ -20,15 +20,15 @@ from scene_streams import (
 
 from maplines_can import Kind, MapLine, Monitor, Slot
 from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Reason
-from maplines_can.wire.message.frames import FrameWriter
-from maplines_can.wire.message.pose_records import (
+from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
+from maplines_can.wire.reception.settings import decoder_settings
+from maplines_can.wire.records.frames import FrameWriter
+from maplines_can.wire.records.pose_records import (
     ConditionalRecord,
     ConditionalRecords,
     PoseRecord,
     PoseRecords,
 )
-from maplines_can.wire.message.signals import OWN_SIGNALS, PARAMETER_SIGNALS
-from maplines_can.wire.reception.settings import decoder_settings
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from maplines_can import MapLine
 from maplines_can.study import road
 from maplines_can.wire import Reason
-from maplines_can.wire.message.layout import Layout
+from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.reception.reassembly import Reassembler
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 

@@ -1,0 +1,326 @@
+"""Reader of OpenDRIVE 1.4 to 1.8: from the elements of a file to the lanes of a map."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import chain
+from operator import itemgetter
+from typing import BinaryIO, NamedTuple, TypeVar
+
+import numpy as np
+
+from ....values.errors import MapFileError
+from ....values.line import Kind
+from ....values.polyline import Polyline
+from ...landmarks import Landmark
+from ...lane import SkippedList
+from ...model import Lane, Map, Road, Skipped
+from ..xml_tree import Document, Element
+from .attributes import UnusableError
+from .boundaries import SAME, Boundaries, SamplingError, sampled
+from .landmarks import read_buildings, read_landmarks
+from .lane_section import LaneRecord
+from .links import Connection, LaneKey, LaneTopology, RoadTopology, lane_links, read_connections
+from .reference_line import Complex
+from .road import RoadRecord, read_road
+
+#: Elements that say nothing of lanes or landmarks.
+_IGNORED = {"elevationProfile", "railroad", "surface", "userData"}
+
+T = TypeVar("T")
+#: Returns a lane, given its ``successors`` and ``predecessors``.
+UnlinkedLane = Callable[..., Lane]
+
+
+@np.errstate(all="ignore")  # what overflows is not finite, and its road is not used
+def read(stream: BinaryIO, name: str) -> Map:
+    """Read a map from the bytes of an OpenDRIVE file.
+
+    Lanes have the ids "road:section:lane", with the index of the lane section.
+
+    Args:
+        stream: of the XML document.
+        name: of the file, for messages.
+
+    Raises:
+        MapFileError: it is not XML, is not OpenDRIVE, or has no usable road.
+    """
+    reader = _Reader()
+    document = Document(stream, name, ignored=_IGNORED, text_in={"geoReference"})
+    for element in document.elements():
+        reader.add(element)
+    reader.skipped += document.check_root("OpenDRIVE", "an OpenDRIVE")
+    if not reader.lanes:
+        why = f"; first reason: {reader.skipped[0]}" if reader.skipped else ""
+        raise MapFileError(f"{name} contains no usable road{why}")
+    return reader.map(name)
+
+
+class _Reader:
+    """State of the reading: lanes so far, and links to resolve at the end."""
+
+    def __init__(self) -> None:
+        self.skipped: list[Skipped] = SkippedList()
+        self.lanes: dict[LaneKey, UnlinkedLane] = {}
+        self._roads: dict[str, Road] = {}
+        self._landmarks: list[Landmark] = []
+        self._buildings: list[Polyline] = []
+        self._topology: dict[str, RoadTopology] = {}
+        self._connections: list[Connection] = []
+        self._left_hand = 0
+        self._projection: str | None = None
+
+    def add(self, element: Element) -> None:
+        """Read a child of the root."""
+        if element.tag == "header":
+            self._add_header(element)
+        elif element.tag == "junction":
+            self._connections += read_connections(element, self.skipped)
+        elif element.tag == "road":
+            try:
+                self._add_road(element)
+            except UnusableError as error:
+                why = f"the road {element.get('id')[:40]!r} is not used: {error.skipped.why}"
+                self.skipped.append(Skipped(error.skipped.where, why))
+
+    def _add_header(self, header: Element) -> None:
+        if reference := header.first("geoReference"):
+            self._projection = reference.text.strip() or None
+        offset = header.first("offset")
+        if offset and any(offset.get(axis, "0").strip("+-.0") for axis in ("x", "y", "hdg")):
+            why = "the offset is not applied: add it to positions before they are projected"
+            self.skipped.append(Skipped(offset.place, why))
+
+    def _add_road(self, element: Element) -> None:
+        road = read_road(element, self.skipped)
+        if road.id in self._roads:
+            raise UnusableError(element, "another road has the same id")
+        sections = [Boundaries(road, index) for index in range(len(road.sections))]
+        try:
+            lanes = dict(self._road_lanes(road, [one for one in sections if not one.is_point]))
+        except SamplingError as error:
+            raise UnusableError(element, str(error)) from None
+        if not lanes:
+            raise UnusableError(element, "it has no lanes with a length")
+        self.lanes |= lanes
+        self._landmarks += read_landmarks(element, road, self.skipped)
+        self._buildings += read_buildings(element, road, self.skipped)
+        self._left_hand += road.is_left_hand
+        ends = np.array([road.sections[0].s, road.reference.end])
+        (first, last), _ = road.reference(ends, ends)
+        self._topology[road.id] = RoadTopology(
+            tuple(_topology(road, one.index, one.is_point) for one in sections),
+            first,
+            last,
+            road.predecessor,
+            road.successor,
+        )
+        ids = tuple(map(str, lanes))
+        self._roads[road.id] = Road(road.id, road.name, road.reference.end, ids, road.junction)
+
+    def _road_lanes(
+        self, road: RoadRecord, sections: Sequence[Boundaries]
+    ) -> Iterator[tuple[LaneKey, UnlinkedLane]]:
+        """Yield the lanes of the lane sections of a road without their links."""
+        for boundaries, points in zip(sections, sampled(road, sections), strict=True):
+            yield from self._section_lanes(road, boundaries, points)
+
+    def _section_lanes(
+        self, road: RoadRecord, boundaries: Boundaries, points: Complex
+    ) -> Iterator[tuple[LaneKey, UnlinkedLane]]:
+        """Yield the lanes of a lane section without their links."""
+        index = boundaries.index
+        section, extent = road.sections[index], road.extent(index)
+        records = sorted(section.lanes.values(), key=lambda record: -record.id)
+        kinds = {0: _longest(section.centre_marks, extent, Kind.UNKNOWN)}  # by row
+        for record in records:
+            kinds[boundaries.rows[record.id][1]] = _longest(record.marks, extent, Kind.UNKNOWN)
+        if not road.junction:  # roads overlap in a junction
+            for row in boundaries.outermost:
+                if kinds[row] in {Kind.UNKNOWN, Kind.VIRTUAL}:
+                    kinds[row] = Kind.ROAD_EDGE
+        drawn = [_lines_of(record, boundaries, _is_forward(road, record)) for record in records]
+        lines = _polylines(points, kinds, dict.fromkeys(chain.from_iterable(drawn)))
+        negative = set(boundaries.negative)
+        padded = [None, *records, None]
+        for record, beside, own in zip(
+            records, zip(padded, padded[2:], strict=False), drawn, strict=True
+        ):
+            key = LaneKey(road.id, index, record.id)
+            if record.id in negative:
+                place = f"line {record.line}, lane {key}"
+                self.skipped.append(Skipped(place, "its width is negative in part; 0 is used"))
+            left, right, centre = own
+            same, opposite = _neighbours(
+                road, index, record, beside[:: 1 if left.is_forward else -1]
+            )
+            yield (
+                key,
+                partial(
+                    Lane,
+                    id=str(key),
+                    left=lines[left],
+                    right=lines[right],
+                    centre=lines[centre],
+                    type=record.type,
+                    speed_limit=_longest(record.speeds or road.speeds, extent, None),
+                    left_neighbour=same[0],
+                    right_neighbour=same[1],
+                    opposite_left=opposite,
+                    road=road.id,
+                    junction=road.junction,
+                ),
+            )
+
+    def map(self, name: str) -> Map:
+        """Return the map."""
+        successors: defaultdict[LaneKey, dict[str, None]] = defaultdict(dict)
+        predecessors: defaultdict[LaneKey, dict[str, None]] = defaultdict(dict)
+        after: defaultdict[str, dict[str, None]] = defaultdict(dict)
+        before: defaultdict[str, dict[str, None]] = defaultdict(dict)
+        for one, other in lane_links(self._topology, self._connections, self.skipped):
+            successors[one][str(other)] = predecessors[other][str(one)] = None
+            if one.road != other.road:
+                after[one.road][other.road] = before[other.road][one.road] = None
+        return Map(
+            lanes={
+                str(key): lane(
+                    successors=tuple(successors.get(key, ())),
+                    predecessors=tuple(predecessors.get(key, ())),
+                )
+                for key, lane in self.lanes.items()
+            },
+            roads={
+                key: replace(road, successors=tuple(after[key]), predecessors=tuple(before[key]))
+                for key, road in self._roads.items()
+            },
+            skipped=tuple(self.skipped),
+            projection=self._projection,
+            name=name,
+            left_hand_traffic=2 * self._left_hand > len(self._roads),
+            landmarks=tuple(self._landmarks),
+            buildings=tuple(self._buildings),
+        )
+
+
+class _Line(NamedTuple):
+    """The line halfway between two boundaries of a lane section, or one of them.
+
+    Args:
+        one, other: rows of the boundaries.
+        is_forward: whether it runs in the direction of s.
+    """
+
+    one: int
+    other: int
+    is_forward: bool
+
+
+def _lines_of(record: LaneRecord, boundaries: Boundaries, is_forward: bool) -> list[_Line]:
+    """Return the left and the right boundary of a lane and its centre line, as driven."""
+    inner, outer = boundaries.rows[record.id]
+    left, right = (outer, inner) if (record.id > 0) == is_forward else (inner, outer)
+    return [
+        _Line(one, other, is_forward) for one, other in ((left,) * 2, (right,) * 2, (left, right))
+    ]
+
+
+def _polylines(
+    points: Complex, kinds: Mapping[int, Kind], lines: Collection[_Line]
+) -> dict[_Line, Polyline]:
+    """Return lines of a lane section. Those of one direction are computed together.
+
+    Args:
+        points: (rows, k) points of the boundaries.
+        kinds: of the boundaries, by row.
+        lines: each at most once.
+    """
+
+    def kind(line: _Line) -> Kind:
+        return kinds[line.one] if line.one == line.other else Kind.VIRTUAL
+
+    found: dict[_Line, Polyline] = {}
+    for is_forward in (True, False):
+        group = [line for line in lines if line.is_forward == is_forward]
+        if not group:
+            continue
+        rows = (points[[line.one for line in group]] + points[[line.other for line in group]]) / 2
+        step = np.abs(rows[:, 1:] - rows[:, :-1])
+        has_repeats = (step <= SAME).any(axis=1)
+        for i in np.flatnonzero(has_repeats):
+            row = _distinct(rows[i])[:: 1 if is_forward else -1]
+            found[group[i]] = Polyline(np.array([row.real, row.imag]).T, kind(group[i]))
+        if has_repeats.any():
+            group = [line for line in group if line not in found]
+            rows, step = rows[~has_repeats], step[~has_repeats]
+        if not is_forward:
+            rows, step = np.ascontiguousarray(rows[:, ::-1]), step[:, ::-1]
+        distance = np.zeros(rows.shape)
+        step.cumsum(axis=1, out=distance[:, 1:])
+        xy = rows.view(float).reshape(*rows.shape, 2)
+        for line, one, s in zip(group, xy, distance, strict=True):
+            found[line] = Polyline.trusted(one, kind(line), s)
+    return found
+
+
+def _distinct(points: Complex) -> Complex:
+    """Return the points without those that repeat the one before, but with both ends."""
+    near = np.abs(points[1:] - points[:-1]) <= SAME
+    if len(points) == 2 or not near.any():
+        return points
+    keep = np.append(True, ~near)
+    keep[-1] = True
+    if near[-1] and keep.sum() > 2:
+        keep[np.flatnonzero(keep)[-2]] = False
+    return points[keep]
+
+
+def _is_forward(road: RoadRecord, record: LaneRecord) -> bool:
+    """Return whether a lane is driven in the direction of s."""
+    return ((record.id < 0) != road.is_left_hand) != record.is_reversed
+
+
+def _longest(records: Sequence[tuple[float, T]], extent: tuple[float, float], default: T) -> T:
+    """Return the value that applies to the longest part of a stretch of s."""
+    if len(records) < 2:
+        return records[0][1] if records else default
+    start, end = extent
+    lengths: defaultdict[T, float] = defaultdict(float)
+    ordered = sorted(records, key=itemgetter(0))
+    stops = [*(s for s, _ in ordered[1:]), end]
+    for (s, value), stop in zip(ordered, stops, strict=False):
+        lengths[value] += max(0.0, min(stop, end) - max(s, start))
+    return max(lengths, key=lengths.__getitem__, default=default)
+
+
+def _neighbours(
+    road: RoadRecord, index: int, record: LaneRecord, beside: Sequence[LaneRecord | None]
+) -> tuple[list[str | None], str | None]:
+    """Return the ids on the left and on the right with the same direction, and an opposite one."""
+    same: list[str | None] = [None, None]
+    opposite = None
+    for side, other in enumerate(beside):
+        if other is not None and other.type.is_drivable:
+            key = str(LaneKey(road.id, index, other.id))
+            if _is_forward(road, other) == _is_forward(road, record):
+                same[side] = key
+            else:
+                opposite = key
+    return same, opposite
+
+
+def _topology(road: RoadRecord, index: int, is_point: bool) -> dict[int, LaneTopology]:
+    return {
+        record.id: LaneTopology(
+            record.line,
+            _is_forward(road, record),
+            record.type.is_drivable,
+            is_point,
+            record.predecessors,
+            record.successors,
+        )
+        for record in road.sections[index].lanes.values()
+    }

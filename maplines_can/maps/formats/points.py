@@ -1,0 +1,310 @@
+"""Reader of map lines as points: GeoJSON, and CSV.
+
+Each line may name a ``lane`` and the ``side`` on which it is of it in driving direction, ``left``
+or ``right``; a line between two lanes is listed with both. It may have a ``kind``, the name of a
+``Kind`` such as ``solid`` or ``road_edge``. Lines run in driving direction, and lanes are beside
+each other, or follow each other, if their boundaries have the same points. A lane with only one
+side is not used. Lines without a lane are ``Map.polylines``.
+
+GeoJSON: each feature is a ``LineString`` or a ``MultiLineString`` with these as ``properties``.
+Positions are longitude and latitude of WGS84, projected around the middle of the map. If a member
+``crs`` names another system, they are x and y of that [m].
+
+CSV: the first line names the columns ``line``, ``x`` and ``y`` [m], and perhaps ``lane``, ``side``
+and ``kind``. The points of a line are in their order, next to each other.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import itertools
+import json
+import math
+import zlib
+from array import array
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...values.errors import MapFileError
+from ...values.input_files import lines_of
+from ...values.line import Kind
+from ...values.polyline import Polyline
+from ..lane import SkippedList
+from ..model import Lane, Map, Skipped
+from .lanelets import Lanelet, boundary, centre_line, lanelet_map, linked
+from .projection import project, tangent
+from .xml_tree import number_in
+
+Array = NDArray[np.float64]
+
+#: Largest file [bytes]; a million points are about 30 MB.
+MAX_BYTES = 1 << 25
+#: Largest GeoJSON file [bytes], and most memory of its values, by ``_check_json`` [bytes].
+MAX_JSON_BYTES, MAX_JSON = 1 << 24, 3 << 25
+#: Bytes that show the format.
+HEAD = 1 << 16
+#: Most lines, and most points of a line.
+MAX_LINES, MAX_POINTS = 100_000, 2_000_000
+
+#: Names of the longitude and latitude of WGS84 in a member ``crs``.
+_WGS84 = ("CRS84", "EPSG::4326", "EPSG:4326")
+
+
+class _Line(NamedTuple):
+    """A line as in its file."""
+
+    name: str
+    where: str
+    points: Array  #: (n, 2)
+    lane: str
+    side: str
+    kind: str
+
+
+def read(stream: BinaryIO, name: str, projection: str | None = None) -> Map:
+    """Read a map from the bytes of a GeoJSON or a CSV file; the first character shows which.
+
+    Args:
+        stream: of the text in UTF-8.
+        name: of the file, for messages.
+        projection: PROJ string of the frame of a GeoJSON map, as of ``maps.projection``.
+
+    Raises:
+        MapFileError: it is neither, or has no usable line.
+        ValueError: the projection is not one of ``maps.projection``.
+    """
+    try:
+        data = stream.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise MapFileError(
+                f"{name} has more than {MAX_BYTES >> 20} MB; divide the map into several"
+            )
+        skipped: list[Skipped] = SkippedList()
+        if data[:HEAD].removeprefix(codecs.BOM_UTF8).lstrip().startswith((b"{", b"[")):
+            _check_json(data, name)
+            text = data.decode("utf-8-sig")
+            del data
+            lines, projection = _geojson(text, name, projection, skipped)
+        else:
+            file = io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline="")
+            lines = list(_csv(lines_of(file, name, MapFileError), name, skipped))
+    except (EOFError, OSError, UnicodeDecodeError, zlib.error) as error:
+        raise MapFileError(f"{name} cannot be read as text in UTF-8: {error}") from None
+    return _map(lines, name, skipped, projection)
+
+
+def _check_json(data: bytes, name: str) -> None:
+    """Raise MapFileError if the values of a document would take too much memory."""
+    size = {b"{": 200, b"[": 64, b",": 40, b":": 60}  # about, with the value that follows
+    memory = sum(data.count(sign) * each for sign, each in size.items())
+    if len(data) > MAX_JSON_BYTES or memory > MAX_JSON:
+        raise MapFileError(
+            f"{name} has more than {MAX_JSON_BYTES >> 20} MB, or values of more than "
+            f"{MAX_JSON >> 20} MB; divide the map into several"
+        )
+
+
+def _check_lines(count: int, name: str) -> None:
+    """Raise MapFileError if a file has too many lines."""
+    if count > MAX_LINES:
+        raise MapFileError(f"{name} has more than {MAX_LINES} lines; divide the map into several")
+
+
+def _map(lines: Iterable[_Line], name: str, skipped: list[Skipped], projection: str | None) -> Map:
+    sides: dict[str, dict[str, tuple[_Line, Polyline]]] = {}
+    polylines: dict[str, Polyline] = {}
+    for line in lines:
+        try:
+            found = boundary(line.points, _kind(line))
+            if line.lane and line.side not in {"left", "right"}:
+                raise ValueError(f"the side must be left or right, got {line.side[:40]!r}")  # noqa: TRY301
+        except ValueError as error:
+            skipped.append(Skipped(line.where, f"line {line.name[:40]!r} is not used: {error}"))
+            continue
+        if not line.lane:
+            polylines[_unique(line.name, polylines)] = found
+        elif line.side in sides.setdefault(line.lane, {}):
+            why = f"lane {line.lane[:40]!r} has another {line.side} side; only that is used"
+            skipped.append(Skipped(line.where, why))
+        else:
+            sides[line.lane][line.side] = (line, found)
+    lanelets = list(_lanelets(sides, skipped))
+    return lanelet_map(linked(lanelets), name, skipped, projection, polylines)
+
+
+def _lanelets(
+    sides: dict[str, dict[str, tuple[_Line, Polyline]]], skipped: list[Skipped]
+) -> Iterator[Lanelet]:
+    for lane, both in sides.items():
+        try:
+            if len(both) < 2:
+                raise ValueError(f"it has only a {next(iter(both))} side")  # noqa: TRY301
+            (_, left), (_, right) = both["left"], both["right"]
+            centre = centre_line(left, right)
+        except ValueError as error:
+            where = next(iter(both.values()))[0].where
+            skipped.append(Skipped(where, f"lane {lane[:40]!r} is not used: {error}"))
+            continue
+        ends: tuple[tuple[Hashable, ...], ...] = tuple(
+            tuple(map(complex, *both[side][0].points.T.tolist())) for side in ("left", "right")
+        )
+        yield Lanelet(Lane(id=lane, left=left, right=right, centre=centre), *ends)
+
+
+def _kind(line: _Line) -> Kind:
+    name = line.kind.strip().upper() or "UNKNOWN"
+    if name not in Kind.__members__:
+        known = ", ".join(kind.name.lower() for kind in Kind)
+        raise ValueError(f"the kind must be one of {known}, got {line.kind[:40]!r}")
+    return Kind[name]
+
+
+def _unique(name: str, known: dict[str, Polyline]) -> str:
+    """Return the name, with a number if it is not the first of its kind."""
+    if name not in known:
+        return name
+    return next(one for i in itertools.count(2) if (one := f"{name}#{i}") not in known)
+
+
+def _csv(text: Iterable[str], name: str, skipped: list[Skipped]) -> Iterator[_Line]:
+    rows = csv.reader(text, skipinitialspace=True)
+    try:
+        columns = [column.strip() for column in next(rows, [])]
+        if missing := {"line", "x", "y"} - set(columns):
+            raise MapFileError(
+                f"{name}: a map has the columns line, x and y; "
+                f"there is no {', '.join(sorted(missing))}"
+            )
+        place = {column: columns.index(column) for column in columns}
+
+        def field(row: list[str], column: str) -> str:
+            i = place.get(column, len(row))
+            return row[i].strip() if i < len(row) else ""
+
+        seen: set[str] = set()
+        given = (row for row in rows if any(row))  # not the blank lines
+        for key, group in itertools.groupby(given, lambda row: field(row, "line")):
+            first = next(group)
+            where = bad_at = f"line {rows.line_num}"
+            points, bad = array("d"), ""
+            for row in itertools.chain([first], group):
+                points.extend((number_in(field(row, "x")), number_in(field(row, "y"))))
+                if len(points) > 2 * MAX_POINTS:
+                    raise MapFileError(
+                        f"{name}, {where}: a line has more than {MAX_POINTS} points; divide it"
+                    )
+                if not bad and not all(map(math.isfinite, points[-2:])):
+                    bad_at = f"line {rows.line_num}"
+                    bad = f"{','.join(row)[:80]!r} is not a point of a map"
+            if key in seen:
+                bad_at = where
+                bad = "points at two places; put the points of a line next to each other"
+            seen.add(key)
+            _check_lines(len(seen), name)
+            if bad:
+                skipped.append(Skipped(bad_at, f"line {key[:40]!r} is not used: {bad}"))
+            else:
+                lane, side, kind = (field(first, column) for column in ("lane", "side", "kind"))
+                yield _Line(key, where, _array(points), lane, side.lower(), kind)
+    except csv.Error as error:
+        raise MapFileError(f"{name}, line {rows.line_num}: {error}") from None
+
+
+def _geojson(
+    text: str, name: str, projection: str | None, skipped: list[Skipped]
+) -> tuple[list[_Line], str | None]:
+    """Return the lines in the frame of the map, and its projection."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise MapFileError(f"{name} is not JSON: {error}") from None
+    kind = document.get("type") if isinstance(document, dict) else None
+    features = document.get("features") if kind == "FeatureCollection" else None
+    if kind == "Feature":
+        features = [document]
+    if not isinstance(features, list):
+        raise MapFileError(f"{name} is not GeoJSON with a FeatureCollection of lines")
+    lines: list[_Line] = []
+    for i, one in enumerate(features):
+        lines += _feature(one, i, skipped)
+        _check_lines(len(lines), name)
+    system = document.get("crs")
+    if isinstance(system, dict):
+        properties = system.get("properties")
+        named = str(properties.get("name", "")) if isinstance(properties, dict) else ""
+        if not named.endswith(_WGS84):
+            return lines, named or None
+    return _projected(lines, projection, skipped)
+
+
+def _feature(feature: Any, index: int, skipped: list[Skipped]) -> Iterator[_Line]:
+    """Yield the lines of a feature with longitude and latitude, and list what is none."""
+    where = f"feature {index}"
+    feature = feature if isinstance(feature, dict) else {}
+    geometry, given = feature.get("geometry"), feature.get("properties")
+    geometry = geometry if isinstance(geometry, dict) else {}
+    given = given if isinstance(given, dict) else {}
+    shape, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if shape not in {"LineString", "MultiLineString"}:
+        skipped.append(Skipped(where, f"its geometry is {str(shape)[:40]}, not a line"))
+        return
+    parts: Any = coordinates if shape == "MultiLineString" else [coordinates]
+    named = str(feature.get("id", given.get("id", given.get("line", index))))
+    lane, side, kind = (
+        "" if given.get(key) is None else str(given[key]) for key in ("lane", "side", "kind")
+    )
+    if lane and shape == "MultiLineString" and isinstance(parts, list) and len(parts) > 1:
+        skipped.append(Skipped(where, "a side of a lane must be one LineString"))
+        return
+    for part in parts if isinstance(parts, list) else [parts]:
+        try:
+            points = _array([_coordinate(p[axis]) for p in part for axis in (0, 1)])
+        except (IndexError, KeyError, OverflowError, TypeError):
+            skipped.append(Skipped(where, "its coordinates are not lists of two numbers"))
+        else:
+            yield _Line(named, where, points, lane.strip(), side.strip().lower(), kind)
+
+
+def _array(values: Sequence[float]) -> Array:
+    """Return (n, 2) points from their values one after the other."""
+    return np.array(values, dtype=float).reshape(-1, 2)
+
+
+def _coordinate(value: object) -> float:
+    """Return a number of a JSON document, in which true and "1" are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
+
+
+def _projected(
+    lines: Iterable[_Line], projection: str | None, skipped: list[Skipped]
+) -> tuple[list[_Line], str | None]:
+    """Return the lines around the middle of the map, and their projection."""
+    usable = []
+    for line in lines:
+        if (np.abs(line.points) <= (360, 90)).all():  # false for NaN
+            usable.append(line)
+        else:
+            why = (
+                "a position is no longitude and latitude [deg]; if it is in metres, name its "
+                "system in the member crs"
+            )
+            skipped.append(Skipped(line.where, why))
+    points = np.concatenate([line.points for line in usable] or [np.empty((0, 2))])
+    if not len(points):
+        return [], None
+    first = points[0, 0]  # the map may cross the 180th meridian
+    points[:, 0] = first + (points[:, 0] - first + 180) % 360 - 180
+    longitude, latitude = ((points.min(axis=0) + points.max(axis=0)) / 2).tolist()
+    around = round(latitude, 7), round(math.remainder(longitude, 360), 7)
+    projection = projection or tangent(*around)
+    plane = project(projection, points[:, 1], points[:, 0])
+    ends = np.cumsum([len(line.points) for line in usable])
+    parts = zip(usable, np.split(plane, ends[:-1]), strict=True)
+    return [line._replace(points=part) for line, part in parts], projection

@@ -1,0 +1,139 @@
+"""Lines around a car that drives on a map, cycle by cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..propagation import MapError, map_lines, map_scene
+from ..propagation.certain_range import MAX_SIGMA
+from ..propagation.refit import MAX_MISFIT
+from ..values.gaussian import Gaussian
+from ..values.line import MapLineList, Slot
+from ..values.polyline import Polyline
+from ..values.scene import Scene
+from .model import Map
+from .routing import Route
+from .tracking import LaneTracker, TrackedLines
+
+#: Number of mixture components of each line, from the lines of the map and the stated pose.
+ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
+
+#: Range of the lines around the car [m]. A car drives by what is ahead, and a cubic that must be
+#: true for 20 m behind the car is not true for what is ahead in a sharp corner.
+WINDOW = (-4.0, 80.0)
+
+
+class Cycle(NamedTuple):
+    """Pose and lines of one cycle."""
+
+    t: float  #: time [s]
+    #: over the pose x [m], y [m], heading [rad] in the map frame; None if the car does not know it
+    stated: Gaussian | None
+    tracked: TrackedLines  #: lines of the map around the stated pose
+    lines: MapLineList  #: lines as the car knows them, and those that are left out
+    changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
+    #: the lines with their joint covariance, if the source was asked for it and there is a pose
+    scene: Scene | None = None
+
+
+class LineSource:
+    """Source of the lines around a car that knows its pose with an error.
+
+    The car finds its lane by the mean of the stated pose, as it knows no other one. Without a pose,
+    there are no lines.
+
+    Args:
+        found: the map.
+        stated: function from the time [s] and the true pose (3,) to the stated pose, such as
+            ``PoseSource.pose``, or to None if the car does not know it.
+        slots: lines to give.
+        route: that the car follows.
+        window: (x_min, x_max) ahead of the car that the ranges of the lines may extend to [m].
+        map_error: error of the map.
+        components: number of mixture components of each line, 1 to 8, or a function that chooses
+            it in each cycle.
+        correlation_time: of the pose error [s], or a function that returns it in each cycle;
+            infinite if it is unknown. The cycles then have the joint covariance of their lines,
+            which have one component each. None: they do not.
+        max_misfit: largest deviation of a cubic from its line [m].
+        max_sigma: largest standard deviation of the lateral position of a line [m], see
+            ``map_lines``.
+
+    >>> from maplines_can import PoseSource, Polyline
+    >>> from maplines_can import maps
+    >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
+    >>> lane = maps.Lane("1", left, right, centre, road="A")
+    >>> found = maps.Map({"1": lane}, {"A": maps.Road("A", "", 300.0, ("1",))})
+    >>> source = LineSource(found, PoseSource((0.3, 0.1, 0.002)).pose)
+    >>> cycle = source.cycle(0.0, np.array([100.0, 1.75, 0.0]))
+    >>> [line.slot.name for line in cycle.lines], cycle.tracked.lane
+    (['EGO_LEFT', 'EGO_RIGHT'], '1')
+    """
+
+    def __init__(
+        self,
+        found: Map,
+        stated: Callable[[float, NDArray[np.float64]], Gaussian | None],
+        slots: Collection[Slot] = tuple(Slot)[:4],
+        route: Route | None = None,
+        window: tuple[float, float] = WINDOW,
+        map_error: MapError | None = None,
+        components: int | ChooseComponents = 1,
+        correlation_time: float | Callable[[], float] | None = None,
+        max_misfit: float = MAX_MISFIT,
+        max_sigma: float = MAX_SIGMA,
+    ) -> None:
+        if correlation_time is not None and components != 1:
+            raise ValueError(
+                "components must be 1 with a correlation_time, since a receiver of the pose error "
+                f"splits it itself, got {components!r}"
+            )
+        self._correlation_time = correlation_time
+        self._max_misfit, self._max_sigma = max_misfit, max_sigma
+        self._stated, self._slots = stated, frozenset(slots)
+        self._window, self._map_error, self._components = window, map_error, components
+        self._tracker = LaneTracker(found, route)
+
+    def cycle(self, t: float, true_pose: NDArray[np.float64]) -> Cycle:
+        """Return the lines at the next time.
+
+        Args:
+            t: later than that of the previous call [s].
+            true_pose: (3,) x [m], y [m], heading [rad] in the map frame.
+
+        Raises:
+            ValueError: a value is not finite, or the time is not later.
+        """
+        stated = self._stated(t, true_pose)
+        if stated is None:
+            tracked = self._tracker.lose()
+            return Cycle(t, None, tracked, MapLineList([], {}), tracked.changed & self._slots)
+        tracked = self._tracker.lines(stated.mean)
+        chosen = {slot: line for slot, line in tracked.lines.items() if slot in self._slots}
+        own, time, changed = self._components, self._correlation_time, tracked.changed & self._slots
+        if time is not None:
+            scene = map_scene(
+                chosen,
+                stated,
+                correlation_time=time() if callable(time) else time,
+                window=self._window,
+                map_error=self._map_error,
+                max_misfit=self._max_misfit,
+                max_sigma=self._max_sigma,
+            )
+            lines = MapLineList(scene.lines, scene.left_out)
+            return Cycle(t, stated, tracked, lines, changed, scene)
+        lines = map_lines(
+            chosen,
+            stated,
+            window=self._window,
+            map_error=self._map_error,
+            max_misfit=self._max_misfit,
+            max_sigma=self._max_sigma,
+            components=own(chosen, stated) if callable(own) else own,
+        )
+        return Cycle(t, stated, tracked, lines, changed)

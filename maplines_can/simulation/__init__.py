@@ -1,0 +1,1 @@
+"""Drives of a car, their sensors and their truth."""

@@ -1,0 +1,133 @@
+"""Lines of the ego lane along a drive, as they are and as a receiver knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..consumers.lane_fusion import positive_part
+from ..maps import LaneTracker, Map, Route
+from ..propagation import MapError, map_scene
+from ..values.gaussian import Gaussian
+from ..values.line import Slot
+from ..values.polyline import Polyline
+from ..values.scene import Scene
+from ..values.seen_lines import SeenLines
+from ..wire import Codec, Decoder
+from .trajectory import SimulatedDrive, State
+from .truth import Y_PLACES, true_lines
+
+Array = NDArray[np.float64]
+
+LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
+#: Where the lane centre is evaluated [m].
+PLACES = (0.0, 20.0, 40.0)
+#: Window in which a camera fits a cubic [m], with this deviation at most [m], and the range that
+#: it has to see [m].
+CAMERA_WINDOW, CAMERA_MISFIT, CAMERA_RANGE = (0.0, 50.0), 0.03, 25.0
+COLUMNS = [Y_PLACES.index(int(x)) for x in PLACES]
+#: Time from the pose to the first frame, and from frame to frame [s].
+AGE, FRAME = 0.02, 0.00025
+
+
+class DriveView(NamedTuple):
+    """Ego lane at (n,) times of a drive; NaN where a line is not given."""
+
+    state: State
+    lines: Array  #: (n, 2, 4) cubics of both lines from the true pose
+    fit_ranges: Array  #: (n, 2, 2) in which they were fitted [m]
+    true: Array  #: (n, 2, 3) lateral positions of the lines at ``PLACES`` [m]
+    valid: NDArray[np.bool_]  #: (n, 3) which places are in the valid range of both lines
+    own: Array  #: (n, 8, 8) covariance of what received lines have of their own
+    seen: Array  #: (n, 2, 4) cubics that a camera fits; NaN where it does not see enough
+
+
+def drive_view(
+    found: Map,
+    route: Route,
+    drive: SimulatedDrive,
+    times: Iterable[float],
+    codec: Codec,
+    pose_cov: Array,
+    map_error: MapError,
+) -> DriveView:
+    """Return the view of a drive, with lines that were encoded and decoded.
+
+    Args:
+        found: the map.
+        route: that the car follows.
+        drive: the drive.
+        times: [s].
+        codec: that encodes and decodes the lines, with a Pose message.
+        pose_cov: (3, 3) of the pose error that the sender states, in the ego frame.
+        map_error: that the sender states.
+    """
+    state = drive.at(np.array([*times]))
+    tracker, n = LaneTracker(found, route), len(state.t)
+    view = DriveView(
+        state,
+        np.full((n, 2, 4), np.nan),
+        np.full((n, 2, 2), np.nan),
+        np.full((n, 2, len(PLACES)), np.nan),
+        np.zeros((n, len(PLACES)), dtype=bool),
+        np.full((n, 8, 8), np.nan),
+        np.full((n, 2, 4), np.nan),
+    )
+    decoder = codec.decoder()
+    for k, pose in enumerate(state.pose):
+        seen = tracker.lines(pose)
+        lines = {slot: seen.lines[slot] for slot in LANE if slot in seen.lines}
+        view.true[k] = true_lines(lines, LANE, pose)[:, COLUMNS]
+        view.seen[k] = camera_lines(lines, pose)
+        ego = Gaussian(pose, turned(pose_cov, pose[2]))
+        scene = map_scene(lines, ego, map_error=map_error, correlation_time=1.0)
+        received = transferred(codec, decoder, scene, float(state.t[k]))
+        if received is not None and all(slot in received.index for slot in LANE):
+            view.lines[k] = [received.line(slot).gaussian.mean for slot in LANE]
+            view.fit_ranges[k] = received.fit_ranges
+            low, high = received.x_range(LANE)
+            view.valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
+            view.own[k] = own_cov(received)
+    return view
+
+
+def camera_lines(lines: Mapping[Slot, Polyline], pose: Array) -> Array:
+    """Return the (2, 4) cubics that a camera without errors fits; NaN if it sees too little."""
+    exact = Gaussian(pose, np.zeros((3, 3)))
+    seen = map_scene(lines, exact, window=CAMERA_WINDOW, max_misfit=CAMERA_MISFIT)
+    if not all(slot in seen.index for slot in LANE) or seen.x_range(LANE)[1] < CAMERA_RANGE:
+        return np.full((2, 4), np.nan)
+    return np.array([seen.line(slot).gaussian.mean for slot in LANE])
+
+
+def turned(cov: Array, heading: float) -> Array:
+    """Return a (3, 3) covariance in the ego frame, in the frame of the map."""
+    c, s = np.cos(heading), np.sin(heading)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(R @ cov @ R.T)
+
+
+def transferred(codec: Codec, decoder: Decoder, scene: Scene, t: float) -> Scene | None:
+    """Return a scene as received; None if it was not.
+
+    Args:
+        codec: encodes the scene.
+        decoder: of the receiver.
+        scene: as sent.
+        t: time of its pose [s], later than that of the scene before.
+    """
+    for own in codec.encode_scene(scene, age=AGE).values():
+        for i, frame in enumerate(own):
+            decoder.feed(frame.can_id, frame.data, round(1e9 * (t + AGE + i * FRAME)))
+    received = decoder.scene()
+    is_new = received is not None and abs(received.t_ns / 1e9 - AGE - t) < FRAME
+    return received.scene if received is not None and is_new else None
+
+
+def own_cov(scene: Scene) -> Array:
+    """Return the (4 L, 4 L) covariance of what the lines of a scene have of their own."""
+    J = SeenLines(scene.means, scene.fit_ranges).jacobian().reshape(-1, 3)
+    return positive_part(scene.cov - J @ scene.pose_error.cov @ J.T)

@@ -1,0 +1,1 @@
+"""Accuracy of the representations of a line against its true distribution."""

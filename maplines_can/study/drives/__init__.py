@@ -1,1 +1,0 @@
-"""Recorded drives on a map: the truth, and how accurate the received lines are."""

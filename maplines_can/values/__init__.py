@@ -1,0 +1,1 @@
+"""Values that all parts share: Gaussians, lines of a map, scenes, errors."""

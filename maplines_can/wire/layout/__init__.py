@@ -1,0 +1,1 @@
+"""The messages of a DBC: signals, records, what they must have."""

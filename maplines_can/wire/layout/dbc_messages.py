@@ -1,0 +1,169 @@
+"""Messages of a DBC: frame format, attributes, signals, and the trailer of authenticated ones."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from enum import Enum
+from typing import Any
+
+from cantools.database.can import Message
+from cantools.database.can import Signal as DbcSignal
+
+from ...values.errors import LayoutError
+from .requirements import MIN_FRESHNESS_BYTES, REQUIREMENTS, check
+from .signals import PAGE_BYTES, SECURED_SIGNALS, Signal, all_raw
+from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
+
+
+class FrameFormat(Enum):
+    """Frame format of a message."""
+
+    CLASSIC, FD, SECURED = range(3)
+
+
+def format_of(message: Message) -> FrameFormat:
+    """Return the frame format of a message."""
+    if attribute(message, "SecOCDataId") is not None:
+        return FrameFormat.SECURED
+    return FrameFormat.FD if message.is_fd else FrameFormat.CLASSIC
+
+
+def check_frame(message: Message, kind: FrameFormat, source: str) -> None:
+    """Check the length and the multiplexer of a message against its frame format."""
+    where = f"{source}: message {message.name}"
+    if kind is FrameFormat.CLASSIC and message.length != PAGE_BYTES:
+        raise LayoutError(
+            f"{where}: a page must have 8 bytes, got {message.length}; for a whole record in one "
+            "frame, make it a CAN FD message (VFrameFormat)"
+        )
+    if kind is FrameFormat.CLASSIC:
+        return
+    if message.length not in FD_LENGTHS or not message.is_fd:
+        raise LayoutError(
+            f"{where}: must be a CAN FD message (VFrameFormat) with a valid CAN FD payload length, "
+            f"got {message.length} bytes"
+        )
+    if any(signal.is_multiplexer for signal in message.signals):
+        raise LayoutError(
+            f"{where}: a CAN FD message holds all pages, so it must not have a multiplexer"
+        )
+
+
+def record_messages(
+    owner: str, messages: dict[FrameFormat, Message], source: str
+) -> RecordMessages:
+    """Return the messages of a record, which belong to ``owner``, as errors name it."""
+    classic, fd, secured = (messages.get(kind) for kind in FrameFormat)
+    data_ids = {attribute(message, "E2EDataId") for message in messages.values()}
+    data_id = data_ids.pop()
+    if data_ids or data_id is None:
+        raise LayoutError(f"{source}: {owner}: its messages need the same attribute E2EDataId")
+    secured_data_id = 0
+    if secured:
+        what = f"{source}: message {secured.name}: SecOCDataId"
+        secured_data_id = integer(attribute(secured, "SecOCDataId"), what, 0xFFFF)
+    message = next(m for m in (classic, fd, secured) if m is not None)
+    where = f"{source}: message {message.name}"
+    return RecordMessages(
+        name=message.name,
+        can_id=classic.frame_id if classic else None,
+        fd_can_id=fd.frame_id if fd else None,
+        is_extended=bool(classic and classic.is_extended_frame),
+        fd_is_extended=bool(fd and fd.is_extended_frame),
+        fd_length=fd.length if fd else 0,
+        data_id=integer(data_id, f"{where}: E2EDataId", 0xFFFF),
+        cycle_ms=integer(message.cycle_time or 0, f"{where}: GenMsgCycleTime", MAX_MS),
+        secured_can_id=secured.frame_id if secured else None,
+        secured_is_extended=bool(secured and secured.is_extended_frame),
+        secured_data_id=secured_data_id,
+    )
+
+
+def attribute(message: Message, name: str) -> Any:
+    """Return the value of an attribute of a message; None if it has none."""
+    attributes = message.dbc.attributes if message.dbc else {}
+    return attributes[name].value if name in attributes else None
+
+
+def secured_layout(message: Message, source: str) -> SecuredLayout:
+    """Return the layout of an authenticated message, which must be that of AUTOSAR SecOC."""
+    where = f"{source}: message {message.name}"
+    signals = {signal.name: signal for signal in message.signals}
+    end, sizes = message.length, {}
+    for name, most in reversed(SECURED_SIGNALS.items()):
+        least = MIN_FRESHNESS_BYTES if name == "Freshness" else 1
+        signal = signals.get(name)
+        size, odd_bits = divmod(signal.length if signal else 0, 8)
+        end -= size
+        motorola = signal is not None and signal.byte_order == "big_endian"
+        if (
+            signal is None
+            or odd_bits
+            or size > most
+            or signal.start != 8 * end + (7 if motorola else 0)
+            or not (motorola or size == 1)
+        ):
+            size_text = "1 byte" if most == 1 else f"{least} to {most} bytes"
+            raise LayoutError(
+                f"{where}: must end with {', '.join(SECURED_SIGNALS)}, in Motorola byte order and "
+                f"of whole bytes; {name} must have {size_text}, and end in byte {end + size - 1}"
+            )
+        sizes[name] = size
+    for name in SECURED_SIGNALS:
+        check(to_signal(signals[name]), REQUIREMENTS[name], where)
+    return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
+
+
+def integer(value: Any, what: str, most: int) -> int:
+    """Return the value of an attribute as an integer from 0 to ``most``."""
+    try:
+        number = int(value)
+        valid = (isinstance(value, str) or number == value) and 0 <= number <= most
+    except (ValueError, TypeError, OverflowError):
+        valid = False
+    if not valid:
+        raise LayoutError(f"{what} must be a whole number from 0 to {most}, got {value!r}")
+    return number
+
+
+def low_bits(signal: Signal, name: str, length: int) -> Signal:
+    """Return the low bits of an unsigned signal, as a signal."""
+    start = signal.start
+    if signal.big_endian:  # bits count downwards within a byte, upwards from byte to byte
+        place = start // 8 * 8 + 7 - start % 8 + signal.length - length
+        start = place // 8 * 8 + 7 - place % 8
+    return replace(signal, name=name, start=start, length=length, raw_min=0, raw_max=2**length - 1)
+
+
+def to_signal(signal: DbcSignal) -> Signal:
+    """Convert a cantools signal to a `Signal`; ``requirements`` checks those of the record."""
+    factor, offset = float(signal.scale), float(signal.offset)
+    signed = bool(signal.is_signed and not signal.is_float)
+    low, high = all_raw(signal.length, signed)
+    bounds = [bound for bound in (signal.minimum, signal.maximum) if bound is not None]
+    if len(bounds) == 2 and factor != 0 and not signal.is_float:  # the DBC's range, if narrower
+        ends = [_finite((float(bound) - offset) / factor) for bound in bounds]
+        first, last = ends if factor > 0 else ends[::-1]
+        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
+        low, high = max(low, math.ceil(first - slack)), min(high, math.floor(last + slack))
+    return Signal(
+        name=signal.name,
+        start=signal.start,
+        length=signal.length,
+        big_endian=signal.byte_order == "big_endian",
+        signed=signed,
+        factor=factor,
+        offset=offset,
+        unit=signal.unit or "",
+        raw_min=low,
+        raw_max=high,
+        is_float=bool(signal.is_float),
+    )
+
+
+def _finite(value: float) -> float:
+    """Return the finite number nearest to a value; 0 for NaN."""
+    most = sys.float_info.max
+    return 0.0 if math.isnan(value) else max(-most, min(value, most))

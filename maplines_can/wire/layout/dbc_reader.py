@@ -1,0 +1,277 @@
+"""Reader of DBC files: the records of lines and of the pose error, and their messages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, replace
+from importlib import resources
+from pathlib import Path
+from typing import NamedTuple
+
+import cantools
+from cantools.database.can import Database, Message
+from cantools.database.can import Signal as DbcSignal
+
+from ...values.errors import LayoutError
+from ...values.input_files import checked_path
+from ...values.line import Kind, Slot, Status
+from .dbc_limits import MAX_DBC, check_numbers
+from .dbc_messages import (
+    FrameFormat,
+    attribute,
+    check_frame,
+    format_of,
+    integer,
+    low_bits,
+    record_messages,
+    secured_layout,
+    to_signal,
+)
+from .pose_layout import POSE, Owner, PoseLayout
+from .requirements import bits_of, pages_of
+from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
+from .slot_messages import SecuredLayout, SlotMessages
+
+__all__ = [
+    "Database",
+    "DbcContent",
+    "content_of",
+    "default_dbc_path",
+    "parse_database",
+    "parse_dbc",
+    "read_text",
+]
+
+#: Covariance code of a DBC without the attribute CovarianceCode.
+DEFAULT_CODE = "Cholesky"
+
+
+class DbcContent(NamedTuple):
+    """Content of a DBC that matters to map lines; see ``Layout``."""
+
+    signals: Mapping[str, Signal]
+    messages: Mapping[Slot, SlotMessages]
+    covariance_code: str
+    secured: SecuredLayout | None
+    pose: PoseLayout | None
+
+
+def default_dbc_path(name: str = "maplines.dbc") -> Path:
+    """Return the path of one of the project's DBCs: in the installed package, or the checkout.
+
+    Raises:
+        LayoutError: it is in neither place.
+    """
+    packaged = resources.files(__package__.partition(".")[0]) / "dbc" / name
+    checkout = Path(__file__).parents[3] / "dbc" / name
+    for path in (Path(str(packaged)), checkout):
+        if path.is_file():
+            return path
+    raise LayoutError(f"{name} is neither at {packaged} nor at {checkout}; reinstall")
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a DBC file; raises LayoutError as ``Layout.from_dbc``."""
+    try:
+        with checked_path(path, LayoutError).open("rb") as file:  # a pipe or device may never end
+            data = file.read(MAX_DBC + 1)
+    except OSError as error:
+        raise LayoutError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if len(data) > MAX_DBC:
+        raise LayoutError(f"{path}: is too large: a DBC must have {MAX_DBC:,} bytes at most")
+    try:
+        return data.decode("cp1252")  # the encoding that DBC tools write
+    except UnicodeDecodeError as error:
+        raise LayoutError(f"{path}: is not a valid DBC: {error}") from error
+
+
+def parse_dbc(text: str, source: str) -> DbcContent:
+    """Read the record and its messages from the text of a DBC.
+
+    Raises:
+        LayoutError: the text is not a DBC, or does not describe a map line.
+    """
+    return content_of(parse_database(text, source), source)
+
+
+def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
+    """Return the database of the text of a DBC.
+
+    Args:
+        text: of the DBC.
+        source: its name, for messages.
+        strict: whether signals that overlap, or do not fit into their message, are an error.
+
+    Raises:
+        LayoutError: the text is not a DBC.
+    """
+    check_numbers(text, source)
+    try:
+        database = cantools.database.load_string(text, database_format="dbc", strict=strict)
+    except Exception as error:  # the parser raises many types, all for a text that is not a DBC
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise LayoutError(f"{source}: is not a valid DBC: {reason}") from error
+    if not isinstance(database, Database):
+        raise LayoutError(f"{source}: is not a DBC of CAN messages")
+    return database
+
+
+def content_of(database: Database, source: str) -> DbcContent:
+    """Read the record and its messages from a loaded database.
+
+    Raises:
+        LayoutError: it does not describe a map line.
+    """
+    records: dict[Owner, dict[str, dict[str, Signal]]] = {}
+    messages: dict[Owner, dict[FrameFormat, Message]] = {}
+    for message in database.messages:
+        if (owner := _owner(message, source)) is None:
+            continue
+        kind = format_of(message)
+        if messages.setdefault(owner, {}).setdefault(kind, message) is not message:
+            raise LayoutError(f"{source}: {_name(owner)} has two messages in one frame format")
+        check_frame(message, kind, source)
+        for signal in message.signals:
+            _check_choices(signal, f"{source}: message {message.name}")
+        records.setdefault(owner, {})[message.name] = _record(message, source)
+    slots = sorted(owner for owner in messages if isinstance(owner, Slot))
+    if not slots:
+        raise LayoutError(
+            f"{source}: no message has the attribute MapLineSlot, so none carries a map line"
+        )
+    _check_can_ids(database, [name for own in records.values() for name in own], source)
+    lines = {name: record for slot in slots for name, record in records[slot].items()}
+    code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
+    return DbcContent(
+        signals=_shared_signals(lines, source),
+        messages={slot: _slot_messages(slot, messages[slot], source) for slot in slots},
+        covariance_code=DEFAULT_CODE if code is None else str(code.value),
+        secured=_secured([messages[slot] for slot in slots], source),
+        pose=PoseLayout(
+            signals=_shared_signals(records[POSE], source),
+            source=f"{source}: {_name(POSE)}",
+            messages=record_messages(_name(POSE), messages[POSE], source),
+            secured=_secured([messages[POSE]], source),
+        )
+        if POSE in records
+        else None,
+    )
+
+
+def _owner(message: Message, source: str) -> Owner | None:
+    """Return the slot or the pose error whose record a message has; None if it has none."""
+    where = f"{source}: message {message.name}"
+    number, pose = attribute(message, "MapLineSlot"), attribute(message, "MapLinePose")
+    has_pose = pose is not None and integer(pose, f"{where}: MapLinePose", 1) == 1
+    if number is None:
+        return POSE if has_pose else None
+    if has_pose:
+        raise LayoutError(
+            f"{where}: has the attributes MapLineSlot and MapLinePose, but it carries a line or "
+            "the pose error; remove one of them"
+        )
+    return Slot(integer(number, f"{where}: MapLineSlot", len(Slot) - 1))
+
+
+def _name(owner: Owner) -> str:
+    return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
+
+
+def _slot_messages(slot: Slot, messages: dict[FrameFormat, Message], source: str) -> SlotMessages:
+    return SlotMessages(slot=slot, **asdict(record_messages(_name(slot), messages, source)))
+
+
+def _secured(
+    messages: Iterable[Mapping[FrameFormat, Message]], source: str
+) -> SecuredLayout | None:
+    """Return the layout that all authenticated messages have; None if there is none."""
+    secured = [own[FrameFormat.SECURED] for own in messages if FrameFormat.SECURED in own]
+    layouts = {message.name: secured_layout(message, source) for message in secured}
+    if len(set(layouts.values())) > 1:
+        raise LayoutError(f"{source}: messages {', '.join(layouts)} must have the same lengths")
+    return next(iter(layouts.values()), None)
+
+
+def _shared_signals(records: Mapping[str, Mapping[str, Signal]], source: str) -> dict[str, Signal]:
+    """Return the signals that all messages have; others do not belong to the record."""
+    (first, signals), *others = records.items()
+    for name, other in others:
+        differing = sorted(s for s in signals.keys() & other.keys() if signals[s] != other[s])
+        differing += [f"{PAGE}{n}" for n in {*pages_of(signals)} ^ {*pages_of(other)}]
+        if differing:
+            raise LayoutError(
+                f"{source}: messages {first} and {name} must hold the same signals at the same "
+                f"places, but {', '.join(differing)} differ"
+            )
+    shared = set(signals).intersection(*(other for _, other in others))
+    return {name: signal for name, signal in signals.items() if name in shared}
+
+
+def _check_choices(signal: DbcSignal, where: str) -> None:
+    """Check that VAL_ gives no name of a Status or Kind to another value; new names are allowed."""
+    enumeration = {"Status": Status, "Kind": Kind}.get(signal.name)
+    names = enumeration.__members__ if enumeration else {}
+    for number, text in (signal.choices or {}).items():
+        if names.get(str(text), number) != number:
+            raise LayoutError(
+                f"{where}: signal {signal.name}: VAL_ gives the value {number} the name {text}, "
+                f"which belongs to the value {names[str(text)].value}; correct VAL_"
+            )
+
+
+def _check_can_ids(database: Database, own: Iterable[str], source: str) -> None:
+    """Check that no message has the same CAN ID as a message of a map line."""
+    names: dict[tuple[int, bool], str] = {}
+    for message in database.messages:
+        first = names.setdefault((message.frame_id, message.is_extended_frame), message.name)
+        if first != message.name and not {first, message.name}.isdisjoint(own):
+            raise LayoutError(
+                f"{source}: messages {first} and {message.name} have the same CAN ID, "
+                f"{message.frame_id}; give each its own"
+            )
+
+
+def _record(message: Message, source: str) -> dict[str, Signal]:
+    """Return the signals with bit positions in the record, independent of the frame format."""
+    where = f"{source}: message {message.name}"
+    multiplexers = [signal for signal in message.signals if signal.is_multiplexer]
+    if multiplexers:
+        signals = _paged_signals(message, multiplexers, where)
+    else:
+        own = [signal for signal in message.signals if signal.name not in SECURED_SIGNALS]
+        signals = [to_signal(signal) for signal in own]
+    record = {signal.name: signal for signal in sorted(signals, key=lambda signal: signal.start)}
+    if f"{TRANSFER_ID}0" not in record and {"Counter", f"{TRANSFER_ID}1"} <= set(record):
+        record[f"{TRANSFER_ID}0"] = low_bits(
+            record["Counter"], f"{TRANSFER_ID}0", record[f"{TRANSFER_ID}1"].length
+        )
+    pages = pages_of(record)
+    if not pages or (not multiplexers and message.length < len(pages) * PAGE_BYTES):
+        raise LayoutError(
+            f"{where}: must have pages of 8 bytes, each with {PAGE} and {TRANSFER_ID}"
+        )
+    # The padding of a CAN FD message may hold other signals.
+    end = 8 * PAGE_BYTES * len(pages)
+    return {name: signal for name, signal in record.items() if min(bits_of(signal)) < end}
+
+
+def _paged_signals(message: Message, multiplexers: list[DbcSignal], where: str) -> list[Signal]:
+    """Return the signals of a multiplexed message, its pages concatenated."""
+    if len(multiplexers) > 1 or multiplexers[0].name != PAGE:
+        raise LayoutError(f"{where}: must have one multiplexer, named {PAGE}")
+    pages = sorted({i for s in message.signals for i in s.multiplexer_ids or ()})
+    if pages != list(range(len(pages))):
+        raise LayoutError(f"{where}: pages must be numbered 0, 1, ..., got {pages}")
+    signals = []
+    for dbc_signal in message.signals:
+        signal = to_signal(dbc_signal)
+        if dbc_signal.multiplexer_ids is None:  # repeated in every page
+            for page in pages:
+                start = signal.start + 8 * PAGE_BYTES * page
+                signals.append(replace(signal, name=f"{signal.name}{page}", start=start))
+        elif len(dbc_signal.multiplexer_ids) == 1:
+            start = signal.start + 8 * PAGE_BYTES * dbc_signal.multiplexer_ids[0]
+            signals.append(replace(signal, start=start))
+        else:
+            raise LayoutError(f"{where}: signal {signal.name} must be in one page or in all")
+    return signals

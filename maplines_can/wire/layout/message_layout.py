@@ -1,0 +1,203 @@
+"""Layout of a record, and the messages that carry it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...values.errors import EncodeError, LayoutError
+from ...values.line import Slot
+from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
+from .pose_layout import PoseLayout
+from .record_layout import RecordLayout
+from .requirements import CONDITIONAL_REQUIREMENTS, bits_of, check_record
+from .signals import (
+    CONDITIONAL_SIGNALS,
+    FINE_SIGNALS,
+    HEADER_SIGNALS,
+    PAGE,
+    PAGE_BYTES,
+    PARAMETER_SIGNALS,
+    SECURED_SIGNALS,
+    TRANSFER_ID,
+    slot_title,
+)
+from .slot_messages import Room, SecuredLayout, SlotMessages, check_messages, fd_length
+
+__all__ = [
+    "PAGE",
+    "PAGE_BYTES",
+    "PARAMETER_SIGNALS",
+    "POSE_CONDITIONAL",
+    "SECURED_SIGNALS",
+    "TRANSFER_ID",
+    "Layout",
+    "default_dbc_path",
+    "fd_length",
+    "slot_title",
+]
+
+
+#: Covariance code of records whose covariance is conditional on the pose error.
+POSE_CONDITIONAL = "PoseConditional"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Layout(RecordLayout):
+    """Layout of a record and the messages that carry it, as a DBC describes them.
+
+    A record is the concatenation of the pages of a multiplexed classic message, and the payload
+    of one CAN FD message. A signal that every page repeats has the page number added to its name:
+    ``Page0``, ``TransferId0``, ``Page1``, ... If the DBC has no transfer ID in the first page,
+    that page's transfer ID is the low bits of ``Counter``.
+
+    Args:
+        signals: by name, in the order of their bits.
+        messages: by slot.
+        covariance_code: name of the covariance code.
+        source: name of the DBC in error messages.
+        secured: layout of the authenticated messages; None if there are none.
+        pose: layout of the pose error; None if there is no such message.
+
+    Raises:
+        LayoutError: a signal is missing or does not meet its ``requirements``, two messages have
+            the same CAN ID, two records the same data ID, or a conditional record has no message
+            of the pose error.
+    """
+
+    messages: Mapping[Slot, SlotMessages]
+    covariance_code: str
+    secured: SecuredLayout | None = None
+    pose: PoseLayout | None = None
+
+    def __post_init__(self) -> None:
+        own = (*CONDITIONAL_SIGNALS, *FINE_SIGNALS) if self.is_conditional else HEADER_SIGNALS
+        for name in (*own, *PARAMETER_SIGNALS):
+            self[name]
+        self.check_pages()
+        check_record(
+            self.signals, self.source, CONDITIONAL_REQUIREMENTS if self.is_conditional else None
+        )
+        check_messages(self._rooms(), self.source)
+        if self.pose is not None:
+            counters = dict.fromkeys(self.messages, self["Counter"])
+            self.pose.check_slots(counters, levels=not self.is_conditional)
+        elif self.is_conditional:
+            raise LayoutError(
+                f"{self.source}: records with the covariance code {POSE_CONDITIONAL} need a "
+                "message of the pose error; add one with the attribute MapLinePose 1"
+            )
+
+    def _rooms(self) -> Iterator[Room]:
+        for slot, messages in self.messages.items():
+            yield Room(f"slot {slot.name}", messages, self.secured, self.record_bytes)
+        if self.pose is not None:
+            pose = self.pose
+            yield Room("the pose error", pose.messages, pose.secured, pose.record_bytes)
+
+    @classmethod
+    def from_dbc(cls, dbc: str | Path | Database | None = None) -> Layout:
+        """Read a layout from a DBC file, or from a database that cantools has loaded from one.
+
+        By default, the DBC is the project's ``maplines.dbc``.
+
+        Raises:
+            LayoutError: the file is missing, is larger than 16 MB, is not a DBC, or does not
+                describe a map line.
+            TypeError: it is neither a path nor a ``cantools.database.can.Database``.
+        """
+        if isinstance(dbc, str | Path | None):
+            path = default_dbc_path() if dbc is None else Path(dbc)
+            return cls.from_text(read_text(path), str(path))
+        if not isinstance(dbc, Database):
+            raise TypeError(
+                "dbc must be a path, or a Database that cantools has loaded from a DBC, got a "
+                f"{type(dbc).__name__}"
+            )
+        source = "the cantools database"
+        return cls(source=source, **content_of(dbc, source)._asdict())
+
+    @classmethod
+    def from_text(cls, text: str, source: str = "DBC") -> Layout:
+        """Read a layout from the text of a DBC, named ``source`` in error messages.
+
+        Raises:
+            LayoutError: the text is not a DBC, or does not describe a map line.
+        """
+        return cls(source=source, **parse_dbc(text, source)._asdict())
+
+    @cached_property
+    def resolution(self) -> NDArray[np.float64]:
+        """(4,) variances of the mean's rounding error, factor^2 / 12, in SI units squared."""
+        return np.array([self[name].factor ** 2 / 12 for name in PARAMETER_SIGNALS])
+
+    @property
+    def max_age(self) -> float:
+        """Greatest age that a line can have [s]; that of a conditional record is of its pose."""
+        if self.is_conditional and self.pose is not None:
+            return self.pose.max_age
+        return super().max_age
+
+    @property
+    def is_conditional(self) -> bool:
+        """Whether the covariance of a record is conditional on the pose error."""
+        return self.covariance_code == POSE_CONDITIONAL
+
+    @cached_property
+    def short_pages(self) -> int:
+        """Number of pages of a record without a covariance; fewer only if it is conditional.
+
+        They are the pages up to the last one with another signal than those of the covariance
+        and of the finer mean.
+        """
+        if not self.is_conditional:
+            return self.pages
+        names = (*CONDITIONAL_SIGNALS, *PARAMETER_SIGNALS)
+        last = max(max(bits_of(self[name])) for name in names)
+        return last // (8 * PAGE_BYTES) + 1
+
+    @cached_property
+    def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:
+        """Map from (CAN ID, extended) to (slot, is_whole_record)."""
+        return {
+            key: (slot, is_whole)
+            for slot, messages in self.messages.items()
+            for key, is_whole in messages.ids.items()
+        }
+
+    @property
+    def can_ids(self) -> frozenset[int]:
+        """CAN IDs of all lines and of the pose error, for filters."""
+        pose = self.pose.messages.ids if self.pose else {}
+        return frozenset(can_id for can_id, _ in (*self.message_of_id, *pose))
+
+    @cached_property
+    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
+        """Map from (CAN ID, extended) to the SecOC data ID."""
+        return {
+            key: data_id
+            for messages in self.messages.values()
+            for key, data_id in messages.secured_ids.items()
+        }
+
+    def data_ids(self, slot: ArrayLike, n: int) -> NDArray[np.uint16]:
+        """Return the (n,) E2E data IDs of slots, (n,) or one for all.
+
+        Raises:
+            EncodeError: the DBC has no message for a slot.
+        """
+        given = np.broadcast_to(np.asarray(slot), n)
+        slots = given.astype(np.int64)
+        table = np.full(max(Slot) + 1, -1)
+        for known, messages in self.messages.items():
+            table[known] = messages.data_id
+        bad = (slots < 0) | (slots > max(Slot)) | (slots != given)
+        bad |= table[slots.clip(0, max(Slot))] < 0
+        if bad.any():
+            raise EncodeError(f"{self.source} has no message for slot {given[bad][0]}")
+        return table[slots].astype(np.uint16)

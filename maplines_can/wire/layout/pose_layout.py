@@ -1,0 +1,94 @@
+"""Layout of a record of the pose error, and the messages that carry it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, Literal
+
+from ...values.line import Slot
+from .record_layout import RecordLayout
+from .requirements import check_record
+from .signals import POSE_SIGNALS, SLOT_SIGNALS, Signal, slot_title
+from .slot_messages import RecordMessages, SecuredLayout
+
+#: Owner of the records of the pose error, as a slot is that of its lines.
+POSE: Literal["pose"] = "pose"
+#: Owner of a record: a slot, or the pose error.
+Owner = Slot | Literal["pose"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PoseLayout(RecordLayout):
+    """Layout of a record of the pose error and its messages, as a DBC describes them.
+
+    Args:
+        messages: of the record.
+        secured: layout of the authenticated message; None if there is none.
+
+    Raises:
+        LayoutError: a signal is missing or does not meet its ``requirements``.
+    """
+
+    needed_by: ClassVar[str] = "each message of the pose error (MapLinePose)"
+
+    messages: RecordMessages
+    secured: SecuredLayout | None = None
+
+    def __post_init__(self) -> None:
+        for name in POSE_SIGNALS:
+            self[name]
+        self.check_pages()
+        check_record(self.signals, self.source)
+
+    @cached_property
+    def counters(self) -> dict[Slot, Signal]:
+        """Signals with the low bits of the counter of the record that belongs to the pose."""
+        names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
+        return {slot: self[name] for slot, name in names.items() if name in self.signals}
+
+    @property
+    def short_pages(self) -> int:
+        """Number of pages: all records have all of them."""
+        return self.pages
+
+    @cached_property
+    def message_of_id(self) -> dict[tuple[int, bool], tuple[Literal["pose"], bool]]:
+        """Map from (CAN ID, extended) to (POSE, is_whole_record)."""
+        return {key: (POSE, is_whole) for key, is_whole in self.messages.ids.items()}
+
+    @property
+    def data_id_of_secured(self) -> dict[tuple[int, bool], int]:
+        """Map from (CAN ID, extended) to the SecOC data ID."""
+        return self.messages.secured_ids
+
+    def check_slots(self, slots: Mapping[Slot, Signal], *, levels: bool) -> None:
+        """Check the signals of slots: a slot has all of them, or none if it has no messages.
+
+        Args:
+            slots: counter of the record of each slot that has messages.
+            levels: whether the pose error has the levels of each slot.
+
+        Raises:
+            LayoutError: a signal is missing, is longer than the counter of the slot, or is a level
+                of a slot whose records have it.
+        """
+        for slot in Slot:
+            title = slot_title(slot)
+            counter, own = f"{title}Counter", [f"{title}{name}" for name in SLOT_SIGNALS]
+            if not levels and (twice := self.signals.keys() & own):
+                raise self.error(
+                    self[min(twice)],
+                    f"to be in the records of {title}, which are conditional on the pose error",
+                    "remove it here",
+                )
+            if slot not in slots and self.signals.keys().isdisjoint([counter, *own]):
+                continue
+            for name in [counter, *own] if levels else [counter]:
+                self[name]
+            most = slots[slot].length if slot in slots else self[counter].length
+            if self[counter].length > most:
+                raise self.error(
+                    self[counter], f"at most {most} bits, as the Counter of {title}", "shorten it"
+                )

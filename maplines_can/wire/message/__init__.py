@@ -1,1 +1,0 @@
-"""Records of map lines: their layout as a DBC describes it, and how to write and read them."""

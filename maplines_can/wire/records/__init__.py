@@ -1,0 +1,1 @@
+"""Records: lines and pose errors to payloads and back."""

@@ -1,0 +1,103 @@
+"""Gaussian mixtures as records, one for each component."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..layout.attributes import RecordAttributes
+from ..layout.validation import checked_gaussians
+from .writer import RecordWriter
+
+Array = NDArray[np.float64]
+
+
+class MixtureWriter:
+    """Writer of mixtures, which covers each component and the mixture as a whole."""
+
+    def __init__(self, writer: RecordWriter) -> None:
+        self._writer = writer
+        self._weight_steps = round(1 / writer.layout["ComponentWeight"].factor)
+
+    def write(
+        self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
+    ) -> NDArray[np.uint8]:
+        """Return the (N, k, record bytes) records of mixtures; see ``Codec.encode_mixtures``."""
+        n, k = weights.shape
+        gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        decoded_weights, cover = self.cover(weights, means, covs)
+        of_components = attributes.of_components(decoded_weights)
+        payloads = self._writer.write(gaussians, of_components, np.repeat(cover, k, axis=0))
+        return payloads.reshape(n, k, -1)
+
+    def cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
+        """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
+        steps = self._weight_steps
+        decoded = quantized_weights(weights, steps) / steps
+        return decoded, deficit(weights, means, covs, decoded, self._writer.decoded_mean(means))
+
+
+def quantized_weights(weights: Array, steps: int) -> NDArray[np.int64]:
+    """Round weights to positive multiples of ``1 / steps`` that add up to 1.
+
+    The largest remainders are rounded up (Hamilton's method). So no weight is off by a step or
+    more, unless it had to be raised to one step.
+
+    The weights are (N, k) and positive, each row of sum 1; ``steps`` is k or more.
+
+    Returns:
+        (N, k) multiples, each row of sum ``steps``.
+
+    >>> quantized_weights(np.array([[0.005, 0.335, 0.66]]), 32)
+    array([[ 1, 10, 21]])
+    """
+    exact = weights * steps
+    multiples = np.maximum(1, np.floor(exact)).astype(np.int64)
+    rows = np.arange(len(multiples))
+    for _ in range(weights.shape[1]):
+        missing = steps - multiples.sum(axis=1)
+        multiples[rows, (exact - multiples).argmax(axis=1)] += missing > 0
+        excess = np.where(multiples > 1, multiples - exact, -np.inf)
+        multiples[rows, excess.argmax(axis=1)] -= missing < 0
+    return multiples
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def deficit(
+    weights: Array, means: Array, covs: Array, decoded_weights: Array, decoded_means: Array
+) -> Array:
+    """Return the variance to add to each component so that the whole mixture is covered.
+
+    Each decoded component covers its own covariance, so the covariance of the decoded mixture is
+    at least ``B = sum w'_i (S_i + d_i d_i^T + (m'_i - m')(m'_i - m')^T)``. It must cover the true
+    covariance about the decoded mean, ``T = S + (m - m')(m - m')^T``. The positive part of
+    ``T - B``, added to the covariance of each component, closes the gap.
+
+    Weights are (N, k), means (N, k, 4), and covs (N, k, 4, 4). The result is (N, 4, 4) positive
+    semidefinite, and zero where the mixture is covered already.
+    """
+
+    def total(w: Array, m: Array, S: Array, about: Array) -> Array:
+        spread = m - about[:, None, :]
+        return np.einsum("nk,nkij->nij", w, S + spread[..., :, None] * spread[..., None, :])
+
+    mean, decoded_mean = (
+        np.einsum("nk,nki->ni", w, m)
+        for w, m in ((weights, means), (decoded_weights, decoded_means))
+    )
+    d = means - decoded_means
+    T = total(weights, means, covs, mean)
+    off = mean - decoded_mean
+    T += off[:, :, None] * off[:, None, :]
+    own = covs + d[..., :, None] * d[..., None, :]
+    gap = T - total(decoded_weights, decoded_means, own, decoded_mean)
+    scale = np.sqrt(np.einsum("nii->ni", T))
+    scale = np.where((scale > 0) & (scale < np.inf), scale, 1.0)
+    scale2 = scale[:, :, None] * scale[:, None, :]
+    gap /= scale2
+    # On overflow some component is so far out of range that its own record is OUT_OF_RANGE.
+    gap[~np.isfinite(gap).all(axis=(1, 2))] = 0.0
+    values, vectors = np.linalg.eigh(gap)
+    # A little more than the gap, so that a check with another algorithm's rounding passes.
+    values = np.where(values > 0, values * (1 + 1e-6), 0.0)
+    return (vectors * values[:, None, :]) @ vectors.transpose(0, 2, 1) * scale2

@@ -1,0 +1,162 @@
+"""Writer of scenes: the record of the pose error, and the records of the lines seen from there."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...values.errors import EncodeError
+from ...values.line import LeftOut, Slot
+from ...values.scene import Scene
+from ..covariance.scene_encoder import EncodedScene, SceneEncoder
+from ..layout.message_layout import Layout
+from ..layout.pose_layout import POSE, Owner, PoseLayout
+from ..layout.signals import SLOT_SIGNALS, slot_title
+from .complete_records import CompleteRecords
+from .pose_records import (
+    ConditionalRecord,
+    ConditionalRecords,
+    PoseRecord,
+    PoseRecords,
+    absent_counter,
+)
+from .writer import up
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedScene:
+    """A scene as raw values, without counters and age, so that it may be sent many times."""
+
+    scene: Scene
+    encoded: EncodedScene
+    #: Slots of the lines that are sent, whether they belong to the pose error or not.
+    sent_slots: tuple[Slot, ...]
+
+    @property
+    def members(self) -> dict[Slot, dict[str, int]]:
+        """Raw values of the lines that are sent and belong to the pose error, by slot."""
+        by_slot = {self.scene.lines[i].slot: raw for i, raw in self.encoded.lines.items()}
+        return {slot: raw for slot, raw in by_slot.items() if slot in self.sent_slots}
+
+    @property
+    def unfit(self) -> dict[Slot, LeftOut]:
+        """Reasons of the lines of the scene that are not sent, since they do not fit, by slot."""
+        by_slot = {self.scene.lines[i].slot: why for i, why in self.encoded.left_out.items()}
+        return {slot: why for slot, why in by_slot.items() if slot not in self.sent_slots}
+
+    @property
+    def left_out(self) -> dict[Slot, LeftOut]:
+        """Reasons of all lines that are not sent, by slot: also of those not in the scene."""
+        return dict(self.scene.left_out) | self.unfit
+
+    def without(self, slot: Slot) -> PreparedScene:
+        """Return the scene without the line of a slot; there may be none."""
+        return replace(self, sent_slots=tuple(s for s in self.sent_slots if s != slot))
+
+
+class SceneWriter:
+    """Writer of scenes of a layout with a message of the pose error.
+
+    If the records of lines are conditional on the pose, a line that does not fit is not sent.
+    Other records have a covariance of their own: the line is sent, but does not belong to the pose
+    error.
+
+    Args:
+        layout: of the records of lines.
+        pose: of the record of the pose error.
+        encoder: of both.
+        complete: writers of the records of lines; None if these are conditional.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        pose: PoseLayout,
+        encoder: SceneEncoder,
+        complete: CompleteRecords | None,
+    ) -> None:
+        self._layout, self._pose, self._encoder = layout, pose, encoder
+        self._complete = complete
+        self._pose_records = PoseRecords(pose)
+        self._records = ConditionalRecords(layout) if layout.is_conditional else None
+        self._modulus = 2 ** layout["Counter"].length
+        self._pose_modulus = 2 ** pose["Counter"].length
+
+    def prepare(self, scene: Scene, *, full: bool = False) -> PreparedScene:
+        """Encode a scene; this takes most of the time.
+
+        Args:
+            scene: the scene.
+            full: send all entries of what a line has of its own, as CAN FD records do.
+
+        Raises:
+            EncodeError: the pose error does not fit, or the DBC has no message for a slot.
+        """
+        for line in scene.lines:
+            if line.slot not in self._layout.messages:
+                raise EncodeError(f"{self._layout.source} has no message for slot {line.slot!r}")
+        if self._complete is None:
+            encoded = self._encoder.encode(scene, full=full)
+            sent = tuple(scene.lines[place].slot for place in encoded.lines)
+            return PreparedScene(scene, encoded, sent)
+        raw = [self._complete.writer.raw_mean_and_range(line) for line in scene.lines]
+        encoded = self._encoder.encode_levels(scene, raw)
+        return PreparedScene(scene, encoded, tuple(line.slot for line in scene.lines))
+
+    def write(
+        self,
+        prepared: PreparedScene,
+        counters: Mapping[Owner, int],
+        age: float | Mapping[Owner, float],
+    ) -> tuple[dict[Owner, bytes], Counter[Owner]]:
+        """Return the record of the pose error, then of each line, and the counters that follow.
+
+        Args:
+            prepared: the scene.
+            counters: next counter of each slot and of the pose error; 0 if there is none.
+            age: time from the pose to the sending of each record, or one for all [s]; infinite if
+                it is too old.
+        """
+        members = prepared.members
+        sent = [line for line in prepared.scene.lines if line.slot in prepared.sent_slots]
+        ages = age if isinstance(age, Mapping) else dict.fromkeys((POSE, *Slot), age)
+        following: Counter[Owner] = Counter(counters)
+        own: dict[Owner, bytes] = {}
+        if self._records is not None:
+            for line in sent:
+                counter = following[line.slot] % self._modulus
+                record = ConditionalRecord(members[line.slot], counter, line.kind, line.slot)
+                own[line.slot] = self._records.write(record)
+                following[line.slot] = (counter + 1) % self._modulus
+        elif self._complete is not None and sent:
+            aged = [replace(line, age=ages[line.slot]) for line in sent]
+            records, following = self._complete.line_writer.write(aged, counters)
+            own |= {line.slot: of[0].tobytes() for line, of in zip(aged, records, strict=True)}
+        stated = {}
+        for slot, signal in self._pose.counters.items():
+            bits, then = signal.length, following[slot]
+            first = counters.get(slot, 0) % 2**bits
+            # A line that is sent but is no member has a counter before ``then``, as earlier ones.
+            stated[slot] = first if slot in members else absent_counter(then - 1, then, bits)
+        raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
+        if not self._layout.is_conditional:
+            raw_pose |= self._levels(members)
+        number = following[POSE] % self._pose_modulus
+        pose = self._pose_records.write(PoseRecord(raw_pose, number, stated))
+        following[POSE] = (number + 1) % self._pose_modulus
+        return {POSE: pose} | own, following
+
+    def _levels(self, members: Mapping[Slot, Mapping[str, int]]) -> dict[str, int]:
+        """Return the raw levels of each slot; 0 for a slot without a member."""
+        return {
+            f"{slot_title(slot)}{name}": members[slot][name] if slot in members else 0
+            for slot in self._pose.counters
+            for name in SLOT_SIGNALS
+        }
+
+    def _raw_age(self, age: float) -> int:
+        signal = self._pose["Age"]
+        return int(signal.limited(up(signal, np.asarray(1000 * age))))

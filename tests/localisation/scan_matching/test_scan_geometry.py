@@ -1,0 +1,301 @@
+"""Parts of the scan matching: surfaces, cells, derivatives and covariances, each one by one."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can import Polyline
+from maplines_can.localisation.scan_matching import (
+    ScanReference,
+    match_icp,
+    match_ndt,
+    simulated_scan,
+)
+from maplines_can.localisation.scan_matching.match import (
+    by_object,
+    jacobian,
+    no_match,
+    placed,
+    result,
+)
+from maplines_can.localisation.scan_matching.ndt import MIN_IN_CELL, WALL_RATIO, _cells, _Score
+from maplines_can.maps import Landmark, LandmarkKind, Map
+
+BOX = Polyline([[-10, -6], [12, -6], [12, 7], [-10, 7], [-10, -6]])
+POLE = Landmark("p", LandmarkKind.POLE, 4.0, 2.0)
+REFERENCE = ScanReference(Map({}, {}, buildings=(BOX,), landmarks=(POLE,)))
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 2**32))
+def test_points_are_placed_by_the_pose(seed: int) -> None:
+    """Turned and then shifted; the Jacobian is the derivative."""
+    rng = np.random.default_rng(seed)
+    scan, pose = rng.uniform(-20, 20, (6, 2)), rng.uniform(-3, 3, 3)
+    z = scan @ [1, 1j] * np.exp(1j * pose[2]) + pose[0] + 1j * pose[1]
+    assert placed(scan, pose) @ [1, 1j] == pytest.approx(z)
+    J = jacobian(scan, pose[2])
+    for k in range(3):
+        w = 1e-6 * np.eye(3)[k]
+        slope = (placed(scan, pose + w) - placed(scan, pose - w)) / 2e-6
+        assert J[:, :, k] == pytest.approx(slope, abs=1e-7)
+
+
+def test_pulls_are_added_by_object() -> None:
+    rng = np.random.default_rng(0)
+    objects, pulls = np.array([7, 2, 7, 7, 5]), rng.standard_normal((5, 3, 2))
+    expected = [pulls[objects == k].sum(axis=0) for k in (2, 5, 7)]
+    assert by_object(objects, pulls) == pytest.approx(np.array(expected))
+    assert by_object(objects[:0], pulls[:0]).shape == (0, 3, 2)
+
+
+@pytest.mark.parametrize("map_error", [0.0, 0.3])
+def test_the_covariance_is_that_of_huber(map_error: float) -> None:
+    """H^-1 (sum g g') H^-1, and what scans share: the model and the errors of the objects."""
+    rng = np.random.default_rng(1)
+    gradients, pulls = rng.standard_normal((50, 3)), rng.standard_normal((4, 3, 2))
+    A = rng.standard_normal((3, 3))
+    H = A @ A.T + np.eye(3)
+    found = result(
+        np.arange(3.0), gradients, H, np.zeros((60, 2)), (0.1, 0.2, 0.3),
+        pulls=pulls, map_error=map_error, used=40,
+    )  # fmt: skip
+    inverse = np.linalg.inv(H)
+    shared = np.diag([0.01, 0.04, 0.09])
+    for pull in pulls:
+        shared = shared + map_error**2 * inverse @ pull @ pull.T @ inverse
+    assert found.shared == pytest.approx(shared)
+    own = sum(np.outer(inverse @ g, inverse @ g) for g in gradients)
+    assert found.cov == pytest.approx(own + shared)
+    assert np.array_equal(found.cov, found.cov.T)
+    fix = found.fix(2.0)
+    assert fix.cov == pytest.approx(own)
+    assert fix.shared is found.shared
+    assert fix.pose.tolist() == [[0.0, 1.0, 2.0]]
+
+
+@pytest.mark.parametrize(
+    ("points", "used", "converged", "valid"),
+    [(60, 30, True, True), (60, 29, True, False), (62, 30, True, False), (100, 50, True, True),
+     (101, 50, True, False), (40, 30, True, True), (60, 60, False, False)],
+)  # fmt: skip
+def test_which_matches_are_valid(points: int, used: int, converged: bool, valid: bool) -> None:
+    """Of at least 30 points, half of the scan and a search that converged."""
+    found = result(
+        np.zeros(3), np.zeros((1, 3)), np.eye(3), np.zeros((points, 2)), (0.0, 0.0, 0.0),
+        pulls=np.zeros((0, 3, 2)), map_error=0.0, used=used, converged=converged,
+    )  # fmt: skip
+    assert found.is_valid is valid
+    assert found.used == used
+
+
+@pytest.mark.parametrize(("least", "determined"), [(1.9e-9, False), (2.1e-9, True), (-1.0, False)])
+def test_a_scan_that_does_not_determine_the_pose(least: float, determined: bool) -> None:
+    """Its least curvature is next to nothing beside the trace."""
+    found = result(
+        np.ones(3), np.zeros((1, 3)), np.diag([1.0, 1.0, least]), np.zeros((40, 2)),
+        (0.0, 0.0, 0.0), pulls=np.zeros((0, 3, 2)), map_error=0.0, used=40,
+    )  # fmt: skip
+    assert found.is_valid is determined
+    if not determined:
+        assert np.isinf(found.cov.diagonal()).all()
+        assert (found.pose == 1).all()
+        assert not no_match(np.zeros(3)).is_valid
+
+
+@pytest.mark.parametrize("size", [1.0, 3.7])
+def test_cells_hold_the_moments_of_their_points(size: float) -> None:
+    """One by one; a wall says nothing along itself, and few points nothing at all."""
+    rng = np.random.default_rng(2)
+    wall = np.column_stack(
+        [np.full(60, 13.5) + 0.01 * rng.standard_normal(60), np.linspace(-9, 9, 60)]
+    )
+    points = np.vstack([rng.uniform(-9, 9, (300, 2)), wall, [[15.0, 15.0], [15.1, 15.1]]])
+    shift, sigma = np.array([0.4, 0.1]), 0.2
+    cells = _cells(points, size, shift, sigma)
+    low = points.min(axis=0) - shift
+    at = rng.uniform(-14, 20, (500, 2))
+    rows = cells.of(at)
+    number = np.floor((points - low) / size)
+    walls = 0
+    for point, row in zip(np.vstack([at, points]), [*rows, *cells.of(points)], strict=True):
+        inside = (number == np.floor((point - low) / size)).all(axis=1)
+        if inside.sum() < MIN_IN_CELL:
+            assert row == -1
+            continue
+        own = points[inside]
+        assert cells.mean[row] == pytest.approx(own.mean(axis=0))
+        values, vectors = np.linalg.eigh(np.cov(own.T, bias=True))
+        information = np.outer(vectors[:, 0], vectors[:, 0]) / (values[0] + sigma**2)
+        if values[0] >= WALL_RATIO * values[1]:
+            information += np.outer(vectors[:, 1], vectors[:, 1]) / (values[1] + sigma**2)
+        else:
+            walls += 1
+        assert cells.information[row] == pytest.approx(information, abs=1e-9)
+    assert walls > 0
+    assert (rows >= 0).any()
+
+
+def test_the_score_is_that_of_the_cells_of_each_point() -> None:
+    """One by one, in each grid; beside all cells a point adds nothing."""
+    rng = np.random.default_rng(5)
+    points, scan = rng.uniform(-9, 9, (200, 2)), rng.uniform(-14, 14, (60, 2))
+    pose = np.array([0.3, -0.2, 0.4])
+    grids = [_cells(points, 2.0, np.array(shift), 0.3) for shift in ((0.0, 0.0), (1.0, 0.5))]
+    score = _Score(scan, grids)
+    total, best = 0.0, np.zeros(len(scan))
+    for k, point in enumerate(placed(scan, pose)):
+        for cells in grids:
+            row = int(cells.of(point[None])[0])
+            if row < 0:
+                continue
+            q = point - cells.mean[row]
+            e = math.exp(-q @ cells.information[row] @ q / 2)
+            total -= e
+            best[k] = max(best[k], e)
+    assert score.value(pose) == pytest.approx(total)
+    gradients, used = score.terms(pose)
+    assert used == (best > 0.1).sum()
+    assert score.gradient(pose) == pytest.approx(gradients.sum(axis=0))
+
+
+def test_pulls_are_the_derivatives_of_the_gradients() -> None:
+    """With respect to each placed point, where it stays in its cells."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-9, 9, (400, 2))
+    scan, pose = rng.uniform(-5, 5, (20, 2)), np.array([0.3, -0.2, 0.4])
+    grids = [_cells(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
+    pulls = _Score(scan, grids).pulls(pose)
+    step = 1e-5
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(2):
+        moved = step * np.eye(2)[k] @ np.array([[c, -s], [s, c]])  # of a point in the ego frame
+        # The point moves in the map, but not its Jacobian.
+        ends = []
+        for sign in (1, -1):
+            score = _Score(scan + sign * moved, grids)
+            J, at = jacobian(scan, pose[2]), placed(scan + sign * moved, pose)
+            g = np.zeros((len(scan), 3))
+            for one in grids:
+                e, weighted, _ = score._likelihood(at, one)
+                g += (e[:, None, None] * weighted[:, None] @ J)[:, 0]
+            ends.append(g)
+        assert pulls[:, :, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-6)
+
+
+def test_surfaces_have_a_point_every_ten_centimetres() -> None:
+    """On their segments, in the middle of even parts, with normals of length 1 across them."""
+    points, normals = REFERENCE.points, REFERENCE.normals
+    box = [(p, n) for p, n in zip(points, normals, strict=True) if np.hypot(*(p - [4, 2])) > 1]
+    assert len(box) == 2 * (220 + 130)
+    for p, n in box:
+        on_x, on_y = p[0] in (-10, 12), p[1] in (-6, 7)
+        assert on_x != on_y
+        assert np.abs(n).tolist() == ([1, 0] if on_x else [0, 1])
+        free = p[1] + 6 if on_x else p[0] + 10
+        assert free / 0.1 - 0.5 == pytest.approx(round(free / 0.1 - 0.5), abs=1e-6)
+    pole = points[np.hypot(*(points - [4, 2]).T) < 1]
+    assert len(pole) == 8 * 2  # eight sides of 11.5 cm
+    radius = np.hypot(*(pole - [4, 2]).T)
+    assert (radius <= 0.15 + 1e-9).all()
+    assert (radius >= 0.15 * math.cos(math.pi / 8) - 1e-9).all()
+    assert np.hypot(*normals.T) == pytest.approx(np.ones(len(normals)))
+
+
+def test_objects_are_those_that_are_nearest() -> None:
+    rng = np.random.default_rng(4)
+    at = rng.uniform(-9, 11, (200, 2)) * [1, 0.5]
+    to_pole = np.hypot(*(at - [4, 2]).T) - 0.15
+    to_box = np.minimum(np.abs(at - [-10, -6]), np.abs(at - [12, 7])).min(axis=1)
+    clear = np.abs(to_pole - to_box) > 0.2
+    assert (REFERENCE.objects_at(at)[clear] == (to_pole < to_box)[clear]).all()
+    near, _ = REFERENCE.near(np.array([4.0, 2.0]), 5.2)
+    assert len(near) == 16 + np.count_nonzero(
+        (np.hypot(*(REFERENCE.points - [4, 2]).T) <= 5.2)
+        & (np.hypot(*(REFERENCE.points - [4, 2]).T) > 1)
+    )
+
+
+def test_the_noise_of_a_scan_is_as_stated() -> None:
+    """Of the range, and the share of rays that end before the surface; within four errors."""
+    rng = np.random.default_rng(6)
+    pose = np.array([1.0, 0.5, 0.3])
+    exact = simulated_scan(REFERENCE, pose, rng, sigma=0.0, false_share=0.0)
+    assert len(exact) == 720
+    r = np.hypot(*exact.T)
+    assert np.arctan2(exact[:, 1], exact[:, 0])[1] == pytest.approx(2 * math.pi / 720)
+    scans = [simulated_scan(REFERENCE, pose, rng, sigma=0.05, false_share=0.0) for _ in range(10)]
+    noise = np.array([np.hypot(*scan.T) - r for scan in scans])
+    assert noise.std() == pytest.approx(0.05, rel=4 / math.sqrt(2 * noise.size))
+    scans = [simulated_scan(REFERENCE, pose, rng, sigma=0.0, false_share=0.2) for _ in range(10)]
+    shares = np.array([np.hypot(*scan.T) / r for scan in scans])
+    blocked = shares < 1 - 1e-9
+    assert blocked.mean() == pytest.approx(0.2, abs=4 * math.sqrt(0.16 / blocked.size))
+    assert shares[blocked].min() >= 0.05
+    sigma = 0.95 / math.sqrt(12 * blocked.sum())
+    assert shares[blocked].mean() == pytest.approx(0.525, abs=4 * sigma)
+
+
+def test_rays_reach_as_far_as_they_are_told() -> None:
+    """To a wall 6.5 m away, whose ends they pass; a surface behind does not count."""
+    pose = np.array([1.0, 0.5, math.pi / 2])
+    for most, seen in ((6.4, False), (6.6, True)):
+        found = REFERENCE.ranges(pose, np.array([0.0]), most)
+        assert np.isfinite(found).tolist() == [seen]
+        assert not seen or found[0] == pytest.approx(6.5)
+    wall = ScanReference(Map({}, {}, buildings=(Polyline([[2.0, -1.0], [2.0, 1.0]]),)))
+    bearings = np.array(
+        [0.0, math.pi, math.atan2(0.99, 2), math.atan2(1.01, 2), math.atan2(-1.01, 2)]
+    )
+    found = wall.ranges(np.zeros(3), bearings, 50.0)
+    assert found == pytest.approx(
+        [2.0, math.nan, math.hypot(2, 0.99), math.nan, math.nan], nan_ok=True
+    )
+
+
+def test_the_match_moves_with_the_map() -> None:
+    """A map, a start and a scan that are shifted and turned give the same match, moved."""
+    rng = np.random.default_rng(7)
+    pose, turn, shift = np.array([1.0, 0.5, 0.3]), 0.5, np.array([4e5, 5e6])
+    scan = simulated_scan(REFERENCE, pose, rng)
+    c, s = math.cos(turn), math.sin(turn)
+    R = np.array([[c, -s], [s, c]])
+    there = ScanReference(
+        Map({}, {}, buildings=(Polyline(BOX.points @ R.T + shift),), landmarks=())
+    )
+    here = ScanReference(Map({}, {}, buildings=(BOX,)))
+    start = pose + np.array([0.1, -0.1, 0.01])
+    one = match_ndt(here, scan, start)
+    two = match_ndt(there, scan, np.append(R @ start[:2] + shift, start[2] + turn))
+    assert one.is_valid
+    assert two.is_valid
+    expected: Any = np.append(R @ one.pose[:2] + shift, one.pose[2] + turn)
+    assert two.pose == pytest.approx(expected, abs=0.03)  # the cells are others
+    assert one.pose == pytest.approx(pose, abs=0.03)
+
+
+@pytest.mark.parametrize("method", ["ndt", "icp"])
+def test_few_points_are_not_matched_at_all(method: str) -> None:
+    """Of 29, whatever they show: the pose is that of the start, and nothing is known of it."""
+    if method == "icp":
+        pytest.importorskip("small_gicp")
+    match = match_ndt if method == "ndt" else match_icp
+    scan = simulated_scan(REFERENCE, np.zeros(3), np.random.default_rng(1), false_share=0.0)
+    start = np.array([0.1, 0.1, 0.01])
+    found = match(REFERENCE, scan[:: len(scan) // 28][:29], start)
+    assert (found.is_valid, found.used) == (False, 0)
+    assert np.array_equal(found.pose, start)
+    assert np.isinf(found.cov.diagonal()).all()
+
+
+def test_a_scan_without_any_curvature_is_no_match() -> None:
+    found = result(
+        np.zeros(3), np.zeros((1, 3)), np.zeros((3, 3)), np.zeros((40, 2)), (0.0, 0.0, 0.0),
+        pulls=np.zeros((0, 3, 2)), map_error=0.0, used=40,
+    )  # fmt: skip
+    assert not found.is_valid
+    assert np.isinf(found.cov.diagonal()).all()

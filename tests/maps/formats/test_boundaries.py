@@ -1,0 +1,356 @@
+"""Boundaries of lanes: exact at any s, and sampled within the chord error."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from xodr_files import (
+    WIDTH,
+    boundaries,
+    cubic,
+    geometry,
+    lane,
+    read_map,
+    reasons,
+    road,
+    section,
+)
+
+from maplines_can import Kind, Polyline
+from maplines_can.maps.formats.opendrive.boundaries import (
+    Boundaries,
+    _deviation,
+    _divided,
+    _pieces,
+    sampled,
+)
+from maplines_can.maps.formats.opendrive.reader import _distinct
+from maplines_can.maps.formats.opendrive.reference_line import Complex
+
+S = np.linspace(0.0, 100.0, 21)
+CURVED = geometry('<spiral curvStart="-0.01" curvEnd="0.02"/>')
+
+
+def complexes(line: Polyline) -> Complex:
+    x, y = line.points.T
+    return np.asarray(x + 1j * y, dtype=complex)
+
+
+def distance(points: Complex, line: Complex) -> float:
+    """Return the largest distance of points from a polyline [m]."""
+    a, chord = line[:-1], np.diff(line)
+    along = ((points[:, None] - a) * chord.conj()).real / np.abs(chord) ** 2
+    return float(np.abs(points[:, None] - a - np.clip(along, 0, 1) * chord).min(axis=1).max())
+
+
+def deviation(found: Boundaries, count: int = 1500) -> float:
+    """Return the largest distance of the exact boundaries from the sampled ones [m]."""
+    s = np.linspace(found.start, found.end, count)
+    rows = found(s, np.minimum(s, math.nextafter(found.end, 0)))
+    (lines,) = sampled(found.road, [found])
+    return max(distance(exact, line) for exact, line in zip(rows, lines, strict=True))
+
+
+def test_widths_add_up_from_lane_0() -> None:
+    found = boundaries(
+        road(
+            section(
+                lane(2, cubic("width", 2.0, sOffset=0.0)),
+                lane(1, cubic("width", 3.0, 0.01, sOffset=0.0)),
+                lane(
+                    -1, cubic("width", 3.5, sOffset=0.0) + cubic("width", 3.5, 0.02, sOffset=50.0)
+                ),
+                lane(-2, cubic("width", 1.0, 0.0, 1e-4, -1e-6, sOffset=0.0)),
+            )
+        )
+    )
+    first = 3 + 0.01 * S
+    third = 3.5 + 0.02 * np.maximum(S - 50, 0)
+    for lane_id, inner, outer in (
+        (1, 0 * S, first),
+        (2, first, first + 2),
+        (-1, 0 * S, -third),
+        (-2, -third, -third - 1 - 1e-4 * S**2 + 1e-6 * S**3),
+    ):
+        found_inner, found_outer = found.edges(lane_id, S)
+        assert found_inner == pytest.approx(S + 1j * inner)
+        assert found_outer == pytest.approx(S + 1j * outer)
+
+
+def test_ids_of_lanes_may_have_gaps() -> None:
+    """Lane -3 follows lane -1."""
+    inner, outer = boundaries(road(section(lane(-1), lane(-3)))).edges(-3, S)
+    assert inner == pytest.approx(S - 3.5j)
+    assert outer == pytest.approx(S - 7j)
+
+
+def test_borders_are_offsets_from_lane_0() -> None:
+    """Independent of the borders of inner lanes, with the sign of their side."""
+    found = boundaries(
+        road(
+            section(
+                lane(1, cubic("border", 3.0, 0.01, sOffset=0.0)),
+                lane(-1, cubic("border", -3.25, sOffset=0.0)),
+                lane(-2, cubic("border", -5.0, sOffset=0.0)),
+                lane(-3, cubic("width", 1.0, sOffset=0.0)),
+            ),
+            offsets=cubic("laneOffset", 0.5, s=0.0),
+        )
+    )
+    assert found.edges(1, S)[1] == pytest.approx(S + 1j * (3.5 + 0.01 * S))
+    assert found.edges(-1, S)[1] == pytest.approx(S - 2.75j)
+    assert found.edges(-2, S)[0] == pytest.approx(S - 2.75j)
+    assert found.edges(-2, S)[1] == pytest.approx(S - 4.5j)
+    assert found.edges(-3, S)[1] == pytest.approx(S - 5.5j)
+
+
+def test_width_wins_over_border() -> None:
+    both = cubic("border", -9.0, sOffset=0.0) + WIDTH
+    assert boundaries(road(section(lane(-1, both)))).edges(-1, S)[1] == pytest.approx(S - 3.5j)
+
+
+def test_lane_offset_moves_all_lanes() -> None:
+    offsets = cubic("laneOffset", 1.0, s=0.0) + cubic("laneOffset", 1.0, 0.1, s=40.0)
+    inner, outer = boundaries(road(offsets=offsets)).edges(-1, S)
+    t = 1 + 0.1 * np.maximum(S - 40, 0)
+    assert inner == pytest.approx(S + 1j * t)
+    assert outer == pytest.approx(S + 1j * (t - 3.5))
+
+
+@pytest.mark.parametrize("jump", [5.0, -0.3])
+def test_the_end_of_a_section_has_the_lane_offset_from_before_it(jump: float) -> None:
+    """Where the offset jumps with a new lane section, neither side has a value of the other."""
+    offsets = cubic("laneOffset", 0.0, s=0.0) + cubic("laneOffset", jump, s=50.0)
+    text = road(section(lane(-1)), section(lane(-1), s=50.0), offsets=offsets)
+    assert boundaries(text, 0).edges(-1, np.array([50.0]))[0] == pytest.approx([50])
+    assert boundaries(text, 1).edges(-1, np.array([50.0]))[0] == pytest.approx([50 + 1j * jump])
+    found = read_map(text)
+    assert complexes(found.lanes["1:0:-1"].left) == pytest.approx([0, 50])
+    assert complexes(found.lanes["1:1:-1"].left) == pytest.approx([50 + 1j * jump, 100 + 1j * jump])
+
+
+@pytest.mark.parametrize(
+    ("offsets", "width", "step"),
+    [
+        pytest.param(
+            cubic("laneOffset", 0.0, s=0.0) + cubic("laneOffset", 2.0, s=30.0),
+            WIDTH,
+            2,
+            id="offset",
+        ),
+        pytest.param("", WIDTH + cubic("width", 5.5, sOffset=30.0), -2, id="width"),
+    ],
+)
+def test_a_jump_within_a_section_is_a_step(offsets: str, width: str, step: float) -> None:
+    """Both values are points."""
+    text = road(section(lane(-1, width)), offsets=offsets, plan=geometry(length=60.0), length=60.0)
+    line = complexes(read_map(text).lanes["1:0:-1"].right)
+    assert line.real == pytest.approx([0, 30, 30, 60])
+    assert np.diff(line.imag) == pytest.approx([0, step, 0])
+
+
+def test_superelevation_shrinks_t_by_the_cosine_of_the_roll() -> None:
+    lateral = cubic("superelevation", 0.0, 0.002, s=0.0)
+    inner, outer = boundaries(road(lateral=lateral)).edges(-1, S)
+    assert inner == pytest.approx(S)
+    assert outer == pytest.approx(S - 3.5j * np.cos(0.002 * S))
+
+
+def test_a_gap_in_width_is_filled_and_listed() -> None:
+    """Before its first record, a width is that of its start."""
+    width = cubic("width", 3.0, 0.1, sOffset=20.0)
+    found = read_map(road(section(lane(-1, width))))
+    assert reasons(found) == [
+        "its width is not defined over the first 20 m; that after them is used"
+    ]
+    points = complexes(found.lanes["1:0:-1"].right)
+    assert points[[0, 1, -1]] == pytest.approx([-3j, 20 - 3j, 100 - 11j])
+
+
+def test_a_negative_width_is_0_and_listed() -> None:
+    found = read_map(road(section(lane(-1, cubic("width", 2.0, -0.05, sOffset=0.0)), lane(-2))))
+    assert reasons(found) == ["its width is negative in part; 0 is used"]
+    right = complexes(found.lanes["1:0:-1"].right)
+    assert right.imag.max() == 0
+    assert right[-1] == pytest.approx(100)
+    assert distance(np.array([20 - 1j, 40 + 0j, 70 + 0j]), right) < 0.5e-3
+    assert complexes(found.lanes["1:0:-2"].right)[-1] == pytest.approx(100 - 3.5j)
+
+
+def test_rounding_errors_below_0_are_not_listed() -> None:
+    found = read_map(road(section(lane(-1, cubic("width", 2.0, -0.0200001, sOffset=0.0)))))
+    assert not found.skipped
+
+
+@pytest.mark.parametrize("length", [0.002, 1e-5])
+def test_short_sections_are_lanes(length: float) -> None:
+    """A section of 2 mm has its ends as points."""
+    found = read_map(
+        road(
+            section(lane(-1, successor=-1)),
+            section(lane(-1, successor=-1), s=50.0),
+            section(lane(-1), s=50.0 + length),
+        )
+    )
+    assert complexes(found.lanes["1:1:-1"].left) == pytest.approx([50, 50 + length], abs=1e-12)
+    assert found.lanes["1:0:-1"].successors == ("1:1:-1",)
+    assert found.lanes["1:1:-1"].successors == ("1:2:-1",)
+
+
+def test_straight_pieces_have_no_points_in_between() -> None:
+    found = read_map(road(plan=geometry(length=40.0), length=40.0))
+    assert all(len(one.left.points) == 2 for one in found.lanes.values())
+
+
+def test_points_are_at_most_50_m_apart() -> None:
+    found = read_map(road(plan=geometry(length=1000.0), length=1000.0))
+    assert np.diff(found.lanes["1:0:-1"].left.distance).max() <= 50
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param(road(plan=CURVED), id="spiral"),
+        pytest.param(road(plan=geometry('<arc curvature="0.1"/>')), id="full-circles"),
+        pytest.param(road(plan=geometry('<arc curvature="-0.28"/>')), id="inner-radius-of-0.07-m"),
+        pytest.param(
+            road(plan=CURVED, offsets=cubic("laneOffset", 0, 0, 3e-3, -2e-5, s=0.0)), id="offset"
+        ),
+        pytest.param(
+            road(
+                section(lane(-1, cubic("width", 3.5, 0.0, 1.2e-3, -8e-6, sOffset=0.0))), plan=CURVED
+            ),
+            id="taper",
+        ),
+        pytest.param(
+            road(plan=CURVED, lateral=cubic("superelevation", 0, 0, 1e-3, -1e-5, s=0.0)), id="roll"
+        ),
+        pytest.param(
+            road(
+                plan=geometry('<poly3 a="0" b="0.1" c="-0.01" d="1e-4"/>', length=90.0), length=90.0
+            ),
+            id="poly3",
+        ),
+    ],
+)
+def test_sampled_lines_are_within_half_a_millimetre(text: str) -> None:
+    assert deviation(boundaries(text)) < 0.5e-3
+
+
+@given(
+    st.floats(-0.2, 0.2),
+    st.floats(-0.2, 0.2),
+    st.floats(-0.05, 0.05),
+    st.floats(-0.002, 0.002),
+    st.floats(1.0, 100.0),
+)
+@example(-0.1171875, -0.1171875, 0.0, -0.000889482991651568, 95.98828125)
+def test_sampled_lines_of_any_road_are_within_half_a_millimetre(
+    start: float, end: float, b: float, c: float, length: float
+) -> None:
+    spiral = f'<spiral curvStart="{start!r}" curvEnd="{end!r}"/>'
+    width = cubic("width", 8.0, b, c, sOffset=0.0)
+    text = road(
+        section(lane(1, width), lane(-1)), plan=geometry(spiral, length=length), length=length
+    )
+    assert deviation(boundaries(text), 1000) < 0.5e-3
+
+
+def test_the_centre_is_halfway() -> None:
+    found = read_map(road(plan=CURVED)).lanes["1:0:1"]
+    assert np.abs(
+        complexes(found.centre) - (complexes(found.left) + complexes(found.right)) / 2
+    ).max() == pytest.approx(0, abs=1e-12)
+
+
+def test_a_boundary_that_is_a_point_has_two_points() -> None:
+    """An arc around the outer boundary, which is the right one of a lane on the left."""
+    arc = geometry(f'<arc curvature="{1 / 3.5!r}"/>', length=5.0)
+    found = read_map(road(section(lane(1)), plan=arc, length=5.0)).lanes["1:0:1"]
+    assert found.right.points == pytest.approx(np.array([[0, 3.5], [0, 3.5]]))
+    assert found.left.length == pytest.approx(5, abs=1e-3)
+
+
+@given(st.lists(st.sampled_from([0.0, 5e-5, 0.9e-4, 1.1e-4, 1.0, 3.0]), min_size=1, max_size=9),
+       st.floats(-3, 3))  # fmt: skip
+def test_repeated_points_are_left_out_but_for_the_ends(steps: list[float], angle: float) -> None:
+    """In any direction of the plane: those within 0.1 mm of the one before; two points remain."""
+    points = 5 - 3j + np.exp(1j * angle) * np.cumsum([0.0, *steps])
+    found = _distinct(points)
+    assert found[0] == points[0]
+    assert found[-1] == points[-1]
+    keep = [0] + [i for i in range(1, len(points)) if steps[i - 1] > 1e-4]
+    if len(points) > 2 and keep[-1] != len(points) - 1:
+        keep = [*(keep if len(keep) < 2 else keep[:-1]), len(points) - 1]
+    if len(points) == 2:
+        keep = [0, 1]
+    assert found.tolist() == points[keep].tolist()
+
+
+@pytest.mark.parametrize("bend", [0.001, 0.02, 0.2])
+@pytest.mark.parametrize("length", [3.0, 30.0, 150.0])
+def test_an_arc_has_few_points(bend: float, length: float) -> None:
+    """At most twice as many as chords of its error need."""
+    shape = f'<arc curvature="{bend!r}"/>'
+    found = boundaries(road(section(lane(-1)), plan=geometry(shape, length=length), length=length))
+    (lines,) = sampled(found.road, [found])
+    radius = 1 / bend + 3.5
+    step = math.sqrt(8 * 0.43e-3 * radius)
+    outer = length * bend * radius
+    least = max(outer / step, outer / 50)
+    assert least - 1 <= lines.shape[1] - 1 <= 2 * least + 4
+
+
+def test_the_deviation_of_points_is_from_their_chord() -> None:
+    """The largest of all rows and inner points; of a closed piece, from its start."""
+    rng = np.random.default_rng(0)
+    points = rng.standard_normal((3, 6, 5)) + 1j * rng.standard_normal((3, 6, 5))
+    points[:, 4, -1] = points[:, 4, 0]
+    found = _deviation(points)
+    for n in range(6):
+        expected = 0.0
+        for row in range(3):
+            a, b = points[row, n, 0], points[row, n, -1]
+            for p in points[row, n, 1:-1]:
+                across = abs(p - a) if a == b else abs(((p - a) / (b - a)).imag) * abs(b - a)
+                expected = max(expected, across)
+        assert found[n] == pytest.approx(expected)
+
+
+def test_pieces_are_as_many_as_the_second_difference_says() -> None:
+    """Parabolas across x: an eighth of it is the distance from the chord of a piece."""
+    x = np.linspace(0, 1, 5)
+    for curvature in (0.01, 0.5, 40.0):
+        points = np.array([[100 * x + 0.5j * curvature * x**2, 100 * x]])[0][:, None]
+        (count,) = _pieces(points)
+        needed = math.sqrt(curvature / (8 * 0.43e-3))
+        assert count == min(max(2, math.ceil(round(needed, 9))), 1000)
+    # The second difference of a cubic is extrapolated to the end where it is the largest.
+    for cubic_ in (x**3, (1 - x) ** 3):
+        (count,) = _pieces((100 * x + 1j * cubic_)[None, None])
+        ends = 2 * 6 * 0.75 * 0.25**2 - 6 * 0.5 * 0.25**2
+        assert count == math.ceil(4 * math.sqrt(ends / (8 * 0.43e-3)))
+
+
+@pytest.mark.parametrize("pieces", [[1, 1, 1], [2, 1, 3], [4, 5, 2]])
+def test_intervals_are_divided_evenly(pieces: list[int]) -> None:
+    """The parts of each follow each other, and belong to its lane section."""
+    a, b = np.array([0.0, 3.0, 10.0]), np.array([3.0, 10.0, 11.0])
+    start, end, owner = _divided(a, b, np.array([0, 0, 1]), np.array(pieces))
+    expected = [np.linspace(low, high, n + 1) for low, high, n in zip(a, b, pieces, strict=True)]
+    assert start == pytest.approx(np.concatenate([part[:-1] for part in expected]))
+    assert end == pytest.approx(np.concatenate([part[1:] for part in expected]))
+    assert np.isin(b, end).all()
+    assert owner.tolist() == np.repeat([0, 0, 1], pieces).tolist()
+
+
+@pytest.mark.parametrize("lane_id", [-1, 1])
+def test_lines_have_the_kinds_of_their_marks(lane_id: int) -> None:
+    """The centre of a lane has none, in either direction of driving."""
+    marks = '<roadMark sOffset="0" type="solid"/>'
+    one = section(lane(lane_id, WIDTH + marks), centre='<roadMark sOffset="0" type="broken"/>')
+    (found,) = read_map(road(one)).lanes.values()
+    kinds = (found.left.kind, found.centre.kind, found.right.kind)
+    assert kinds == (Kind.DASHED, Kind.VIRTUAL, Kind.SOLID)

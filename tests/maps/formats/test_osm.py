@@ -1,0 +1,273 @@
+"""Lanelet2 maps by the reader of this package."""
+
+import gzip
+import io
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from lanelet_files import ROAD, Osm
+
+import maplines_can as ml
+from maplines_can import MapFileError
+from maplines_can.maps import LaneType
+from maplines_can.maps.formats.osm import read
+from maplines_can.maps.formats.projection import local_cartesian, tangent
+from maplines_can.values.line import Kind
+
+
+@pytest.mark.parametrize(("flip_left", "flip_right"), list(product([False, True], repeat=2)))
+@pytest.mark.parametrize("frame", ["globe", "local"])
+def test_boundaries_run_in_driving_direction(flip_left: bool, flip_right: bool, frame: str) -> None:
+    """Whatever the direction of the ways: the role left decides."""
+    osm = Osm(frame)
+    left = [(0.0, 3.5), (50.0, 3.5), (90.0, 20.0)]
+    right = [(0.0, 0.0), (50.0, 0.0), (70.0, 2.0), (92.0, 16.0)]
+    one, other = (
+        osm.way(*(line[::-1] if flip else line))
+        for line, flip in ((left, flip_left), (right, flip_right))
+    )
+    osm.lanelet(one, other)
+    (lane,) = osm.map().lanes.values()
+    assert lane.left.length == pytest.approx(50 + np.hypot(40, 16.5), rel=0.01)
+    for line in (lane.left, lane.right, lane.centre):
+        assert line.points[-1, 0] - line.points[0, 0] == pytest.approx(91, abs=2.5)
+    assert lane.width == pytest.approx(4.5, abs=1)
+    osm = Osm(frame)  # with the roles exchanged it is driven the other way
+    osm.lanelet(osm.way(*right), osm.way(*left))
+    (lane,) = osm.map().lanes.values()
+    assert lane.left.points[-1, 0] - lane.left.points[0, 0] == pytest.approx(-91, abs=2.5)
+
+
+def test_links_follow_from_shared_ways_and_points() -> None:
+    """As on a road of two lanes and an oncoming one, that splits at its end.
+
+    ::
+
+        6 ---- 40 ---- 90        oncoming (third), one lanelet
+        3 ---- 40 --             middle: the left boundary of all
+        0 ---- 40 --             first, then ahead
+       -3 ---- 40 ----           second
+    """
+    osm = Osm()
+    ways = [osm.way((0.0, y), (20.0, y), (40.0, y)) for y in (6.0, 3.0, 0.0, -3.0)]
+    first = osm.lanelet(ways[1], ways[2])
+    second = osm.lanelet(ways[2], ways[3])
+    oncoming = osm.lanelet(ways[1], ways[0])
+    ahead = osm.lanelet(osm.way((40.0, 3.0), (80.0, 3.0)), osm.way((40.0, 0.0), (80.0, 0.0)))
+    exit_ = osm.lanelet(osm.way((40.0, 3.0), (80.0, 33.0)), osm.way((40.0, 0.0), (83.0, 30.0)))
+    found = osm.map()
+    lanes = found.lanes
+    assert (lanes[first].right_neighbour, lanes[first].left_neighbour) == (second, None)
+    assert (lanes[second].right_neighbour, lanes[second].left_neighbour) == (None, first)
+    assert lanes[first].opposite_left == oncoming
+    assert lanes[oncoming].opposite_left == first
+    assert lanes[oncoming].centre.points[0, 0] > lanes[oncoming].centre.points[-1, 0]
+    assert lanes[first].successors == (ahead, exit_)
+    assert lanes[ahead].predecessors == lanes[exit_].predecessors == (first,)
+    assert lanes[second].successors == lanes[oncoming].successors == ()
+    assert not found.left_hand_traffic
+    roads = {road.lanes for road in found.roads.values()}
+    assert {frozenset(one) for one in roads} == {
+        frozenset({first, second, oncoming}),
+        frozenset({ahead}),
+        frozenset({exit_}),
+    }
+    road = found.roads[lanes[first].road]
+    assert road.length == pytest.approx(40, rel=0.01)
+    assert road.successors == (lanes[ahead].road, lanes[exit_].road)
+    assert lanes[first].left is not lanes[second].left
+    assert lanes[first].right is lanes[second].left
+
+
+def test_left_hand_traffic() -> None:
+    osm = Osm("local")
+    ways = [osm.way((0.0, y), (40.0, y)) for y in (3.0, 0.0, -3.0)]
+    left, right = osm.lanelet(ways[0], ways[1]), osm.lanelet(ways[2], ways[1])
+    found = osm.map()
+    assert found.left_hand_traffic
+    assert found.lanes[left].opposite_left == right
+    assert found.lanes[left].centre.points[-1, 0] == 40.0
+    assert found.lanes[right].centre.points[-1, 0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("tags", "expected"),
+    [
+        ({"subtype": "highway"}, LaneType.DRIVING),
+        ({"subtype": "road", "one_way": "no"}, LaneType.BIDIRECTIONAL),
+        ({"subtype": "road", "one_way": "no", "one_way:vehicle": "yes"}, LaneType.DRIVING),
+        ({"subtype": "bicycle_lane"}, LaneType.BIKING),
+        ({"subtype": "bicycle_lane", "participant:vehicle": "yes"}, LaneType.DRIVING),
+        ({"subtype": "road", "participant:vehicle:car": "yes"}, LaneType.DRIVING),
+        ({"subtype": "road", "participant:bicycle": "yes"}, LaneType.BIKING),
+        ({"subtype": "road", "participant:vehicle": "no"}, LaneType.OTHER),
+        ({"subtype": "walkway"}, LaneType.SIDEWALK),
+        ({"subtype": "crosswalk"}, LaneType.CROSSWALK),
+        ({"subtype": "emergency_lane"}, LaneType.STOP),
+        ({"subtype": "road_shoulder"}, LaneType.SHOULDER),
+        ({"subtype": "rail"}, LaneType.RAIL),
+        ({"subtype": "exit"}, LaneType.OTHER),
+        ({}, LaneType.DRIVING),
+    ],
+)
+def test_types(tags: dict[str, str], expected: LaneType) -> None:
+    osm = Osm()
+    osm.lanelet(
+        osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0)), {"type": "lanelet"} | tags
+    )
+    (lane,) = osm.map().lanes.values()
+    assert lane.type == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "limit"),
+    [
+        ("50", 50 / 3.6),
+        ("50 km/h", 50 / 3.6),
+        ("50kmh", 50 / 3.6),
+        ("13.5 m/s", 13.5),
+        ("30 mph", 13.4112),
+        ("walk", None),
+        ("-3", None),
+        ("nan", None),
+        ("0", None),
+        ("1" * 400, None),
+    ],
+)
+def test_speed_limits(text: str, limit: float | None) -> None:
+    """What is none is listed."""
+    osm = Osm()
+    ways = osm.way((0.0, 3.0), (9.0, 3.0)), osm.way((0.0, 0.0), (9.0, 0.0))
+    osm.lanelet(*ways, ROAD | {"speed_limit": text})
+    found = osm.map()
+    (lane,) = found.lanes.values()
+    assert lane.speed_limit == (limit and pytest.approx(limit))
+    assert bool(found.skipped) == (limit is None)
+
+
+@pytest.mark.parametrize(
+    ("tags", "kind"),
+    [
+        ({"type": "line_thin", "subtype": "solid"}, Kind.SOLID),
+        ({"type": "line_thick", "subtype": "dashed"}, Kind.DASHED),
+        ({"type": "line_thin", "subtype": "dashed_solid"}, Kind.DOUBLE),
+        ({"type": "line_thin", "subtype": "solid_solid"}, Kind.DOUBLE),
+        ({"type": "line_thin"}, Kind.UNKNOWN),
+        ({"type": "virtual"}, Kind.VIRTUAL),
+        ({"type": "curbstone", "subtype": "low"}, Kind.KERB),
+        ({"type": "road_border"}, Kind.ROAD_EDGE),
+        ({"type": "guard_rail"}, Kind.BARRIER),
+        ({"type": "zebra_marking"}, Kind.UNKNOWN),
+        ({}, Kind.UNKNOWN),
+    ],
+)
+def test_markings(tags: dict[str, str], kind: Kind) -> None:
+    osm = Osm()
+    osm.lanelet(osm.way((0.0, 3.0), (9.0, 3.0), **tags), osm.way((0.0, 0.0), (9.0, 0.0)))
+    (lane,) = osm.map().lanes.values()
+    assert (lane.left.kind, lane.right.kind, lane.centre.kind) == (kind, Kind.UNKNOWN, Kind.UNKNOWN)
+
+
+def test_the_frame_is_utm() -> None:
+    """Or another one, when it is named."""
+    osm = Osm()
+    osm.strip(0.0, 100.0)
+    found = osm.map()
+    assert found.projection == "+proj=utm +zone=32 +datum=WGS84 +units=m +no_defs"
+    (lane,) = found.lanes.values()
+    assert lane.right.points[0] == pytest.approx((456114.2, 5427628.2), abs=5)
+    for projection in (tangent(49.0, 8.4), local_cartesian(49.0, 8.4)):
+        (lane,) = osm.map(projection).lanes.values()
+        assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)
+        assert lane.left.points[-1] == pytest.approx((100.0, 3.5), rel=0.01)
+    with pytest.raises(ValueError, match="project the positions with pyproj"):
+        osm.map("+proj=merc")
+
+
+def test_a_map_across_the_180th_meridian() -> None:
+    """It is in one zone, of one piece."""
+    osm = Osm(origin=(10.0, 180.0))
+    osm.strip(-50.0, 50.0)
+    text = osm.text().replace('lon="180.', 'lon="-179.').replace('lon="-179.0', 'lon="-179.9')
+    assert 'lon="179.9' in text
+    assert 'lon="-179.9' in text
+    (lane,) = read(io.BytesIO(text.encode()), "map.osm").lanes.values()
+    assert lane.left.length < 25e3
+
+
+def test_local_coordinates_are_used_where_most_lanelets_have_them() -> None:
+    """They are exact, and those without are listed."""
+    osm = Osm("both")
+    osm.strip(0.0, 100.0)
+    osm.strip(100.0, 200.0)
+    found = osm.map()
+    assert found.projection is None
+    assert [lane.right.points.tolist() for lane in found.lanes.values()] == [
+        [[0.0, 0.0], [100.0, 0.0]],
+        [[100.0, 0.0], [200.0, 0.0]],
+    ]
+    osm.frame = "globe"
+    osm.strip(200.0, 300.0)
+    found = osm.map()
+    assert found.projection is not None, "all have a position on the globe"
+    assert len(found.lanes) == 3
+    osm = Osm("local")
+    local = [osm.strip(x, x + 90.0) for x in (0.0, 100.0)]
+    osm.frame = "globe"
+    osm.strip(200.0, 290.0)
+    found = osm.map()
+    assert list(found.lanes) == local
+    (skipped,) = found.skipped
+    assert "has no usable local_x and local_y" in skipped.why
+
+
+def test_other_relations_are_counted() -> None:
+    osm = Osm()
+    osm.strip(0.0, 9.0)
+    for key, subtype in enumerate(("right_of_way", "traffic_light", "traffic_light")):
+        osm.elements.append(
+            f'<relation id="9{key}"><tag k="type" v="regulatory_element"/>'
+            f'<tag k="subtype" v="{subtype}"/></relation>'
+        )
+    (skipped,) = osm.map().skipped
+    assert skipped.where == "3 relations of type regulatory_element"
+    assert skipped.why == "only lanelets are used, not: 1 right_of_way, 2 traffic_light"
+
+
+def test_deleted_elements_do_not_count() -> None:
+    osm = Osm()
+    osm.strip(0.0, 9.0)
+    last = osm.strip(20.0, 29.0)
+    osm.elements[-1] = osm.elements[-1].replace("<relation", '<relation action="delete"')
+    assert last not in osm.map().lanes
+
+
+def test_relations_may_come_first() -> None:
+    osm = Osm()
+    osm.strip(0.0, 9.0)
+    osm.elements.reverse()
+    assert len(osm.map().lanes) == 1
+
+
+@pytest.mark.parametrize("suffix", [".osm", ".osm.gz", ".xml"])
+def test_load(tmp_path: Path, suffix: str) -> None:
+    osm = Osm()
+    osm.strip(0.0, 9.0)
+    data = osm.text().encode()
+    path = tmp_path / f"map{suffix}"
+    path.write_bytes(gzip.compress(data) if suffix.endswith("gz") else data)
+    found = ml.maps.load(path)
+    assert (len(found.lanes), found.name) == (1, path.name)
+    (lane,) = found.lanes.values()
+    assert lane.road == lane.id
+    (lane,) = ml.maps.load(path, projection=tangent(49.0, 8.4)).lanes.values()
+    assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_a_street_map_is_an_error() -> None:
+    osm = Osm()
+    osm.way((0.0, 0.0), (1.0, 1.0), highway="residential")
+    with pytest.raises(MapFileError, match="contains no lanelet"):
+        osm.map()

@@ -1,0 +1,224 @@
+"""GeoJSON and CSV lines."""
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import maplines_can as ml
+from maplines_can import MapFileError
+from maplines_can.maps import Map
+from maplines_can.maps.formats.points import read
+from maplines_can.maps.formats.projection import project, utm
+from maplines_can.values.line import Kind
+
+TWO_LANES = """line,x,y,lane,side,kind
+a,0,6,1,left,solid
+a,90,6,,,
+b,0,3,1,right,dashed
+b,90,3,,,
+c,0,3,2,left,dashed
+c,90,3,,,
+d,0,0,2,right,road_edge
+d,50,0,,,
+d,90,0,,,
+e,90,3,3,Left,
+e,99,3
+f,90,0,3,right,
+f,99,0
+g,5,5,,,barrier
+g,6,6
+"""
+
+
+def read_map(text: str) -> Map:
+    return read(io.BytesIO(text.encode()), "map.csv")
+
+
+def geojson(*features: dict[str, Any], **members: Any) -> str:
+    return json.dumps({"type": "FeatureCollection", "features": features} | members)
+
+
+def feature(*points: tuple[Any, Any], **properties: Any) -> dict[str, Any]:
+    return {
+        "type": "Feature",
+        "properties": properties,
+        "geometry": {"type": "LineString", "coordinates": points},
+    }
+
+
+def test_lanes_of_a_csv() -> None:
+    """Boundaries with the same points link them."""
+    found = read_map(TWO_LANES)
+    one, two, three = found.lanes.values()
+    assert (one.right_neighbour, two.left_neighbour) == ("2", "1")
+    assert (two.successors, three.predecessors) == (("3",), ("2",))
+    assert [lane.left.kind for lane in found.lanes.values()] == [
+        Kind.SOLID,
+        Kind.DASHED,
+        Kind.UNKNOWN,
+    ]
+    assert two.right.kind == Kind.ROAD_EDGE
+    assert two.centre.points.tolist() == [[0, 1.5], [50, 1.5], [90, 1.5]]
+    assert list(found.polylines) == ["g"]
+    assert found.polylines["g"].kind == Kind.BARRIER
+    assert (found.skipped, found.projection) == ((), None)
+
+
+def test_lines_without_lanes() -> None:
+    found = read_map("x, y ,line\n0,0,a\n1,0,a\n\n0,1,b\n1,1,b\n")
+    assert {key: line.points.tolist() for key, line in found.polylines.items()} == {
+        "a": [[0, 0], [1, 0]],
+        "b": [[0, 1], [1, 1]],
+    }
+    assert not found.lanes
+    assert not found.roads
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "why"),
+    [
+        ("b,1,2\nb,x,3", "line 5", "line 'b' is not used: 'b,x,3' is not a point of a map"),
+        ("b,1,2\nb,1", "line 5", "is not a point of a map"),
+        ("b,1,2", "line 4", "needs two different points"),
+        ("b,nan,2\nb,1,2", "line 4", "is not a point of a map"),
+        ("b,1,2,1,left,pink\nb,1,3", "line 4", "one of unknown, solid, dashed"),
+        ("b,1,2,1,top,\nb,1,3", "line 4", "the side must be left or right, got 'top'"),
+        ("b,1,2,1,left,\nb,1,3", "line 4", "lane '1' is not used: it has only a left side"),
+        ("b,1,2\nb,1,3\na,1,2\na,3,4", "line 6", "two places"),
+    ],
+)
+def test_what_cannot_be_used_is_listed(text: str, where: str, why: str) -> None:
+    found = read_map(f"line,x,y,lane,side,kind\na,0,0,,,\na,9,0,,,\n{text}\n")
+    assert found.polylines["a"].length == 9
+    (skipped,) = found.skipped
+    assert skipped.where == where
+    assert why in skipped.why
+
+
+def test_a_side_given_twice_is_listed() -> None:
+    found = read_map(TWO_LANES + "h,0,9,1,left,\nh,9,9\n")
+    assert len(found.lanes) == 3
+    assert "another left side" in found.skipped[0].why
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "there is no line, x, y"),
+        ("x,y\n1,2", "there is no line"),
+        ("line,x,y\n", "contains no usable lane"),
+        ("line,x,y\na,1,2", "first reason: line 2: line 'a' is not used"),
+        ("line,x,y\na,1," + "2" * 200_000, "line 2 has more than 65536 characters"),
+        ("{", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
+        ("[]", "is not GeoJSON"),
+        ('{"type": "Topology"}', "is not GeoJSON"),
+        ('{"type": "FeatureCollection", "features": 3}', "is not GeoJSON"),
+        ('{"type": "FeatureCollection", "features": []}', "contains no usable lane"),
+    ],
+)
+def test_files_of_no_use(text: str, message: str) -> None:
+    with pytest.raises(MapFileError, match=message):
+        read_map(text)
+
+
+def test_text_in_another_encoding() -> None:
+    with pytest.raises(MapFileError, match="cannot be read as text in UTF-8"):
+        read(io.BytesIO(b"line,x,y\n\xff,1,2"), "map.csv")
+
+
+def test_geojson_is_projected_around_its_middle() -> None:
+    """The projection keeps the origin, so that others can be projected alike."""
+    positions = [(8.40, 49.00), (8.41, 49.00), (8.41, 49.01)]
+    found = read_map(geojson(feature(*positions, kind="solid", id="x")))
+    line = found.polylines["x"]
+    assert found.projection is not None
+    assert "+proj=tmerc +lat_0=49.005 +lon_0=8.405" in found.projection
+    longitude, latitude = np.array(positions).T
+    assert line.points == pytest.approx(project(found.projection, latitude, longitude), abs=1e-9)
+    assert line.kind == Kind.SOLID
+    assert line.length == pytest.approx(731.7 + 1112.3, abs=0.5)
+
+
+def test_geojson_of_another_system_is_kept() -> None:
+    crs = {"type": "name", "properties": {"name": "urn:ogc:def:crs:EPSG::25832"}}
+    found = read_map(geojson(feature((456000.0, 5427000.0), (456010.0, 5427000.0)), crs=crs))
+    assert found.projection == "urn:ogc:def:crs:EPSG::25832"
+    assert found.polylines["0"].points.tolist() == [[456000, 5427000], [456010, 5427000]]
+    crs["properties"] = {"name": "urn:ogc:def:crs:OGC:1.3:CRS84"}
+    found = read_map(geojson(feature((8.0, 49.0), (8.1, 49.0)), crs=crs))
+    assert "+proj=tmerc" in str(found.projection)
+
+
+def test_geojson_across_the_180th_meridian() -> None:
+    found = read_map(geojson(feature((179.999, 10.0), (-179.999, 10.0))))
+    assert found.polylines["0"].length == pytest.approx(219.3, abs=0.5)
+    assert "+lon_0=180.0 " in str(found.projection) or "+lon_0=-180.0 " in str(found.projection)
+
+
+def test_lanes_of_a_geojson() -> None:
+    found = read_map(
+        geojson(
+            feature((8.40, 49.00003), (8.41, 49.00003), lane=7, side="left"),
+            feature((8.40, 49.00000), (8.41, 49.00000), lane=7, side="right"),
+            feature((8.40, 49.00000), (8.41, 49.00000), lane="8", side="left"),
+            feature((8.40, 48.99997), (8.41, 48.99997), lane="8", side="right"),
+        )
+    )
+    assert found.lanes["7"].right_neighbour == "8"
+    assert found.lanes["7"].width == pytest.approx(3.34, abs=0.01)
+
+
+def test_several_lines_of_a_feature() -> None:
+    one = feature(id="m")
+    one["geometry"] = {
+        "type": "MultiLineString",
+        "coordinates": [[[8, 49], [8.1, 49]], [[8, 49.1], [8.1, 49.1, 30]]],
+    }
+    assert list(read_map(geojson(one)).polylines) == ["m", "m#2"]
+
+
+@pytest.mark.parametrize(
+    ("bad", "why"),
+    [
+        (None, "its geometry is None"),
+        (feature((8.0, 49.0)), "two different points"),
+        (feature((1000.0, 49.0), (8.0, 49.0)), "no longitude and latitude"),
+        (feature((float("nan"), 49.0), (8.0, 49.0)), "no longitude and latitude"),
+        ({"geometry": {"type": "Point", "coordinates": [8, 49]}}, "its geometry is Point"),
+        ({"geometry": {"type": "LineString", "coordinates": 3}}, "not lists of two numbers"),
+        ({"geometry": {"type": "LineString", "coordinates": [[1], [2]]}}, "not lists of two"),
+        ({"geometry": {"type": "LineString", "coordinates": [["a", 1]]}}, "not lists of two"),
+        ({"geometry": {"type": "LineString", "coordinates": [{"x": 1}]}}, "not lists of two"),
+        ({"geometry": {"type": "LineString", "coordinates": [[10**400, 1]]}}, "not lists of two"),
+        (feature((True, False), ("1", "2")), "not lists of two"),
+        (feature((8.0, 49.0), (8.1, True)), "not lists of two"),
+        ({"geometry": {"type": "MultiLineString", "coordinates": 3}}, "not lists of two"),
+        (feature((8.0, 49.0), (8.1, 49.0), kind=3), "the kind must be one of"),
+        (feature((8.0, 49.0), (8.1, 49.0), lane="1"), "the side must be left or right"),
+    ],
+)
+def test_features_of_no_use_are_listed(bad: Any, why: str) -> None:
+    found = read_map(geojson(feature((8.0, 49.0), (8.1, 49.0), id="good"), bad))
+    assert list(found.polylines) == ["good"]
+    (skipped,) = found.skipped
+    assert skipped.where == "feature 1"
+    assert why in skipped.why
+
+
+@pytest.mark.parametrize("name", ["map.geojson", "map.json", "MAP.GEOJSON"])
+def test_load(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(b"\xef\xbb\xbf" + geojson(feature((8.0, 49.0), (8.1, 49.0))).encode())
+    assert len(ml.maps.load(path).polylines) == 1
+    found = ml.maps.load(path, projection=utm(49.0, 8.0))
+    assert found.polylines["0"].points[0] == pytest.approx((426857.99, 5427937.52), abs=0.01)
+    path = tmp_path / "map.csv"
+    path.write_text(TWO_LANES)
+    assert len(ml.maps.load(path).lanes) == 3
+    with pytest.raises(ValueError, match="is CSV, whose positions are in metres"):
+        ml.maps.load(path, projection=utm(49.0, 8.0))

@@ -1,0 +1,94 @@
+"""The simulation of lane fusion on a straight road, and the ways to fuse."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can.simulation.camera import Errors, GaussMarkov, Simulation
+from maplines_can.simulation.camera_view import DriveView
+from maplines_can.simulation.trajectory import State
+from maplines_can.study.fusion.variants import RIGHT, WRONG
+from maplines_can.study.integrity.sampling import nominal, tail_probability
+from maplines_can.study.integrity.stanford import Shares
+
+CARS = 40
+
+
+def straight(n: int = 100, dt: float = 0.2, speed: float = 15.0) -> DriveView:
+    """A straight road whose lines the receiver knows exactly but for the stated errors."""
+    t = np.asarray(dt * np.arange(n), dtype=float)
+    pose = np.column_stack([speed * t, np.zeros(n), np.zeros(n)])
+    lines = np.tile([[1.75, 0, 0, 0], [-1.75, 0, 0, 0]], (n, 1, 1))
+    e = Errors()
+    own = np.square([e.map_offset, e.map_heading, 0, 0]) + np.square(e.map_local)
+    return DriveView(
+        State(t, pose, np.full(n, speed), np.zeros(n)),
+        lines,
+        np.tile([-20.0, 80.0], (n, 2, 1)),
+        np.tile([[1.75] * 3, [-1.75] * 3], (n, 1, 1)),
+        np.ones((n, 3), dtype=bool),
+        np.tile(np.diag(np.tile(own, 2)), (n, 1, 1)),
+        lines,
+    )
+
+
+def nees(way: str, time: float, view: DriveView | None = None) -> Any:
+    track = Simulation(view or straight(), time, CARS, seed=2).run((RIGHT | WRONG)[way](CARS))
+    return np.nanmean(track.nees, axis=0), track
+
+
+@pytest.mark.parametrize("time", [1.0, 30.0])
+@pytest.mark.parametrize("way", [*RIGHT])
+def test_the_right_ways_are_not_overconfident(way: str, time: float) -> None:
+    """Up to the upper bound for 40 cars; the intersection may be cautious."""
+    found, track = nees(way, time)
+    assert (found < 1.5).all()
+    assert (found > (0.2 if "split" in way else 0.55)).all()
+    assert track.false_used < 0.05
+    assert track.true_used > 0.97
+    assert track.rms[0] < 0.1
+
+
+@pytest.mark.parametrize("way", [way for way in WRONG if "cycles independent" in way])
+def test_independent_cycles_are_overconfident(way: str) -> None:
+    found, _ = nees(way, 30.0)
+    assert found.max() > 3
+
+
+def test_the_pose_error_as_state_is_best() -> None:
+    """If its correlation time is long."""
+    rms = {way: nees(way, 30.0)[1].rms[1] for way in RIGHT}
+    assert min(rms, key=lambda way: rms[way]) == "pose error as state"
+
+
+def test_the_same_seed_gives_the_same_track() -> None:
+    tracks = [nees("Schmidt filter", 5.0, straight(10))[1] for _ in range(2)]
+    assert np.array_equal(tracks[0].error, tracks[1].error)
+    assert tracks[0].in_outage.tolist() == [False] * 3 + [True] * 4 + [False] * 3
+
+
+def test_a_gauss_markov_process_keeps_its_variance_and_forgets() -> None:
+    process = GaussMarkov(np.random.default_rng(1), (20_000,))
+    first = process.step(0.0)
+    later = process.step(1.0)
+    assert later.var() == pytest.approx(1.0, abs=0.04)
+    assert np.mean(first * later) == pytest.approx(np.exp(-1), abs=0.03)
+
+
+def test_the_tail_of_an_exact_scene_is_that_of_a_normal_variable() -> None:
+    """If what lines have of their own is stated exactly; wider covariances lower it."""
+    errors = Errors(map_local=(0.0, 0.0, 0.0, 0.0))
+    view = straight(1)
+    own = np.diag(np.tile(np.square([errors.map_offset, errors.map_heading, 0, 0]), 2))
+    exact = view._replace(own=own[None])
+    for K in (3.0, 6.0):
+        tail = tail_probability(exact, 0, 1, K, errors, 20_000, seed=1)
+        assert tail.low * 0.95 < nominal(K) < tail.high * 1.05
+        wide = tail_probability(exact._replace(own=4 * own[None]), 0, 1, K, errors, 5000, seed=1)
+        assert wide.value < nominal(K)
+
+
+def test_the_regions_of_a_stanford_diagram() -> None:
+    error, level = np.array([0.1, 0.3, 0.7, 0.3]), np.array([0.2, 0.2, 0.4, 0.9])
+    assert Shares.of(error, level, 0.5) == Shares(0.75, 0.5, 0.25)

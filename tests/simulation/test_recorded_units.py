@@ -1,0 +1,160 @@
+"""Recorded drives in any units and any set of columns are the same drive."""
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from maplines_can import DriveFileError, RecordedDrive
+from maplines_can.simulation.recorded_errors import covered, first_problem, linear, valid_series
+
+#: SI values of three records, and a column name with its unit in SI, for each quantity.
+RECORDS = {
+    "time": [10.0, 10.5, 11.0],
+    "x": [100.0, 105.0, 110.0],
+    "y": [-3.0, -2.5, -2.0],
+    "heading": [0.1, 0.12, 0.14],
+    "speed": [10.0, 11.0, 12.0],
+    "yaw_rate": [0.04, 0.05, 0.06],
+    "sigma_heading": [0.01, 0.02, 0.03],
+}
+UNITS = {
+    "time": {"": 1.0, "_ms": 1e-3, "_us": 1e-6, "_ns": 1e-9},
+    "x": {"": 1.0},
+    "y": {"": 1.0},
+    "heading": {"": 1.0, "_deg": math.pi / 180},
+    "speed": {"": 1.0, "_kmh": 1000 / 3600, "_mph": 1609.344 / 3600},
+    "yaw_rate": {"": 1.0, "_deg_s": math.pi / 180},
+    "sigma_heading": {"": 1.0, "_deg": math.pi / 180},
+}
+
+
+def written(path: Path, columns: dict[str, Any], delimiter: str = ",") -> Path:
+    rows = [delimiter.join(columns)]
+    rows += [
+        delimiter.join(repr(float(v)) for v in row) for row in zip(*columns.values(), strict=True)
+    ]
+    path.write_text("\n".join(rows))
+    return path
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
+def test_a_drive_is_the_same_in_any_units(tmp_path: Path, delimiter: str) -> None:
+    """Each unit of each quantity, with sigmas across and along the car."""
+    for suffixes in itertools.zip_longest(*(UNITS[name] for name in RECORDS), fillvalue=""):
+        columns: dict[str, Any] = {
+            name + suffix: np.array(RECORDS[name]) / UNITS[name][suffix]
+            for name, suffix in zip(RECORDS, suffixes, strict=True)
+        }
+        columns |= {"sigma_along": [0.3, 0.4, 0.5], "sigma_across": [0.1, 0.1, 0.2]}
+        drive = RecordedDrive.from_csv(written(tmp_path / "drive.csv", columns, delimiter))
+        assert drive.t == pytest.approx(np.array(RECORDS["time"]))
+        expected = np.column_stack([RECORDS[name] for name in ("x", "y", "heading")])
+        assert drive.pose == pytest.approx(expected)
+        assert drive.speed == pytest.approx(np.array(RECORDS["speed"]))
+        assert drive.yaw_rate == pytest.approx(np.array(RECORDS["yaw_rate"]))
+        assert drive.cov is not None
+        for k in range(3):
+            c, s = math.cos(RECORDS["heading"][k]), math.sin(RECORDS["heading"][k])
+            R = np.array([[c, -s], [s, c]])
+            along, across = columns["sigma_along"][k], columns["sigma_across"][k]
+            assert drive.cov[k, :2, :2] == pytest.approx(R @ np.diag([along, across]) ** 2 @ R.T)
+            assert drive.cov[k, 2, 2] == pytest.approx(RECORDS["sigma_heading"][k] ** 2)
+            assert not drive.cov[k, 2, :2].any()
+
+
+@pytest.mark.parametrize("form", ["sigmas", "entries"])
+def test_covariances_in_the_frame_of_the_map(tmp_path: Path, form: str) -> None:
+    """By standard deviations, or by all entries, of which each has its place."""
+    columns = {name: RECORDS[name] for name in ("time", "x", "y", "heading")}
+    A = np.array([[0.3, 0, 0], [0.1, 0.2, 0], [0.01, 0.02, 0.03]])
+    P = A @ A.T if form == "entries" else np.diag([0.3, 0.2, 0.03]) ** 2
+    if form == "entries":
+        for (i, a), (j, b) in itertools.combinations_with_replacement(enumerate("xyh"), 2):
+            columns[f"cov_{a}{b}"] = [P[i, j]] * 3
+    else:
+        columns |= {f"sigma_{n}": [v] * 3 for n, v in (("x", 0.3), ("y", 0.2), ("heading", 0.03))}
+    drive = RecordedDrive.from_csv(written(tmp_path / "drive.csv", columns))
+    assert drive.cov == pytest.approx(np.tile(P, (3, 1, 1)))
+    assert drive.stated(10.2).cov == pytest.approx(P)
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.integers(1, 9), st.integers(0, 2))
+def test_linear_interpolation_is_that_of_numpy(seed: int, n: int, trailing: int) -> None:
+    """Of each entry, also of matrices."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.1, 1, n))
+    values = rng.standard_normal((n, *(2,) * trailing))
+    t = np.append(rng.uniform(times[0], times[-1], 7), times)
+    got = linear(times, values, t).reshape(len(t), -1)
+    for column, of_time in zip(got.T, values.reshape(n, -1).T, strict=True):
+        assert column == pytest.approx(np.interp(t, times, of_time))
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32), st.integers(0, 8))
+def test_what_is_covered_by_records(seed: int, n: int) -> None:
+    """A time at a record, or between two that are close enough, one by one."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.choice([0.5, 1.0, 1.5], n))
+    t = np.append(rng.uniform(-1, 10, 20), times)
+    found = covered(times, t, 1.0)
+    for one, is_covered in zip(t, found, strict=True):
+        before = [x for x in times if x <= one]
+        after = [x for x in times if x >= one]
+        expected = bool(before and after) and after[0] - before[-1] <= 1.0
+        assert is_covered == expected
+
+
+def test_a_series_keeps_what_is_finite_and_later() -> None:
+    """Values in SI units; times that do not advance are left out."""
+    t = [0.0, 1.0, 1.0, 0.5, math.nan, 2.0, math.inf, 3.0]
+    values = [1.0, 2.0, 3.0, 4.0, 5.0, math.nan, 7.0, 8.0]
+    times, found = valid_series((t, values), "speed_kmh", 0.5)
+    assert times.tolist() == [0.0, 1.0, 3.0]
+    assert found.tolist() == [0.5, 1.0, 4.0]
+    with pytest.raises(DriveFileError, match="speed_kmh has no value"):
+        valid_series(([math.nan], [1.0]), "speed_kmh", 1.0)
+    with pytest.raises(ValueError, match=r"\(n,\) times and values"):
+        valid_series(([0.0, 1.0], [1.0]), "speed_kmh", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "record", "words"),
+    [
+        ({}, None, ""),
+        ({"t": [0.0, 1.0, 1.0]}, 2, "later than that of the record before"),
+        ({"speed": [0.0, 2e10, 0.0]}, 1, "beyond 1e"),
+        ({"yaw_rate": [0.0, 0.0, math.nan]}, 2, "not finite"),
+        ({"x": [-1e10, 0.0, 1e10]}, None, ""),
+        ({"x": [0.0, 0.0, -1.01e10]}, 2, "beyond 1e"),
+        ({"cov": (1, np.diag([1.0, -1e-9, 1.0]))}, 1, "sigmas must be 0 or more"),
+        ({"cov": (2, np.diag([1.0, np.inf, 1.0]))}, 2, "sigmas must be 0 or more"),
+        ({"cov": (0, [[0, 0.1, 0], [0.1, 1, 0], [0, 0, 1]])}, 0, "positive semidefinite"),
+        ({"cov": (1, [[1, 2, 0], [2, 1, 0], [0, 0, 1]])}, 1, "positive semidefinite"),
+        ({"cov": (1, [[1, 0.5, 0], [0.2, 1, 0], [0, 0, 1]])}, 1, "positive semidefinite"),
+        ({"cov": (1, [[1, 1, 0], [1, 1, 0], [0, 0, 0]])}, None, ""),
+    ],
+)
+def test_the_first_record_that_is_wrong(change: Any, record: int | None, words: str) -> None:
+    t, pose, cov = np.arange(3.0), np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1))
+    speed, yaw_rate = np.zeros(3), np.zeros(3)
+    if "t" in change:
+        t = np.array(change["t"])
+    if "x" in change:
+        pose[:, 0] = change["x"]
+    if "speed" in change:
+        speed = np.array(change["speed"])
+    if "yaw_rate" in change:
+        yaw_rate = np.array(change["yaw_rate"])
+    if "cov" in change:
+        cov[change["cov"][0]] = change["cov"][1]
+    found = first_problem(t, pose, speed, yaw_rate, cov)
+    assert (found and found[0]) == record
+    assert found is None or words in found[1]

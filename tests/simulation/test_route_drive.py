@@ -1,0 +1,81 @@
+"""Drives along routes."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from lane_maps import lane, network
+
+from maplines_can import PoseSource
+from maplines_can.maps import Map, Route
+from maplines_can.maps.line_source import LineSource
+from maplines_can.simulation.along_route import drive_along
+
+LANES = [lane("a", length=100.0), lane("b", (100.0, 0.0, 0.0), 100.0)]
+
+
+def road(*limits: float | None) -> Map:
+    lanes = [replace(one, speed_limit=v) for one, v in zip(LANES, limits, strict=True)]
+    return network(*lanes, links={"a": "b"})
+
+
+@pytest.mark.parametrize("start", ["a", (40.0, 0.0, 0.0)])
+def test_the_car_keeps_the_limits_of_the_lanes(start: str | tuple[float, float, float]) -> None:
+    """Also from within a lane; a lane without a limit has the default one."""
+    found = road(10.0, None)
+    route = found.route(start, "b")
+    drive = drive_along(found, route, default_speed=5.0)
+    state = drive.at(drive.times(50.0))
+    assert drive.path.length == pytest.approx(route.length)
+    assert state.pose[0, 0] == pytest.approx(0.0 if start == "a" else 40.0)
+    assert state.pose[-1, 0] == pytest.approx(200.0, abs=1e-3)
+    before = state.pose[:, 0] < 100.0
+    assert state.speed[before].max() == pytest.approx(10.0, abs=0.1)
+    assert state.speed[~before].max() <= 5.0 + 1e-6
+
+
+def test_limits_of_the_car_are_passed_on() -> None:
+    found = road(10.0, 10.0)
+    drive = drive_along(found, found.route("a", "b"), stops=[(50.0, 3.0)], start_speed=10.0)
+    state = drive.at(drive.times(10.0))
+    assert state.speed[0] == pytest.approx(10.0)
+    assert (state.speed < 1e-6).sum() >= 30
+
+
+def test_a_route_without_length_is_refused() -> None:
+    found = road(None, None)
+    route = found.route((40.0, 0.0, 0.0), (40.2, 0.0, 0.0))
+    assert isinstance(route, Route)
+    with pytest.raises(ValueError, match="1 m or more ahead"):
+        drive_along(found, route)
+
+
+def test_a_route_with_lane_changes_has_one_limit_at_a_place() -> None:
+    """That of the lane to which the car changes."""
+    lanes = [
+        replace(lane("l", t=3.5), speed_limit=20.0),
+        replace(lane("r"), speed_limit=10.0),
+    ]
+    found = network(*lanes, rows=["l r"])
+    drive = drive_along(found, found.route("l", "r"))
+    state = drive.at(drive.times(10.0))
+    assert state.speed.max() <= 10.0 + 1e-6
+    assert np.ptp(state.pose[:, 1]) == pytest.approx(3.5, abs=0.01)
+
+
+def test_a_lane_without_a_limit_has_that_of_a_town() -> None:
+    found = road(None, None)
+    state = drive_along(found, found.route("a", "b"), start_speed=13.0).at(7.0)
+    assert state.speed == pytest.approx(50 / 3.6)
+
+
+def test_the_lines_of_a_drive_are_those_from_4_m_behind_to_80_m_ahead() -> None:
+    """Unless another range is given."""
+    found = road(None, None)
+    for window, ends in ((None, (-4.0, 80.0)), ((-5.0, 30.0), (-5.0, 30.0))):
+        settings: dict[str, Any] = {} if window is None else {"window": window}
+        source = LineSource(found, PoseSource((1e-4, 1e-4, 1e-6)).pose, **settings)
+        cycle = source.cycle(0.0, np.array([100.0, 0.0, 0.0]))
+        for line in cycle.lines:
+            assert (line.x_min, line.x_max) == pytest.approx(ends, abs=0.05)

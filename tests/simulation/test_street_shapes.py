@@ -1,0 +1,220 @@
+"""Streets agree with closed forms and with numerical integration; scenarios match their names."""
+
+import subprocess
+import sys
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.special import fresnel
+
+from maplines_can import map_lines
+from maplines_can.simulation.scenarios import STREETS, scenario
+from maplines_can.simulation.street_shapes import LANES, Piece, Street, lanes, widening
+from maplines_can.values.line import Slot
+from maplines_can.values.seen_lines import MARGIN
+
+PIECES = st.lists(
+    st.builds(Piece, st.floats(1, 80), st.floats(-0.07, 0.07), st.floats(-0.07, 0.07)),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(st.floats(5, 2000), st.sampled_from([-1, 1]), st.floats(-4, 4))
+def test_constant_curvature_is_a_circle(radius: float, side: int, offset: float) -> None:
+    """Nearly all of it, whatever the distance of the points; a parallel has the same centre."""
+    street = Street([Piece(1.9 * np.pi * radius, side / radius, side / radius)])
+    s = np.array([0.0, 0.3, 1.0, 1.8, 1.9]) * np.pi * radius
+    angle = s / radius
+    beside = radius - side * offset
+
+    points = street.line(s, offset)
+
+    expected = [beside * np.sin(angle), side * (radius - beside * np.cos(angle))]
+    assert np.allclose(points, np.column_stack(expected), atol=1e-9 * radius)
+    assert np.allclose(street.heading(s), side * angle)
+
+
+@given(st.floats(5, 300), st.floats(10, 2000), st.sampled_from([-1, 1]))
+def test_linear_curvature_is_a_clothoid(length: float, radius: float, side: int) -> None:
+    """Fresnel integrals, from curvature 0 to 1 / radius."""
+    turn = length / (2 * radius)
+    if turn > 2 * np.pi:
+        return
+    s = np.linspace(0, length, 7)
+    scale = np.sqrt(np.pi * length * radius)
+    sine, cosine = fresnel(s / scale)
+
+    points = Street([Piece(length, 0, side / radius)]).line(s)
+
+    assert np.allclose(points, scale * np.column_stack([cosine, side * sine]), atol=1e-10 * length)
+
+
+@given(PIECES, st.floats(0, 1))
+def test_any_street_agrees_with_numerical_integration(pieces: list[Piece], share: float) -> None:
+    """Kinks of the curvature included; at s = 0 it goes through the origin along x."""
+    behind = share * sum(piece.length for piece in pieces)
+    street = Street(pieces, behind)
+    z, heading, expected = 0j, 0.0, [0j]
+    for length, begin, end in pieces:
+
+        def rates(s: float, state: Any, k: Any = (begin, (end - begin) / length)) -> Any:
+            return [np.cos(state[2]), np.sin(state[2]), k[0] + k[1] * s]
+
+        solved = solve_ivp(rates, (0, length), [z.real, z.imag, heading], rtol=1e-10, atol=1e-10)
+        x, y, heading = solved.y[:, -1]
+        z = x + 1j * y
+        expected.append(z)
+    joints = np.cumsum([0.0, *(piece.length for piece in pieces)]) - behind
+
+    points = street.line(np.append(joints, 0.0)) @ [1, 1j]
+
+    steps = np.diff(points[:-1]) * np.exp(1j * (-street.heading(joints[:1])))
+    assert np.allclose(steps, np.diff(expected), atol=1e-6)
+    assert abs(points[-1]) < 1e-9
+    assert street.heading(0.0) == 0
+    assert (street.begin, street.end) == pytest.approx((joints[0], joints[-1]))
+
+
+def test_points_may_be_in_any_order_and_repeat() -> None:
+    """They do not depend on the other points."""
+    street = Street([Piece(30, 0, 0.05), Piece(30, -0.05, 0.02)], behind=12)
+    s = np.array([40.0, -12, 3, 3, 17])
+
+    assert np.allclose(street.line(s), [street.line([one])[0] for one in s], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "behind", "message"),
+    [
+        ([], 0, "at least one"),
+        ([Piece(0)], 0, "more than 0 m"),
+        ([Piece(np.nan)], 0, "finite"),
+        ([Piece(10)], 11, "behind must be 0 to 10 m, the length of the street, got 11"),
+        ([Piece(10)], -1, "behind must be 0 to 10 m"),
+    ],
+)
+def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Street(pieces, behind)
+
+
+@pytest.mark.parametrize("s", [-1.0, 10.5, np.nan])
+def test_a_place_beyond_the_street_is_refused(s: float) -> None:
+    with pytest.raises(ValueError, match="s must be 0 to 10 m"):
+        Street([Piece(10)]).line([1.0, s])
+
+
+def test_a_lane_widens_smoothly() -> None:
+    """From 0 to 1 without a kink."""
+    s = np.linspace(-10, 60, 701)
+    share = widening(s, 10.0, 30.0)
+
+    assert (share[s <= 10] == 0).all()
+    assert (share[s >= 40] == 1).all()
+    assert np.abs(np.diff(share, 2)).max() < 1e-3 * 0.1
+    assert (np.diff(share) >= 0).all()
+
+
+def test_a_shifted_line_moves_and_ends() -> None:
+    """The other lines stay as they are in ``LANES``."""
+    s = np.arange(0.0, 50.0)
+    shift = {Slot.EGO_LEFT: 0 * s + 0.5, Slot.EGO_RIGHT: np.where(s > 20, np.nan, 0.0)}
+
+    lines = lanes(Street([Piece(50)]), s, shift)
+
+    assert list(lines) == list(LANES)
+    assert (lines[Slot.EGO_LEFT].points[:, 1] == 2.25).all()
+    assert lines[Slot.EGO_RIGHT].points[-1].tolist() == [20.0, -1.75]
+    for slot in LANES.keys() - shift.keys():
+        assert np.allclose(lines[slot].points[:, 1], LANES[slot][1])
+        assert lines[slot].kind == LANES[slot][0]
+
+
+def test_scenes_are_built_without_scipy() -> None:
+    """So the command line starts as fast as before."""
+    code = "import sys; from maplines_can import scenarios; sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("name", STREETS)
+def test_the_car_is_in_its_lane(name: str) -> None:
+    """All lines are there, at their distances from the car, and the pose is as documented."""
+    example = scenario(name)
+    sigma = [0.1, 0.2, np.radians(0.2)]
+
+    assert example is STREETS[name]
+    assert np.allclose(example.ego.sigma, sigma)
+    assert list(example.lines) == list(LANES)
+    for slot, line in example.lines.items():
+        near = np.hypot(*line.resampled(0.1).points.T).min()
+        if not (name == "lane-ends" and slot in (Slot.NEXT_RIGHT, Slot.EDGE_RIGHT)):
+            assert near == pytest.approx(abs(LANES[slot][1]), abs=0.6 if "coarse" in name else 0.1)
+
+
+@pytest.mark.parametrize("name", STREETS)
+def test_every_line_of_a_street_is_given(name: str) -> None:
+    """And for as far as the line is there."""
+    example = STREETS[name]
+    lines = map_lines(example.lines, example.ego, window=example.window)
+
+    assert [line.slot for line in lines] == list(Slot)
+    assert lines.left_out == {}
+    assert min(line.x_max - line.x_min for line in lines) > 8
+    right = next(line for line in lines if line.slot == Slot.EGO_RIGHT)
+    if name == "lane-ends":
+        assert right.x_max == pytest.approx(40 - MARGIN * 0.1, abs=0.01)
+
+
+def centre(name: str) -> Any:
+    """Return the points of the centre of the car's lane as complex numbers."""
+    return STREETS[name].lines[Slot.CENTRE].points @ [1, 1j]
+
+
+def radii(points: Any) -> Any:
+    """Return the (n - 2,) signed radii of the circles through three points in a row."""
+    a, b, c = points[:-2], points[1:-1], points[2:]
+    area = ((b - a).conjugate() * (c - a)).imag
+    with np.errstate(divide="ignore"):
+        return abs(b - a) * abs(c - b) * abs(a - c) / (2 * area)
+
+
+def test_the_shapes_are_those_of_their_names() -> None:
+    """Radius, turn, and the distances at which something changes."""
+    corner = centre("corner")
+    assert np.angle((corner[-1] - corner[-2]) / (corner[1] - corner[0])) == pytest.approx(np.pi / 2)
+    assert np.abs(radii(corner)).min() == pytest.approx(8, rel=0.01)
+    for radius in (12, 50):
+        assert np.allclose(radii(centre(f"roundabout-{radius}m")), radius)
+    ramp = centre("exit")
+    assert radii(ramp)[-1] == pytest.approx(-60)
+    assert np.abs(ramp[ramp.real <= 30].imag).max() < 1e-9
+    bend = radii(centre("s-bend"))
+    assert bend[bend > 0].min() == pytest.approx(40, rel=0.01)
+    assert bend[bend < 0].max() == pytest.approx(-40, rel=0.01)
+    coarse = centre("motorway-coarse")
+    assert np.allclose(radii(coarse), 1500)
+    distance = np.abs(np.diff(coarse))
+    assert 44.9 < distance.min() < 46
+    assert 89 < distance.max() <= 90
+
+
+def test_lanes_end_and_widen_where_they_should() -> None:
+    """The marking ends 40 m ahead, where the lane right of it has no width left."""
+    ends, wide = STREETS["lane-ends"].lines, STREETS["lane-widens"].lines
+    assert ends[Slot.EGO_RIGHT].points[-1].tolist() == [40.0, -1.75]
+    for slots, s, width in (
+        ((Slot.EGO_RIGHT, Slot.NEXT_RIGHT), 40.0, None),
+        ((Slot.EGO_LEFT, Slot.EGO_RIGHT), 15.0, 3.5),
+        ((Slot.EGO_LEFT, Slot.EGO_RIGHT), 45.0, 7.0),
+    ):
+        lines = ends if width is None else wide
+        left, right = (np.interp(s, *lines[slot].points.T) for slot in slots)
+        assert left - right == pytest.approx(width or 0.0, abs=1e-9)
+    at = [np.interp(x, *wide[Slot.CENTRE].points.T) for x in (0.0, 15.0, 45.0, 60.0)]
+    assert [b - a for a, b in pairwise(at)] == pytest.approx([0, -1.75, 0], abs=1e-9)

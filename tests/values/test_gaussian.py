@@ -1,0 +1,315 @@
+"""Validation of Gaussians, and their functions against independent formulas."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy import stats
+from scipy.spatial import distance
+from strategies import covariances, gaussians, symmetric
+
+from maplines_can.values.gaussian import (
+    ROUNDING,
+    Gaussian,
+    asymmetric,
+    indefinite,
+    nearest_covariance,
+    square_root,
+)
+
+EPS = np.finfo(float).eps
+#: Its third pivot is rounding error. If used, the last variances would be wrong by 0.6 %.
+NEARLY_SINGULAR = np.array(
+    [
+        [1.0, 0.8125, 1 + 2.0**-23, 1 + 2.0**-23],
+        [0.8125, 0.66015625, 0.8125, 0.8125],
+        [1 + 2.0**-23, 0.8125, 2.0, 2.0],
+        [1 + 2.0**-23, 0.8125, 2.0, 2.0],
+    ]
+)
+
+
+def correlation(cov: Any) -> Any:
+    """The correlation matrix, with a scale of 1 for zero variances."""
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    return cov / scale / scale[:, None]
+
+
+def pair(rho: Any) -> Any:
+    return np.array([[1.0, rho], [rho, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("mean", "cov", "words"),
+    [
+        pytest.param([0, np.nan], np.eye(2), "mean must be finite .* nan", id="nan-mean"),
+        pytest.param([0, np.inf], np.eye(2), "mean must be finite .* inf", id="inf-mean"),
+        pytest.param([[0, 0]], np.eye(2), r"mean must .* shape \(n,\)", id="mean-2d"),
+        pytest.param([], np.zeros((0, 0)), r"mean must .* shape \(n,\)", id="empty"),
+        pytest.param(0.0, [[1.0]], r"mean must .* shape \(n,\)", id="scalar-mean"),
+        pytest.param([0, 0], np.eye(3), r"cov must be finite with shape \(2, 2\)", id="cov-shape"),
+        pytest.param([0, 0], [1.0, 1.0], r"cov must be finite with shape \(2, 2\)", id="cov-1d"),
+        pytest.param([0, 0], pair(np.nan), r"cov must be finite .* nan", id="nan-cov"),
+        pytest.param([0, 0], np.diag([1, -1e-300]), "variances of 0 or more", id="negative"),
+        pytest.param(
+            [0, 0],
+            [[0, 1e-9], [1e-9, 1]],
+            "must be 0 in the row and column of a zero variance",
+            id="zero-variance",
+        ),
+        pytest.param([0, 0], [[1, 2e-9], [0, 1]], "use .cov \\+ cov.T. / 2", id="asymmetric"),
+        pytest.param([0, 0], pair(1.5), r"is -0\.5; use nearest_covariance", id="indefinite"),
+        pytest.param([0, 0], pair(1 + 1.1e-9), "is -1.1e-09", id="just-indefinite"),
+    ],
+)
+def test_invalid_gaussian_raises(mean: Any, cov: Any, words: str) -> None:
+    """The message names what is wrong with the mean or the covariance."""
+    with pytest.raises(ValueError, match=words):
+        Gaussian(mean, cov)
+
+
+@pytest.mark.parametrize(
+    "cov",
+    [
+        pytest.param(np.zeros((2, 2)), id="zero"),
+        pytest.param(np.diag([1.0, 0.0]), id="one-variance-zero"),
+        pytest.param(pair(1.0), id="exactly-singular"),
+        pytest.param(pair(1 + 0.9e-9), id="rounding-of-the-least-eigenvalue"),
+        pytest.param(np.array([[1, 0.9e-9], [0, 1]]), id="rounding-of-the-symmetry"),
+        pytest.param(1e-16 * pair(0.999), id="tiny"),
+        pytest.param(pair(1 + 5e-6).astype(np.float32), id="rounding-of-single-precision"),
+    ],
+)
+def test_rounding_errors_are_accepted_and_the_covariance_made_symmetric(cov: Any) -> None:
+    """Singular covariances are valid, and errors up to 1e-9 of the sigmas count as rounding."""
+    kept = Gaussian([0, 0], cov).cov
+
+    assert np.array_equal(kept, (cov + cov.T) / 2)
+
+
+def test_a_gaussian_copies_its_arrays_and_makes_them_read_only() -> None:
+    """A valid Gaussian stays valid."""
+    mean, cov = np.zeros(2), np.eye(2)
+    gaussian = Gaussian(mean, cov)
+    mean[0] = cov[0, 0] = np.nan
+
+    assert np.isfinite(gaussian.mean).all()
+    assert np.isfinite(gaussian.cov).all()
+    for array in (gaussian.mean, gaussian.cov, Gaussian.trusted(np.zeros(1), np.eye(1)).cov):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@given(covariances())
+@example(NEARLY_SINGULAR)
+def test_square_root_is_triangular_and_reproduces_the_covariance(cov: Any) -> None:
+    """L L^T is the covariance within rounding, also for nearly singular matrices."""
+    L, sigma = square_root(cov), np.sqrt(cov.diagonal())
+
+    assert np.array_equal(L, np.tril(L))
+    assert (L.diagonal() >= 0).all()
+    assert (np.abs(L @ L.T - cov) <= 256 * EPS * np.outer(sigma, sigma)).all()
+
+
+@given(covariances(jitters=(1e-6, 1e-3, 1.0)))
+def test_square_root_of_a_definite_covariance_is_its_cholesky_factor(cov: Any) -> None:
+    """It agrees with LAPACK's Cholesky factor within the condition of the matrix."""
+    error = correlation(square_root(cov) @ square_root(cov).T) - correlation(cov)
+
+    assert np.abs(error).max() < 16 * EPS
+    assert np.allclose(
+        square_root(correlation(cov)), np.linalg.cholesky(correlation(cov)), atol=1e-9
+    )
+
+
+@given(symmetric())
+def test_indefinite_agrees_with_the_eigenvalues_of_the_correlation_matrix(cov: Any) -> None:
+    """A matrix is indefinite if and only if its least eigenvalue is below -1e-9."""
+    least = np.linalg.eigvalsh(correlation(cov))[0]
+
+    if abs(least + ROUNDING) > 1e-13 * max(1.0, np.abs(correlation(cov)).max()):
+        assert bool(indefinite(cov)) == (least < -ROUNDING)
+
+
+@given(covariances())
+def test_no_covariance_is_called_indefinite_or_asymmetric(cov: Any) -> None:
+    """No A A^T is rejected, singular or not; matrices of a batch are checked independently."""
+    batch = np.stack([cov, -np.eye(4), np.eye(4) + 2e-9 * np.tri(4, k=-1)])
+
+    assert indefinite(batch).tolist() == [False, True, False]
+    assert asymmetric(batch).tolist() == [False, False, True]
+
+
+@given(symmetric())
+@example(
+    np.array([[0, 0, 0, 0], [0, 2e-16, 7.5e-17, 1e-16], [0, 7.5e-17, 0, 0], [0, 1e-16, 0, 2e-16]])
+)
+def test_nearest_covariance_covers_the_matrix_and_is_valid(cov: Any) -> None:
+    """A repair is never overconfident: result minus matrix is positive semidefinite."""
+    repaired = nearest_covariance(cov)
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    gain = np.linalg.eigvalsh((repaired - cov) / scale / scale[:, None])
+
+    assert gain[0] >= -1e-12 * max(1.0, gain[-1])
+    assert Gaussian(np.zeros(4), repaired).dimension == 4
+
+
+@given(symmetric())
+def test_nearest_covariance_adds_the_least_possible_trace(cov: Any) -> None:
+    """The trace added is that of the negative eigenvalues, the least that can cover them."""
+    values = np.linalg.eigvalsh(correlation(cov))
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    added = np.trace((nearest_covariance(cov) - cov) / scale / scale[:, None])
+
+    assert np.isclose(added, -values.clip(max=0).sum(), atol=1e-12 * max(1, -values[0]))
+
+
+@given(covariances(jitters=(1e-6, 1.0)))
+def test_nearest_covariance_does_not_change_definite_matrices(cov: Any) -> None:
+    """A covariance is returned bit for bit, also in a batch with an indefinite matrix."""
+    repaired = nearest_covariance(np.stack([cov, np.eye(4) - 2 * np.eye(4)[::-1]]))
+
+    assert np.array_equal(repaired[0], cov)
+
+
+@given(gaussians(n=3), st.lists(st.sampled_from([0, 1, 2]), min_size=1, max_size=3, unique=True))
+def test_marginal_selects_variables(gaussian: Any, keep: Any) -> None:
+    """A marginal has the means, variances and correlations of its variables."""
+    marginal = gaussian.marginal(keep)
+
+    assert np.array_equal(marginal.mean, gaussian.mean[keep])
+    assert np.array_equal(marginal.correlation, gaussian.correlation[keep][:, keep])
+    assert np.array_equal(marginal.sigma, gaussian.sigma[keep])
+
+
+def test_a_variable_of_zero_variance_correlates_with_no_other() -> None:
+    """The correlation matrix has ones on its diagonal, and nothing is divided by zero."""
+    assert np.array_equal(Gaussian([0, 0], np.diag([4.0, 0.0])).correlation, np.eye(2))
+
+
+def test_samples_have_the_moments_of_the_gaussian() -> None:
+    """Mean and covariance agree within 5 standard errors; a seed gives the same draws."""
+    n, cov = 100_000, np.array([[4.0, 1.9, 0], [1.9, 1.0, 0], [0, 0, 0]])
+    gaussian = Gaussian([1.0, 2.0, 3.0], cov)
+    draws = gaussian.sample(n, seed=3)
+    bound = 5 * np.sqrt((np.outer(cov.diagonal(), cov.diagonal()) + cov**2) / n)
+
+    assert (np.abs(draws.mean(axis=0) - gaussian.mean) <= 5 * gaussian.sigma / np.sqrt(n)).all()
+    assert (np.abs(np.cov(draws.T) - cov) <= bound).all()
+    assert np.array_equal(draws, gaussian.sample(n, seed=3))
+    assert not np.array_equal(draws[:, 0], gaussian.sample(n, seed=4)[:, 0])
+
+
+@given(gaussians(n=3), st.lists(st.floats(-9, 9), min_size=3, max_size=3))
+def test_mahalanobis_agrees_with_scipy(gaussian: Any, z: Any) -> None:
+    """scipy's distance with the inverse of the correlation matrix is the same."""
+    scale = np.where(gaussian.sigma > 0, gaussian.sigma, 1)
+    x = gaussian.mean + scale * z
+    inverse = np.linalg.inv(correlation(gaussian.cov))
+    expected = distance.mahalanobis(x / scale, gaussian.mean / scale, inverse)
+
+    assert np.isclose(gaussian.mahalanobis(x), expected, rtol=1e-7, atol=1e-7)
+    assert gaussian.mahalanobis(np.broadcast_to(x, (2, 5, 3))).shape == (2, 5)
+
+
+def test_coverage_is_the_share_within_the_quantile() -> None:
+    """The region ends at scipy's chi-square quantile and contains that share of the draws."""
+    gaussian = Gaussian([1, 2, 3], [[4, 1, 0], [1, 2, 0.5], [0, 0.5, 1]])  # type: ignore[arg-type]
+    edge = np.sqrt(stats.chi2.ppf(0.99, df=3)) * gaussian.root[:, 0]
+    n, p = 100_000, 0.95
+
+    assert gaussian.coverage(gaussian.mean + np.outer([0.999999, 1.000001], edge)) == 0.5
+    share = gaussian.coverage(gaussian.sample(n, seed=1), mass=p)
+    assert abs(share - p) <= 5 * np.sqrt(p * (1 - p) / n)
+
+
+@given(gaussians(), gaussians())
+def test_kl_agrees_with_its_closed_form(p: Any, q: Any) -> None:
+    """The formula with trace, inverse and slogdet, in units of q, gives the same value."""
+    P, Q = (g.cov / q.sigma / q.sigma[:, None] for g in (p, q))
+    d = (p.mean - q.mean) / q.sigma
+    inverse = np.linalg.inv(Q)
+    log_det = np.linalg.slogdet(Q)[1] - np.linalg.slogdet(P)[1]
+    expected = (np.trace(inverse @ P) + d @ inverse @ d - 4 + log_det) / 2
+
+    assert np.isclose(p.kl(q), expected, rtol=1e-6, atol=1e-6)
+    assert p.kl(q) >= -1e-9
+    assert abs(p.kl(p)) <= 1e-9
+
+
+def test_kl_agrees_with_its_definition() -> None:
+    """The mean of log p - log q over draws of p agrees within 5 standard errors."""
+    p = Gaussian([0, 1], [[2.0, 0.6], [0.6, 1.0]])
+    q = Gaussian([1, 1], [[3.0, -0.3], [-0.3, 2.0]])
+    x = p.sample(100_000, seed=2)
+    logs = [stats.multivariate_normal(g.mean, g.cov).logpdf(x) for g in (p, q)]
+    excess = logs[0] - logs[1]
+
+    assert abs(p.kl(q) - excess.mean()) <= 5 * excess.std() / np.sqrt(len(x))
+
+
+def test_a_singular_gaussian_has_no_density() -> None:
+    """KL from it to a definite Gaussian is infinite; KL or a distance to it raises."""
+    singular, definite = Gaussian([0, 0], pair(1.0)), Gaussian([0, 0], np.eye(2))
+
+    assert singular.kl(definite) == np.inf
+    for ask in (lambda: definite.kl(singular), lambda: singular.mahalanobis([0, 0])):
+        with pytest.raises(np.linalg.LinAlgError, match=r"singular.* marginal of fewer"):
+            ask()
+
+
+def test_wasserstein_without_correlation_is_the_euclidean_distance() -> None:
+    """Without correlation it is the Euclidean distance of (mean, sigma)."""
+    p, q = Gaussian([0, 0], np.diag([1.0, 9.0])), Gaussian([3, 4], np.diag([4.0, 0.0]))
+
+    assert np.isclose(p.wasserstein(q), np.sqrt(3**2 + 4**2 + 1**2 + 3**2), rtol=1e-14)
+    assert p.wasserstein(p) <= 1e-7
+
+
+@given(gaussians(n=2), gaussians(n=2))
+def test_wasserstein_agrees_with_its_closed_form_in_two_dimensions(p: Any, q: Any) -> None:
+    """The trace of the matrix root is sqrt(trace + 2 sqrt(determinant)), in both directions."""
+    unit = np.sqrt(max(np.trace(p.cov), np.trace(q.cov)))
+    P, Q = p.cov / unit**2, q.cov / unit**2
+    d = (p.mean - q.mean) / unit
+    cross = np.sqrt(np.trace(P @ Q) + 2 * np.sqrt(np.linalg.det(P) * np.linalg.det(Q)))
+    squared = d @ d + np.trace(P + Q) - 2 * cross
+
+    assert np.isclose((p.wasserstein(q) / unit) ** 2, squared, atol=1e-7)
+    assert np.isclose((q.wasserstein(p) / unit) ** 2, squared, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Gaussian([10**400, 0], np.eye(2)), "mean must be numbers .* about 1e400"),
+        (lambda: Gaussian([0], [[-(10**400)]]), "cov must be numbers .* about -1e400"),
+        (lambda: Gaussian([0], [[10**5000]]), "about 1e5000"),
+        (lambda: Gaussian(np.array([1j]), [[1]]), "mean must be real"),
+        (lambda: Gaussian([0, 0], np.eye(2) * 1e308), "cov must be finite"),
+        (lambda: Gaussian([0, 0], [[1, 1e308], [-1e308, 1]]), "cov must be finite"),
+        (lambda: nearest_covariance([[10**400]]), "cov must be numbers"),
+        (lambda: nearest_covariance([[1, 1e308], [-1e308, 1]]), "cov must be finite"),
+        (lambda: Gaussian([0], [[1]]).mahalanobis([10**400]), "x must be numbers"),
+        (lambda: Gaussian([0], [[1]]).marginal([10**400]), "indices must be numbers"),
+        (lambda: Gaussian([0], [[1]]).marginal([1e300]), "indices must be"),
+        (lambda: Gaussian([0], [[1]]).marginal([0.5]), "indices must be"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_the_floats_raise(make: Any, words: str) -> None:
+    """The message is short, names the argument, and no warning is issued."""
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert len(str(error.value)) < 200
+
+
+@pytest.mark.filterwarnings("error")
+def test_distances_beyond_the_floats_are_infinite() -> None:
+    """A distant point is outside any region."""
+    unit = Gaussian([0.0], [[1.0]])
+
+    assert unit.mahalanobis([-1e308]) == np.inf
+    assert unit.coverage([[-1e308], [0.0]]) == 0.5

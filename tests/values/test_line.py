@@ -1,0 +1,343 @@
+"""The cubic line: its values, its uncertainty, and its transformation to another pose."""
+
+from math import factorial
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
+from scipy.optimize import brentq
+from strategies import mild_lines, motions
+
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import (
+    VAGUE_SIGMA,
+    Kind,
+    MapLine,
+    Slot,
+    Status,
+    lateral,
+    lateral_jacobian,
+    line_of_cubic,
+    transform_line,
+)
+from maplines_can.values.polyline import to_ego
+
+X = np.linspace(-20, 80, 21)
+WINDOW = (0.0, 80.0)
+
+
+def polynomial(line: Any) -> Any:
+    """numpy's polynomial of a line (Map Line Interface, eq. 1)."""
+    y_off, beta, c0, c1 = line
+    return Polynomial([y_off, np.tan(beta), c0 / 2, c1 / 6])
+
+
+def line_of(polynomial: Any) -> Any:
+    """The line of numpy's polynomial: its derivatives at 0."""
+    y_off, slope, c0, c1 = (polynomial.deriv(k)(0.0) for k in range(4))
+    return np.array([y_off, np.arctan(slope), c0, c1])
+
+
+def inverse(motion: Any) -> Any:
+    """The old pose in the new frame."""
+    return [*to_ego([0.0, 0.0], motion), -motion[2]]
+
+
+def map_line(**rest: Any) -> Any:
+    return MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.eye(4)), **rest)
+
+
+@given(mild_lines())
+def test_lateral_is_the_cubic(line: Any) -> None:
+    """numpy's polynomial has the same values."""
+    assert np.allclose(lateral(line, X), polynomial(line)(X), rtol=1e-13, atol=1e-13)
+
+
+def test_lateral_broadcasts_over_lines() -> None:
+    """Many lines at many x give a grid; a line of NaN stays NaN."""
+    lines = np.array([[1, 0, 0, 0], [0, 0, 0.02, 0], np.full(4, np.nan)])
+
+    assert np.array_equal(
+        lateral(lines[:, None], [0.0, 10.0]),
+        [[1, 1], [0, 1], [np.nan, np.nan]],  # type: ignore[arg-type]
+        equal_nan=True,
+    )
+
+
+@given(mild_lines(), st.integers(0, 3))
+def test_the_jacobian_is_the_derivative_of_lateral(line: Any, i: int) -> None:
+    """l(line + h) - l(line - h) is 2 h J for each parameter."""
+    h = np.zeros(4)
+    h[i] = 1e-4
+    difference = lateral(line + h, X) - lateral(line - h, X)
+
+    assert np.allclose(difference / 2e-4, lateral_jacobian(line, X)[:, i], rtol=1e-7, atol=1e-9)
+
+
+def test_y_sigma_is_the_spread_of_lines() -> None:
+    """Lines drawn from the Gaussian have the spread y_sigma within 5 standard errors."""
+    sigma, n = np.array([0.1, 0.01, 1e-4, 1e-6]), 100_000
+    R = np.eye(4)
+    R[0, 1] = R[1, 0] = -0.6
+    R[2, 3] = R[3, 2] = 0.3
+    gaussian = Gaussian([1.75, 0.1, 1e-3, 1e-6], R * np.outer(sigma, sigma))
+    line = MapLine(Slot.EGO_LEFT, gaussian)
+    drawn = lateral(gaussian.sample(n, seed=1)[:, None], X)
+
+    assert (np.abs(drawn.std(axis=0) / line.y_sigma(X) - 1) <= 5 / np.sqrt(2 * n)).all()
+    assert np.array_equal(line.y(X), lateral(gaussian.mean, X))
+
+
+@given(st.tuples(*[st.floats(-1, 1, width=16)] * 3), st.floats(1, 80))
+def test_y_sigma_is_zero_at_a_fixed_point(root: Any, x: float) -> None:
+    """A line that rotates about one of its points: rounding gives no negative variance there."""
+    u = np.array([0.0, *root * np.array([0.1, 1e-3, 1e-5])])
+    u[0] = -lateral_jacobian(np.zeros(4), x) @ u
+    line = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), np.outer(u, u)))
+
+    assert line.y_sigma(x) <= 1e-6
+    assert np.allclose(line.y_sigma(X), np.abs(lateral_jacobian(np.zeros(4), X) @ u), atol=1e-6)
+
+
+@given(mild_lines(), st.floats(-60, 60), st.floats(1, 60))
+def test_the_line_of_a_normalised_cubic_is_its_taylor_series_at_zero(
+    line: Any, centre: float, half: float
+) -> None:
+    """A line rewritten in w = (u - centre) / half and converted back is the same."""
+    p = polynomial(line)(Polynomial([centre, half]))
+    q = np.array([p.deriv(k)(0.0) / factorial(k) for k in range(4)])
+
+    assert np.allclose(
+        lateral(line_of_cubic(q, np.array(centre), np.array(half)), X), lateral(line, X), atol=1e-9
+    )
+
+
+@given(mild_lines())
+def test_no_motion_does_not_change_a_line(line: Any) -> None:
+    """Rounding changes it by less than 1 nm anywhere in the window."""
+    assert np.allclose(
+        lateral(transform_line(line, [0, 0, 0], WINDOW), X), lateral(line, X), atol=1e-9
+    )
+
+
+@given(mild_lines(), motions(metres=50, degrees=0), st.integers(4, 12))
+def test_a_translation_is_exact(line: Any, motion: Any, points: int) -> None:
+    """Without a rotation the result is numpy's shifted polynomial."""
+    dx, dy, _ = motion
+    shifted = polynomial(line)(Polynomial([dx, 1.0])) - dy
+
+    assert np.allclose(
+        lateral(transform_line(line, motion, WINDOW, points), X), shifted(X), rtol=1e-9, atol=1e-9
+    )
+
+
+@given(mild_lines(), motions(degrees=30))
+def test_four_points_are_interpolated(line: Any, motion: Any) -> None:
+    """The new line passes through the transformed Chebyshev points."""
+    x = 40 + 40 * np.cos(np.pi * np.array([1, 3, 5, 7]) / 8)
+    u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
+
+    assert np.allclose(lateral(transform_line(line, motion, WINDOW, points=4), u), v, atol=1e-9)
+
+
+@given(mild_lines(), motions(), st.integers(5, 20))
+def test_more_points_are_fitted_by_least_squares(line: Any, motion: Any, points: int) -> None:
+    """numpy's polynomial fit at the extrema of a Chebyshev polynomial is the same line."""
+    x = 40 + 40 * np.cos(np.pi * np.arange(points) / (points - 1))
+    u, v = to_ego(np.column_stack([x, lateral(line, x)]), motion).T
+    fitted = line_of(Polynomial.fit(u, v, 3).convert())
+
+    assert np.allclose(
+        lateral(transform_line(line, motion, WINDOW, points), X), lateral(fitted, X), atol=1e-8
+    )
+
+
+@given(mild_lines(), motions(), st.integers(4, 8), st.floats(0, 1))
+def test_a_transformed_line_follows_the_rotated_curve(
+    line: Any, motion: Any, points: int, share: float
+) -> None:
+    """Up to 5 m and 10 deg it is within 1 mm of the curve, which is found by root finding."""
+    new = transform_line(line, motion, WINDOW, points)
+    (first, _), (last, _) = to_ego([[x, lateral(line, x)] for x in WINDOW], motion)  # type: ignore[arg-type]
+    u = first + share * (last - first)
+
+    def point(x: Any) -> Any:
+        return to_ego([x, lateral(line, x)], motion)
+
+    x = brentq(lambda x: point(x)[0] - u, -1.0, 81.0, xtol=1e-12)
+    assert abs(lateral(new, u) - point(x)[1]) <= 1e-3
+
+
+@given(mild_lines(), motions(metres=1.0, degrees=1.0))
+def test_a_motion_and_its_inverse_return_the_line(line: Any, motion: Any) -> None:
+    """Within a hundredth of a millimetre."""
+    there = transform_line(line, motion, WINDOW)
+    back = transform_line(there, inverse(motion), (-motion[0], 80 - motion[0]))
+
+    x = np.linspace(*WINDOW, 17)
+    assert np.allclose(lateral(back, x), lateral(line, x), atol=1e-5)
+
+
+def test_lines_and_motions_broadcast() -> None:
+    """Lines (..., 4) and motions (..., 3) broadcast; each result is that of a single call."""
+    lines = np.array([[1.0, 0.1, 1e-3, 1e-6], [2.0, -0.1, -1e-3, 0]])
+    motions_ = np.array([[[1.0, 0.5, 0.02]], [[-3.0, 0.2, -0.1]], [[0.0, 0.0, 0.0]]])
+    together = transform_line(lines, motions_, WINDOW)
+
+    assert together.shape == (3, 2, 4)
+    for i, j in np.ndindex(3, 2):
+        assert np.allclose(
+            together[i, j], transform_line(lines[j], motions_[i, 0], WINDOW), rtol=1e-12
+        )
+
+
+@pytest.mark.parametrize("window", [(80.0, 80.0), (80.0, 0.0), (np.nan, 80.0)])
+def test_transform_line_needs_a_window(window: Any) -> None:
+    """An empty window contains no points of the line."""
+    with pytest.raises(
+        ValueError, match=r"points must be 4 or more in a window .* got 32 points in"
+    ):
+        transform_line(np.zeros(4), np.zeros(3), window)
+
+
+def test_transform_line_needs_four_points() -> None:
+    """A cubic has four coefficients."""
+    with pytest.raises(ValueError, match=r"points must be 4 or more in a window .* got 3 points"):
+        transform_line(np.zeros(4), np.zeros(3), WINDOW, points=3)
+
+
+@pytest.mark.parametrize("degrees", [81, 90, -90, 99])
+def test_a_line_nearly_perpendicular_to_the_x_axis_raises(degrees: int) -> None:
+    """No cubic y(x) describes it."""
+    with pytest.raises(IllPosedError, match="perpendicular to the x axis, after the displacement"):
+        transform_line([1.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+
+
+@pytest.mark.parametrize("degrees", [79, 180, -101])
+def test_an_oblique_or_reversed_line_is_transformed(degrees: int) -> None:
+    """A straight line within 80 deg of the axis stays straight, also seen backwards."""
+    y_off, beta, c0, c1 = transform_line([0.0, 0, 0, 0], [0, 0, np.radians(degrees)], WINDOW)
+
+    assert abs(y_off) < 1e-9
+    assert np.isclose(np.tan(beta), -np.tan(np.radians(degrees)), atol=1e-9)
+    assert max(abs(c0), abs(c1)) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("rest", "words"),
+    [
+        pytest.param({"x_min": 81.0}, "x_min <= x_max must be finite", id="reversed-range"),
+        pytest.param({"x_max": np.inf}, "x_max=inf", id="infinite-range"),
+        pytest.param({"x_min": np.nan}, "x_min=nan", id="nan-range"),
+        pytest.param({"age": -1e-9}, "age must be 0 s or more", id="negative-age"),
+        pytest.param({"age": np.nan}, "got nan", id="nan-age"),
+        pytest.param({"age": -np.inf}, "got -inf", id="infinite-age"),
+        pytest.param({"age": 2e99}, "got 2e[+]99", id="too-long-age"),
+        pytest.param({"kind": 99}, "99 is not a valid Kind", id="kind"),
+        pytest.param({"status": -1}, "-1 is not a valid Status", id="status"),
+    ],
+)
+def test_invalid_map_line_raises(rest: Any, words: str) -> None:
+    """The message has the name and the value."""
+    with pytest.raises(ValueError, match=words):
+        map_line(**rest)
+
+
+def test_a_map_line_has_four_parameters() -> None:
+    """A pose Gaussian is not accepted."""
+    with pytest.raises(ValueError, match=r"must be over .*'y_off', .*, got 3-D"):
+        MapLine(Slot.ROUTE, Gaussian(np.zeros(3), np.eye(3)))
+
+
+def test_a_map_line_converts_numbers_to_enumeration_members() -> None:
+    """A valid range of length 0 is accepted."""
+    line = MapLine(7, Gaussian(np.zeros(4), np.eye(4)), kind=5, status=3, x_min=80.0)  # type: ignore[arg-type]
+
+    assert (line.slot, line.kind, line.status) == (Slot.ROUTE, Kind.KERB, Status.REPAIRED)
+
+
+def test_mean_only_has_vague_sigmas() -> None:
+    """Its standard deviations are VAGUE_SIGMA and its status is UNKNOWN."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0], kind=Kind.DASHED, age=0.05)
+
+    assert (line.status, line.kind, line.age) == (Status.UNKNOWN, Kind.DASHED, 0.05)
+    assert np.array_equal(line.gaussian.sigma, VAGUE_SIGMA)
+    assert (line.y_sigma([0, 40]) >= 1000).all()
+
+
+def test_a_line_with_sigmas_has_no_correlations() -> None:
+    """Its covariance is diagonal, and its status is DIAGONAL."""
+    line = MapLine.with_sigma(Slot.EGO_LEFT, [1, 0, 0, 0], [0.1, 0.01, 0, 1e-6], x_max=50)
+
+    assert line.status == Status.DIAGONAL
+    assert line.x_max == 50
+    assert np.array_equal(line.gaussian.cov, np.diag(np.square([0.1, 0.01, 0, 1e-6])))
+
+
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: MapLine.mean_only(0, [HUGE, 0, 0, 0]), "mean must be numbers .* about 1e400"),  # type: ignore[arg-type]
+        (lambda: MapLine.mean_only(0, np.array([1j, 0, 0, 0])), "mean must be real"),  # type: ignore[arg-type]
+        (lambda: MapLine.with_sigma(0, np.zeros(4), [-HUGE] * 4), "sigma must .* about -1e400"),  # type: ignore[arg-type]
+        (lambda: MapLine.with_sigma(0, np.zeros(4), [1e200] * 4), r"finite \(up to 3.2e\+153\)"),  # type: ignore[arg-type]
+        (
+            lambda: MapLine.mean_only(0, np.zeros(4), x_max=HUGE),  # type: ignore[arg-type]
+            "x_max and age must be numbers .* about 1e400",
+        ),
+        (lambda: MapLine.mean_only(0, np.zeros(4), age=HUGE), "age .* integer of about 1e400"),  # type: ignore[arg-type]
+        (lambda: lateral(np.zeros(4), HUGE), "x must be numbers .* about 1e400"),
+        (lambda: lateral(np.zeros(3), 1.0), r"parameters must have shape \(..., 4\), got \(3,\)"),
+        (lambda: lateral_jacobian(1.0, 1.0), r"parameters must have shape \(..., 4\), got \(\)"),
+        (
+            lambda: transform_line(3.0, np.zeros(3), (0, 80)),
+            r"parameters must have shape \(..., 4\)",
+        ),
+        (lambda: transform_line(np.zeros(4), [HUGE, 0, 0], (0, 80)), "displacement must be num"),
+        (
+            lambda: transform_line(np.zeros(4), np.zeros(3), (0, HUGE)),
+            "window must be numbers .* 1e400",
+        ),
+        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), -HUGE), "about -1e400 points"),
+        (
+            lambda: transform_line(np.zeros(4), np.zeros(3), (0, 80), 10**9),
+            "points must be 10000 or fewer",
+        ),
+        (lambda: transform_line(np.zeros(4), np.zeros(3), (0, 5e-324)), "no cubic"),
+        (lambda: transform_line([1e308] * 4, [1e308] * 3, (-1e308, 1e308)), "no cubic"),
+        (lambda: transform_line(np.zeros(4), [np.inf, 0, 0], (0, 80)), "no cubic"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_the_floats_raise(make: Any, words: str) -> None:
+    """The message is short, names the argument, and no warning is issued."""
+    with pytest.raises(ValueError, match=words) as error:
+        make()
+    assert len(str(error.value)) < 200
+
+
+@pytest.mark.filterwarnings("error")
+def test_single_precision_is_accepted() -> None:
+    """The bounds of double precision do not overflow in float32 comparisons."""
+    one = np.float32(1.0)
+    line = MapLine.mean_only(Slot.EGO_LEFT, [one, 0, 0, 0], x_min=one, x_max=2 * one, age=one)  # type: ignore[arg-type]
+
+    assert transform_line(line.gaussian.mean, [0, one, 0], (one, 2 * one))[0] == pytest.approx(0)  # type: ignore[arg-type]
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_line_beyond_the_floats_is_infinite_or_nan() -> None:
+    """No warning is issued."""
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0.01, 1e-3, 1e-6])
+
+    assert not np.isfinite(line.y([np.inf, -np.inf, np.nan, -1e308])).any()
+    assert not np.isfinite(line.y_sigma([np.inf, 1e308])).any()
+    assert not np.isfinite(lateral(np.full(4, 1e200), -1e308))
+    assert not np.isfinite(lateral_jacobian(np.zeros(4), 1e308)[3])

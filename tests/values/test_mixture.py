@@ -1,0 +1,38 @@
+"""Gaussian mixtures: validation, density and coverage."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.mixture import GaussianMixture
+
+
+@pytest.mark.parametrize(
+    ("weights", "words"),
+    [([0.5, 0.6], "with sum 1"), ([1.0], "one for each"), ([1.5, -0.5], "positive")],
+)
+def test_invalid_weights_raise(weights: Any, words: str) -> None:
+    """The message says what weights must be."""
+    components = (Gaussian([0.0], [[1.0]]), Gaussian([1.0], [[1.0]]))
+    with pytest.raises(ValueError, match=words):
+        GaussianMixture(weights, components)
+
+
+def test_density_and_coverage_of_a_mixture() -> None:
+    """The density integrates to 1, and 99 % of its draws lie in the region of mass 0.99."""
+    components = (Gaussian([-2.0], [[0.5]]), Gaussian([1.0], [[2.0]]))
+    mixture = GaussianMixture([0.3, 0.7], components)
+    x = np.linspace(-12, 14, 20_001)[:, None]
+    assert np.trapezoid(mixture.density(x), x[:, 0]) == pytest.approx(1, abs=1e-6)
+    draws = mixture.sample(100_000, seed=5)
+    assert mixture.coverage(draws) == pytest.approx(0.99, abs=5 * np.sqrt(0.99 * 0.01 / 1e5) * 2)
+    assert draws.mean() == pytest.approx(mixture.overall.mean[0], abs=5 * draws.std() / 316)
+
+
+def test_components_have_the_same_dimension() -> None:
+    """The message has the dimensions."""
+    components = (Gaussian([0.0], [[1.0]]), Gaussian([0.0, 0.0], np.eye(2)))
+    with pytest.raises(ValueError, match=r"the same dimension, got \[1, 2\]"):
+        GaussianMixture([0.5, 0.5], components)

@@ -1,0 +1,210 @@
+"""Lines seen from a displaced pose, against points that are moved by hand."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from strategies import covariances, mild_lines, motions
+
+from maplines_can.propagation import SigmaPoints
+from maplines_can.values.errors import IllPosedError
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import lateral, lateral_jacobian, transform_line_or_nan
+from maplines_can.values.seen_lines import (
+    END_WEIGHT,
+    MARGIN,
+    SeenLines,
+    extended,
+    margins,
+    valid_ranges,
+)
+
+RANGES = np.array([[-20.0, 80.0], [-10.0, 60.0]])
+MEANS = np.array([[1.75, 0.02, 1e-3, 1e-6], [-1.75, 0.0, -1e-3, 0.0]])
+#: Variances of a production pose and of a poor one.
+POSES = {"production": (0.1, 0.2, np.radians(0.2)), "poor": (0.5, 1.0, np.radians(2.0))}
+
+
+@given(mild_lines(), mild_lines(), motions())
+def test_each_line_is_transformed_by_itself(first: Any, second: Any, motion: Any) -> None:
+    """As ``transform_line_or_nan`` transforms it in its range."""
+    seen = SeenLines([first, second], RANGES)(motion[None])[0]
+    for line, mean, window in zip(seen, (first, second), RANGES, strict=True):
+        expected = transform_line_or_nan(mean, motion, tuple(window), 16, end_weight=END_WEIGHT)
+        assert np.allclose(line, expected, rtol=0, atol=1e-12)
+
+
+@given(mild_lines(), motions(1.0, 3.0))
+def test_a_seen_line_goes_through_the_moved_points(mean: Any, motion: Any) -> None:
+    """Points of the line, in the frame of the new pose, are on it within 5 mm."""
+    x = np.linspace(-20, 80, 201)
+    dx, dy, turn = motion
+    c, d = np.cos(turn), np.sin(turn)
+    p, q = x - dx, lateral(mean, x) - dy
+    u, v = c * p + d * q, c * q - d * p
+    line = SeenLines(mean[None], RANGES[:1])(motion[None])[0, 0]
+    assert np.abs(lateral(line, u) - v).max() <= 5e-3
+
+
+@given(mild_lines())
+def test_the_jacobian_is_that_of_a_moved_line(mean: Any) -> None:
+    """To first order: y(x) changes by y'(x) dx - dy - (x + y(x) y'(x)) dheading."""
+    seen = SeenLines(mean[None], RANGES[:1])
+    x = np.linspace(0, 60, 7)
+    y, slope = lateral(mean, x), np.tan(mean[1]) + mean[2] * x + mean[3] * x * x / 2
+    expected = np.column_stack([slope, -np.ones(7), -(x + y * slope)])
+    got = lateral_jacobian(mean, x) @ seen.jacobian()[0]
+    assert np.allclose(got, expected, atol=[2e-3, 1e-6, 2e-1])
+
+
+def test_a_car_that_moves_along_a_straight_line_sees_the_same() -> None:
+    seen = SeenLines([[2.0, 0, 0, 0]], [[-20, 80]])([[5.0, 0, 0], [-5.0, 0, 0], [0, 0, 0.1]])
+    assert np.allclose(seen[:2, 0], [2, 0, 0, 0], atol=1e-12)
+    assert np.allclose(seen[2, 0], [2 / np.cos(0.1), -0.1, 0, 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [1.45, -1.6])
+def test_a_line_across_the_car_is_extrapolated_from_the_mean_pose(turn: float) -> None:
+    """Linearly, through the pose halfway, which sees it as a function of x."""
+    displacements = np.array([[0.0, 0, 0], [0, 0, turn], [0, 0.5, 0]])
+    seen = SeenLines(MEANS, RANGES)
+    values = seen(displacements)
+    assert np.array_equal(values[[0, 2]], seen(displacements[[0, 2]]))
+    for i, window in enumerate(RANGES):
+
+        def at(share: float, line: Any = MEANS[i], window: Any = window) -> Any:
+            pose = share * displacements[1]
+            return transform_line_or_nan(line, pose, tuple(window), 16, end_weight=END_WEIGHT)
+
+        assert np.isnan(at(1.0)).all()
+        expected = at(0.0) + (at(0.5) - at(0.0)) / 0.5
+        assert np.allclose(values[1, i], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_function_without_a_value_near_the_mean_is_refused() -> None:
+    def nowhere(poses: Any) -> Any:
+        return np.where((poses == 0).all(axis=1)[:, None, None], 0.0, np.full((1, 1, 4), np.nan))
+
+    with pytest.raises(IllPosedError, match="seen from the mean pose"):
+        extended(nowhere, np.array([[0.0, 0, 0], [1, 0, 0]]), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("means", "ranges", "error", "words"),
+    [
+        (MEANS[:1], RANGES, ValueError, r"must be \(L, 4\) and fit_ranges \(L, 2\)"),
+        (MEANS, RANGES[:, :1], ValueError, r"must be \(L, 4\) and fit_ranges \(L, 2\)"),
+        (MEANS, RANGES[:, ::-1], ValueError, "x_min < x_max"),
+        ([[0, 0, 1.0, 0]], [[-20, 80]], IllPosedError, "nearly perpendicular"),
+        ([[0, 2.0, 0, 0]], [[-20, 80]], IllPosedError, "nearly perpendicular"),
+    ],
+)
+def test_wrong_lines_are_refused(means: Any, ranges: Any, error: Any, words: str) -> None:
+    with pytest.raises(error, match=words):
+        SeenLines(means, ranges)
+
+
+@pytest.mark.parametrize("sigma", POSES.values(), ids=POSES)
+def test_the_spread_is_that_of_samples(sigma: Any) -> None:
+    """The lateral positions of both lines have the variances of 40 000 drawn poses.
+
+    The tolerance is five standard errors, and 1 % of what a Gaussian transform may miss.
+    """
+    n = 40_000
+    rng = np.random.default_rng(1)
+    poses = rng.standard_normal((n, 3)) * sigma
+    x = np.array([0.0, 20.0, 40.0])
+    seen = SeenLines(MEANS, RANGES)
+    y = lateral(seen(poses)[:, :, None], x).reshape(n, 6)  # (L, X) in a row
+    J = np.zeros((6, 8))
+    for i in range(2):
+        J[3 * i : 3 * i + 3, 4 * i : 4 * i + 4] = lateral_jacobian(MEANS[i], x)
+    cov = J @ seen.spread(np.diag(np.square(sigma))) @ J.T
+    sampled = np.cov(y.T)
+    scale = np.sqrt(np.outer(sampled.diagonal(), sampled.diagonal()))
+    assert np.abs((cov - sampled) / scale).max() <= 5 * (2 / n) ** 0.5 + 0.01
+
+
+@given(covariances(3))
+def test_the_spread_is_that_of_sigma_points_about_the_means(P: Any) -> None:
+    """Symmetric and positive semidefinite, and as the transform of the package has it."""
+    P = P * 1e-3 / max(1e-3, np.abs(P).max())
+    seen = SeenLines(MEANS, RANGES)
+    cov = seen.spread(P)
+    assert np.allclose(cov, cov.T, rtol=1e-12, atol=1e-18)
+    scale = np.sqrt(cov.diagonal().clip(1e-30))
+    assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-9
+
+    pose = Gaussian(np.zeros(3), P)
+    shift = seen(SigmaPoints().points(pose))[1:].mean(axis=0) - MEANS
+    centred = SeenLines(MEANS - shift, RANGES)
+    moments = SigmaPoints().moments(lambda p: centred(p).reshape(len(p), -1), pose)
+    x = np.array([-10.0, 0.0, 30.0, 60.0])
+    J = np.zeros((8, 8))
+    for i in range(2):
+        J[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] = lateral_jacobian(MEANS[i], x)
+    lateral_covs = [J @ matrix @ J.T for matrix in (cov, moments.cov)]
+    size = np.abs(lateral_covs[0]).max()
+    assert np.abs(lateral_covs[0] - lateral_covs[1]).max() <= 1e-6 * size + 1e-15
+
+
+@pytest.mark.parametrize("heading", [0.3, 0.65, 2.0, 5.0])
+def test_the_spread_of_a_huge_pose_error_is_a_covariance(heading: float) -> None:
+    """Even where the lines, moved by the mean shift, are no functions of x."""
+    P = np.diag([300.0, 300.0, heading]) ** 2
+    P[0, 1] = P[1, 0] = 0.999 * 300**2
+    cov = SeenLines(MEANS, RANGES).spread(P)
+    scale = np.sqrt(cov.diagonal())
+    assert np.linalg.eigvalsh(cov / scale / scale[:, None])[0] >= -1e-12
+
+
+def test_the_means_of_the_spread_are_those_given() -> None:
+    """With a poor heading, the mean of the seen lines is farther from the car than they are."""
+    sigma = np.array(POSES["poor"])
+    root = np.sqrt(3) * np.diag(sigma)
+    points = np.vstack([np.zeros(3), root, -root])
+    shift = SeenLines(MEANS, RANGES)(points)[1:].mean(axis=0) - MEANS
+    values = SeenLines(MEANS - shift, RANGES)(points)
+    assert np.abs(shift[:, 0]).max() > 5e-4
+    assert np.abs(values[1:].mean(axis=0) - MEANS)[:, 0].max() < 2e-5
+
+
+@pytest.mark.parametrize("sigma", POSES.values(), ids=POSES)
+def test_centred_lines_have_the_means_given(sigma: Any) -> None:
+    """Seen from the sigma points, to a hundredth of what the mean differs by, in bends too."""
+    P = np.diag(np.square(sigma))
+    root = np.sqrt(3) * np.diag(sigma)
+    points = np.vstack([root, -root])
+    bends = np.array([[1.75, 0.1, 8e-3, 0.0], [-1.75, -0.2, 0.02, 1e-5]])
+    seen = SeenLines(bends, [[-20, 60], [0, 40]])
+    centred = seen.centred(P)
+    shift, error = (
+        np.abs(lines(points).mean(axis=0) - bends).max(axis=0) for lines in (seen, centred)
+    )
+    assert (error <= 0.01 * shift).all()
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.01, 0.05])
+def test_margins_hold_the_ends_of_lines(heading: float) -> None:
+    """Of 10^5 poses, at most 0.6 % see the end of a line within the shortened range."""
+    P = np.diag([0.3, 0.2, heading]) ** 2
+    P[0, 2] = P[2, 0] = 0.5 * 0.3 * heading
+    ends = np.array([[-20.0, 6.0], [80.0, -6.0]])
+    low, high = margins(P, ends)
+    poses = Gaussian(np.zeros(3), P).sample(100_000, seed=2)
+    c, d = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    u = [c * (x - poses[:, 0]) + d * (y - poses[:, 1]) for x, y in ends]
+    assert (u[0] > -20 + low).mean() <= 0.006
+    assert (u[1] < 80 - high).mean() <= 0.006
+
+
+def test_valid_ranges_leave_room_for_the_pose_and_for_the_map() -> None:
+    """Of straight lines at y = 0: three sigmas along and of the lines' own offset."""
+    P, own = np.diag([0.3, 1.0, 0.0]) ** 2, np.zeros((2, 4, 4))
+    own[:, 0, 0] = 0.4**2, 0
+    got = valid_ranges(np.zeros((2, 4)), RANGES, P, own, 0.0)
+    assert np.allclose(got, RANGES + MARGIN * np.array([[0.5], [0.3]]) * [1, -1])
+    turned = valid_ranges(np.zeros((2, 4)), RANGES, P, own, 0.1)
+    shortening = (1 - np.cos(0.3)) * np.abs(RANGES)
+    assert np.allclose(turned, got + shortening * [1, -1])

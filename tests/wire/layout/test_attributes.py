@@ -1,0 +1,76 @@
+"""Attributes of records, and weights of mixtures: defaults and ends of their ranges."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scene_streams import COMPLETE, codec_of
+
+from maplines_can.values.errors import EncodeError
+from maplines_can.values.line import Kind, Slot, Status
+
+COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
+
+
+def test_the_defaults() -> None:
+    """Single new lines of an unknown kind, which claim nothing but x = 0."""
+    codec = codec_of(COMPLETE)
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((3, 4)), [COV] * 3), Slot.EGO_LEFT)
+    assert batch.accepted.all()
+    assert batch.counter.tolist() == [0, 1, 2]
+    for values, wanted in (
+        (batch.kind, Kind.UNKNOWN),
+        (batch.status, Status.FULL),
+        (batch.x_min, 0),
+        (batch.x_max, 0),
+        (batch.age, 0),
+        (batch.component_index, 0),
+        (batch.component_count, 1),
+        (batch.component_weight, 1),
+    ):
+        assert values.tolist() == [wanted] * 3
+
+
+@pytest.mark.parametrize("slot", [0.0, 7.0, np.array([7.0])])
+def test_a_slot_may_be_a_float(slot: Any) -> None:
+    """As of a table of numbers."""
+    codec = codec_of(COMPLETE)
+    batch = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), [COV], slot=slot), slot)
+    assert batch.accepted.all()
+
+
+@pytest.mark.parametrize("slot", [-0.5, 7.5, 1e30])
+def test_a_float_beyond_the_slots_is_refused(slot: float) -> None:
+    with pytest.raises(EncodeError, match="slot must be from 0 to 7, got"):
+        codec_of(COMPLETE).encode_batch(np.zeros((1, 4)), [COV], slot=slot)
+
+
+@pytest.mark.parametrize(
+    ("counter", "counters"),
+    [(None, [0, 1, 2, 3]), (9, [9, 10, 9, 10]), ([5, 255], [5, 6, 255, 0])],
+)
+def test_the_counters_of_components(counter: Any, counters: list[int]) -> None:
+    """They go on from that of the line; without one, from the line before."""
+    codec = codec_of(COMPLETE)
+    payloads = codec.encode_mixtures(
+        np.full((2, 2), 0.5), np.zeros((2, 2, 4)), np.tile(COV, (2, 2, 1, 1)),
+        counter=counter, slot=[Slot.CENTRE, Slot.ROUTE],
+    )  # fmt: skip
+    batch = codec.decode_batch(payloads.reshape(4, 32), np.repeat([Slot.CENTRE, Slot.ROUTE], 2))
+    assert batch.accepted.all()
+    assert batch.counter.tolist() == counters
+    assert batch.component_index.tolist() == [0, 1, 0, 1]
+    assert batch.component_count.tolist() == [2] * 4
+
+
+@pytest.mark.parametrize(("total", "accepted"), [(9e-6, True), (1.1e-5, False)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_weights_add_up_to_1_but_for_rounding(total: float, accepted: bool, sign: int) -> None:
+    """Single precision is accepted; in each row."""
+    weights = np.array([[0.5, 0.5], [0.5, 0.5 + sign * total]])
+    arguments = weights, np.zeros((2, 2, 4)), np.tile(COV, (2, 2, 1, 1))
+    if accepted:
+        assert codec_of(COMPLETE).encode_mixtures(*arguments).shape == (2, 2, 32)
+    else:
+        with pytest.raises(ValueError, match="weights must be positive and each row of sum 1"):
+            codec_of(COMPLETE).encode_mixtures(*arguments)

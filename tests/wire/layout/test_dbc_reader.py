@@ -1,0 +1,357 @@
+"""DBCs that are not those of the project: read as they are, or rejected with the reason."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import cantools
+import pytest
+from dbc_alterations import original, pose_original
+from dbcs import edited
+from random_lines import random_lines
+
+from maplines_can.values.errors import LayoutError
+from maplines_can.values.line import Kind, MapLine, Slot
+from maplines_can.wire import Codec, Layout
+
+
+def test_motorola_signals_are_supported(tmp_path: Path) -> None:
+    """Counter and Kind in Motorola order at the same bits give the same bytes, also in cantools."""
+    path = edited(
+        tmp_path,
+        (r"SG_ Counter m0 : 16\|8@1\+", "SG_ Counter m0 : 23|8@0+"),
+        (r"SG_ Counter : 16\|8@1\+", "SG_ Counter : 23|8@0+"),
+        (r"SG_ Kind m0 : 59\|3@1\+", "SG_ Kind m0 : 61|3@0+"),
+        (r"SG_ Kind : 59\|3@1\+", "SG_ Kind : 61|3@0+"),
+    )
+    codec, other = Codec.from_dbc(), Codec.from_dbc(path)
+    message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")  # type: ignore[union-attr]
+    means, covs = random_lines(20, seed=9)
+    payloads = other.encode_batch(means, covs, kind=Kind.KERB)
+    assert other.decode_batch(payloads).accepted.all()
+    for i, payload in enumerate(payloads):
+        decoded = message.decode(payload.tobytes())
+        assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)  # type: ignore[call-overload]
+    # Signals of whole bytes, or within one, have the same bits in both byte orders.
+    assert (payloads == codec.encode_batch(means, covs, kind=Kind.KERB)).all()
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        pytest.param((r"SG_ Beta m0", "SG_ Heading m0"), "Beta|Heading", id="mean-missing"),
+        pytest.param((r' SG_ TransferId1 .*\n', ""), "TransferId", id="transfer-missing"),
+        pytest.param((r' SG_ RatioBetaYOff.*\n', ""), "RatioBetaYOff|ratios", id="ratio-missing"),
+        pytest.param((r'BA_ "MapLineSlot" .*\n', ""), "MapLineSlot", id="no-slots"),
+        pytest.param((r'BA_ "MapLineSlot" BO_ 832 0', 'BA_ "MapLineSlot" BO_ 832 9'),
+                     "0 to 7", id="slot-9"),
+        pytest.param((r'BA_ "MapLineSlot" BO_ 833 1', 'BA_ "MapLineSlot" BO_ 833 0'),
+                     "two messages", id="slot-twice"),
+        pytest.param((r'BA_ "E2EDataId" BO_ 832 \d+', 'BA_ "E2EDataId" BO_ 832 1'),
+                     "E2EDataId", id="data-id"),
+        pytest.param((r'BA_ "CovarianceCode" ".*"', 'BA_ "CovarianceCode" "Magic"'),
+                     "Magic", id="code"),
+        pytest.param((r"SG_ Page M", "SG_ Page "), "overlapping", id="no-mux"),
+        pytest.param((r"\(0.054,-32\)", "(-0.054,-4)"), "positive factor", id="negative-factor"),
+        pytest.param((r"BO_ 832 EgoLeft: 8", "BO_ 832 EgoLeft: 7"), "EgoLeft", id="seven-bytes"),
+        pytest.param((r"(RatioBetaC0[^(]*)\(0.0390625,0\) \[[^]]*\]", r"\1(64,0) [-1e6|1e6]"),
+                     "double precision", id="ratio-too-wide"),
+        pytest.param((r"Crc m0 : 0\|16@1", "Crc m0 : 0|15@1"), "differ|Crc", id="crc-width"),
+        pytest.param((r'1 "FULL" 2 "DIAGONAL"', '1 "DIAGONAL" 2 "FULL"'),
+                     "value 1 the name DIAGONAL, which belongs to the value 2", id="swapped-names"),
+    ],
+)  # fmt: skip
+def test_an_unsuitable_dbc_is_rejected_with_the_reason(
+    tmp_path: Path, edit: Any, words: str
+) -> None:
+    """The message names the file and what is wrong."""
+    path = edited(tmp_path, edit)
+    with pytest.raises(LayoutError, match=words) as error:
+        Codec.from_dbc(path)
+    assert "edited.dbc" in str(error.value)
+
+
+def test_every_data_id_of_16_bits_is_accepted(tmp_path: Path) -> None:
+    """The greatest one included."""
+    path = edited(tmp_path, (r'("E2EDataId" BO_ (832|840)) \d+', r"\1 65535"))
+    assert Layout.from_dbc(path).messages[Slot.EGO_LEFT].data_id == 65535
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("FLOAT 0 65535", "19776.5"), ("STRING", '"left"')],
+    ids=["fraction", "text"],
+)
+def test_a_data_id_that_is_no_whole_number_is_rejected(
+    tmp_path: Path, kind: str, value: str
+) -> None:
+    """It is neither rounded nor replaced by another number."""
+    path = edited(
+        tmp_path,
+        (r'("E2EDataId") INT 0 65535', rf"\1 {kind}"),
+        (r'("E2EDataId") 0;', r'\1 "0";' if kind == "STRING" else r"\1 0;"),
+        (r'("E2EDataId" BO_ (832|840)) \d+', rf"\1 {value}"),
+        (r'("E2EDataId" BO_ (?!832|840)\d+) (\d+)', r'\1 "\2"' if kind == "STRING" else r"\1 \2"),
+    )
+    with pytest.raises(LayoutError, match=r"EgoLeft: E2EDataId must be a whole number from 0 to"):
+        Codec.from_dbc(path)
+
+
+def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
+    """Classic CAN with 11 bits and CAN FD with 29 bits: frames and decoder agree."""
+    fd_id = 0x80000000 | 0x18FF0048
+    path = edited(tmp_path, (r"\b840\b", str(fd_id)))
+    codec = Codec.from_dbc(path)
+    (frame,) = codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
+    assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
+    answer = codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True)
+    assert isinstance(answer, MapLine)
+    assert not codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
+
+
+@pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])
+def test_a_file_that_is_not_a_dbc_is_rejected(tmp_path: Path, content: bytes | None) -> None:
+    """Missing, empty, binary or truncated: the error names the file."""
+    path = tmp_path / "bad.dbc"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(LayoutError, match=r"bad\.dbc"):
+        Codec.from_dbc(path)
+
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "message"),
+    [
+        (r"SG_ Mac : 327\|64@0", "SG_ Mac : 320|64@1", "must end with KeyId, Freshness, Mac"),
+        (r"SG_ KeyId : 263\|8@0", "SG_ KeyId : 263|7@0", "KeyId must have 1 byte,"),
+        (r"SG_ Freshness :.*\n", "", "must end with KeyId, Freshness, Mac"),
+        (r"EgoLeftSecOc: 48", "EgoLeftSecOc: 64", "must end with KeyId, Freshness, Mac"),
+        (
+            r'"SecOCDataId" BO_ 848 \d+',
+            '"SecOCDataId" BO_ 848 70000',
+            "SecOCDataId must be a whole",
+        ),
+        (r'"VFrameFormat" BO_ 848 14', '"VFrameFormat" BO_ 848 0', "must be a CAN FD message"),
+    ],
+)
+def test_a_dbc_with_another_secured_format_is_rejected(
+    pattern: str, replacement: str, message: str
+) -> None:
+    """Otherwise the wrong bytes would be verified."""
+    text, found = re.subn(
+        pattern, replacement, (ROOT / "dbc" / "maplines-secoc.dbc").read_text(), count=1
+    )
+    assert found
+    with pytest.raises(LayoutError, match=message):
+        Layout.from_text(text)
+
+
+#: A DBC of two slots: five pages, a CAN FD message with padding, and an authenticated one.
+ORIGINAL, WITH_POSE = original(), pose_original()
+
+
+def edit(text: str, *edits: tuple[str, str]) -> str:
+    """The text with regular expressions replaced; each must be found."""
+    for pattern, replacement in edits:
+        text, found = re.subn(pattern, replacement, text)
+        assert found, pattern
+    return text
+
+
+def of_message(number: int, pattern: str, replacement: str) -> tuple[str, str]:
+    """An edit within the signals of one message only."""
+    return rf"(BO_ {number} [^\n]*\n(?: SG_ [^\n]*\n)*?){pattern}", rf"\1{replacement}"
+
+
+@pytest.mark.parametrize(
+    ("edits", "words"),
+    [
+        pytest.param([("Page M", "Number M")], "one multiplexer, named Page", id="another-name"),
+        pytest.param([("(?m)^( SG_ .*) m4 ", r"\1 m5 ")], r"got \[0, 1, 2, 3, 5\]", id="page-gap"),
+        pytest.param(
+            [of_message(840, " SG_ Kind :", " SG_ Kind M :")], "must not have a multiplexer",
+            id="fd-multiplexer",
+        ),
+        pytest.param([("EgoLeft: 8", "EgoLeft: 16")], "8 bytes, got 16", id="long-page"),
+        pytest.param([("EgoLeftFd: 48", "EgoLeftFd: 50")], "got 50 bytes", id="fd-length"),
+        pytest.param(
+            [(r" SG_ Page(\d) ", r" SG_ Number\1 ")], "must have pages of 8 bytes", id="no-pages"
+        ),
+        pytest.param(
+            [(r" SG_ Counter .*\n", "")], "no signal '(Counter|TransferId0)'", id="no-counter"
+        ),
+        pytest.param(
+            [(r'BA_ "E2EDataId" BO_ 8(32|40|48) .*\n', "")],
+            "slot EGO_LEFT: its messages need the same attribute E2EDataId", id="no-data-id",
+        ),
+        pytest.param(
+            [(r'"E2EDataId" BO_ (832|840|848) \d+', r'"E2EDataId" BO_ \1 65536')],
+            "E2EDataId must be a whole number from 0 to 65535", id="data-id-of-17-bits",
+        ),
+        pytest.param(
+            [(r'"SecOCDataId" BO_ 848 \d+', '"SecOCDataId" BO_ 848 65536')],
+            "SecOCDataId must be a whole number from 0 to 65535", id="secoc-data-id-of-17-bits",
+        ),
+        pytest.param(
+            [(r'"GenMsgCycleTime" BO_ 832 50', '"GenMsgCycleTime" BO_ 832 3600001')],
+            "GenMsgCycleTime must be .* 3600000, got 3600001", id="longer-than-an-hour",
+        ),
+        pytest.param(
+            [of_message(848, r" SG_ KeyId : 391", " SG_ KeyId : 399"),
+             of_message(848, r" SG_ Freshness : 399\|56", " SG_ Freshness : 407|48")],
+            "EgoLeftSecOc, EgoRightSecOc must have the same lengths", id="lengths-of-one-slot",
+        ),
+        pytest.param(
+            [of_message(848, r" SG_ Mac : 455\|64@0", " SG_ Mac : 455|63@0")],
+            "Mac must have 1 to 8 bytes, and end in byte 63", id="odd-mac",
+        ),
+        pytest.param(
+            [of_message(848, r" SG_ Freshness : 399\|56@0", " SG_ Freshness : 392|56@1")],
+            "Freshness must have 3 to 7 bytes, and end in byte 55", id="intel-freshness",
+        ),
+        pytest.param(
+            [(r" SG_ KeyId : 391", " SG_ KeyId : 439"),
+             (r" SG_ Freshness : 399\|56", " SG_ Freshness : 447|8")],
+            "Freshness .* needs 3 bytes or more", id="freshness-of-1-byte",
+        ),
+    ],
+)  # fmt: skip
+def test_a_dbc_that_describes_no_record_is_refused(
+    edits: list[tuple[str, str]], words: str
+) -> None:
+    """With the first reason that is found."""
+    with pytest.raises(LayoutError, match=words):
+        Layout.from_text(edit(ORIGINAL, *edits))
+
+
+def test_a_whole_number_at_the_ends_of_its_range() -> None:
+    """Of data IDs and of a cycle time; it may also be written as text."""
+    text = edit(
+        ORIGINAL,
+        (r'"E2EDataId" BO_ (832|840|848) \d+', r'"E2EDataId" BO_ \1 0'),
+        (r'"SecOCDataId" BO_ 848 \d+', '"SecOCDataId" BO_ 848 0'),
+        (r'"SecOCDataId" BO_ 849 \d+', '"SecOCDataId" BO_ 849 65535'),
+        (r'"GenMsgCycleTime" BO_ 832 50', '"GenMsgCycleTime" BO_ 832 3600000'),
+        (r'BA_ "GenMsgCycleTime" BO_ (833|841|849) .*\n', ""),
+        (r'"MapLineSlot" INT 0 7', '"MapLineSlot" STRING '),
+        (r'("MapLineSlot") 0;', r'\1 "0";'),
+        (r'("MapLineSlot" BO_ \d+) (\d)', r'\1 "\2"'),
+    )
+    layout = Layout.from_text(text)
+    left, right = (layout.messages[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT))
+    assert (left.data_id, left.secured_data_id, right.secured_data_id) == (0, 0, 65535)
+    assert (left.cycle_ms, right.cycle_ms) == (3_600_000, 0)
+
+
+def test_each_message_has_its_own_length_of_the_can_id() -> None:
+    """Classic and authenticated with 29 bits, CAN FD with 11."""
+    extended = [(rf"\b{n}\b", str(0x80000000 | 0x18FF0000 | n)) for n in (832, 848)]
+    messages = Layout.from_text(edit(ORIGINAL, *extended)).messages
+    left, right = (messages[slot] for slot in (Slot.EGO_LEFT, Slot.EGO_RIGHT))
+    assert (right.is_extended, right.fd_is_extended, right.secured_is_extended) == (False,) * 3
+    assert (left.can_id, left.is_extended) == (0x18FF0000 | 832, True)
+    assert (left.fd_can_id, left.fd_is_extended) == (840, False)
+    assert (left.secured_can_id, left.secured_is_extended) == (0x18FF0000 | 848, True)
+
+
+def test_a_key_id_and_a_mac_of_one_byte_may_be_intel() -> None:
+    """One byte is the same in both byte orders."""
+    text = edit(
+        ORIGINAL,
+        (r" SG_ KeyId : 391\|8@0", " SG_ KeyId : 440|8@1"),
+        (r" SG_ Freshness : 399\|56", " SG_ Freshness : 455|56"),
+        (r" SG_ Mac : 455\|64@0", " SG_ Mac : 504|8@1"),
+    )
+    secured = Layout.from_text(text).secured
+    assert secured is not None
+    assert (secured.authentic_bytes, secured.freshness_bytes, secured.mac_bytes) == (56, 7, 1)
+
+
+def test_can_fd_alone_with_a_foreign_signal_in_the_padding() -> None:
+    """A DBC without classic messages; the record ends where the padding begins."""
+    text = edit(
+        ORIGINAL,
+        (r'BA_ "(MapLineSlot|E2EDataId)" BO_ 83[23] .*\n', ""),
+        (r"( SG_ Page4 : 317.*\n)", r'\1 SG_ Other : 320|8@1+ (1,0) [0|255] "" AdasEcu\n'),
+    )
+    layout = Layout.from_text(text)
+    assert layout.record_bytes == 40
+    assert "Other" not in layout.signals
+    assert layout.messages[Slot.EGO_LEFT].can_id is None
+    assert layout.messages[Slot.EGO_LEFT].name == "EgoLeftFd"
+
+
+@pytest.mark.parametrize(
+    ("multiplexers", "words"),
+    [
+        pytest.param("Inner Page 0-0; A Inner 0-0; B Page 1-1;", "one multiplexer", id="two"),
+        pytest.param("A Page 0-1; B Page 1-1;", "A must be in one page or in all", id="two-pages"),
+    ],
+)
+def test_a_signal_is_in_one_page(multiplexers: str, words: str) -> None:
+    """Of one multiplexer, or of none and so in all pages."""
+    inner = ' SG_ Inner m0M : 2|2@1+ (1,0) [0|0] "" E\n' if "Inner" in multiplexers else ""
+    values = "".join(f"SG_MUL_VAL_ 832 {text};\n" for text in multiplexers.split(";")[:-1])
+    text = (
+        'VERSION ""\n\nBU_: E\n\nBO_ 832 EgoLeft: 8 E\n'
+        f' SG_ Page M : 0|2@1+ (1,0) [0|0] "" E\n{inner}'
+        ' SG_ A m0 : 8|8@1+ (1,0) [0|0] "" E\n SG_ B m1 : 16|8@1+ (1,0) [0|0] "" E\n\n'
+        'BA_DEF_ BO_ "MapLineSlot" INT 0 7;\nBA_DEF_DEF_ "MapLineSlot" 0;\n'
+        f'BA_ "MapLineSlot" BO_ 832 0;\n{values}'
+    )
+    with pytest.raises(LayoutError, match=words):
+        Layout.from_text(text)
+
+
+def test_classic_can_alone() -> None:
+    """A DBC without CAN FD messages; its pages are numbered by the multiplexer."""
+    text = edit(ORIGINAL, (r'BA_ "(MapLineSlot|E2EDataId|SecOCDataId)" BO_ 84[0189] .*\n', ""))
+    layout = Layout.from_text(text)
+    left = layout.messages[Slot.EGO_LEFT]
+    assert (left.can_id, left.name, left.data_id) == (832, "EgoLeft", 19776)
+    assert (left.fd_can_id, left.fd_is_extended, left.fd_length) == (None, False, 0)
+    assert (left.secured_can_id, left.secured_is_extended, layout.secured) == (None, False, None)
+    assert left.ids == {(832, False): False}
+    assert left.secured_ids == layout.data_id_of_secured == {}
+
+
+def test_only_messages_of_map_lines_need_their_own_can_id() -> None:
+    """A database may be of several DBCs."""
+    database = cantools.database.load_string(ORIGINAL, "dbc")
+    assert isinstance(database, cantools.database.can.Database)
+    foreign = 'VERSION ""\n\nBU_: E\n\nBO_ {} {}: 8 E\n SG_ A : 0|8@1+ (1,0) [0|0] "" E\n'
+    for number, name in ((100, "A"), (100, "B"), (0x80000000 | 832, "C")):
+        database.add_dbc_string(foreign.format(number, name))
+    assert Layout.from_dbc(database).messages.keys() == {Slot.EGO_LEFT, Slot.EGO_RIGHT}
+    database.add_dbc_string(foreign.format(832, "D"))
+    with pytest.raises(LayoutError, match="EgoLeft and D have the same CAN ID, 832"):
+        Layout.from_dbc(database)
+
+
+def test_a_message_with_map_line_pose_0_has_no_pose_error() -> None:
+    """As a message without the attribute."""
+    text = edit(WITH_POSE, (r'("MapLinePose" BO_ \d+) 1', r"\1 0"))
+    assert Layout.from_text(text).pose is None
+    assert Layout.from_text(WITH_POSE).pose is not None
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "raw"),
+    [
+        pytest.param(0, 0, (-32768, 32767), id="none"),
+        pytest.param(-8, 8, (-8192, 8192), id="narrower"),
+        pytest.param(-1e300, 1e300, (-32768, 32767), id="wider"),
+        pytest.param(-8 + 5e-10, 8 - 5e-10, (-8192, 8192), id="rounded"),
+        pytest.param(-8 + 5e-9, 8 - 5e-9, (-8191, 8191), id="more-than-rounded"),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_range_of_a_signal(low: float, high: float, raw: tuple[int, int], sign: int) -> None:
+    """[min|max] of YOff in steps of 2^-10 m; a bound may be rounded by a millionth of a step."""
+    numbers = rf"({sign * 0.0009765625},0) [{low!r}|{high!r}]"
+    as_it_was = r"( SG_ YOff .*\|)\d+@1- \([^)]*\) \[[^\]]*\]"
+    signal = Layout.from_text(edit(ORIGINAL, (as_it_was, rf"\g<1>16@1- {numbers}")))["YOff"]
+    assert (signal.raw_min, signal.raw_max) == raw

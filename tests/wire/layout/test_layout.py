@@ -1,0 +1,72 @@
+"""Layouts of the project's DBCs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from secoc_streams import LAYOUT
+
+from maplines_can import Codec, MapLine, Slot
+from maplines_can.values.errors import EncodeError, LayoutError
+from maplines_can.wire import Layout
+
+ROOT = Path(__file__).parents[3]
+
+
+def test_the_readme_has_the_ids_of_the_dbc() -> None:
+    """The table of slots in dbc/README.md agrees with maplines.dbc."""
+    page = (ROOT / "dbc" / "README.md").read_text()
+    for messages in Layout.from_dbc().messages.values():
+        row = f"| 0x{messages.can_id:03X} | 0x{messages.fd_can_id:03X} | 0x{messages.data_id:04X} |"
+        assert row in page
+
+
+def test_both_dbcs_have_the_same_record() -> None:
+    """The signals, pages, IDs and checksums of maplines.dbc are in maplines-secoc.dbc too."""
+    plain, secured = Layout.from_dbc(), Layout.from_dbc(ROOT / "dbc" / "maplines-secoc.dbc")
+    assert plain.signals == secured.signals
+    assert plain.message_of_id.items() <= secured.message_of_id.items()
+    assert (plain.secured, secured.secured) == (None, LAYOUT)
+
+
+def test_the_readme_has_the_authenticated_ids_of_the_dbc() -> None:
+    """The table of slots in dbc/README.md agrees with maplines-secoc.dbc."""
+    page = (ROOT / "dbc" / "README.md").read_text()
+    for messages in Layout.from_dbc(ROOT / "dbc" / "maplines-secoc.dbc").messages.values():
+        assert f"| 0x{messages.secured_can_id:03X} | 0x{messages.secured_data_id:04X} |" in page
+
+
+def test_a_record_without_one_of_its_pages_is_refused() -> None:
+    """Pages 0, 1 and 3 are not a record: its length is the number of pages."""
+    layout = Layout.from_dbc()
+    later = {"Page2": "Page7", "TransferId2": "TransferId7"}
+    signals = {later.get(name, name): signal for name, signal in layout.signals.items()}
+    with pytest.raises(LayoutError, match=r"numbered 0, 1, ..., got \[0, 1, 3, 7\]"):
+        replace(layout, signals=signals)
+
+
+def test_a_slot_without_messages_is_refused_in_a_batch() -> None:
+    """No record is made or checked with the data ID of another slot."""
+    layout = Layout.from_dbc()
+    left = {Slot.EGO_LEFT: layout.messages[Slot.EGO_LEFT]}
+    codec = Codec(replace(layout, messages=left))
+    payloads = codec.encode_batch([[1.75, 0, 0, 0]], slot=Slot.EGO_LEFT)
+    for use in (
+        lambda: codec.encode_batch([[1.75, 0, 0, 0]], slot=Slot.EGO_RIGHT),
+        lambda: codec.decode_batch(payloads, Slot.EGO_RIGHT),
+    ):
+        with pytest.raises(EncodeError, match="no message for slot 1"):
+            use()
+
+
+@pytest.mark.parametrize(("fd", "kind"), [(True, "CAN FD"), (False, "classic")])
+def test_a_frame_format_without_a_message_is_refused(fd: bool, kind: str) -> None:
+    """A DBC may have only one of the two messages; the other format cannot be sent."""
+    layout = Layout.from_dbc()
+    left = layout.messages[Slot.EGO_LEFT]
+    only = replace(left, fd_can_id=None) if fd else replace(left, can_id=None)
+    codec = Codec(replace(layout, messages={Slot.EGO_LEFT: only}))
+    line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
+    with pytest.raises(EncodeError, match=f"no {kind} message for slot"):
+        codec.encode(line, fd=fd)
+    assert len(codec.encode(line, fd=not fd)) == (layout.pages if fd else 1)

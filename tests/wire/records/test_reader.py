@@ -1,0 +1,59 @@
+"""Reader of records: values that have no meaning."""
+
+import re
+
+import numpy as np
+import pytest
+from dbc_alterations import original
+
+from maplines_can.values.line import Slot
+from maplines_can.wire import Codec, Layout, Reason
+from maplines_can.wire.records.reader import DecodedRecord
+
+
+@pytest.fixture(scope="module")
+def roomy() -> Codec:
+    """A codec whose signals hold values that have no meaning: a kind of 8, a weight of 0 or 2."""
+    text = re.sub(r"( Kind m4 : )\d+\|3@1(.*)\[0\|7\]", r"\g<1>16|4@1\2[0|15]", original())
+    text = re.sub(r"( Kind : )\d+\|3@1(.*)\[0\|7\]", r"\g<1>272|4@1\2[0|15]", text)
+    text = re.sub(r"(ComponentWeight .*)\(.*\) \[.*\]", r"\1(0.0625,0) [0|1]", text)
+    return Codec(Layout.from_text(text))
+
+
+@pytest.mark.parametrize(
+    ("change", "accepted"),
+    [
+        ({"Kind": 7}, True),
+        ({"Kind": 8}, False),
+        ({"Status": 5}, True),
+        ({"Status": 6}, False),
+        ({"ComponentWeight": 0}, False),
+        ({"ComponentWeight": 1}, True),
+        ({"ComponentWeight": 16}, True),
+        ({"ComponentWeight": 17}, False),
+        ({"ComponentIndex": 1, "ComponentCount": 1}, True),  # the second of two
+        ({"ComponentIndex": 2, "ComponentCount": 1}, False),
+        ({"Age": 30}, True),
+        ({"Age": 31}, True),
+    ],
+)
+def test_a_record_with_a_value_that_has_no_meaning_is_rejected(
+    roomy: Codec, change: dict[str, int], accepted: bool
+) -> None:
+    """By both readers, one beyond the last value that has one."""
+    complete, data_id = roomy._complete_records(), roomy.layout.messages[Slot.EGO_LEFT].data_id
+    payload = roomy.encode_batch([[1.75, 0, 0, 0]], np.eye(4)[None] * 1e-4)[0].tobytes()
+    raw = complete.reader._packing.unpack_one(payload) | change
+    data = complete.writer.protect_one(raw, data_id)
+    one = roomy.read_record(data, Slot.EGO_LEFT)
+    batch = roomy.decode_batch(np.frombuffer(data, np.uint8)[None])
+    assert batch.accepted[0] == accepted
+    if not accepted:
+        assert one is Reason.CONTENT
+        assert batch.rejects == {Reason.CONTENT: 1}
+        return
+    assert isinstance(one, DecodedRecord)
+    assert (one.index, one.count) == (batch.component_index[0], batch.component_count[0])
+    assert one.weight == batch.component_weight[0]
+    too_old = change.get("Age") == 31
+    assert one.line.age == batch.age[0] == (np.inf if too_old else 0.008 * raw["Age"])

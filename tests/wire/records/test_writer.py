@@ -1,0 +1,84 @@
+"""Writer of records: what a clipped value costs, and scenes at their own times."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from exact import covers
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scene_layouts import layout_of
+from scene_streams import COMPLETE, codec_of, feed, new_codec, road_scene
+
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.line import MapLine, Slot, Status
+from maplines_can.values.scene import PoseError, Scene
+from maplines_can.wire import POSE
+from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
+from maplines_can.wire.records.complete_records import complete_records
+
+
+@pytest.mark.parametrize("y", [0.0, np.pi / 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_clipped_beta_is_covered_by_the_difference_of_the_tangents(sign: int, y: float) -> None:
+    """Of the decoded and the true line, in first order; by this and the rounding, and not more."""
+    codec, cov = codec_of(COMPLETE), np.diag([1e-4, 1e-8, 1e-12, 1e-16])
+    batch = codec.decode_batch(codec.encode_batch([[y, sign * 0.7, 0, 0]], cov[None]))
+    decoded = batch.mean[0, 1]
+    needed = (np.tan(sign * 0.7) - np.tan(decoded)) * np.cos(decoded) ** 2
+    assert batch.status[0] == Status.SATURATED
+    assert 1 <= batch.cov[0, 1, 1] / (needed**2 + cov[1, 1]) < 1.2
+
+
+def test_each_record_of_a_scene_has_its_own_age() -> None:
+    """The pose error and each line are sent at their own times."""
+    codec, scene = codec_of(COMPLETE), road_scene()
+    ages: Any = {POSE: 0.016, Slot.EGO_LEFT: 0.024, Slot.EGO_RIGHT: 0.032}
+    decoder = codec.decoder()
+    answers, _ = feed(decoder, codec.encode_scene(scene, age=ages, counters={}), 0)
+    received = decoder.scene()
+    assert received is not None
+    assert received.age == pytest.approx(0.016)
+    assert [one.age for one in answers if isinstance(one, MapLine)] == [0.024, 0.032]
+
+
+@given(
+    st.integers(0, 3),
+    st.booleans(),
+    st.floats(0.0, 12.0),
+    st.tuples(st.integers(-5, 0), st.integers(2, 20)),
+)
+@example(0, True, 0.5, (-5, 20))
+@example(1, False, 7.9, (-1, 3))
+def test_a_scene_states_the_lines_that_are_sent(
+    parameter: int, is_greatest: bool, steps: float, ends: Any
+) -> None:
+    """Up to the last step of each parameter, and the receiver's scene covers them."""
+    layout, codec = layout_of(COMPLETE), new_codec(COMPLETE)
+    signals = [layout[name] for name in PARAMETER_SIGNALS]
+    end = signals[parameter].physical_range[is_greatest]
+    mean = np.zeros(4)
+    mean[parameter] = end - np.sign(end) * steps * abs(signals[parameter].factor)
+    own = np.diag([0.01, 1e-4, 1e-6, 1e-8]) ** 2
+    low, high = 4.0 * ends[0], 4.0 * ends[1]
+    line = MapLine(Slot.EGO_LEFT, Gaussian(mean, own), x_min=low, x_max=high)
+    complete = complete_records(layout, codec.covariance)
+    assert complete is not None
+    raw = complete.writer.raw_mean_and_range(line)
+    assert raw is not None
+    batch = codec.decode_batch(codec.encode_batch([mean], [own], x_min=low, x_max=high))
+    assert [signal.physical(raw[signal.name]) for signal in signals] == batch.mean[0].tolist()
+    assert (layout["XMin"].physical(raw["XMin"]), layout["XMax"].physical(raw["XMax"])) == (
+        batch.x_min[0],
+        batch.x_max[0],
+    )
+
+    pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2)
+    scene = Scene((line,), own, pose, np.array([[low, high]]))
+    decoder = codec.decoder()
+    feed(decoder, codec.encode_scene(scene, counters={}), 0)
+    received = decoder.scene()
+    assert received is not None or parameter >= 2  # too bent to be a function of x
+    if received is not None:
+        means = received.scene.means.ravel(), scene.means.ravel()
+        assert covers(received.scene.cov, means[0], scene.cov, means[1])
