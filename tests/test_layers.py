@@ -156,11 +156,15 @@ def test_there_is_no_circle() -> None:
         ),
         pytest.param("bus/link.py", "from ..maps import Map", id="core-imports-map"),
         pytest.param(
-            "propagation/motion.py", "from ..localisation import Localisation", id="core-imports-filter"
+            "propagation/motion.py",
+            "from ..localisation import Localisation",
+            id="core-imports-filter",
         ),
         pytest.param("wire/codec.py", "from ..bus import Link", id="wire-imports-bus"),
         pytest.param(
-            "wire/layout/signals.py", "from ..covariance.code import CovarianceCode", id="up-in-wire"
+            "wire/layout/signals.py",
+            "from ..covariance.code import CovarianceCode",
+            id="up-in-wire",
         ),
         pytest.param("maps/model.py", "from .formats.load import load", id="map-imports-format"),
         pytest.param("wire/protection/e2e.py", "from ..codec import Codec", id="to-the-facade"),

@@ -115,8 +115,8 @@ def check_on_map(
     >>> check_on_map([[8.6, 49.9], [8.7, 49.9]], [Polyline([[477000, 5529000], [478000, 5529000]])])
     Traceback (most recent call last):
     ...
-    maplines_can.values.errors.DriveFileError: the drive: no position is on the map: x is 8.6 to 8.7 m
-    and y is 49.9 to 49.9 m, but the map has x from 477000 to 478000 m and y from 5529000 to
+    maplines_can.values.errors.DriveFileError: the drive: no position is on the map: x is 8.6 to
+    8.7 m and y is 49.9 to 49.9 m, but the map has x from 477000 to 478000 m and y from 5529000 to
     5529000 m; they look like degrees: name the columns lat_deg and lon_deg
     """
     points = floats(positions, "positions")
