@@ -169,17 +169,21 @@ __version__ = "0.1.0"
 _EXPORTS = {
     "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log "
     "read_signals",
-    "ego": "PoseSource RecordedDrive SimulatedDrive",
-    "errors": "DriveFileError EncodeError IllPosedError LayoutError MapFileError MaplinesError",
-    "gaussian": "Gaussian nearest_covariance",
-    "line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian transform_line",
-    "mixture": "GaussianMixture",
-    "polyline": "Polyline",
     "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
     "Transform map_lines map_scene pose_time_ns predict predict_to "
     "scene_mixture",
-    "scene": "Estimate PoseError Scene",
-    "scenarios": "SCENARIOS STREETS Scenario scenario",
+    "simulation.pose_source": "PoseSource",
+    "simulation.recorded": "RecordedDrive",
+    "simulation.scenarios": "SCENARIOS STREETS Scenario scenario",
+    "simulation.trajectory": "SimulatedDrive",
+    "values.errors": "DriveFileError EncodeError IllPosedError LayoutError MapFileError "
+    "MaplinesError",
+    "values.gaussian": "Gaussian nearest_covariance",
+    "values.line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian "
+    "transform_line",
+    "values.mixture": "GaussianMixture",
+    "values.polyline": "Polyline",
+    "values.scene": "Estimate PoseError Scene",
     "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
     "Reason SceneView SlotView",
 }
