@@ -42,7 +42,6 @@ DOORS = {
     "bokeh": {"study"},
     "distributed": {"study"},
     "pyarrow": {"simulation", "study"},
-    "lanelet2": {"maps"},
     "small_gicp": {"localisation"},
 }
 

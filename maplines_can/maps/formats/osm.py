@@ -1,8 +1,8 @@
 """Reader of Lanelet2 maps in OSM XML, which needs no other package.
 
 ``load`` always uses this reader, so that a map does not depend on what is installed.
-``maps.lanelet2`` reads the same map by the library ``lanelet2``, which takes a missing latitude for
-0 and needs a file that is not compressed.
+The library ``lanelet2`` is its witness in the tests: it takes a missing latitude for 0, and reads
+only files that are not compressed.
 
 The frame of the map is the one of ``local_x`` and ``local_y`` if most lanelets have these tags of
 Autoware at all their points, or else the UTM zone of the middle of the map. The height ``ele`` is

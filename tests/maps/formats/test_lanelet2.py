@@ -9,12 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from lanelet_files import ROAD, Osm
 
-from maplines_can import MapFileError
 from maplines_can.maps import Map
-from maplines_can.maps.formats import lanelet2
-from maplines_can.maps.formats.projection import local_cartesian, tangent, utm
+from maplines_can.maps.formats.projection import local_cartesian, utm
 
-pytest.importorskip("lanelet2")
+lanelet2 = pytest.importorskip("lanelet2_library", exc_type=ImportError)
 UTM = utm(49.0, 8.4)
 
 
@@ -95,21 +93,6 @@ def test_heights_count_in_a_tangent_plane_only(tmp_path: Path) -> None:
     path.write_text(osm.text())
     for projection in (UTM, local_cartesian(49.0, 8.4)):
         assert_same(osm.map(projection), lanelet2.read(path, projection))
-
-
-def test_what_the_library_does_not_read(tmp_path: Path) -> None:
-    path = tmp_path / "map.osm"
-    path.write_text("<osm><node id=")
-    with pytest.raises(MapFileError, match="cannot be read: "):
-        lanelet2.read(path, UTM)
-    with pytest.raises(ValueError, match="for the library, got"):
-        lanelet2.read(path, tangent(49.0, 8.4))
-    osm = Osm()
-    osm.strip(0.0, 9.0)
-    osm.elements = [one for one in osm.elements if "<node" not in one]
-    path.write_text(osm.text())
-    with pytest.raises(MapFileError, match="contains no usable lane"):
-        lanelet2.read(path, UTM)
 
 
 def test_a_map_of_the_southern_hemisphere(tmp_path: Path) -> None:
