@@ -133,10 +133,8 @@ def _lines(
     H = line_jacobian(expected, beside.curvature[row], there[:, 2])
     expected = expected + (H[:, :, POSE] @ (mean[car, POSE] - there)[..., None])[..., 0]
     residual = seen[car, block] - expected - mean[car, CAMERA]
-    place = expected[:, :1]
-    return _associated(
-        "line", car, block, residual, H, cov, R, given, place, SAME_LINE, PLACES[k] ** 2
-    )
+    found = _Candidates(car, block, residual, H, expected[:, :1], SAME_LINE, PLACES[k] ** 2)
+    return _associated("line", found, cov, R, given)
 
 
 def places_ahead(mean: Array, cov: Array) -> Array:
@@ -199,58 +197,56 @@ def _landmarks(
     H[:, 0, X], H[:, 0, Y], H[:, 0, HEADING] = -c, -s, expected[:, 1]
     H[:, 1, X], H[:, 1, Y], H[:, 1, HEADING] = s, -c, -expected[:, 0]
     residual = seen.position[car, block] - expected
-    return _associated("landmark", car, block, residual, H, cov, R, given, place, SAME_LANDMARK)
+    found = _Candidates(car, block, residual, H, place, SAME_LANDMARK)
+    return _associated("landmark", found, cov, R, given)
+
+
+class _Candidates(NamedTuple):
+    """What k pairs of a block and an object of the map would give, ordered by car and block."""
+
+    car: NDArray[np.intp]  #: (k,)
+    block: NDArray[np.intp]  #: (k,)
+    residual: Array  #: (k, 2)
+    H: Array  #: (k, 2, N)
+    place: Array  #: (k, d) of the objects [m]
+    same: float  #: distance within which objects are the same one [m]
+    rarity: Array | float = 0.0  #: (k,) -2 log of the prior probabilities
 
 
 def _associated(
-    source: str,
-    car: NDArray[np.intp],
-    block: NDArray[np.intp],
-    residual: Array,
-    H: Array,
-    cov: Array,
-    R: Array,
-    given: NDArray[np.bool_],
-    place: Array,
-    same: float,
-    rarity: Array | float = 0.0,
+    source: str, found: _Candidates, cov: Array, R: Array, given: NDArray[np.bool_]
 ) -> Innovation:
-    """Return the innovations of the nearest candidates of k: see ``associate``.
+    """Return the innovations of the nearest candidates: see ``associate``.
 
     Candidates that are the same object become one, of their mean; what they differ by is noise.
 
     Args:
         source: of the innovation.
-        car: (k,) of each candidate, ascending.
-        block: (k,) likewise, ascending within a car.
-        residual: (k, 2).
-        H: (k, 2, N).
+        found: the candidates.
         cov: (n, N, N).
         R: (n, B, 2, 2).
         given: (n, B) whether there is a measurement.
-        place: (k, d) of the candidates [m].
-        same: distance within which candidates are the same object [m].
-        rarity: (k,) -2 log of their prior probabilities.
     """
+    car, block, residual, H = found[:4]
     full = _unmatched(source, given, R)
     n, B = given.shape
     of = car * B + block
     S = H @ cov[car] @ H.mT + R[car, block]
     squared = squared_distance(residual, S)
-    cost = squared + np.log(np.linalg.det(S)) + rarity
-    found = associate(n * B, of, squared, cost, place, same, GATES[2])
-    verdict = found.verdict.reshape(n, B)
+    cost = squared + np.log(np.linalg.det(S)) + found.rarity
+    nearest = associate(n * B, of, squared, cost, found.place, found.same, GATES[2])
+    verdict = nearest.verdict.reshape(n, B)
     matched = given & (verdict != Verdict.UNMATCHED)
     full.verdict[matched] = verdict[matched]
     for array, values in ((full.residual, residual), (full.H, H)):
         flat = array.reshape(n * B, *values.shape[1:])
-        np.add.at(flat, of, found.share.reshape(-1, *[1] * (values.ndim - 1)) * values)
+        np.add.at(flat, of, nearest.share.reshape(-1, *[1] * (values.ndim - 1)) * values)
     # What the candidates differ by, at the estimate and within its covariance, is noise.
     r = residual - full.residual.reshape(n * B, 2)[of]
     d = H - full.H.reshape(n * B, 2, N)[of]
     spread = r[:, :, None] * r[:, None] + d @ cov[car] @ d.mT
     noise = np.zeros((n * B, 2, 2))
-    np.add.at(noise, of, found.share[:, None, None] * spread)
+    np.add.at(noise, of, nearest.share[:, None, None] * spread)
     R = R + noise.reshape(n, B, 2, 2)
     return full._replace(R=R, S=full.H @ cov[:, None] @ full.H.mT + R)
 

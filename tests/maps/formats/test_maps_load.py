@@ -140,7 +140,7 @@ def test_files_that_would_fill_the_memory_are_refused(
     message: str,
 ) -> None:
     """They may come as gzip bombs: what is read of them is bounded."""
-    monkeypatch.setattr(f"maplines_can.maps.{limit}", value)
+    monkeypatch.setattr(f"maplines_can.maps.formats.{limit}", value)
     path = path.with_suffix(".csv.gz")
     path.write_bytes(gzip.compress(text.encode()))
     with pytest.raises(ml.MapFileError, match=message):

@@ -167,25 +167,45 @@ def _of_lanes(
     roads: Mapping[str, RoadTopology], skipped: list[Skipped]
 ) -> Iterator[tuple[str, LaneEnd, LaneEnd]]:
     """Yield the place in the file and both ends of the links that lanes name."""
+    for one, lane in _lane_ends(roads):
+        place = f"line {lane.line}, lane {one.lane}"
+        for other in lane.successors if one.is_end else lane.predecessors:
+            try:
+                found = _linked_end(roads, one, other)
+            except KeyError:
+                why = f"its link to lane {other} leads to no road"
+                skipped.append(Skipped(place, why))
+            else:
+                if found:
+                    yield place, one, found
+
+
+def _lane_ends(roads: Mapping[str, RoadTopology]) -> Iterator[tuple[LaneEnd, LaneTopology]]:
+    """Yield both ends of all lanes."""
     for road_id, road in roads.items():
         for section, lanes in enumerate(road.sections):
             for lane_id, lane in lanes.items():
-                one = LaneKey(road_id, section, lane_id)
-                place = f"line {lane.line}, lane {one}"
-                for is_end, ids in ((False, lane.predecessors), (True, lane.successors)):
-                    beyond = section + (1 if is_end else -1)
-                    for other in ids:
-                        if 0 <= beyond < len(road.sections):
-                            key = LaneKey(road_id, beyond, other)
-                            yield place, LaneEnd(one, is_end), LaneEnd(key, not is_end)
-                        elif (link := road.link(is_end)) is None or link.id not in roads:
-                            if link is None or not link.is_junction:
-                                why = f"its link to lane {other} leads to no road"
-                                skipped.append(Skipped(place, why))
-                        elif not link.is_junction:
-                            contact = _contact(link.contact, roads[link.id], road_id)
-                            found = roads[link.id].lane_end(link.id, other, contact)
-                            yield place, LaneEnd(one, is_end), found
+                for is_end in (False, True):
+                    yield LaneEnd(LaneKey(road_id, section, lane_id), is_end), lane
+
+
+def _linked_end(roads: Mapping[str, RoadTopology], one: LaneEnd, other: int) -> LaneEnd | None:
+    """Return the end of the lane ``other`` that a lane's end is linked to; None at a junction.
+
+    Raises:
+        KeyError: there is no road beyond.
+    """
+    road = roads[one.lane.road]
+    beyond = one.lane.section + (1 if one.is_end else -1)
+    if 0 <= beyond < len(road.sections):
+        return LaneEnd(LaneKey(one.lane.road, beyond, other), not one.is_end)
+    link = road.link(one.is_end)
+    if link is not None and link.is_junction:
+        return None
+    if link is None:
+        raise KeyError(other)
+    contact = _contact(link.contact, roads[link.id], one.lane.road)
+    return roads[link.id].lane_end(link.id, other, contact)
 
 
 def _contact(contact: str, road: RoadTopology, neighbour: str) -> bool:
