@@ -36,7 +36,7 @@ def wanted() -> Any:
     tables = {
         "fields": DEFAULT.table(),
         "pose": POSE_WITH_LEVELS.record.table(),
-        "conditional": CONDITIONAL.table(),
+        "conditional": without(CONDITIONAL.table(), DEFAULT.table()),
         "requirements": requirements_table(),
         "codes": codes_table(),
     }
@@ -45,6 +45,12 @@ def wanted() -> Any:
     files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
     files[FOLDER / "maplines-pose.dbc"] = CONDITIONAL.dbc()
     return files | {FOLDER / "README.md": page}
+
+
+def without(table: str, other: str) -> str:
+    """Return a table without the rows that another one has, too."""
+    head, known = table.splitlines()[:2], set(other.splitlines())
+    return "\n".join([*head, *(row for row in table.splitlines() if row not in known)])
 
 
 def path_of(code: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,7 +11,12 @@ from typing import Any
 from cantools.database.can import Signal
 from cantools.database.conversion import BaseConversion
 
+from ...values.line import Slot
 from ...wire.layout.message_layout import PAGE, PAGE_BYTES, TRANSFER_ID
+from ...wire.layout.signals import slot_title
+
+#: A slot in the name of a signal, and in a sentence about it.
+_SLOT = re.compile("|".join(rf"\b{slot_title(slot)}(?=[A-Z]|\b)" for slot in Slot))
 
 __all__ = ["PAGE_BYTES", "RecordPages", "SignalSpec", "dbc_signal"]
 
@@ -145,20 +151,33 @@ class RecordPages:
         return signals
 
     def table(self) -> str:
-        """Return the fields as a Markdown table, for the page beside the DBC."""
-        rows = [
-            "| page | bits | signal | width | factor | range | unit | what it is | why so wide |",
-            "|---|---|---|---|---|---|---|---|---|",
-        ]
+        """Return the fields as a Markdown table, for the page beside the DBC.
+
+        Signals that differ only in their page or slot share a row, as ``*``.
+        """
+        places: dict[str, dict[int, list[str]]] = {}
         for number in range(len(self.pages)):
             for spec, start in self.placed(number):
-                low, high = spec.range
-                rows.append(
-                    f"| {number} | {start}..{start + spec.bits - 1} | `{spec.name}` | {spec.bits} "
-                    f"| {spec.factor:.6g} | {low:.6g} .. {high:.6g} | {spec.unit or '-'} | "
-                    f"{spec.about} | {spec.why} |"
-                )
+                of_page = places.setdefault(_cells(spec), {}).setdefault(number, [])
+                of_page.append(f"{start}..{start + spec.bits - 1}")
+        rows = [
+            "| page: bits | signal | width | factor | range | unit | what it is | why so wide |",
+            "|---|---|---|---|---|---|---|---|",
+        ]
+        for cells, pages in places.items():
+            place = "; ".join(f"{number}: {', '.join(bits)}" for number, bits in pages.items())
+            rows.append(f"| {place} | {cells} |")
         return "\n".join(rows)
+
+
+def _cells(spec: SignalSpec) -> str:
+    """Return the cells of a signal but its place; slots and numbers of transfers become ``*``."""
+    low, high = spec.range
+    name = f"{TRANSFER_ID}*" if spec.name.startswith(TRANSFER_ID) else _SLOT.sub("*", spec.name)
+    return (
+        f"`{name}` | {spec.bits} | {spec.factor:.6g} | {low:.6g} .. {high:.6g} "
+        f"| {spec.unit or '-'} | {_SLOT.sub('line', spec.about)} | {spec.why}"
+    )
 
 
 def dbc_signal(
