@@ -25,10 +25,23 @@ from maplines_can.study.scenes.table import HEAD, cells_of
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003
-SHARES = ("not_positive_definite", "overconfident", "saturated", "out_of_range")
 TARGETS = (1e-2, 1e-3, 1e-4)
 #: Codes that docs/bits.md compares on scenes.
 SCENE_CODES = ("Cholesky", "Float32", *WITH_POSE)
+
+
+#: Columns of the table of scenes, beside the bus loads.
+SCENE_COLUMNS = (
+    "frames",
+    "cov",
+    "limit",
+    "over",
+    "overconfident",
+    "KL joint",
+    "width 50 %",
+    "centre 50 %",
+    "all entries",
+)
 
 
 def main() -> int:
@@ -37,8 +50,8 @@ def main() -> int:
     parser.add_argument("--only", metavar="NAME", help="write only the table of this name")
     options = parser.parse_args()
     folder, only = options.folder, options.only
-    names = ("summary", "fields", "terms", "limit", "scenes")
-    summary, fields, terms, limit, scenes = (
+    names = ("summary", "limit", "scenes")
+    summary, limit, scenes = (
         pq.read_table(folder / f"{name}.parquet").to_pylist() for name in names
     )
     n, seed = summary[0]["n"], summary[0]["seed"]
@@ -49,10 +62,8 @@ def main() -> int:
         ),
         "paper": lambda: codes([row for row in summary if row["set"] == "paper"]),
         "road": lambda: codes([row for row in summary if row["set"] == "road"]),
-        "theory": lambda: theory(summary, terms),
         "limit": lambda: over_the_limit(summary, limit),
         "scenes": lambda: of_scenes(scenes),
-        "fields": lambda: of_fields(fields),
         "designs": designs,
     }
     if only is not None and only not in makers:
@@ -70,49 +81,21 @@ def table(head: Any, rows: Any) -> Any:
 
 
 def codes(rows: Any) -> Any:
-    """Return all codes at their own widths, and the default at others."""
-    head = ["code", "bits", "frames", "not definite", "overconfident", "saturated", "out of range"]
-    head += ["KL mean", "KL 99 %", "sigma at 80 m: 50 %", "99 %"]
-    body = []
-    for row in rows:
-        if row["finer_bits"] and row["code"] != "Cholesky":
-            continue
-        finer = f" {row['finer_bits']:+d}" if row["finer_bits"] else ""
-        body.append(
-            [
-                f"{row['code']}{finer}",
-                str(row["covariance_bits"]),
-                str(row["classic_frames"]),
-                *(share(row[name]) for name in SHARES),
-                *(number(row[name]) for name in ("kl_mean", "kl_p99")),
-                *(number(row[f"sigma_ratio_p{p}_80"], 4) for p in (50, 99)),
-            ]
-        )
-    return table(head, body)
-
-
-def theory(summary: Any, terms: Any) -> Any:
-    """Return the measured KL of the rounding of the default code over its theory."""
-    of_code = [row for row in summary if row["code"] == "Cholesky"]
+    """Return all codes at their own widths."""
+    head = ["code", "bits", "frames", "not definite", "overconfident", "KL mean", "KL 99 %"]
     body = [
         [
-            f"{row['set']}, {row['finer_bits']:+d} bits a field",
-            f"{row['kl_before_inflation_mean']:.4g}",
-            f"{row['kl_theory']:.4g}",
-            f"{row['kl_before_inflation_mean'] / row['kl_theory']:.3f}",
-            ", ".join(
-                f"{term['field']} {term['kl_mean'] / term['kl_theory']:.2f}"
-                for term in terms
-                if (term["set"], term["finer_bits"], term["code"])
-                == (row["set"], row["finer_bits"], row["code"])
-                and abs(term["kl_mean"] / term["kl_theory"] - 1) > 0.03
-            )
-            or "none",
+            row["code"],
+            str(row["covariance_bits"]),
+            str(row["classic_frames"]),
+            *(share(row[name]) for name in ("not_positive_definite", "overconfident")),
+            *(number(row[name]) for name in ("kl_mean", "kl_p99")),
+            *(number(row[f"sigma_ratio_p{p}_80"], 4) for p in (50, 99)),
         ]
-        for row in of_code
+        for row in rows
+        if not row["finer_bits"]
     ]
-    head = ["set and width", "measured", "predicted", "ratio", "fields off by more than 3 %"]
-    return table(head, body)
+    return table([*head, "sigma at 80 m: 50 %", "99 %"], body)
 
 
 def over_the_limit(summary: Any, limit: Any) -> Any:
@@ -151,27 +134,12 @@ def of_scenes(scenes: Any) -> Any:
     body = []
     for row in scenes:
         if row["code"] in SCENE_CODES:
-            cells = cells_of(row)
+            cells = dict(zip(HEAD, cells_of(row), strict=True))
             loads = [f"{100 * (bus_load(row['frames'], rate) or 0):.1f} %" for rate in RATES]
-            body.append([f"{cells[0]}, {row['lines']} lines", cells[1], *loads, *cells[2:]])
-    return table([*HEAD[:2], *(f"load at {rate} Hz" for rate in RATES), *HEAD[2:]], body)
-
-
-def of_fields(fields: Any) -> Any:
-    """Return the change of KL with a bit less and a bit more in each field."""
-    body = []
-    for name in dict.fromkeys(row["field"] for row in fields):
-        cells = []
-        for which in ("road", "paper"):
-            of_field = {
-                row["delta_bits"]: row
-                for row in fields
-                if (row["set"], row["field"]) == (which, name)
-            }
-            cells += [f"{of_field[d]['kl_change_mean']:+.1e}" for d in (-1, 1)]
-        body.append([name, *cells])
-    head = ["field", "road, a bit less", "a bit more", "paper, a bit less", "a bit more"]
-    return table(head, body)
+            kept = [cells[name] for name in SCENE_COLUMNS]
+            body.append([f"{row['code']}, {row['lines']} lines", kept[0], *loads, *kept[1:]])
+    loads = [f"load at {rate} Hz" for rate in RATES]
+    return table(["code", SCENE_COLUMNS[0], *loads, *SCENE_COLUMNS[1:]], body)
 
 
 def designs() -> Any:
