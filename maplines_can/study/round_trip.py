@@ -6,6 +6,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import chain
@@ -264,18 +265,22 @@ def _run(
         take = partial(arrivals.take, decoder=decoder, last=last)
         receiver = Receiver(back, decoder, on_line=take, can_ids=can_ids)
         with receiver:
-            try:
-                with transmitter:
-                    transmitter.publish(lines)
-                    while not transmitter.wait(REFRESH):
-                        transmitter.publish(lines)  # as from a new pose, so that none is too old
-                        tick()
-            except KeyboardInterrupt:  # the lines so far are still useful
-                pass
+            with suppress(KeyboardInterrupt):  # the lines so far are still useful
+                _send(transmitter, lines, tick)
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
         # Read now: closing the link releases held frames.
         fault_counts = opener.as_dict() if opener else None
     return transmitter.stats(), receiver.stats(), fault_counts
+
+
+def _send(
+    transmitter: Transmitter, lines: Sequence[MapLine] | PreparedScene, tick: Callable[[], object]
+) -> None:
+    with transmitter:
+        transmitter.publish(lines)
+        while not transmitter.wait(REFRESH):
+            transmitter.publish(lines)  # as from a new pose, so that none is too old
+            tick()
 
 
 def _faulty_opener(faults: Faults) -> FaultyOpener:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,21 +53,35 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         OSError: the file cannot be written.
     """
     try:
-        from bokeh.embed import components
-        from bokeh.resources import Resources
-        from jinja2 import Environment, PackageLoader
+        import bokeh.embed  # noqa: F401
+        import jinja2  # noqa: F401 - whether it is installed
 
-        from .cases import BAND, fields_plot, worst_groups, worst_plots
-        from .choice import bits_more, choices
-        from .drawing import plot_styles
-        from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
+        from .cases import worst_groups
     except ImportError as error:
         raise missing_extra("the report needs bokeh, jinja2 and pyarrow", "study") from error
     tables = read_tables(folder)
-    sets, look, groups = tables.sets, plot_styles(tables.codes), worst_groups(tables)
+    groups = worst_groups(tables)
+    html = _template(tables).render(
+        title=title, worst_groups=groups, **_plots(tables, groups), **_texts(tables)
+    )
+    out_path = Path(out_path)
+    out_path.parent.mkdir(parents=True, exist_ok=True)
+    out_path.write_text(html, encoding="utf-8")
+    return out_path
+
+
+def _plots(tables: Tables, groups: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
+    """Return the plots by section and set, none if the sweep did not compute them, and scripts."""
+    from bokeh.embed import components
+    from bokeh.resources import Resources
+
+    from .cases import fields_plot, worst_plots
+    from .drawing import plot_styles
+    from .plots import kl_plot, lateral_error_plot, share_plot, sigma_ratio_plot
+
+    sets, look = tables.sets, plot_styles(tables.codes)
     field_codes = [c for c in tables.codes if any(row["code"] == c for row in tables.fields)]
     keys = [key for group in groups.values() for key in group]
-    #: Plots by section and set; none if the sweep did not compute them.
     content: dict[str, list[Any]] = {
         "kl": [[kl_plot(tables, s, look)] for s in sets],
         "along": [
@@ -85,23 +100,60 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
             for k, plot in enumerate(of_set)
         }
     )
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, trim_blocks=True
-    )
-    texts = {
+    return {
+        "content": content,
+        "plots": plots,
+        "script": script,
+        "library": Resources(mode="inline", components=["bokeh"]).render_js(),
+        "plot_styles": look,
+        "field_codes": {code: code for code in field_codes},
+    }
+
+
+def _texts(tables: Tables) -> dict[str, Any]:
+    """Return what the page says of the tables."""
+    from .choice import choices
+
+    first = [row for s in tables.sets if (row := tables.shipped(s, tables.codes[0]))]
+    return {
+        "first": first,
+        "choices": choices(tables),
+        "about": {code: CODES[code].about if code in CODES else "" for code in tables.codes},
+        "counts": {"n": sum(row["n"] for row in first)}
+        | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
+        "broken": [
+            (row, label, row[column])
+            for row in tables.summary
+            for column, label, guarantee in NOT_DEFINITE
+            if row[guarantee] and row[column] > 0
+        ],
+        "always_valid": _always_valid(tables),
+        "nearest": [row for s in tables.sets if (row := _nearest(tables, s))],
+        "caveats": {
+            row["caveat"]: row["set"]
+            for row in tables.limit
+            if row["part"] == "covariance" and isinstance(row.get("caveat"), str)
+        },
+    }
+
+
+def _template(tables: Tables) -> Any:
+    """Return the template of the page, with what its macros use."""
+    from jinja2 import Environment, PackageLoader
+
+    from .cases import BAND
+    from .choice import bits_more
+
+    loader = PackageLoader(__package__, ".")
+    environment = Environment(loader=loader, autoescape=True, trim_blocks=True)
+    environment.globals |= {
         "bits_more": bits_more,
         "number": number,
         "percent": percent,
         "share": share,
         "with_error": with_error,
-    }
-    first = [row for s in sets if (row := tables.shipped(s, tables.codes[0]))]
-    environment.globals |= texts | {
         "nan": math.nan,
         "tables": tables,
-        "content": content,
-        "plots": plots,
-        "plot_styles": look,
         "kl_names": SUMMARY,
         "lateral_x": [f"{x:g}" for x in LATERAL_X],
         "not_definite": NOT_DEFINITE,
@@ -109,37 +161,9 @@ def write_report(folder: str | Path, out_path: str | Path, *, title: str = TITLE
         "largest_kl": MAX_KL,
         "scene_heads": HEAD,
         "scene_cells": cells_of,
+        "band": BAND,
     }
-    html = environment.get_template("report.html.j2").render(
-        title=title,
-        script=script,
-        library=Resources(mode="inline", components=["bokeh"]).render_js(),
-        first=first,
-        choices=choices(tables),
-        about={code: CODES[code].about if code in CODES else "" for code in tables.codes},
-        counts={"n": sum(row["n"] for row in first)}
-        | {name: sum(round(row[name] * row["n"]) for row in first) for name, *_ in NOT_DEFINITE},
-        broken=[
-            (row, label, row[column])
-            for row in tables.summary
-            for column, label, guarantee in NOT_DEFINITE
-            if row[guarantee] and row[column] > 0
-        ],
-        always_valid=_always_valid(tables),
-        nearest=[row for s in sets if (row := _nearest(tables, s))],
-        caveats={
-            row["caveat"]: row["set"]
-            for row in tables.limit
-            if row["part"] == "covariance" and isinstance(row.get("caveat"), str)
-        },
-        field_codes={code: code for code in field_codes},
-        worst_groups=groups,
-        band=BAND,
-    )
-    out_path = Path(out_path)
-    out_path.parent.mkdir(parents=True, exist_ok=True)
-    out_path.write_text(html, encoding="utf-8")
-    return out_path
+    return environment.get_template("report.html.j2")
 
 
 def _always_valid(tables: Tables) -> list[str]:

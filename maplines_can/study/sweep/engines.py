@@ -65,14 +65,7 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
         running: dict[Future[Result], Task] = {}
         try:
             with _pool(jobs) as pool:
-                while True:
-                    waiting.extend(islice(tasks, AHEAD * jobs - len(running) - len(waiting)))
-                    while waiting and len(running) < AHEAD * jobs:
-                        with _interrupts_blocked():  # a process may start here
-                            running[pool.submit(waiting[0].work)] = waiting[0]
-                        waiting.popleft()
-                    if not running:
-                        return
+                while _refilled(running, pool, waiting, tasks, AHEAD * jobs):
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
                         result = future.result()
                         deaths = 0
@@ -80,10 +73,28 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
         except BrokenProcessPool:
             waiting.extend(running.values())
             deaths += 1
+        else:
+            return
     raise StudyError(
         f"the workers died {deaths} times in a row; make chunks smaller (--chunk) or take fewer "
         "jobs (--jobs) if memory is short. Finished tasks are kept"
     )
+
+
+def _refilled(
+    running: dict[Future[Result], Task],
+    pool: ProcessPoolExecutor,
+    waiting: deque[Task],
+    tasks: Iterator[Task],
+    most: int,
+) -> bool:
+    """Submit tasks until ``most`` are running, first those that wait; return whether any is."""
+    waiting.extend(islice(tasks, most - len(running) - len(waiting)))
+    while waiting and len(running) < most:
+        with _interrupts_blocked():  # a process may start here
+            running[pool.submit(waiting[0].work)] = waiting[0]
+        waiting.popleft()
+    return bool(running)
 
 
 @contextmanager
