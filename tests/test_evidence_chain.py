@@ -39,7 +39,7 @@ def moment(tool: Any, error: float, state: str) -> Any:
     from chain_parts import Moment
 
     centre = np.full((3, 2), np.nan)
-    return Moment(0.0, 0.0, error, tool.State[state], "BAND", 0.05, centre)
+    return Moment(0.0, 0.0, error, tool.SteeringState[state], "BAND", 0.05, centre)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.localisation import Outcome, Verdict
+from maplines_can.localisation import BlockOutcome, Verdict
 
 TOOLS = Path(__file__).parents[1] / "tools"
 RNG_SEED = 6
@@ -37,7 +37,7 @@ def run_of(tool: Any, scale: float) -> Any:
     times = np.full((k, n, 3), tau)
     used = np.full((n, 1), Verdict.USED)
     outcomes = [
-        Outcome(float(i), source, used, scale**2 * rng.chisquare(2, (n, 1)))
+        BlockOutcome(float(i), source, used, scale**2 * rng.chisquare(2, (n, 1)))
         for i in range(k)
         for source in ("gnss", "line", "landmark")
     ]

@@ -72,7 +72,7 @@ from filterpy.kalman import unscented_transform
 from map_copies import copies_of_town
 
 from maplines_can import maps
-from maplines_can.maps.view import View
+from maplines_can.maps.view import LaneView
 from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.sets import road
@@ -363,7 +363,7 @@ def large_map(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         agree("poses with lines", sum(Slot.EGO_LEFT not in found.lines(pose) for pose in poses))
 
         def first() -> list[Any]:
-            view = View(found.lanes)  # new: it keeps the lines of the lanes
+            view = LaneView(found.lanes)  # new: it keeps the lines of the lanes
             matches = map(found.match, poses)
             return [view.lines(match, None) for match in matches if match is not None]
 

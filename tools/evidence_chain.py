@@ -52,7 +52,7 @@ from chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
 from reporting import bar, parser_of, report
 
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, maps
-from maplines_can.consumers.steering import State
+from maplines_can.consumers.steering import SteeringState
 from maplines_can.simulation.camera_view import AGE, COLUMNS, FRAME, LANE, PLACES
 from maplines_can.simulation.truth import true_lines
 from maplines_can.study.closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
@@ -246,14 +246,14 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
     """Return the figures of a drive."""
     moments, world = consumer.moments, consumer.world
     # A car that hands over is the driver's until it drives again.
-    automatic = [m for m in moments if m.state is not State.HANDOVER]
+    automatic = [m for m in moments if m.state is not SteeringState.HANDOVER]
     error = np.abs([m.error for m in automatic])
     handovers = [
         now.reason
         for before, now in pairwise(moments)
-        if now.state is State.HANDOVER and before.state is not State.HANDOVER
+        if now.state is SteeringState.HANDOVER and before.state is not SteeringState.HANDOVER
     ]
-    braking = [abs(m.error) for m in moments if m.state is State.HANDOVER]
+    braking = [abs(m.error) for m in moments if m.state is SteeringState.HANDOVER]
     ages = np.array([m.map_age for m in moments if math.isfinite(m.map_age)])
     nees, nees_in_outages = fused_nees(consumer)
     inside = bool(len(error)) and float(error.max()) <= IN_LANE

@@ -44,7 +44,7 @@ from maplines_can.maps import LaneTracker
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.propagation import Motion
 from maplines_can.simulation.along_route import drive_along
-from maplines_can.simulation.camera import Errors, GaussMarkov
+from maplines_can.simulation.camera import Errors, UnitGaussMarkov
 from maplines_can.simulation.camera_view import AGE, FRAME, LANE
 from maplines_can.simulation.car_stream import camera_view
 from maplines_can.simulation.trajectory import SimulatedDrive
@@ -129,7 +129,7 @@ def moments(
     e = Errors()
     rng = np.random.default_rng([seed, 1])
     poses, tracker = PoseSource(e.pose_sigma, POSE_TIME, seed), LaneTracker(road_map, route)
-    of_map, bias = MapOfCar(error, rng), GaussMarkov(rng, (3,))
+    of_map, bias = MapOfCar(error, rng), UnitGaussMarkov(rng, (3,))
     scale, gyro = 1 + e.speed_scale * rng.normal(), e.yaw_rate_bias * rng.normal()
     outage = times[0] + np.array(e.outage) * (times[-1] - times[0])
     for t in times.tolist():

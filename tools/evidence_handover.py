@@ -31,7 +31,12 @@ from road_sources import route_of, sources_of
 
 from maplines_can import PoseSource, Slot, maps
 from maplines_can.consumers.path import WIDTHS
-from maplines_can.consumers.steering import LaneSteering, Reason, State, SteeringLimits
+from maplines_can.consumers.steering import (
+    LaneSteering,
+    SteeringLimits,
+    SteeringReason,
+    SteeringState,
+)
 from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation.motion import Motion
 from maplines_can.propagation.refit import MAX_MISFIT
@@ -54,7 +59,7 @@ def watched(
     seed: int,
     options: argparse.Namespace,
     tick: Callable[[float], object],
-) -> Iterator[tuple[Reason | None, float, float]]:
+) -> Iterator[tuple[SteeringReason | None, float, float]]:
     """Yield the reason of a handover or None, the reach of the path and its sigma, each cycle."""
     drive = drive_along(road_map, route)
     source = LineSource(
@@ -92,7 +97,7 @@ def watched(
         )
         path = command.path
         reason = None
-        if command.state is State.HANDOVER:
+        if command.state is SteeringState.HANDOVER:
             steering = LaneSteering(period=PERIOD)
             reason = None if has_trouble else command.reason
         yield (
@@ -110,7 +115,7 @@ def has_lane(lines: Any, pose: Array) -> bool:
     return bool(WIDTHS[0] <= left - right <= WIDTHS[1] and left > 0 > right)
 
 
-def figures(rows: list[tuple[Reason | None, float, float]]) -> dict[str, Any]:
+def figures(rows: list[tuple[SteeringReason | None, float, float]]) -> dict[str, Any]:
     """Return the figures of the cycles of a map."""
     reasons = Counter(reason.name for reason, _, _ in rows if reason is not None)
     reach, sigma = np.array([row[1:] for row in rows]).reshape(-1, 2).T
@@ -138,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
     result: dict[str, Any] = {}
     with bar(round(options.seconds) * options.routes * len(found), unit=" s") as shown:
         for name, map_of in found:
-            rows: list[tuple[Reason | None, float, float]] = []
+            rows: list[tuple[SteeringReason | None, float, float]] = []
             for seed in range(options.seed, options.seed + options.routes):
                 road_map = map_of(seed)
                 route = route_of(road_map, LENGTH, seed)

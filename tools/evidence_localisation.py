@@ -62,12 +62,12 @@ from scipy.stats import chi2
 
 from maplines_can import Gaussian, MapFileError
 from maplines_can.localisation import (
+    BlockOutcome,
     GaussMarkov,
     GnssFix,
     Localisation,
     LocalisationLayer,
     Odometry,
-    Outcome,
     SensorErrors,
     Verdict,
 )
@@ -108,7 +108,7 @@ class Run(NamedTuple):
     covs: Array  #: (k, n, 3, 3)
     heading: Array  #: (k,) true [rad]
     correlation_times: Array  #: (k, n, 3) along, across, heading [s]
-    outcomes: list[Outcome]
+    outcomes: list[BlockOutcome]
     counts: dict[str, Any]
 
     @property
@@ -213,7 +213,7 @@ def driven(
     if not with_bias:
         extra = (errors.gnss or SensorErrors.UNKNOWN_GNSS).sigma ** 2 * np.eye(2)
         errors = replace(errors, gnss=GaussMarkov(0.0))
-    outcomes: list[Outcome] = []
+    outcomes: list[BlockOutcome] = []
     localisation = Localisation(
         start, span[0], errors, layer, cov=np.diag(sigma**2), on_outcome=outcomes.append
     )
@@ -232,7 +232,7 @@ def driven(
     return run_of(rows, outcomes, localisation)
 
 
-def run_of(rows: list[Any], outcomes: list[Outcome], localisation: Localisation) -> Run:
+def run_of(rows: list[Any], outcomes: list[BlockOutcome], localisation: Localisation) -> Run:
     """Return the run of rows of time, errors, covariances, heading and correlation times."""
     t, errors, covs, heading, times = (np.array(column) for column in zip(*rows, strict=True))
     return Run(t, errors, covs, heading, times, outcomes, localisation.counts())
@@ -280,7 +280,7 @@ def share_inside(squared: Array, values: int) -> float:
     return float(((low <= total) & (total <= high)).mean())
 
 
-def nis_figures(outcomes: list[Outcome]) -> dict[str, float]:
+def nis_figures(outcomes: list[BlockOutcome]) -> dict[str, float]:
     """Return mean and share inside of the innovations that were used."""
     if not outcomes:
         return {"mean": math.nan, "inside": math.nan}
@@ -369,7 +369,7 @@ def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
     gnss = errors.gnss or SensorErrors.UNKNOWN_GNSS
     position = (gnss.sigma**2 + sigma**2) * np.ones(2)
     begin = float(data["gnss_t"][0])
-    outcomes: list[Outcome] = []
+    outcomes: list[BlockOutcome] = []
     localisation = Localisation(
         Gaussian(start, np.diag([*position, math.radians(1.0) ** 2])),
         begin,

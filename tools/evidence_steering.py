@@ -39,14 +39,14 @@ import numpy as np
 from reporting import bar, parser_of, report
 
 from maplines_can import STREETS
-from maplines_can.consumers.steering import Reason, State
+from maplines_can.consumers.steering import SteeringReason, SteeringState
 from maplines_can.maps import Map, Route, load, town_path, town_tour
 from maplines_can.study.closed_loop import (
     MARGIN,
     PERIOD,
     ClosedLoop,
-    Localisation,
-    Moment,
+    LoopCycle,
+    ReportedPoses,
     on_map,
     on_street,
 )
@@ -66,14 +66,14 @@ DURATION = 20.0
 SHAPES = ("corner", "roundabout-12m")
 
 
-def figures(moments: Sequence[Moment]) -> dict[str, Any]:
+def figures(moments: Sequence[LoopCycle]) -> dict[str, Any]:
     """Return the figures of a drive without an outage."""
     driven = [m for m in moments if m.speed > 0]
     error = np.array([m.error for m in driven])
     # The car is on the wrong side of the middle by what it believes to be on the other one.
     control = error + np.array([m.stated_error for m in driven])
     pose = np.array([m.stated_error for m in driven])
-    reasons = Counter(m.reason for m in driven if m.reason is not Reason.NONE)
+    reasons = Counter(m.reason for m in driven if m.reason is not SteeringReason.NONE)
     return {
         "seconds": round(driven[-1].t, 1),
         "km": round((driven[-1].along - driven[0].along) / 1000, 3),
@@ -84,7 +84,7 @@ def figures(moments: Sequence[Moment]) -> dict[str, Any]:
         "share of the time, by reason": {
             reason.name: round(n / len(driven), 3) for reason, n in reasons.most_common()
         },
-        "handed over": moments[-1].state is State.HANDOVER,
+        "handed over": moments[-1].state is SteeringState.HANDOVER,
     }
 
 
@@ -104,7 +104,7 @@ def outage(
     """Return what the car does in an outage of the localisation, or of the lines."""
     span = (BEFORE[1], BEFORE[1] + DURATION)
     sigma = LOCALISATIONS["production"]
-    pose = Localisation(sigma, outages=() if lines else (span,), seed=seed).pose
+    pose = ReportedPoses(sigma, outages=() if lines else (span,), seed=seed).pose
     loop = on_map(town, route, pose)
     loop = replace(
         loop, way=(begin - BEFORE[0], loop.way[1]), line_outages=(span,) if lines else ()
@@ -112,7 +112,7 @@ def outage(
     moments = loop.run(seconds=span[1] + 3.0)
     after = [m for m in moments if m.t >= span[0]] or moments[-1:]  # it may stop before
     largest = max(abs(m.error) for m in after)
-    handover = next((m for m in after if m.state is State.HANDOVER), None)
+    handover = next((m for m in after if m.state is SteeringState.HANDOVER), None)
     return {
         "largest error [m]": round(largest, 3),
         "hands over after [s]": None if handover is None else round(handover.t - span[0], 2),
@@ -155,11 +155,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     for name, sigma in LOCALISATIONS.items():
         if only in (None, name):
-            loop = on_map(town, route, Localisation(sigma, seed=seed).pose)
+            loop = on_map(town, route, ReportedPoses(sigma, seed=seed).pose)
             drive(f"tour, {name}", loop, arguments.seconds)
     for shape in SHAPES if only in (None, "shapes") else ():
         for name, sigma in LOCALISATIONS.items():
-            loop = on_street(STREETS[shape].lines, Localisation(sigma, seed=seed).pose)
+            loop = on_street(STREETS[shape].lines, ReportedPoses(sigma, seed=seed).pose)
             drive(f"{shape}, {name}", loop, math.inf)
     for place, begin in OUTAGES.items() if only in (None, "outages") else ():
         for what in ("localisation", "lines"):

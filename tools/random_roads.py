@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maplines_can import Polyline, Slot, maps
-from maplines_can.simulation.street_shapes import Piece, Street, widening
+from maplines_can.simulation.street_shapes import Street, StreetPiece, widening
 
 Array = NDArray[np.float64]
 
@@ -19,62 +19,72 @@ ACROSS_SIGMA, HEADING_SIGMA = 0.3, 0.05
 LANES = (0.5, -0.5, 1.5, -1.5, 0.0, 2.5, -2.5, 0.02)
 
 
-def bend(rng: Any, radius: Any, turn: Any, clothoid: float = 0.0, side: int = 0) -> list[Piece]:
+def bend(
+    rng: Any, radius: Any, turn: Any, clothoid: float = 0.0, side: int = 0
+) -> list[StreetPiece]:
     """Return an arc with random radius [m] and turn [rad], between two clothoids."""
     k = (side or rng.choice([-1, 1])) / rng.uniform(*radius)
-    arc = Piece(max(1.0, rng.uniform(*turn) / abs(k) - clothoid), k, k)
-    return [Piece(clothoid, 0, k), arc, Piece(clothoid, k, 0)] if clothoid else [arc]
+    arc = StreetPiece(max(1.0, rng.uniform(*turn) / abs(k) - clothoid), k, k)
+    return [StreetPiece(clothoid, 0, k), arc, StreetPiece(clothoid, k, 0)] if clothoid else [arc]
 
 
-def motorway(rng: Any) -> list[Piece]:
+def motorway(rng: Any) -> list[StreetPiece]:
     """Return straight pieces and bends of radius 700 m to 3000 m."""
     pieces = []
     for _ in range(4):
-        pieces += [Piece(rng.uniform(20, 300)), *bend(rng, (700, 3000), (0.1, 0.4), 80.0)]
+        pieces += [StreetPiece(rng.uniform(20, 300)), *bend(rng, (700, 3000), (0.1, 0.4), 80.0)]
     return pieces
 
 
-def motorway_exit(rng: Any) -> list[Piece]:
+def motorway_exit(rng: Any) -> list[StreetPiece]:
     """Return an exit of radius 40 m to 120 m."""
     ramp = bend(rng, (40, 120), (1.0, 4.0), rng.uniform(30, 80))
-    return [Piece(rng.uniform(60, 150)), *ramp, Piece(rng.uniform(60, 150))]
+    return [StreetPiece(rng.uniform(60, 150)), *ramp, StreetPiece(rng.uniform(60, 150))]
 
 
-def rural(rng: Any) -> list[Piece]:
+def rural(rng: Any) -> list[StreetPiece]:
     """Return straight pieces and bends of radius 60 m to 400 m."""
     pieces = []
     for _ in range(5):
-        pieces += [Piece(rng.uniform(5, 150)), *bend(rng, (60, 400), (0.2, 1.5), 20.0)]
+        pieces += [StreetPiece(rng.uniform(5, 150)), *bend(rng, (60, 400), (0.2, 1.5), 20.0)]
     return pieces
 
 
-def s_bend(rng: Any) -> list[Piece]:
+def s_bend(rng: Any) -> list[StreetPiece]:
     """Return two bends of radius 30 m to 80 m to opposite sides."""
     side = rng.choice([-1, 1])
     first, second = (bend(rng, (30, 80), (0.5, 1.2), 10.0, s) for s in (side, -side))
-    return [Piece(rng.uniform(20, 60)), *first, *second, Piece(rng.uniform(20, 60))]
+    return [StreetPiece(rng.uniform(20, 60)), *first, *second, StreetPiece(rng.uniform(20, 60))]
 
 
-def corner(rng: Any) -> list[Piece]:
+def corner(rng: Any) -> list[StreetPiece]:
     """Return a corner of 90 deg and of radius 8 m."""
     turn = (np.pi / 2, np.pi / 2)
-    return [Piece(rng.uniform(40, 80)), *bend(rng, (8, 8), turn), Piece(rng.uniform(40, 80))]
+    return [
+        StreetPiece(rng.uniform(40, 80)),
+        *bend(rng, (8, 8), turn),
+        StreetPiece(rng.uniform(40, 80)),
+    ]
 
 
-def hairpin(rng: Any) -> list[Piece]:
+def hairpin(rng: Any) -> list[StreetPiece]:
     """Return a turn of 180 deg and of radius 7 m to 15 m."""
     turn = (np.pi, np.pi)
-    return [Piece(rng.uniform(40, 80)), *bend(rng, (7, 15), turn), Piece(rng.uniform(40, 80))]
+    return [
+        StreetPiece(rng.uniform(40, 80)),
+        *bend(rng, (7, 15), turn),
+        StreetPiece(rng.uniform(40, 80)),
+    ]
 
 
-def roundabout(rng: Any, radius: float) -> list[Piece]:
+def roundabout(rng: Any, radius: float) -> list[StreetPiece]:
     """Return most of a circle."""
     return bend(rng, (radius, radius), (1.9 * np.pi, 1.9 * np.pi))
 
 
-def city(rng: Any) -> list[Piece]:
+def city(rng: Any) -> list[StreetPiece]:
     """Return corners, bends, S-bends and roundabouts, in random order."""
-    pieces = [Piece(rng.uniform(20, 60))]
+    pieces = [StreetPiece(rng.uniform(20, 60))]
     for _ in range(5):
         kind = rng.integers(4)
         if kind == 0:
@@ -88,7 +98,7 @@ def city(rng: Any) -> list[Piece]:
             pieces += bend(rng, (8, 12), (0.6, 0.9), side=-side)
         else:
             pieces += bend(rng, (15, 120), (0.3, 1.5), 8.0)
-        pieces.append(Piece(rng.uniform(10, 80)))
+        pieces.append(StreetPiece(rng.uniform(10, 80)))
     return pieces
 
 
@@ -124,7 +134,7 @@ def imprecise(rng: Any) -> Callable[[Array, float], Array]:
 
 #: Shapes of road by name: pieces, distances of the points [m] and offset of the line. In the
 #: lines that end, widen or jump, this is near the car, at s = 0.
-SHAPES: dict[str, tuple[Callable[[Any], list[Piece]], tuple[float, float], Any]] = {
+SHAPES: dict[str, tuple[Callable[[Any], list[StreetPiece]], tuple[float, float], Any]] = {
     "motorway": (motorway, (0.2, 20), boundary),
     "motorway-coarse": (motorway, (45, 90), boundary),
     "exit": (motorway_exit, (0.2, 5), boundary),
@@ -195,18 +205,23 @@ ROADS = ("motorway", "exit", "rural", "s-bend", "city", "corner", "roundabout-12
 
 
 #: A straight road, and a bend of radius 150 m between two spirals.
-SPIRAL = (Piece(150), Piece(60, 0, 1 / 150), Piece(150, 1 / 150, 1 / 150), Piece(60, 1 / 150, 0))
+SPIRAL = (
+    StreetPiece(150),
+    StreetPiece(60, 0, 1 / 150),
+    StreetPiece(150, 1 / 150, 1 / 150),
+    StreetPiece(60, 1 / 150, 0),
+)
 
 
 def spiral_map() -> maps.Map:
     """Return a map with one lane along ``SPIRAL`` and a straight road behind it."""
-    street = Street([*SPIRAL, Piece(150)], 0.0)
+    street = Street([*SPIRAL, StreetPiece(150)], 0.0)
     return _lane_map(street, np.arange(street.begin, street.end, 2.0))
 
 
 def straight_map() -> maps.Map:
     """Return a map with one lane along a straight road of 900 m."""
-    street = Street([Piece(900)], 0.0)
+    street = Street([StreetPiece(900)], 0.0)
     return _lane_map(street, np.arange(street.begin, street.end, 5.0))
 
 
@@ -235,7 +250,7 @@ class _Pose(NamedTuple):
 def _random_street(shape: str, rng: Any) -> tuple[Street, Callable[[], Array]]:
     """Return a road, and a function that draws arc lengths of the points of a line along it."""
     pieces_of, spacing, _ = SHAPES[shape]
-    pieces = [Piece(*map(float, piece)) for piece in pieces_of(rng)]
+    pieces = [StreetPiece(*map(float, piece)) for piece in pieces_of(rng)]
     street = Street(pieces, rng.uniform(0.05, 0.9) * sum(piece.length for piece in pieces))
     distance = np.exp(rng.uniform(*np.log(spacing)))
     least, most = max(spacing[0], 0.7 * distance), min(spacing[1], 1.4 * distance)

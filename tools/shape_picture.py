@@ -26,7 +26,7 @@ from shape_figures import Given, Sums
 from shape_ways import Case, excess_covs, given_of, with_less
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_lines, maps
-from maplines_can.simulation.street_shapes import Piece, Street
+from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.figures.panels import Z99
 from maplines_can.study.figures.picture import COLOURS
 
@@ -96,7 +96,10 @@ def example(title: str, points: Array, pose: Array) -> Example | None:
 
 def bend() -> Example:
     """Return the line of a straight road 40 m before a spiral of 30 m to a radius of 150 m."""
-    street = Street([Piece(200), Piece(30, 0, 1 / 150), Piece(200, 1 / 150, 1 / 150)], behind=160)
+    street = Street(
+        [StreetPiece(200), StreetPiece(30, 0, 1 / 150), StreetPiece(200, 1 / 150, 1 / 150)],
+        behind=160,
+    )
     points = street.line(np.arange(street.begin, street.end, 1.0), 1.75)
     found = example("Straight for 40 m, spiral of 30 m, radius 150 m", points, np.zeros(3))
     if found is None:

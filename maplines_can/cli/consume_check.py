@@ -18,7 +18,7 @@ from ..propagation import Motion
 from ..values.gaussian import Gaussian
 from ..values.line import MapLine, Slot, transform_line_or_nan
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
-from .consume_input import PERIOD, Cycle, Input, add_input
+from .consume_input import PERIOD, ConsumerCycle, Input, add_input
 from .consume_motion import add_motion, motion_of
 from .parsing import add_command, number, option_group
 from .stderr import note
@@ -37,7 +37,7 @@ class Image(NamedTuple):
 
 
 #: Newest image in a cycle; None if it is that of the cycle before.
-Camera = Callable[[Cycle], Image | None]
+Camera = Callable[[ConsumerCycle], Image | None]
 
 DESCRIPTION = f"""\
 Compare received map lines with the lines of a camera, and print whether they contradict each other.
@@ -166,7 +166,7 @@ def _simulated(arguments: argparse.Namespace) -> Camera:
     error: NDArray[np.float64] | None = None  # in units of the stated covariance
     noise = np.diag(np.square(CAMERA_SIGMA))
 
-    def image(cycle: Cycle) -> Image:
+    def image(cycle: ConsumerCycle) -> Image:
         nonlocal error
         scene = cycle.view.scene
         if scene is None:
@@ -195,7 +195,7 @@ def _seen(new_lines: NewLines) -> Camera:
     """Return a camera whose lines arrive one by one."""
     known: dict[Slot, tuple[int, MapLine]] = {}  # with the time of each [ns]
 
-    def image(cycle: Cycle) -> Image | None:
+    def image(cycle: ConsumerCycle) -> Image | None:
         arrived = new_lines(cycle.now_ns)
         for line in arrived:
             known[line.slot] = cycle.now_ns - round(1e9 * line.age), line

@@ -16,7 +16,7 @@ from ..propagation import Motion
 from ..values.line import MapLine
 from ..wire import Codec
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
-from .consume_input import PERIOD, Cycle, Input, add_input, scene_codec
+from .consume_input import PERIOD, ConsumerCycle, Input, add_input, scene_codec
 from .consume_motion import MotionAt, add_motion, motion_of
 from .output import LANE, LANE_X
 from .parsing import add_command, number, option_group
@@ -42,7 +42,7 @@ the lane is about that of the newest scene. It takes the lines of a camera, if t
 simulated camera that fails after a third of the drive, and prints the true errors as well."""
 
 
-class Epoch(NamedTuple):
+class FusionInputs(NamedTuple):
     """Inputs of one step."""
 
     t_ns: int
@@ -90,7 +90,9 @@ def _fusion(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.Namespace) -> int:
+def _print_rows(
+    epochs: Iterator[tuple[LaneFusion, FusionInputs]], arguments: argparse.Namespace
+) -> int:
     """Fuse until the end or Ctrl-C, and print rows; return the number of those with a lane."""
     last = None
     rows = 0
@@ -108,8 +110,8 @@ def _print_rows(epochs: Iterator[tuple[LaneFusion, Epoch]], arguments: argparse.
 
 
 def _epochs(
-    cycles: Iterable[Cycle], motion: MotionAt, camera: NewLines
-) -> Iterator[tuple[LaneFusion, Epoch]]:
+    cycles: Iterable[ConsumerCycle], motion: MotionAt, camera: NewLines
+) -> Iterator[tuple[LaneFusion, FusionInputs]]:
     """Yield the epochs of a bus or of a log."""
     fusion, last = None, 0
     for cycle in cycles:
@@ -117,10 +119,12 @@ def _epochs(
             fusion = LaneFusion(cycle.source)
         last = cycle.now_ns
         lines = [line for line in camera(last) if line.slot in LANE]
-        yield fusion, Epoch(last, motion(last) or UNKNOWN_MOTION, lines)
+        yield fusion, FusionInputs(last, motion(last) or UNKNOWN_MOTION, lines)
 
 
-def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[LaneFusion, Epoch]]:
+def _simulated(
+    arguments: argparse.Namespace, codec: Codec
+) -> Iterator[tuple[LaneFusion, FusionInputs]]:
     """Yield the epochs of a simulated car in the town."""
     from ..maps import load, town_path, town_tour
     from ..simulation.along_route import drive_along
@@ -136,10 +140,10 @@ def _simulated(arguments: argparse.Namespace, codec: Codec) -> Iterator[tuple[La
     for moment in stream(SIMULATED_START, end, 1 / PERIOD):
         fusion = fusion or LaneFusion(moment.monitor)
         true = moment.true.mean(axis=0)
-        yield fusion, Epoch(moment.t_ns, moment.motion, moment.camera, true)
+        yield fusion, FusionInputs(moment.t_ns, moment.motion, moment.camera, true)
 
 
-def lane_dict(lane: FusedLane, epoch: Epoch) -> dict[str, Any]:
+def lane_dict(lane: FusedLane, epoch: FusionInputs) -> dict[str, Any]:
     """Return a fused lane, for JSON."""
     row: dict[str, Any] = {
         "t": lane.t_ns / 1e9,

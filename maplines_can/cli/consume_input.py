@@ -61,7 +61,7 @@ def add_input(parser: argparse.ArgumentParser, what: str) -> None:
     add_json(parser, "each row")
 
 
-class Cycle(NamedTuple):
+class ConsumerCycle(NamedTuple):
     """One period of a consumer."""
 
     t: float  #: time since the first one [s]
@@ -91,7 +91,7 @@ class Input:
         self._arguments, self._decoder = arguments, decoder_of(codec, arguments)
         self._codec, self._can_ids = codec, set[int]()
 
-    def __enter__(self) -> Generator[Cycle, None, None]:
+    def __enter__(self) -> Generator[ConsumerCycle, None, None]:
         self._cycles = self._counted()
         return self._cycles
 
@@ -132,7 +132,7 @@ class Input:
             "and 'decode' print them"
         )
 
-    def _counted(self) -> Generator[Cycle, None, None]:
+    def _counted(self) -> Generator[ConsumerCycle, None, None]:
         first, most = None, self._arguments.seconds
         found = self._from_log() if self._arguments.log else self._from_bus()
         for mono_ns, now_ns, view, source in found:
@@ -140,7 +140,7 @@ class Input:
             if most is not None and mono_ns - first >= most * 1e9:
                 found.close()
                 return
-            yield Cycle((mono_ns - first) / 1e9, now_ns, view, source)
+            yield ConsumerCycle((mono_ns - first) / 1e9, now_ns, view, source)
 
     def _from_log(self) -> Generator[Found, None, None]:
         path, monitor = self._arguments.log, Monitor(self._decoder)

@@ -7,7 +7,7 @@ import json
 import math
 from typing import Any
 
-from ..consumers.steering import Command, LaneSteering, State
+from ..consumers.steering import Command, LaneSteering, SteeringState
 from ..propagation import Motion
 from .consume_input import PERIOD, Input, add_input
 from .parsing import add_command, number, option_group
@@ -41,7 +41,7 @@ def add_steer(commands: Any) -> None:
 def _steer(arguments: argparse.Namespace) -> int:
     steering = LaneSteering(period=PERIOD)
     motion = Motion(arguments.set_speed, 0.0)
-    state: State | None = None
+    state: SteeringState | None = None
     due, engaged = 0.0, False
     source = Input(arguments)
     with source as cycles:
@@ -49,7 +49,7 @@ def _steer(arguments: argparse.Namespace) -> int:
             scene = view.scene if view.usable else None
             command = steering.update(t, scene, view.age, motion, arguments.set_speed)
             motion = Motion(command.speed, command.speed * command.curvature)
-            engaged |= command.state is not State.HANDOVER
+            engaged |= command.state is not SteeringState.HANDOVER
             if command.state is not state or t >= due - 1e-9:
                 _print(t, command, as_json=arguments.json)
                 state, due = command.state, t + arguments.every

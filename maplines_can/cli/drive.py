@@ -21,7 +21,7 @@ from ..maps import LaneTracker, Map, Route, load, town_path
 from ..maps.line_source import WINDOW, ChooseComponents, LineSource
 from ..maps.view import AHEAD, BEHIND
 from ..propagation.component_counts import component_counts
-from ..simulation.trajectory import State
+from ..simulation.trajectory import CarState
 from ..simulation.transmission import Counters, Drive, TruthRecorder
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, Slot
@@ -320,7 +320,7 @@ def _truth_path(arguments: argparse.Namespace) -> str | None:
 
 
 def _start_text(
-    found: Map, route: Route | None, states: State, arguments: argparse.Namespace
+    found: Map, route: Route | None, states: CarState, arguments: argparse.Namespace
 ) -> str:
     """Return what is about to begin."""
     name = f"{arguments.drive} on {found.name}" if route is None else found.name
@@ -329,14 +329,14 @@ def _start_text(
     return f"{name}{way}: {km:.1f} km, {states.t[-1] - states.t[0]:.0f} s, {arguments.rate:g} Hz"
 
 
-def _length(states: State) -> float:
+def _length(states: CarState) -> float:
     return float(np.hypot(*np.diff(states.pose[:, :2], axis=0).T).sum())
 
 
-def _result(states: State, counters: Counters, arguments: argparse.Namespace) -> dict[str, Any]:
+def _result(states: CarState, counters: Counters, arguments: argparse.Namespace) -> dict[str, Any]:
     """Return the counters of a drive, for JSON."""
     taken = counters.cycles + counters.late_cycles
-    driven = State(*(values[:taken] for values in states))
+    driven = CarState(*(values[:taken] for values in states))
     duration = taken / arguments.rate
     return asdict(counters) | {
         "left_out": dict(counters.left_out),

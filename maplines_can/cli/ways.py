@@ -12,7 +12,7 @@ from ..maps.formats.load import map_path
 from ..simulation.along_route import drive_along
 from ..simulation.map_frame import check_on_map
 from ..simulation.recorded import RecordedDrive
-from ..simulation.trajectory import SimulatedDrive, State
+from ..simulation.trajectory import CarState, SimulatedDrive
 from ..values.errors import DriveFileError, RouteError
 from .output import counts_text
 from .parsing import option_group
@@ -161,7 +161,7 @@ def _from_log(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
         raise DriveFileError(f"{arguments.drive}: {error}") from error
 
 
-def states_of(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> State:
+def states_of(way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace) -> CarState:
     """Return the true states at the sending rate."""
     times = way.times(arguments.rate)
     if arguments.seconds is not None:

@@ -236,7 +236,7 @@ def outlier_weight(w: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.minimum(1.0, threshold(OUTLIERS, w.shape[-1]) / square.clip(1e-9)))
 
 
-class Verdict(NamedTuple):
+class ConsistencyResult(NamedTuple):
     """Result of a test. Each field is of the shape of the batch."""
 
     statistic: NDArray[np.float64]  #: the largest one of this cycle, in units of its threshold
@@ -307,7 +307,7 @@ class ConsistencyTest:
         turn: float = 0.0,
         keys: tuple[object, ...] | None = None,
         kept: NDArray[np.float64] | None = None,
-    ) -> Verdict:
+    ) -> ConsistencyResult:
         """Test (..., n) residuals.
 
         Args:
@@ -335,7 +335,7 @@ class ConsistencyTest:
         failed = statistic > 1
         alarmed = self._calm <= lengths[-1]
         self._calm = np.where(failed, 0.0, self._calm + dt)
-        return Verdict(statistic, self._calm <= lengths[-1], failed & ~alarmed)
+        return ConsistencyResult(statistic, self._calm <= lengths[-1], failed & ~alarmed)
 
 
 class _Recent:

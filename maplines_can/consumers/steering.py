@@ -43,7 +43,7 @@ OLDEST, OLDEST_IN_HANDOVER = 0.5, 8.0
 HANDOVER_BRAKING = 1.5
 
 
-class State(StrEnum):
+class SteeringState(StrEnum):
     """State of the lane keeping."""
 
     DRIVING = "driving at the set speed"
@@ -51,7 +51,7 @@ class State(StrEnum):
     HANDOVER = "the driver has to take over; the car brakes"
 
 
-class Reason(StrEnum):
+class SteeringReason(StrEnum):
     """Reason for which the car does not drive at the set speed."""
 
     NONE = "none"
@@ -68,8 +68,8 @@ class Command(NamedTuple):
 
     curvature: float  #: of the path of the rear axle, positive to the left [1/m]
     speed: float  #: [m/s]
-    state: State
-    reason: Reason
+    state: SteeringState
+    reason: SteeringReason
     path: Path | None  #: as known when the actuator reacts; None if there is none
 
 
@@ -199,7 +199,7 @@ class LaneSteering:
         self._t = -math.inf
         self._limiter: CurvatureLimiter | None = None  # from the first update on
         self._speed = 0.0  # the last demand [m/s]
-        self._handover = Reason.NONE
+        self._handover = SteeringReason.NONE
         self._engaged = False  # whether it has driven yet
 
     def update(
@@ -247,26 +247,31 @@ class LaneSteering:
         lines = self._usable(scene, age, motion, route)
         path, width = self._path(lines, motion, ahead)
         reason, fastest = self._fastest(path, speed, set_speed)
-        if path is not None and (fastest > 0 or reason is Reason.NONE):
+        if path is not None and (fastest > 0 or reason is SteeringReason.NONE):
             self._accepted, self._width = lines, width
         else:
             kept, _ = self._path(self._accepted, motion, ahead)
             knows_better = path is None or (
-                reason is Reason.TIGHT and kept is not None and kept.reach >= path.reach
+                reason is SteeringReason.TIGHT and kept is not None and kept.reach >= path.reach
             )
             if knows_better and self._accepted is not None and self._accepted.since <= OLDEST:
                 reason, fastest = self._fastest(kept, speed, set_speed)
             path = kept if self._engaged else path
 
-        if self._handover is not Reason.NONE:
-            state, reason, fastest = State.HANDOVER, self._handover, 0.0
-        elif fastest == 0.0 and reason is not Reason.NONE:
-            state, self._handover = State.HANDOVER, reason if self._engaged else Reason.NONE
+        if self._handover is not SteeringReason.NONE:
+            state, reason, fastest = SteeringState.HANDOVER, self._handover, 0.0
+        elif fastest == 0.0 and reason is not SteeringReason.NONE:
+            state, self._handover = (
+                SteeringState.HANDOVER,
+                reason if self._engaged else SteeringReason.NONE,
+            )
         else:
-            state = State.DRIVING if reason is Reason.NONE else State.SLOWING
+            state = (
+                SteeringState.DRIVING if reason is SteeringReason.NONE else SteeringState.SLOWING
+            )
             if not self._engaged:  # until now, the driver has driven
                 self._speed, self._engaged = speed, True
-        brake = limits.deceleration * (HANDOVER_BRAKING if state is State.HANDOVER else 1.0)
+        brake = limits.deceleration * (HANDOVER_BRAKING if state is SteeringState.HANDOVER else 1.0)
         faster = self._speed + limits.acceleration * min(dt, self.period)
         self._speed = min(max(fastest, self._speed - brake * dt), faster)
         wanted = limiter.demand
@@ -295,7 +300,7 @@ class LaneSteering:
         self, scene: Scene | None, age: float, motion: Motion, route: Slot | None
     ) -> _Lines | None:
         """Return the lines of a scene; None if they are not to be used, or not any more."""
-        if scene is None or self._handover is not Reason.NONE:
+        if scene is None or self._handover is not SteeringReason.NONE:
             return None
         # A line may be lost, and the first scene grows line by line.
         followed = (Slot.EGO_LEFT, Slot.EGO_RIGHT) if route is None else (route,)
@@ -339,33 +344,38 @@ class LaneSteering:
         offset = min(max(path.offset, -largest), largest)
         return float(-K @ [offset, path.heading, curvature, limiter.demand] + F @ ahead)
 
-    def _fastest(self, path: Path | None, speed: float, set_speed: float) -> tuple[Reason, float]:
+    def _fastest(
+        self, path: Path | None, speed: float, set_speed: float
+    ) -> tuple[SteeringReason, float]:
         """Return the largest speed now, and what limits it; 0 m/s for a handover."""
         limits = self.limits
         if path is None:
-            return Reason.NO_LINES, 0.0
+            return SteeringReason.NO_LINES, 0.0
         if abs(path.offset) > limits.offset:
-            return Reason.OFF_LANE, 0.0
+            return SteeringReason.OFF_LANE, 0.0
         known = path.sigma <= limits.sigma
         if not known[0]:
-            return Reason.BAND, 0.0
+            return SteeringReason.BAND, 0.0
         sure = path.reach if known.all() else float(path.s[known.argmin() - 1])
         speeds = {
-            Reason.NONE: set_speed,
-            Reason.RANGE: _stopping_speed(path.reach, limits),
-            Reason.BAND: math.inf if known.all() else _sure_speed(sure, limits),
+            SteeringReason.NONE: set_speed,
+            SteeringReason.RANGE: _stopping_speed(path.reach, limits),
+            SteeringReason.BAND: math.inf if known.all() else _sure_speed(sure, limits),
         }
         stopping = speed * limits.reaction + speed**2 / (2 * limits.deceleration)
         if _tight_from(path, limits.curvature) <= stopping:
-            return Reason.TIGHT, 0.0
+            return SteeringReason.TIGHT, 0.0
         bend = np.abs(path.curvature).clip(max=limits.curvature)
         with np.errstate(divide="ignore", over="ignore"):
             squared = limits.lateral_acceleration / bend
         squared += 2 * limits.deceleration * np.maximum(path.s - speed * limits.reaction, 0.0)
-        speeds[Reason.CURVE] = math.sqrt(float(squared.min()))
+        speeds[SteeringReason.CURVE] = math.sqrt(float(squared.min()))
         reason = min(speeds, key=lambda key: speeds[key])
         fastest = speeds[reason]
-        return reason, fastest if fastest >= limits.least_speed or reason is Reason.NONE else 0.0
+        return (
+            reason,
+            fastest if fastest >= limits.least_speed or reason is SteeringReason.NONE else 0.0,
+        )
 
 
 def _tight_from(path: Path, largest: float) -> float:

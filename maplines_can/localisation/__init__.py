@@ -6,9 +6,10 @@ from .localisation_layer import LocalisationLayer
 from .measurements import CameraLines, GnssFix, Odometry, PoseFix, SeenLandmarks
 from .odometry_stream import CarLimits
 from .sensor_errors import GaussMarkov, SensorErrors
-from .step import Outcome
+from .step import BlockOutcome
 
 __all__ = [
+    "BlockOutcome",
     "CameraLines",
     "CarLimits",
     "GaussMarkov",
@@ -16,7 +17,6 @@ __all__ = [
     "Localisation",
     "LocalisationLayer",
     "Odometry",
-    "Outcome",
     "PoseFix",
     "Poses",
     "SeenLandmarks",

@@ -24,7 +24,7 @@ from .measurements import Measurement, Observation, Odometry
 from .motion_model import CAMERA, GNSS, HEADING, POSE, initial, predict, speed_of
 from .odometry_stream import CarLimits, OdometryStream, Sample
 from .sensor_errors import SensorErrors
-from .step import Outcome, first, missed, predicted, updated, widen
+from .step import BlockOutcome, first, missed, predicted, updated, widen
 
 Array = NDArray[np.float64]
 
@@ -67,7 +67,7 @@ class Localisation:
         layer: of the map, for lines and landmarks; None if there are none.
         cov: (3, 3) or (n, 3, 3) covariance of the start of several cars.
         history: longest time by which an observation may be late [s].
-        on_outcome: takes each ``Outcome``, in order of time.
+        on_outcome: takes each ``BlockOutcome``, in order of time.
         limits: what the car can do.
 
     Raises:
@@ -83,7 +83,7 @@ class Localisation:
         *,
         cov: ArrayLike | None = None,
         history: float = HISTORY,
-        on_outcome: Callable[[Outcome], None] | None = None,
+        on_outcome: Callable[[BlockOutcome], None] | None = None,
         limits: CarLimits | None = None,
     ) -> None:
         if isinstance(start, Gaussian):
@@ -306,7 +306,7 @@ class Localisation:
             del self._observations[: bisect.bisect_right(self._observations, first, key=_time)]
             self._odometry.forget(first)
 
-    def _count(self, outcome: Outcome) -> None:
+    def _count(self, outcome: BlockOutcome) -> None:
         for value, count in zip(*np.unique(outcome.verdict, return_counts=True), strict=True):
             self._counts[outcome.source, Verdict(value)] += int(count)
         if self._on_outcome is not None:

@@ -64,7 +64,7 @@ Cars = NDArray[np.bool_]
 _BIASES = {"gnss": GNSS, "line": CAMERA, "landmark": slice(0, 0), "pose": FIX}
 
 
-class Outcome(NamedTuple):
+class BlockOutcome(NamedTuple):
     """What became of the B blocks of an observation of n cars, when it can no longer change."""
 
     t: float  #: [s]
@@ -83,7 +83,7 @@ class Point(NamedTuple):
     bank: Bank
     trust: Consistency
     positions: tuple[Position, ...] = ()  #: of the cars whose pose is lost
-    outcome: Outcome | None = None
+    outcome: BlockOutcome | None = None
     is_new: Cars | None = None  #: (n,) cars whose pose does not follow from the point before
     sightings: Mapping[str, Sightings] = {}  #: of the last image, by source
 
@@ -170,7 +170,7 @@ def updated(
     trust = found_again(trust, agreeing(trust))
     own = used[likeliest]
     verdict = np.where((seen.verdict == Verdict.USED) & ~own, Verdict.LOST, seen.verdict)
-    outcome = Outcome(t, seen.source, verdict, seen.squared)
+    outcome = BlockOutcome(t, seen.source, verdict, seen.squared)
     after = Point(t, mean, cov, transition, held, trust, point.positions, outcome, None, sightings)
     return after if trust.known.all() else _sought(after, observation, seen, errors)
 

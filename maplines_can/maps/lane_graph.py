@@ -25,16 +25,16 @@ TURN_LENGTH = 30.0
 TURN_DEPTH = 5
 
 
-class Key(NamedTuple):
+class DirectedLane(NamedTuple):
     """A lane, and whether it is driven against its direction."""
 
     lane: str
     is_against: bool = False
 
     @property
-    def back(self) -> Key:
+    def back(self) -> DirectedLane:
         """The same lane in the other direction."""
-        return Key(self.lane, not self.is_against)
+        return DirectedLane(self.lane, not self.is_against)
 
 
 @dataclass(eq=False, slots=True)
@@ -54,7 +54,7 @@ class DrivenLine:
         back: the same line in the other direction.
     """
 
-    key: Key
+    key: DirectedLane
     side: str
     line: Polyline
     points: NDArray[np.float64]
@@ -99,9 +99,9 @@ class DrivenLane:
     left: DrivenLine
     right: DrivenLine
     centre: DrivenLine
-    successors: tuple[Key, ...]
-    on_left: Key | None
-    on_right: Key | None
+    successors: tuple[DirectedLane, ...]
+    on_left: DirectedLane | None
+    on_right: DirectedLane | None
 
     @property
     def length(self) -> float:
@@ -118,11 +118,11 @@ class LaneGraph:
 
     def __init__(self, lanes: Mapping[str, Lane]) -> None:
         self._lanes = lanes
-        self._driven: dict[Key, DrivenLane] = {}
-        self._rows: dict[Key, tuple[Key, ...]] = {}
-        self._straightest: dict[Key, Key] = {}
+        self._driven: dict[DirectedLane, DrivenLane] = {}
+        self._rows: dict[DirectedLane, tuple[DirectedLane, ...]] = {}
+        self._straightest: dict[DirectedLane, DirectedLane] = {}
 
-    def __getitem__(self, key: Key) -> DrivenLane:
+    def __getitem__(self, key: DirectedLane) -> DrivenLane:
         """Return a lane in a direction; it and its lines are always the same objects."""
         known = self._driven.get(key)
         if known is None:
@@ -132,7 +132,7 @@ class LaneGraph:
 
     def _add(self, lane: Lane) -> None:
         """Add a lane in both directions."""
-        along, against = Key(lane.id), Key(lane.id, True)
+        along, against = DirectedLane(lane.id), DirectedLane(lane.id, True)
         left = _driven_line(lane.left, along, "left", "right")
         right = _driven_line(lane.right, along, "right", "left")
         centre = _driven_line(lane.centre, along, "centre", "centre")
@@ -142,33 +142,33 @@ class LaneGraph:
             for links in (lane.successors, lane.predecessors)
         )
         self._driven[along] = DrivenLane(
-            left, right, centre, tuple(map(Key, after)), on_left, on_right
+            left, right, centre, tuple(map(DirectedLane, after)), on_left, on_right
         )
         self._driven[against] = DrivenLane(
             right.back,
             left.back,
             centre.back,
-            tuple(Key(i, True) for i in before),
+            tuple(DirectedLane(i, True) for i in before),
             on_right and on_right.back,
             on_left and on_left.back,
         )
 
-    def _beside(self, lane: Lane) -> tuple[Key | None, Key | None]:
+    def _beside(self, lane: Lane) -> tuple[DirectedLane | None, DirectedLane | None]:
         """Return the lanes on the left and on the right."""
-        beside = [i and Key(i) for i in (lane.left_neighbour, lane.right_neighbour)]
+        beside = [i and DirectedLane(i) for i in (lane.left_neighbour, lane.right_neighbour)]
         if other := lane.opposite_left:
             side = 0 if _is_on_left(lane, self._lanes[other]) else 1
-            beside[side] = beside[side] or Key(other, is_against=True)
+            beside[side] = beside[side] or DirectedLane(other, is_against=True)
         on_left, on_right = beside
         return on_left or None, on_right or None
 
-    def row(self, key: Key) -> tuple[Key, ...]:
+    def row(self, key: DirectedLane) -> tuple[DirectedLane, ...]:
         """Return the lanes beside each other, from left to right, as seen from one of them."""
         if key not in self._rows:
             self._rows[key] = tuple(self._find_row(key))
         return self._rows[key]
 
-    def _find_row(self, key: Key) -> Iterable[Key]:
+    def _find_row(self, key: DirectedLane) -> Iterable[DirectedLane]:
         if key.is_against:
             return [other.back for other in reversed(self.row(key.back))]
         row = [key]
@@ -178,7 +178,9 @@ class LaneGraph:
             row.append(other)
         return row
 
-    def way(self, key: Key, path: Sequence[Key], reach: float) -> Iterator[Key]:
+    def way(
+        self, key: DirectedLane, path: Sequence[DirectedLane], reach: float
+    ) -> Iterator[DirectedLane]:
         """Yield the lanes ahead of a lane, up to a length [m]; each lane once.
 
         The way follows the path. Where the path changes lanes, the way remains beside it as far as
@@ -212,7 +214,7 @@ class LaneGraph:
             reach -= lane.length
             yield key
 
-    def reachable(self, key: Key, distance: float) -> set[Key]:
+    def reachable(self, key: DirectedLane, distance: float) -> set[DirectedLane]:
         """Return the lanes ahead that begin up to a distance [m] from the end of a lane."""
         least = {key: 0.0}
         open_keys = [key]
@@ -226,7 +228,7 @@ class LaneGraph:
         del least[key]
         return set(least)
 
-    def straightest(self, key: Key) -> Key | None:
+    def straightest(self, key: DirectedLane) -> DirectedLane | None:
         """Return the successor whose way turns least."""
         after = self[key].successors
         if len(after) < 2:
@@ -238,7 +240,7 @@ class LaneGraph:
             )
         return self._straightest[key]
 
-    def _turn(self, key: Key, heading: float, reach: float, depth: int) -> float:
+    def _turn(self, key: DirectedLane, heading: float, reach: float, depth: int) -> float:
         """Return the least angle between a heading and the directions of the ways at a distance."""
         lane = self[key]
         rest = reach - lane.length
@@ -261,7 +263,7 @@ def _is_on_left(lane: Lane, opposite: Lane) -> bool:
     return place.t > 0
 
 
-def _driven_line(line: Polyline, key: Key, side: str, back_side: str) -> DrivenLine:
+def _driven_line(line: Polyline, key: DirectedLane, side: str, back_side: str) -> DrivenLine:
     """Return a line of a lane; ``back`` is the same as driven against it."""
     points, length = line.points, line.length
     (x0, y0), (x1, y1) = points[0].tolist(), points[-1].tolist()

@@ -17,7 +17,7 @@ from .landmarks import Landmark
 from .lane import Lane, LaneType, Road, Skipped
 from .matching import LaneIndex, LaneMatch
 from .routing import Route, shortest_route
-from .view import View
+from .view import LaneView
 
 __all__ = ["Lane", "LaneType", "Map", "Road", "Skipped"]
 
@@ -72,9 +72,9 @@ class Map:
         return LaneIndex(self.lanes)
 
     @cached_property
-    def view(self) -> View:
+    def view(self) -> LaneView:
         """Lines around the lanes; it keeps those of the lanes used last."""
-        return View(self.lanes)
+        return LaneView(self.lanes)
 
     @overload
     def match(self, pose: ArrayLike) -> LaneMatch | None: ...

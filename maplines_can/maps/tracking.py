@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..values.arrays import floats
 from ..values.line import Slot
 from ..values.polyline import Polyline
-from .lane_graph import Key
+from .lane_graph import DirectedLane
 from .matching import LaneMatch
 from .model import Map
 from .routing import Route
@@ -67,11 +67,11 @@ class _Track:
         behind: lanes that it has driven on, as driven backward, from the last one on.
     """
 
-    key: Key
+    key: DirectedLane
     around: Surroundings
     lines: Mapping[Slot, Polyline]
-    followed: frozenset[Key]
-    behind: tuple[Key, ...]
+    followed: frozenset[DirectedLane]
+    behind: tuple[DirectedLane, ...]
 
 
 class LaneTracker:
@@ -114,7 +114,7 @@ class LaneTracker:
         match = self._choose(floats(pose, "pose"))
         if match is None:
             return self.lose()
-        key = Key(match.lane, match.is_against)
+        key = DirectedLane(match.lane, match.is_against)
         if last is not None and key == last.key:
             return TrackedLines(last.lines, match)
         track = self._track = self._entered(key, last)
@@ -139,13 +139,13 @@ class LaneTracker:
         index, track = self._map.index, self._track
         if track is None:
             return index.match(pose, self._route.lane_set if self._route else frozenset())
-        near = {Key(match.lane, match.is_against): match for match in index.near(pose)}
+        near = {DirectedLane(match.lane, match.is_against): match for match in index.near(pose)}
         followed = [key for key in near if key in track.followed]
         best = min(near.values(), key=index.cost, default=None)
         if best is None or not followed:
             return best
 
-        def cost(key: Key) -> float:
+        def cost(key: DirectedLane) -> float:
             return index.cost(near[key]) - (MARGIN if key in track.around.lanes else 0.0)
 
         stay = near[min(followed, key=cost)]
@@ -157,7 +157,7 @@ class LaneTracker:
         is_patient = math.dist(self._crossing, (x, y)) < PATIENCE
         return stay if stay.outside <= MARGIN and is_patient else best
 
-    def _entered(self, key: Key, last: _Track | None) -> _Track:
+    def _entered(self, key: DirectedLane, last: _Track | None) -> _Track:
         """Return the track from a lane on."""
         view, route = self._map.view, self._route
         index = None
@@ -175,7 +175,9 @@ class LaneTracker:
             key, around, view.with_route(around, route, index), self._followed(key, behind), behind
         )
 
-    def _followed(self, key: Key, behind: tuple[Key, ...]) -> frozenset[Key]:
+    def _followed(
+        self, key: DirectedLane, behind: tuple[DirectedLane, ...]
+    ) -> frozenset[DirectedLane]:
         """Return the lane, and all that a car on it, or shortly behind it, may reach."""
         graph = self._map.view.graph
         origins = [key, *(other.back for other in graph.way(key.back, behind, BRANCH))]

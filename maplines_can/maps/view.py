@@ -16,7 +16,7 @@ from ..values.line import Slot
 from ..values.polyline import MAX_TURN, Polyline
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
-from .lane_graph import DrivenLine, Key, LaneGraph
+from .lane_graph import DirectedLane, DrivenLine, LaneGraph
 from .matching import LaneMatch, locate, wrapped
 from .routing import Route
 
@@ -61,7 +61,7 @@ CrossSection = tuple[DrivenLine | None, ...]
 class _Way(NamedTuple):
     """A lane and those ahead of it."""
 
-    lanes: list[Key]
+    lanes: list[DirectedLane]
     reaches: list[float]  #: length up to which the lines of each lane are used [m]
     lines: dict[Slot, tuple[DrivenLine, ...]]  #: those of the lane, and those that continue them
 
@@ -80,10 +80,10 @@ class Surroundings:
     lines: Mapping[Slot, Polyline]
     base: Mapping[Slot, DrivenLine]
     parts: Mapping[Slot, tuple[DrivenLine, ...]]
-    lanes: frozenset[Key]
+    lanes: frozenset[DirectedLane]
 
 
-class View:
+class LaneView:
     """Lines of a map around a pose.
 
     Args:
@@ -100,12 +100,12 @@ class View:
 
     def lines(self, match: LaneMatch, route: Route | None) -> dict[Slot, Polyline]:
         """Return the lines around a pose: see ``Map.lines``."""
-        key = Key(match.lane, match.is_against)
+        key = DirectedLane(match.lane, match.is_against)
         index = None if route is None else self.index(key, route)
         behind, ahead = self.paths(route, index)
         return self.with_route(self.around(key, ahead, behind), route, index)
 
-    def index(self, key: Key, route: Route, first: int = 0) -> int | None:
+    def index(self, key: DirectedLane, route: Route, first: int = 0) -> int | None:
         """Return which lane of a route a lane is, or else which one is beside it."""
         try:
             return route.lanes.index(key.lane, first)
@@ -116,13 +116,15 @@ class View:
 
     def paths(
         self, route: Route | None, index: int | None
-    ) -> tuple[tuple[Key, ...], tuple[Key, ...]]:
+    ) -> tuple[tuple[DirectedLane, ...], tuple[DirectedLane, ...]]:
         """Return the lanes of a route behind a lane, as driven backward, and ahead of it."""
         if route is None or index is None:
             return (), ()
         near = route.around(index, BEHIND, AHEAD)
-        behind = tuple(Key(lane, True) for lane in reversed(route.lanes[near.start : index]))
-        return behind, tuple(map(Key, route.lanes[index : near.stop]))
+        behind = tuple(
+            DirectedLane(lane, True) for lane in reversed(route.lanes[near.start : index])
+        )
+        return behind, tuple(map(DirectedLane, route.lanes[index : near.stop]))
 
     def with_route(
         self, around: Surroundings, route: Route | None, index: int | None
@@ -133,7 +135,9 @@ class View:
             lines[Slot.ROUTE] = self._route_line(route, index)
         return lines
 
-    def _around(self, key: Key, ahead: tuple[Key, ...], behind: tuple[Key, ...]) -> Surroundings:
+    def _around(
+        self, key: DirectedLane, ahead: tuple[DirectedLane, ...], behind: tuple[DirectedLane, ...]
+    ) -> Surroundings:
         """Return the lines around a lane that follow the paths ahead and behind.
 
         Args:
@@ -168,7 +172,7 @@ class View:
             frozenset((*front.lanes, *(other.back for other in rear.lanes))),
         )
 
-    def _find_at(self, key: Key) -> CrossSection:
+    def _find_at(self, key: DirectedLane) -> CrossSection:
         """Return the line of each slot at a lane."""
         graph = self.graph
         row = graph.row(key)
@@ -179,7 +183,7 @@ class View:
         edges = graph[row[0]].left, graph[row[-1]].right
         return own.left, own.right, next_left, next_right, own.centre, *edges
 
-    def _way(self, key: Key, path: Sequence[Key], reach: float) -> _Way:
+    def _way(self, key: DirectedLane, path: Sequence[DirectedLane], reach: float) -> _Way:
         """Return a lane with those ahead of it, and the lines of each slot that continue it."""
         lanes, reaches, sections = [key], [math.inf], [self._at(key)]
         for following in self.graph.way(key, path, reach):
@@ -194,7 +198,7 @@ class View:
         lines = {slot: tuple(takewhile(bool, own)) for slot, own in columns if own[0]}
         return _Way(lanes, reaches, lines)
 
-    def _find_following(self, section: CrossSection, following: Key) -> CrossSection:
+    def _find_following(self, section: CrossSection, following: DirectedLane) -> CrossSection:
         """Return the lines that continue those of a lane, where the next one begins.
 
         It is the line of the slot at the next lane, if it begins where this one ends.
@@ -207,7 +211,7 @@ class View:
             found.append(one)
         return tuple(found)
 
-    def _beside(self, slot: Slot, source: DrivenLine, following: Key) -> DrivenLine | None:
+    def _beside(self, slot: Slot, source: DrivenLine, following: DirectedLane) -> DrivenLine | None:
         """Return the line of a successor of a lane that continues its line beside the next lane.
 
         Another lane has opened between, or the lanes beside each other have no common road in a
@@ -229,7 +233,7 @@ class View:
                 return other
         return None
 
-    def _find_leads_beside(self, source: DrivenLine, key: Key) -> bool:
+    def _find_leads_beside(self, source: DrivenLine, key: DirectedLane) -> bool:
         """Return whether a line ends on its side of a lane and in about its direction."""
         lane = self.graph[key]
         boundary = lane.left if source.side == "left" else lane.right

@@ -122,9 +122,9 @@ class Simulation:
         state = view.state
         n, dt = len(state.t), float(state.t[1] - state.t[0])
         L = np.diag(e.pose_sigma)
-        pose = GaussMarkov(rng, (S, 3))
-        local = GaussMarkov(rng, (S, 2, 4))
-        bias = GaussMarkov(rng, (S, 3))
+        pose = UnitGaussMarkov(rng, (S, 3))
+        local = UnitGaussMarkov(rng, (S, 2, 4))
+        bias = UnitGaussMarkov(rng, (S, 3))
         constant = rng.standard_normal((S, 2, 4)) * [e.map_offset, e.map_heading, 0, 0]
         scale = 1 + e.speed_scale * rng.standard_normal(S)
         gyro = e.yaw_rate_bias * rng.standard_normal(S)
@@ -194,7 +194,7 @@ class Simulation:
         return error, np.sqrt(np.einsum("sxi,sij,sxj->sx", J, cov, J))
 
 
-class GaussMarkov:
+class UnitGaussMarkov:
     """First-order Gauss-Markov processes with variance 1, stationary from the first step on."""
 
     def __init__(self, rng: np.random.Generator, shape: tuple[int, ...]) -> None:

@@ -17,7 +17,7 @@ from ..values.polyline import Polyline
 from ..values.scene import Scene
 from ..values.seen_lines import SeenLines
 from ..wire import Codec, Decoder
-from .trajectory import SimulatedDrive, State
+from .trajectory import CarState, SimulatedDrive
 from .truth import Y_PLACES, true_lines
 
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ AGE, FRAME = 0.02, 0.00025
 class DriveView(NamedTuple):
     """Ego lane at (n,) times of a drive; NaN where a line is not given."""
 
-    state: State
+    state: CarState
     lines: Array  #: (n, 2, 4) cubics of both lines from the true pose
     fit_ranges: Array  #: (n, 2, 2) in which they were fitted [m]
     true: Array  #: (n, 2, 3) lateral positions of the lines at ``PLACES`` [m]

@@ -17,7 +17,7 @@ from ..values.line import MapLine, Slot
 from ..values.polyline import Polyline
 from ..values.scene import Scene
 from ..wire import Codec, Monitor
-from .camera import Errors, GaussMarkov
+from .camera import Errors, UnitGaussMarkov
 from .camera_view import AGE, CAMERA_WINDOW, COLUMNS, FRAME, LANE, camera_lines
 from .pose_source import PoseSource
 from .trajectory import SimulatedDrive
@@ -26,7 +26,7 @@ from .truth import true_lines
 Array = NDArray[np.float64]
 
 
-class Moment(NamedTuple):
+class CarCycle(NamedTuple):
     """One cycle of a drive, after its scene has arrived."""
 
     t_ns: int  #: now [ns]
@@ -75,11 +75,11 @@ class CarStream:
         self._offsets: dict[int, Array] = {}  # of each line of the map
         self._has_camera = has_camera
 
-    def __call__(self, start: float, end: float, rate: float = 20.0) -> Iterator[Moment]:
+    def __call__(self, start: float, end: float, rate: float = 20.0) -> Iterator[CarCycle]:
         """Yield the moments from start to end of the drive [s], at a rate [1/s]."""
         e, rng, dt = self._errors, self._rng, 1 / rate
         monitor = Monitor(self._codec.decoder(cycle_ms=1000 * dt))
-        bias = GaussMarkov(rng, (3,))
+        bias = UnitGaussMarkov(rng, (3,))
         scale, gyro = (
             1 + e.speed_scale * rng.standard_normal(),
             e.yaw_rate_bias * rng.standard_normal(),
@@ -112,7 +112,7 @@ class CarStream:
             is_new = view.received is not None and view.received.t_ns > round(1e9 * t)
             c, s = math.cos(state.pose[2]), math.sin(state.pose[2])
             R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-            yield Moment(
+            yield CarCycle(
                 t_ns,
                 monitor,
                 view.scene if is_new else None,

@@ -16,7 +16,7 @@ from ..values.gaussian import Gaussian
 from .columns import POSITION, chosen, quantities, read_csv
 from .map_frame import north, project
 from .recorded_errors import covariances, covered, first_problem, linear, valid_series
-from .trajectory import State, even_times
+from .trajectory import CarState, even_times
 
 #: Longest time between two records that is interpolated [s].
 MAX_GAP = 1.5
@@ -197,7 +197,7 @@ class RecordedDrive:
         times = even_times(self.start, self.end, rate)
         return times[self.covers(times)]
 
-    def at(self, t: ArrayLike) -> State:
+    def at(self, t: ArrayLike) -> CarState:
         """Return pose and motion at one time or at (n,) times [s]; the heading is continuous.
 
         Raises:
@@ -212,7 +212,7 @@ class RecordedDrive:
             else linear(self.t, self.speed, t)
         )
         yaw_rate = rate[..., 2] if self.yaw_rate is None else linear(self.t, self.yaw_rate, t)
-        return State(t, pose, np.asarray(speed), np.asarray(yaw_rate))
+        return CarState(t, pose, np.asarray(speed), np.asarray(yaw_rate))
 
     def stated(self, t: float) -> Gaussian:
         """Return the recorded pose at a time, with its recorded covariance.

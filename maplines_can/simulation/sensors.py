@@ -23,7 +23,7 @@ from ..localisation import (
 from ..localisation.measurements import Measurement
 from ..values.line import Kind
 from .recorded import RecordedDrive
-from .trajectory import SimulatedDrive, State, even_times
+from .trajectory import CarState, SimulatedDrive, even_times
 
 Array = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ class Arrival(NamedTuple):
 class Way(Protocol):
     """True motion of a car: a drive, or what is known so far of a car in a closed loop."""
 
-    def at(self, t: ArrayLike, /) -> State:
+    def at(self, t: ArrayLike, /) -> CarState:
         """Return pose and motion at (k,) times [s]."""
 
 

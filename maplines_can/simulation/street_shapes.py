@@ -17,7 +17,7 @@ from ..values.polyline import Polyline
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
-class Piece(NamedTuple):
+class StreetPiece(NamedTuple):
     """Piece of a street: straight, arc, or clothoid, whose curvature changes linearly."""
 
     length: float  #: [m]
@@ -44,13 +44,13 @@ class Street:
            [8., 8.]])
     """
 
-    pieces: Sequence[Piece]
+    pieces: Sequence[StreetPiece]
     behind: float = 0.0
     _s: NDArray[np.float64] = field(init=False, repr=False)
     _rows: NDArray[np.float64] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        pieces = np.array([Piece(*map(float, piece)) for piece in self.pieces]).reshape(-1, 3)
+        pieces = np.array([StreetPiece(*map(float, piece)) for piece in self.pieces]).reshape(-1, 3)
         if not len(pieces) or not np.isfinite(pieces).all() or not (pieces[:, 0] > 0).all():
             raise ValueError("pieces must have at least one, of a finite length of more than 0 m")
         length, begin, end = pieces.T
@@ -163,34 +163,44 @@ def streets() -> Iterator[tuple[str, str, dict[Slot, Polyline]]]:
     def each_metre(street: Street) -> NDArray[np.float64]:
         return np.linspace(street.begin, street.end, round(street.end - street.begin) + 1)
 
-    corner = Street([Piece(60), Piece(8 * np.pi / 2, 1 / 8, 1 / 8), Piece(60)], behind=40)
+    corner = Street(
+        [StreetPiece(60), StreetPiece(8 * np.pi / 2, 1 / 8, 1 / 8), StreetPiece(60)], behind=40
+    )
     yield (
         "corner",
         "straight for 20 m, then a 90 deg corner to the left of radius 8 m",
         lanes(corner, each_metre(corner)),
     )
     for radius in (12.0, 50.0):
-        circle = Street([Piece(1.9 * np.pi * radius, 1 / radius, 1 / radius)], np.pi * radius / 2)
+        circle = Street(
+            [StreetPiece(1.9 * np.pi * radius, 1 / radius, 1 / radius)], np.pi * radius / 2
+        )
         yield (
             f"roundabout-{radius:g}m",
             f"in a roundabout of radius {radius:g} m",
             lanes(circle, each_metre(circle)),
         )
-    ramp = [Piece(60, 0, -1 / 60), Piece(90, -1 / 60, -1 / 60)]
-    leaving = Street([Piece(90), *ramp], behind=60)
+    ramp = [StreetPiece(60, 0, -1 / 60), StreetPiece(90, -1 / 60, -1 / 60)]
+    leaving = Street([StreetPiece(90), *ramp], behind=60)
     yield (
         "exit",
         "motorway exit: straight for 30 m, then a clothoid of 60 m to the right to radius 60 m",
         lanes(leaving, each_metre(leaving)),
     )
-    bends = [Piece(10, 0, 1 / 40), Piece(20, 1 / 40, 1 / 40), Piece(20, 1 / 40, -1 / 40)]
-    s_bend = Street([Piece(45), *bends, Piece(20, -1 / 40, -1 / 40), Piece(60)], behind=30)
+    bends = [
+        StreetPiece(10, 0, 1 / 40),
+        StreetPiece(20, 1 / 40, 1 / 40),
+        StreetPiece(20, 1 / 40, -1 / 40),
+    ]
+    s_bend = Street(
+        [StreetPiece(45), *bends, StreetPiece(20, -1 / 40, -1 / 40), StreetPiece(60)], behind=30
+    )
     yield (
         "s-bend",
         "straight for 15 m, then bends of radius 40 m to the left and to the right",
         lanes(s_bend, each_metre(s_bend)),
     )
-    straight = Street([Piece(150)], behind=50)
+    straight = Street([StreetPiece(150)], behind=50)
     s = each_metre(straight)
     taper = 3.5 * widening(s, 0.0, 40.0)
     ends = {
@@ -210,7 +220,7 @@ def streets() -> Iterator[tuple[str, str, dict[Slot, Polyline]]]:
         "the lane widens to the right by 3.5 m, from 15 m to 45 m ahead",
         lanes(straight, s, right | {Slot.CENTRE: wider / 2}),
     )
-    bend = Street([Piece(600, 1 / 1500, 1 / 1500)], behind=150)
+    bend = Street([StreetPiece(600, 1 / 1500, 1 / 1500)], behind=150)
     yield (
         "motorway-coarse",
         "motorway of radius 1500 m whose points are 45 m to 90 m apart",

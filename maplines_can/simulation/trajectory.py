@@ -14,7 +14,7 @@ from ..values.polyline import Polyline
 from .smooth_path import STEP, SmoothPath
 
 
-class State(NamedTuple):
+class CarState(NamedTuple):
     """Pose and motion of the car at one time, or at (n,) times."""
 
     t: NDArray[np.float64]  #: (...,) [s]
@@ -142,7 +142,7 @@ class SimulatedDrive:
         """Time from the beginning to the end of the path, with all stops [s]."""
         return self.end - self.start
 
-    def at(self, t: ArrayLike) -> State:
+    def at(self, t: ArrayLike) -> CarState:
         """Return the true pose and motion at one time or at (n,) times [s].
 
         The heading is continuous along the drive, so it may exceed pi.
@@ -154,7 +154,7 @@ class SimulatedDrive:
         if not ((t >= 0) & (t <= self.duration)).all():
             raise ValueError(f"t must be from 0 to {self.duration:g} s, got {t!r}")
         s, speed = self._profile.at(t)
-        return State(t, self._smooth.pose(s), speed, speed * self._smooth.curvature(s))
+        return CarState(t, self._smooth.pose(s), speed, speed * self._smooth.curvature(s))
 
     def times(self, rate: float) -> NDArray[np.float64]:
         """Return the (n,) times of a rate in Hz, from the beginning to the end of the drive [s].

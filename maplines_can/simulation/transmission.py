@@ -19,7 +19,7 @@ from ..maps.line_source import Cycle, LineSource
 from ..values.line import MapLine, MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import POSE, Codec, Frame, Owner, PreparedScene
-from .trajectory import State
+from .trajectory import CarState
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, FaultyOpener
@@ -69,7 +69,7 @@ class TruthRecorder:
     def __init__(self, writer: TruthWriter, tracker: LaneTracker, slots: tuple[Slot, ...]) -> None:
         self._writer, self._tracker, self._slots = writer, tracker, slots
 
-    def add(self, time: float, state: State, cycle: Cycle) -> bool:
+    def add(self, time: float, state: CarState, cycle: Cycle) -> bool:
         """Write a cycle, and return whether the car is on the lane on which it believes to be.
 
         A car without a pose believes nothing.
@@ -109,7 +109,7 @@ class Drive:
     """
 
     source: LineSource
-    states: State
+    states: CarState
     period: float
     codec: Codec
     fd: bool
@@ -217,16 +217,19 @@ class Drive:
         except KeyboardInterrupt:
             self.counters.stopped = True
 
-    def _cycles(self, start_ns: int) -> Iterator[tuple[int, State]]:
+    def _cycles(self, start_ns: int) -> Iterator[tuple[int, CarState]]:
         """Yield the time of each cycle [ns] and the true state."""
         start, end = self.states.t[0], self.states.t[-1]
         before = time.process_time()
         for i, t in enumerate(self.states.t):
             self.progress(t - start, end - start)
-            yield start_ns + round(1e9 * (t - start)), State(*(values[i] for values in self.states))
+            yield (
+                start_ns + round(1e9 * (t - start)),
+                CarState(*(values[i] for values in self.states)),
+            )
             self.counters.cpu = time.process_time() - before
 
-    def _cycle(self, t_ns: int, state: State) -> Cycle:
+    def _cycle(self, t_ns: int, state: CarState) -> Cycle:
         """Return the lines of a cycle, counted and with the truth recorded."""
         cycle = self.source.cycle(float(state.t), state.pose)
         self.counters.add(cycle)

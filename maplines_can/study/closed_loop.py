@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..consumers.steering import LaneSteering, Reason, State
+from ..consumers.steering import LaneSteering, SteeringReason, SteeringState
 from ..maps import Map, Route
 from ..maps.line_source import WINDOW, LineSource
 from ..propagation import MapError, Motion, map_scene
@@ -89,7 +89,7 @@ class Car:
             self.pose = self.pose + step
 
 
-class Localisation:
+class ReportedPoses:
     """Stated poses: Gauss-Markov errors, and dead reckoning in an outage.
 
     In an outage, the error grows by a yaw rate bias and a scale of the speed, both constant, drawn
@@ -145,7 +145,7 @@ class Localisation:
         return Gaussian.trusted(true_pose + T @ self._error[:3], (cov + cov.T) / 2)
 
 
-class Moment(NamedTuple):
+class LoopCycle(NamedTuple):
     """One period of a closed loop."""
 
     t: float  #: [s]
@@ -154,8 +154,8 @@ class Moment(NamedTuple):
     stated_error: float  #: of the stated pose, across the road [m]
     speed: float  #: [m/s]
     curvature: float  #: [1/m]
-    state: State
-    reason: Reason
+    state: SteeringState
+    reason: SteeringReason
 
 
 class Seen(NamedTuple):
@@ -248,7 +248,7 @@ class ClosedLoop:
         self,
         seconds: float = math.inf,
         tick: Callable[[float], object] = lambda _: None,
-    ) -> list[Moment]:
+    ) -> list[LoopCycle]:
         """Drive until the way ends, or until the car has handed over and stopped.
 
         Args:
@@ -258,9 +258,9 @@ class ClosedLoop:
         codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
         monitor = Monitor(codec.decoder())
         random = np.random.default_rng(self.seed)
-        place = Place(self.line.points, self.line.distance)
+        place = RouteProgress(self.line.points, self.line.distance)
         car = Car(place.pose(self.way[0]), 0.0)
-        moments: list[Moment] = []
+        moments: list[LoopCycle] = []
         demands = (0.0, 0.0)
         # The car drives on by the last demands, until the lines have arrived and are used.
         latency = STEP * round((AGE + 2 * TRANSMISSION) / STEP)
@@ -297,7 +297,7 @@ class ClosedLoop:
             demands = command.curvature, command.speed
             car.drive(*demands, PERIOD - latency)
             moments.append(
-                Moment(
+                LoopCycle(
                     t,
                     along,
                     error,
@@ -309,7 +309,7 @@ class ClosedLoop:
                 )
             )
             tick(PERIOD)
-            if command.state is State.HANDOVER and car.speed < 0.05 and t > START:
+            if command.state is SteeringState.HANDOVER and car.speed < 0.05 and t > START:
                 break
         return moments
 
@@ -319,7 +319,7 @@ def without(scene: Scene, slot: Slot) -> Scene:
     return scene.subset(line.slot for line in scene.lines if line.slot != slot)
 
 
-class Place:
+class RouteProgress:
     """Distance along a line of a pose that follows it.
 
     Args:

@@ -17,7 +17,7 @@ from ..localisation.measurements import Measurement
 from ..simulation.sensors import Arrival
 
 
-class Moment(NamedTuple):
+class FaultedMeasurement(NamedTuple):
     """A measurement that a fault changes."""
 
     one: Any  #: the measurement
@@ -26,7 +26,7 @@ class Moment(NamedTuple):
 
 
 #: Returns the measurement that arrives instead; None for none.
-Change = Callable[[Moment], Any]
+Change = Callable[[FaultedMeasurement], Any]
 
 
 class SensorFault(NamedTuple):
@@ -46,11 +46,11 @@ SENSORS: dict[str, type] = {
 }
 
 
-def _frozen(at: Moment) -> Any:
+def _frozen(at: FaultedMeasurement) -> Any:
     return at.last._replace(t=at.one.t)
 
 
-def _dropped(_: Moment) -> None:
+def _dropped(_: FaultedMeasurement) -> None:
     return None
 
 
@@ -81,14 +81,14 @@ def _set(field: str, value: float) -> Change:
 def _noisy(field: str, sigma: float) -> Change:
     rng = np.random.default_rng(3)
 
-    def change(at: Moment) -> Any:
+    def change(at: FaultedMeasurement) -> Any:
         value = getattr(at.one, field)
         return at.one._replace(**{field: value + sigma * rng.standard_normal(value.shape)})
 
     return change
 
 
-def _still(at: Moment) -> Any:
+def _still(at: FaultedMeasurement) -> Any:
     return at.one._replace(wheel_speed=0 * at.one.wheel_speed, yaw_rate=0 * at.one.yaw_rate)
 
 
@@ -168,7 +168,7 @@ def injected(
             yield Arrival(t, one)
         elif begin <= one.t < end or (one.t >= end and not count):
             count += 1
-            changed = fault.change(Moment(one, one.t - begin, last or one))
+            changed = fault.change(FaultedMeasurement(one, one.t - begin, last or one))
             if changed is not None:
                 yield Arrival(t, changed)
         else:

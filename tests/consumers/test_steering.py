@@ -16,9 +16,9 @@ from maplines_can.consumers.steering import (
     CUT,
     SLOW,
     LaneSteering,
-    Reason,
-    State,
     SteeringLimits,
+    SteeringReason,
+    SteeringState,
     model,
     preview_gains,
     riccati,
@@ -129,13 +129,13 @@ def test_the_set_speed_is_reached_by_the_acceleration() -> None:
     speeds = [command.speed for command in commands]
     assert speeds[0] == pytest.approx(10.0 + 1.5 * 0.05)
     assert speeds[-1] == 13.9
-    assert {command.state for command in commands} == {State.DRIVING}
+    assert {command.state for command in commands} == {SteeringState.DRIVING}
 
 
 def test_it_can_stop_where_the_lines_end() -> None:
     """The speed and deceleration lead to a stop within the reach, with the reaction time."""
     command = driven(LaneSteering(), [straight(reach=20.0)], speed=10.0)[-1]
-    assert (command.state, command.reason) == (State.SLOWING, Reason.RANGE)
+    assert (command.state, command.reason) == (SteeringState.SLOWING, SteeringReason.RANGE)
     limits = SteeringLimits()
     reach = command.path.reach
     v = LaneSteering()._fastest(command.path, 10.0, 13.9)[1]
@@ -149,7 +149,7 @@ def test_it_slows_down_where_the_band_is_too_wide() -> None:
     lines = tuple(replace(line, gaussian=Gaussian(line.gaussian.mean, cov)) for line in wide.lines)
     wide = replace(wide, lines=lines, cov=np.kron(np.eye(2), cov))
     command = driven(LaneSteering(), [wide] * 40, speed=12.0)[-1]
-    assert (command.state, command.reason) == (State.SLOWING, Reason.BAND)
+    assert (command.state, command.reason) == (SteeringState.SLOWING, SteeringReason.BAND)
     stopping = command.speed * 0.3 + command.speed**2 / (2 * 2.5)
     assert stopping == pytest.approx(13.7 - 12 * 0.15, abs=0.5)
 
@@ -157,22 +157,22 @@ def test_it_slows_down_where_the_band_is_too_wide() -> None:
 @pytest.mark.parametrize(
     ("scene", "reason"),
     [
-        pytest.param(straight(sigma=0.3), Reason.BAND, id="band-at-the-car"),
-        pytest.param(straight(reach=2.3), Reason.RANGE, id="lines-too-short"),
-        pytest.param(straight(offset=1.3), Reason.OFF_LANE, id="off-the-lane"),
+        pytest.param(straight(sigma=0.3), SteeringReason.BAND, id="band-at-the-car"),
+        pytest.param(straight(reach=2.3), SteeringReason.RANGE, id="lines-too-short"),
+        pytest.param(straight(offset=1.3), SteeringReason.OFF_LANE, id="off-the-lane"),
     ],
 )
-def test_it_hands_over_for_good(scene: Scene, reason: Reason) -> None:
+def test_it_hands_over_for_good(scene: Scene, reason: SteeringReason) -> None:
     """The driver has to take over; good lines do not change that, a reset does."""
     steering = LaneSteering()
     driven(steering, [straight()] * 3)
     (command,) = driven(steering, [scene], first=0.15)
-    assert (command.state, command.reason) == (State.HANDOVER, reason)
+    assert (command.state, command.reason) == (SteeringState.HANDOVER, reason)
     later = driven(steering, [straight()] * 200, first=0.2)
-    assert {c.state for c in later} == {State.HANDOVER}
+    assert {c.state for c in later} == {SteeringState.HANDOVER}
     assert later[-1].speed == 0.0
     steering.reset()
-    assert driven(steering, [straight()], first=20.0)[0].state is State.DRIVING
+    assert driven(steering, [straight()], first=20.0)[0].state is SteeringState.DRIVING
 
 
 def test_it_hands_over_after_half_a_second_without_lines() -> None:
@@ -180,9 +180,9 @@ def test_it_hands_over_after_half_a_second_without_lines() -> None:
     driven(steering, [straight()] * 5)
     commands = driven(steering, [None] * 20, first=0.25)
     states = [command.state for command in commands]
-    first = states.index(State.HANDOVER)
+    first = states.index(SteeringState.HANDOVER)
     assert first == 9  # the last pose was 0.05 s before the last of the five cycles
-    assert commands[first].reason is Reason.NO_LINES
+    assert commands[first].reason is SteeringReason.NO_LINES
     # Until then, it follows the last lines, which come nearer.
     reaches = [command.path.reach for command in commands[:first]]
     assert np.diff(reaches) == pytest.approx([-0.5] * (first - 1))
@@ -202,15 +202,15 @@ def test_a_scene_without_the_line_of_the_route_is_not_used() -> None:
         scene = with_route if k < 5 else lane
         command = steering.update(0.05 * k, scene, 0.05, Motion(5.0, 0.0), 13.9, Slot.ROUTE)
         states.append(command.state)
-    assert State.HANDOVER not in states[:13]
-    assert states[-1] is State.HANDOVER
-    assert command.reason is Reason.NO_LINES
+    assert SteeringState.HANDOVER not in states[:13]
+    assert states[-1] is SteeringState.HANDOVER
+    assert command.reason is SteeringReason.NO_LINES
 
 
 def test_it_begins_with_the_first_lines() -> None:
     steering = LaneSteering()
     commands = driven(steering, [None] * 5 + [straight()] * 2)
-    assert [c.state for c in commands] == [State.HANDOVER] * 5 + [State.DRIVING] * 2
+    assert [c.state for c in commands] == [SteeringState.HANDOVER] * 5 + [SteeringState.DRIVING] * 2
 
 
 def corner_path(speed: float) -> Any:
@@ -223,7 +223,7 @@ def corner_path(speed: float) -> Any:
 
 def test_curves_limit_the_lateral_acceleration() -> None:
     command = corner_path(4.0)
-    assert command.reason is Reason.CURVE
+    assert command.reason is SteeringReason.CURVE
     fastest = LaneSteering()._fastest(command.path, 4.0, 13.9)[1]
     worst = np.abs(command.path.curvature).max()
     assert math.sqrt(2.0 / worst) <= fastest + 1e-9 <= math.sqrt(2.0 * 12) * 1.1
@@ -232,7 +232,7 @@ def test_curves_limit_the_lateral_acceleration() -> None:
 def test_a_curve_that_is_too_tight_is_handed_over() -> None:
     path = corner_path(4.0).path
     steering = LaneSteering(SteeringLimits(curvature=1 / 15))
-    assert steering._fastest(path, 4.0, 13.9) == (Reason.TIGHT, 0.0)
+    assert steering._fastest(path, 4.0, 13.9) == (SteeringReason.TIGHT, 0.0)
 
 
 def bend_path(curvature: float, first: float, length: float) -> Path:
@@ -246,14 +246,14 @@ def bend_path(curvature: float, first: float, length: float) -> Path:
 @pytest.mark.parametrize(
     ("curvature", "share", "reason"),
     [
-        pytest.param(0.25, 0.98, Reason.NONE, id="short-peak"),
-        pytest.param(0.25, 1.02, Reason.TIGHT, id="bend"),
-        pytest.param(0.8, 0.96, Reason.NONE, id="high-peak"),
-        pytest.param(0.8, 1.04, Reason.TIGHT, id="corner"),
+        pytest.param(0.25, 0.98, SteeringReason.NONE, id="short-peak"),
+        pytest.param(0.25, 1.02, SteeringReason.TIGHT, id="bend"),
+        pytest.param(0.8, 0.96, SteeringReason.NONE, id="high-peak"),
+        pytest.param(0.8, 1.04, SteeringReason.TIGHT, id="corner"),
     ],
 )
 def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
-    side: int, curvature: float, share: float, reason: Reason
+    side: int, curvature: float, share: float, reason: SteeringReason
 ) -> None:
     """With the excess e over L, and k at full lock, it is off by e L^2 / 2 + (e L)^2 / 2 k."""
     k = SteeringLimits().curvature
@@ -285,7 +285,7 @@ def test_a_turn_at_a_junction_is_driven(radius: float, turn: float, speed: float
         command = steering.update(
             0.05 * k, map_scene(lines, pose, window=WINDOW), 0.0, motion, speed
         )
-        assert command.state is not State.HANDOVER, (at, command.reason)
+        assert command.state is not SteeringState.HANDOVER, (at, command.reason)
 
 
 def test_one_cycle_with_a_curve_that_is_too_tight_is_no_handover() -> None:
@@ -296,17 +296,23 @@ def test_one_cycle_with_a_curve_that_is_too_tight_is_no_handover() -> None:
     )
     steering = LaneSteering(SteeringLimits(curvature=1 / 20))
     commands = driven(steering, [straight()] * 3 + [tight] + [straight()] * 3, speed=3.0)
-    assert {command.state for command in commands} <= {State.DRIVING, State.SLOWING}
+    assert {command.state for command in commands} <= {SteeringState.DRIVING, SteeringState.SLOWING}
     commands = driven(steering, [tight] * 20, speed=3.0, first=0.4)
-    assert (commands[-1].state, commands[-1].reason) == (State.HANDOVER, Reason.TIGHT)
-    begin = [command.state for command in commands].index(State.HANDOVER)
+    assert (commands[-1].state, commands[-1].reason) == (
+        SteeringState.HANDOVER,
+        SteeringReason.TIGHT,
+    )
+    begin = [command.state for command in commands].index(SteeringState.HANDOVER)
     assert 0.05 * begin == pytest.approx(0.5, abs=0.1)  # as long as without lines
 
 
 @pytest.mark.parametrize(
-    ("first", "reason"), [(2.0, Reason.TIGHT), (5.9, Reason.TIGHT), (6.2, Reason.NONE)]
+    ("first", "reason"),
+    [(2.0, SteeringReason.TIGHT), (5.9, SteeringReason.TIGHT), (6.2, SteeringReason.NONE)],
 )
-def test_it_hands_over_while_it_can_stop_before_a_tight_curve(first: float, reason: Reason) -> None:
+def test_it_hands_over_while_it_can_stop_before_a_tight_curve(
+    first: float, reason: SteeringReason
+) -> None:
     """At 4.86 m/s, and with 0.3 s and 2.5 m/s^2, it stops within 6.18 m."""
     path = bend_path(0.25, first, 5.0)
     found = LaneSteering()._fastest(path, 4.86, 3.0)[0]
@@ -317,7 +323,7 @@ def test_a_peak_of_the_curvature_slows_the_car_no_more_than_full_lock() -> None:
     """As at the end of a cubic, beside a car that leaves a corner."""
     limits = SteeringLimits()
     reason, speed = LaneSteering()._fastest(bend_path(1.0, 0.0, 0.3), 3.0, 13.9)
-    assert reason is Reason.CURVE
+    assert reason is SteeringReason.CURVE
     assert speed == pytest.approx(math.sqrt(limits.lateral_acceleration / limits.curvature))
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapLine, Motion, Scene, Slot
 from maplines_can.consumers.curvature_limiter import MAX_DECELERATION, CurvatureLimiter
-from maplines_can.consumers.steering import Command, LaneSteering, Reason, State
+from maplines_can.consumers.steering import Command, LaneSteering, SteeringReason, SteeringState
 from maplines_can.values.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
@@ -216,9 +216,9 @@ def test_the_path_that_makes_it_hand_over_is_not_followed(shift: float, bend: fl
     cycles = [Cycle(Lane(bend=bend))] * 40
     jump = [Cycle(Lane(shift, bend), acceleration=-BRAKING)] * 100
     commands, rows = drive(LaneSteering(), cycles + jump, 25.0)
-    first = next(i for i, c in enumerate(commands) if c.state is State.HANDOVER)
+    first = next(i for i, c in enumerate(commands) if c.state is SteeringState.HANDOVER)
     assert first == 40
-    assert {c.reason for c in commands[40:]} == {Reason.OFF_LANE}
+    assert {c.reason for c in commands[40:]} == {SteeringReason.OFF_LANE}
     paths = [c.path for c in commands[40:] if c.path is not None]
     assert len(paths) == 100
     assert max(abs(path.offset) for path in paths) < 0.3  # the car is one that does as demanded
@@ -236,11 +236,11 @@ def test_the_path_that_makes_it_hand_over_is_not_followed(shift: float, bend: fl
 )
 def test_lines_that_are_no_lane_count_as_none(broken: Lane) -> None:
     """It drives on by the last path for 0.5 s, and hands over then; if they are back, it drives."""
-    for n, state in ((9, State.DRIVING), (12, State.HANDOVER)):
+    for n, state in ((9, SteeringState.DRIVING), (12, SteeringState.HANDOVER)):
         cycles = [Cycle(Lane())] * 5 + [Cycle(broken)] * n + [Cycle(Lane())] * 3
         commands, _ = drive(LaneSteering(), cycles, 39.0)
-        assert commands[13].state is not State.HANDOVER
-        assert (commands[-1].state is State.HANDOVER) == (state is State.HANDOVER)
+        assert commands[13].state is not SteeringState.HANDOVER
+        assert (commands[-1].state is SteeringState.HANDOVER) == (state is SteeringState.HANDOVER)
         assert all(abs(c.curvature) < 1e-3 for c in commands)
 
 
@@ -257,9 +257,9 @@ def test_the_driver_is_not_steered_against_before_it_drives() -> None:
     steering = LaneSteering()
     driver = [Cycle(None, acceleration=1.0, yaw_rate=0.1)] * 200
     commands, rows = drive(steering, [*driver, Cycle(Lane(bend=0.1 / 15), yaw_rate=0.1)], 5.0)
-    assert {c.state for c in commands[:-1]} == {State.HANDOVER}
+    assert {c.state for c in commands[:-1]} == {SteeringState.HANDOVER}
     assert [c.curvature for c in commands] == pytest.approx(0.1 / rows[:, 1], rel=0.02)
-    assert commands[-1].state is not State.HANDOVER
+    assert commands[-1].state is not SteeringState.HANDOVER
     assert commands[-1].speed == pytest.approx(rows[-1, 1], abs=0.2)
 
 
@@ -271,13 +271,13 @@ def test_it_recovers_from_a_handover() -> None:
         command = steering.update(
             1.0 + PERIOD * k, scene_of(Lane()), PERIOD, Motion(19.0, 0.0), 20.0
         )
-        assert (command.state, command.reason) == (State.HANDOVER, Reason.OFF_LANE)
+        assert (command.state, command.reason) == (SteeringState.HANDOVER, SteeringReason.OFF_LANE)
     steering.reset()
     for k in range(10):
         command = steering.update(
             2.0 + PERIOD * k, scene_of(Lane()), PERIOD, Motion(12.0, 0.0), 12.0
         )
-        assert (command.state, command.speed) == (State.DRIVING, 12.0)
+        assert (command.state, command.speed) == (SteeringState.DRIVING, 12.0)
 
 
 def test_a_late_update_brakes_for_its_time() -> None:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from maplines_can import Gaussian
 from maplines_can.localisation import (
+    BlockOutcome,
     GaussMarkov,
     GnssFix,
     Localisation,
     Odometry,
-    Outcome,
     PoseFix,
     SensorErrors,
 )
@@ -186,7 +186,7 @@ def test_late_measurements_are_as_in_order(history: float) -> None:
 
 def test_observations_at_equal_times_are_all_used() -> None:
     """Also those at the time of the start and of an odometry, in any order."""
-    outcomes: list[Outcome] = []
+    outcomes: list[BlockOutcome] = []
     times = [0.0, 0.1, 0.1, 0.2, 0.2, 0.2]
     for order in (times, times[::-1]):
         outcomes.clear()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from lane_maps import lane, network
 
 from maplines_can.maps.joints import SNAP, joined_lines
-from maplines_can.maps.lane_graph import Key, LaneGraph
+from maplines_can.maps.lane_graph import DirectedLane, LaneGraph
 from maplines_can.values.line import Kind
 from maplines_can.values.polyline import Polyline
 
@@ -42,7 +42,7 @@ def test_lines_joined_point_by_point(
 def test_points_of_a_lane_up_to_a_position(s: float, is_against: bool) -> None:
     """They reach the position in either direction, and end with the next point."""
     graph = LaneGraph(network(lane("1")).lanes)
-    line = graph[Key("1", is_against)].left
+    line = graph[DirectedLane("1", is_against)].left
 
     points = line.points_up_to(s)
     whole = line.polyline

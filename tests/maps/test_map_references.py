@@ -16,7 +16,7 @@ from scipy.stats import norm
 from maplines_can.maps import LaneTracker, Map, Road
 from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
-from maplines_can.maps.lane_graph import Key, LaneGraph
+from maplines_can.maps.lane_graph import DirectedLane, LaneGraph
 from maplines_can.maps.matching import LaneMatch, locate
 from maplines_can.maps.tour import _tour_from
 from maplines_can.maps.view import link_gaps
@@ -421,9 +421,9 @@ def test_the_side_of_an_opposite_lane(left_hand: bool, shares: str) -> None:
     if shares in ("left", "right") and (shares == "right") is not left_hand:
         other = lane("b", t=side * WIDTH, backward=True)
     found = network(one, other, opposite=["a b"], left_hand_traffic=left_hand)
-    driven = LaneGraph(found.lanes)[Key("a")]
+    driven = LaneGraph(found.lanes)[DirectedLane("a")]
     beside = driven.on_right if left_hand else driven.on_left
-    assert beside == Key("b", is_against=True)
+    assert beside == DirectedLane("b", is_against=True)
     assert (driven.on_left if left_hand else driven.on_right) is None
 
 
@@ -440,7 +440,7 @@ def test_the_straightest_way_is_that_of_the_next_thirty_metres(turns: Any, first
             links[f"{name}{k}"] = f"{name}{k + 1}" if k < 2 else ""
     found = network(*lanes, links=links)
     best = min("ab", key=lambda name: abs(dict(zip("ab", turns, strict=True))[name]))
-    assert LaneGraph(found.lanes).straightest(Key("in")) == Key(f"{best}0")
+    assert LaneGraph(found.lanes).straightest(DirectedLane("in")) == DirectedLane(f"{best}0")
 
 
 def test_a_way_that_turns_beyond_thirty_metres_is_straight() -> None:
@@ -455,7 +455,7 @@ def test_a_way_that_turns_beyond_thirty_metres_is_straight() -> None:
         lane("s-back", bend, 20.0, curvature=-0.019),
         links={"in": "late s", "late": "corner", "s": "s-back"},
     )
-    assert LaneGraph(found.lanes).straightest(Key("in")) == Key("late")
+    assert LaneGraph(found.lanes).straightest(DirectedLane("in")) == DirectedLane("late")
 
 
 @pytest.mark.parametrize(("turns_at", "is_seen"), [(4, True), (5, True), (6, False)])
@@ -470,7 +470,9 @@ def test_a_way_of_short_lanes_is_judged_by_the_first_six(turns_at: int, is_seen:
             start = end(start, 4.0, curvature)
             links[f"{name}{k}"] = f"{name}{k + 1}" if k < 8 else ""
     found = network(*lanes, links=links)
-    assert LaneGraph(found.lanes).straightest(Key("in")) == Key("b0" if is_seen else "a0")
+    assert LaneGraph(found.lanes).straightest(DirectedLane("in")) == DirectedLane(
+        "b0" if is_seen else "a0"
+    )
 
 
 @pytest.mark.parametrize("arm", [1, 2, 3])
@@ -479,7 +481,9 @@ def test_the_line_of_a_route_is_around_the_car(arm: int) -> None:
     route = RING.route("in0", f"out{arm}", via=["ring0", "ring1", "ring2", "ring3", "ring0"])
     for place, name in enumerate(route.lanes):
         one = RING.lanes[name]
-        line = RING.view.with_route(RING.view.around(Key(name), (), ()), route, place)[Slot.ROUTE]
+        line = RING.view.with_route(RING.view.around(DirectedLane(name), (), ()), route, place)[
+            Slot.ROUTE
+        ]
         pose = pose_on(one, 0.5 * one.length, 0.4)
         (at,) = locate([line], pose[:2])
         assert at.t == pytest.approx(0.4, abs=0.02)
@@ -499,7 +503,7 @@ def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
     places = [0.0, 1.0, 3.0, 30.0, 31.0, 100.0, 180.0, 200.0]
     left, right, centre = (Polyline([[x, y] for x in places]) for y in (2.0, -2.0, 0.0))
     one = replace(lane("1"), left=left, right=right, centre=centre)
-    line = LaneGraph(network(one).lanes)[Key("1", is_against)].left
+    line = LaneGraph(network(one).lanes)[DirectedLane("1", is_against)].left
     points = line.points_up_to(s)
     distance = np.append(0.0, np.hypot(*np.diff(line.points, axis=0).T).cumsum())
     count = int((distance < s).sum()) + 1
@@ -511,14 +515,14 @@ def test_the_points_of_a_line_up_to_a_place(s: float, is_against: bool) -> None:
 def test_the_lanes_that_can_be_reached(distance: float, name: str) -> None:
     """By a search of all ways, whatever their order."""
     graph = LaneGraph(RING.lanes)
-    expected, ways = set(), [(Key(name), 0.0, frozenset([Key(name)]))]
+    expected, ways = set(), [(DirectedLane(name), 0.0, frozenset([DirectedLane(name)]))]
     while ways:
         key, way, seen = ways.pop()
         for other in graph[key].successors:
             if way <= distance and other not in seen:
                 expected.add(other)
                 ways.append((other, way + graph[other].length, seen | {other}))
-    assert graph.reachable(Key(name), distance) == expected
+    assert graph.reachable(DirectedLane(name), distance) == expected
 
 
 def test_gaps_between_lanes_that_cannot_be_driven_are_not_reported() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, lateral, map_lines
 from maplines_can.propagation.misfit import MIN_SIGMA, second_difference_variance
-from maplines_can.simulation.street_shapes import Piece, Street
+from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral_jacobian
 
 ORIGIN = np.zeros(3)
@@ -42,7 +42,7 @@ def second_differences(line: Polyline, refit: Refit, spacing: float) -> Any:
 def test_second_differences_of_clothoids_are_within_three_sigma(curvatures: list[float]) -> None:
     """97 % of them by construction within 2.9, at each spacing, without any error of the pose."""
     ends = zip([0.0, *curvatures], [*curvatures, 0.0], strict=True)
-    street = Street([Piece(30, 0, 0), *(Piece(30, *pair) for pair in ends)], behind=30)
+    street = Street([StreetPiece(30, 0, 0), *(StreetPiece(30, *pair) for pair in ends)], behind=30)
     line = polyline(street)
     refit = Refit(line, ORIGIN)
     for spacing in (5.0, 10.0, 20.0):
@@ -59,7 +59,10 @@ def test_second_differences_of_clothoids_are_within_three_sigma(curvatures: list
 
 def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() -> None:
     """40 m before a clothoid to a radius of 150 m the road is straight, and its cubic is not."""
-    street = Street([Piece(100), Piece(20, 0, 1 / 150), Piece(100, 1 / 150, 1 / 150)], behind=60)
+    street = Street(
+        [StreetPiece(100), StreetPiece(20, 0, 1 / 150), StreetPiece(100, 1 / 150, 1 / 150)],
+        behind=60,
+    )
     ego = Gaussian(ORIGIN, np.diag([0.3, 0.1, 0.003]) ** 2)
     lines = {Slot.EGO_LEFT: polyline(street)}
     (line,) = map_lines(lines, ego, map_error=MapError(point_sigma=0.05))
@@ -74,7 +77,9 @@ def test_the_curvature_of_a_straight_road_before_a_bend_is_within_three_sigma() 
 
 def test_the_variances_are_those_of_chebyshev_polynomials_of_the_range() -> None:
     """1/5 for T_0, and 1/4, 1 and 2 times a level for the others, which numpy evaluates."""
-    street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
+    street = Street(
+        [StreetPiece(60), StreetPiece(30, 0, 0.01), StreetPiece(60, 0.01, 0.01)], behind=30
+    )
     refit = Refit(polyline(street), ORIGIN)
     x = np.linspace(refit.x_range[0], refit.x_range[1], 9)
     J = lateral_jacobian(refit(ORIGIN), x)
@@ -105,7 +110,10 @@ def test_stated_errors_of_the_points_are_not_taken_for_the_shape_of_a_line(spaci
 
 def test_errors_that_are_stated_and_not_there_change_little() -> None:
     """The shape of an exact map is covered all the same."""
-    street = Street([Piece(100), Piece(20, 0, 1 / 150), Piece(100, 1 / 150, 1 / 150)], behind=60)
+    street = Street(
+        [StreetPiece(100), StreetPiece(20, 0, 1 / 150), StreetPiece(100, 1 / 150, 1 / 150)],
+        behind=60,
+    )
     line = polyline(street)
     for error in (None, MapError(point_sigma=0.05)):
         refit = Refit(line, ORIGIN, map_error=error)
@@ -127,5 +135,7 @@ def test_errors_of_interpolated_points_have_the_second_differences_of_draws() ->
 
 def test_the_fit_of_the_paper_has_no_such_covariance() -> None:
     """Without a limit of the misfit, only the error of the map is added."""
-    street = Street([Piece(60), Piece(30, 0, 0.01), Piece(60, 0.01, 0.01)], behind=30)
+    street = Street(
+        [StreetPiece(60), StreetPiece(30, 0, 0.01), StreetPiece(60, 0.01, 0.01)], behind=30
+    )
     assert Refit(polyline(street), ORIGIN, max_misfit=np.inf).noise_cov is None

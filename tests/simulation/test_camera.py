@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can.simulation.camera import Errors, GaussMarkov, Simulation
+from maplines_can.simulation.camera import Errors, Simulation, UnitGaussMarkov
 from maplines_can.simulation.camera_view import DriveView
-from maplines_can.simulation.trajectory import State
+from maplines_can.simulation.trajectory import CarState
 from maplines_can.study.fusion.variants import RIGHT, WRONG
 from maplines_can.study.integrity.sampling import nominal, tail_probability
 from maplines_can.study.integrity.stanford import Shares
@@ -23,7 +23,7 @@ def straight(n: int = 100, dt: float = 0.2, speed: float = 15.0) -> DriveView:
     e = Errors()
     own = np.square([e.map_offset, e.map_heading, 0, 0]) + np.square(e.map_local)
     return DriveView(
-        State(t, pose, np.full(n, speed), np.zeros(n)),
+        CarState(t, pose, np.full(n, speed), np.zeros(n)),
         lines,
         np.tile([-20.0, 80.0], (n, 2, 1)),
         np.tile([[1.75] * 3, [-1.75] * 3], (n, 1, 1)),
@@ -69,7 +69,7 @@ def test_the_same_seed_gives_the_same_track() -> None:
 
 
 def test_a_gauss_markov_process_keeps_its_variance_and_forgets() -> None:
-    process = GaussMarkov(np.random.default_rng(1), (20_000,))
+    process = UnitGaussMarkov(np.random.default_rng(1), (20_000,))
     first = process.step(0.0)
     later = process.step(1.0)
     assert later.var() == pytest.approx(1.0, abs=0.04)

@@ -14,12 +14,12 @@ from scipy.special import fresnel
 
 from maplines_can import map_lines
 from maplines_can.simulation.scenarios import STREETS, scenario
-from maplines_can.simulation.street_shapes import LANES, Piece, Street, lanes, widening
+from maplines_can.simulation.street_shapes import LANES, Street, StreetPiece, lanes, widening
 from maplines_can.values.line import Slot
 from maplines_can.values.seen_lines import MARGIN
 
 PIECES = st.lists(
-    st.builds(Piece, st.floats(1, 80), st.floats(-0.07, 0.07), st.floats(-0.07, 0.07)),
+    st.builds(StreetPiece, st.floats(1, 80), st.floats(-0.07, 0.07), st.floats(-0.07, 0.07)),
     min_size=1,
     max_size=4,
 )
@@ -28,7 +28,7 @@ PIECES = st.lists(
 @given(st.floats(5, 2000), st.sampled_from([-1, 1]), st.floats(-4, 4))
 def test_constant_curvature_is_a_circle(radius: float, side: int, offset: float) -> None:
     """Nearly all of it, whatever the distance of the points; a parallel has the same centre."""
-    street = Street([Piece(1.9 * np.pi * radius, side / radius, side / radius)])
+    street = Street([StreetPiece(1.9 * np.pi * radius, side / radius, side / radius)])
     s = np.array([0.0, 0.3, 1.0, 1.8, 1.9]) * np.pi * radius
     angle = s / radius
     beside = radius - side * offset
@@ -50,13 +50,15 @@ def test_linear_curvature_is_a_clothoid(length: float, radius: float, side: int)
     scale = np.sqrt(np.pi * length * radius)
     sine, cosine = fresnel(s / scale)
 
-    points = Street([Piece(length, 0, side / radius)]).line(s)
+    points = Street([StreetPiece(length, 0, side / radius)]).line(s)
 
     assert np.allclose(points, scale * np.column_stack([cosine, side * sine]), atol=1e-10 * length)
 
 
 @given(PIECES, st.floats(0, 1))
-def test_any_street_agrees_with_numerical_integration(pieces: list[Piece], share: float) -> None:
+def test_any_street_agrees_with_numerical_integration(
+    pieces: list[StreetPiece], share: float
+) -> None:
     """Kinks of the curvature included; at s = 0 it goes through the origin along x."""
     behind = share * sum(piece.length for piece in pieces)
     street = Street(pieces, behind)
@@ -83,7 +85,7 @@ def test_any_street_agrees_with_numerical_integration(pieces: list[Piece], share
 
 def test_points_may_be_in_any_order_and_repeat() -> None:
     """They do not depend on the other points."""
-    street = Street([Piece(30, 0, 0.05), Piece(30, -0.05, 0.02)], behind=12)
+    street = Street([StreetPiece(30, 0, 0.05), StreetPiece(30, -0.05, 0.02)], behind=12)
     s = np.array([40.0, -12, 3, 3, 17])
 
     assert np.allclose(street.line(s), [street.line([one])[0] for one in s], atol=1e-12)
@@ -93,10 +95,10 @@ def test_points_may_be_in_any_order_and_repeat() -> None:
     ("pieces", "behind", "message"),
     [
         ([], 0, "at least one"),
-        ([Piece(0)], 0, "more than 0 m"),
-        ([Piece(np.nan)], 0, "finite"),
-        ([Piece(10)], 11, "behind must be 0 to 10 m, the length of the street, got 11"),
-        ([Piece(10)], -1, "behind must be 0 to 10 m"),
+        ([StreetPiece(0)], 0, "more than 0 m"),
+        ([StreetPiece(np.nan)], 0, "finite"),
+        ([StreetPiece(10)], 11, "behind must be 0 to 10 m, the length of the street, got 11"),
+        ([StreetPiece(10)], -1, "behind must be 0 to 10 m"),
     ],
 )
 def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> None:
@@ -107,7 +109,7 @@ def test_wrong_streets_are_refused(pieces: Any, behind: float, message: str) -> 
 @pytest.mark.parametrize("s", [-1.0, 10.5, np.nan])
 def test_a_place_beyond_the_street_is_refused(s: float) -> None:
     with pytest.raises(ValueError, match="s must be 0 to 10 m"):
-        Street([Piece(10)]).line([1.0, s])
+        Street([StreetPiece(10)]).line([1.0, s])
 
 
 def test_a_lane_widens_smoothly() -> None:
@@ -126,7 +128,7 @@ def test_a_shifted_line_moves_and_ends() -> None:
     s = np.arange(0.0, 50.0)
     shift = {Slot.EGO_LEFT: 0 * s + 0.5, Slot.EGO_RIGHT: np.where(s > 20, np.nan, 0.0)}
 
-    lines = lanes(Street([Piece(50)]), s, shift)
+    lines = lanes(Street([StreetPiece(50)]), s, shift)
 
     assert list(lines) == list(LANES)
     assert (lines[Slot.EGO_LEFT].points[:, 1] == 2.25).all()
@@ -138,7 +140,7 @@ def test_a_shifted_line_moves_and_ends() -> None:
 
 def test_scenes_are_built_without_scipy() -> None:
     """So the command line starts as fast as before."""
-    code = "import sys; from maplines_can import scenarios; sys.exit('scipy' in sys.modules)"
+    code = "import sys; from maplines_can.simulation import scenarios; sys.exit('scipy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
-from maplines_can.consumers.steering import LaneSteering, Reason, State
-from maplines_can.study.closed_loop import DRIFT, Car, Localisation, on_street, without
+from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
+from maplines_can.study.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
 from maplines_can.values.scene import PoseError
 
 SIGMA = (0.3, 0.1, 0.003)
@@ -47,7 +47,7 @@ def test_dead_reckoning_errors_have_the_stated_covariance() -> None:
     """400 outages of 10 s on a street with a bend: the normalised error squared is 3."""
     squares = []
     for seed in range(400):
-        source = Localisation(SIGMA, outages=((0.0, 99.0),), seed=seed)
+        source = ReportedPoses(SIGMA, outages=((0.0, 99.0),), seed=seed)
         pose = np.zeros(3)
         for k in range(21):
             if k:
@@ -63,20 +63,20 @@ def test_dead_reckoning_errors_have_the_stated_covariance() -> None:
 
 
 def test_the_car_stays_in_a_roundabout_and_hands_over_without_lines() -> None:
-    loop = on_street(STREETS["roundabout-12m"].lines, Localisation((0.05, 0.02, 0.001)).pose)
+    loop = on_street(STREETS["roundabout-12m"].lines, ReportedPoses((0.05, 0.02, 0.001)).pose)
     loop.line_outages = ((2.5, 99.0),)
     moments = loop.run()
     assert max(abs(m.error) for m in moments) < 0.3
-    driving = next(m for m in moments if m.state is not State.HANDOVER)
+    driving = next(m for m in moments if m.state is not SteeringState.HANDOVER)
     assert driving.t < 0.5
-    handover = next(m for m in moments if m.t > driving.t and m.state is State.HANDOVER)
+    handover = next(m for m in moments if m.t > driving.t and m.state is SteeringState.HANDOVER)
     assert 2.9 < handover.t < 3.1
-    assert handover.reason is Reason.NO_LINES
+    assert handover.reason is SteeringReason.NO_LINES
     assert moments[-1].speed < 0.05
 
 
 def test_a_car_that_knows_its_pose_follows_a_corner_within_centimetres() -> None:
-    exact = Localisation((1e-6, 1e-6, 1e-6)).pose
+    exact = ReportedPoses((1e-6, 1e-6, 1e-6)).pose
     loop = on_street(STREETS["corner"].lines, exact)
     loop.way = (45.0, 84.0)  # the corner is from 60 m to 72 m
     moments = loop.run()
@@ -94,11 +94,11 @@ def test_the_car_stops_before_a_corner_that_it_cannot_steer() -> None:
         return Polyline(np.concatenate([[[0.0, distance]], bend, [[30 + r, 60.0]]]))
 
     lines = {Slot.EGO_LEFT: beside(1.75), Slot.EGO_RIGHT: beside(-1.75), Slot.CENTRE: beside(0.0)}
-    loop = on_street(lines, Localisation((0.05, 0.02, 0.001)).pose)
+    loop = on_street(lines, ReportedPoses((0.05, 0.02, 0.001)).pose)
     loop.way = (22.0, 60.0)
     moments = loop.run()
     last = moments[-1]
-    assert (last.state, last.reason) == (State.HANDOVER, Reason.TIGHT)
+    assert (last.state, last.reason) == (SteeringState.HANDOVER, SteeringReason.TIGHT)
     assert last.speed < 0.05
     assert last.along < 31.5
     assert max(abs(m.error) for m in moments) < 0.1
@@ -157,7 +157,10 @@ def test_a_car_stays_in_its_lane_if_the_lines_jump_to_the_next_one(speed: float)
     """It hands over, and stops where it was: lines that jump are no reason to leave the lane."""
     car = Car(np.zeros(3), speed)
     commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [3.5] * 160, speed)
-    assert (commands[20].state, commands[20].reason) == (State.HANDOVER, Reason.OFF_LANE)
+    assert (commands[20].state, commands[20].reason) == (
+        SteeringState.HANDOVER,
+        SteeringReason.OFF_LANE,
+    )
     assert np.abs(offsets).max() < 0.05
     assert car.speed < 0.05
 
@@ -166,6 +169,6 @@ def test_a_short_jump_within_the_lane_moves_the_car_little() -> None:
     """By 1.1 m for half a second: it follows as far as the limits permit, and comes back."""
     car = Car(np.zeros(3), 25.0)
     commands, offsets = drive(LaneSteering(), car, [0.0] * 20 + [1.1] * 10 + [0.0] * 100, 25.0)
-    assert {command.state for command in commands} == {State.DRIVING}
+    assert {command.state for command in commands} == {SteeringState.DRIVING}
     assert 0.05 < np.abs(offsets).max() < 0.45
     assert np.abs(offsets[-20:]).max() < 0.02

@@ -32,7 +32,7 @@ WRONG, UNCLEAR = 0.001, 0.05
 MIN_CORRELATION = 0.1
 
 
-class Verdict(Enum):
+class SenderVerdict(Enum):
     """Whether the sender is right."""
 
     RIGHT = "The sender is right"
@@ -40,10 +40,10 @@ class Verdict(Enum):
     WRONG = "The sender is wrong"
 
 
-class Consistency(NamedTuple):
+class SenderConsistency(NamedTuple):
     """Lateral errors compared with what the sender states; at the place where they are largest."""
 
-    verdict: Verdict
+    verdict: SenderVerdict
     x: int  #: place [m]
     ratio: float  #: rms of the errors in stated standard deviations
     independent: float  #: number of independent errors
@@ -61,12 +61,12 @@ class Consistency(NamedTuple):
             f"the lateral errors are {self.ratio:.2g} times the stated sigma of {low:.2g} to "
             f"{high:.2g} cm (rms, {self.x} m ahead; {many} in this drive)."
         )
-        if self.verdict is Verdict.WRONG:
+        if self.verdict is SenderVerdict.WRONG:
             return (
                 f"{self.verdict.value}: {errors}\nIt states too small a covariance, or its map is "
                 "not that of the truth."
             )
-        if self.verdict is Verdict.UNCLEAR:
+        if self.verdict is SenderVerdict.UNCLEAR:
             return f"{self.verdict.value}: {errors}\nA longer drive tells."
         lateral = [one for one in REQUIREMENTS if one.quantity == "lateral"]
         missed = any(met is False for one in lateral for met in accuracy.met(one).values())
@@ -78,7 +78,7 @@ class Consistency(NamedTuple):
         )
 
 
-def consistency_of(accuracy: Accuracy) -> Consistency | None:
+def consistency_of(accuracy: Accuracy) -> SenderConsistency | None:
     """Return whether the lateral errors are as large as stated; None without errors."""
     found: list[tuple[float, int, float, float]] = []
     stated: list[float] = []
@@ -97,8 +97,14 @@ def consistency_of(accuracy: Accuracy) -> Consistency | None:
         return None
     p, x, ratio, n = min(found, key=lambda one: (one[0], -one[2]))
     p *= len(found)  # the least of as many
-    verdict = Verdict.WRONG if p < WRONG else Verdict.UNCLEAR if p < UNCLEAR else Verdict.RIGHT
-    return Consistency(verdict, x, ratio, n, (min(stated), max(stated)))
+    verdict = (
+        SenderVerdict.WRONG
+        if p < WRONG
+        else SenderVerdict.UNCLEAR
+        if p < UNCLEAR
+        else SenderVerdict.RIGHT
+    )
+    return SenderConsistency(verdict, x, ratio, n, (min(stated), max(stated)))
 
 
 def independent_errors(errors: Array) -> float:

@@ -40,7 +40,7 @@ AGE_ROUNDING = 0.004
 MAX_CYCLES = 1.0
 
 
-class Requirement(NamedTuple):
+class AccuracyRequirement(NamedTuple):
     """An accuracy that the survey lists."""
 
     quantity: str  #: key of ``Accuracy.errors``
@@ -49,17 +49,17 @@ class Requirement(NamedTuple):
 
 
 REQUIREMENTS = (
-    Requirement("lateral", 0.10, "table 6, lane boundary geometry, 10 cm"),
-    Requirement("lateral", 0.20, "table 6, lane boundary geometry, 20 cm"),
-    Requirement("heading", 0.05, "table 6, heading, 0.05 deg"),
-    Requirement("curvature", 1.0, "table 5, EDMap and NextMap, 1 %"),
-    Requirement("curvature", 2.0, "table 5, Kotei, 2 %"),
-    Requirement("absolute", 0.10, "table 3, Sanborn, 10 cm"),
-    Requirement("absolute", 0.15, "table 3, and.com, 15 cm"),
-    Requirement("absolute", 1.00, "table 3, TomTom lane model, 100 cm"),
-    Requirement("relative", 0.05, "table 3, and.com, 5 cm"),
-    Requirement("relative", 0.15, "table 3, TomTom lane model, 15 cm"),
-    Requirement("relative", 0.20, "table 3, HERE, Baidu and NavInfo, 20 cm"),
+    AccuracyRequirement("lateral", 0.10, "table 6, lane boundary geometry, 10 cm"),
+    AccuracyRequirement("lateral", 0.20, "table 6, lane boundary geometry, 20 cm"),
+    AccuracyRequirement("heading", 0.05, "table 6, heading, 0.05 deg"),
+    AccuracyRequirement("curvature", 1.0, "table 5, EDMap and NextMap, 1 %"),
+    AccuracyRequirement("curvature", 2.0, "table 5, Kotei, 2 %"),
+    AccuracyRequirement("absolute", 0.10, "table 3, Sanborn, 10 cm"),
+    AccuracyRequirement("absolute", 0.15, "table 3, and.com, 15 cm"),
+    AccuracyRequirement("absolute", 1.00, "table 3, TomTom lane model, 100 cm"),
+    AccuracyRequirement("relative", 0.05, "table 3, and.com, 5 cm"),
+    AccuracyRequirement("relative", 0.15, "table 3, TomTom lane model, 15 cm"),
+    AccuracyRequirement("relative", 0.20, "table 3, HERE, Baidu and NavInfo, 20 cm"),
 )
 
 
@@ -135,7 +135,7 @@ class Accuracy:
             ],
         }
 
-    def met(self, requirement: Requirement) -> dict[str, bool | None]:
+    def met(self, requirement: AccuracyRequirement) -> dict[str, bool | None]:
         """Return whether a requirement is met, by place; None without errors there."""
         columns = self.errors[requirement.quantity].shape[1]
         found = [self.figures(requirement.quantity, i) for i in range(columns)]

@@ -34,7 +34,7 @@ PAIRS = tuple(combinations(range(len(PARAMETERS)), 2))
 
 
 @dataclass(frozen=True)
-class Row:
+class ClaimRow:
     """Figures of one representation of a scenario's line; ``_se`` is a figure's standard error."""
 
     scenario: str
@@ -127,7 +127,7 @@ def evaluate_approximation(
     approximation: Approximation,
     names: tuple[str, str, str],
     seed: int = 0,
-) -> Row:
+) -> ClaimRow:
     """Return all figures of one representation.
 
     Args:
@@ -152,7 +152,7 @@ def evaluate_approximation(
         within = np.einsum("kxi,kij,kxj->kx", J, covs, J)
         sigma = np.sqrt(weights @ (within + (lines - mean) ** 2))
     ratios = sigma / true.lateral_sigma
-    return Row(
+    return ClaimRow(
         *names,
         *negatives,
         *pairs,

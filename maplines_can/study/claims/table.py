@@ -35,7 +35,7 @@ from ...values.line import Slot
 from ...wire import Codec
 from ..paper_refit import paper_refit
 from .approximations import representations, through_the_wire
-from .evaluation import Row, evaluate_approximation, true_distribution
+from .evaluation import ClaimRow, evaluate_approximation, true_distribution
 
 #: Rows computed at once; numpy releases Python's lock.
 WORKERS = 2
@@ -49,7 +49,7 @@ def accuracy_table(
     slot: Slot = Slot.EGO_RIGHT,
     codec: Codec | None = None,
     progress: Callable[[int, int], object] | None = None,
-) -> list[Row]:
+) -> list[ClaimRow]:
     """Evaluate all representations of a line, before and after the wire, in each scenario.
 
     The same arguments give the same rows. Like ``MonteCarlo``, the true distribution leaves out
@@ -69,7 +69,7 @@ def accuracy_table(
     """
     scenarios = list(SCENARIOS.values() if scenarios is None else scenarios)
     codec = codec or Codec.from_dbc()
-    rows: list[Row] = []
+    rows: list[ClaimRow] = []
     for scenario in scenarios:
         refit = paper_refit(scenario, slot)
         with warnings.catch_warnings():

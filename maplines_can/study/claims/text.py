@@ -9,7 +9,7 @@ import numpy as np
 
 from ..metrics import LATERAL_X
 from ..text_table import aligned, csv_text, markdown
-from .evaluation import Row
+from .evaluation import ClaimRow
 
 _NAMES = ("scenario", "representation", "wire")
 #: Headings of the figures by their names in CSV.
@@ -24,20 +24,20 @@ _HEADINGS = {
 }
 
 
-def as_csv(rows: Sequence[Row]) -> str:
+def as_csv(rows: Sequence[ClaimRow]) -> str:
     """Return one line per row: each figure to six digits, followed by its standard error."""
     heading = [*_NAMES, *(f"{name}{end}" for name in _HEADINGS for end in ("", "_se"))]
     body = ([*_names(row), *chain.from_iterable(_figures(row))] for row in rows)
     return csv_text([heading, *body])
 
 
-def as_markdown(rows: Sequence[Row]) -> str:
+def as_markdown(rows: Sequence[ClaimRow]) -> str:
     """Return one Markdown table of figures with their standard errors."""
     body = [[*_names(row), *(_with_error(*pair) for pair in _figures(row))] for row in rows]
     return markdown([[*_NAMES, *_HEADINGS.values()], *body], left=len(_NAMES))
 
 
-def as_text(rows: Sequence[Row]) -> str:
+def as_text(rows: Sequence[ClaimRow]) -> str:
     """Return three tables per scenario for a terminal: shares and KL, mean error, sigma ratio."""
     blocks, headings = [], list(_HEADINGS.values())
     for scenario in dict.fromkeys(row.scenario for row in rows):
@@ -52,11 +52,11 @@ def as_text(rows: Sequence[Row]) -> str:
     return "\n\n".join(blocks) + "\n"
 
 
-def _names(row: Row) -> list[str]:
+def _names(row: ClaimRow) -> list[str]:
     return [str(getattr(row, name)) for name in _NAMES]
 
 
-def _figures(row: Row) -> list[tuple[float, float]]:
+def _figures(row: ClaimRow) -> list[tuple[float, float]]:
     """Return each figure and its standard error, in the order of the headings."""
     pairs = [
         (np.atleast_1d(getattr(row, name)), np.atleast_1d(getattr(row, f"{name}_se")))

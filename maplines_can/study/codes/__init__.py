@@ -5,7 +5,7 @@ from ...wire.covariance.code import CovarianceCode
 from .integer_cholesky import IntegerCholesky
 from .log_cholesky import LogCholesky
 from .sigmas import LogCorrelation, MeanOnly, Sigmas
-from .triangle import Float16Triangle, Float32Triangle, Linear, LinearNearest
+from .triangle import Float16Triangle, Float32Triangle, LinearCovering, LinearNearest
 
 __all__ = ["CODES"]
 
@@ -17,7 +17,7 @@ CODES: dict[str, type[CovarianceCode]] = {
         CholeskyCode,
         LogCholesky,
         IntegerCholesky,
-        Linear,
+        LinearCovering,
         LinearNearest,
         LogCorrelation,
         Float16Triangle,

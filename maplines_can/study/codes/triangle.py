@@ -2,7 +2,7 @@
 
 Linear signals are the literal reading of the paper, each scaled for its two states. With each entry
 rounded to the nearest, a nearly singular matrix is usually not positive definite any more.
-``Linear`` therefore searches raw values for a small matrix that covers the true one.
+``LinearCovering`` therefore searches raw values for a small matrix that covers the true one.
 
 DroneCAN uses float16, MAVLink float32. A DBC has no type for float16, so these are signals of 16
 bits that hold the pattern of IEEE 754 binary16; float32 are signals of type float.
@@ -76,7 +76,7 @@ class LinearNearest(_LinearTriangle):
         return Coded(raw, cut, ~cut)
 
 
-class Linear(_LinearTriangle):
+class LinearCovering(_LinearTriangle):
     """Entries rounded to the nearest, with variances raised until the matrix covers the true one.
 
     Raising each variance by the rounding errors in its row is always enough, since a symmetric

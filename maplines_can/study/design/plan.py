@@ -83,7 +83,7 @@ class Prediction:
 
 
 @dataclass(frozen=True)
-class Plan:
+class WidthPlan:
     """Widths of the mean and of the covariance."""
 
     order: tuple[int, ...]  #: rows of the covariance, as indices into the mean
@@ -103,7 +103,7 @@ class Plan:
         ratios = [self.fields[ratio].factor for _, row in names_of(self.order) for ratio in row]
         return np.array(pivots), np.array(ratios)
 
-    def changed(self, **fields: Width) -> Plan:
+    def changed(self, **fields: Width) -> WidthPlan:
         """Return a plan with other widths, and the inflation that their steps need."""
         plan = replace(self, fields={**self.fields, **fields})
         inflation = inflation_width(plan.fields[INFLATION].bits, *plan.steps)

@@ -22,7 +22,7 @@ from ..dbc.covariance_spec import covariance_signals, pivot_signal, ratio_signal
 from ..dbc.dbc_writer import TRANSFER_ID_BITS, DbcWriter, SignalSpec, paged
 from ..dbc.record_spec import SERVICE
 from ..sets import Gaussians
-from .plan import INFLATION, Plan, Prediction, Targets, names_of
+from .plan import INFLATION, Prediction, Targets, WidthPlan, names_of
 from .sensitivity import MIN_BITS, RatioSpread, Width, blurs, conservative, pivot_widths, rows_of
 
 Array = NDArray[np.float64]
@@ -107,12 +107,12 @@ class Planner:
         taken = page_bits * frames + TRANSFER_ID_BITS * (frames - 1)
         return 8 * PAGE_BYTES * frames - taken - sum(spec.bits for spec in self._service)
 
-    def writer(self, plan: Plan) -> DbcWriter:
+    def writer(self, plan: WidthPlan) -> DbcWriter:
         """Return the DBC of a plan, with as few pages as possible."""
         signals = [*self._mean_signals(plan), *self._covariance_signals(plan)]
         return DbcWriter(paged([*self._service[:2], *signals, *self._service[2:]]))
 
-    def _mean_signals(self, plan: Plan) -> list[SignalSpec]:
+    def _mean_signals(self, plan: WidthPlan) -> list[SignalSpec]:
         if self.targets.keep_mean:
             return self._own_mean
         steps = self.steps(plan.mean).tolist()
@@ -127,7 +127,7 @@ class Planner:
             for spec, bits, step, lever, end in rows
         ]
 
-    def _covariance_signals(self, plan: Plan) -> Iterator[SignalSpec]:
+    def _covariance_signals(self, plan: WidthPlan) -> Iterator[SignalSpec]:
         names = [PARAMETER_SIGNALS[i] for i in plan.order]
         for i, (pivot, ratios) in enumerate(names_of(plan.order)):
             width, given = plan.fields[pivot], tuple(names[:i])
@@ -162,7 +162,7 @@ class Planner:
         """Return the largest effect of the mean's rounding on the position at 80 m [m]."""
         return float(self.steps(bits) / 2 @ LEVERS)
 
-    def predicted(self, plan: Plan) -> Prediction:
+    def predicted(self, plan: WidthPlan) -> Prediction:
         """Return the figures of a plan."""
         kl = conservative(*plan.steps, plan.fields[INFLATION])
         _, ratios = rows_of(*self._target(plan.mean), plan.order)
@@ -181,7 +181,7 @@ class Planner:
             blur=self.blur(plan.mean),
         )
 
-    def loss(self, plan: Plan) -> float:
+    def loss(self, plan: WidthPlan) -> float:
         """Return the divergence plus the price of saturated lines, without the blur [nat]."""
         kl = float(conservative(*plan.steps, plan.fields[INFLATION]).mean())
         widths = plan.fields.values()
@@ -223,12 +223,12 @@ class Planner:
         """Fewest bits of mean and covariance of any plan."""
         return sum(self._least_mean()) + 10 * MIN_BITS + FIRST_INFLATION.bits
 
-    def plans(self, room: int) -> list[Plan]:
+    def plans(self, room: int) -> list[WidthPlan]:
         """Return plans of the best orders of the rows in a number of bits, the best first.
 
         The price rises until the best plan saturates few enough lines.
         """
-        plans: list[Plan] = []
+        plans: list[WidthPlan] = []
         for price in PRICES:
             mean = self._mean_for(room, price)
             filled = [self._filled(order, mean, room, price) for order in permutations(range(4))]
@@ -245,13 +245,13 @@ class Planner:
 
     def _filled(
         self, order: tuple[int, ...], mean: tuple[int, ...], room: int, price: float
-    ) -> Plan | None:
+    ) -> WidthPlan | None:
         """Return the best plan of an order and a mean, with a first inflation; None if too big."""
         left = room - sum(mean) - FIRST_INFLATION.bits
         chosen = allocated(self._widths(order, mean, price), left)
         if chosen is None:
             return None
-        return Plan(order, mean, {**chosen, INFLATION: FIRST_INFLATION}, price)
+        return WidthPlan(order, mean, {**chosen, INFLATION: FIRST_INFLATION}, price)
 
     def _mean_for(self, room: int, price: float) -> tuple[int, ...]:
         """Return the bits of the mean: a bit goes there as long as the covariance gains less."""
@@ -283,7 +283,7 @@ class Planner:
         bits = np.ceil(np.log2(2 * self._ends / steps) - 1e-9).astype(int)
         return bits.clip(*MEAN_BITS).tolist()
 
-    def shifted(self, plan: Plan) -> Plan:
+    def shifted(self, plan: WidthPlan) -> WidthPlan:
         """Move bits between fields of the covariance as long as the loss decreases."""
         loss = self.loss(plan)
         while True:
@@ -301,7 +301,7 @@ class Planner:
             best = int(np.argmin(losses))
             plan, loss = moves[best], losses[best]
 
-    def _with_bits(self, plan: Plan, name: str, more: int) -> Iterator[Plan]:
+    def _with_bits(self, plan: WidthPlan, name: str, more: int) -> Iterator[WidthPlan]:
         """Yield the plan with more bits in one field, if that width exists."""
         bits = plan.fields[name].bits + more
         if name == INFLATION:
@@ -312,7 +312,7 @@ class Planner:
             if 0 <= bits - MIN_BITS < len(table):
                 yield plan.changed(**{name: table[bits - MIN_BITS]})
 
-    def neighbours(self, plan: Plan) -> Iterator[Plan]:
+    def neighbours(self, plan: WidthPlan) -> Iterator[WidthPlan]:
         """Yield plans with another range, or with a bit moved between mean and covariance."""
         spreads = self._spread(plan.order, plan.mean)
         for name, spread in spreads.items():

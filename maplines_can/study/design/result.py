@@ -15,7 +15,7 @@ from .plan import Prediction, Targets
 
 
 @dataclass(frozen=True)
-class Figures:
+class LayoutFigures:
     """Figures of a message layout on a set."""
 
     cases: int
@@ -42,7 +42,7 @@ class Design:
     covariance_bits: int
     spare_bits: int  #: of no signal
     predicted: Prediction
-    measured: Mapping[str, Figures]  #: by set, of lines that the search has not seen
+    measured: Mapping[str, LayoutFigures]  #: by set, of lines that the search has not seen
 
     @property
     def frames(self) -> int:

@@ -37,7 +37,7 @@ MIN_BITS = 2
 
 
 @dataclass(frozen=True)
-class Figures:
+class SceneFigures:
     """What some scenes lose as sent with some widths."""
 
     kl_mean: float  #: of the covered target of a line [nat]; infinite if a line does not fit
@@ -61,7 +61,7 @@ class SceneDesign:
     """Widths of the Pose message and of conditional records."""
 
     bits: Mapping[str, int]  #: of each field
-    figures: Figures  #: on scenes that the search has not seen
+    figures: SceneFigures  #: on scenes that the search has not seen
     a_bit_less: Mapping[str, Cost]  #: of each field, at these widths
 
     @property
@@ -147,14 +147,14 @@ def _why(spec: SignalSpec, more: int) -> str:
     return f"{-more} bits less than in maplines-pose.dbc over the same range ({spec.why})"
 
 
-def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> Figures:
+def figures_of(bits: Mapping[str, int], scenes: Sequence[Scene]) -> SceneFigures:
     """Send scenes with these widths."""
     writer = replace(writer_of(bits), slots=tuple(Slot)[:LINES])
     codec = Codec(Layout.from_dbc(writer.database()))
     rows = [with_pose(codec, scene) for scene in scenes]
     kl = [value for row in rows for value in row.get("kl_lines", ())]
     whole = not any(row["left_out"] for row in rows)
-    return Figures(
+    return SceneFigures(
         kl_mean=float(np.mean(kl)) if whole else np.inf,
         kl_p99=float(np.quantile(kl, 0.99)) if whole else np.inf,
         all_entries=sum(row["all_entries"] for row in rows) / (LINES * len(rows)),
@@ -220,7 +220,7 @@ def _scenes(n: int, seed: int) -> list[Scene]:
     return [random_scene(LINES, rng).scene for _ in range(n)]
 
 
-def _cost(bits: Mapping[str, int], name: str, now: Figures, scenes: Sequence[Scene]) -> Cost:
+def _cost(bits: Mapping[str, int], name: str, now: SceneFigures, scenes: Sequence[Scene]) -> Cost:
     """Return what a bit less in a field changes."""
     if bits[name] <= MIN_BITS:
         return Cost(math.nan, math.nan)

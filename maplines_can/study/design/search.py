@@ -22,9 +22,9 @@ from ...wire.layout.message_layout import PARAMETER_SIGNALS
 from ..dbc.dbc_writer import DbcWriter
 from ..metrics import LATERAL_X, evaluate
 from ..sets import Gaussians, paper, road
-from .plan import MAX_FRAMES, Plan, Targets
+from .plan import MAX_FRAMES, Targets, WidthPlan
 from .planner import ENDS_AIM, MIN_GAIN, PRICES, Planner
-from .result import Design, Figures
+from .result import Design, LayoutFigures
 
 #: Sets of lines to design for, by the name of the choice.
 SETS = {"paper": (paper,), "road": (road,), "both": (paper, road)}
@@ -112,7 +112,7 @@ def design(
     return result
 
 
-def figures_of(codec: Codec, lines: Gaussians) -> Figures:
+def figures_of(codec: Codec, lines: Gaussians) -> LayoutFigures:
     """Encode and decode lines, and return the figures; OUT_OF_RANGE lines are only counted."""
     batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
     figures = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
@@ -122,7 +122,7 @@ def figures_of(codec: Codec, lines: Gaussians) -> Figures:
         values[in_range] if in_range.any() else np.array([np.inf])
         for values in (figures.kl_covered, figures.kl, lateral_error)
     )
-    return Figures(
+    return LayoutFigures(
         cases=len(lines.mean),
         kl_mean=float(kl.mean()),
         kl_p99=float(np.quantile(kl, 0.99)),
@@ -147,7 +147,7 @@ class _Found(NamedTuple):
 
     loss: float  #: with the blur and the price of lines out of range [nat]
     kl: float  #: largest mean of the sets; infinite if too many lines are saturated [nat]
-    plan: Plan
+    plan: WidthPlan
 
 
 class _Search:
@@ -159,7 +159,7 @@ class _Search:
         self.planner, self._step = Planner(sets, targets), step
         self._sets, self._targets = sets, targets
 
-    def least(self, max_kl: float) -> Plan:
+    def least(self, max_kl: float) -> WidthPlan:
         """Return the plan with the fewest bits that meets the divergence."""
         cap, enough = self._targets.frames or MAX_FRAMES, AIM * max_kl
         few = range(1, cap)
@@ -186,7 +186,7 @@ class _Search:
             found, place = less, place - 1
         return found
 
-    def _enough(self, room: int, enough: float) -> Plan | None:
+    def _enough(self, room: int, enough: float) -> WidthPlan | None:
         """Return a plan in a number of bits that meets the divergence, if one is found."""
         frames = next(n for n in range(1, MAX_FRAMES + 1) if self.planner.room(n) >= room)
         found = self._best(room, frames, enough)
@@ -239,7 +239,7 @@ class _Search:
                 break
         return best
 
-    def _measured(self, plan: Plan, frames: int) -> _Found | None:
+    def _measured(self, plan: WidthPlan, frames: int) -> _Found | None:
         self._step()
         if self.planner.lateral_error(plan.mean) > self._targets.max_lateral:
             return None

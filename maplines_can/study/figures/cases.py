@@ -14,7 +14,7 @@ from ...values.gaussian import Gaussian
 from ...values.line import Slot, lateral
 from ...values.polyline import to_ego
 from ..paper_refit import paper_refit
-from .panels import View
+from .panels import PanelView
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def case_of(scenario: Scenario, samples: int, seed: int) -> Case:
     )
 
 
-def view_of(case: Case) -> View:
+def view_of(case: Case) -> PanelView:
     """Return the view of a case's map panels."""
     low, high = (float(x) for x in case.refit.x_range)
     points = case.refit.points[0]
@@ -82,7 +82,7 @@ def view_of(case: Case) -> View:
     wide = max(1.06 * (high - low), tall / 0.78)
     x, y = (low + high) / 2, 0.57 * bottom + 0.43 * top  # false lines run below a left turn
     true = lateral(case.lines[:20_000, None], np.linspace(low, high, 60))
-    return View(
+    return PanelView(
         ego=Gaussian(np.zeros(3), case.scenario.ego.cov),
         line=case.refit(case.scenario.ego.mean),
         points=points,
@@ -94,6 +94,6 @@ def view_of(case: Case) -> View:
     )
 
 
-def close_up(view: View) -> View:
+def close_up(view: PanelView) -> PanelView:
     """Return the view of the vicinity of the car."""
     return replace(view, band=np.empty((0, 60)), limits=(-2.6, 2.6, -2.6, 2.6), arrow=0.6, fan=2.3)

@@ -44,7 +44,7 @@ class Layer:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class PanelView:
     """Properties that all map panels of a figure share."""
 
     ego: Gaussian  #: pose, its mean at the origin [m, m, rad]
@@ -57,7 +57,7 @@ class View:
     fan: float  #: length of the arrows of the heading fan [m]
 
 
-def draw_map(ax: Any, view: View, title: str = "") -> None:
+def draw_map(ax: Any, view: PanelView, title: str = "") -> None:
     """Draw the content of every map panel: map points, mean pose's line, true band, car.
 
     Lines that leave the panel are clipped.
@@ -80,7 +80,7 @@ def draw_map(ax: Any, view: View, title: str = "") -> None:
     ax.tick_params(labelsize=7.5, length=2.5)
 
 
-def place_inset(ax: Any, view: View) -> Any:
+def place_inset(ax: Any, view: PanelView) -> Any:
     """Return axes in the upper left corner of a map panel, in the shape of its square close-up."""
     left, right, bottom, top = view.limits
     tall = 0.36

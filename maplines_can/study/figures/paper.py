@@ -23,7 +23,7 @@ from ..claims.approximations import Approximation, through_the_wire
 from ..metrics import LATERAL_X
 from . import panels
 from .cases import LINES, SLOT, Case, case_of, close_up, view_of
-from .panels import Layer, LineStyle, View
+from .panels import Layer, LineStyle, PanelView
 
 Array = NDArray[np.float64]
 
@@ -307,7 +307,7 @@ def _layers(case: Case, plan: FigurePlan, codec: Codec | None) -> list[Layer]:
     return layers
 
 
-def _draw_maps(maps: Any, case: Case, view: View, layers: Sequence[Layer], seed: int) -> None:
+def _draw_maps(maps: Any, case: Case, view: PanelView, layers: Sequence[Layer], seed: int) -> None:
     near = close_up(view)
     for (ax, _), (poses, lines, name) in zip(maps, reversed(case.shown), strict=True):
         few = poses is case.sigma_poses
@@ -343,7 +343,7 @@ def _compared(
     return ("MC", case.monte_carlo), "correlations, sigma points (MC: Monte Carlo)"
 
 
-def _cost(layers: Sequence[Layer], view: View) -> str:
+def _cost(layers: Sequence[Layer], view: PanelView) -> str:
     """Return the increase in width of the lateral band by the wire, in words."""
     x = np.array([x for x in LATERAL_X if x <= view.x_range[1]])
     parts = []

@@ -66,7 +66,7 @@ def _steps(message: Message, x: ArrayLike, polynomial: bool | None = None) -> Ar
 
 
 @dataclass(frozen=True)
-class Row:
+class RoundingRow:
     """Figures of one message on a set of lines; triples are at ``DISTANCES`` [m]."""
 
     message: Message
@@ -87,7 +87,7 @@ class Row:
     sigma_median: tuple[float, ...]
 
 
-def production_table(n: int = 2000, seed: int = 0) -> list[Row]:
+def production_table(n: int = 2000, seed: int = 0) -> list[RoundingRow]:
     """Return the row of each production message, and of this project's own, on the same lines.
 
     Args:
@@ -103,7 +103,7 @@ def production_table(n: int = 2000, seed: int = 0) -> list[Row]:
     return [measured(message, lines, pose_only) for message in (*PRODUCTION, default_message())]
 
 
-def measured(message: Message, lines: Gaussians, pose_only: Gaussians) -> Row:
+def measured(message: Message, lines: Gaussians, pose_only: Gaussians) -> RoundingRow:
     """Return the figures of one message.
 
     Args:
@@ -131,7 +131,7 @@ def measured(message: Message, lines: Gaussians, pose_only: Gaussians) -> Row:
 
     lacks = None in message.signals
     other = None if message.documented else worst(message, x, polynomial=not message.polynomial)
-    return Row(
+    return RoundingRow(
         message=message,
         lines=len(mean),
         clipped=tuple(clipped.sum(axis=0).tolist()),

@@ -10,17 +10,17 @@ from ...values.line import PARAMETERS
 from ...wire.layout.signals import Signal
 from ..text_table import aligned, csv_text, markdown
 from .messages import Message
-from .rounding import DISTANCES, KL_QUANTILES, Row
+from .rounding import DISTANCES, KL_QUANTILES, RoundingRow
 
 Record = dict[str, str | int | float | None]
 
 
-def as_records(rows: Sequence[Row]) -> list[Record]:
+def as_records(rows: Sequence[RoundingRow]) -> list[Record]:
     """Return a flat dictionary per row, in SI units; None is not sent or not known."""
     return [_record(row) for row in rows]
 
 
-def _record(row: Row) -> Record:
+def _record(row: RoundingRow) -> Record:
     message = row.message
     record: Record = {"maker": message.maker, "message": message.name, "bits": message.bits}
     for state, signal in zip(PARAMETERS, message.signals, strict=True):
@@ -52,24 +52,24 @@ def _known(value: float) -> float | None:
     return None if np.isnan(value) else value
 
 
-def as_csv(rows: Sequence[Row]) -> str:
+def as_csv(rows: Sequence[RoundingRow]) -> str:
     """Return one line per row with all figures, in SI units and to six digits."""
     records = as_records(rows)
     return csv_text([records[0], *(record.values() for record in records)]) if records else "\n"
 
 
-def as_markdown(rows: Sequence[Row]) -> str:
+def as_markdown(rows: Sequence[RoundingRow]) -> str:
     """Return tables for a page: signals, sources, errors of steps, errors measured on lines."""
     sent, known, steps, seen = _tables(rows)
     return "\n".join([markdown(sent), markdown(known), markdown(steps, 1), markdown(seen, 1)])
 
 
-def as_text(rows: Sequence[Row]) -> str:
+def as_text(rows: Sequence[RoundingRow]) -> str:
     """Return the same tables for a terminal."""
     return "\n\n".join(map(aligned, _tables(rows))) + "\n"
 
 
-def _tables(rows: Sequence[Row]) -> tuple[list[list[str]], ...]:
+def _tables(rows: Sequence[RoundingRow]) -> tuple[list[list[str]], ...]:
     """Return the cells of the tables, headings first."""
     at = " / ".join(f"{x:g}" for x in DISTANCES) + " m"
     sent = [["message", *PARAMETERS, "bits"]]

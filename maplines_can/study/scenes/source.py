@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...propagation import MapError, map_scene
-from ...simulation.street_shapes import Piece, Street
+from ...simulation.street_shapes import Street, StreetPiece
 from ...values.gaussian import Gaussian, block_diagonal
 from ...values.line import Slot, lateral_jacobian, line_of_cubic
 from ...values.polyline import Polyline
@@ -93,7 +93,7 @@ def random_scene(lines: int, rng: np.random.Generator) -> RandomScene:
         theta = rng.uniform(low, high)
         sharpest = rng.choice([-1, 1]) / np.exp(rng.uniform(*np.log(RADIUS)))
         curvature = sharpest * rng.uniform([0, 0], 1)
-        street = Street([Piece(BEHIND + AHEAD, *curvature)], BEHIND)
+        street = Street([StreetPiece(BEHIND + AHEAD, *curvature)], BEHIND)
         seen = {}
         for slot, offset, spacing in zip(Slot, OFFSETS, np.exp(theta[8:]), strict=False):
             s = np.arange(-BEHIND + spacing * rng.uniform(), AHEAD, spacing)

@@ -5,24 +5,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.maps.formats.opendrive.profiles import Piece, Profiles
+from maplines_can.maps.formats.opendrive.profiles import CubicPiece, Profiles
 
 S = np.array([-5.0, 0.0, 4.0, 10.0, 15.0, 20.0, 99.0])
 
 
 def test_the_last_piece_that_has_begun_applies() -> None:
-    pieces = [Piece(20.0, 3.0), Piece(0.0, 1.0, 0.1), Piece(10.0, 2.0, 0.0, 1.0, 1.0)]
+    pieces = [
+        CubicPiece(20.0, 3.0),
+        CubicPiece(0.0, 1.0, 0.1),
+        CubicPiece(10.0, 2.0, 0.0, 1.0, 1.0),
+    ]
     (found,) = Profiles([pieces])(S, S)
     assert found == pytest.approx([1, 1, 1.4, 2, 2 + 25 + 125, 3, 3])
 
 
 def test_of_pieces_with_one_start_the_last_one_applies() -> None:
-    (found,) = Profiles([[Piece(0.0, 1.0), Piece(0.0, 2.0)]])(S, S)
+    (found,) = Profiles([[CubicPiece(0.0, 1.0), CubicPiece(0.0, 2.0)]])(S, S)
     assert found[1:] == pytest.approx([2] * 6)
 
 
 def test_functions_may_have_different_numbers_of_pieces() -> None:
-    found = Profiles([[], [Piece(0.0, 5.0)], [Piece(0.0, 1.0), Piece(10.0, 2.0)]])(S, S)
+    found = Profiles([[], [CubicPiece(0.0, 5.0)], [CubicPiece(0.0, 1.0), CubicPiece(10.0, 2.0)]])(
+        S, S
+    )
     assert found == pytest.approx(np.array([[0] * 7, [5] * 7, [1, 1, 1, 2, 2, 2, 2]], dtype=float))
 
 
@@ -35,7 +41,7 @@ def test_no_function_has_no_values() -> None:
 )
 def test_values_agree_with_polynomials(pieces: list[tuple[float, ...]]) -> None:
     """Of NumPy, at one position at a time."""
-    (found,) = Profiles([[Piece(*piece) for piece in pieces]])(S, S)
+    (found,) = Profiles([[CubicPiece(*piece) for piece in pieces]])(S, S)
     for s, value in zip(S, found, strict=True):
         begun = [piece for piece in pieces if piece[0] <= s]
         start, *coefficients = max(begun) if begun else min(pieces)

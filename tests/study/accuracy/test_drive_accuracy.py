@@ -10,7 +10,12 @@ from hypothesis import strategies as st
 
 from maplines_can import MapLine, Polyline, Slot, Status
 from maplines_can.simulation.truth import PLACES, Truth, true_lines
-from maplines_can.study.accuracy.evaluation import REQUIREMENTS, Accuracy, Requirement, accuracy_of
+from maplines_can.study.accuracy.evaluation import (
+    REQUIREMENTS,
+    Accuracy,
+    AccuracyRequirement,
+    accuracy_of,
+)
 from maplines_can.study.accuracy.text import as_text
 from maplines_can.values.errors import DriveFileError
 
@@ -138,9 +143,11 @@ def mixed(share: float) -> Accuracy:
 def test_a_requirement_is_met_by_95_percent(share: float, met: bool) -> None:
     """At every place; the shift is aligned."""
     accuracy = mixed(share)
-    assert accuracy.met(Requirement("lateral", 0.2, "")) == dict.fromkeys(map(str, PLACES), met)
-    assert accuracy.met(Requirement("absolute", 0.2, "")) == {"line": met}
-    assert accuracy.met(Requirement("relative", 0.2, "")) == {"line": True}
+    assert accuracy.met(AccuracyRequirement("lateral", 0.2, "")) == dict.fromkeys(
+        map(str, PLACES), met
+    )
+    assert accuracy.met(AccuracyRequirement("absolute", 0.2, "")) == {"line": met}
+    assert accuracy.met(AccuracyRequirement("relative", 0.2, "")) == {"line": True}
 
 
 def test_the_text_and_the_figures_agree() -> None:

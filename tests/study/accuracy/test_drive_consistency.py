@@ -10,7 +10,7 @@ from scipy.stats import binom
 from maplines_can.simulation.truth import PLACES
 from maplines_can.study.accuracy.consistency import (
     WRONG,
-    Verdict,
+    SenderVerdict,
     consistency_of,
     independent_errors,
 )
@@ -45,7 +45,7 @@ def accuracy_of_errors(errors: Array, sigma: float = 0.1) -> Accuracy:
     )
 
 
-def verdict(errors: Array) -> Verdict:
+def verdict(errors: Array) -> SenderVerdict:
     found = consistency_of(accuracy_of_errors(errors))
     assert found is not None
     return found.verdict
@@ -55,22 +55,22 @@ def verdict(errors: Array) -> Verdict:
 def test_a_sender_that_is_right_is_seldom_called_wrong(T: float) -> None:
     """In drives of 60 s; the probability is at most as stated, but for that of 1e-4."""
     found = [verdict(gauss_markov(1200, T, seed)) for seed in range(300)]
-    assert found.count(Verdict.WRONG) <= binom.isf(1e-4, len(found), WRONG)
-    assert found.count(Verdict.RIGHT) >= 0.9 * len(found)
+    assert found.count(SenderVerdict.WRONG) <= binom.isf(1e-4, len(found), WRONG)
+    assert found.count(SenderVerdict.RIGHT) >= 0.9 * len(found)
 
 
 @pytest.mark.parametrize("T", [0.5, 5.0])
 def test_a_sender_that_states_a_third_of_its_errors_is_wrong(T: float) -> None:
     """In drives of 300 s."""
     found = [verdict(3 * gauss_markov(6000, T, seed)) for seed in range(30)]
-    assert found == [Verdict.WRONG] * len(found)
+    assert found == [SenderVerdict.WRONG] * len(found)
 
 
 def test_a_short_drive_does_not_tell() -> None:
     """One error of 3 sigma is unlikely, one of 2 sigma is not; one of 10 sigma is no chance."""
-    assert verdict(np.full(100, 2.0)) is Verdict.RIGHT
-    assert verdict(np.full(100, 3.0)) is Verdict.UNCLEAR
-    assert verdict(np.full(100, 10.0)) is Verdict.WRONG
+    assert verdict(np.full(100, 2.0)) is SenderVerdict.RIGHT
+    assert verdict(np.full(100, 3.0)) is SenderVerdict.UNCLEAR
+    assert verdict(np.full(100, 10.0)) is SenderVerdict.WRONG
 
 
 @given(st.integers(2, 300), st.floats(1e-3, 1e3))

@@ -9,7 +9,7 @@ from typing import TypeVar
 from ....values.arrays import LARGEST
 from ...model import Skipped
 from ..xml_tree import Element, number_in
-from .profiles import Piece
+from .profiles import CubicPiece
 
 T = TypeVar("T")
 
@@ -73,11 +73,11 @@ def integer(element: Element, name: str) -> int:
     return int(value)
 
 
-def cubic(element: Element, start: str, origin: float = 0.0) -> Piece:
+def cubic(element: Element, start: str, origin: float = 0.0) -> CubicPiece:
     """Return the attributes a, b, c and d, with the start as an offset from ``origin`` [m].
 
     Raises:
         UnusableError: one of them is not a finite number.
     """
     a, b, c, d = (number(element, name, 0.0) for name in "abcd")
-    return Piece(origin + number(element, start, 0.0), a, b, c, d)
+    return CubicPiece(origin + number(element, start, 0.0), a, b, c, d)

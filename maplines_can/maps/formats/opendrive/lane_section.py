@@ -9,7 +9,7 @@ from ....values.line import Kind
 from ...model import LaneType, Skipped
 from ..xml_tree import Element
 from .attributes import UnusableError, attempt, cubic, integer, number
-from .profiles import Piece
+from .profiles import CubicPiece
 
 _LANE_TYPES = {kind.value.lower(): kind for kind in LaneType} | {
     "mwyentry": LaneType.ENTRY,
@@ -57,8 +57,8 @@ class LaneRecord(NamedTuple):
     line: int
     type: LaneType
     is_reversed: bool
-    width: tuple[Piece, ...]
-    border: tuple[Piece, ...]
+    width: tuple[CubicPiece, ...]
+    border: tuple[CubicPiece, ...]
     marks: Marks
     speeds: Speeds
     predecessors: tuple[int, ...]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Piece(NamedTuple):
+class CubicPiece(NamedTuple):
     """A cubic a + b ds + c ds^2 + d ds^3 from ``start`` on, with ds = s - start."""
 
     start: float
@@ -21,7 +21,7 @@ class Piece(NamedTuple):
     d: float = 0.0
 
 
-_ZERO, _PADDING = Piece(0.0, 0.0), Piece(np.inf, 0.0)
+_ZERO, _PADDING = CubicPiece(0.0, 0.0), CubicPiece(np.inf, 0.0)
 
 
 class Profiles:
@@ -35,7 +35,7 @@ class Profiles:
             one applies.
     """
 
-    def __init__(self, functions: Sequence[Sequence[Piece]]) -> None:
+    def __init__(self, functions: Sequence[Sequence[CubicPiece]]) -> None:
         rows = [sorted(pieces, key=lambda piece: piece.start) for pieces in functions]
         most = max(map(len, rows), default=0) or 1
         padded = [row + [_PADDING if row else _ZERO] * (most - len(row)) for row in rows]
