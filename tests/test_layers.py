@@ -29,6 +29,7 @@ STUDY_COMMANDS = {f"cli.{name}" for name in (
 #: Imports inside functions of the product: what and where from. They run when an option asks.
 LAZY = {
     ("cli.options", "testing"), ("cli.options", "study.codes"),
+    ("cli.options", "study.dbc.record_spec"),
     ("cli.map_info", "study.figures.map_picture"),
     ("simulation.transmission", "testing"),
 }  # fmt: skip

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).parents[1]
-STUDY_DBCS = "maplines_can/study/dbc"
 FIND_DBC = "import maplines_can.wire as w; w.Codec.from_dbc(); print(w.default_dbc_path())"
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
@@ -92,16 +91,11 @@ def test_the_wheel_has_the_package_and_nothing_else(wheel: Path) -> None:
 
 
 def test_the_wheel_has_every_dbc(wheel: Path) -> None:
-    """The wheel has the DBCs of the product and of the study, equal to the last byte."""
-    sources = {ROOT / "dbc": "maplines_can/dbc", ROOT / STUDY_DBCS: STUDY_DBCS}
-    expected = {
-        f"{target}/{path.name}": path.read_bytes()
-        for source, target in sources.items()
-        for path in source.glob("*.dbc")
-    }
+    """The wheel has the three DBCs of the package, equal to the last byte."""
+    files = (ROOT / "dbc").glob("*.dbc")
+    expected = {f"maplines_can/dbc/{path.name}": path.read_bytes() for path in files}
     with zipfile.ZipFile(wheel) as archive:
         found = {name: archive.read(name) for name in archive.namelist() if name.endswith(".dbc")}
 
-    assert {"maplines_can/dbc/maplines.dbc", "maplines_can/dbc/maplines-secoc.dbc"} <= set(found)
-    assert len(found) > 2
+    assert len(found) == 3
     assert expected == found

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
-"""Write the DBC of each covariance code, and the tables in dbc/README.md.
+"""Write the DBCs of the package and the tables in dbc/README.md.
 
-python tools/make_dbc.py            write them
-python tools/make_dbc.py --check    report whether they are up to date
+python tools/make_dbc.py                write them
+python tools/make_dbc.py --check        report whether they are up to date
+python tools/make_dbc.py --codes DIR    write the DBC of each covariance code to a folder
 """
 
 import sys
@@ -14,7 +15,7 @@ from reporting import fill_tables, parser_of
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
-from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
+from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_name, dbc_writer_for
 from maplines_can.wire.covariance.code import OCTAVES
 from maplines_can.wire.covariance.factor import RATIO
 from maplines_can.wire.layout.requirements import (
@@ -27,8 +28,6 @@ from maplines_can.wire.layout.requirements import (
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "dbc"
-#: Folder of the DBCs of the codes for comparison.
-STUDY = ROOT / "maplines_can" / "study" / "dbc"
 
 
 def wanted() -> Any:
@@ -41,23 +40,18 @@ def wanted() -> Any:
         "codes": codes_table(),
     }
     page = fill_tables((FOLDER / "README.md").read_text(), "make_dbc.py", tables)
-    files = {path_of(code): dbc_writer_for(code).dbc() for code in CODES}
-    files[FOLDER / "maplines-secoc.dbc"] = SECURED.dbc()
-    files[FOLDER / "maplines-pose.dbc"] = CONDITIONAL.dbc()
-    return files | {FOLDER / "README.md": page}
+    return {
+        FOLDER / "maplines.dbc": DEFAULT.dbc(),
+        FOLDER / "maplines-secoc.dbc": SECURED.dbc(),
+        FOLDER / "maplines-pose.dbc": CONDITIONAL.dbc(),
+        FOLDER / "README.md": page,
+    }
 
 
 def without(table: str, other: str) -> str:
     """Return a table without the rows that another one has, too."""
     head, known = table.splitlines()[:2], set(other.splitlines())
     return "\n".join([*head, *(row for row in table.splitlines() if row not in known)])
-
-
-def path_of(code: Any) -> Any:
-    """Return ``maplines.dbc`` for the default, else ``maplines-<code>.dbc`` of the study."""
-    if code == DEFAULT.covariance_code:
-        return FOLDER / "maplines.dbc"
-    return STUDY / f"maplines-{code.lower()}.dbc"
 
 
 def requirements_table() -> Any:
@@ -90,7 +84,7 @@ def codes_table() -> Any:
     for name, code in CODES.items():
         bits = sum(spec.bits for spec in covariance_signals(name))
         rows.append(
-            f"| {name} | `{path_of(name).name}` | {code.about} | {bits} | "
+            f"| {name} | `{dbc_name(name)}` | {code.about} | {bits} | "
             f"{len(dbc_writer_for(name).pages)} | {'yes' if code.positive_definite else 'no'} | "
             f"{'yes' if code.covering else 'no'} |"
         )
@@ -100,8 +94,14 @@ def codes_table() -> Any:
 def main() -> Any:
     parser = parser_of(__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing")
-    check = parser.parse_args().check
-    texts = wanted()
+    parser.add_argument("--codes", type=Path, metavar="DIR", help="write those of all codes")
+    options = parser.parse_args()
+    if options.codes:
+        options.codes.mkdir(parents=True, exist_ok=True)
+        for code in CODES:
+            (options.codes / dbc_name(code)).write_text(dbc_writer_for(code).dbc())
+        return 0
+    check, texts = options.check, wanted()
     stale = [path for path, text in texts.items() if not path.exists() or path.read_text() != text]
     for path in stale:
         if not check:

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from ..testing import FaultInjector, Faults, FaultyOpener
 
 
-#: DBCs of this package; their names stand for them where there is no such file.
+#: DBCs of this package; their names, and those of the study's, stand for them where there is no
+#: such file.
 SHIPPED = ("maplines.dbc", "maplines-secoc.dbc", "maplines-pose.dbc")
 
 
@@ -116,7 +117,8 @@ def add_dbc(parser: argparse.ArgumentParser) -> None:
     option_group(parser, "message").add_argument(
         "--dbc",
         metavar="FILE",
-        help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)} "
+        help=f"DBC of the messages; of this package there are {', '.join(SHIPPED)}, "
+        "and those of the study, such as maplines-float16.dbc "
         "(default: maplines.dbc, or with a key maplines-secoc.dbc)",
     )
 
@@ -171,14 +173,26 @@ def codec_from(path: str | None, authenticator: Authenticator | None = None) -> 
     """
     if path is None:
         return Codec.from_dbc(None, authenticator)
-    layout = Layout.from_dbc(
-        default_dbc_path(path) if path in SHIPPED and not Path(path).exists() else path
-    )
+    layout = _layout_from(path)
     if layout.covariance_code in CODES:
         return Codec(layout, authenticator)
     from ..study.codes import CODES as STUDY_CODES
 
     return Codec(layout, authenticator, STUDY_CODES)
+
+
+def _layout_from(path: str) -> Layout:
+    """Return the layout of a file, or of a DBC of the package or of its study by its name."""
+    if Path(path).exists():
+        return Layout.from_dbc(path)
+    if path in SHIPPED:
+        return Layout.from_dbc(default_dbc_path(path))
+    if path.startswith("maplines-"):
+        from ..study.dbc.record_spec import dbc_named
+
+        if text := dbc_named(path):
+            return Layout.from_text(text, path)
+    return Layout.from_dbc(path)
 
 
 def _key_from(read: Callable[[str, int], Key]) -> Callable[[str], tuple[Any, str, int]]:

@@ -86,6 +86,21 @@ DEFAULT = DbcWriter(
 SECURED = replace(DEFAULT, first_secured_can_id=0x350)
 
 
+def dbc_name(code: str) -> str:
+    """Return the name of the DBC of a covariance code.
+
+    >>> dbc_name("Cholesky"), dbc_name("Float16")
+    ('maplines.dbc', 'maplines-float16.dbc')
+    """
+    return f"maplines-{code.lower()}.dbc" if code != DEFAULT.covariance_code else "maplines.dbc"
+
+
+def dbc_named(name: str) -> str | None:
+    """Return the text of the DBC with a ``dbc_name``; None if there is no such code."""
+    codes = {dbc_name(code): code for code in CODES}
+    return dbc_writer_for(codes[name]).dbc() if name in codes else None
+
+
 def dbc_writer_for(
     code: str, finer_bits: int = 0, field_bits: Mapping[str, int] | None = None
 ) -> DbcWriter:

@@ -1,7 +1,6 @@
 """Covariance codes: their guarantees, and agreement with the signals that cantools reads."""
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import cantools
@@ -20,19 +19,18 @@ from maplines_can.study.round_trip import round_trip
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
 
-ROOT = Path(__file__).parents[3]
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
 
-def dbc_of(name: Any) -> Any:
-    if name == "Cholesky":
-        return ROOT / "dbc" / "maplines.dbc"
-    return ROOT / "maplines_can" / "study" / "dbc" / f"maplines-{name.lower()}.dbc"
+@cache
+def database_of(name: Any) -> Any:
+    """The DBC of a code as cantools reads it from its text."""
+    return cantools.database.load_string(dbc_writer_for(name).dbc(), "dbc")
 
 
 @cache
 def codec_of(name: Any) -> Any:
-    return Codec.from_dbc(dbc_of(name), codes=CODES)
+    return Codec.from_dbc(database_of(name), codes=CODES)
 
 
 @cache
@@ -48,10 +46,10 @@ def sent_and_decoded(name: Any, means: Any, covs: Any) -> Any:
 
 @pytest.mark.parametrize("name", CODES)
 def test_every_code_has_a_dbc_that_names_it(name: Any) -> None:
-    database = cantools.database.load_file(dbc_of(name))
-    assert database.dbc.attributes["CovarianceCode"].value == name  # type: ignore[union-attr]
+    database = database_of(name)
+    assert database.dbc.attributes["CovarianceCode"].value == name
     assert codec_of(name).covariance.name == name
-    names = {signal.name for message in database.messages for signal in message.signals}  # type: ignore[union-attr]
+    names = {signal.name for message in database.messages for signal in message.signals}
     assert {spec.name for spec in (*SERVICE, *covariance_signals(name))} <= names
 
 
@@ -136,11 +134,11 @@ def test_cantools_reads_the_same_signals(name: Any) -> None:
     """Physical values of every page agree, and cantools encodes the same bytes."""
     means, covs = (values[:20] for values in lines_of("road"))
     codec, payloads, batch = sent_and_decoded(name, means, covs)
-    database = cantools.database.load_file(dbc_of(name))
+    database = database_of(name)
     for i, payload in enumerate(payloads):
         signals: dict[Any, Any] = {}
         for frame in codec.frames(payload, Slot.EGO_LEFT):
-            message = database.get_message_by_frame_id(frame.can_id)  # type: ignore[union-attr]
+            message = database.get_message_by_frame_id(frame.can_id)
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
             signals |= page
@@ -264,7 +262,7 @@ def test_messages_name_the_alternatives() -> None:
 def test_lines_travel_over_a_bus_with_every_dbc(name: Any) -> None:
     """Lines are sent and received, and every received covariance is definite."""
     lines = scenario_lines(SCENARIOS["street-turn"])
-    trip = round_trip(lines, Codec.from_dbc(dbc_of(name), codes=CODES), seconds=0.3)
+    trip = round_trip(lines, codec_of(name), seconds=0.3)
     assert {line.status for line in trip.lines} - {None}
     assert all(line.mean is not None for line in trip.lines)
     counts = {reason.name: n for reason, n in trip.received.counts.items()}

@@ -8,9 +8,11 @@ from typing import Any
 import cantools
 import pytest
 
+from maplines_can.cli.options import codec_from
+from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.dbc_writer import DbcWriter, SignalSpec
 from maplines_can.study.dbc.pose_spec import CONDITIONAL
-from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
+from maplines_can.study.dbc.record_spec import DEFAULT, dbc_name, dbc_writer_for
 from maplines_can.values.line import Kind, Slot, Status
 from maplines_can.wire import Codec, Layout
 
@@ -78,7 +80,7 @@ def test_the_page_names_the_ids_of_the_dbc() -> None:
         assert row in page
 
 
-@pytest.mark.parametrize("writer", [DEFAULT, CONDITIONAL])
+@pytest.mark.parametrize("writer", [CONDITIONAL, *map(dbc_writer_for, CODES)])
 def test_the_database_has_the_layout_of_the_text(writer: DbcWriter) -> None:
     """The numbers of the text are exact."""
     own, read = Layout.from_dbc(writer.database()), Layout.from_text(writer.dbc())
@@ -90,6 +92,25 @@ def test_the_database_has_the_layout_of_the_text(writer: DbcWriter) -> None:
     assert len({pose is None for pose in poses}) == 1
     parts = [(pose.signals, pose.messages, pose.secured) for pose in poses if pose]
     assert parts[:1] == parts[1:]
+
+
+@pytest.mark.parametrize("code", CODES)
+def test_the_dbc_of_each_code_has_a_name(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``--dbc`` takes it in any folder; a file of that name comes first."""
+    monkeypatch.chdir(tmp_path)
+    assert codec_from(dbc_name(code)).layout.covariance_code == code
+    Path(dbc_name(code)).write_text(dbc_writer_for("Sigmas").dbc())
+    assert codec_from(dbc_name(code)).layout.covariance_code == "Sigmas"
+
+
+def test_the_tool_writes_the_dbc_of_each_code(tmp_path: Path) -> None:
+    """For tools that read files."""
+    command = [sys.executable, ROOT / "tools" / "make_dbc.py", "--codes", tmp_path / "dbc"]
+    subprocess.run(command, check=True)  # type: ignore[arg-type]
+    written = {path.name: path.read_text() for path in (tmp_path / "dbc").iterdir()}
+    assert written == {dbc_name(code): dbc_writer_for(code).dbc() for code in CODES}
 
 
 def test_a_page_that_is_too_full_is_refused() -> None:

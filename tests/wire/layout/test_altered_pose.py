@@ -16,6 +16,7 @@ from dbc_alterations import conditional_original, of_field_in, pose_original
 from dbc_witness import WrongResultError
 from pose_witness import check_conditional, check_pose
 
+from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Slot
 from maplines_can.wire import Layout
@@ -117,8 +118,8 @@ def test_a_pose_error_without_a_slot_is_refused() -> None:
 
 def test_a_dbc_without_a_pose_error_is_as_before() -> None:
     """Its layout has none, and nothing is conditional."""
-    for name in ("float16", "meanonly"):
-        layout = Layout.from_dbc(f"maplines_can/study/dbc/maplines-{name}.dbc")
+    for code in ("Float16", "MeanOnly"):
+        layout = Layout.from_dbc(dbc_writer_for(code).database())
         assert layout.pose is None
         assert layout.short_pages == layout.pages
     assert set(CONDITIONAL_SIGNALS) - set(Layout.from_text(LINES).signals) == set()
