@@ -25,7 +25,7 @@ from maplines_can.simulation.camera_view import LANE, PLACES
 from maplines_can.simulation.car_stream import camera_view
 from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
 from maplines_can.simulation.simulated_localisation import START_SIGMA
-from maplines_can.simulation.trajectory import SteeringState as Motions
+from maplines_can.simulation.trajectory import State as Motions
 from maplines_can.study.closed_loop import (
     BESIDE_CHANGE,
     DEFAULT_SPEED,
