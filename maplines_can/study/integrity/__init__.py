@@ -1,1 +1,0 @@
-"""Verification of protection levels: importance sampling of rare errors, Stanford diagram."""

@@ -1,0 +1,346 @@
+#!/usr/bin/env python3
+"""Measure whether the localisation finds out by itself how large the error of GNSS is.
+
+    evidence_canyon.py                        all courses, 50 cars (seeds) each
+    evidence_canyon.py --course jump          those with "jump" in their names
+    evidence_canyon.py --markdown             the table of docs/localisation.md
+
+Run it in the environment of the project: python3 tools/run.py python tools/evidence_canyon.py
+
+Each car drives for 240 s on a way of its own, through city blocks with a stop or along an open
+road, with GNSS and odometry only. In a canyon, the error of GNSS is a Gauss-Markov process whose
+standard deviation (1 to 30 m) and correlation time (5 to 60 s) are drawn for each car, uniform in
+their logarithms; on an open road they are 1.5 m and 60 s. In a transition, the car is on an open
+road for 80 s, in a canyon for 80 s, and on an open road again, where its error is another one at
+once. Beside that, an outlier is 200 m off, a gap is without fixes for 30 s, a jump is 100 m for
+10 s, and a ramp grows by 1 m/s for 30 s, all in random directions.
+
+The same measurements are given to a filter that has the default parameters, and to one that is told
+the truth: each fix states the standard deviation and the correlation time of its error (100 m and
+60 s in a jump, 17 m and 30 s at least in a ramp).
+
+    inside     share of times at which the position is within its 95 % region
+    beyond     longest time for which a car is beyond 5 sigmas: a squared error of more than 25
+    cars       for how many cars that is longer than 5 s
+    RMS        of the position, and how many times that of the filter that is told
+    sigma      median of the stated standard deviation of the position, in each axis
+    known      share of times at which a pose is stated; the others are not in the figures
+    raised     median time after the begin of a canyon of 6 m or more until the filter takes half
+               of its sigma for that of GNSS or more; the worst of 90 % of the cars
+    lowered    the same after its end until it takes 3 m for it or less
+
+The exit status is 1 if a bound is missed that the course must keep: ``BOUNDS``, but for the courses
+in ``WITHOUT_BOUND``. One car of 50 may be beyond 5 sigmas for longer than 5 s.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from reporting import parser_of, progress, report
+
+from maplines_can.localisation import GnssFix, Localisation, Odometry, SensorErrors
+
+Array = NDArray[np.float64]
+
+#: Duration of a course [s], rates of odometry and of the evaluation [Hz].
+SECONDS, RATE, EVALUATED = 240.0, 10.0, 2.0
+#: Times of a canyon in a transition, of a jump, of a ramp and of a gap [s].
+CANYON, JUMP, RAMP, GAP = (80.0, 160.0), (100.0, 110.0), (100.0, 130.0), (120.0, 150.0)
+#: Error of GNSS on an open road: standard deviation [m], correlation time [s].
+OPEN = 1.5, 60.0
+#: Standard deviations of the white noise of a fix on an open road, and in the city [m].
+WHITE_OPEN, WHITE_CITY = 0.4, 1.0
+#: Sizes of the outliers and of the jump [m], share of outliers, and growth of the ramp [m/s].
+OUTLIER, SHARE, JUMPED, GROWTH = 200.0, 0.1, 100.0, 1.0
+#: Standard deviations of the pose at the start: x, y [m], heading [rad].
+START = np.array([2.0, 2.0, 0.02])
+
+
+class Kind(NamedTuple):
+    """Kind of a course."""
+
+    place: str  #: "open", "canyon" or "transition"
+    event: str = ""  #: "outliers", "gap", "jump" or "ramp"
+    rate: float = 5.0  #: of GNSS [Hz]
+    stated: float = (
+        0.0  #: standard deviation that a fix states for its white noise [m]; 0: true one
+    )
+
+
+COURSES = {
+    "open road": Kind("open"),
+    "open road, 1 Hz": Kind("open", rate=1.0),
+    "open road, jump": Kind("open", "jump"),
+    "open road, ramp": Kind("open", "ramp"),
+    "canyon": Kind("canyon"),
+    "canyon, 1 Hz": Kind("canyon", rate=1.0),
+    "canyon, 10 m stated as white": Kind("canyon", stated=10.0),
+    "canyon, outliers": Kind("canyon", "outliers"),
+    "canyon, gap": Kind("canyon", "gap"),
+    "canyon, jump": Kind("canyon", "jump"),
+    "canyon, ramp": Kind("canyon", "ramp"),
+    "transition": Kind("transition"),
+    "transition, 1 Hz": Kind("transition", rate=1.0),
+    "transition, outliers": Kind("transition", "outliers"),
+    "transition, gap": Kind("transition", "gap"),
+    "transition, jump": Kind("transition", "jump"),
+}
+#: Least and greatest share inside [%], greatest share of cars that are beyond 5 sigmas for longer
+#: than 5 s [%], greatest ratio of RMS.
+BOUNDS = (90.0, 99.0), 2.0, 1.2
+#: Courses of which docs/localisation.md says how far they are off.
+WITHOUT_BOUND = {"open road, ramp", "canyon, ramp"}
+
+
+class Course(NamedTuple):
+    """True motion and measurements of n cars: k odometries, m fixes."""
+
+    t: Array  #: (k,) [s]
+    pose: Array  #: (k, n, 3)
+    wheel_speed: Array  #: (k, n) [m/s]
+    yaw_rate: Array  #: (k, n) [rad/s]
+    fix_t: Array  #: (m,) [s]
+    fixes: Array  #: (m, n, 2) [m]; NaN for none
+    error: Array  #: (m, n, 2) true standard deviation [m] and correlation time [s]
+    cov: Array  #: (2, 2) that the fixes state for their white noise [m^2]
+    canyon: Array  #: (n, 2) standard deviation and correlation time of the canyon
+
+
+class Run(NamedTuple):
+    """Positions of a filter at k times."""
+
+    t: Array  #: (k,) [s]
+    errors: Array  #: (k, n, 2) [m]
+    covs: Array  #: (k, n, 2, 2)
+    known: NDArray[np.bool_]  #: (k, n)
+    gnss: Array  #: (k, n) standard deviation that the filter takes for that of GNSS [m]
+
+    @property
+    def nees(self) -> Array:
+        """(k, n) normalised errors squared; NaN where no pose is stated."""
+        solved = np.linalg.solve(self.covs, self.errors[..., None])[..., 0]
+        return np.where(self.known, (self.errors * solved).sum(axis=-1), np.nan)
+
+    @property
+    def rms(self) -> float:
+        """RMS of the position [m]."""
+        squared = (self.errors**2).sum(axis=-1)
+        return float(np.sqrt(squared[self.known].mean()))
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--course", default="", help="only those with this in their name")
+    parser.add_argument("-n", type=int, default=50, help="cars of each course (default: 50)")
+    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the docs")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    arguments = parser.parse_args()
+    chosen = [name for name in COURSES if arguments.course in name]
+    if not chosen:
+        parser.error(f"--course: no course has {arguments.course!r} in its name")
+    result: dict[str, Any] = {}
+    for name in progress(chosen, "courses"):
+        rng = np.random.default_rng([arguments.seed, sum(name.encode())])
+        course = made(COURSES[name], arguments.n, rng)
+        start = course.pose[0] + START * rng.standard_normal((arguments.n, 3))
+        runs = [driven(course, start, is_told=told) for told in (True, False)]
+        found = figures(course, *runs, is_transition=COURSES[name].place == "transition")
+        result[name] = found | {"bounds kept": is_within(found, arguments.n)}
+    if arguments.markdown:
+        print("\n".join(table(result)))
+        return 0
+    met = all(one["bounds kept"] for name, one in result.items() if name not in WITHOUT_BOUND)
+    return report(result | {"met": met}, arguments.json, 34)
+
+
+def made(kind: Kind, n: int, rng: np.random.Generator) -> Course:
+    """Return the course of n cars."""
+    t = np.arange(round(SECONDS * RATE)) / RATE
+    speed, rate = (open_road if kind.place == "open" else city)(t, n, rng)
+    pose = integrated(speed, rate)
+    ones = np.ones((len(t), n))
+    errors = SensorErrors()
+    slip, bias = (
+        gauss_markov(one.sigma * ones, one.time * ones, RATE, rng, 1)[..., 0]
+        for one in (errors.speed, errors.yaw_rate)
+    )
+    scale = errors.wheel_scale.sigma * rng.standard_normal(n)
+    white = errors.yaw_rate_noise * np.sqrt(RATE) * rng.standard_normal((len(t), n))
+    # Fixes.
+    step = round(RATE / kind.rate)
+    rows = np.arange(step, len(t), step)
+    at = t[rows]
+    low, high = np.log([1.0, 5.0]), np.log([30.0, 60.0])
+    canyon = np.exp(rng.uniform(low, high, (n, 2)))
+    in_canyon = (at >= CANYON[0]) & (at < CANYON[1])
+    if kind.place != "transition":
+        in_canyon[:] = kind.place == "canyon"
+    error = np.where(in_canyon[:, None, None], canyon, OPEN)
+    off = np.zeros((len(at), n, 2))
+    for inside in (in_canyon, ~in_canyon):
+        sigma, time = np.moveaxis(error, -1, 0)
+        own = gauss_markov(sigma, time, kind.rate, rng, 2)
+        off[inside] = own[inside]
+    for name, (begin, end), size in (("jump", JUMP, JUMPED), ("ramp", RAMP, GROWTH)):
+        if kind.event == name:
+            while_on = (at >= begin) & (at < end)
+            grown = size * (at[while_on] - begin if name == "ramp" else np.ones(while_on.sum()))
+            off[while_on] += grown[:, None, None] * directions(rng, (n,))
+            told = (JUMPED, 60.0) if name == "jump" else (GROWTH * (end - begin) / 3**0.5, 30.0)
+            error[while_on] = np.maximum(error[while_on], told)
+    sigma = WHITE_OPEN if kind.place == "open" else WHITE_CITY
+    fixes = pose[rows, :, :2] + off + sigma * rng.standard_normal(off.shape)
+    if kind.event == "outliers":
+        is_far = rng.random((len(at), n)) < SHARE
+        fixes += np.where(is_far[..., None], OUTLIER * directions(rng, is_far.shape), 0.0)
+    if kind.event == "gap":
+        fixes[(at >= GAP[0]) & (at < GAP[1])] = np.nan
+    cov = (kind.stated or sigma) ** 2 * np.eye(2)
+    return Course(
+        t, pose, (speed + slip) / (1 + scale), rate + bias + white, at, fixes, error, cov, canyon
+    )
+
+
+def city(t: Array, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return (k, n) speeds and yaw rates through city blocks, with a stop of 15 s."""
+    phase, mean = rng.uniform(0, 2 * np.pi, n), rng.uniform(6, 14, n)
+    speed = mean * (1 + 0.3 * np.sin(2 * np.pi * t[:, None] / 25 + phase))
+    rate = np.zeros((len(t), n))
+    for car in range(n):
+        stop, at = rng.uniform(20, SECONDS - 40), rng.uniform(5, 20)
+        most = 2.5 * np.maximum(np.abs(t - stop) - 7.5, 0)  # acceleration of 2.5 m/s^2
+        speed[:, car] = np.minimum(speed[:, car], most)
+        while at < SECONDS - 5:
+            turn = (t >= at) & (t < at + 4) & (speed[:, car] > 3)
+            rate[turn, car] = rng.choice([-1, 1]) * np.pi / 8
+            at += 9 + rng.exponential(20)
+    return speed, rate
+
+
+def open_road(t: Array, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return (k, n) speeds and yaw rates along a road with wide bends."""
+    phase, size = rng.uniform(0, 2 * np.pi, n), rng.uniform(0, 0.01, n)
+    rate = size * np.sin(2 * np.pi * t[:, None] / 60 + phase)
+    return np.tile(rng.uniform(10, 25, n), (len(t), 1)), rate
+
+
+def integrated(speed: Array, rate: Array) -> Array:
+    """Return (k, n, 3) poses that begin at 0, from (k, n) speeds and yaw rates."""
+    v, w = ((one[1:] + one[:-1]) / 2 / RATE for one in (speed, rate))
+    heading = np.vstack([np.zeros(speed.shape[1]), np.cumsum(w, axis=0)])
+    middle = heading[:-1] + w / 2
+    steps = np.stack([v * np.cos(middle), v * np.sin(middle)], axis=-1)
+    place = np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+    return np.concatenate([place, heading[..., None]], axis=-1)
+
+
+def gauss_markov(
+    sigma: Array, time: Array, rate: float, rng: np.random.Generator, values: int
+) -> Array:
+    """Return (k, n, values) errors from (k, n) standard deviations and correlation times [s]."""
+    phi = np.exp(-1 / (rate * time))[..., None]
+    found = rng.standard_normal((*sigma.shape, values))
+    for k in range(1, len(found)):
+        found[k] = phi[k] * found[k - 1] + np.sqrt(1 - phi[k] ** 2) * found[k]
+    return np.asarray(sigma[..., None] * found)
+
+
+def directions(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Return (*shape, 2) random unit vectors."""
+    angle = rng.uniform(0, 2 * np.pi, shape)
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def driven(course: Course, start: Array, *, is_told: bool) -> Run:
+    """Return the run of a filter, which is told the errors of the fixes or not."""
+    # One that is told needs no hypotheses; what it holds for known is overridden by each fix.
+    errors = SensorErrors(gnss=SensorErrors.UNKNOWN_GNSS) if is_told else None
+    localisation = Localisation(start, course.t[0], errors, cov=np.diag(START**2))
+    due, every, rows = 0, round(RATE / EVALUATED), []
+    for k, t in enumerate(course.t):
+        while due < len(course.fix_t) and course.fix_t[due] <= t:
+            error = course.error[due] if is_told else None
+            localisation.add(GnssFix(course.fix_t[due], course.fixes[due], course.cov, error))
+            due += 1
+        localisation.add(Odometry(t, course.wheel_speed[k], course.yaw_rate[k]))
+        if k % every == 0:
+            mean, cov, known = localisation.poses()
+            error = mean[:, :2] - course.pose[k, :, :2]
+            rows.append((t, error, cov[:, :2, :2], known, localisation.gnss_sigma()))
+    return Run(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def figures(course: Course, told: Run, run: Run, *, is_transition: bool) -> dict[str, Any]:
+    """Return the figures of a run, beside one that was told the truth."""
+    nees = run.nees
+    beyond = longest(nees > 25.0)
+    variance = np.trace(run.covs, axis1=-2, axis2=-1) / 2
+    found = {
+        "inside [%]": round(100 * float((nees[run.known] <= 5.991).mean()), 1),
+        "beyond [s]": float(beyond.max()),
+        "cars": int((beyond > 5.0).sum()),
+        "RMS [m]": round(run.rms, 2),
+        "RMS, ratio": round(run.rms / told.rms, 2),
+        "sigma [m]": round(float(np.sqrt(np.median(variance[run.known]))), 2),
+        "known [%]": round(100 * float(run.known.mean()), 1),
+        "told: inside [%]": round(100 * float((told.nees[told.known] <= 5.991).mean()), 1),
+        "told: beyond [s]": float(longest(told.nees > 25.0).max()),
+    }
+    if is_transition:
+        large = course.canyon[:, 0] >= 6.0
+        if not large.any():
+            return found
+        begin, end = CANYON
+        raised = first(run.t - begin, run.gnss[:, large] >= course.canyon[large, 0] / 2)
+        lowered = first(run.t - end, run.gnss[:, large] <= 3.0)
+        for name, times in (("raised", raised), ("lowered", lowered)):
+            found[f"{name} [s]"] = round(float(np.median(times)), 1)
+            found[f"{name}, 90 % [s]"] = round(float(np.sort(times)[int(0.9 * len(times))]), 1)
+    return found
+
+
+def longest(flags: NDArray[np.bool_]) -> Array:
+    """Return the (n,) longest times for which (k, n) flags are set without a break [s]."""
+    run = best = np.zeros(flags.shape[1])
+    for row in flags:
+        run = (run + 1) * row
+        best = np.maximum(best, run)
+    return best / EVALUATED
+
+
+def first(t: Array, flags: NDArray[np.bool_]) -> Array:
+    """Return the (n,) first of (k,) times from 0 on at which (k, n) flags are set [s]; infinite."""
+    after = flags & (t >= 0)[:, None]
+    return np.where(after.any(axis=0), t[after.argmax(axis=0)], np.inf)
+
+
+def is_within(found: dict[str, Any], n: int) -> bool:
+    """Return whether the figures of n cars are within ``BOUNDS``."""
+    (least, most), share, ratio = BOUNDS
+    inside = least <= found["inside [%]"] <= most
+    return bool(inside and 100 * found["cars"] <= share * n and found["RMS, ratio"] <= ratio)
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """Return the lines of a table."""
+    rows = [
+        "| course | inside | beyond, cars | RMS, ratio | sigma | known | told: inside, beyond |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, one in result.items():
+        rows.append(
+            f"| {name} | {one['inside [%]']:g} % | {one['beyond [s]']:g} s, {one['cars']} | "
+            f"{one['RMS [m]']:g} m, {one['RMS, ratio']:g} | {one['sigma [m]']:g} m | "
+            f"{one['known [%]']:g} % | {one['told: inside [%]']:g} %, "
+            f"{one['told: beyond [s]']:g} s |"
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())

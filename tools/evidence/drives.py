@@ -1,0 +1,364 @@
+#!/usr/bin/env python3
+r"""Send a drive in real time from one process to another, and check each line that arrives.
+
+    evidence_drives.py                     the shipped town and motorway, 11.9 km in 753 s, over
+                                           UDP multicast between two processes of this machine
+    evidence_drives.py --seconds 60        its first minute
+    evidence_drives.py --simulated         without waiting and without a bus: only the slots
+    tools/vcan python3 tools/run.py python tools/evidence_drives.py --interface socketcan \
+        --channel vcan0 --route 6:0:-1..4:2:-4..5:0:-1 --seconds 120
+                                           on a CAN interface of the kernel; candump, if it is
+                                           installed, must see each frame as well
+
+The sender is the command "maplines drive"; this process receives. The received lines must be those
+of the log of the sender, bit for bit and in order.
+
+The slots are checked by the received lines alone and the poses that the sender states. A line is
+followed from cycle to cycle: where it was seen in one cycle is where it must be in the next one,
+within 1 m, or its slot has another line. At a lane change of the car, the left line becomes the
+right one, or the right line the left one. Each lane change of the route must be seen once, in its
+order, to its side and near its place, and must be one in the truth that the sender records; and
+wherever a slot has a new line, the lines of all slots must be boundaries of the lanes around the
+car, as evidence_maps.py checks them.
+
+The shares of a core are user and system time over the wall-clock time, with the start of the sender
+apart. The exit status is 1 if a line is lost or a slot is wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from evidence_maps import SLOTS, Witness
+from line_witness import seen_from
+from reporting import parser_of, report
+
+from maplines_can import Codec, Link, MapLine, Receiver, Slot, maps, read_log
+
+#: Distance from cycle to cycle beyond which a slot has another line [m].
+JUMP = 1.0
+#: Largest distance of a lane change from that of the route: along the route [m].
+NEAR = 30.0
+#: Mean of the time by which the age of a line is rounded up [s].
+AGE_ROUNDING = 0.004
+#: Cycles within which the lines of a cycle arrive, even from a sender that is late.
+PATIENCE = 4
+#: Points of a line that are followed to the next cycle [m].
+GRID = np.arange(-4.0, 12.5, 0.5)
+
+
+def of_lines(lines: Any) -> list[Any]:
+    """Return what must be equal of lines that are sent and received."""
+    return [
+        (line.slot, line.kind, line.status, line.x_min, line.x_max, line.age, *of_gaussian(line))
+        for line in lines
+    ]
+
+
+def of_gaussian(line: MapLine) -> tuple[bytes, bytes]:
+    return line.gaussian.mean.tobytes(), line.gaussian.cov.tobytes()
+
+
+def decoded(path: Path) -> list[MapLine]:
+    """Return the lines in a log."""
+    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
+    fed = (decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(path))
+    return [line for line in fed if isinstance(line, MapLine)]
+
+
+@contextmanager
+def candump(arguments: argparse.Namespace, path: Path) -> Iterator[Any]:
+    """Run candump on a SocketCAN interface, with its output in a file, if it is installed."""
+    if arguments.interface != "socketcan" or not shutil.which("candump"):
+        yield None
+        return
+    with path.open("w") as file:
+        process = subprocess.Popen(["candump", "-L", arguments.channel], stdout=file)
+        try:
+            time.sleep(1.0)
+            yield path
+            time.sleep(1.0)
+        finally:
+            process.terminate()
+            process.wait()
+
+
+def transmit(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    """Let a process send the drive, and receive it; return the figures."""
+    log, truth, dump = (folder / name for name in ("drive.log", "truth.csv", "candump.log"))
+    command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--force", "--lines", "4"]
+    command += ["--record", str(log), "--truth", str(truth), "--seed", str(arguments.seed)]
+    command += ["--rate", str(arguments.rate)] + ["--fd"] * arguments.fd
+    for name in ("seconds", "route"):
+        value = getattr(arguments, name)
+        command += [f"--{name}", str(value)] if value is not None else []
+    if arguments.simulated:
+        done = subprocess.run([*command, "--as-fast-as-possible"], capture_output=True, check=True)
+        return {"sender": json.loads(done.stdout), "met": True}
+    bus = {"interface": arguments.interface, "channel": arguments.channel}
+    bus = {name: value for name, value in bus.items() if value is not None}
+    for name, value in bus.items():
+        command += [f"--{name}", value]
+    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
+    arrived: list[MapLine] = []
+    with (
+        candump(arguments, dump) as dumped,
+        Link(**bus, fd=arguments.fd) as link,
+        Receiver(link, decoder, on_line=arrived.append) as receiver,
+    ):
+        before, children = cpu(resource.RUSAGE_SELF), cpu(resource.RUSAGE_CHILDREN)
+        start = time.monotonic()
+        done = subprocess.run(command, capture_output=True, check=False)
+        wall = time.monotonic() - start
+        sender_cpu = cpu(resource.RUSAGE_CHILDREN) - children
+        if done.returncode:
+            sys.exit(done.stderr.decode())
+        sent = json.loads(done.stdout)
+        end = time.monotonic() + 30
+        while receiver.stats().lines < sent["lines"] and time.monotonic() < end:
+            time.sleep(0.1)
+        receiver_cpu = cpu(resource.RUSAGE_SELF) - before
+        stats = receiver.stats()
+    was_sent = of_lines(decoded(log))
+    seconds = sent["seconds"]
+    figures: dict[str, Any] = {
+        "sender": sent,
+        "receiver": {
+            "lines": stats.lines,
+            "frames": stats.frames,
+            "lines missing by their counters": stats.lost,
+            "frames dropped": sum(stats.counts.values()),
+        },
+        "lines in the log of the sender": len(was_sent),
+        "received as they were sent": of_lines(arrived) == was_sent,
+        "wall-clock time of the sender [s]": wall,
+        "share of a core, sender in its cycles": sent["core_share"],
+        "share of a core, sender with its start": sender_cpu / wall,
+        "share of a core, receiver": receiver_cpu / seconds,
+        "CPU time for each cycle [ms]": {
+            "sender": 1000 * sent["cpu"] / sent["cycles"],
+            "receiver": 1000 * receiver_cpu / sent["cycles"],
+        },
+    }
+    losses = [sent[name] for name in ("down", "full", "overruns", "late_cycles")]
+    met = (
+        figures["received as they were sent"]
+        and stats.lines == sent["lines"] == len(was_sent) > 0
+        and stats.frames == sent["frames"]
+        and not (stats.lost or any(stats.counts.values()) or any(losses[:2]))
+    )
+    if dumped is not None:
+        frames = [(frame.can_id, frame.data) for frame in read_log(dumped)]
+        same = frames == [(frame.can_id, frame.data) for frame in read_log(log)]
+        figures["frames that candump saw"], figures["the same frames"] = len(frames), same
+        met &= same
+    return figures | {"met": met}
+
+
+def cpu(who: int) -> float:
+    """Return the user and system time of this process or of its children that ended [s]."""
+    used = resource.getrusage(who)
+    return used.ru_utime + used.ru_stime
+
+
+def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]:
+    """Return the figures of the slots of a recorded drive."""
+    with (folder / "truth.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    sent = lines_of_cycles(decoded(folder / "drive.log"), rows)
+    has = [k for k, cycle in enumerate(sent) if cycle]  # a sender that is late leaves some out
+    changed = [k for k, row in enumerate(rows) if float(row["lane_changed"])]
+    recorded = np.searchsorted(has, changed).tolist()
+    rows = [rows[k] for k in has]
+    cycles = known_lines([sent[k] for k in has])
+    poses = np.array(
+        [[float(row[f"stated_{name}"]) for name in ("x", "y", "heading")] for row in rows]
+    )
+    witness, counts, wrong = Witness(found), Counter[str](), list[str]()
+    changes: list[Change] = []
+    places = [route.start]
+    for k in range(1, len(rows)):
+        places.append(along(route, poses[k, :2], places[-1]))
+        if not PATIENCE < k < len(rows) - PATIENCE:
+            continue  # the first and the last lines of the slots are not of the same cycle
+        jumps = {slot: jump(cycles[k - 1], cycles[k], slot, poses, k) for slot in SLOTS}
+        new = {slot: value for slot, value in jumps.items() if not abs(value) <= JUMP}
+        if not new:
+            continue
+        counts["slots with another line"] += len(new)
+        counts["of these without a line now"] += int(np.isnan(list(new.values())).sum())
+        if not changes or k - changes[-1].last > PATIENCE:
+            changes.append(Change(k))
+        changes[-1].last = k
+        changes[-1].jumps |= new
+    for change in changes:
+        k = change.last
+        at_car = {slot: position(seen, poses, k) for slot, seen in cycles[k].items()}
+        if not witness.is_right(at_car, poses[k]):
+            wrong.append(f"{rows[k]['drive_time']} s")
+    ego = [change for change in changes if change.side]
+    planned = [change for change in route.changes if change.end < places[-1]]
+    of_route = len(ego) == len(planned) and all(
+        change.side == ("left" if plan.is_left else "right")
+        and plan.start - NEAR <= places[change.first] <= plan.end + NEAR
+        for change, plan in zip(ego, planned, strict=True)
+    )
+    of_truth = len(ego) == len(recorded) and all(
+        k - 1 <= change.first <= k + PATIENCE  # the age is rounded, too
+        for change, k in zip(ego, recorded, strict=True)
+    )
+    away = [row["lane"] != row["stated_lane"] for row in rows]
+    return {
+        "cycles of which a line was sent": len(rows),
+        "slots with another line": counts["slots with another line"],
+        "of these without a line now": counts["of these without a line now"],
+        "moments at which slots change": len(changes),
+        "all slots right after it": len(changes) - len(wrong),
+        **({"wrong": wrong[:10]} if wrong else {}),
+        "lane changes of the route": len(planned),
+        "lane changes seen": [
+            f"{rows[change.first]['drive_time']} s, to the {change.side}, "
+            f"{rows[change.first - 1]['stated_lane']} to {rows[change.last]['stated_lane']}"
+            for change in ego
+        ],
+        "each is that of the route": of_route,
+        "each is that of the truth": of_truth,
+        "cycles on another lane than believed": sum(away),
+        "met": of_route and of_truth and not wrong,
+    }
+
+
+@dataclass
+class Change:
+    """Slots that get another line at about the same time.
+
+    A line is sent at the time of its slot within a cycle, and a sender that is late leaves some
+    out: so the lines of one cycle may arrive in the next ones.
+    """
+
+    first: int  #: cycle
+    last: int = 0  #: cycle
+    jumps: dict[Slot, float] = field(default_factory=dict)  #: [m]
+
+    @property
+    def side(self) -> str:
+        """The side to which the car changes lanes; empty if it does not."""
+        sides = {np.sign(self.jumps.get(slot, 0.0)) for slot in SLOTS[:2]}
+        return {(1.0,): "left", (-1.0,): "right", (0.0,): ""}.get((*sides,), "neither")
+
+
+def lines_of_cycles(lines: list[MapLine], rows: Any) -> list[dict[Slot, MapLine]]:
+    """Return the lines that were sent of the pose of each cycle."""
+    times = np.array([float(row["time"]) for row in rows])
+    cycles: list[dict[Slot, MapLine]] = [{} for _ in rows]
+    for line in lines:
+        if np.isfinite(line.age):
+            of_pose = 1e-9 * (line.t_ns or 0) - line.age + AGE_ROUNDING
+            after = min(int(times.searchsorted(of_pose)), len(times) - 1)
+            k = min((max(after - 1, 0), after), key=lambda i: abs(times[i] - of_pose))
+            cycles[k][line.slot] = line
+    return cycles
+
+
+def known_lines(sent: list[dict[Slot, MapLine]]) -> list[dict[Slot, tuple[MapLine, int]]]:
+    """Return the lines that a receiver knows in each cycle, and the cycles of their poses.
+
+    A line that was not sent in a cycle is known from the one before.
+    """
+    known = [{slot: (line, k) for slot, line in lines.items()} for k, lines in enumerate(sent)]
+    for slot in SLOTS:
+        for k, then in pairwise([k for k, lines in enumerate(sent) if slot in lines]):
+            if then - k <= PATIENCE + 1:
+                for lines in known[k + 1 : then]:
+                    lines[slot] = sent[k][slot], k
+    return known
+
+
+def jump(before: Any, now: Any, slot: Slot, poses: Any, k: int) -> float:
+    """Return how far the line of a slot is to the left of where it was, at the car [m].
+
+    Infinite if there was none, and NaN if there is none now.
+    """
+    if slot not in now:
+        return np.nan if slot in before else 0.0
+    if slot not in before:
+        return np.inf
+    step = position(now[slot], poses, k) - position(before[slot], poses, k)
+    return step if np.isfinite(step) else 0.0  # it is not beside the car
+
+
+def position(seen: tuple[MapLine, int], poses: Any, k: int) -> float:
+    """Return the lateral position at the car, in cycle k, of a line of an earlier one [m].
+
+    NaN if it is not beside the car, or does not fit into the message.
+    """
+    line, cycle = seen
+    x = GRID[(line.x_min <= GRID) & (line.x_max >= GRID)]
+    if len(x) < 2 or not line.is_usable:
+        return np.nan
+    cos, sin = np.cos(poses[cycle, 2]), np.sin(poses[cycle, 2])
+    points = np.column_stack([x, line.y(x)]) @ [[cos, sin], [-sin, cos]] + poses[cycle, :2]
+    local = seen_from(points, poses[k : k + 1])[0]
+    return float(np.interp(0.0, local[:, 0], local[:, 1], left=np.nan, right=np.nan))
+
+
+def along(route: maps.Route, point: Any, last: float) -> float:
+    """Return the distance along a route of a point shortly after the last one [m]."""
+    shortly = slice(*route.line.distance.searchsorted([last - 5, last + 50]))
+    squares = ((route.line.points[shortly] - point) ** 2).sum(axis=1)
+    return float(route.line.distance[shortly][squares.argmin()])
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--interface", default="udp_multicast", help="udp_multicast by default")
+    parser.add_argument("--channel", help="such as vcan0")
+    parser.add_argument("--fd", action="store_true", help="CAN FD")
+    parser.add_argument("--rate", type=float, default=20.0, help="[Hz], 20 by default")
+    parser.add_argument("--seconds", type=float, help="end after this part of the drive [s]")
+    parser.add_argument("--route", help="A..B of lanes of the town; the tour by default")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--simulated", action="store_true", help="do not wait, and use no bus")
+    parser.add_argument("--folder", type=Path, help="keep the log and the truth here")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    arguments = parser.parse_args()
+    found = maps.load(maps.town_path())
+    if arguments.route is None:
+        route = maps.town_tour(found)
+    else:
+        first, *via, last = arguments.route.split("..")
+        route = found.route(first, last, via)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = arguments.folder or Path(temporary)
+        folder.mkdir(exist_ok=True, parents=True)
+        bus, slots = transmit(arguments, folder), slots_of(folder, found, route)
+    same = slots["slots with another line"] == bus["sender"]["slot_changes"]
+    result = {
+        "bus": bus,
+        "slots": slots,
+        "as many slots with another line as the sender counted": same,
+        "processors of this machine": os.cpu_count(),
+        "met": bus["met"] and slots["met"] and same,
+    }
+    return report(result, arguments.json, 44)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

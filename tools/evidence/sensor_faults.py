@@ -1,0 +1,286 @@
+#!/usr/bin/env python3
+"""Inject faults into the sensors of the localisation, and measure how long it is wrong unnoticed.
+
+    evidence_sensor_faults.py                          all sensors, faults and durations, 8 seeds
+    evidence_sensor_faults.py --sensor gnss --fault 30 the faults of a sensor whose names have "30"
+    evidence_sensor_faults.py --markdown               the table of docs/localisation.md
+    evidence_sensor_faults.py --unknown-gnss           filters that find out the error of GNSS
+
+Run it in the environment of the project:
+python3 tools/run.py python tools/evidence_sensor_faults.py
+
+A car for each seed, with errors of its own, drives through the town. After 30 s a sensor has a
+fault for one sample, 1, 5 or 30 s; then it is right again. Cars with a map have GNSS, odometry,
+lines and landmarks; cars without one have GNSS and odometry; cars with a lidar have odometry, GNSS,
+and a pose twice a second (``PoseFix``); on the straight road, which is not in the town, they have
+GNSS and odometry. Pose and covariance are evaluated ten times a second.
+
+A pose is wrong unnoticed if the filter states it, and its error along, across or of the heading is
+more than 5 times the stated standard deviation. The longest time without a break for which it is,
+must be no more than ``LONGEST``, for each car, and each pose must be known again at the end.
+
+    beyond     longest time for which a pose is wrong unnoticed [s], of all seeds; its position
+    error      largest error of the position while a pose is stated [m]; the stated sigma then
+    said       median time from the begin of the fault until no pose is stated [s]
+    without    median time without a pose [s]
+
+The exit status is 1 if a bound is missed.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import sys
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from reporting import parser_of, progress, report
+
+from maplines_can import Polyline
+from maplines_can.localisation import (
+    CameraLines,
+    Localisation,
+    LocalisationLayer,
+    PoseFix,
+    SeenLandmarks,
+    SensorErrors,
+)
+from maplines_can.maps import Map, load, town_path, town_tour
+from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
+
+Array = NDArray[np.float64]
+
+#: Part of the tour [s], and the begin of the fault after its start [s].
+START, WARM_UP = 20.0, 30.0
+#: Durations of the faults [s]; 0 is a single measurement.
+DURATIONS = (0.0, 1.0, 5.0, 30.0)
+#: Time after a fault within which the pose must be known again [s].
+AFTER = 80.0
+#: Time after a fault for which all poses must have been known to end a course sooner [s].
+SETTLED = 10.0
+#: Time between two evaluations [s].
+STEP = 0.1
+#: Stated standard deviations beyond which an error counts as wrong.
+BEYOND = 5.0
+#: Longest time for which a pose may be wrong unnoticed, by what the car has [s]. On a straight road
+#: without a map, nothing but GNSS shows the heading: there is no bound for a drift across it.
+LONGEST = {"map": 5.0, "no map": 10.0, "lidar": 5.0, "straight road": math.inf}
+#: What a car has for the faults of each sensor.
+CARS = {
+    "odometry": ("map", "no map"),
+    "gnss": ("map", "no map", "straight road"),
+    "lines": ("map",),
+    "landmarks": ("map",),
+    "pose": ("lidar",),
+}
+#: Sensors at less than their usual rates, as 200 courses would take long.
+SETUP = SensorSetup(odometry_rate=20.0, camera_rate=5.0)
+#: White noise of the poses of a lidar [m, m, rad], and their rate [Hz].
+LIDAR, LIDAR_RATE = (0.05, 0.05, math.radians(0.2)), 2.0
+
+
+class Course(NamedTuple):
+    """What happened to n cars from the begin of a fault on, at k times."""
+
+    t: Array  #: (k,) since its begin [s]
+    known: NDArray[np.bool_]  #: (k, n)
+    errors: Array  #: (k, n, 3) along [m], across [m], heading [rad]
+    sigmas: Array  #: (k, n, 3) stated
+
+    @property
+    def wrong(self) -> NDArray[np.bool_]:
+        """(k, n, 3) whether a pose is stated, but is wrong along, across, or in the heading."""
+        return self.known[..., None] & (np.abs(self.errors) > BEYOND * self.sigmas)
+
+
+class Drive:
+    """Cars that drive through the town up to a fault.
+
+    Args:
+        way: true poses.
+        layer: of the map.
+        cars: "map", "no map" or "lidar".
+        seeds: number of cars.
+        errors: that the filters know of the sensors.
+    """
+
+    def __init__(
+        self,
+        way: SimulatedDrive,
+        layer: LocalisationLayer,
+        cars: str,
+        seeds: int,
+        errors: SensorErrors = SETUP.errors,
+    ) -> None:
+        self.way, self._layer = way, layer
+        self.begin = START + WARM_UP
+        setup, rng = SETUP, np.random.default_rng([seeds, len(cars)])
+        span = START, self.begin + max(DURATIONS) + AFTER
+        arrivals = simulated_measurements(way, layer, setup, rng, seeds, span)
+        if cars != "map":
+            camera = CameraLines | SeenLandmarks
+            arrivals = [one for one in arrivals if not isinstance(one.measurement, camera)]
+        if cars == "lidar":
+            arrivals = sorted([*arrivals, *poses_of(way, rng, seeds, span)], key=lambda one: one.t)
+        self._arrivals = arrivals
+        sigma = np.array(START_SIGMA)
+        start = way.at(START).pose + sigma * rng.standard_normal((seeds, 3))
+        self._ready = Localisation(
+            start, START, errors, layer if cars == "map" else None, cov=np.diag(sigma**2)
+        )
+        self._first = 0
+        while arrivals[self._first].measurement.t < self.begin - 2.0:
+            self._ready.add(arrivals[self._first].measurement)
+            self._first += 1
+
+    def run(self, fault: SensorFault | None, duration: float, after: float = AFTER) -> Course:
+        """Return the course of a fault; None for none."""
+        localisation = copy.deepcopy(self._ready, {id(self._layer): self._layer})
+        end = self.begin + duration
+        arrivals: Iterable[Arrival] = self._arrivals[self._first :]
+        if fault is not None:
+            arrivals = injected(arrivals, fault, self.begin, end)
+        rows, due, since = [], self.begin, end
+        for t, measurement in arrivals:
+            while t > due:
+                rows.append(self._row(localisation, due))
+                if not rows[-1][0].all():
+                    since = max(end, due)
+                due += STEP
+            if t > min(end + after, since + SETTLED):
+                break
+            localisation.add(measurement)
+        known, errors, sigmas = (np.array(column) for column in zip(*rows, strict=True))
+        return Course(STEP * np.arange(len(rows), dtype=float), known, errors, sigmas)
+
+    def _row(self, localisation: Localisation, t: float) -> tuple[Any, Array, Array]:
+        true = self.way.at(t).pose
+        # Beyond the time of a caller only if the stamps of the odometry are.
+        mean, cov, known = localisation.poses(max(t, localisation.t))
+        c, s = math.cos(true[2]), math.sin(true[2])
+        T = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        errors = (mean - true) @ T.T
+        errors[:, 2] = (errors[:, 2] + math.pi) % (2 * math.pi) - math.pi
+        return known, errors, np.sqrt(np.diagonal(T @ cov @ T.T, axis1=-2, axis2=-1))
+
+
+def poses_of(
+    way: SimulatedDrive, rng: np.random.Generator, n: int, span: tuple[float, float]
+) -> list[Arrival]:
+    """Return the poses of a lidar."""
+    times = np.arange(*span, 1 / LIDAR_RATE)
+    noise = np.array(LIDAR) * rng.standard_normal((len(times), n, 3))
+    cov = np.diag(np.square(LIDAR))
+    return [
+        Arrival(float(t) + 0.1, PoseFix(float(t), way.at(t).pose + e, cov))
+        for t, e in zip(times, noise, strict=True)
+    ]
+
+
+def drive_of(cars: str, seeds: int, errors: SensorErrors = SETUP.errors) -> Drive:
+    """Return the drive of cars with what ``CARS`` says, through the town or on a straight road."""
+    if cars == "straight road":
+        way = SimulatedDrive(Polyline([[0.0, 0.0], [4000.0, 0.0]]))
+        return Drive(way, LocalisationLayer(Map({}, {})), "no map", seeds, errors)
+    town = load(town_path())
+    way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
+    return Drive(way, layer, cars, seeds, errors)
+
+
+def longest(flags: NDArray[np.bool_]) -> Array:
+    """Return the (n,) longest times for which (k, n) flags are set without a break [s]."""
+    run = best = np.zeros(flags.shape[1])
+    for row in flags:
+        run = (run + 1) * row
+        best = np.maximum(best, run)
+    return STEP * best
+
+
+def figures(course: Course, limit: float) -> dict[str, Any]:
+    """Return the figures of a course."""
+    size = np.where(course.known, np.hypot(course.errors[..., 0], course.errors[..., 1]), 0.0)
+    k, car = np.unravel_index(int(size.argmax()), size.shape)
+    lost = ~course.known
+    first = np.where(lost.any(axis=0), lost.argmax(axis=0) * STEP, math.nan)
+    wrong = course.wrong
+    beyond, position = (
+        float(longest(np.asarray(some.any(axis=-1))).max()) for some in (wrong, wrong[..., :2])
+    )
+    share = np.abs(course.errors) / course.sigmas
+    return {
+        "beyond [s]": round(beyond, 1),
+        "position beyond [s]": round(position, 1),
+        "error [m]": round(float(size.max()), 2),
+        "sigma [m]": round(float(np.hypot(*course.sigmas[k, car, :2]) / math.sqrt(2)), 2),
+        "largest sigmas": round(float(np.where(course.known[..., None], share, 0.0).max()), 1),
+        "said after [s]": round(float(np.nanmedian(first)), 1) if lost.any() else math.nan,
+        "cars beyond for 10 s": int((longest(np.asarray(wrong.any(axis=-1))) > 10.0).sum()),
+        "cars without a pose": int(lost.any(axis=0).sum()),
+        "without a pose [s]": round(float(np.median(STEP * lost.sum(axis=0))), 1),
+        "known at the end": int(course.known[-1].sum()),
+        "right at the end": int((~wrong[-1].any(axis=-1) & course.known[-1]).sum()),
+        "met": bool(beyond <= limit and course.known[-1].all()),
+    }
+
+
+def main() -> int:
+    parser = parser_of(__doc__)
+    parser.add_argument("--sensor", choices=CARS, help="only the faults of this one")
+    parser.add_argument("--fault", default="", help="only those with this in their name")
+    parser.add_argument("--cars", choices=LONGEST, help="only these")
+    parser.add_argument("--seeds", type=int, default=8, help="cars (default: 8)")
+    parser.add_argument("--unknown-gnss", action="store_true", help="do not tell the GNSS error")
+    parser.add_argument("--seconds", type=float, nargs="+", default=DURATIONS, help="of a fault")
+    parser.add_argument("--markdown", action="store_true", help="print the table of the docs")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    arguments = parser.parse_args()
+    errors = replace(SETUP.errors, gnss=None) if arguments.unknown_gnss else SETUP.errors
+    result: dict[str, Any] = {}
+    drives: dict[str, Drive] = {}
+    chosen = [
+        (fault, cars, duration)
+        for fault in FAULTS
+        for cars in CARS[fault.sensor]
+        for duration in arguments.seconds
+        if arguments.sensor in (None, fault.sensor)
+        and arguments.cars in (None, cars)
+        and arguments.fault in fault.name
+    ]
+    for fault, cars, duration in progress(chosen, "faults"):
+        if cars not in drives:
+            drives[cars] = drive_of(cars, arguments.seeds, errors)
+        found = figures(drives[cars].run(fault, duration), LONGEST[cars])
+        result[f"{fault.sensor}, {fault.name}; {cars}; {duration:g} s"] = found
+    if arguments.markdown:
+        print("\n".join(table(result)))
+        return 0
+    met = all(found["met"] for found in result.values())
+    return report(result | {"met": met}, arguments.json, 34)
+
+
+def table(result: dict[str, Any]) -> list[str]:
+    """Return the lines of a table."""
+    rows = ["| fault | cars | time | beyond | position | error, sigma | said | without |"]
+    rows.append("|---|---|---|---|---|---|---|---|")
+    for name, one in result.items():
+        fault, cars, duration = name.split("; ")
+        said = one["said after [s]"]
+        rows.append(
+            f"| {fault} | {cars} | {duration} | {one['beyond [s]']:g} s | "
+            f"{one['position beyond [s]']:g} s | {one['error [m]']:g} m, "
+            f"{one['sigma [m]']:g} m | {'-' if math.isnan(said) else f'{said:g} s'} | "
+            f"{one['without a pose [s]']:g} s |"
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    sys.exit(main())
