@@ -1,5 +1,6 @@
 """The recording of the behaviour and the count of journeys: what they tell apart."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import behaviour
@@ -47,6 +48,6 @@ def test_a_journey_is_there_and_back() -> None:
     found = journeys.steps(lambda: (np.mean([1, 2]), ml.Gaussian([0.0], [[1.0]]).sigma))
     files = [file for file, _ in journeys.stays(found)]
     assert files[0] == files[-1]
-    assert all(one != other for one, other in zip(files, files[1:], strict=False))
+    assert all(one != other for one, other in pairwise(files))
     assert len(set(files)) < len(files)
     assert {Path(file).name for file in files} == {"gaussian.py", "arrays.py"}

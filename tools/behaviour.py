@@ -2,7 +2,7 @@
 """Record the observable behaviour of this checkout, and compare two recordings.
 
     behaviour.py record DIR     run all commands, the corpora, the wire and the propagation
-    behaviour.py record DIR wire drive-*    the parts whose names match only
+    behaviour.py record DIR wire command-drive    only the parts whose names begin so
     behaviour.py compare A B    print the parts that differ; the exit status is 1 if any does
 
 Run it in the environment of the project: python3 tools/run.py python tools/behaviour.py ...
@@ -269,23 +269,24 @@ def feed(log: str) -> None:
 
 
 def parts(patterns: list[str]) -> Iterator[tuple[str, str]]:
-    """Yield the parts of a recording, name and text; of commands, those before run too."""
-    wanted = [name for name in commands() if matches(name, patterns)]
+    """Yield the parts of a recording, name and text; commands need those before them."""
+    every = [(f"command-{name}", name, arguments) for name, arguments in commands().items()]
+    last = max((i for i, row in enumerate(every) if matches(row[0], patterns)), default=-1)
     with tempfile.TemporaryDirectory(prefix="behaviour-") as place:
         folder = Path(place).resolve()
         prepare(folder)
-        for name, arguments in commands().items() if wanted else ():
-            yield f"command-{name}", run_command(name, arguments, folder)
+        for part, name, arguments in every[: last + 1]:
+            yield part, run_command(name, arguments, folder)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported
     import behaviour_api
 
-    for part in behaviour_api.PARTS:
-        if not patterns or any(part.__name__.startswith(one[:4]) for one in patterns):
-            yield from part()
+    for name, of_api in behaviour_api.PARTS.items():
+        if matches(name, [one.partition("-")[0] for one in patterns]):
+            yield from of_api()
 
 
 def matches(name: str, patterns: list[str]) -> bool:
-    """Return whether the name of a part matches one of the patterns; without any, it does."""
+    """Return whether the name of a part begins with one of the patterns; without any, it does."""
     return not patterns or any(fnmatch.fnmatch(name, f"{one}*") for one in patterns)
 
 
@@ -294,6 +295,8 @@ def record(folder: Path, patterns: list[str]) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     start = time.monotonic()
     for name, text in parts(patterns):
+        if not matches(name, patterns):
+            continue
         (folder / f"{name}.txt").write_text(text)
         print(f"{time.monotonic() - start:6.1f} s  {name}", file=sys.stderr)
     return 0
@@ -311,16 +314,14 @@ def compare(a: Path, b: Path, patterns: list[str]) -> int:
         if texts[0] == texts[1]:
             continue
         differing += 1
-        rows = list(zip_longest(*(text.splitlines() for text in texts), fillvalue="(no row)"))
+        columns = [text.splitlines() for text in texts]
+        rows = zip_longest(columns[0], columns[1], fillvalue="(no row)")
         different = [(i, *pair) for i, pair in enumerate(rows, 1) if pair[0] != pair[1]]
-        print(f"{name}: {len(different)} of {len(rows)} rows differ")
+        print(f"{name}: {len(different)} rows differ")
         for i, left, right in different[:3]:
-            at = max(
-                next((k for k, (p, q) in enumerate(zip(left, right, strict=False)) if p != q), 0)
-                - 40,
-                0,
-            )
-            print(f"  {i:5} A {left[at : at + 150]}\n        B {right[at : at + 150]}")
+            at = next((k for k in range(len(left)) if left[: k + 1] != right[: k + 1]), len(left))
+            part = slice(max(at - 40, 0), at + 110)
+            print(f"  {i:5} A {left[part]}\n        B {right[part]}")
     print(f"{differing} of {len(names)} parts differ")
     return 1 if differing else 0
 

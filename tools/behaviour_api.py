@@ -52,7 +52,7 @@ def shown(value: Any) -> str:
         return value.hex()
     if isinstance(value, np.ndarray):
         if value.size > 100:
-            return f"{value.shape} {hashlib.sha256(np.ascontiguousarray(value)).hexdigest()}"
+            return f"{value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}"
         return shown(value.tolist())
     if isinstance(value, set | frozenset):
         return shown(sorted(value))
@@ -123,7 +123,7 @@ def watch(rows: list[str], last: list[Any]) -> None:
     fuzz_scenes.check_scene = noted_scene
 
 
-_ORIGINAL = {
+_ORIGINAL: dict[str, Any] = {
     "check_line": fuzz_targets.check_line,
     "outcome_of": fuzz_targets.outcome_of,
     "check_scene": fuzz_scenes.check_scene,
@@ -383,4 +383,4 @@ def propagations() -> Iterator[tuple[str, str]]:
         yield f"propagation-{name}", "\n".join(rows)
 
 
-PARTS: tuple[Callable[[], Iterator[tuple[str, str]]], ...] = (corpora, wires, propagations)
+PARTS = {"corpus": corpora, "wire": wires, "propagation": propagations}
