@@ -193,9 +193,9 @@ def test_the_command_runs_the_tests(tmp_path: Path) -> None:
 def test_the_coverage_of_packages_adds_up() -> None:
     """Files of two packages and of the top level."""
     files = {
-        "maplines_can/values/line.py": summary(10, 9, 4, 3),
+        "maplines_can/__init__.py": summary(10, 9, 4, 3),
         "maplines_can/wire/codec.py": summary(20, 20, 0, 0),
-        "maplines_can\\wire\\message\\layout.py": summary(20, 10, 8, 4),
+        "maplines_can\\wire\\layout\\packing.py": summary(20, 10, 8, 4),
     }
     rows = coverage_table.rows_of(files)
     assert rows == [
@@ -203,7 +203,6 @@ def test_the_coverage_of_packages_adds_up() -> None:
         ("wire", "40", "75 %", "8", "50 %"),
         ("total", "50", "78 %", "12", "58 %"),
     ]
-    assert "| wire | 40 | 75 % | 8 | 50 % |" in coverage_table.markdown(rows)
 
 
 def summary(*counts: int) -> dict[str, dict[str, int]]:

@@ -3,7 +3,6 @@
 
     python3 tools/run.py pytest -n 2 --dist loadfile --cov --cov-report=
     python3 tools/run.py python tools/coverage_table.py
-    python3 tools/run.py python tools/coverage_table.py --write   also write docs/assurance.md
 
 The exit status is 1 if there is no data.
 """
@@ -18,18 +17,15 @@ from collections import Counter, defaultdict
 from pathlib import Path, PurePath
 from typing import Any
 
-from reporting import fill_tables, parser_of
+from reporting import parser_of
 
 COUNTS = ("num_statements", "covered_lines", "num_branches", "covered_branches")
 HEADER = ("coverage", "lines", "", "branches", "")
-PAGE = Path(__file__).parents[1] / "docs" / "assurance.md"
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table and return the exit status."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--write", action="store_true", help="write the table of docs/assurance.md")
-    options = parser.parse_args(arguments)
+    parser_of(__doc__).parse_args(arguments)
     with tempfile.TemporaryDirectory(prefix="coverage-") as folder:
         path = Path(folder) / "coverage.json"
         command = [sys.executable, "-m", "coverage", "json", "-q", "-o", str(path)]
@@ -38,10 +34,6 @@ def main(arguments: list[str] | None = None) -> int:
         rows = rows_of(json.loads(path.read_text())["files"])
     for package, lines, covered, branches, taken in [HEADER, *rows]:
         print(f"{package:<16}{lines:>8}{covered:>6}{branches:>10}{taken:>6}")
-    if options.write:
-        page = PAGE.read_text(encoding="utf-8")
-        filled = fill_tables(page, Path(__file__).name, {"coverage": markdown(rows)})
-        PAGE.write_text(filled, encoding="utf-8")
     return 0
 
 
@@ -59,12 +51,6 @@ def rows_of(files: dict[str, Any]) -> list[tuple[str, ...]]:
             (package, str(lines), percent(covered, lines), str(branches), percent(taken, branches))
         )
     return rows
-
-
-def markdown(rows: list[tuple[str, ...]]) -> str:
-    """Return the rows as a table for a page."""
-    lines = ["| package | lines | executed | branches | taken |", "|---|---:|---:|---:|---:|"]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def package_of(name: str) -> str:
