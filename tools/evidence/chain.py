@@ -1,12 +1,4 @@
-#!/usr/bin/env python3
-"""Drive through the shipped town with the whole chain at once, in real time, on a bus.
-
-    evidence_chain.py                  ten minutes, over UDP multicast between two processes
-    evidence_chain.py --seconds 30     half a minute
-    evidence_chain.py --simulated      without waiting, without a bus, in one process
-    evidence_chain.py --simulated --seeds 6 --seconds 120    drives with other errors
-
-Run it in the environment of the project: python3 tools/run.py python tools/evidence_chain.py
+"""The whole chain at once: a car drives through the town by lines that it receives.
 
     car -> GNSS, odometry, camera, landmarks -> Localisation -> map_scene -> Transmitter
      ^                                                                           |
@@ -14,23 +6,15 @@ Run it in the environment of the project: python3 tools/run.py python tools/evid
      |                                                                           v
      +--- LaneSteering <- LaneFusion <- Receiver, odometry and a second camera --+
 
-The sender is a process of its own. Beside the bus, it gets the true motion of the car, which its
-simulated sensors measure. Sensors, car, and camera are those of localisation.md, evidence_steering
-and evidence_fusion; the camera of the fusion fails for 10 s in each minute. The map has no error.
-The car steers by the fused lane, in lane changes by the received line of the route. After a
-handover it stops; then a driver brings it back to the lane, and lets it drive again.
+The sender gets the true motion of the car, which its simulated sensors measure. The camera of the
+fusion fails for 10 s in each minute. The map has no error. The car steers by the fused lane, in
+lane changes by the received line of the route. After a handover it stops; then a driver brings it
+back to the lane, and lets it drive again.
 
 The error is the lateral distance of the rear axle from the middle of the lane. NEES is the squared
-error in units of the variance: for each degree of freedom, 1 if the covariance is right. One drive
-is one draw of errors that last, so it scatters about 1; --seeds gives the mean over drives, and its
-standard error.
-
-Lost is what was sent, less what was received. A line that the sender has to skip, since it is late
-or was retracted, is not sent, but leaves a gap in the counters.
-
-The shares of a core are those of the threads that do the work, with the simulation apart. A cycle
-is skipped if the process is late by a period. The exit status is 1 if a line or a frame is lost, or
-if the car leaves the lane without having handed over.
+error in units of the variance, for each degree of freedom. One drive is one draw of errors that
+last, so it scatters about 1. Lost is what was sent, less what was received. A line that the sender
+has to skip, since it is late or was retracted, is not sent, but leaves a gap in the counters.
 """
 
 from __future__ import annotations
@@ -39,27 +23,27 @@ import math
 import multiprocessing
 import os
 import socket
-import sys
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from itertools import pairwise
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
-from chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
-from maplines_can.study.closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
-from reporting import bar, parser_of, report
 
-from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, maps
-from maplines_can.consumers.steering import State
+from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can.consumers.steering import SteeringState
+from maplines_can.maps import LaneTracker
 from maplines_can.simulation.camera_view import AGE, COLUMNS, FRAME, LANE, PLACES
 from maplines_can.simulation.truth import true_lines
 from maplines_can.wire import POSE, Frame, Monitor, default_dbc_path
 
-#: Largest distance from the middle of the lane at which the car is in it [m].
-IN_LANE = (3.5 - 1.8) / 2
+from .chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
+from .closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
+from .figures import flat
+from .harness import bar, evidence
+
 #: Distance from a lane change beyond which the fused lane is compared with the truth [m].
 BESIDE = BESIDE_CHANGE + 40.0
 #: Each n-th cycle is compared with the truth.
@@ -71,25 +55,41 @@ PATIENCE, START = 5.0, 120.0
 
 #: DBC with a message of the pose error.
 DBC = "maplines-pose.dbc"
-
-#: Names of figures.
-POSE_NEES, FUSED = "NEES of the pose", "NEES of the fused lane at 0, 20, 40 m"
-OUTAGE = "the same while the camera fails"
-
-Tick = Callable[[float], object]
+FUSED = "NEES of the fused lane"
 
 
-def codec_of(dbc: str) -> Codec:
-    """Return the codec of a DBC of the package."""
-    return Codec.from_dbc(default_dbc_path(dbc))
-
-
+@evidence(seconds=2.0)
 def simulated(
-    seconds: float, seed: int, dbc: str = DBC, tick: Tick = lambda _: None
+    seconds: float = 600.0, seeds: int = 1, dbc: str = DBC, seed: int = 0
 ) -> dict[str, Any]:
-    """Drive without waiting and without a bus; return the figures."""
+    """Drive without waiting and without a bus, with other errors for each seed."""
+    drives = {}
+    with bar(round(seconds) * seeds, "drive", unit=" s") as shown:
+        for number in range(seed, seed + seeds):
+            drives[f"seed {number}"] = drive_of(seconds, number, dbc, shown)
+    if seeds == 1:
+        return drives[f"seed {seed}"]
+    return drives | {"all": means_of([*drives.values()])}
+
+
+def means_of(drives: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the mean of each number over drives, and its standard error."""
+    tables = [dict(flat(one)) for one in drives]
+    found = {}
+    for name, value in tables[0].items():
+        if isinstance(value, float):
+            values = np.array([table.get(name, math.nan) for table in tables])
+            values = values[np.isfinite(values)]
+            if len(values) > 1:
+                error = values.std(ddof=1) / math.sqrt(len(values))
+                found[name] = {"mean": float(values.mean()), "standard error": float(error)}
+    return found
+
+
+def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
+    """Return the figures of a simulated drive."""
     world = World(seed)
-    sender, codec = Sender(seed, world.row), codec_of(dbc)
+    sender, codec = Sender(seed, world.row), Codec.from_dbc(default_dbc_path(dbc))
     monitor = Monitor(codec.decoder())
     consumer = Consumer(world, monitor)
     rows, lines, received, frames = world.row[None], 0, 0, 0
@@ -116,10 +116,10 @@ def simulated(
         before = consumer.demands
         consumer.step(0, round(1e9 * (world.t + LATENCY)))
         rows = consumer.drive(before, LATENCY)
-        tick(PERIOD)
+        shown.update(PERIOD)
     received += deliver(math.inf)
     sent = {"lines": lines, "frames": frames, "cycles skipped": 0} | sender.figures()
-    arrived = {"lines": received, "frames": frames, "lost": lines - received}
+    arrived = {"lines": received, "frames": frames, "frames dropped": 0}
     return figures_of(consumer, sent, arrived)
 
 
@@ -136,7 +136,7 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
     sender.move(start[None])
     sender.cycle(start)  # the first one takes longer
     with Link(**bus) as link:
-        transmitter = Transmitter(link, codec_of(dbc), period=PERIOD)
+        transmitter = Transmitter(link, Codec.from_dbc(default_dbc_path(dbc)), period=PERIOD)
         pipe.send("ready")
         start_ns, before = pipe.recv(), time.process_time()
         with transmitter:
@@ -160,14 +160,29 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
     pipe.send(sent | sender.figures() | {"CPU": dict(sender.cpu) | {"all": used}})
 
 
-def on_bus(
-    bus: Mapping[str, Any],
-    seconds: float,
-    seed: int,
+@evidence()
+def real_time(
+    seconds: float = 600.0,
+    interface: str = "udp_multicast",
+    channel: str = "",
     dbc: str = DBC,
-    tick: Tick = lambda _: None,
+    seed: int = 0,
 ) -> dict[str, Any]:
-    """Drive in real time, with the sender in a process of its own; return the figures."""
+    """Drive in real time on a bus, with the sender in a process of its own.
+
+    The shares of a core are those of the threads that do the work, with the simulation apart. A
+    cycle is skipped if the process is late by a period.
+
+    Args:
+        seconds: of the drive [s].
+        interface: of python-can.
+        channel: such as vcan0.
+        dbc: of the package.
+        seed: of all errors.
+    """
+    bus: dict[str, Any] = {"interface": interface}
+    bus |= {"channel": channel} if channel else {}
+    bus |= {"port": free_port()} if interface == "udp_multicast" else {}
     world = World(seed)
     context = multiprocessing.get_context("spawn")
     pipe, other = context.Pipe()
@@ -182,7 +197,10 @@ def on_bus(
     lines: list[object] = []
     with (
         Link(**bus) as link,
-        Receiver(link, codec_of(dbc).decoder(), on_line=lines.append) as receiver,
+        Receiver(
+            link, Codec.from_dbc(default_dbc_path(dbc)).decoder(), on_line=lines.append
+        ) as receiver,
+        bar(round(seconds), "drive", unit=" s") as shown,
     ):
         consumer, skipped = Consumer(world, receiver), 0
         before, start, start_ns = time.process_time(), time.monotonic(), time.time_ns()
@@ -192,7 +210,7 @@ def on_bus(
             due = start + world.t
             time.sleep(max(due - time.monotonic(), 0.0))
             pipe.send(rows)
-            tick(PERIOD)
+            shown.update(PERIOD)
             if time.monotonic() - due >= PERIOD:
                 skipped += 1
                 rows = consumer.drive(consumer.demands, 0.0)
@@ -212,13 +230,15 @@ def on_bus(
     arrived = {
         "lines": stats.lines,
         "frames": stats.frames,
-        "lost": sent["lines"] - stats.lines,
         "gaps of the counters": stats.lost,
         "frames dropped": sum(stats.counts.values()),
         "cycles skipped": skipped,
     }
     shares = shares_of(sent.pop("CPU"), dict(consumer.cpu) | {"all": used}, world.t)
-    return figures_of(consumer, sent, arrived) | {"share of a core": shares}
+    return figures_of(consumer, sent, arrived) | {
+        "share of a core": shares,
+        "processors of this machine": os.cpu_count(),
+    }
 
 
 def is_at_goal(world: World) -> bool:
@@ -246,23 +266,23 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
     """Return the figures of a drive."""
     moments, world = consumer.moments, consumer.world
     # A car that hands over is the driver's until it drives again.
-    automatic = [m for m in moments if m.state is not State.HANDOVER]
+    automatic = [m for m in moments if m.state is not SteeringState.HANDOVER]
     error = np.abs([m.error for m in automatic])
     handovers = [
         now.reason
         for before, now in pairwise(moments)
-        if now.state is State.HANDOVER and before.state is not State.HANDOVER
+        if now.state is SteeringState.HANDOVER and before.state is not SteeringState.HANDOVER
     ]
-    braking = [abs(m.error) for m in moments if m.state is State.HANDOVER]
+    braking = [abs(m.error) for m in moments if m.state is SteeringState.HANDOVER]
     ages = np.array([m.map_age for m in moments if math.isfinite(m.map_age)])
-    nees, nees_in_outages = fused_nees(consumer)
-    inside = bool(len(error)) and float(error.max()) <= IN_LANE
     return {
         "seconds": round(world.t, 2),
         "km": (moments[-1].along - moments[0].along) / 1000,
         "cycles": len(moments),
         "sender": sent,
         "receiver": arrived,
+        "lines lost": sent["lines"] - arrived["lines"],
+        "frames lost": sent["frames"] - arrived["frames"],
         "error of the car [m]": {
             "rms": float(np.sqrt((error**2).mean())) if len(error) else math.nan,
             "95 %": float(np.quantile(error, 0.95)) if len(error) else math.nan,
@@ -272,24 +292,21 @@ def figures_of(consumer: Consumer, sent: dict[str, Any], arrived: dict[str, Any]
         "handovers": len(handovers),
         "reasons of the handovers": dict(Counter(handovers)),
         "largest error in a handover [m]": max(braking, default=0.0),
-        "age of the lines, median and 95 % [s]": np.quantile(ages, [0.5, 0.95]).round(3).tolist(),
-        FUSED: nees.round(2).tolist(),
-        OUTAGE: nees_in_outages.round(2).tolist(),
-        "met": inside
-        and arrived["lines"] == sent["lines"] > 0
-        and arrived["frames"] == sent["frames"]
-        and not arrived.get("frames dropped", 0),
+        "age of the lines [s]": {
+            "median": float(np.median(ages)),
+            "95 %": float(np.quantile(ages, 0.95)),
+        },
+        **fused_nees(consumer),
     }
 
 
-def fused_nees(consumer: Consumer) -> tuple[Array, Array]:
-    """Return the (3,) mean NEES of the fused lane centre, apart from lane changes.
+def fused_nees(consumer: Consumer) -> dict[str, dict[str, float]]:
+    """Return the mean NEES of the fused lane centre, apart from lane changes.
 
-    Returns:
-        Over the drive, and over the outages of the camera; NaN where there is nothing.
+    That while the camera fails is apart from the one over the whole drive.
     """
     rows, world = np.vstack(consumer.rows), consumer.world
-    tracker = maps.LaneTracker(world.map, world.route)
+    tracker = LaneTracker(world.map, world.route)
     changes = [(c.start - BESIDE, c.end + BESIDE) for c in world.route.changes]
     squares, is_out = [], []
     for moment in consumer.moments[::EACH]:
@@ -300,35 +317,15 @@ def fused_nees(consumer: Consumer) -> tuple[Array, Array]:
         centre = true_lines(lines, LANE, pose)[:, COLUMNS].mean(axis=0)
         squares.append(((moment.centre[:, 0] - centre) / moment.centre[:, 1]) ** 2)
         is_out.append(CAMERA_OUTAGE[0] <= moment.now % 60 < CAMERA_OUTAGE[1])
-    table = np.array(squares).reshape(-1, len(PLACES))
-    return mean_of(table), mean_of(table[np.array(is_out, dtype=bool)])
-
-
-def mean_of(table: Array) -> Array:
-    """Return the means of the columns without NaN; NaN where there is nothing else."""
-    known = np.isfinite(table)
-    total, count = np.where(known, table, 0.0).sum(axis=0), known.sum(axis=0)
-    return np.asarray(np.where(count, total / np.maximum(count, 1), np.nan))
-
-
-def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the NEES of each of two drives or more, their mean and its standard error."""
-    found: dict[str, Any] = {"met": all(result["met"] for result in results)}
-    for name, of in (
-        (POSE_NEES, [[result["sender"][POSE_NEES]] for result in results]),
-        (FUSED, [result[FUSED] for result in results]),
-        (OUTAGE, [result[OUTAGE] for result in results]),
-    ):
-        table = np.array(of, dtype=float)
-        mean = mean_of(table)
-        known = np.isfinite(table).sum(axis=0)
-        error = np.sqrt(mean_of((table - mean) ** 2) / np.maximum(known - 1, 1))
-        found[name] = {
-            "drives": table.round(2).tolist(),
-            "mean": mean.round(2).tolist(),
-            "standard error": error.round(2).tolist(),
+    table, out = np.array(squares).reshape(-1, len(PLACES)), np.array(is_out, dtype=bool)
+    return {
+        name: {
+            f"{x:g} m": float(np.mean(known))
+            for x, column in zip(PLACES, table[rows].T, strict=True)
+            if len(known := column[np.isfinite(column)])
         }
-    return found
+        for name, rows in ((FUSED, slice(None)), (f"{FUSED}, camera failed", out))
+    }
 
 
 def free_port() -> int:
@@ -336,38 +333,3 @@ def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
         found.bind(("", 0))
         return int(found.getsockname()[1])
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Run the command and return its exit status."""
-    parser = parser_of(__doc__)
-    parser.add_argument("--seconds", type=float, default=600.0, help="600 s by default")
-    parser.add_argument("--seed", type=int, default=0, help="of all errors")
-    parser.add_argument(
-        "--seeds", type=int, default=1, help="number of drives with --simulated, from --seed on"
-    )
-    parser.add_argument("--interface", default="udp_multicast", help="udp_multicast by default")
-    parser.add_argument("--channel", help="such as vcan0")
-    parser.add_argument("--dbc", default=DBC, help=f"of the package, {DBC} by default")
-    parser.add_argument("--simulated", action="store_true", help="do not wait, and use no bus")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    arguments = parser.parse_args(argv)
-    if arguments.seeds < 1 or (arguments.seeds > 1 and not arguments.simulated):
-        parser.error("--seeds must be 1 or more, and 1 without --simulated")
-    bus: dict[str, Any] = {"interface": arguments.interface}
-    bus |= {"channel": arguments.channel} if arguments.channel else {}
-    bus |= {"port": free_port()} if arguments.interface == "udp_multicast" else {}
-    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
-    with bar(round(arguments.seconds) * len(seeds), "drive", unit=" s") as shown:
-        if arguments.simulated:
-            results = [
-                simulated(arguments.seconds, seed, arguments.dbc, shown.update) for seed in seeds
-            ]
-            result = results[0] if len(seeds) == 1 else over_seeds(results)
-        else:
-            result = on_bus(bus, arguments.seconds, arguments.seed, arguments.dbc, shown.update)
-    return report(result | {"processors of this machine": os.cpu_count()}, arguments.json, 44)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Parts of the chain of evidence_chain.py: the car, the sender of the lines, and their consumer."""
+"""Parts of the whole chain: the car, the sender of the lines, and their consumer."""
 
 from __future__ import annotations
 
@@ -13,28 +13,29 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from maplines_can.study.closed_loop import (
+
+from maplines_can import Gaussian, Motion, Slot, maps
+from maplines_can.consumers import FusedLane, LaneFusion
+from maplines_can.consumers.lane_fusion import SceneSource
+from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
+from maplines_can.localisation import Localisation, LocalisationLayer
+from maplines_can.maps.line_source import Cycle, LineSource
+from maplines_can.simulation.camera import Errors, UnitGaussMarkov
+from maplines_can.simulation.camera_view import LANE, PLACES
+from maplines_can.simulation.car_stream import camera_view
+from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
+from maplines_can.simulation.simulated_localisation import START_SIGMA
+from maplines_can.simulation.trajectory import CarState
+
+from .closed_loop import (
     BESIDE_CHANGE,
     DEFAULT_SPEED,
     PERIOD,
     SLOTS,
     STEP,
     Car,
-    Place,
+    RouteProgress,
 )
-
-from maplines_can import Gaussian, Motion, Slot, maps
-from maplines_can.consumers import FusedLane, LaneFusion
-from maplines_can.consumers.lane_fusion import SceneSource
-from maplines_can.consumers.steering import Command, LaneSteering, State
-from maplines_can.localisation import Localisation, LocalisationLayer
-from maplines_can.maps.line_source import Cycle, LineSource
-from maplines_can.simulation.camera import Errors, GaussMarkov
-from maplines_can.simulation.camera_view import LANE, PLACES
-from maplines_can.simulation.car_stream import camera_view
-from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
-from maplines_can.simulation.simulated_localisation import START_SIGMA
-from maplines_can.simulation.trajectory import State as Motions
 
 Array = Any
 
@@ -79,11 +80,11 @@ class KnownWay:
         """Take rows of time [s], pose (x, y, heading), speed [m/s] and yaw rate [rad/s]."""
         self._rows.extend(rows)
 
-    def at(self, t: Any) -> Motions:
+    def at(self, t: Any) -> CarState:
         """Return the motion at (k,) times [s]."""
         table = np.array(self._rows)
         columns = [np.interp(t, table[:, 0], column) for column in table[:, 1:].T]
-        return Motions(np.asarray(t), np.stack(columns[:3], axis=-1), columns[3], columns[4])
+        return CarState(np.asarray(t), np.stack(columns[:3], axis=-1), columns[3], columns[4])
 
 
 class World:
@@ -91,12 +92,12 @@ class World:
 
     def __init__(self, seed: int) -> None:
         self.map, self.route = town()
-        self.place = Place(self.route.line.points, self.route.line.distance)
+        self.place = RouteProgress(self.route.line.points, self.route.line.distance)
         self.car = Car(self.place.pose(self.route.start), 0.0)
         self.t = 0.0
         self._tracker = maps.LaneTracker(self.map, self.route)
         self._rng, self._errors = np.random.default_rng([seed, 7]), Errors()
-        self._camera_bias = GaussMarkov(self._rng, (3,))
+        self._camera_bias = UnitGaussMarkov(self._rng, (3,))
         self._gyro_bias = GYRO_BIAS * self._rng.standard_normal()
         self.row = self._row()
 
@@ -186,7 +187,7 @@ class Moment(NamedTuple):
     now: float  #: time of the fused lane [s]
     along: float  #: [m]
     error: float  #: [m]
-    state: State
+    state: SteeringState
     reason: str
     map_age: float  #: [s]
     centre: Array  #: (3, 2) lane centre at ``PLACES`` and its sigma [m], NaN if unknown
@@ -238,10 +239,10 @@ class Consumer:
 
     def _take_over(self, command: Command, along: float, error: float) -> None:
         """Let the driver bring a car back to its lane that has handed over, and drive again."""
-        stands = command.state is State.HANDOVER and self.world.car.speed < 0.05
+        stands = command.state is SteeringState.HANDOVER and self.world.car.speed < 0.05
         self._stopped = self._stopped + PERIOD if stands else 0.0
         self._is_driver |= self._stopped > PAUSE
-        self._is_driver &= command.state is State.HANDOVER
+        self._is_driver &= command.state is SteeringState.HANDOVER
         if self._is_driver and abs(error) < DRIVER_DONE:
             self._steering.reset()
             self._stopped, self._is_driver = 0.0, False

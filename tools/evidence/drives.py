@@ -1,17 +1,7 @@
-#!/usr/bin/env python3
-r"""Send a drive in real time from one process to another, and check each line that arrives.
+"""A drive that one process sends and another one receives, and the slots of its lines.
 
-    evidence_drives.py                     the shipped town and motorway, 11.9 km in 753 s, over
-                                           UDP multicast between two processes of this machine
-    evidence_drives.py --seconds 60        its first minute
-    evidence_drives.py --simulated         without waiting and without a bus: only the slots
-    tools/vcan python3 tools/run.py python tools/evidence_drives.py --interface socketcan \
-        --channel vcan0 --route 6:0:-1..4:2:-4..5:0:-1 --seconds 120
-                                           on a CAN interface of the kernel; candump, if it is
-                                           installed, must see each frame as well
-
-The sender is the command "maplines drive"; this process receives. The received lines must be those
-of the log of the sender, bit for bit and in order.
+The sender is the command "maplines drive"; the other process receives. The received lines must be
+those of the log of the sender, bit for bit and in order.
 
 The slots are checked by the received lines alone and the poses that the sender states. A line is
 followed from cycle to cycle: where it was seen in one cycle is where it must be in the next one,
@@ -19,26 +9,21 @@ within 1 m, or its slot has another line. At a lane change of the car, the left 
 right one, or the right line the left one. Each lane change of the route must be seen once, in its
 order, to its side and near its place, and must be one in the truth that the sender records; and
 wherever a slot has a new line, the lines of all slots must be boundaries of the lanes around the
-car, as evidence_maps.py checks them.
-
-The shares of a core are user and system time over the wall-clock time, with the start of the sender
-apart. The exit status is 1 if a line is lost or a slot is wrong.
+car, as in the evidence "slots".
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import os
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -46,11 +31,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from evidence_maps import SLOTS, Witness
-from line_witness import seen_from
-from reporting import parser_of, report
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, maps, read_log
+
+from .harness import evidence
+from .roads import SLOTS
+from .slots import Witness
+from .witness import seen_from
 
 #: Distance from cycle to cycle beyond which a slot has another line [m].
 JUMP = 1.0
@@ -62,6 +49,133 @@ AGE_ROUNDING = 0.004
 PATIENCE = 4
 #: Points of a line that are followed to the next cycle [m].
 GRID = np.arange(-4.0, 12.5, 0.5)
+
+
+@evidence(route="3:0:-4..3:0:-3")
+def simulated(
+    route: str = "", seconds: float | None = None, fd: bool = False, seed: int = 0
+) -> dict[str, Any]:
+    """Record a drive through the town without waiting and without a bus, and check its slots.
+
+    Args:
+        route: A..B of lanes of the town; the tour by default, 11.9 km in 753 s.
+        seconds: the drive ends after this part [s].
+        fd: CAN FD.
+        seed: of the errors.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = command_of(folder, route, seconds, 20.0, seed, fd=fd)
+        done = subprocess.run([*command, "--as-fast-as-possible"], capture_output=True, check=True)
+        return checked_slots(folder, route, json.loads(done.stdout))
+
+
+@evidence()
+def real_time(
+    interface: str = "udp_multicast",
+    channel: str = "",
+    route: str = "",
+    seconds: float | None = None,
+    rate: float = 20.0,
+    fd: bool = False,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Send a drive in real time from one process to another, and check each line that arrives.
+
+    The shares of a core are user and system time over the wall-clock time, with the start of the
+    sender apart. On SocketCAN, candump must see each frame as well, if it is installed.
+
+    Args:
+        interface: of python-can.
+        channel: such as vcan0.
+        route: A..B of lanes of the town; the tour by default, 11.9 km in 753 s.
+        seconds: the drive ends after this part [s].
+        rate: of the cycles [Hz].
+        fd: CAN FD.
+        seed: of the errors.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = command_of(folder, route, seconds, rate, seed, fd=fd)
+        bus: dict[str, Any] = {"interface": interface} | ({"channel": channel} if channel else {})
+        for option, value in bus.items():
+            command += [f"--{option}", value]
+        log, dump = folder / "drive.log", folder / "candump.log"
+        with candump(bus, dump) as dumped:
+            sent, arrived, figures = transmitted(command, bus, fd=fd)
+        was_sent = of_lines(decoded(log))
+        figures |= {
+            "lines lost": len(was_sent) - len(arrived),
+            "received as they were sent": of_lines(arrived) == was_sent != [],
+        }
+        if dumped is not None:
+            seen, own = ([(f.can_id, f.data) for f in read_log(path)] for path in (dumped, log))
+            figures |= {"frames that candump saw": len(seen), "the same frames": seen == own}
+        return {"bus": figures, **checked_slots(folder, route, sent)}
+
+
+def command_of(
+    folder: Path, route: str, seconds: float | None, rate: float, seed: int, *, fd: bool
+) -> list[str]:
+    """Return the command of the sender, which records its log and the truth in a folder."""
+    command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--force", "--lines", "4"]
+    command += ["--record", str(folder / "drive.log"), "--truth", str(folder / "truth.csv")]
+    command += ["--seed", str(seed), "--rate", str(rate)] + ["--fd"] * fd
+    command += ["--route", route] if route else []
+    return command + (["--seconds", str(seconds)] if seconds is not None else [])
+
+
+def checked_slots(folder: Path, name: str, sent: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of the slots of a drive, and what its sender counted."""
+    found = maps.load(maps.town_path())
+    first, *via, last = name.split("..") if name else ("", "")
+    route = found.route(first, last, via) if name else maps.town_tour(found)
+    slots = slots_of(folder, found, route)
+    same = slots["slots with another line"] == sent["slot_changes"]
+    return {"slots": slots | {"as many with another line as counted": same}, "sender": sent}
+
+
+def transmitted(
+    command: Sequence[str], bus: dict[str, Any], *, fd: bool
+) -> tuple[dict[str, Any], list[MapLine], dict[str, Any]]:
+    """Let a process send the drive, and receive it; return its sums, the lines and the figures."""
+    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
+    arrived: list[MapLine] = []
+    with (
+        Link(**bus, fd=fd) as link,
+        Receiver(link, decoder, on_line=arrived.append) as receiver,
+    ):
+        before, start = os.times(), time.monotonic()
+        done = subprocess.run(command, capture_output=True, check=False)
+        wall = time.monotonic() - start
+        if done.returncode:
+            sys.exit(done.stderr.decode())
+        sent = json.loads(done.stdout)
+        end = time.monotonic() + 30
+        while receiver.stats().lines < sent["lines"] and time.monotonic() < end:
+            time.sleep(0.1)
+        used, stats = os.times(), receiver.stats()
+    own = used.user + used.system - before.user - before.system
+    child = (
+        used.children_user + used.children_system - before.children_user - before.children_system
+    )
+    return (
+        sent,
+        arrived,
+        {
+            "frames lost": sent["frames"] - stats.frames,
+            "lines missing by their counters": stats.lost,
+            "frames dropped": sum(stats.counts.values()),
+            "not sent": sent["down"] + sent["full"],
+            "wall-clock time of the sender [s]": wall,
+            "share of a core, sender in its cycles": sent["core_share"],
+            "share of a core, sender with its start": child / wall,
+            "share of a core, receiver": own / sent["seconds"],
+            "CPU time for each cycle, sender [ms]": 1000 * sent["cpu"] / sent["cycles"],
+            "CPU time for each cycle, receiver [ms]": 1000 * own / sent["cycles"],
+            "processors of this machine": os.cpu_count(),
+        },
+    )
 
 
 def of_lines(lines: Any) -> list[Any]:
@@ -84,13 +198,13 @@ def decoded(path: Path) -> list[MapLine]:
 
 
 @contextmanager
-def candump(arguments: argparse.Namespace, path: Path) -> Iterator[Any]:
+def candump(bus: dict[str, Any], path: Path) -> Iterator[Path | None]:
     """Run candump on a SocketCAN interface, with its output in a file, if it is installed."""
-    if arguments.interface != "socketcan" or not shutil.which("candump"):
+    if bus["interface"] != "socketcan" or not shutil.which("candump"):
         yield None
         return
     with path.open("w") as file:
-        process = subprocess.Popen(["candump", "-L", arguments.channel], stdout=file)
+        process = subprocess.Popen(["candump", "-L", bus["channel"]], stdout=file)
         try:
             time.sleep(1.0)
             yield path
@@ -98,84 +212,6 @@ def candump(arguments: argparse.Namespace, path: Path) -> Iterator[Any]:
         finally:
             process.terminate()
             process.wait()
-
-
-def transmit(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """Let a process send the drive, and receive it; return the figures."""
-    log, truth, dump = (folder / name for name in ("drive.log", "truth.csv", "candump.log"))
-    command = [sys.executable, "-m", "maplines_can", "drive", "--json", "--force", "--lines", "4"]
-    command += ["--record", str(log), "--truth", str(truth), "--seed", str(arguments.seed)]
-    command += ["--rate", str(arguments.rate)] + ["--fd"] * arguments.fd
-    for name in ("seconds", "route"):
-        value = getattr(arguments, name)
-        command += [f"--{name}", str(value)] if value is not None else []
-    if arguments.simulated:
-        done = subprocess.run([*command, "--as-fast-as-possible"], capture_output=True, check=True)
-        return {"sender": json.loads(done.stdout), "met": True}
-    bus = {"interface": arguments.interface, "channel": arguments.channel}
-    bus = {name: value for name, value in bus.items() if value is not None}
-    for name, value in bus.items():
-        command += [f"--{name}", value]
-    decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
-    arrived: list[MapLine] = []
-    with (
-        candump(arguments, dump) as dumped,
-        Link(**bus, fd=arguments.fd) as link,
-        Receiver(link, decoder, on_line=arrived.append) as receiver,
-    ):
-        before, children = cpu(resource.RUSAGE_SELF), cpu(resource.RUSAGE_CHILDREN)
-        start = time.monotonic()
-        done = subprocess.run(command, capture_output=True, check=False)
-        wall = time.monotonic() - start
-        sender_cpu = cpu(resource.RUSAGE_CHILDREN) - children
-        if done.returncode:
-            sys.exit(done.stderr.decode())
-        sent = json.loads(done.stdout)
-        end = time.monotonic() + 30
-        while receiver.stats().lines < sent["lines"] and time.monotonic() < end:
-            time.sleep(0.1)
-        receiver_cpu = cpu(resource.RUSAGE_SELF) - before
-        stats = receiver.stats()
-    was_sent = of_lines(decoded(log))
-    seconds = sent["seconds"]
-    figures: dict[str, Any] = {
-        "sender": sent,
-        "receiver": {
-            "lines": stats.lines,
-            "frames": stats.frames,
-            "lines missing by their counters": stats.lost,
-            "frames dropped": sum(stats.counts.values()),
-        },
-        "lines in the log of the sender": len(was_sent),
-        "received as they were sent": of_lines(arrived) == was_sent,
-        "wall-clock time of the sender [s]": wall,
-        "share of a core, sender in its cycles": sent["core_share"],
-        "share of a core, sender with its start": sender_cpu / wall,
-        "share of a core, receiver": receiver_cpu / seconds,
-        "CPU time for each cycle [ms]": {
-            "sender": 1000 * sent["cpu"] / sent["cycles"],
-            "receiver": 1000 * receiver_cpu / sent["cycles"],
-        },
-    }
-    losses = [sent[name] for name in ("down", "full", "overruns", "late_cycles")]
-    met = (
-        figures["received as they were sent"]
-        and stats.lines == sent["lines"] == len(was_sent) > 0
-        and stats.frames == sent["frames"]
-        and not (stats.lost or any(stats.counts.values()) or any(losses[:2]))
-    )
-    if dumped is not None:
-        frames = [(frame.can_id, frame.data) for frame in read_log(dumped)]
-        same = frames == [(frame.can_id, frame.data) for frame in read_log(log)]
-        figures["frames that candump saw"], figures["the same frames"] = len(frames), same
-        met &= same
-    return figures | {"met": met}
-
-
-def cpu(who: int) -> float:
-    """Return the user and system time of this process or of its children that ended [s]."""
-    used = resource.getrusage(who)
-    return used.ru_utime + used.ru_stime
 
 
 def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]:
@@ -230,8 +266,8 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
         "slots with another line": counts["slots with another line"],
         "of these without a line now": counts["of these without a line now"],
         "moments at which slots change": len(changes),
-        "all slots right after it": len(changes) - len(wrong),
-        **({"wrong": wrong[:10]} if wrong else {}),
+        "moments with a wrong slot": len(wrong),
+        "wrong": wrong[:10],
         "lane changes of the route": len(planned),
         "lane changes seen": [
             f"{rows[change.first]['drive_time']} s, to the {change.side}, "
@@ -241,7 +277,6 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
         "each is that of the route": of_route,
         "each is that of the truth": of_truth,
         "cycles on another lane than believed": sum(away),
-        "met": of_route and of_truth and not wrong,
     }
 
 
@@ -324,41 +359,3 @@ def along(route: maps.Route, point: Any, last: float) -> float:
     shortly = slice(*route.line.distance.searchsorted([last - 5, last + 50]))
     squares = ((route.line.points[shortly] - point) ** 2).sum(axis=1)
     return float(route.line.distance[shortly][squares.argmin()])
-
-
-def main() -> int:
-    parser = parser_of(__doc__)
-    parser.add_argument("--interface", default="udp_multicast", help="udp_multicast by default")
-    parser.add_argument("--channel", help="such as vcan0")
-    parser.add_argument("--fd", action="store_true", help="CAN FD")
-    parser.add_argument("--rate", type=float, default=20.0, help="[Hz], 20 by default")
-    parser.add_argument("--seconds", type=float, help="end after this part of the drive [s]")
-    parser.add_argument("--route", help="A..B of lanes of the town; the tour by default")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--simulated", action="store_true", help="do not wait, and use no bus")
-    parser.add_argument("--folder", type=Path, help="keep the log and the truth here")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    arguments = parser.parse_args()
-    found = maps.load(maps.town_path())
-    if arguments.route is None:
-        route = maps.town_tour(found)
-    else:
-        first, *via, last = arguments.route.split("..")
-        route = found.route(first, last, via)
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = arguments.folder or Path(temporary)
-        folder.mkdir(exist_ok=True, parents=True)
-        bus, slots = transmit(arguments, folder), slots_of(folder, found, route)
-    same = slots["slots with another line"] == bus["sender"]["slot_changes"]
-    result = {
-        "bus": bus,
-        "slots": slots,
-        "as many slots with another line as the sender counted": same,
-        "processors of this machine": os.cpu_count(),
-        "met": bus["met"] and slots["met"] and same,
-    }
-    return report(result, arguments.json, 44)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

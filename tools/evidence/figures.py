@@ -79,6 +79,20 @@ def quantiles(values: Any, *shares: float) -> dict[str, float]:
     return {"mean": float(np.mean(values)), **named, "max": float(np.max(values))}
 
 
+def longest(flags: Any) -> Any:
+    """Return for how many of k times without a break (k, n) flags are set at most, (n,).
+
+    >>> longest([[True], [True], [False], [True]]).tolist()
+    [2.0]
+    """
+    flags = np.asarray(flags)
+    run = best = np.zeros(flags.shape[1])
+    for row in flags:
+        run = (run + 1) * row
+        best = np.maximum(best, run)
+    return best
+
+
 def flat(figures: Mapping[str, Any], head: str = "") -> Iterable[tuple[str, Any]]:
     """Yield the paths and values of nested figures, such as ("paper/KL/mean", 0.002)."""
     for name, value in figures.items():

@@ -23,7 +23,7 @@ from maplines_can.maps import LaneTracker
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.propagation import Motion
 from maplines_can.simulation.along_route import drive_along
-from maplines_can.simulation.camera import Errors, Simulation
+from maplines_can.simulation.camera import Errors, Simulation, UnitGaussMarkov
 from maplines_can.simulation.camera_view import AGE, FRAME, LANE, PLACES, DriveView, drive_view
 from maplines_can.simulation.car_stream import camera_view
 from maplines_can.simulation.trajectory import SimulatedDrive

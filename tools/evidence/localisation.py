@@ -1,51 +1,12 @@
-#!/usr/bin/env python3
-"""Measure whether the localisation knows its own error.
-
-    evidence_localisation.py                       town, motorway and tunnel, 50 seeds
-    evidence_localisation.py --scenario tunnel     one of them
-    evidence_localisation.py --recorded FILE.npz   a recorded drive, instead of them
-    evidence_localisation.py --maps DIR            drives on maps, 20 each, instead of them
-    evidence_localisation.py --roads               drives on random roads, 20 each
-
-Run it in the environment of the project: python3 tools/run.py python tools/evidence_localisation.py
-
-Each scenario is a part of the tour through the map of the package, driven by one car for each seed
-with simulated sensors. The filter has the parameters of the simulation. The tunnel is a part of the
-motorway without GNSS and without landmarks for 60 s.
+"""What the localisation knows of its own error.
 
 NEES: normalised error squared of (x, y, heading), 3 if the covariance is right; NIS: that of the
-innovations, 2 for each position, line or landmark. At each time, the mean over the seeds is
-compared with its 95 % bounds from chi-square; "inside" is the share of times within them. Errors of
-successive times are correlated, so that share scatters around 95 % more than independent times
-would. The filter "without bias" takes the GNSS position as white noise of the same total variance.
-
-Autocorrelation: that of the errors over the correlation time that the filter states, 0.37 if that
-is right.
-
-A recorded drive is an .npz of a car without a map: gnss_t, gnss_enu, gnss_bearing_deg, speed_t,
-speed, imu_t, gyro_frd, and the truth truth_t, truth_enu, truth_vel_enu. The parameters come from
-the data sheet of the GNSS receiver (2.5 m CEP) and from the scatter of its first 15 s, not from
-the truth. Beside it, the filter finds out the error of GNSS by itself, and GNSS is taken as white
-noise of 0.5 m. If the file also has gnss_error (m, 2), the standard deviation [m] and correlation
-time [s] of the error of each of the m fixes as the receiver states them, the first one takes these;
-NaN where it states none. One drive has one bias, so its NEES is one draw.
-
-Drives on maps are those of maplines drive MAP --localise --seconds 60, with the seeds from --seed
-on, which draw the route and the errors of the sensors; those on random roads are in the middle of
-three lanes, whose outer lines may have no marking. There, "inside" is the share of poses within
-their own 95 % region, "lines used" that of the lines of the camera, and "other lane" that of the
-times at which the car is on another lane than it believes, by the ids of the map: also one that
-overlaps with it or follows it. Errors of a drive last for a minute, so 20 drives are hardly more
-than 20 draws, and the bounds of their mean NEES are those of 99 % of 20 draws.
-
-The exit status is 1 if a bound is missed.
+innovations, 2 for each position, line or landmark.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -53,21 +14,17 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from evidence_maps import files_of
-from localised_drives import ROADS, Localised, on_map, on_road
-from localised_drives import figures as figures_of_drives
 from numpy.typing import NDArray
-from reporting import parser_of, progress, report
 from scipy.stats import chi2
 
-from maplines_can import Gaussian, MapFileError
+from maplines_can import Gaussian
 from maplines_can.localisation import (
+    BlockOutcome,
     GaussMarkov,
     GnssFix,
     Localisation,
     LocalisationLayer,
     Odometry,
-    Outcome,
     SensorErrors,
     Verdict,
 )
@@ -76,6 +33,10 @@ from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import START_SIGMA
 from maplines_can.simulation.trajectory import SimulatedDrive
+
+from .harness import evidence, progress
+from .localised_drives import ROADS, Localised, figures, on_map, on_road
+from .roads import maps_of
 
 Array = NDArray[np.float64]
 
@@ -87,10 +48,6 @@ SCENARIOS: dict[str, tuple[tuple[float, float], tuple[tuple[float, float], ...]]
 }
 #: Time between two evaluations [s].
 STEP = 0.5
-#: Least share of times at which the mean over the seeds must be within its 95 % bounds.
-MIN_INSIDE = 0.9
-#: Least share of poses on a map within their 95 % region.
-MIN_SHARE = 0.9
 #: Circular error probable of the receiver of the recorded drive, from its data sheet [m]; that of a
 #: Gaussian has 1.177 sigma.
 CEP = 2.5
@@ -108,7 +65,7 @@ class Run(NamedTuple):
     covs: Array  #: (k, n, 3, 3)
     heading: Array  #: (k,) true [rad]
     correlation_times: Array  #: (k, n, 3) along, across, heading [s]
-    outcomes: list[Outcome]
+    outcomes: list[BlockOutcome]
     counts: dict[str, Any]
 
     @property
@@ -125,101 +82,98 @@ class Run(NamedTuple):
         return np.stack([c * x + s * y, -s * x + c * y, h], axis=-1)
 
 
-def main() -> int:
-    parser = parser_of(__doc__)
-    parser.add_argument("--scenario", choices=SCENARIOS, help="only this one")
-    parser.add_argument("--recorded", type=Path, help="a recorded drive, .npz")
-    parser.add_argument("--maps", nargs="+", metavar="DIR", help="folders or files of maps")
-    parser.add_argument("--roads", action="store_true", help="random roads")
-    parser.add_argument(
-        "-n",
-        "--seeds",
-        type=int,
-        help="cars of each scenario (default: 50), or drives on each map and kind of road (20)",
-    )
-    parser.add_argument(
-        "--seconds", type=float, default=60.0, help="of each drive on a map or road (default: 60)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the random numbers (default: 0)")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    arguments = parser.parse_args()
-    on_roads = bool(arguments.maps) or arguments.roads
-    arguments.seeds = arguments.seeds or (20 if on_roads else 50)
-    if on_roads:
-        result = driven_on(arguments)
-    else:
-        result = recorded(arguments.recorded) if arguments.recorded else simulated(arguments)
-    return report(result, arguments.json, 34)
+@evidence(seeds=3, scenarios=("tunnel",), span=6.0)
+def tour(
+    seeds: int = 50,
+    scenarios: tuple[str, ...] = tuple(SCENARIOS),
+    span: float = math.inf,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Drive parts of the tour of the town with simulated sensors; the filter knows their errors.
 
+    The tunnel is a part of the motorway without GNSS and without landmarks for 60 s. At each time,
+    the mean over the cars is compared with its 95 % bounds from chi-square; "inside" is the share
+    of times within them. Errors of successive times are correlated, so that share scatters around
+    95 % more than independent times would. The filter without bias takes the GNSS position as white
+    noise of the same total variance, which must be found wrong. Autocorrelation: that of the errors
+    over the correlation time that the filter states, 0.37 if that is right.
 
-def driven_on(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the figures of the drives on each map and on each kind of random road."""
-    drives: dict[str, Callable[[int, float], Localised]] = {}
-    not_used: dict[str, str] = {}
-    for path in files_of(arguments.maps or []):
-        try:
-            found = load(path)
-        except (MapFileError, ImportError) as error:
-            not_used[path.name] = str(error)
-        else:
-            drives[path.name] = partial(on_map, found, LocalisationLayer(found))
-    if arguments.roads:
-        drives |= {shape: partial(on_road, shape) for shape in ROADS}
-    seeds = range(arguments.seed, arguments.seed + arguments.seeds)
-    result: dict[str, Any] = {}
-    for name, drive in drives.items():
-        found_drives = [drive(seed, arguments.seconds) for seed in progress(seeds, name)]
-        row = result[name] = figures_of_drives(found_drives)
-        low, high = chi2.ppf([0.005, 0.995], 3 * arguments.seeds) / arguments.seeds
-        row["met"] = bool(row["inside"] >= MIN_SHARE and low <= row["NEES"] <= high)
-    return result | {
-        **({"not used": not_used} if not_used else {}),
-        "met": bool(result) and all(row["met"] for row in result.values()),
-    }
-
-
-def simulated(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Return the figures of the scenarios, with and without the bias of GNSS as a state."""
+    Args:
+        seeds: number of cars.
+        scenarios: parts of the tour.
+        span: longest time of a part [s].
+        seed: of the random numbers.
+    """
     town = load(town_path())
     way, layer = drive_along(town, town_tour(town)), LocalisationLayer(town)
-    names = [arguments.scenario] if arguments.scenario else [*SCENARIOS]
     result: dict[str, Any] = {}
-    for name in names:
-        for with_bias in (True, False):
-            run = driven(way, layer, name, arguments, with_bias=with_bias)
-            found = figures(run)
-            fails = found["NEES inside"] < MIN_INSIDE
-            found["met"] = found.pop("consistent") if with_bias else fails
-            result[name if with_bias else f"{name}, without bias"] = found
-    return result | {"met": all(found["met"] for found in result.values())}
+    for name in scenarios:
+        for kind, with_bias in (("with bias", True), ("without bias", False)):
+            run = driven(way, layer, name, seeds, span, seed, with_bias=with_bias)
+            result[f"{name}, {kind}"] = of_run(run)
+    return result
+
+
+@evidence(n=2, seconds=3.0, shapes=("rural",))
+def drives(
+    maps: tuple[str, ...] = (),
+    n: int = 20,
+    seconds: float = 60.0,
+    shapes: tuple[str, ...] = ROADS,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Drive on maps as maplines drive MAP --localise does, and on random roads.
+
+    Random roads have three lanes, whose outer lines may have no marking; the car is in the middle
+    one. "inside" is the share of poses within their own 95 % region, "lines used" that of the lines
+    of the camera, and "other lane" that of the times at which the car is on another lane than it
+    believes, by the ids of the map: also one that overlaps with it or follows it.
+
+    Args:
+        maps: folders and files of maps.
+        n: drives on each map and kind of road; their seeds draw routes and errors.
+        seconds: of each drive.
+        shapes: of random roads.
+        seed: of the first drive.
+    """
+    sources: dict[str, Callable[[int, float], Localised]] = {
+        name: partial(on_map, found, LocalisationLayer(found))
+        for name, found in maps_of(maps).items()
+    }
+    sources |= {shape: partial(on_road, shape) for shape in shapes}
+    return {
+        name: figures([drive(number, seconds) for number in range(seed, seed + n)])
+        for name, drive in progress(sources.items(), "drives", len(sources))
+    }
 
 
 def driven(
     way: SimulatedDrive,
     layer: LocalisationLayer,
     name: str,
-    arguments: argparse.Namespace,
+    n: int,
+    longest: float,
+    seed: int,
     *,
     with_bias: bool,
 ) -> Run:
-    """Return the run of a scenario."""
-    span, tunnels = SCENARIOS[name]
+    """Return the run of n cars through a scenario."""
+    (begin, end), tunnels = SCENARIOS[name]
+    span = begin, min(end, begin + longest)
     setup = SensorSetup(gnss_outages=tunnels, landmark_outages=tunnels)
-    rng = np.random.default_rng([arguments.seed, sum(name.encode())])
-    n, sigma = arguments.seeds, np.array(START_SIGMA)
+    rng, sigma = np.random.default_rng([seed, sum(name.encode())]), np.array(START_SIGMA)
     arrivals = simulated_measurements(way, layer, setup, rng, n, span)
-    start = way.at(span[0]).pose + sigma * rng.standard_normal((n, 3))
+    start = way.at(begin).pose + sigma * rng.standard_normal((n, 3))
     errors, extra = setup.errors, np.zeros((2, 2))
     if not with_bias:
         extra = (errors.gnss or SensorErrors.UNKNOWN_GNSS).sigma ** 2 * np.eye(2)
         errors = replace(errors, gnss=GaussMarkov(0.0))
-    outcomes: list[Outcome] = []
+    outcomes: list[BlockOutcome] = []
     localisation = Localisation(
         start, span[0], errors, layer, cov=np.diag(sigma**2), on_outcome=outcomes.append
     )
     rows, due = [], span[0] + STEP
-    what = f"{name}{'' if with_bias else ', without bias'}"
-    for _, measurement in progress(arrivals, what):
+    for _, measurement in progress(arrivals, name):
         if isinstance(measurement, GnssFix):
             measurement = measurement._replace(cov=measurement.cov + extra)
         localisation.add(measurement)
@@ -232,40 +186,30 @@ def driven(
     return run_of(rows, outcomes, localisation)
 
 
-def run_of(rows: list[Any], outcomes: list[Outcome], localisation: Localisation) -> Run:
+def run_of(rows: list[Any], outcomes: list[BlockOutcome], localisation: Localisation) -> Run:
     """Return the run of rows of time, errors, covariances, heading and correlation times."""
     t, errors, covs, heading, times = (np.array(column) for column in zip(*rows, strict=True))
     return Run(t, errors, covs, heading, times, outcomes, localisation.counts())
 
 
-def figures(run: Run) -> dict[str, Any]:
+def of_run(run: Run) -> dict[str, Any]:
     """Return the figures of a run."""
-    n = run.errors.shape[1]
-    nees = run.nees
-    low, high = chi2.ppf([0.025, 0.975], 3 * n) / n
-    inside = share_inside(nees, 3)
-    by_seed = nees.mean(axis=0)  # independent of each other
-    error = 1.96 * by_seed.std(ddof=1) / math.sqrt(n) if n > 1 else math.inf
+    n, nees = run.errors.shape[1], run.nees
+    mean = float(nees.mean())
     rms = np.sqrt((run.ego_errors**2).mean(axis=(0, 1)))
     innovations = {
         source: nis_figures([one for one in run.outcomes if one.source == source])
         for source in ("gnss", "line", "landmark")
     }
-    mean = float(nees.mean())
     return {
-        "NEES mean": mean,
-        "NEES mean inside": bool(low <= mean <= high),
-        "NEES 95 % bounds at a time": f"{low:.2f} to {high:.2f}",
-        "NEES 95 % of the mean": f"{mean - error:.2f} to {mean + error:.2f}",
-        "NEES inside": inside,
-        "RMS along, across [m]": f"{rms[0]:.3f}, {rms[1]:.3f}",
+        "NEES": mean,
+        "quantile of NEES": float(chi2.cdf(n * mean, 3 * n)),
+        "NEES inside": share_inside(nees, 3),
+        "RMS along [m]": rms[0],
+        "RMS across [m]": rms[1],
         "RMS heading [deg]": math.degrees(rms[2]),
         **{f"NIS {source}": found for source, found in innovations.items()},
         "autocorrelation": autocorrelations(run),
-        "measurements": {name: dict(counts) for name, counts in run.counts.items()},
-        "consistent": inside >= MIN_INSIDE
-        and low <= mean <= high
-        and all(found["inside"] >= MIN_INSIDE for found in innovations.values()),
     }
 
 
@@ -280,7 +224,7 @@ def share_inside(squared: Array, values: int) -> float:
     return float(((low <= total) & (total <= high)).mean())
 
 
-def nis_figures(outcomes: list[Outcome]) -> dict[str, float]:
+def nis_figures(outcomes: list[BlockOutcome]) -> dict[str, float]:
     """Return mean and share inside of the innovations that were used."""
     if not outcomes:
         return {"mean": math.nan, "inside": math.nan}
@@ -315,13 +259,26 @@ def autocorrelations(run: Run) -> dict[str, Any]:
     return found
 
 
-def recorded(path: Path) -> dict[str, Any]:
-    """Return the figures of a recorded drive: bias known, found out, and taken as white noise."""
+@evidence()
+def recorded(path: Path | None = None) -> dict[str, Any]:
+    """Localise a recorded drive: with the bias of GNSS as a state, found out, or as white noise.
+
+    The parameters come from the data sheet of the GNSS receiver (2.5 m CEP) and from the scatter of
+    its first 15 s, not from the truth. One drive has one bias, so its NEES is one draw.
+
+    Args:
+        path: an .npz of a car without a map: gnss_t, gnss_enu, gnss_bearing_deg, speed_t, speed,
+            imu_t, gyro_frd, and the truth truth_t, truth_enu, truth_vel_enu. gnss_error (m, 2) may
+            have the standard deviation [m] and correlation time [s] of the error of each fix as
+            the receiver states them, which the first filter takes; NaN where it states none.
+    """
+    if path is None:
+        return {}
     data = dict(np.load(path, allow_pickle=False))
     noise = white_noise(data)
     bias = SensorErrors(gnss=GaussMarkov(CEP / math.sqrt(2 * math.log(2)), 60.0))
     white = replace(bias, gnss=GaussMarkov(0.0))
-    result: dict[str, Any] = {"GNSS noise from the first 15 s [m]": noise}
+    result: dict[str, Any] = {}
     for name, errors, sigma in (
         ("bias as a state", bias, noise),
         ("not told", SensorErrors(), noise),
@@ -330,27 +287,20 @@ def recorded(path: Path) -> dict[str, Any]:
         run = replayed(data, errors, sigma)
         rms = np.sqrt((run.ego_errors**2).mean(axis=(0, 1)))
         sigmas = np.sqrt(np.diagonal(run.covs, axis1=-2, axis2=-1).mean(axis=(0, 1)))
+        mean = float(run.nees.mean())
         result[name] = {
-            "NEES mean": float(run.nees.mean()),
-            "NEES of the position": float(position_nees(run).mean()),
-            "RMS along, across [m]": f"{rms[0]:.2f}, {rms[1]:.2f}",
+            "GNSS noise [m]": sigma,
+            "NEES": mean,
+            "quantile of NEES": float(chi2.cdf(mean, 3)),
+            "RMS along [m]": rms[0],
+            "RMS across [m]": rms[1],
             "RMS heading [deg]": math.degrees(rms[2]),
-            "stated sigma x, y [m]": f"{sigmas[0]:.2f}, {sigmas[1]:.2f}",
+            "stated sigma x [m]": sigmas[0],
+            "stated sigma y [m]": sigmas[1],
             "stated sigma heading [deg]": math.degrees(sigmas[2]),
             "NIS gnss": nis_figures(run.outcomes)["mean"],
         }
-    # The bounds of one draw of the bias, heading included.
-    low, high = chi2.ppf([0.025, 0.975], 3)
-    result["95 % bounds of one draw"] = f"{low:.2f} to {high:.2f}"
-    right = ("bias as a state", "not told")
-    result["met"] = all(low <= result[name]["NEES mean"] <= high for name in right)
     return result
-
-
-def position_nees(run: Run) -> Array:
-    """Return the normalised errors squared of the position, 2 if the covariance is right."""
-    e, P = run.errors[..., :2], run.covs[..., :2, :2]
-    return np.asarray((e * np.linalg.solve(P, e[..., None])[..., 0]).sum(axis=-1))
 
 
 def white_noise(data: dict[str, Array]) -> float:
@@ -369,7 +319,7 @@ def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
     gnss = errors.gnss or SensorErrors.UNKNOWN_GNSS
     position = (gnss.sigma**2 + sigma**2) * np.ones(2)
     begin = float(data["gnss_t"][0])
-    outcomes: list[Outcome] = []
+    outcomes: list[BlockOutcome] = []
     localisation = Localisation(
         Gaussian(start, np.diag([*position, math.radians(1.0) ** 2])),
         begin,
@@ -403,7 +353,3 @@ def replayed(data: dict[str, Array], errors: SensorErrors, sigma: float) -> Run:
             error[:, 2] = (error[:, 2] + math.pi) % (2 * math.pi) - math.pi
             rows.append((t, error, poses.cov, pose[2], localisation.correlation_times()))
     return run_of(rows, outcomes, localisation)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

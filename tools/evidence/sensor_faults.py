@@ -1,13 +1,4 @@
-#!/usr/bin/env python3
-"""Inject faults into the sensors of the localisation, and measure how long it is wrong unnoticed.
-
-    evidence_sensor_faults.py                          all sensors, faults and durations, 8 seeds
-    evidence_sensor_faults.py --sensor gnss --fault 30 the faults of a sensor whose names have "30"
-    evidence_sensor_faults.py --markdown               the table of docs/localisation.md
-    evidence_sensor_faults.py --unknown-gnss           filters that find out the error of GNSS
-
-Run it in the environment of the project:
-python3 tools/run.py python tools/evidence_sensor_faults.py
+"""How long the localisation is wrong unnoticed if a sensor has a fault.
 
 A car for each seed, with errors of its own, drives through the town. After 30 s a sensor has a
 fault for one sample, 1, 5 or 30 s; then it is right again. Cars with a map have GNSS, odometry,
@@ -16,29 +7,19 @@ and a pose twice a second (``PoseFix``); on the straight road, which is not in t
 GNSS and odometry. Pose and covariance are evaluated ten times a second.
 
 A pose is wrong unnoticed if the filter states it, and its error along, across or of the heading is
-more than 5 times the stated standard deviation. The longest time without a break for which it is,
-must be no more than ``LONGEST``, for each car, and each pose must be known again at the end.
-
-    beyond     longest time for which a pose is wrong unnoticed [s], of all seeds; its position
-    error      largest error of the position while a pose is stated [m]; the stated sigma then
-    said       median time from the begin of the fault until no pose is stated [s]
-    without    median time without a pose [s]
-
-The exit status is 1 if a bound is missed.
+more than 5 times the stated standard deviation.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-import sys
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from reporting import parser_of, progress, report
 
 from maplines_can import Polyline
 from maplines_can.localisation import (
@@ -56,6 +37,9 @@ from maplines_can.simulation.simulated_localisation import START_SIGMA
 from maplines_can.simulation.trajectory import SimulatedDrive
 from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
 
+from .figures import longest
+from .harness import evidence, progress
+
 Array = NDArray[np.float64]
 
 #: Part of the tour [s], and the begin of the fault after its start [s].
@@ -70,9 +54,6 @@ SETTLED = 10.0
 STEP = 0.1
 #: Stated standard deviations beyond which an error counts as wrong.
 BEYOND = 5.0
-#: Longest time for which a pose may be wrong unnoticed, by what the car has [s]. On a straight road
-#: without a map, nothing but GNSS shows the heading: there is no bound for a drift across it.
-LONGEST = {"map": 5.0, "no map": 10.0, "lidar": 5.0, "straight road": math.inf}
 #: What a car has for the faults of each sensor.
 CARS = {
     "odometry": ("map", "no map"),
@@ -195,92 +176,66 @@ def drive_of(cars: str, seeds: int, errors: SensorErrors = SETUP.errors) -> Driv
     return Drive(way, layer, cars, seeds, errors)
 
 
-def longest(flags: NDArray[np.bool_]) -> Array:
-    """Return the (n,) longest times for which (k, n) flags are set without a break [s]."""
-    run = best = np.zeros(flags.shape[1])
-    for row in flags:
-        run = (run + 1) * row
-        best = np.maximum(best, run)
-    return STEP * best
+@evidence(seeds=2, sensors=("gnss",), cars=("no map",), seconds=(1.0,), faults=("30 m",))
+def sensor_faults(
+    seeds: int = 8,
+    sensors: tuple[str, ...] = tuple(CARS),
+    faults: tuple[str, ...] = ("",),
+    cars: tuple[str, ...] = ("map", "no map", "lidar", "straight road"),
+    seconds: tuple[float, ...] = DURATIONS,
+    unknown_gnss: bool = False,
+) -> dict[str, Any]:
+    """Inject faults into each sensor, and measure how long the pose is wrong unnoticed.
 
+        beyond     longest time for which a pose is wrong unnoticed [s], of all seeds; its position
+        error      largest error of the position while a pose is stated [m]; the stated sigma then
+        said       median time from the begin of the fault until no pose is stated [s]
+        without    median time without a pose [s]
 
-def figures(course: Course, limit: float) -> dict[str, Any]:
-    """Return the figures of a course."""
-    size = np.where(course.known, np.hypot(course.errors[..., 0], course.errors[..., 1]), 0.0)
-    k, car = np.unravel_index(int(size.argmax()), size.shape)
-    lost = ~course.known
-    first = np.where(lost.any(axis=0), lost.argmax(axis=0) * STEP, math.nan)
-    wrong = course.wrong
-    beyond, position = (
-        float(longest(np.asarray(some.any(axis=-1))).max()) for some in (wrong, wrong[..., :2])
-    )
-    share = np.abs(course.errors) / course.sigmas
-    return {
-        "beyond [s]": round(beyond, 1),
-        "position beyond [s]": round(position, 1),
-        "error [m]": round(float(size.max()), 2),
-        "sigma [m]": round(float(np.hypot(*course.sigmas[k, car, :2]) / math.sqrt(2)), 2),
-        "largest sigmas": round(float(np.where(course.known[..., None], share, 0.0).max()), 1),
-        "said after [s]": round(float(np.nanmedian(first)), 1) if lost.any() else math.nan,
-        "cars beyond for 10 s": int((longest(np.asarray(wrong.any(axis=-1))) > 10.0).sum()),
-        "cars without a pose": int(lost.any(axis=0).sum()),
-        "without a pose [s]": round(float(np.median(STEP * lost.sum(axis=0))), 1),
-        "known at the end": int(course.known[-1].sum()),
-        "right at the end": int((~wrong[-1].any(axis=-1) & course.known[-1]).sum()),
-        "met": bool(beyond <= limit and course.known[-1].all()),
-    }
-
-
-def main() -> int:
-    parser = parser_of(__doc__)
-    parser.add_argument("--sensor", choices=CARS, help="only the faults of this one")
-    parser.add_argument("--fault", default="", help="only those with this in their name")
-    parser.add_argument("--cars", choices=LONGEST, help="only these")
-    parser.add_argument("--seeds", type=int, default=8, help="cars (default: 8)")
-    parser.add_argument("--unknown-gnss", action="store_true", help="do not tell the GNSS error")
-    parser.add_argument("--seconds", type=float, nargs="+", default=DURATIONS, help="of a fault")
-    parser.add_argument("--markdown", action="store_true", help="print the table of the docs")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    arguments = parser.parse_args()
-    errors = replace(SETUP.errors, gnss=None) if arguments.unknown_gnss else SETUP.errors
+    Args:
+        seeds: number of cars.
+        sensors: with a fault.
+        faults: parts of their names.
+        cars: what they have.
+        seconds: durations of the faults [s]; 0 is a single measurement.
+        unknown_gnss: do not tell the filters the error of GNSS.
+    """
+    errors = replace(SETUP.errors, gnss=None) if unknown_gnss else SETUP.errors
     result: dict[str, Any] = {}
     drives: dict[str, Drive] = {}
     chosen = [
-        (fault, cars, duration)
+        (fault, has, duration)
         for fault in FAULTS
-        for cars in CARS[fault.sensor]
-        for duration in arguments.seconds
-        if arguments.sensor in (None, fault.sensor)
-        and arguments.cars in (None, cars)
-        and arguments.fault in fault.name
+        for has in CARS[fault.sensor]
+        for duration in seconds
+        if fault.sensor in sensors and has in cars and any(name in fault.name for name in faults)
     ]
-    for fault, cars, duration in progress(chosen, "faults"):
-        if cars not in drives:
-            drives[cars] = drive_of(cars, arguments.seeds, errors)
-        found = figures(drives[cars].run(fault, duration), LONGEST[cars])
-        result[f"{fault.sensor}, {fault.name}; {cars}; {duration:g} s"] = found
-    if arguments.markdown:
-        print("\n".join(table(result)))
-        return 0
-    met = all(found["met"] for found in result.values())
-    return report(result | {"met": met}, arguments.json, 34)
+    for fault, has, duration in progress(chosen, "faults"):
+        if has not in drives:
+            drives[has] = drive_of(has, seeds, errors)
+        found = figures(drives[has].run(fault, duration))
+        result[f"{fault.sensor}, {fault.name}; {has}; {duration:g} s"] = found
+    return result
 
 
-def table(result: dict[str, Any]) -> list[str]:
-    """Return the lines of a table."""
-    rows = ["| fault | cars | time | beyond | position | error, sigma | said | without |"]
-    rows.append("|---|---|---|---|---|---|---|---|")
-    for name, one in result.items():
-        fault, cars, duration = name.split("; ")
-        said = one["said after [s]"]
-        rows.append(
-            f"| {fault} | {cars} | {duration} | {one['beyond [s]']:g} s | "
-            f"{one['position beyond [s]']:g} s | {one['error [m]']:g} m, "
-            f"{one['sigma [m]']:g} m | {'-' if math.isnan(said) else f'{said:g} s'} | "
-            f"{one['without a pose [s]']:g} s |"
-        )
-    return rows
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def figures(course: Course) -> dict[str, Any]:
+    """Return the figures of a course."""
+    size = np.where(course.known, np.hypot(course.errors[..., 0], course.errors[..., 1]), 0.0)
+    k, car = np.unravel_index(int(size.argmax()), size.shape)
+    lost, wrong = ~course.known, course.wrong
+    first = np.where(lost.any(axis=0), lost.argmax(axis=0) * STEP, math.nan)
+    beyond = STEP * longest(wrong.any(axis=-1))
+    share = np.abs(course.errors) / course.sigmas
+    return {
+        "beyond [s]": round(float(beyond.max()), 3),
+        "position beyond [s]": round(STEP * float(longest(wrong[..., :2].any(axis=-1)).max()), 3),
+        "error [m]": float(size.max()),
+        "sigma [m]": float(np.hypot(*course.sigmas[k, car, :2]) / math.sqrt(2)),
+        "largest sigmas": float(np.where(course.known[..., None], share, 0.0).max()),
+        "said after [s]": float(np.nanmedian(first)) if lost.any() else None,
+        "cars beyond for 10 s": int((beyond > 10.0).sum()),
+        "cars without a pose": int(lost.any(axis=0).sum()),
+        "without a pose [s]": float(np.median(STEP * lost.sum(axis=0))),
+        "known at the end": float(course.known[-1].mean()),
+        "right at the end": float((~wrong[-1].any(axis=-1) & course.known[-1]).mean()),
+    }

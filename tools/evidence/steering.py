@@ -43,7 +43,7 @@ DURATION = 20.0
 SHAPES = ("corner", "roundabout-12m")
 
 
-@evidence(seconds=5.0, localisations=("production",), shapes=("corner",))
+@evidence(seconds=3.0, localisations=("production",), shapes=())
 def drives(
     seconds: float = math.inf,
     localisations: tuple[str, ...] = tuple(LOCALISATIONS),
@@ -76,8 +76,13 @@ def drives(
     return result
 
 
-@evidence(n=1, places=("street",))
-def outages(n: int = 3, places: tuple[str, ...] = tuple(OUTAGES), seed: int = 0) -> dict[str, Any]:
+@evidence(n=1, places=("street",), of=("lines",))
+def outages(
+    n: int = 3,
+    places: tuple[str, ...] = tuple(OUTAGES),
+    of: tuple[str, ...] = ("localisation", "lines"),
+    seed: int = 0,
+) -> dict[str, Any]:
     """Let localisation or lines fail for 20 s, n times at each place of the tour.
 
     Localisation continues by dead reckoning, with a yaw rate bias (0.05 deg/s) and an error of the
@@ -85,7 +90,7 @@ def outages(n: int = 3, places: tuple[str, ...] = tuple(OUTAGES), seed: int = 0)
     """
     town = load(town_path())
     route = town_tour(town)
-    kinds = [(p, what, i) for p in places for what in ("localisation", "lines") for i in range(n)]
+    kinds = [(p, what, i) for p in places for what in of for i in range(n)]
     return {
         f"{what}, {place}, {i}": outage(town, route, place, seed + i, lines=what == "lines")
         for place, what, i in progress(kinds, "outages")
