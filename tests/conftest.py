@@ -18,10 +18,10 @@ from hypothesis import settings
 
 from maplines_can import Link
 
-# No test depends on how busy the machine is, and a commit has one verdict. New examples:
+# No test depends on how busy the machine is, and a commit has one verdict. More and new examples:
 # pytest --hypothesis-profile random
-settings.register_profile("fixed", deadline=None, derandomize=True)
-settings.register_profile("random", deadline=None)
+settings.register_profile("fixed", deadline=None, derandomize=True, max_examples=30)
+settings.register_profile("random", deadline=None, max_examples=300)
 settings.load_profile("fixed")
 
 
