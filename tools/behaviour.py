@@ -26,7 +26,7 @@ import threading
 import time
 from collections.abc import Iterator
 from functools import partial
-from itertools import zip_longest
+from itertools import count, zip_longest
 from pathlib import Path
 
 import can
@@ -95,10 +95,13 @@ demo-pose: demo --seconds 0.3 --dbc maplines-pose.dbc --map-error 0.05 --plot de
 demo-keys: demo --seconds 0.3 --key-file key --lines 8
 send: send --interface virtual --channel tap --count 4 --standstill
 send-mixtures: send --interface virtual --channel tap --count 3 --standstill --components auto
+decode-send: decode taps/send.log
+decode-send-mixtures: decode taps/send-mixtures.log
 send-scenes: send --interface virtual --channel tap --count 4 --standstill --json --lines 6 \
 --dbc maplines-pose.dbc --correlation-time 5 --scenario roundabout-12m
-receive: receive --interface virtual --channel feed --count 60 --timeout 20
-receive-scenes: receive --interface virtual --channel feed --count 60 --timeout 20 --json --scenes
+decode-send-scenes: decode taps/send-scenes.log --dbc maplines-pose.dbc --scenes
+receive: receive --interface virtual --channel feed --timeout 3
+receive-scenes: receive --interface virtual --channel feed --timeout 3 --json --scenes
 production: study production --n 100
 production-markdown: study production --n 100 --markdown
 sweep: study run --out sweep --n 200 --scenes 2 --jobs 1 --code Cholesky --code LogCholesky
@@ -137,7 +140,7 @@ HELP = """demo send receive decode map drive consume scenarios design accuracy c
 study:run study:report study:production consume:fusion consume:steer consume:check""".split()  # noqa: SIM905
 #: Standard input and the log on the channel "feed", by command.
 STDIN = {"decode-pipe": "d.log"}
-FED = {"receive": "d.log", "receive-scenes": "e.log"}
+FED = {"receive": "a.log", "receive-scenes": "e.log"}
 #: What depends on the clock or the load of the machine: in all outputs, and by command.
 MASKS = (
     (r'"(cpu|ms_per_cycle|core_share)": [-\d.e]+', r'"\1": CLOCK'),
@@ -151,6 +154,7 @@ LIVE_MASKS = {
         (r'"seconds": [\d.]+', '"seconds": CLOCK'),
         (r'(?s)"sent": \{.*"components"', '"components"'),
     ),
+    "decode-send": ((r'"(t|age)": [-\d.e+]+', r'"\1": CLOCK'),),
     "send": (
         (r"(?m)^late by.*|\d+ periods skipped", "CLOCK"),
         (r'"(lateness": \{[^}]*\}|overruns": \d+)', "CLOCK"),
@@ -158,7 +162,8 @@ LIVE_MASKS = {
     "receive": (
         (r', "e2e": \{[^}]*\}', ""),
         (r'(?m)^\{"t": [\d.]+, "scene".*\n', ""),
-        (r"(?m)^maplines: (slot|no line).*\n", ""),
+        (r"(?s)\A.*?(?=maplines: \d+ lines)", ""),  # changes of states, until the totals
+        (r"(?m)^(maplines: .*: ).*(; \d+ ok.*, )\d+( cycles without data)", r"\1CLOCK\2CLOCK\3"),
     ),
 }
 
@@ -194,10 +199,11 @@ def run_command(name: str, arguments: list[str], folder: Path) -> str:
     settings = {"OPENBLAS_NUM_THREADS": "1", "COLUMNS": "100", "SOURCE_DATE_EPOCH": "0"}
     stdin = (folder / STDIN[name]).read_bytes() if name in STDIN else b""
     done = subprocess.run(
-        [sys.executable, __file__, "child", FED.get(name, ""), *arguments],
+        [sys.executable, __file__, "child", name, *arguments],
         cwd=folder, input=stdin, capture_output=True, check=False, env=os.environ | settings,
     )  # fmt: skip
-    masks = [*MASKS, *LIVE_MASKS.get(name.split("-")[0], ())]
+    masks = [*MASKS, *(mask for live, own in LIVE_MASKS.items() if matches(name, [live])
+                       for mask in own)]  # fmt: skip
     text = f"$ maplines {shlex.join(arguments)}\nstatus {done.returncode}\n"
     for title, stream in (("stdout", done.stdout), ("stderr", done.stderr)):
         shown = stream.decode().replace(str(folder), "WORK").replace(str(ROOT), "ROOT")
@@ -206,7 +212,11 @@ def run_command(name: str, arguments: list[str], folder: Path) -> str:
             shown = re.sub(pattern, replacement, shown)
         text += f"---- {title}\n{shown}"
     for path in sorted(folder.rglob("*")):
-        if path.is_file() and before.get(path) != path.stat().st_mtime_ns:
+        if (
+            path.is_file()
+            and path.parent.name != "taps"
+            and before.get(path) != path.stat().st_mtime_ns
+        ):
             text += f"---- {path.relative_to(folder)}\n{file_text(path)}\n"
     return text
 
@@ -232,25 +242,31 @@ def file_text(path: Path) -> str:
     return hashlib.sha256(text.encode()).hexdigest() if is_long else text
 
 
-def child(fed: str, arguments: list[str]) -> int:
+def child(name: str, arguments: list[str]) -> int:
     """Run a command in this process, with a fixed date; feed and record its virtual buses."""
     from maplines_can.cli import main
 
+    ticks = count()
     time.time_ns = lambda: NOW_NS
+    time.perf_counter = lambda: 1e-3 * next(ticks)
     taps = [can.Bus(interface="virtual", channel=TAP)] if TAP in arguments else []
-    if fed:
-        threading.Thread(target=feed, args=(fed,), daemon=True).start()
+    if name in FED:
+        threading.Thread(target=feed, args=(FED[name],), daemon=True).start()
     sys.argv[0] = "maplines"
     try:
         return main(arguments)
     finally:
-        if taps:
-            frames = list(iter(partial(taps[0].recv, 0), None))
-            rows = sorted(f"{m.arbitration_id:X}" for m in frames)  # the order of slots is by time
-            by_id = {
-                i: [m.data.hex() for m in frames if f"{m.arbitration_id:X}" == i] for i in rows
-            }
-            Path(f"{TAP}.txt").write_text("\n".join(f"{i} {data}" for i, data in by_id.items()))
+        for tap in taps:
+            write_tap(tap, Path("taps") / f"{name}.log")
+
+
+def write_tap(tap: can.BusABC, path: Path) -> None:
+    """Write the frames that a channel has received as a log; ages are in it, so it is not shown."""
+    path.parent.mkdir(exist_ok=True)
+    frames = [f"{m.arbitration_id:X}#{m.data.hex()}" for m in iter(partial(tap.recv, 0), None)]
+    rows = [f"({NOW_NS // 10**9}.{i:03}000) can0 {frame}\n" for i, frame in enumerate(frames)]
+    path.write_text("".join(rows))
+    tap.shutdown()
 
 
 def feed(log: str) -> None:
@@ -262,6 +278,7 @@ def feed(log: str) -> None:
             time.sleep(0.01)
         for message in can.LogReader(log):
             bus.send(message)
+            time.sleep(0.002)  # the receiver keeps a limited number of lines
         time.sleep(30)
 
 
@@ -314,6 +331,9 @@ def compare(a: Path, b: Path, patterns: list[str]) -> int:
         if texts[0] == texts[1]:
             continue
         differing += 1
+        if not all(texts):
+            print(f"{name}: only in {a if texts[0] else b}")
+            continue
         columns = [text.splitlines() for text in texts]
         rows = zip_longest(columns[0], columns[1], fillvalue="(no row)")
         different = [(i, *pair) for i, pair in enumerate(rows, 1) if pair[0] != pair[1]]
