@@ -51,8 +51,8 @@ def test_the_slots_of_a_lane_change_are_right(recorded: Any) -> None:
 
 def test_a_wrong_slot_is_found(recorded: Any, tool: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """If ego left and ego right are exchanged from the middle of the drive on."""
-    found = maps.load(maps.town_path())
-    route = found.route("3:0:-4", "3:0:-3")
+    road_map = maps.load(maps.town_path())
+    route = road_map.route("3:0:-4", "3:0:-3")
     folder, _ = recorded
     lines = tool.decoded(folder / "drive.log")
     exchanged = {Slot.EGO_LEFT: Slot.EGO_RIGHT, Slot.EGO_RIGHT: Slot.EGO_LEFT}
@@ -60,7 +60,7 @@ def test_a_wrong_slot_is_found(recorded: Any, tool: Any, monkeypatch: pytest.Mon
         if 2 * i > len(lines) and one.slot in exchanged:
             lines[i] = replace(one, slot=exchanged[one.slot])
     monkeypatch.setattr(tool, "decoded", lambda _: lines)
-    result = tool.slots_of(folder, found, route)
+    result = tool.slots_of(folder, road_map, route)
     assert result["wrong"]
     assert not result["met"]
 

@@ -78,9 +78,9 @@ def test_wrong_slots_are_found(
     """Two lines in each other's slots."""
     lines_of = Map.lines
 
-    def exchanged(found: Map, pose: Any) -> Any:
+    def exchanged(road_map: Map, pose: Any) -> Any:
         swap = {one: other, other: one}
-        return {swap.get(slot, slot): line for slot, line in lines_of(found, pose).items()}
+        return {swap.get(slot, slot): line for slot, line in lines_of(road_map, pose).items()}
 
     monkeypatch.setattr(Map, "lines", exchanged)
     monkeypatch.setattr(tool, "MIN_POSES", 50)
@@ -95,8 +95,8 @@ def test_the_lines_of_another_lane_are_found(
     """Left is left and right is right, but a lane too far to the left."""
     lines_of = Map.lines
 
-    def beside(found: Map, pose: Any) -> Any:
-        return lines_of(found, pose + 3.5 * np.array([-np.sin(pose[2]), np.cos(pose[2]), 0]))
+    def beside(road_map: Map, pose: Any) -> Any:
+        return lines_of(road_map, pose + 3.5 * np.array([-np.sin(pose[2]), np.cos(pose[2]), 0]))
 
     monkeypatch.setattr(Map, "lines", beside)
     result = result_of(capsys, town(tmp_path))

@@ -17,7 +17,8 @@ from example_lines import scenario_lines
 from fake_bus import collect
 from kernel_can import has_vcan
 
-from maplines_can import Codec, Link, MapLine, Receiver, Transmitter, scenario
+from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can.simulation import scenario
 
 DBC = Path(__file__).parents[1] / "dbc" / "maplines.dbc"
 START, END = 0x7FE, 0x7FF

@@ -121,9 +121,9 @@ def boundaries(text: str, index: int = 0) -> Boundaries:
     return Boundaries(record(text), index)
 
 
-def reasons(found: Map) -> list[str]:
+def reasons(road_map: Map) -> list[str]:
     """Return why what is skipped in a map is."""
-    return [skipped.why for skipped in found.skipped]
+    return [skipped.why for skipped in road_map.skipped]
 
 
 def ids(lanes: Iterable[str]) -> str:

@@ -361,7 +361,7 @@ def batch(codec: Any) -> str:
 def propagations() -> Iterator[tuple[str, str]]:
     """Yield lines, scenes, predictions and mixtures of the example roads and of random ones."""
     roads = {name: (one.lines, one.ego, one.window) for name, one in
-             (ml.SCENARIOS | ml.STREETS).items()}  # fmt: skip
+             (ml.simulation.SCENARIOS | ml.simulation.STREETS).items()}  # fmt: skip
     rng = np.random.default_rng(5)
     roads |= {f"random-{i}": (random_road(rng, 3), random_pose(rng), (-20, 80)) for i in range(12)}
     error = ml.MapError(point_sigma=0.1, offset_sigma=0.05)

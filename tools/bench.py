@@ -353,23 +353,23 @@ def large_map(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         load = partial(maps.load, path)
         gc.collect()
         tracemalloc.start()
-        found = load()
+        road_map = load()
         kept, peak = tracemalloc.get_traced_memory()
         tracemalloc.stop()
-        lanes = [lane for lane in found.lanes.values() if lane.type.is_drivable]
+        lanes = [lane for lane in road_map.lanes.values() if lane.type.is_drivable]
         chosen = [lanes[i] for i in rng.permutation(len(lanes))[:400]]
         poses = [middle_of(lane) for lane in chosen]
-        agree("roads", abs(len(found.roads) - roads))
-        agree("poses with lines", sum(Slot.EGO_LEFT not in found.lines(pose) for pose in poses))
+        agree("roads", abs(len(road_map.roads) - roads))
+        agree("poses with lines", sum(Slot.EGO_LEFT not in road_map.lines(pose) for pose in poses))
 
         def first() -> list[Any]:
-            view = LaneView(found.lanes)  # new: it keeps the lines of the lanes
-            matches = map(found.match, poses)
+            view = LaneView(road_map.lanes)  # new: it keeps the lines of the lanes
+            matches = map(road_map.match, poses)
             return [view.lines(match, None) for match in matches if match is not None]
 
-        match, again = (partial(each, call, poses) for call in (found.match, found.lines))
+        match, again = (partial(each, call, poses) for call in (road_map.match, road_map.lines))
         memory = f"{kept / 1e6:.0f} MB kept, {peak / 1e6:.0f} MB at most"
-        yield f"{roads} roads and {len(found.lanes)} lanes are loaded, with lines; {memory}"
+        yield f"{roads} roads and {len(road_map.lanes)} lanes are loaded, with lines; {memory}"
         parse = partial(ET.parse, path)
         yield Pair("load, a road", "ElementTree.parse", roads, load, parse)
         yield Pair("first pose on a lane", "match alone", len(poses), first, match, 15, growth=True)

@@ -24,7 +24,6 @@ from maplines_can import (
     Monitor,
     Motion,
     Polyline,
-    PoseSource,
     Quadrature,
     Refit,
     Scene,
@@ -56,6 +55,7 @@ from maplines_can.localisation.scan_matching import (
 )
 from maplines_can.maps.line_source import LineSource
 from maplines_can.propagation.nonlinearity import nonlinearity
+from maplines_can.simulation import PoseSource
 from maplines_can.simulation.scenarios import parallel, scenario
 from maplines_can.wire import default_dbc_path
 

@@ -83,7 +83,7 @@ def stays(path: list[Step]) -> Iterator[tuple[str, list[str]]]:
 
 def journeys() -> dict[str, list[Step]]:
     """Return the steps of each journey."""
-    roads = ml.scenario("production")
+    roads = ml.simulation.scenario("production")
     first, second = ml.Slot.EGO_LEFT, ml.Slot.EGO_RIGHT
     lines, ego, codec = {first: roads.lines[first]}, roads.ego, ml.Codec.from_dbc()
     scene = ml.map_scene(lines | {second: roads.lines[second]}, ego, window=roads.window)

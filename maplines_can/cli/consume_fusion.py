@@ -130,10 +130,10 @@ def _simulated(
     from ..simulation.along_route import drive_along
     from ..simulation.car_stream import CarStream
 
-    found = load(town_path())
-    route = town_tour(found)
-    drive = drive_along(found, route)
-    stream = CarStream(found, route, drive, codec, SIMULATED_TIME, arguments.seed)
+    road_map = load(town_path())
+    route = town_tour(road_map)
+    drive = drive_along(road_map, route)
+    stream = CarStream(road_map, route, drive, codec, SIMULATED_TIME, arguments.seed)
     length = 60.0 if arguments.seconds is None else arguments.seconds
     end = min(SIMULATED_START + length, drive.duration - 1.0)
     fusion = None

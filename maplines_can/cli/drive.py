@@ -40,6 +40,7 @@ from .options import (
 from .output import counts_text, faults_text, pose_errors_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, number, option_group, seconds
+from .reported_pose import ReportedPose, add_reported_pose, check_reported_pose, reported_pose_of
 from .scene_sending import check_scene_load, sends_scenes
 from .sending import (
     MAX_LOAD,
@@ -49,7 +50,6 @@ from .sending import (
     line_nonlinearity,
     map_error_of,
 )
-from .stated_pose import StatedPose, add_stated_pose, check_stated_pose, stated_pose_of
 from .stderr import note, progress_bar
 from .truth_paths import truth_paths
 from .ways import TOUR, add_way, check_way, states_of, way_of
@@ -111,7 +111,7 @@ def add_drive(commands: Any) -> None:
         f"-{BEHIND:g} to {AHEAD:g}; in a corner, what is behind the car shortens what is ahead "
         f"(default: {WINDOW[0]:g} {WINDOW[1]:g})",
     )
-    add_stated_pose(parser)
+    add_reported_pose(parser)
     add_line_model(parser)
     scenario.add_argument(
         "--seed",
@@ -154,7 +154,7 @@ def _drive(arguments: argparse.Namespace) -> int:
     if not arguments.window[0] < arguments.window[1]:
         low, high = arguments.window
         raise ValueError(f"window must be MIN < MAX [m], got {low:g} {high:g}")
-    check_stated_pose(arguments)
+    check_reported_pose(arguments)
     _check_overwriting(arguments)
     clock_ns = time.time_ns()
 
@@ -166,9 +166,9 @@ def _drive(arguments: argparse.Namespace) -> int:
     if arguments.record:
         check_log_path(Path(arguments.record))
     check_new(arguments, arguments.record, _truth_path(arguments))
-    found = load(town_path() if arguments.map is None else arguments.map)
-    if found.skipped:
-        note(f"{found.name}: {len(found.skipped)} parts of the file are not used")
+    road_map = load(town_path() if arguments.map is None else arguments.map)
+    if road_map.skipped:
+        note(f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used")
     slots = tuple(Slot)[: arguments.lines]
     components = _components(codec, slots, arguments)
     if fast and not (arguments.record or arguments.truth or arguments.json):
@@ -176,11 +176,11 @@ def _drive(arguments: argparse.Namespace) -> int:
             "--as-fast-as-possible uses no bus, and nothing would be kept; add --record FILE, such "
             "as --record drive.blf, or leave it out to send in real time (--json prints counters)"
         )
-    way, route = way_of(found, arguments)
+    way, route = way_of(road_map, arguments)
     states = states_of(way, arguments)
     as_scene = sends_scenes(codec, arguments)
-    stated = stated_pose_of(found, way, arguments)
-    source = _source(found, stated, route, slots, components, arguments, as_scene=as_scene)
+    reported = reported_pose_of(road_map, way, arguments)
+    source = _source(road_map, reported, route, slots, components, arguments, as_scene=as_scene)
     counters = Counters()
     with ExitStack() as stack:
         truth = None
@@ -188,7 +188,7 @@ def _drive(arguments: argparse.Namespace) -> int:
             from ..simulation.truth import TruthWriter
 
             writer = stack.enter_context(TruthWriter(path, slots))
-            truth = TruthRecorder(writer, LaneTracker(found, route), slots)
+            truth = TruthRecorder(writer, LaneTracker(road_map, route), slots)
         shape = "{l_bar}{bar}| {n:.0f}/{total:.0f} s"
         progress = stack.enter_context(progress_bar(" s", bar_format=shape, leave=False))
         drive = Drive(
@@ -204,7 +204,7 @@ def _drive(arguments: argparse.Namespace) -> int:
             counters,
         )
         if not arguments.json:
-            note(_start_text(found, route, states, arguments))
+            note(_start_text(road_map, route, states, arguments))
         if fast:
             sent = drive.simulate(time.time_ns(), set_clock, fault_injector(arguments))
         else:
@@ -216,8 +216,8 @@ def _drive(arguments: argparse.Namespace) -> int:
     if counters.stopped:
         note(f"stopped by Ctrl-C after {result['seconds']:.1f} s of the drive")
     result |= {"record": arguments.record, "truth": path}
-    if stated.localisation is not None:
-        result["measurements"] = stated.localisation.counts()
+    if reported.localisation is not None:
+        result["measurements"] = reported.localisation.counts()
     print(json.dumps(result, indent=2) if arguments.json else _text(result))
     return 0
 
@@ -289,8 +289,8 @@ def _free_load(arguments: argparse.Namespace) -> float:
 
 
 def _source(
-    found: Map,
-    stated: StatedPose,
+    road_map: Map,
+    reported: ReportedPose,
     route: Route | None,
     slots: tuple[Slot, ...],
     components: int | ChooseComponents,
@@ -300,14 +300,14 @@ def _source(
 ) -> LineSource:
     """Return the source of the lines around the pose that the car knows."""
     return LineSource(
-        found,
-        stated.pose,
+        road_map,
+        reported.pose,
         slots,
         route,
         arguments.window,
         map_error=map_error_of(arguments),
         components=components,
-        correlation_time=stated.correlation_time if as_scene else None,
+        correlation_time=reported.correlation_time if as_scene else None,
         max_sigma=arguments.max_sigma,
     )
 
@@ -320,10 +320,10 @@ def _truth_path(arguments: argparse.Namespace) -> str | None:
 
 
 def _start_text(
-    found: Map, route: Route | None, states: CarState, arguments: argparse.Namespace
+    road_map: Map, route: Route | None, states: CarState, arguments: argparse.Namespace
 ) -> str:
     """Return what is about to begin."""
-    name = f"{arguments.drive} on {found.name}" if route is None else found.name
+    name = f"{arguments.drive} on {road_map.name}" if route is None else road_map.name
     way = "" if route is None else f" from lane {route.lanes[0]} to {route.lanes[-1]}"
     km = _length(states) / 1000
     return f"{name}{way}: {km:.1f} km, {states.t[-1] - states.t[0]:.0f} s, {arguments.rate:g} Hz"

@@ -55,12 +55,12 @@ def add_map(commands: Any) -> None:
 
 def _map(arguments: argparse.Namespace) -> int:
     check_new(arguments, arguments.plot)
-    found = load(arguments.file or town_path(), arguments.projection)
-    summary = summary_of(found)
+    road_map = load(arguments.file or town_path(), arguments.projection)
+    summary = summary_of(road_map)
     if arguments.plot:
         from ..study.figures.map_picture import draw_map
 
-        draw_map(found, arguments.plot)
+        draw_map(road_map, arguments.plot)
     if arguments.json:
         print(json.dumps(summary | {"plot": arguments.plot}, indent=2))
     else:
@@ -70,19 +70,19 @@ def _map(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def summary_of(found: Map) -> dict[str, Any]:
+def summary_of(road_map: Map) -> dict[str, Any]:
     """Return what is in a map, for JSON."""
-    lanes = list(found.lanes.values())
+    lanes = list(road_map.lanes.values())
     lines = [line for lane in lanes for line in (lane.left, lane.right)]
-    lines += found.polylines.values()
+    lines += road_map.polylines.values()
     points = np.concatenate([line.points for line in lines])
     low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     drivable = [lane for lane in lanes if lane.type.is_drivable]
     limits = [lane.speed_limit for lane in drivable if lane.speed_limit is not None]
     types = Counter(lane.type for lane in lanes)
     return {
-        "name": found.name,
-        "roads": {"count": len(found.roads), "km": _km(found.roads.values())},
+        "name": road_map.name,
+        "roads": {"count": len(road_map.roads), "km": _km(road_map.roads.values())},
         "junctions": len({lane.junction for lane in lanes} - {None}),
         "lanes": {
             kind.value: {"count": n, "km": _km(lane for lane in lanes if lane.type is kind)}
@@ -93,15 +93,15 @@ def summary_of(found: Map) -> dict[str, Any]:
             "km": _km(drivable),
             "without_successor": sum(not lane.successors for lane in drivable),
         },
-        "polylines": len(found.polylines),
+        "polylines": len(road_map.polylines),
         "extent": {"x": [low[0], high[0]], "y": [low[1], high[1]]},
-        "projection": found.projection,
-        "traffic": "left-hand" if found.left_hand_traffic else "right-hand",
+        "projection": road_map.projection,
+        "traffic": "left-hand" if road_map.left_hand_traffic else "right-hand",
         "speed_limits_kmh": [round(3.6 * v, 3) for v in (min(limits), max(limits))]
         if limits
         else None,
-        "skipped": _grouped(found.skipped),
-        "link_gaps": _grouped(link_gaps(found.lanes)),
+        "skipped": _grouped(road_map.skipped),
+        "link_gaps": _grouped(link_gaps(road_map.lanes)),
     }
 
 

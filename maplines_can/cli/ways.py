@@ -71,7 +71,7 @@ def check_way(arguments: argparse.Namespace) -> None:
 
 
 def way_of(
-    found: Map, arguments: argparse.Namespace
+    road_map: Map, arguments: argparse.Namespace
 ) -> tuple[SimulatedDrive | RecordedDrive, Route | None]:
     """Return the drive and its route; a recorded drive has none.
 
@@ -80,29 +80,29 @@ def way_of(
         DriveFileError: the recorded drive cannot be used, or is not on the map.
         ValueError: options do not fit together.
     """
-    if not any(lane.type.is_drivable for lane in found.lanes.values()):
-        raise RouteError(f"the map {found.name} has no lanes to drive on")
+    if not any(lane.type.is_drivable for lane in road_map.lanes.values()):
+        raise RouteError(f"the map {road_map.name} has no lanes to drive on")
     if arguments.drive is not None:
-        return _recorded(found, arguments), None
+        return _recorded(road_map, arguments), None
     if arguments.route is not None:
-        route = _route(found, arguments.route)
+        route = _route(road_map, arguments.route)
     elif arguments.map is None or map_path(arguments.map).resolve() == town_path().resolve():
-        route = town_tour(found)
+        route = town_tour(road_map)
     else:
-        route = random_tour(found, TOUR, arguments.seed)
-    return drive_along(found, route), route
+        route = random_tour(road_map, TOUR, arguments.seed)
+    return drive_along(road_map, route), route
 
 
-def _route(found: Map, text: str) -> Route:
+def _route(road_map: Map, text: str) -> Route:
     """Return the route of ``--route``: the shortest one, if it is given by roads."""
-    stops = [_lanes(found, name, text) for name in text.split("..")]
+    stops = [_lanes(road_map, name, text) for name in text.split("..")]
     if len(stops) < 2:
         raise RouteError(f"--route must be A..B, two ids of lanes or roads, got {text!r}")
     best: Route | None = None
     error = RouteError("there is none")
     for start, *via, goal in islice(product(*stops), MAX_WAYS):
         try:
-            route = found.route(start, goal, via)
+            route = road_map.route(start, goal, via)
         except RouteError as wrong:
             error = wrong
             continue
@@ -113,28 +113,28 @@ def _route(found: Map, text: str) -> Route:
     return best
 
 
-def _lanes(found: Map, name: str, text: str) -> list[str]:
+def _lanes(road_map: Map, name: str, text: str) -> list[str]:
     """Return the lanes that a name in ``--route`` may stand for."""
-    if name in found.lanes:
+    if name in road_map.lanes:
         return [name]
-    if name in found.roads:
-        lanes = [id_ for id_ in found.roads[name].lanes if found.lanes[id_].type.is_drivable]
+    if name in road_map.roads:
+        lanes = [id_ for id_ in road_map.roads[name].lanes if road_map.lanes[id_].type.is_drivable]
         if lanes:
             return lanes
         raise RouteError(f"--route {text}: the road {name!r} has no lane to drive on")
-    some = ", ".join([*islice(found.roads, 3), *islice(found.lanes, 3)])
+    some = ", ".join([*islice(road_map.roads, 3), *islice(road_map.lanes, 3)])
     raise RouteError(
         f"--route {text}: the map has neither a lane nor a road {name!r}; its ids are such as "
         f"{some}"
     )
 
 
-def _recorded(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
+def _recorded(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
     """Return the recorded drive of the options; it must be on the map."""
     name = arguments.drive
-    recorded = _from_log(found, arguments) if arguments.signals else _from_table(found, name)
-    centres = [lane.centre for lane in found.lanes.values()]
-    share = check_on_map(recorded.pose[:, :2], centres, found.projection, name)
+    recorded = _from_log(road_map, arguments) if arguments.signals else _from_table(road_map, name)
+    centres = [lane.centre for lane in road_map.lanes.values()]
+    share = check_on_map(recorded.pose[:, :2], centres, road_map.projection, name)
     if share < 1:
         note(f"{name}: {100 * (1 - share):.1f} % of the positions are off the map")
     if recorded.skipped:
@@ -142,21 +142,21 @@ def _recorded(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
     return recorded
 
 
-def _from_table(found: Map, name: str) -> RecordedDrive:
+def _from_table(road_map: Map, name: str) -> RecordedDrive:
     suffix = Path(name).suffix.lower()
     if suffix in LOG_SUFFIXES:
         raise DriveFileError(
             f"{name}: a bus log needs --signals, the names of its signals, and --signals-dbc"
         )
-    return RecordedDrive.from_csv(name, projection=found.projection)
+    return RecordedDrive.from_csv(name, projection=road_map.projection)
 
 
-def _from_log(found: Map, arguments: argparse.Namespace) -> RecordedDrive:
+def _from_log(road_map: Map, arguments: argparse.Namespace) -> RecordedDrive:
     signals = read_signals(arguments.drive, arguments.signals_dbc, arguments.signals)
     if signals.skipped:
         note(f"{arguments.drive}: skipped: {counts_text(signals.skipped)}")
     try:
-        return RecordedDrive.from_signals(signals, found.projection)
+        return RecordedDrive.from_signals(signals, road_map.projection)
     except DriveFileError as error:
         raise DriveFileError(f"{arguments.drive}: {error}") from error
 

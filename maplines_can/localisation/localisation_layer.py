@@ -44,12 +44,12 @@ class LocalisationLayer:
     Lines are the boundaries of the drivable lanes that have a marking, a kerb or a barrier.
 
     Args:
-        found: the map.
+        road_map: the map.
     """
 
-    def __init__(self, found: Map) -> None:
+    def __init__(self, road_map: Map) -> None:
         lines: dict[int, Polyline] = {}
-        for lane in found.lanes.values():
+        for lane in road_map.lanes.values():
             if lane.type.is_drivable:
                 lines |= {id(line): line for line in (lane.left, lane.right)}
         seen = [line for line in lines.values() if line.kind not in _INVISIBLE and line.length > 0]
@@ -60,9 +60,9 @@ class LocalisationLayer:
         self._line = np.repeat(np.arange(len(seen)), counts)
         self._kind = np.repeat(np.array([line.kind for line in seen], dtype=np.intp), counts)
         self._tree = cKDTree(self._points)
-        self.landmarks: tuple[Landmark, ...] = found.landmarks
+        self.landmarks: tuple[Landmark, ...] = road_map.landmarks
         #: (m, 2) positions of the landmarks [m].
-        self.positions = np.array([(one.x, one.y) for one in found.landmarks]).reshape(-1, 2)
+        self.positions = np.array([(one.x, one.y) for one in road_map.landmarks]).reshape(-1, 2)
         self._landmark_tree = cKDTree(self.positions)
 
     def lines_beside(self, poses: Array) -> LinesBeside:

@@ -19,7 +19,7 @@ from .model import Map
 from .routing import Route
 from .tracking import LaneTracker, TrackedLines
 
-#: Number of mixture components of each line, from the lines of the map and the stated pose.
+#: Number of mixture components of each line, from the lines of the map and the reported pose.
 ChooseComponents = Callable[[Mapping[Slot, Polyline], Gaussian], Mapping[Slot, int]]
 
 #: Range of the lines around the car [m]. A car drives by what is ahead, and a cubic that must be
@@ -32,8 +32,8 @@ class Cycle(NamedTuple):
 
     t: float  #: time [s]
     #: over the pose x [m], y [m], heading [rad] in the map frame; None if the car does not know it
-    stated: Gaussian | None
-    tracked: TrackedLines  #: lines of the map around the stated pose
+    reported: Gaussian | None
+    tracked: TrackedLines  #: lines of the map around the reported pose
     lines: MapLineList  #: lines as the car knows them, and those that are left out
     changed: frozenset[Slot]  #: slots of these that have another line than in the cycle before
     #: the lines with their joint covariance, if the source was asked for it and there is a pose
@@ -43,12 +43,12 @@ class Cycle(NamedTuple):
 class LineSource:
     """Source of the lines around a car that knows its pose with an error.
 
-    The car finds its lane by the mean of the stated pose, as it knows no other one. Without a pose,
-    there are no lines.
+    The car finds its lane by the mean of the reported pose, as it knows no other one. Without a
+    pose, there are no lines.
 
     Args:
-        found: the map.
-        stated: function from the time [s] and the true pose (3,) to the stated pose, such as
+        road_map: the map.
+        reported: function from the time [s] and the true pose (3,) to the reported pose, such as
             ``PoseSource.pose``, or to None if the car does not know it.
         slots: lines to give.
         route: that the car follows.
@@ -63,12 +63,13 @@ class LineSource:
         max_sigma: largest standard deviation of the lateral position of a line [m], see
             ``map_lines``.
 
-    >>> from maplines_can import PoseSource, Polyline
+    >>> from maplines_can import Polyline
+    >>> from maplines_can.simulation import PoseSource
     >>> from maplines_can import maps
     >>> left, right, centre = (Polyline([[0, y], [300, y]]) for y in (3.5, 0, 1.75))
     >>> lane = maps.Lane("1", left, right, centre, road="A")
-    >>> found = maps.Map({"1": lane}, {"A": maps.Road("A", "", 300.0, ("1",))})
-    >>> source = LineSource(found, PoseSource((0.3, 0.1, 0.002)).pose)
+    >>> road_map = maps.Map({"1": lane}, {"A": maps.Road("A", "", 300.0, ("1",))})
+    >>> source = LineSource(road_map, PoseSource((0.3, 0.1, 0.002)).pose)
     >>> cycle = source.cycle(0.0, np.array([100.0, 1.75, 0.0]))
     >>> [line.slot.name for line in cycle.lines], cycle.tracked.lane
     (['EGO_LEFT', 'EGO_RIGHT'], '1')
@@ -76,8 +77,8 @@ class LineSource:
 
     def __init__(
         self,
-        found: Map,
-        stated: Callable[[float, NDArray[np.float64]], Gaussian | None],
+        road_map: Map,
+        reported: Callable[[float, NDArray[np.float64]], Gaussian | None],
         slots: Collection[Slot] = tuple(Slot)[:4],
         route: Route | None = None,
         window: tuple[float, float] = WINDOW,
@@ -94,9 +95,9 @@ class LineSource:
             )
         self._correlation_time = correlation_time
         self._max_misfit, self._max_sigma = max_misfit, max_sigma
-        self._stated, self._slots = stated, frozenset(slots)
+        self._reported, self._slots = reported, frozenset(slots)
         self._window, self._map_error, self._components = window, map_error, components
-        self._tracker = LaneTracker(found, route)
+        self._tracker = LaneTracker(road_map, route)
 
     def cycle(self, t: float, true_pose: NDArray[np.float64]) -> Cycle:
         """Return the lines at the next time.
@@ -108,17 +109,17 @@ class LineSource:
         Raises:
             ValueError: a value is not finite, or the time is not later.
         """
-        stated = self._stated(t, true_pose)
-        if stated is None:
+        reported = self._reported(t, true_pose)
+        if reported is None:
             tracked = self._tracker.lose()
             return Cycle(t, None, tracked, MapLineList([], {}), tracked.changed & self._slots)
-        tracked = self._tracker.lines(stated.mean)
+        tracked = self._tracker.lines(reported.mean)
         chosen = {slot: line for slot, line in tracked.lines.items() if slot in self._slots}
         own, time, changed = self._components, self._correlation_time, tracked.changed & self._slots
         if time is not None:
             scene = map_scene(
                 chosen,
-                stated,
+                reported,
                 correlation_time=time() if callable(time) else time,
                 window=self._window,
                 map_error=self._map_error,
@@ -126,14 +127,14 @@ class LineSource:
                 max_sigma=self._max_sigma,
             )
             lines = MapLineList(scene.lines, scene.left_out)
-            return Cycle(t, stated, tracked, lines, changed, scene)
+            return Cycle(t, reported, tracked, lines, changed, scene)
         lines = map_lines(
             chosen,
-            stated,
+            reported,
             window=self._window,
             map_error=self._map_error,
             max_misfit=self._max_misfit,
             max_sigma=self._max_sigma,
-            components=own(chosen, stated) if callable(own) else own,
+            components=own(chosen, reported) if callable(own) else own,
         )
-        return Cycle(t, stated, tracked, lines, changed)
+        return Cycle(t, reported, tracked, lines, changed)

@@ -12,27 +12,29 @@ from .routing import Route
 STARTS, FAILURES = 8, 12
 
 
-def random_tour(found: Map, length: float = 10_000.0, seed: int = 0) -> Route:
+def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route:
     """Return a route from lane to lane, each drawn at random, until it has a length.
 
     It is shorter if no further lane can be reached. Of several starts drawn at random, the one
     with the longest tour is taken.
 
     Args:
-        found: the map.
+        road_map: the map.
         length: that the route shall have at least [m].
         seed: of the random numbers.
 
     Raises:
         RouteError: the map has no lane to drive on.
     """
-    lanes = [lane.id for lane in found.lanes.values() if lane.type.is_drivable and lane.length > 0]
+    lanes = [
+        lane.id for lane in road_map.lanes.values() if lane.type.is_drivable and lane.length > 0
+    ]
     if not lanes:
-        raise RouteError(f"the map {found.name!r} has no lane to drive on")
+        raise RouteError(f"the map {road_map.name!r} has no lane to drive on")
     rng = np.random.default_rng(seed)
     best: Route | None = None
     for _ in range(STARTS):
-        tour = _tour_from(found, lanes[rng.integers(len(lanes))], lanes, length, rng)
+        tour = _tour_from(road_map, lanes[rng.integers(len(lanes))], lanes, length, rng)
         if best is None or tour.length > best.length:
             best = tour
         if best.length >= length:
@@ -42,7 +44,7 @@ def random_tour(found: Map, length: float = 10_000.0, seed: int = 0) -> Route:
 
 
 def _tour_from(
-    found: Map, start: str, lanes: list[str], length: float, rng: np.random.Generator
+    road_map: Map, start: str, lanes: list[str], length: float, rng: np.random.Generator
 ) -> Route:
     """Return a tour from a lane on."""
     stops, failures = [start], 0
@@ -50,7 +52,7 @@ def _tour_from(
     while driven < length and failures < FAILURES:
         goal = lanes[rng.integers(len(lanes))]
         try:
-            leg = found.route(stops[-1], goal)
+            leg = road_map.route(stops[-1], goal)
         except RouteError:
             failures += 1
             continue
@@ -60,4 +62,4 @@ def _tour_from(
         failures = 0
         stops.append(goal)
         driven += leg.length
-    return found.route(stops[0], stops[-1], via=stops[1:-1])
+    return road_map.route(stops[0], stops[-1], via=stops[1:-1])

@@ -91,12 +91,12 @@ class LaneTracker:
     around it are other ones, which counts as a lane change, too.
 
     Args:
-        found: the map.
+        road_map: the map.
         route: that the car follows.
     """
 
-    def __init__(self, found: Map, route: Route | None = None) -> None:
-        self._map, self._route = found, route
+    def __init__(self, road_map: Map, route: Route | None = None) -> None:
+        self._map, self._route = road_map, route
         self._track: _Track | None = None
         self._crossing: tuple[float, float] | None = None  # where it left its lane
         self._progress = 0  # index of the last lane of the route

@@ -17,12 +17,12 @@ MIN_LENGTH = 1.0
 
 
 def drive_along(
-    found: Map, route: Route, default_speed: float = DEFAULT_SPEED, **limits: Any
+    road_map: Map, route: Route, default_speed: float = DEFAULT_SPEED, **limits: Any
 ) -> SimulatedDrive:
     """Return the drive along a route, from its start to its goal.
 
     Args:
-        found: the map of the route.
+        road_map: the map of the route.
         route: that the car follows.
         default_speed: limit on lanes of which the map states none [m/s].
         **limits: further arguments of ``SimulatedDrive``.
@@ -40,7 +40,7 @@ def drive_along(
     inside = (distance > start) & (distance < goal)
     s = np.concatenate([[start], distance[inside], [goal]])
     path = np.column_stack([np.interp(s, distance, values) for values in route.line.points.T])
-    lanes = [found.lanes[lane] for lane in route.lanes]
+    lanes = [road_map.lanes[lane] for lane in route.lanes]
     speeds = [lane.speed_limit or default_speed for lane in lanes]
     # Of lanes beside each other, the last one counts; those before the start do not.
     by_start = dict(zip((max(0.0, at - start) for at in route.starts), speeds, strict=True))

@@ -46,7 +46,7 @@ class DriveView(NamedTuple):
 
 
 def drive_view(
-    found: Map,
+    road_map: Map,
     route: Route,
     drive: SimulatedDrive,
     times: Iterable[float],
@@ -57,7 +57,7 @@ def drive_view(
     """Return the view of a drive, with lines that were encoded and decoded.
 
     Args:
-        found: the map.
+        road_map: the map.
         route: that the car follows.
         drive: the drive.
         times: [s].
@@ -66,7 +66,7 @@ def drive_view(
         map_error: that the sender states.
     """
     state = drive.at(np.array([*times]))
-    tracker, n = LaneTracker(found, route), len(state.t)
+    tracker, n = LaneTracker(road_map, route), len(state.t)
     view = DriveView(
         state,
         np.full((n, 2, 4), np.nan),

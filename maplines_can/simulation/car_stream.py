@@ -46,7 +46,7 @@ class CarStream:
     own, each another one.
 
     Args:
-        found: the map.
+        road_map: the map.
         route: that the car follows.
         drive: the drive.
         codec: of the scenes.
@@ -58,7 +58,7 @@ class CarStream:
 
     def __init__(
         self,
-        found: Map,
+        road_map: Map,
         route: Route,
         drive: SimulatedDrive,
         codec: Codec,
@@ -68,7 +68,7 @@ class CarStream:
         *,
         has_camera: bool = True,
     ) -> None:
-        self._tracker, self._drive, self._codec = LaneTracker(found, route), drive, codec
+        self._tracker, self._drive, self._codec = LaneTracker(road_map, route), drive, codec
         self._errors, self._time = errors or Errors(), correlation_time
         self._rng = np.random.default_rng([seed, 1])
         self._poses = PoseSource(self._errors.pose_sigma, correlation_time, seed)

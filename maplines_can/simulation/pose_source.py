@@ -18,7 +18,7 @@ class PoseSource:
 
         e(t + dt) = phi e(t) + sigma sqrt(1 - phi^2) w,  phi = exp(-dt / tau),  w from N(0, 1)
 
-    The stated pose is the true pose plus the error, and the stated covariance is that of the
+    The reported pose is the true pose plus the error, and the stated covariance is that of the
     errors. They are errors in the frame of the true pose.
 
     Args:
@@ -51,7 +51,7 @@ class PoseSource:
         self._error = np.zeros(3)  # in units of sigma
 
     def pose(self, t: float, true_pose: ArrayLike) -> Gaussian:
-        """Return the stated pose at a time later than that of the previous call.
+        """Return the reported pose at a time later than that of the previous call.
 
         Args:
             t: [s].

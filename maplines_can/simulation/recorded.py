@@ -214,7 +214,7 @@ class RecordedDrive:
         yaw_rate = rate[..., 2] if self.yaw_rate is None else linear(self.t, self.yaw_rate, t)
         return CarState(t, pose, np.asarray(speed), np.asarray(yaw_rate))
 
-    def stated(self, t: float) -> Gaussian:
+    def reported(self, t: float) -> Gaussian:
         """Return the recorded pose at a time, with its recorded covariance.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Stated poses of a car on a drive, from a localisation with simulated sensors."""
+"""Reported poses of a car on a drive, from a localisation with simulated sensors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,8 @@ class SimulatedLocalisation:
     Raises:
         ValueError: a standard deviation is negative.
 
-    >>> from maplines_can import SimulatedDrive, Polyline
+    >>> from maplines_can import Polyline
+    >>> from maplines_can.simulation import SimulatedDrive
     >>> from maplines_can import maps
     >>> drive = SimulatedDrive(Polyline([[0, 0], [200, 0]]))
     >>> source = SimulatedLocalisation(drive, LocalisationLayer(maps.Map({}, {})))
@@ -59,7 +60,7 @@ class SimulatedLocalisation:
         self._next = 0
 
     def pose(self, t: float, _true_pose: ArrayLike | None = None) -> Gaussian | None:
-        """Return the stated pose at a time not earlier than that of the previous call [s].
+        """Return the reported pose at a time not earlier than that of the previous call [s].
 
         The filter takes the measurements that have arrived by then. None if it does not know the
         pose.

@@ -54,8 +54,8 @@ class Counters:
         self.cycles += 1
         self.lane_changes += cycle.tracked.lane_changed
         self.slot_changes += len(cycle.changed) if self.cycles > 1 else 0
-        self.no_pose += cycle.stated is None
-        self.off_map += cycle.tracked.match is None and cycle.stated is not None
+        self.no_pose += cycle.reported is None
+        self.off_map += cycle.tracked.match is None and cycle.reported is not None
         self.left_out.update(reason.name for reason in cycle.lines.left_out.values())
 
 
@@ -79,17 +79,17 @@ class TruthRecorder:
         tracked = self._tracker.lines(state.pose)
         motion = float(state.speed), float(state.yaw_rate)
         row = [time, float(state.t), *state.pose.tolist(), *motion]
-        if cycle.stated is None:
+        if cycle.reported is None:
             row += [math.nan] * 9
         else:
-            cov = cycle.stated.cov
-            row += cycle.stated.mean.tolist()
+            cov = cycle.reported.cov
+            row += cycle.reported.mean.tolist()
             row += [cov[i, j].item() for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))]
         self._writer.write(
             [*row, tracked.lane or "", cycle.tracked.lane or "", float(cycle.tracked.lane_changed)],
             true_lines(tracked.lines, self._slots, state.pose),
         )
-        return cycle.stated is None or tracked.lane == cycle.tracked.lane
+        return cycle.reported is None or tracked.lane == cycle.tracked.lane
 
 
 @dataclass

@@ -101,13 +101,13 @@ def read_map(path: Path) -> tuple[tuple[Polyline, ...], str]:
     """
     path = map_path(path)
     try:
-        found = load(checked_path(path, StudyError))
+        road_map = load(checked_path(path, StudyError))
     except (OSError, MapFileError) as error:
         raise StudyError(f"{path}: cannot be read: {error}") from error
-    if found.skipped and not found.lanes:
-        raise StudyError(f"{path}: {found.skipped[0]}")
-    sides = (line for lane in found.lanes.values() for line in (lane.left, lane.right))
-    lines = {id(line): line for line in (*found.polylines.values(), *sides)}
+    if road_map.skipped and not road_map.lanes:
+        raise StudyError(f"{path}: {road_map.skipped[0]}")
+    sides = (line for lane in road_map.lanes.values() for line in (lane.left, lane.right))
+    lines = {id(line): line for line in (*road_map.polylines.values(), *sides)}
     return tuple(lines.values()), _sha256(path)
 
 

@@ -42,7 +42,7 @@ OPENERS: list[tuple[Callable[[Any], Any], str, type[Exception]]] = [
     (ml.Codec.from_dbc, ".dbc", LayoutError),
     (signals, ".dbc", LayoutError),
     (read_table, ".toml", DriveFileError),
-    (ml.RecordedDrive.from_csv, ".csv", DriveFileError),
+    (ml.simulation.RecordedDrive.from_csv, ".csv", DriveFileError),
     *((read_truth, suffix, DriveFileError) for suffix in (".csv", ".parquet")),
     *((truth, suffix, DriveFileError) for suffix in (".csv", ".parquet")),
     *((lambda p: GaussianFile.opened(Path(p)), s, StudyError) for s in (".npz", ".csv")),

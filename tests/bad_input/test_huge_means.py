@@ -5,7 +5,8 @@ import contextlib
 import numpy as np
 import pytest
 
-from maplines_can import Codec, GaussianMixture, MapLine, Motion, Slot, predict, predict_to
+from maplines_can import Codec, GaussianMixture, MapLine, Motion, Slot, predict_to
+from maplines_can.propagation import predict
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Status
 

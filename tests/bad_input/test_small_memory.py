@@ -13,7 +13,8 @@ from bombs import MB, MOST, SIZE, gzipped, read_in_little_memory
 #: A file with this suffix in front of the last one is read by this function.
 READ = """
 from pathlib import Path
-from maplines_can import Codec, RecordedDrive
+from maplines_can import Codec
+from maplines_can.simulation import RecordedDrive
 from maplines_can.bus import key_from_file
 from maplines_can.bus.signals import read_table
 from maplines_can.cli.consume_camera import _WANTED, MAX_LINES

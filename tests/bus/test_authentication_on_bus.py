@@ -10,8 +10,9 @@ from fake_bus import Clock as SecondsClock
 from fake_bus import drive, wait_until
 from secoc_streams import MS, NOW, OTHER, SECRET, Clock, S, codec_of, feed, names
 
-from maplines_can import Link, Receiver, Transmitter, scenario
+from maplines_can import Link, Receiver, Transmitter
 from maplines_can.bus.tx_queue import AHEAD, TxQueue
+from maplines_can.simulation import scenario
 from maplines_can.wire import Key, Reason
 
 

@@ -8,8 +8,10 @@ import cantools
 import numpy as np
 import pytest
 
-from maplines_can import DriveFileError, LayoutError, RecordedDrive, read_signals
+from maplines_can import LayoutError
+from maplines_can.bus import read_signals
 from maplines_can.bus.signals import SignalDecoder, read_table
+from maplines_can.simulation import DriveFileError, RecordedDrive
 from maplines_can.values.errors import LogError
 
 DBC = """VERSION ""

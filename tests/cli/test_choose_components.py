@@ -9,9 +9,9 @@ from example_lines import scenario_lines
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can import scenario
 from maplines_can.bus import bus_load
 from maplines_can.cli.sending import MAX_LOAD, choose_components
+from maplines_can.simulation import scenario
 
 
 @given(

@@ -15,9 +15,10 @@ import pytest
 from dbcs import edited
 from example_lines import scenario_lines
 
-from maplines_can import Codec, MapLine, Slot, scenario
+from maplines_can import Codec, MapLine, Slot
 from maplines_can.cli import main
 from maplines_can.cli.options import SHIPPED
+from maplines_can.simulation import scenario
 
 
 @pytest.fixture

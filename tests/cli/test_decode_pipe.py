@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 from example_lines import scenario_lines
 
-from maplines_can import Codec, scenario
+from maplines_can import Codec
 from maplines_can.cli import main
 from maplines_can.cli.stderr import with_progress
+from maplines_can.simulation import scenario
 
 
 def rows(n: int) -> list[str]:

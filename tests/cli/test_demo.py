@@ -13,9 +13,10 @@ from dbcs import edited
 from example_lines import lines_timed_out, scenario_lines
 from fake_bus import LONG
 
-from maplines_can import Codec, Link, Polyline, Slot, Transmitter, scenario
+from maplines_can import Codec, Link, Polyline, Slot, Transmitter
 from maplines_can.cli import main
 from maplines_can.cli.sending import choose_components, components_text
+from maplines_can.simulation import scenario
 from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 from maplines_can.study.round_trip import _Arrivals
 

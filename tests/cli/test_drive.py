@@ -12,10 +12,11 @@ from can.interfaces import virtual
 from drive_files import run, table, town
 from xodr_files import document, geometry, lane, road, section
 
-from maplines_can import Codec, MapLine, RecordedDrive, Slot, read_log
+from maplines_can import Codec, MapLine, Slot, read_log
 from maplines_can.cli import main
 from maplines_can.cli.drive import _text
 from maplines_can.maps.line_source import Cycle, LineSource
+from maplines_can.simulation import RecordedDrive
 from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
 from maplines_can.wire import default_dbc_path
 

@@ -124,9 +124,9 @@ def test_the_command_of_the_page_runs(
     (command,) = re.findall(r"^maplines (drive --drive car.blf .*)$", page, re.MULTILINE)
     Path("signals.toml").write_text(signals)
     Path("car.dbc").write_text(PAGE_DBC)
-    found = maps.load(maps.town_path())
-    centre = found.lanes["3:0:-3"].centre
-    inverse = pyproj.Transformer.from_crs(found.projection, "EPSG:4326", always_xy=True)
+    road_map = maps.load(maps.town_path())
+    centre = road_map.lanes["3:0:-3"].centre
+    inverse = pyproj.Transformer.from_crs(road_map.projection, "EPSG:4326", always_xy=True)
     s = 30 + 2.0 * np.arange(60)
     lon, lat = inverse.transform(*(np.interp(s, centre.distance, xy) for xy in centre.points.T))
     ahead = inverse.transform(*(np.interp(s + 1, centre.distance, xy) for xy in centre.points.T))

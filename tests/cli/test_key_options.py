@@ -14,9 +14,10 @@ import pytest
 from example_lines import scenario_lines
 from secoc_streams import NOW, OTHER, SECRET, Clock, S, check_no_secret, codec_of, key_file, sent
 
-from maplines_can import Codec, Link, Transmitter, scenario
+from maplines_can import Codec, Link, Transmitter
 from maplines_can.bus import key_from_file
 from maplines_can.cli import _parser, main
+from maplines_can.simulation import scenario
 from maplines_can.wire import Authenticator
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,8 @@ import pytest
 from example_lines import scenario_lines
 
 import maplines_can
-from maplines_can import Codec, scenario
+from maplines_can import Codec
+from maplines_can.simulation import scenario
 
 SHOW = "\nimport json, sys; print(json.dumps(sorted(sys.modules)))"
 MAIN = "from maplines_can.cli import main\ntry: main({})\nexcept SystemExit: pass"

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from example_lines import scenario_lines
 
-from maplines_can import Codec, Link, Transmitter, scenario
+from maplines_can import Codec, Link, Transmitter
 from maplines_can.cli import main
 from maplines_can.cli.output import check_text, line_dict, line_text
+from maplines_can.simulation import scenario
 from maplines_can.values.line import Status
 from maplines_can.wire import E2EState, ProfileStatus, SlotStats
 

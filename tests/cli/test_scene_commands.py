@@ -15,10 +15,11 @@ from dbcs import DBC, edited
 from drive_files import run, town
 from sender_pairs import Sender, merged
 
-from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log, scenario
+from maplines_can import Codec, MapError, MapLine, Slot, map_scene, read_log
 from maplines_can.cli import main
 from maplines_can.cli.options import SHIPPED, codec_from
 from maplines_can.cli.output import LANE_X
+from maplines_can.simulation import scenario
 from maplines_can.wire import POSE, default_dbc_path
 
 CONDITIONAL = "maplines-pose.dbc"

@@ -11,9 +11,11 @@ from dbcs import edited
 from example_lines import scenario_lines
 from fake_bus import FakeOpener, FakeTime
 
-from maplines_can import Link, MapLine, Transmitter, scenario, transform_line
+from maplines_can import Link, MapLine, Transmitter
 from maplines_can.cli import main
 from maplines_can.cli.sending import AMPLITUDE, SPEED, weaving_ego
+from maplines_can.simulation import scenario
+from maplines_can.values.line import transform_line
 
 
 def test_it_ends_after_the_count(capsys: pytest.CaptureFixture[str], channel: str) -> None:

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 from scipy.stats import chi2
 
-from maplines_can import lateral, lateral_jacobian, transform_line
 from maplines_can.consumers.lane_filter import (
     CHANGE,
     GATE,
@@ -22,6 +21,7 @@ from maplines_can.consumers.lane_filter import (
     road_noise,
     roots,
 )
+from maplines_can.values.line import lateral, lateral_jacobian, transform_line
 
 LANE = np.array([1.75, 0.01, 1e-3, 1e-5, -1.75, 0.01, 1e-3, 1e-5])
 WINDOWS = np.tile([-20.0, 60.0], (2, 1))

@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Chebyshev
 
-from maplines_can import STREETS, Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
+from maplines_can import Gaussian, MapError, MapLine, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import Path, lane_path, mean_path, path_beside, width_of
 from maplines_can.propagation.misfit import MIN_SIGMA
+from maplines_can.simulation import STREETS
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 STILL = Gaussian(np.zeros(3), np.zeros((3, 3)))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.path import Path
 from maplines_can.consumers.steering import (
     COST,
@@ -24,6 +24,7 @@ from maplines_can.consumers.steering import (
     riccati,
 )
 from maplines_can.maps.line_source import WINDOW
+from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT

@@ -1,4 +1,4 @@
-"""Faults of each sensor: a stated pose is never wrong for long, and is found again.
+"""Faults of each sensor: a reported pose is never wrong for long, and is found again.
 
 All durations and both kinds of cars: tools/evidence_sensor_faults.py.
 """
@@ -51,7 +51,7 @@ CASES = [
     ids=[f"{fault.sensor}-{fault.name}-{duration:g}s" for fault, duration in CASES],
 )
 def test_a_fault_is_noticed(tool: Any, fault: Any, duration: float) -> None:
-    """The error of a stated pose exceeds 5 of its sigmas for no longer than stated."""
+    """The error of a reported pose exceeds 5 of its sigmas for no longer than stated."""
     cars = {"odometry": "no map", "gnss": "no map", "pose": "lidar"}.get(fault.sensor, "map")
     course = drive(cars).run(fault, duration)
     found = tool.figures(course, tool.LONGEST[cars])

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from lane_maps import lane, network, pose_on
 
-from maplines_can import Gaussian, LeftOut, MapError, PoseSource, Slot
+from maplines_can import Gaussian, LeftOut, MapError, Slot
 from maplines_can.maps.line_source import LineSource
+from maplines_can.simulation import PoseSource
 
 ROWS = network(lane("l", t=3.5), lane("r"), rows=["l r"])
 EXACT = np.diag([1e-8, 1e-8, 1e-10])
@@ -28,7 +29,7 @@ def test_the_slots_are_those_that_were_chosen() -> None:
     assert source.cycle(0.05, pose).changed == frozenset()
 
 
-def test_the_lane_is_that_of_the_stated_pose() -> None:
+def test_the_lane_is_that_of_the_reported_pose() -> None:
     """The car does not know the true one."""
 
     def displaced(_: float, pose: Any) -> Gaussian:
@@ -85,7 +86,7 @@ def test_without_a_pose_there_are_no_lines(time: float | None) -> None:
 
     source, pose = LineSource(ROWS, stated, correlation_time=time), pose_on(ROWS.lanes["r"], 50.0)
     before, without, again = (source.cycle(t, pose) for t in (0.0, 0.1, 0.2))
-    assert without.stated is None
+    assert without.reported is None
     assert without.scene is None
     assert (without.lines, without.lines.left_out) == ([], {})
     assert without.tracked.match is None

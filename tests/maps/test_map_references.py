@@ -268,10 +268,10 @@ def test_joints_of_lines_part_by_part(seed: int, lines: int) -> None:
 # ---- moved and mirrored maps ------------------------------------------------------------------
 
 
-def changed(found: Map, change: Any, *, is_mirror: bool = False) -> Map:
+def changed(road_map: Map, change: Any, *, is_mirror: bool = False) -> Map:
     """The map with all points changed; a mirror swaps left and right."""
     lanes = {}
-    for one in found.lanes.values():
+    for one in road_map.lanes.values():
         left, right, centre = (
             Polyline(change(line.points), line.kind) for line in (one.left, one.right, one.centre)
         )
@@ -284,10 +284,12 @@ def changed(found: Map, change: Any, *, is_mirror: bool = False) -> Map:
                 left_neighbour=one.right_neighbour,
                 right_neighbour=one.left_neighbour,
             )
-    return Map(lanes, dict(found.roads), left_hand_traffic=found.left_hand_traffic is not is_mirror)
+    return Map(
+        lanes, dict(road_map.roads), left_hand_traffic=road_map.left_hand_traffic is not is_mirror
+    )
 
 
-def moved(found: Map, angle: float, shift: Any) -> tuple[Map, Any]:
+def moved(road_map: Map, angle: float, shift: Any) -> tuple[Map, Any]:
     """The map after a rotation and a shift, and the function that moves a pose."""
     c, s = math.cos(angle), math.sin(angle)
     R = np.array([[c, -s], [s, c]])
@@ -295,7 +297,7 @@ def moved(found: Map, angle: float, shift: Any) -> tuple[Map, Any]:
     def move(pose: Any) -> Any:
         return np.append(R @ pose[:2] + shift, pose[2] + angle)
 
-    return changed(found, lambda points: points @ R.T + shift), move
+    return changed(road_map, lambda points: points @ R.T + shift), move
 
 
 MAPS = {
@@ -308,17 +310,17 @@ MAPS = {
 ROUTES = {"crossing": ("in0", "out1"), "roundabout": ("in0", "out2"), "road": ("0:1", "2:2")}
 
 
-def some_poses(found: Map) -> list[tuple[str, Any]]:
+def some_poses(road_map: Map) -> list[tuple[str, Any]]:
     """Poses on each lane, along it and against it, beside its middle."""
     poses = []
-    for one in found.lanes.values():
+    for one in road_map.lanes.values():
         for share, t, turn in ((0.2, 0.4, 0.05), (0.85, -0.9, -0.1), (0.5, 0.3, math.pi - 0.04)):
             poses.append((one.id, pose_on(one, share * one.length, t, turn)))
     return poses
 
 
-def lines_of(found: Map, pose: Any, route: Any) -> dict[Slot, Any]:
-    lines = found.lines(pose, found.route(*route) if route else None)
+def lines_of(road_map: Map, pose: Any, route: Any) -> dict[Slot, Any]:
+    lines = road_map.lines(pose, road_map.route(*route) if route else None)
     return {slot: (line.points, line.kind) for slot, line in lines.items()}
 
 
@@ -537,7 +539,7 @@ def test_gaps_between_lanes_that_cannot_be_driven_are_not_reported() -> None:
 # ---- routes -----------------------------------------------------------------------------------
 
 
-def cheapest(found: Map, start: str, goal: str, start_s: float) -> float | None:
+def cheapest(road_map: Map, start: str, goal: str, start_s: float) -> float | None:
     """Cost of a route from a place to the end of a lane, as ``Map.route`` states the costs."""
     heap, done = [(0.0, 0, start, start_s)], {}
     number = 0
@@ -548,7 +550,7 @@ def cheapest(found: Map, start: str, goal: str, start_s: float) -> float | None:
         done[name, s] = cost
         if name == goal:
             return cost
-        one = found.lanes[name]
+        one = road_map.lanes[name]
         room = one.length - s * one.length / one.length
         following = [(cost + room, other, 0.0) for other in one.successors]
         for other, line in ((one.left_neighbour, one.left), (one.right_neighbour, one.right)):
@@ -561,11 +563,11 @@ def cheapest(found: Map, start: str, goal: str, start_s: float) -> float | None:
     return None
 
 
-def cost_of(found: Map, lanes: Any, start_s: float) -> float:
+def cost_of(road_map: Map, lanes: Any, start_s: float) -> float:
     """Cost of a way through lanes up to the begin of the last one."""
     cost, s = 0.0, start_s
     for name, other in pairwise(lanes):
-        one = found.lanes[name]
+        one = road_map.lanes[name]
         room = one.length - s
         if other in one.successors:
             cost, s = cost + room, 0.0
@@ -610,10 +612,10 @@ def test_routes_on_random_roads_cost_the_least(seed: int) -> None:
     check_changes(found, route)
 
 
-def check_changes(found: Map, route: Any) -> None:
+def check_changes(road_map: Map, route: Any) -> None:
     """Lane changes follow each other, of 60 m or of the room that there is, as smooth steps."""
     for change in route.changes:
-        is_left = found.lanes[change.origin].left_neighbour == change.target
+        is_left = road_map.lanes[change.origin].left_neighbour == change.target
         assert change.is_left is is_left
         assert 0 < change.end - change.start <= 60 + 1e-9
     for one, other in pairwise(route.changes):
@@ -624,7 +626,7 @@ def check_changes(found: Map, route: Any) -> None:
         # Along the lanes: the line itself is a little longer than they are.
         begin = route.starts[route.lanes.index(change.origin)]
         low, high = (
-            at - begin + found.lanes[change.origin].centre.points[0, 0]
+            at - begin + road_map.lanes[change.origin].centre.points[0, 0]
             for at in (change.start, change.end)
         )
         u = ((x - low) / (high - low)).clip(0, 1)

@@ -33,9 +33,11 @@ def two_lanes(sections: int = 5) -> Map:
 ROAD = two_lanes()
 
 
-def drive(found: Map, poses: Iterable[ArrayLike], route: Route | None = None) -> list[TrackedLines]:
+def drive(
+    road_map: Map, poses: Iterable[ArrayLike], route: Route | None = None
+) -> list[TrackedLines]:
     """Return the tracked lines along a drive."""
-    tracker = LaneTracker(found, route)
+    tracker = LaneTracker(road_map, route)
     return [tracker.lines(pose) for pose in poses]
 
 

@@ -11,18 +11,9 @@ from random_roads import SHAPES, random_scene
 from scene_streams import CONDITIONAL, feed, new_codec
 from strategies import covariances
 
-from maplines_can import (
-    Gaussian,
-    LeftOut,
-    MapError,
-    MapLine,
-    Polyline,
-    Slot,
-    map_lines,
-    map_scene,
-    scenario,
-)
+from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, Slot, map_lines, map_scene
 from maplines_can.propagation.certain_range import certain_ranges
+from maplines_can.simulation import scenario
 
 WINDOW = (-20.0, 80.0)
 MAP_ERROR = MapError(0.05, 0.05, 0.001)

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from maplines_can import Gaussian, MapError, Polyline, Refit, SigmaPoints, Slot, lateral
+from maplines_can import Gaussian, MapError, Polyline, Refit, SigmaPoints, Slot
 from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.random_scenarios import curve, random_scenarios
+from maplines_can.values.line import lateral
 
 ORIGIN = np.zeros(3)
 WINDOW = (-20.0, 80.0)

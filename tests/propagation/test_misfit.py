@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, lateral, map_lines
+from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, map_lines
 from maplines_can.propagation.misfit import MIN_SIGMA, second_difference_variance
 from maplines_can.simulation.street_shapes import Street, StreetPiece
-from maplines_can.values.line import lateral_jacobian
+from maplines_can.values.line import lateral, lateral_jacobian
 
 ORIGIN = np.zeros(3)
 Curvatures = st.lists(st.floats(-0.02, 0.02), min_size=3, max_size=5)

@@ -3,17 +3,9 @@
 import numpy as np
 import pytest
 
-from maplines_can import (
-    Gaussian,
-    MapError,
-    Polyline,
-    Slot,
-    lateral,
-    lateral_jacobian,
-    map_scene,
-    scene_mixture,
-)
+from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene, scene_mixture
 from maplines_can.propagation import Refit
+from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.values.scene import Scene
 
 ANGLE = np.linspace(-1.3, 1.3, 200)

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import DriveFileError, Polyline, RecordedDrive
+from maplines_can import Polyline
+from maplines_can.simulation import DriveFileError, RecordedDrive
 from maplines_can.simulation.map_frame import check_on_map, north, project
 from maplines_can.values.errors import MissingExtraError
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maplines_can import PoseSource
+from maplines_can.simulation import PoseSource
 
 SIGMA = np.array([0.3, 0.1, 0.01])
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from maplines_can import DriveFileError, RecordedDrive
+from maplines_can.simulation import DriveFileError, RecordedDrive
 
 HEADER = "time,x,y,heading"
 
@@ -90,17 +90,17 @@ def test_one_record_is_known_at_its_time() -> None:
     drive = recorded([3.0], [[1, 2, 0.5]], cov=[np.diag([1, 2, 3])])
     np.testing.assert_array_equal(drive.times(10.0), [3.0])
     np.testing.assert_array_equal(drive.at(3.0).pose, [1, 2, 0.5])
-    assert drive.stated(3.0).cov.diagonal().tolist() == [1, 2, 3]
+    assert drive.reported(3.0).cov.diagonal().tolist() == [1, 2, 3]
 
 
 def test_covariance_is_linear_between_the_records() -> None:
     cov = [np.diag([1.0, 1.0, 0.0]), np.diag([3.0, 2.0, 0.0])]
     drive = recorded([0, 1], [[0, 0, 0], [4, 0, 0]], cov=cov)
     for t, variances in [(0.0, [1, 1, 0]), (0.25, [1.5, 1.25, 0]), (1.0, [3.0, 2.0, 0])]:
-        assert drive.stated(t).cov.diagonal() == pytest.approx(np.array(variances))
-        np.testing.assert_allclose(drive.stated(t).mean, [4 * t, 0, 0])
+        assert drive.reported(t).cov.diagonal() == pytest.approx(np.array(variances))
+        np.testing.assert_allclose(drive.reported(t).mean, [4 * t, 0, 0])
     with pytest.raises(ValueError, match="no covariances"):
-        recorded([0, 1], [[0, 0, 0], [4, 0, 0]]).stated(0.0)
+        recorded([0, 1], [[0, 0, 0], [4, 0, 0]]).reported(0.0)
 
 
 @given(st.integers(0, 10**6), st.integers(2, 30))

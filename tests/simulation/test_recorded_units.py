@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import DriveFileError, RecordedDrive
+from maplines_can.simulation import DriveFileError, RecordedDrive
 from maplines_can.simulation.recorded_errors import covered, first_problem, linear, valid_series
 
 #: SI values of three records, and a column name with its unit in SI, for each quantity.
@@ -81,7 +81,7 @@ def test_covariances_in_the_frame_of_the_map(tmp_path: Path, form: str) -> None:
         columns |= {f"sigma_{n}": [v] * 3 for n, v in (("x", 0.3), ("y", 0.2), ("heading", 0.03))}
     drive = RecordedDrive.from_csv(written(tmp_path / "drive.csv", columns))
     assert drive.cov == pytest.approx(np.tile(P, (3, 1, 1)))
-    assert drive.stated(10.2).cov == pytest.approx(P)
+    assert drive.reported(10.2).cov == pytest.approx(P)
 
 
 @settings(max_examples=60)

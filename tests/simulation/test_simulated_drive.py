@@ -8,7 +8,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import cumulative_trapezoid
 
-from maplines_can import Motion, Polyline, SimulatedDrive
+from maplines_can import Motion, Polyline
+from maplines_can.simulation import SimulatedDrive
 
 STRAIGHT = Polyline(np.array([[0, 0], [400, 0]], float))
 

@@ -72,7 +72,7 @@ def test_without_the_gnss_bias_it_is_not() -> None:
     assert nees(with_bias=False).mean() > 2 * 3
 
 
-def test_the_stated_pose_drives_a_line_source() -> None:
+def test_the_reported_pose_drives_a_line_source() -> None:
     """Its scenes have the covariance of the filter and its correlation time."""
     source = SimulatedLocalisation(DRIVE, LAYER, seed=2)
     lines = LineSource(
@@ -81,11 +81,11 @@ def test_the_stated_pose_drives_a_line_source() -> None:
     for t in np.arange(0.1, 6.0, 0.05):
         cycle = lines.cycle(t, DRIVE.at(t).pose)
     assert cycle.scene is not None
-    assert cycle.stated is not None
+    assert cycle.reported is not None
     error = cycle.scene.pose_error
     assert error.correlation_time == source.correlation_time < 60
-    assert np.sqrt(error.cov.diagonal())[1] == pytest.approx(cycle.stated.sigma[1], rel=1e-3)
-    assert cycle.stated.sigma[1] < 0.1
+    assert np.sqrt(error.cov.diagonal())[1] == pytest.approx(cycle.reported.sigma[1], rel=1e-3)
+    assert cycle.reported.sigma[1] < 0.1
     assert source.counts()["line"]["USED"] > 50
 
 

@@ -4,8 +4,9 @@ from typing import Any
 
 import pytest
 
-from maplines_can import MonteCarlo, scenario
+from maplines_can import MonteCarlo
 from maplines_can.propagation import Mixture, component_counts, nonlinearity
+from maplines_can.simulation import scenario
 from maplines_can.study.claims.approximations import Approximation
 from maplines_can.study.claims.evaluation import evaluate_approximation, true_distribution
 from maplines_can.study.paper_refit import paper_refit

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from maplines_can import STREETS, Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
-from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
 from maplines_can.study.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
+
+from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
+from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
 
 SIGMA = (0.3, 0.1, 0.003)

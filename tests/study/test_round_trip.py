@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from example_lines import lines_timed_out, scenario_lines
 
-from maplines_can import Codec, Slot, scenario
+from maplines_can import Codec, Slot
+from maplines_can.simulation import scenario
 from maplines_can.study.round_trip import BusSettings, round_trip
 from maplines_can.testing import Faults
 

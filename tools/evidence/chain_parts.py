@@ -55,8 +55,8 @@ DRIVER_SPEED, DRIVER_AHEAD, DRIVER_DONE = 2.0, 8.0, 0.3
 @cache
 def town() -> tuple[maps.Map, maps.Route]:
     """Return the shipped town and the tour through it."""
-    found = maps.load(maps.town_path())
-    return found, maps.town_tour(found)
+    road_map = maps.load(maps.town_path())
+    return road_map, maps.town_tour(road_map)
 
 
 class CpuTimes(defaultdict[str, float]):
@@ -162,14 +162,14 @@ class Sender:
                 self._localisation.add(self._waiting.pop(0).measurement)
 
     def cycle(self, row: Array) -> Cycle:
-        """Return the lines, as seen from the stated pose."""
+        """Return the lines, as seen from the reported pose."""
         with self.cpu.of("lines"):
             cycle = self._source.cycle(float(row[0]), row[1:4])
-        if cycle.stated is None:
+        if cycle.reported is None:
             return cycle
-        error = cycle.stated.mean - row[1:4]
+        error = cycle.reported.mean - row[1:4]
         error[2] = math.remainder(error[2], 2 * math.pi)
-        self.nees.append(float(error @ np.linalg.solve(cycle.stated.cov, error)) / 3)
+        self.nees.append(float(error @ np.linalg.solve(cycle.reported.cov, error)) / 3)
         self.across.append(float(np.array([-math.sin(row[3]), math.cos(row[3])]) @ error[:2]))
         return cycle
 

@@ -90,7 +90,7 @@ class Car:
 
 
 class ReportedPoses:
-    """Stated poses: Gauss-Markov errors, and dead reckoning in an outage.
+    """Reported poses: Gauss-Markov errors, and dead reckoning in an outage.
 
     In an outage, the error grows by a yaw rate bias and a scale of the speed, both constant, drawn
     at its begin. The stated covariance is that of these errors.
@@ -117,7 +117,7 @@ class ReportedPoses:
         self._cov = np.zeros((5, 5))
 
     def pose(self, t: float, true_pose: NDArray[np.float64]) -> Gaussian:
-        """Return the stated pose, see ``PoseSource.pose``."""
+        """Return the reported pose, see ``PoseSource.pose``."""
         stated = self._source.pose(t, true_pose)
         out = any(begin <= t < end for begin, end in self._outages)
         c, s = math.cos(true_pose[2]), math.sin(true_pose[2])
@@ -151,7 +151,7 @@ class LoopCycle(NamedTuple):
     t: float  #: [s]
     along: float  #: distance along the route [m]
     error: float  #: lateral, of the rear axle, positive to the left of the route [m]
-    stated_error: float  #: of the stated pose, across the road [m]
+    stated_error: float  #: of the reported pose, across the road [m]
     speed: float  #: [m/s]
     curvature: float  #: [1/m]
     state: SteeringState
@@ -168,12 +168,12 @@ class Seen(NamedTuple):
 
 #: Lines at a time [s] and a true pose.
 LineSender = Callable[[float, NDArray[np.float64]], Seen]
-#: Stated pose at a time [s] and a true pose.
+#: Reported pose at a time [s] and a true pose.
 Stated = Callable[[float, NDArray[np.float64]], Gaussian | None]
 
 
 def on_map(
-    found: Map,
+    road_map: Map,
     route: Route,
     stated: Stated,
     correlation_time: float = 10.0,
@@ -185,7 +185,7 @@ def on_map(
     """
     changes = [(c.start - BESIDE_CHANGE, c.end + BESIDE_CHANGE) for c in route.changes]
     source = LineSource(
-        found,
+        road_map,
         stated,
         SLOTS,
         route,
@@ -197,8 +197,8 @@ def on_map(
     def seen(t: float, pose: NDArray[np.float64]) -> Seen:
         cycle = source.cycle(t, pose)
         lane = cycle.tracked.lane
-        limit = None if lane is None else found.lanes[lane].speed_limit
-        return Seen(cycle.stated, cycle.scene, limit or DEFAULT_SPEED)
+        limit = None if lane is None else road_map.lanes[lane].speed_limit
+        return Seen(cycle.reported, cycle.scene, limit or DEFAULT_SPEED)
 
     return ClosedLoop(route.line, seen, (route.start, route.goal), changes)
 

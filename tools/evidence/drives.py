@@ -127,10 +127,10 @@ def command_of(
 
 def checked_slots(folder: Path, name: str, sent: dict[str, Any]) -> dict[str, Any]:
     """Return the figures of the slots of a drive, and what its sender counted."""
-    found = maps.load(maps.town_path())
+    road_map = maps.load(maps.town_path())
     first, *via, last = name.split("..") if name else ("", "")
-    route = found.route(first, last, via) if name else maps.town_tour(found)
-    slots = slots_of(folder, found, route)
+    route = road_map.route(first, last, via) if name else maps.town_tour(road_map)
+    slots = slots_of(folder, road_map, route)
     same = slots["slots with another line"] == sent["slot_changes"]
     return {"slots": slots | {"as many with another line as counted": same}, "sender": sent}
 
@@ -214,7 +214,7 @@ def candump(bus: dict[str, Any], path: Path) -> Iterator[Path | None]:
             process.wait()
 
 
-def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]:
+def slots_of(folder: Path, road_map: maps.Map, route: maps.Route) -> dict[str, Any]:
     """Return the figures of the slots of a recorded drive."""
     with (folder / "truth.csv").open() as file:
         rows = list(csv.DictReader(file))
@@ -227,7 +227,7 @@ def slots_of(folder: Path, found: maps.Map, route: maps.Route) -> dict[str, Any]
     poses = np.array(
         [[float(row[f"stated_{name}"]) for name in ("x", "y", "heading")] for row in rows]
     )
-    witness, counts, wrong = Witness(found), Counter[str](), list[str]()
+    witness, counts, wrong = Witness(road_map), Counter[str](), list[str]()
     changes: list[Change] = []
     places = [route.start]
     for k in range(1, len(rows)):

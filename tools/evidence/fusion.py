@@ -16,12 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from maplines_can import Codec, MapError, PoseSource, Scene, map_scene
+from maplines_can import Codec, MapError, Scene, map_scene
 from maplines_can import maps as map_model
 from maplines_can.consumers import LaneFusion
 from maplines_can.maps import LaneTracker
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.propagation import Motion
+from maplines_can.simulation import PoseSource
 from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.camera import Errors, Simulation, UnitGaussMarkov
 from maplines_can.simulation.camera_view import AGE, FRAME, LANE, PLACES, DriveView, drive_view

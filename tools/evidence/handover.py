@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import PoseSource, Slot
+from maplines_can import Slot
 from maplines_can import maps as map_model
 from maplines_can.consumers.path import WIDTHS
 from maplines_can.consumers.steering import (
@@ -27,6 +27,7 @@ from maplines_can.consumers.steering import (
 )
 from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation.motion import Motion
+from maplines_can.simulation import PoseSource
 from maplines_can.simulation.along_route import drive_along
 
 from .closed_loop import BESIDE_CHANGE, ODOMETRY

@@ -54,10 +54,10 @@ class Localised(NamedTuple):
         return np.isfinite(self.nees)
 
 
-def on_map(found: Map, layer: LocalisationLayer, seed: int, seconds: float) -> Localised:
+def on_map(road_map: Map, layer: LocalisationLayer, seed: int, seconds: float) -> Localised:
     """Return the drive of ``maplines drive MAP --localise --seed SEED``."""
-    route = random_tour(found, TOUR, seed)
-    return localised(found, layer, drive_along(found, route), route, seed, seconds)
+    route = random_tour(road_map, TOUR, seed)
+    return localised(road_map, layer, drive_along(road_map, route), route, seed, seconds)
 
 
 def on_road(shape: str, seed: int, seconds: float) -> Localised:
@@ -86,7 +86,7 @@ def random_road(shape: str, rng: Any) -> tuple[Map, SimulatedDrive]:
 
 
 def localised(
-    found: Map,
+    road_map: Map,
     layer: LocalisationLayer,
     way: SimulatedDrive,
     route: Route | None,
@@ -95,7 +95,7 @@ def localised(
 ) -> Localised:
     """Return a drive with simulated sensors, up to a time [s]."""
     source = SimulatedLocalisation(way, layer, seed=seed)
-    true_lane, own_lane = (LaneTracker(found, route) for _ in range(2))
+    true_lane, own_lane = (LaneTracker(road_map, route) for _ in range(2))
     rows: list[list[Any]] = []
     for t in way.times(RATE):
         if t >= seconds:

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maplines_can import MapFileError, Polyline, Slot, maps
+from maplines_can import Polyline, Slot, maps
+from maplines_can.maps import MapFileError
 from maplines_can.simulation.street_shapes import Street, StreetPiece, widening
 
 Array = NDArray[np.float64]

@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can import STREETS
 from maplines_can.consumers.steering import SteeringReason, SteeringState
 from maplines_can.maps import Map, Route, load, town_path, town_tour
+from maplines_can.simulation import STREETS
 
 from .closed_loop import MARGIN, PERIOD, LoopCycle, ReportedPoses, on_map, on_street
 from .harness import bar, evidence, progress

@@ -23,17 +23,17 @@ class ScanReference:
     """Surfaces that a horizontal lidar sees, with a point every 10 cm.
 
     Args:
-        found: the map; its buildings and landmarks are used.
+        road_map: the map; its buildings and landmarks are used.
 
     Raises:
         ValueError: the map has neither buildings nor landmarks.
     """
 
-    def __init__(self, found: Map) -> None:
-        outlines = [*found.buildings, *map(_pole, found.landmarks)]
+    def __init__(self, road_map: Map) -> None:
+        outlines = [*road_map.buildings, *map(_pole, road_map.landmarks)]
         if not outlines:
             raise ValueError(
-                f"the map {found.name!r} has neither buildings nor landmarks to match scans with"
+                f"the map {road_map.name!r} has neither buildings nor landmarks to match scans with"
             )
         begin = np.concatenate([outline.points[:-1] for outline in outlines])
         end = np.concatenate([outline.points[1:] for outline in outlines])

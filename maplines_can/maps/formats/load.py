@@ -89,13 +89,13 @@ def load(path: str | os.PathLike[str], projection: str | None = None) -> Map:
                 )
             reader = import_module(f".{form.module}", __package__)
             options = {} if projection is None else {"projection": projection}
-            found: Map = reader.read(buffered, path.name, **options)
+            road_map: Map = reader.read(buffered, path.name, **options)
     except FileNotFoundError:
         raise
     except OSError as error:
         why = error.strerror or str(error)
         raise MapFileError(f"{path.name} cannot be read: {why}") from None
-    return found
+    return road_map
 
 
 def map_path(path: str | os.PathLike[str]) -> Path:

@@ -77,11 +77,11 @@ ARROW = np.array([[1.0, 0.0], [-0.8, 0.7], [-0.4, 0.0], [-0.8, -0.7]])
 MIN_STROKE, MAX_STROKE = 0.12, 1.6
 
 
-def draw_map(found: Map, path: str | Path) -> None:
+def draw_map(road_map: Map, path: str | Path) -> None:
     """Draw a map, and beside a large one the detail where it has most lanes.
 
     Args:
-        found: the map.
+        road_map: the map.
         path: of the picture; its suffix is the format.
 
     Raises:
@@ -89,15 +89,15 @@ def draw_map(found: Map, path: str | Path) -> None:
         OSError: the file cannot be written.
         ValueError: the format is not supported.
     """
-    lines = [line for lane in found.lanes.values() for line in (lane.left, lane.right)]
-    lines += found.polylines.values()
+    lines = [line for lane in road_map.lanes.values() for line in (lane.left, lane.right)]
+    lines += road_map.polylines.values()
     low = np.min([line.points.min(axis=0) for line in lines], axis=0)
     high = np.max([line.points.max(axis=0) for line in lines], axis=0)
     margin = 0.03 * (high - low).max() + 2.0
     low, high = low - margin, high + margin
     size = high - low
     width, height = OVERVIEW * (size / size.max()).clip(min=0.35)
-    drivable = [lane for lane in found.lanes.values() if lane.type.is_drivable]
+    drivable = [lane for lane in road_map.lanes.values() if lane.type.is_drivable]
     has_detail = size.max() > 3 * WINDOW and bool(drivable)
     if has_detail:
         inches = width + DETAIL, max(height, DETAIL)
@@ -107,20 +107,20 @@ def draw_map(found: Map, path: str | Path) -> None:
     if has_detail:
         overview, detail = figure.subplots(1, 2, width_ratios=[width, DETAIL])
         corner = _busiest(drivable) - WINDOW / 2
-        _draw(detail, found, corner, corner + WINDOW, DETAIL)
+        _draw(detail, road_map, corner, corner + WINDOW, DETAIL)
         detail.set_title("detail: where most lanes are", loc="left", fontsize=10)
         _frame(overview, corner)
     else:
         overview = figure.subplots()
-    _draw(overview, found, low, high, OVERVIEW)
-    side = "left" if found.left_hand_traffic else "right"
+    _draw(overview, road_map, low, high, OVERVIEW)
+    side = "left" if road_map.left_hand_traffic else "right"
     overview.set_title(
-        f"{found.name}: {len(found.roads)} roads, {len(drivable)} drivable lanes of "
+        f"{road_map.name}: {len(road_map.roads)} roads, {len(drivable)} drivable lanes of "
         f"{sum(lane.length for lane in drivable) / 1000:.1f} km, {side}-hand traffic",
         loc="left",
         fontsize=10,
     )
-    handles = _legend(found)
+    handles = _legend(road_map)
     columns = max(1, int(inches[0] / 1.4))
     figure.legend(
         handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=8.5
@@ -129,13 +129,13 @@ def draw_map(found: Map, path: str | Path) -> None:
 
 
 def _draw(
-    ax: Any, found: Map, low: NDArray[np.float64], high: NDArray[np.float64], inches: float
+    ax: Any, road_map: Map, low: NDArray[np.float64], high: NDArray[np.float64], inches: float
 ) -> None:
     """Draw what is between two corners."""
     from matplotlib.collections import LineCollection, PolyCollection
 
     point = (high - low).max() / (72 * inches)  # [m]
-    lanes = [lane for lane in found.lanes.values() if _is_near(lane, low, high)]
+    lanes = [lane for lane in road_map.lanes.values() if _is_near(lane, low, high)]
     ax.set_facecolor(BACKGROUND)
     for layer, (name, colour) in enumerate(_surfaces()):
         areas = [_area(lane) for lane in lanes if _surface(lane) == name]
@@ -144,7 +144,7 @@ def _draw(
             PolyCollection(areas, facecolor=colour, edgecolor=colour, lw=0.1, zorder=order)
         )
     bounds = {id(line): line for lane in lanes for line in (lane.left, lane.right)}
-    every = [*bounds.values(), *found.polylines.values()]
+    every = [*bounds.values(), *road_map.polylines.values()]
     for kind, stroke in STROKES.items():
         width = float(np.clip(stroke.width / point, MIN_STROKE, MAX_STROKE))
         is_dashed = stroke.dashes is not None and stroke.dashes[0] / point > 1.0
@@ -259,12 +259,12 @@ def _frame(ax: Any, corner: NDArray[np.float64]) -> None:
     )
 
 
-def _legend(found: Map) -> list[Any]:
+def _legend(road_map: Map) -> list[Any]:
     """Return the handles of what the map contains."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    lanes = found.lanes.values()
+    lanes = road_map.lanes.values()
     surfaces = {_surface(lane) for lane in lanes}
     handles: list[Any] = [
         Patch(color=colour, label=name)
@@ -272,7 +272,7 @@ def _legend(found: Map) -> list[Any]:
         if name in surfaces
     ]
     kinds = {line.kind for lane in lanes for line in (lane.left, lane.right)}
-    kinds |= {line.kind for line in found.polylines.values()}
+    kinds |= {line.kind for line in road_map.polylines.values()}
     for kind, stroke in STROKES.items():
         if kind in kinds:
             is_white = stroke.colour == "#ffffff"

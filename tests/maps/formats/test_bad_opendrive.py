@@ -21,8 +21,7 @@ from xodr_files import (
     section,
 )
 
-from maplines_can import MapFileError
-from maplines_can.maps import LaneTracker
+from maplines_can.maps import LaneTracker, MapFileError
 from maplines_can.maps.formats.opendrive import read
 from maplines_can.maps.model import Map
 from maplines_can.values.errors import RouteError

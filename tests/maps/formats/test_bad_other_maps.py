@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from lanelet_files import ROAD, Osm
 from xodr_files import document, geometry, road
 
-from maplines_can import MapFileError
-from maplines_can.maps import Map
+from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats import commonroad, osm, points
 from maplines_can.maps.formats.opendrive import read as read_opendrive
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 import maplines_can as ml
-from maplines_can import MapFileError
-from maplines_can.maps import LaneType, Map
+from maplines_can.maps import LaneType, Map, MapFileError
 from maplines_can.maps.formats.commonroad import read
 from maplines_can.values.line import Kind
 

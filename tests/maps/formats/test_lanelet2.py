@@ -16,14 +16,14 @@ lanelet2 = pytest.importorskip("lanelet2_library", exc_type=ImportError)
 UTM = utm(49.0, 8.4)
 
 
-def assert_same(found: Map, witness: Map) -> None:
+def assert_same(road_map: Map, witness: Map) -> None:
     """Assert that two maps are the same within 1 um."""
-    assert list(found.lanes) == list(witness.lanes)
-    assert [road.lanes for road in found.roads.values()] == [
+    assert list(road_map.lanes) == list(witness.lanes)
+    assert [road.lanes for road in road_map.roads.values()] == [
         road.lanes for road in witness.roads.values()
     ]
-    assert found.left_hand_traffic == witness.left_hand_traffic
-    for lane, other in zip(found.lanes.values(), witness.lanes.values(), strict=True):
+    assert road_map.left_hand_traffic == witness.left_hand_traffic
+    for lane, other in zip(road_map.lanes.values(), witness.lanes.values(), strict=True):
         assert (lane.linked, lane.type, lane.speed_limit) == (
             other.linked,
             other.type,

@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can import MapFileError
-from maplines_can.maps import Lane
+from maplines_can.maps import Lane, MapFileError
 from maplines_can.maps.formats.lanelets import boundary, centre_line, lanelet_map
 from maplines_can.values.polyline import Polyline
 

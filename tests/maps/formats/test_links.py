@@ -6,10 +6,10 @@ from xodr_files import WIDTH, geometry, ids, lane, linked, read_map, reasons, ro
 from maplines_can.maps import Map
 
 
-def pairs(found: Map) -> list[str]:
+def pairs(road_map: Map) -> list[str]:
     """Return "lane > successor" of all lanes; predecessors must be the same the other way round."""
-    forth = {(one.id, other) for one in found.lanes.values() for other in one.successors}
-    back = {(other, one.id) for one in found.lanes.values() for other in one.predecessors}
+    forth = {(one.id, other) for one in road_map.lanes.values() for other in one.successors}
+    back = {(other, one.id) for one in road_map.lanes.values() for other in one.predecessors}
     assert forth == back
     return sorted(f"{one} > {other}" for one, other in forth)
 

@@ -41,8 +41,8 @@ def test_load_reads_an_encoding(tmp_path: Path, data: bytes, name: str) -> None:
     """Whatever the name of the file."""
     path = tmp_path / name
     path.write_bytes(data)
-    found = ml.maps.load(path)
-    assert (len(found.lanes), found.name, found.skipped) == (2, name, ())
+    road_map = ml.maps.load(path)
+    assert (len(road_map.lanes), road_map.name, road_map.skipped) == (2, name, ())
     assert len(ml.maps.load(str(path)).lanes) == 2
 
 
@@ -65,7 +65,7 @@ def test_load_reads_an_encoding(tmp_path: Path, data: bytes, name: str) -> None:
 )
 def test_what_cannot_be_loaded_is_an_error(path: Path, data: bytes, message: str) -> None:
     path.write_bytes(data)
-    with pytest.raises(ml.MapFileError, match=message):
+    with pytest.raises(ml.maps.MapFileError, match=message):
         ml.maps.load(path)
 
 
@@ -74,9 +74,9 @@ def test_a_cut_gzip_file_gives_what_is_before(path: Path) -> None:
     roads = "".join(road(road_id=str(i)) for i in range(1000))
     data = gzip.compress(document(roads).encode())
     path.write_bytes(data[: len(data) // 2])
-    found = ml.maps.load(path)
-    assert 0 < len(found.roads) < 1000
-    assert "the rest of the file is not used" in found.skipped[-1].why
+    road_map = ml.maps.load(path)
+    assert 0 < len(road_map.roads) < 1000
+    assert "the rest of the file is not used" in road_map.skipped[-1].why
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(ml.MapFileError, match="cannot be read"):
+    with pytest.raises(ml.maps.MapFileError, match="cannot be read"):
         ml.maps.load(tmp_path)
 
 
@@ -94,7 +94,7 @@ def test_a_gzip_bomb_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(sys.modules["maplines_can.maps.formats.load"], "MAX_BYTES", 1 << 20)
     text = TEXT.replace("</OpenDRIVE>", "<userData>" + " " * (2 << 20) + "</userData></OpenDRIVE>")
     path.write_bytes(gzip.compress(text.encode()))
-    with pytest.raises(ml.MapFileError, match="more than 1 MB; divide the map"):
+    with pytest.raises(ml.maps.MapFileError, match="more than 1 MB; divide the map"):
         ml.maps.load(path)
 
 
@@ -143,7 +143,7 @@ def test_files_that_would_fill_the_memory_are_refused(
     monkeypatch.setattr(f"maplines_can.maps.formats.{limit}", value)
     path = path.with_suffix(".csv.gz")
     path.write_bytes(gzip.compress(text.encode()))
-    with pytest.raises(ml.MapFileError, match=message):
+    with pytest.raises(ml.maps.MapFileError, match=message):
         ml.maps.load(path)
 
 

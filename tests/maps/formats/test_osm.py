@@ -10,8 +10,7 @@ import pytest
 from lanelet_files import ROAD, Osm
 
 import maplines_can as ml
-from maplines_can import MapFileError
-from maplines_can.maps import LaneType
+from maplines_can.maps import LaneType, MapFileError
 from maplines_can.maps.formats.osm import read
 from maplines_can.maps.formats.projection import local_cartesian, tangent
 from maplines_can.values.line import Kind
@@ -258,9 +257,9 @@ def test_load(tmp_path: Path, suffix: str) -> None:
     data = osm.text().encode()
     path = tmp_path / f"map{suffix}"
     path.write_bytes(gzip.compress(data) if suffix.endswith("gz") else data)
-    found = ml.maps.load(path)
-    assert (len(found.lanes), found.name) == (1, path.name)
-    (lane,) = found.lanes.values()
+    road_map = ml.maps.load(path)
+    assert (len(road_map.lanes), road_map.name) == (1, path.name)
+    (lane,) = road_map.lanes.values()
     assert lane.road == lane.id
     (lane,) = ml.maps.load(path, projection=tangent(49.0, 8.4)).lanes.values()
     assert lane.right.points[0] == pytest.approx((0.0, 0.0), abs=1e-6)

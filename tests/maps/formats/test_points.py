@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import maplines_can as ml
-from maplines_can import MapFileError
-from maplines_can.maps import Map
+from maplines_can.maps import Map, MapFileError
 from maplines_can.maps.formats.points import read
 from maplines_can.maps.formats.projection import project, utm
 from maplines_can.values.line import Kind
@@ -215,8 +214,8 @@ def test_load(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(b"\xef\xbb\xbf" + geojson(feature((8.0, 49.0), (8.1, 49.0))).encode())
     assert len(ml.maps.load(path).polylines) == 1
-    found = ml.maps.load(path, projection=utm(49.0, 8.0))
-    assert found.polylines["0"].points[0] == pytest.approx((426857.99, 5427937.52), abs=0.01)
+    road_map = ml.maps.load(path, projection=utm(49.0, 8.0))
+    assert road_map.polylines["0"].points[0] == pytest.approx((426857.99, 5427937.52), abs=0.01)
     path = tmp_path / "map.csv"
     path.write_text(TWO_LANES)
     assert len(ml.maps.load(path).lanes) == 3

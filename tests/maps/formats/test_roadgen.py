@@ -71,7 +71,7 @@ def worst_distance(line: Polyline, other: Polyline) -> float:
     return float(away.min(axis=1).max())
 
 
-def partner(lane: Lane, found: Map) -> Lane:
+def partner(lane: Lane, road_map: Map) -> Lane:
     """Return the lane of a map that begins and ends where a lane does."""
 
     def away(other: Lane) -> float:
@@ -79,7 +79,7 @@ def partner(lane: Lane, found: Map) -> Lane:
             np.abs((lane.centre.points - other.centre.points[-1])[-1]).sum()
         )
 
-    return min(found.lanes.values(), key=away)
+    return min(road_map.lanes.values(), key=away)
 
 
 @pytest.mark.parametrize("network", [two_roads, bends, crossing])

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from maplines_can import Codec, Slot, scenario
+from maplines_can import Codec, Slot
 from maplines_can.propagation import MonteCarlo, Quadrature
+from maplines_can.simulation import scenario
 from maplines_can.simulation.scenarios import SCENARIOS
 from maplines_can.study.claims import evaluation
 from maplines_can.study.claims.approximations import (

@@ -13,8 +13,9 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
-from maplines_can import Codec, scenario
+from maplines_can import Codec
 from maplines_can.propagation import MonteCarlo, Refit, SigmaPoints
+from maplines_can.simulation import scenario
 from maplines_can.study.figures import cases, panels
 from maplines_can.study.figures import paper as figures
 from maplines_can.study.paper_refit import PAPER

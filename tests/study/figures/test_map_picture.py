@@ -28,10 +28,10 @@ def far(length: float) -> Map:
         pytest.param(Map({}, {}, polylines={"line": LINE}), id="no-lanes"),
     ],
 )
-def test_a_map_is_drawn(found: Map, tmp_path: Path) -> None:
+def test_a_map_is_drawn(road_map: Map, tmp_path: Path) -> None:
     """Whatever its size, and with or without lanes."""
     path = tmp_path / "map.png"
-    draw_map(found, path)
+    draw_map(road_map, path)
 
     assert path.read_bytes().startswith(b"\x89PNG")
 

@@ -6,7 +6,7 @@ import pytest
 from example_lines import scenario_lines
 from secoc_streams import Clock
 
-from maplines_can import scenario
+from maplines_can.simulation import scenario
 
 
 @pytest.fixture

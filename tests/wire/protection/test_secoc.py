@@ -34,7 +34,8 @@ from secoc_streams import (
     sent,
 )
 
-from maplines_can import Codec, Slot, scenario
+from maplines_can import Codec, Slot
+from maplines_can.simulation import scenario
 from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError

@@ -20,17 +20,17 @@ from ..values.gaussian import Gaussian
 from .parsing import number, option_group
 from .stderr import note
 
-#: Standard deviations of the stated pose: along [m], across [m], heading [deg].
+#: Standard deviations of the reported pose: along [m], across [m], heading [deg].
 SIGMA = (0.3, 0.1, 0.2)
 
-#: Correlation time of the errors of the stated pose [s].
+#: Correlation time of the errors of the reported pose [s].
 CORRELATION_TIME = 10.0
 #: Least correlation time that is stated [s]: errors that are independent from cycle to cycle have
 #: none of 0.
 MIN_TIME = 1e-3
 
 
-class StatedPose(NamedTuple):
+class ReportedPose(NamedTuple):
     """Pose that the car knows."""
 
     #: at a time [s], by the true pose; None if the car does not know it
@@ -39,7 +39,7 @@ class StatedPose(NamedTuple):
     localisation: SimulatedLocalisation | None = None
 
 
-def add_stated_pose(parser: argparse.ArgumentParser) -> None:
+def add_reported_pose(parser: argparse.ArgumentParser) -> None:
     """Add ``--sigma``, ``--correlation-time`` and ``--localise``."""
     add = option_group(parser, "scenario").add_argument
     add(
@@ -67,7 +67,7 @@ def add_stated_pose(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def check_stated_pose(arguments: argparse.Namespace) -> None:
+def check_reported_pose(arguments: argparse.Namespace) -> None:
     """Raise ValueError if ``--localise`` is given with what it replaces."""
     given = arguments.sigma is not None or arguments.correlation_time is not None
     if arguments.localise and given:
@@ -77,27 +77,27 @@ def check_stated_pose(arguments: argparse.Namespace) -> None:
         )
 
 
-def stated_pose_of(
-    found: Map, way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace
-) -> StatedPose:
+def reported_pose_of(
+    road_map: Map, way: SimulatedDrive | RecordedDrive, arguments: argparse.Namespace
+) -> ReportedPose:
     """Return the pose that the car knows, by the options."""
     if arguments.localise:
-        source = SimulatedLocalisation(way, LocalisationLayer(found), seed=arguments.seed)
-        return StatedPose(source.pose, lambda: max(source.correlation_time, MIN_TIME), source)
+        source = SimulatedLocalisation(way, LocalisationLayer(road_map), seed=arguments.seed)
+        return ReportedPose(source.pose, lambda: max(source.correlation_time, MIN_TIME), source)
     time = arguments.correlation_time
     if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:
         note(
             "the poses and covariances of --drive are sent as they are; the truth has the same "
             "poses, so there are no errors to be seen; --sigma adds some"
         )
-        return StatedPose(lambda t, _: way.stated(t), lambda: _sent(time, math.inf))
+        return ReportedPose(lambda t, _: way.reported(t), lambda: _sent(time, math.inf))
     sigma = SIGMA if arguments.sigma is None else arguments.sigma
     errors = PoseSource(
         (*sigma[:2], math.radians(sigma[2])),
         CORRELATION_TIME if time is None else time,
         arguments.seed,
     )
-    return StatedPose(errors.pose, lambda: _sent(time, CORRELATION_TIME))
+    return ReportedPose(errors.pose, lambda: _sent(time, CORRELATION_TIME))
 
 
 def _sent(time: float | None, default: float) -> float:
