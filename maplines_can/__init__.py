@@ -13,195 +13,51 @@ np.float64(1.75)
 >>> received.slot.name, bool(abs(received.y(80.0) - line.y(80.0)) < 0.005)
 ('EGO_LEFT', True)
 
-A name is imported from its module when it is first used, so that a program
-loads only what it needs.
+The core: a pose and a line of the map become a Gaussian (``map_lines``), frames (``Codec``), and a
+Gaussian again. ``bus`` sends and receives the frames. All else uses the core: ``maps``,
+``localisation``, ``simulation``, ``consumers`` and ``testing`` have names of their own.
+
+A name is imported from its module when it is first used, so that a program loads only what it
+needs. ``__init__.pyi`` lists the names.
 """
 
 from __future__ import annotations
 
+import ast
+import sys
+from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from . import maps
-    from .bus import (
-        LineListener,
-        Link,
-        Receiver,
-        Transmitter,
-        key_from_env,
-        key_from_file,
-        read_log,
-        read_signals,
-    )
-    from .propagation import (
-        Linear,
-        MapError,
-        Mixture,
-        MonteCarlo,
-        Motion,
-        Quadrature,
-        Refit,
-        SigmaPoints,
-        Transform,
-        map_lines,
-        map_scene,
-        pose_time_ns,
-        predict,
-        predict_to,
-        scene_mixture,
-    )
-    from .simulation.pose_source import PoseSource
-    from .simulation.recorded import RecordedDrive
-    from .simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
-    from .simulation.trajectory import SimulatedDrive
-    from .values.errors import (
-        DriveFileError,
-        EncodeError,
-        IllPosedError,
-        LayoutError,
-        MapFileError,
-        MaplinesError,
-    )
-    from .values.gaussian import Gaussian, nearest_covariance
-    from .values.line import (
-        Kind,
-        LeftOut,
-        MapLine,
-        MapLineList,
-        Slot,
-        Status,
-        lateral,
-        lateral_jacobian,
-        transform_line,
-    )
-    from .values.mixture import GaussianMixture
-    from .values.polyline import Polyline
-    from .values.scene import Estimate, PoseError, Scene
-    from .wire import (
-        Authenticator,
-        Batch,
-        Codec,
-        Decoder,
-        E2EConfig,
-        E2EState,
-        Frame,
-        Key,
-        Monitor,
-        ProfileStatus,
-        Reason,
-        SceneView,
-        SlotView,
-    )
-
-__all__ = [
-    "SCENARIOS",
-    "STREETS",
-    "Authenticator",
-    "Batch",
-    "Codec",
-    "Decoder",
-    "DriveFileError",
-    "E2EConfig",
-    "E2EState",
-    "EncodeError",
-    "Estimate",
-    "Frame",
-    "Gaussian",
-    "GaussianMixture",
-    "IllPosedError",
-    "Key",
-    "Kind",
-    "LayoutError",
-    "LeftOut",
-    "LineListener",
-    "Linear",
-    "Link",
-    "MapError",
-    "MapFileError",
-    "MapLine",
-    "MapLineList",
-    "MaplinesError",
-    "Mixture",
-    "Monitor",
-    "MonteCarlo",
-    "Motion",
-    "Polyline",
-    "PoseError",
-    "PoseSource",
-    "ProfileStatus",
-    "Quadrature",
-    "Reason",
-    "Receiver",
-    "RecordedDrive",
-    "Refit",
-    "Scenario",
-    "Scene",
-    "SceneView",
-    "SigmaPoints",
-    "SimulatedDrive",
-    "Slot",
-    "SlotView",
-    "Status",
-    "Transform",
-    "Transmitter",
-    "key_from_env",
-    "key_from_file",
-    "lateral",
-    "lateral_jacobian",
-    "map_lines",
-    "map_scene",
-    "maps",
-    "nearest_covariance",
-    "pose_time_ns",
-    "predict",
-    "predict_to",
-    "read_log",
-    "read_signals",
-    "scenario",
-    "scene_mixture",
-    "transform_line",
-]
+from typing import Any
 
 __version__ = "0.1.0"
 
-#: Names by the module that defines them.
-_EXPORTS = {
-    "bus": "LineListener Link Receiver Transmitter key_from_env key_from_file read_log "
-    "read_signals",
-    "propagation": "Linear MapError Mixture MonteCarlo Motion Quadrature Refit SigmaPoints "
-    "Transform map_lines map_scene pose_time_ns predict predict_to "
-    "scene_mixture",
-    "simulation.pose_source": "PoseSource",
-    "simulation.recorded": "RecordedDrive",
-    "simulation.scenarios": "SCENARIOS STREETS Scenario scenario",
-    "simulation.trajectory": "SimulatedDrive",
-    "values.errors": "DriveFileError EncodeError IllPosedError LayoutError MapFileError "
-    "MaplinesError",
-    "values.gaussian": "Gaussian nearest_covariance",
-    "values.line": "Kind LeftOut MapLine MapLineList Slot Status lateral lateral_jacobian "
-    "transform_line",
-    "values.mixture": "GaussianMixture",
-    "values.polyline": "Polyline",
-    "values.scene": "Estimate PoseError Scene",
-    "wire": "Authenticator Batch Codec Decoder E2EConfig E2EState Frame Key Monitor ProfileStatus "
-    "Reason SceneView SlotView",
-}
-#: Modules that are names of the package as a whole.
-_SUBMODULES = ("maps",)
-_MODULE_OF = {name: module for module, names in _EXPORTS.items() for name in names.split()}
+
+def attach_stub(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package, from its ``__init__.pyi``.
+
+    So the stub is the only list of names, for type checkers and for this function, which imports a
+    name when it is first used (PEP 562). It does what lazy_loader does, without the dependency.
+    Subpackages, ``from . import maps as maps``, are attributes but not in ``__all__``.
+    """
+    module = sys.modules[package]
+    stub = ast.parse(module.__loader__.get_data(f"{module.__path__[0]}/__init__.pyi"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    packages = {alias.name for node in imports if not node.module for alias in node.names}
+    source = {
+        alias.name: "." * node.level + (node.module or alias.name)
+        for node in imports
+        for alias in node.names
+    }
+    names = vars(module)
+
+    def get(name: str) -> Any:
+        if name not in source:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        found = import_module(source[name], package)
+        names[name] = found if name in packages else getattr(found, name)
+        return names[name]  # found without this function the next time
+
+    return get, lambda: sorted({*names, *source}), sorted(source.keys() - packages)
 
 
-def __getattr__(name: str) -> Any:
-    """Import a name from its module (PEP 562)."""
-    if name in _SUBMODULES:
-        return import_module(f".{name}", __name__)
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f".{_MODULE_OF[name]}", __name__), name)
-    globals()[name] = value  # found without this function the next time
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__, __all__ = attach_stub(__name__)

@@ -1,5 +1,5 @@
 """Consumers of received lines: what a car does with them."""
 
-from .lane_fusion import FusedLane, LaneFusion
+from .. import attach_stub
 
-__all__ = ["FusedLane", "LaneFusion"]
+__getattr__, __dir__, __all__ = attach_stub(__name__)

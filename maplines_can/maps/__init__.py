@@ -1,5 +1,6 @@
 """Maps: lanes with their boundary lines, from files of several formats."""
 
+from ..values.errors import MapFileError
 from .formats.load import load
 from .landmarks import Landmark, LandmarkKind
 from .matching import LaneMatch
@@ -19,6 +20,7 @@ __all__ = [
     "LaneTracker",
     "LaneType",
     "Map",
+    "MapFileError",
     "Road",
     "Route",
     "Skipped",

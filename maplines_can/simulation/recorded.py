@@ -140,7 +140,7 @@ class RecordedDrive:
 
         Args:
             signals: times (n,) [s] and values (n,) by the column names of ``from_csv``, as
-                ``maplines_can.read_signals`` returns them.
+                ``maplines_can.bus.read_signals`` returns them.
             projection: of the map, for latitude and longitude.
             max_gap: see ``RecordedDrive``.
 

@@ -38,7 +38,7 @@ class Street:
     Raises:
         ValueError: there is no piece, a length is not positive, or the origin is not on the street.
 
-    >>> quarter = Street([Piece(20), Piece(4 * np.pi, 1 / 8, 1 / 8)], behind=20)
+    >>> quarter = Street([StreetPiece(20), StreetPiece(4 * np.pi, 1 / 8, 1 / 8)], behind=20)
     >>> quarter.line([0, quarter.end]).round(9)
     array([[0., 0.],
            [8., 8.]])

@@ -50,7 +50,7 @@ class Profiles:
         At the end of a piece, its own value and that of the next one can differ. A position within
         the stretch of interest as ``at`` selects the piece.
 
-        >>> step = Profiles([[Piece(0.0, 1.0), Piece(10.0, 6.0)]])
+        >>> step = Profiles([[CubicPiece(0.0, 1.0), CubicPiece(10.0, 6.0)]])
         >>> step(np.array([10.0, 10.0]), at=np.array([9.0, 11.0]))
         array([[1., 6.]])
         """
