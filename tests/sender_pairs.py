@@ -13,7 +13,7 @@ from scene_streams import FRAME_NS, PERIOD_NS, codec_of, road_scene
 from maplines_can import MapLine, Scene, Slot
 from maplines_can.wire import POSE, Frame, PreparedScene
 from maplines_can.wire.layout.pose_layout import Owner
-from maplines_can.wire.records.pose_records import ConditionalRecord
+from maplines_can.wire.records.record import RawRecord
 from maplines_can.wire.records.scene_reader import SceneReader
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
@@ -87,8 +87,8 @@ def build_each_scene_once(patch: pytest.MonkeyPatch) -> None:
         key = (
             id(self),
             *(
-                (c.slot, *c.raw.values())
-                if isinstance(c, ConditionalRecord)
+                (c.owner, *c.raw.values())
+                if isinstance(c, RawRecord)
                 else (c.slot, *c.gaussian.mean)
                 for c in contents
             ),

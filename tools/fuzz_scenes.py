@@ -19,6 +19,7 @@ from fuzz_targets import (
     require,
     valid_record,
 )
+from scene_layouts import pose_record
 
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import POSE, Codec, Decoder, Frame, Monitor, Reason, default_dbc_path
@@ -28,12 +29,8 @@ from maplines_can.wire.layout.pose_layout import PoseLayout
 from maplines_can.wire.layout.record_layout import RecordLayout
 from maplines_can.wire.layout.signals import FINE_SIGNALS, OWN_SIGNALS, PARAMETER_SIGNALS
 from maplines_can.wire.records.frames import FrameWriter
-from maplines_can.wire.records.pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-)
+from maplines_can.wire.records.raw_format import RawFormat
+from maplines_can.wire.records.record import RawRecord
 
 #: DBCs with records that are conditional on the pose error, and with complete records.
 DBCS = ("maplines-pose.dbc", "maplines.dbc")
@@ -47,8 +44,8 @@ class Parts(NamedTuple):
     codec: Codec
     packing: Packing
     pose: PoseLayout
-    poses: PoseRecords
-    lines: ConditionalRecords | None  #: None if the records are complete
+    poses: RawFormat
+    lines: RawFormat | None  #: None if the records are complete
     frames: FrameWriter
 
 
@@ -60,9 +57,9 @@ def parts_of(dbc: str) -> Parts:
     if layout.pose is None:
         raise ValueError(f"{dbc} has no message of the pose error")
     packing = Packing(list(layout.signals.values()), layout.record_bytes)
-    lines = ConditionalRecords(layout) if layout.is_conditional else None
+    lines = RawFormat.of_lines(layout) if layout.is_conditional else None
     frames = FrameWriter(layout, None)
-    return Parts(codec, packing, layout.pose, PoseRecords(layout.pose), lines, frames)
+    return Parts(codec, packing, layout.pose, RawFormat.of_pose(layout.pose), lines, frames)
 
 
 def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:
@@ -77,11 +74,11 @@ def drawn(layout: RecordLayout, content: bytes) -> dict[str, int]:
 
 def pose_frames(parts: Parts, content: bytes, counters: dict[Any, int], fd: bool) -> list[Frame]:
     """Return the frames of a pose error with any content that states these counters."""
-    stated = {slot: counters.get(slot, 0) % 8 for slot in parts.pose.counters}
+    stated = {slot: counters.get(slot, 0) for slot in parts.pose.counters}
     values = drawn(parts.pose, content)
     raw = {name: value for name, value in values.items() if not _FILLED.search(name)}
-    record = PoseRecord(raw, counters.get(POSE, 0) % 256, stated)
-    return parts.frames.write_pose(parts.poses.write(record), fd)
+    record = pose_record(parts.pose, counters.get(POSE, 0) % 256, raw, stated)
+    return parts.frames.write(parts.poses.write(record), POSE, fd=fd)
 
 
 def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool) -> list[Frame]:
@@ -92,15 +89,15 @@ def line_frames(parts: Parts, content: bytes, slot: Slot, counter: int, fd: bool
         record = valid_record(parts.codec, parts.packing, content, slot, counter, **signals)
         return parts.frames.write(record, slot, fd)
     raw = drawn(layout, content)
-    kind, is_full = raw["Kind"], raw["HasCovariance"]
-    names = {*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS}
+    is_full = raw["HasCovariance"]
+    names = {"Kind", *PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS}
     if is_full:
         names |= {*FINE_SIGNALS, *(signal.name for signal in CholeskyCode(layout).signals)}
     raw = {name: raw[name] for name in names} | (dict.fromkeys(OWN_SIGNALS, 0) if is_full else {})
     low, high = (layout[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
     if low >= high:  # an empty range is not written
         raw["XMin"], raw["XMax"] = layout["XMin"].raw_min, layout["XMax"].raw_max
-    of_slot = ConditionalRecord(raw, counter, kind, slot)  # type: ignore[arg-type]
+    of_slot = RawRecord(slot, counter, raw)
     return parts.frames.write(parts.lines.write(of_slot), slot, fd)
 
 

@@ -24,9 +24,8 @@ from maplines_can.study.dbc.record_spec import dbc_writer_for
 from maplines_can.values.errors import EncodeError, LayoutError, LogError
 from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.wire import Authenticator, Codec, Decoder, Key, Layout, Monitor, Reason
-from maplines_can.wire.layout.message_layout import PAGE, PAGE_BYTES, TRANSFER_ID
+from maplines_can.wire.layout.message_layout import PAGE_BYTES, TRANSFER_ID
 from maplines_can.wire.layout.packing import Packing
-from maplines_can.wire.protection.e2e import CRC_BYTES, record_crc_one
 
 MS = 1_000_000
 #: DBCs for the decoder: a code that is positive definite by construction, others that are not,
@@ -88,15 +87,10 @@ def valid_record(
     codec: Codec, packing: Packing, content: bytes, slot: Slot, counter: int, **signals: int
 ) -> bytes:
     """Return a record with any content that passes all checks of the protection."""
-    layout = codec.layout
     raw = packing.unpack_one(content) | signals | {"Counter": counter}
-    for page in range(layout.pages):
-        raw |= {f"{PAGE}{page}": page, f"{TRANSFER_ID}{page}": counter}
     raw["Status"] %= len(Status)
-    record = packing.pack_one(raw)
-    crc = record_crc_one(record, layout.messages[slot].data_id, layout.crc_offset)
-    head, tail = record[: layout.crc_offset], record[layout.crc_offset + CRC_BYTES :]
-    return head + crc.to_bytes(CRC_BYTES, "little") + tail
+    packer = codec.reader.formats[slot].packer
+    return packer.pack_one(raw, codec.layout.messages[slot].data_id)
 
 
 class Sender:

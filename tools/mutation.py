@@ -108,7 +108,7 @@ AREAS = {
         [
             *(f"tests/test_{what}.py" for what in ("map_error", "scene", "seen_lines")),
             *("tests/wire/covariance", "tests/wire/test_scenes_on_wire.py"),
-            *(f"tests/wire/layout/test_{what}.py" for what in ("pose_records", "scene_ranges")),
+            *(f"tests/wire/layout/test_{what}.py" for what in ("raw_format", "scene_ranges")),
             *(
                 f"tests/wire/reception/test_{what}.py"
                 for what in ("epochs", "latest_epoch", "poses", "scenes")

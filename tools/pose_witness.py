@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 from dbc_witness import CYCLE_NS, WrongResultError
+from scene_layouts import pose_record
 
-from maplines_can.values.line import Kind, Slot
-from maplines_can.wire import E2EConfig, Layout
+from maplines_can.values.line import Slot
+from maplines_can.wire import POSE, E2EConfig, Layout
 from maplines_can.wire.covariance import CholeskyCode
 from maplines_can.wire.layout.signals import (
     FINE_SIGNALS,
@@ -22,12 +23,8 @@ from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
 from maplines_can.wire.records.frames import Frame, FrameWriter
-from maplines_can.wire.records.pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-)
+from maplines_can.wire.records.raw_format import RawFormat
+from maplines_can.wire.records.record import RawRecord, RecordReader
 
 
 def require(holds: Any, message: str) -> None:
@@ -68,7 +65,7 @@ def check_pose(layout: Layout, database: Any, count: int) -> None:
     if pose is None:
         raise WrongResultError("there is no message of the pose error")
     covariance = CholeskyCode(pose, POSE_ROWS)
-    records, writer = PoseRecords(pose), FrameWriter(layout, None)
+    records, writer = RawFormat.of_pose(pose), FrameWriter(layout, None)
     names = ["Age", "CorrelationTime", "MapOffset", "MapHeading"]
     names += [signal.name for signal in covariance.signals]
     names += [f"{slot}{name}" for slot in ("EgoLeft", "EgoRight") for name in SLOT_SIGNALS]
@@ -78,8 +75,8 @@ def check_pose(layout: Layout, database: Any, count: int) -> None:
         for i in range(count):
             counters = {slot: int(rng.integers(256)) for slot in pose.counters}
             number = i % 2 ** pose["Counter"].length
-            record = PoseRecord(drawn(pose, names, rng), number, counters)
-            frames = writer.write_pose(records.write(record), fd)
+            record = pose_record(pose, number, drawn(pose, names, rng), counters)
+            frames = writer.write(records.write(record), POSE, fd=fd)
             got = [receiver.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
             if not isinstance(got, ReceivedPose):
                 raise WrongResultError(f"a pose error is dropped: {got}")
@@ -90,7 +87,7 @@ def check_pose(layout: Layout, database: Any, count: int) -> None:
             for slot, signal in pose.counters.items():
                 low = counters[slot] % 2**signal.length
                 require(low == signals[signal.name], f"{signal.name} by cantools")
-                require(low == found.slot_counters[slot], signal.name)
+                require(low == got.slot_counters[slot], signal.name)
             least = np.linalg.eigvalsh(_correlation(covariance.decode_one(record.raw)))[0]
             require(least > 0, "the covariance is not positive definite")
 
@@ -102,11 +99,11 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
         WrongResultError: a record is not received as sent, or cantools decodes other values.
     """
     covariance = CholeskyCode(layout)
-    records, writer = ConditionalRecords(layout), FrameWriter(layout, None)
+    records, writer = RawFormat.of_lines(layout), FrameWriter(layout, None)
     rng, slot = np.random.default_rng(4), min(layout.messages)
     for fd in (False, True):
-        state: Reassembler[Slot, ConditionalRecord] = Reassembler(
-            layout, lambda data, slot, _: records.read(data, slot), decoder_settings(layout)[0]
+        state: Reassembler[Slot, RawRecord] = Reassembler(
+            layout, RecordReader(records), decoder_settings(layout)[0]
         )
         for i in range(count):
             raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS], rng)
@@ -116,8 +113,8 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
                 raw |= drawn(layout, names, rng)
                 raw |= dict.fromkeys(OWN_SIGNALS, 0)
             number = i % 2 ** layout["Counter"].length
-            record = ConditionalRecord(raw, number, Kind(i % 8), slot)
-            frames = writer.write(records.write(record), record.slot, fd)
+            record = RawRecord(slot, number, raw | {"Kind": i % 8})
+            frames = writer.write(records.write(record), slot, fd)
             got = [state.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
             if not isinstance(got, Record):
                 raise WrongResultError(f"a line is dropped: {got}")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
-from maplines_can.wire import Layout
+from maplines_can import Slot
+from maplines_can.wire import POSE, Layout
 from maplines_can.wire.covariance import SceneCode, SceneEncoder
 from maplines_can.wire.layout.dbc_reader import default_dbc_path
 from maplines_can.wire.layout.pose_layout import PoseLayout
+from maplines_can.wire.records.record import RawRecord
 
 #: DBC with records that are conditional on the pose, and DBC with complete records beside it.
 CONDITIONAL, COMPLETE = "maplines-pose.dbc", "maplines.dbc"
@@ -38,3 +41,11 @@ def scene_code(dbc: str = CONDITIONAL) -> SceneCode:
 def scene_encoder(dbc: str = CONDITIONAL) -> SceneEncoder:
     """Return the encoder of the scenes of one of the project's DBCs."""
     return SceneEncoder(scene_code(dbc))
+
+
+def pose_record(
+    layout: PoseLayout, counter: int, raw: Mapping[str, int], counters: Mapping[Slot, int]
+) -> RawRecord:
+    """Return a record of the pose error that states the low bits of counters of slots."""
+    stated = {s.name: counters[slot] % 2**s.length for slot, s in layout.counters.items()}
+    return RawRecord(POSE, counter, {**raw, **stated})

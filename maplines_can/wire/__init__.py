@@ -12,8 +12,8 @@ from .reception.decoder import Decoder
 from .reception.monitor import Monitor, SceneView, SlotView
 from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
+from .records.complete_format import Batch
 from .records.frames import Frame
-from .records.reader import Batch
 from .records.scene_writer import PreparedScene
 
 __all__ = [

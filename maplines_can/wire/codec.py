@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -26,9 +26,11 @@ from .reception.decoder import Decoder
 from .reception.poses import PoseReceiver
 from .reception.scenes import SceneReceiver
 from .reception.settings import decoder_settings, pose_settings
-from .records.complete_records import CompleteRecords, complete_records, record_reading
+from .records.complete_format import Batch
+from .records.complete_records import CompleteRecords, complete_records
 from .records.frames import Frame, FrameWriter
-from .records.reader import Batch, DecodedRecord
+from .records.raw_format import RawFormat
+from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
 from .records.scene_reader import SceneReader
 from .records.scene_writer import PreparedScene, SceneWriter
 
@@ -90,6 +92,8 @@ class Codec:
         #: Code of the covariance that the DBC names.
         self.covariance = codes[layout.covariance_code](layout)
         self._complete = complete_records(layout, self.covariance)
+        #: Reader of the records of each slot and of the pose error.
+        self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)
         self._scene_code = None if layout.pose is None else SceneCode(layout.pose, layout)
         self._counters: Counter[Owner] = Counter()
@@ -217,7 +221,7 @@ class Codec:
         """
         records = checked_payloads(payloads, self.layout.record_bytes)
         data_ids = self.layout.data_ids(numbers("slot", slot), len(records))
-        return self._complete_records().reader.read(records, data_ids)
+        return self._complete_records().format.read(records, data_ids)
 
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
         """Decode one record, received at ``t_ns`` [ns]; bit-identical to ``decode_batch``.
@@ -231,12 +235,12 @@ class Codec:
 
     def read_record(
         self, payload: bytes, slot: Slot, t_ns: int | None = None
-    ) -> DecodedRecord | Reason:
+    ) -> CompleteRecord | Reason:
         """Decode one record as ``decode_one``, with its index, count and weight in a mixture."""
-        messages = self.layout.messages.get(slot)
-        if messages is None:
+        complete = self._complete_records()
+        if slot not in self.layout.messages:
             raise EncodeError(f"{self.layout.source} has no message for slot {slot!r}")
-        return self._complete_records().reader.read_one(payload, slot, messages.data_id, t_ns)
+        return RecordReader(complete.format).read(payload, slot, t_ns)
 
     def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
         """Encode a line into frames to be sent back to back, and advance the slot's counter.
@@ -344,6 +348,11 @@ class Codec:
             )
         return self._complete
 
+    def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
+        yield RawFormat.of_lines(self.layout) if self._complete is None else self._complete.format
+        if self.layout.pose is not None:
+            yield RawFormat.of_pose(self.layout.pose)
+
     @cached_property
     def _scene_writer(self) -> SceneWriter:
         if self._scene_code is None or self.layout.pose is None:
@@ -397,5 +406,4 @@ class Codec:
                 SceneReader(layout, layout.pose, self._scene_code),
                 layout,
             )
-        read = record_reading(layout, self._complete)
-        return Decoder(layout, read, self.verifier(), *settings, scenes)
+        return Decoder(layout, self.reader, self.verifier(), *settings, scenes)

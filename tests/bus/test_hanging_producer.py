@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import edited, new_codec
+from dbcs import changed_record, edited, new_codec
 from fake_bus import FULL, Clock, FakeOpener, map_line
 
 from maplines_can import Codec, Link, MapLine, Monitor, Motion, Slot, Transmitter, predict_to
@@ -186,10 +186,8 @@ def test_item_1_other_dbcs(make_bench: Any, tmp_path: Any, conversion: str, max_
     assert (batch.age >= ages).all()
     assert ((batch.age == np.inf) == (ages > max_age + 1e-12)).all()
     assert {codec.decode_one(p.tobytes(), SLOT).age for p in payloads} == set(batch.age)  # type: ignore[union-attr]
-    raw = codec._complete_records().writer._packing.unpack_one(payloads[0].tobytes())
     for age in range(codec.layout["Age"].raw_max, 32):
-        data_id = codec.layout.messages[SLOT].data_id
-        payload = codec._complete_records().writer.protect_one(raw | {"Age": age}, data_id)
+        payload = changed_record(codec, payloads[0].tobytes(), SLOT, Age=age)
         assert codec.decode_one(payload, SLOT).age == np.inf  # type: ignore[union-attr]
     bench = make_bench(codec, np.random.default_rng(2))
     bench.transmitter.publish(map_line())

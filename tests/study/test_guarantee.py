@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from maplines_can.study import adversarial, evaluate, paper, road
 from maplines_can.values.line import VAGUE_SIGMA, Status
 from maplines_can.wire import Codec
+from maplines_can.wire.layout.packing import Packing
 
 LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
 
@@ -78,7 +79,8 @@ def test_kl_of_the_rounding_agrees_with_the_theory(codec: Any) -> None:
     pivots = [codec.layout[name].factor for name in names if name.startswith("Pivot")]
     ratios = [codec.layout[name].factor for name in names if name.startswith("Ratio")]
     theory = sum((p * np.log(2)) ** 2 / 12 for p in pivots) + sum(r**2 / 24 for r in ratios)
-    raw = codec._complete_records().reader._packing.unpack(codec.encode_batch(means, covs))
+    packing = Packing(list(codec.layout.signals.values()), codec.layout.record_bytes)
+    raw = packing.unpack(codec.encode_batch(means, covs))
     inflation = 2.0 ** codec.layout["Inflation"].physical(raw["Inflation"])
     plain = batch.cov / inflation[:, None, None]
     keep = batch.status == Status.FULL

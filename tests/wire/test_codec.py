@@ -6,7 +6,7 @@ from typing import Any
 import cantools
 import numpy as np
 import pytest
-from dbcs import DBC, default_codec, edited
+from dbcs import DBC, changed_record, default_codec, edited
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from random_lines import random_lines
@@ -108,13 +108,11 @@ def test_an_ill_conditioned_line_of_the_default_code_is_not_repaired(tmp_path: P
     )
     codec = Codec.from_dbc(path)
     signals, (payload,) = codec.layout.signals, codec.encode_batch([[1.75, 0, 0, 0]])
-    raw = codec._complete_records().reader._packing.unpack_one(payload.tobytes())
-    raw |= {name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")}
+    raw: dict[str, Any] = {
+        name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")
+    }
     raw |= {name: s.raw_max for name, s in signals.items() if name.startswith("RatioBeta")}
-    raw["Status"] = Status.FULL
-    data = codec._complete_records().writer.protect_one(
-        raw, codec.layout.messages[Slot.EGO_LEFT].data_id
-    )
+    data = changed_record(codec, payload.tobytes(), Status=Status.FULL, **raw)
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
     sigma = np.sqrt(batch.cov[0].diagonal())
     assert 0 < np.linalg.eigvalsh(batch.cov[0] / np.outer(sigma, sigma))[0] < 1e-12
@@ -173,13 +171,7 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
     """decode_one and decode_batch agree to the last bit, or on the reason."""
     codec = default_codec()
     if valid:  # correct page numbers, transfer IDs and checksum
-        raw = codec._complete_records().reader._packing.unpack_one(data)
-        raw |= {f"Page{p}": p for p in range(4)} | {
-            f"TransferId{p}": raw["Counter"] for p in range(4)
-        }
-        data = codec._complete_records().writer.protect_one(
-            raw, codec.layout.messages[slot].data_id
-        )
+        data = changed_record(codec, data, slot)
     batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
     one = codec.decode_one(data, slot)
     if isinstance(one, Reason):

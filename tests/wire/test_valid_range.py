@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from dbcs import edited, new_codec
+from dbcs import changed_record, edited, new_codec
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -99,11 +99,7 @@ def test_item_4_a_received_range_that_ends_before_it_starts_is_rejected(
 ) -> None:
     """By the batch and by one record alike, unless the status is OUT_OF_RANGE."""
     record = codec.encode_batch([[0.0] * 4], [COV], x_min=8, x_max=8, status=status)[0]
-    raw = codec._complete_records().writer._packing.unpack_one(record.tobytes())
-    raw["XMax"] = 1  # 4 m
-    payload = codec._complete_records().writer.protect_one(
-        raw, codec.layout.messages[Slot.EGO_LEFT].data_id
-    )
+    payload = changed_record(codec, record.tobytes(), XMax=1)  # 4 m
     batch = codec.decode_batch(np.frombuffer(payload, np.uint8)[None])
     one = codec.decode_one(payload, Slot.EGO_LEFT)
     if status is Status.OUT_OF_RANGE:

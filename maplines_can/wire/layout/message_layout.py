@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
 from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
-from .pose_layout import PoseLayout
+from .pose_layout import POSE, Owner, PoseLayout
 from .record_layout import RecordLayout
 from .requirements import CONDITIONAL_REQUIREMENTS, bits_of, check_record
 from .signals import (
@@ -27,7 +27,14 @@ from .signals import (
     TRANSFER_ID,
     slot_title,
 )
-from .slot_messages import Room, SecuredLayout, SlotMessages, check_messages, fd_length
+from .slot_messages import (
+    RecordMessages,
+    Room,
+    SecuredLayout,
+    SlotMessages,
+    check_messages,
+    fd_length,
+)
 
 __all__ = [
     "PAGE",
@@ -160,6 +167,13 @@ class Layout(RecordLayout):
         names = (*CONDITIONAL_SIGNALS, *PARAMETER_SIGNALS)
         last = max(max(bits_of(self[name])) for name in names)
         return last // (8 * PAGE_BYTES) + 1
+
+    @cached_property
+    def messages_of(self) -> dict[Owner, RecordMessages]:
+        """Messages of each slot and of the pose error, as far as the DBC has them, by owner."""
+        owned: dict[Owner, RecordMessages]
+        owned = {slot: messages for slot, messages in self.messages.items()}  # noqa: C416 - wider
+        return owned if self.pose is None else owned | {POSE: self.pose.messages}
 
     @cached_property
     def message_of_id(self) -> dict[tuple[int, bool], tuple[Slot, bool]]:

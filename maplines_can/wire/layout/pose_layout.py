@@ -19,6 +19,17 @@ POSE: Literal["pose"] = "pose"
 Owner = Slot | Literal["pose"]
 
 
+def slot_of(owner: Owner) -> Slot:
+    """Return the slot that is the owner of a line.
+
+    Raises:
+        ValueError: the owner is the pose error.
+    """
+    if owner == POSE:
+        raise ValueError("the pose error has no slot")
+    return owner
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PoseLayout(RecordLayout):
     """Layout of a record of the pose error and its messages, as a DBC describes them.
@@ -47,6 +58,10 @@ class PoseLayout(RecordLayout):
         """Signals with the low bits of the counter of the record that belongs to the pose."""
         names = {slot: f"{slot_title(slot)}Counter" for slot in Slot}
         return {slot: self[name] for slot, name in names.items() if name in self.signals}
+
+    def slot_counters(self, raw: Mapping[str, int]) -> dict[Slot, int]:
+        """Return the low bits of the counters that raw values state, by slot."""
+        return {slot: raw[signal.name] for slot, signal in self.counters.items()}
 
     @property
     def short_pages(self) -> int:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
 from ..reasons import Reason
-from ..records.pose_records import ConditionalRecord
-from ..records.reader import DecodedRecord
+from ..records.record import CompleteRecord, RawRecord, RecordReader
 from .mixtures import MixtureAssembler
 from .reassembly import Reassembler
 from .scenes import ReceivedLine, ReceivedScene, SceneReceiver
@@ -44,7 +43,7 @@ class Decoder:
     no line, no transfer, no check.
 
     Args:
-        read: reads the payload of a slot's record received at a time [ns], or rejects it.
+        reader: reader of the records of slots.
         verifier: checks authenticated frames; None for a bus without authentication.
         timeouts_ns: longest time between the frames of a transfer, and between the components of a
             mixture, for each slot [ns].
@@ -56,7 +55,7 @@ class Decoder:
     def __init__(
         self,
         layout: Layout,
-        read: Callable[[bytes, Slot, int], DecodedRecord | ConditionalRecord | Reason],
+        reader: RecordReader[CompleteRecord | RawRecord],
         verifier: Verifier | None,
         timeouts_ns: Mapping[Slot, int],
         cycles_ns: Mapping[Slot, int],
@@ -69,8 +68,8 @@ class Decoder:
         self.verifier = verifier
         modulus = 2 ** layout["Counter"].length
         self._message_of_id = layout.message_of_id
-        self._reassembler: Reassembler[Slot, DecodedRecord | ConditionalRecord]
-        self._reassembler = Reassembler(layout, read, timeouts_ns, verifier)
+        self._reassembler: Reassembler[Slot, CompleteRecord | RawRecord]
+        self._reassembler = Reassembler(layout, reader, timeouts_ns, verifier)
         self._mixtures = MixtureAssembler(modulus, timeouts_ns)
         self._scenes = scenes
         self._is_conditional = layout.is_conditional
@@ -173,14 +172,13 @@ class Decoder:
         if isinstance(content, Reason):
             check.failed(record.t_ns)
             return self._dropped(content, record.frames)
-        count = 1 if isinstance(content, ConditionalRecord) else content.count
-        reason = check.received(content.counter, hash(record.payload), record.t_ns, count)
+        reason = check.received(content.counter, hash(record.payload), record.t_ns, content.count)
         if reason is not None:
             if reason is Reason.STALE:
                 self._mixtures.drop_if_within(record.slot, content.counter)
             return self._dropped(reason, record.frames)
         is_break = check.status is ProfileStatus.WRONGSEQUENCE
-        if isinstance(content, ConditionalRecord):
+        if isinstance(content, RawRecord):
             if self._scenes is None:
                 return self._dropped(Reason.POSE, record.frames)
             line = self._scenes.add_record(content, record.t_ns, record.frames, is_break)

@@ -12,7 +12,7 @@ import numpy as np
 from ...values.line import Kind, MapLine, Slot, Status
 from ...values.mixture import GaussianMixture
 from ..reasons import Reason
-from ..records.reader import DecodedRecord
+from ..records.record import CompleteRecord
 
 #: The status of a mixture is that of its worst component; from best to worst.
 SEVERITY = (
@@ -53,7 +53,7 @@ class _Incomplete:
 
     common: _Common
     t_ns: int  #: time of the component received last
-    components: dict[int, DecodedRecord] = field(default_factory=dict)
+    components: dict[int, CompleteRecord] = field(default_factory=dict)
     frames: int = 0
 
 
@@ -81,7 +81,7 @@ class MixtureAssembler:
         """Frames of incomplete mixtures."""
         return sum(mixture.frames for mixture in self._incomplete.values())
 
-    def add(self, record: DecodedRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
+    def add(self, record: CompleteRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
         """Add a record to its mixture; return the line that it completes.
 
         Returns:
@@ -137,7 +137,7 @@ class MixtureAssembler:
         self.counts[reason] += self._incomplete.pop(slot).frames
 
 
-def _mixture_line(records: Sequence[DecodedRecord]) -> MapLine:
+def _mixture_line(records: Sequence[CompleteRecord]) -> MapLine:
     """Return the line of all components of a mixture."""
     gaussians = tuple(record.line.gaussian for record in records)
     mixture = GaussianMixture(np.array([record.weight for record in records]), gaussians)

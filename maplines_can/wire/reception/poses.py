@@ -6,11 +6,13 @@ from collections import Counter
 from dataclasses import replace
 from typing import Literal, NamedTuple
 
+from ...values.line import Slot
 from ..layout.pose_layout import POSE, PoseLayout
 from ..protection.e2e_state import E2EConfig, ProfileStatus
 from ..protection.secoc import Verifier
 from ..reasons import Reason
-from ..records.pose_records import PoseRecord, PoseRecords
+from ..records.raw_format import RawFormat
+from ..records.record import RawRecord, RecordReader
 from .reassembly import Reassembler
 from .sequence import SequenceCheck
 
@@ -18,7 +20,8 @@ from .sequence import SequenceCheck
 class ReceivedPose(NamedTuple):
     """A new record of the pose error."""
 
-    record: PoseRecord
+    record: RawRecord
+    slot_counters: dict[Slot, int]  #: low bits of the counters of the lines that belong to it
     t_ns: int  #: time of its first frame [ns]
     frames: int  #: frames that carried it
     ahead: int | None  #: by how much its counter is ahead of the last one; None after a break
@@ -49,12 +52,13 @@ class PoseReceiver:
         cycle_ns: int,
         e2e: E2EConfig,
     ) -> None:
-        records = PoseRecords(layout)
         #: Number of bits that a pose error states for each slot.
         self.slot_bits = {slot: signal.length for slot, signal in layout.counters.items()}
         self._ids = layout.message_of_id
-        self._reassembler: Reassembler[Literal["pose"], PoseRecord] = Reassembler(
-            layout, lambda payload, *_: records.read(payload), {POSE: timeout_ns}, verifier
+        self._layout = layout
+        reader = RecordReader(RawFormat.of_pose(layout))
+        self._reassembler: Reassembler[Literal["pose"], RawRecord] = Reassembler(
+            layout, reader, {POSE: timeout_ns}, verifier
         )
         self._modulus = 2 ** layout["Counter"].length
         most = min(e2e.max_delta_counter, self._modulus // 4)
@@ -118,7 +122,8 @@ class PoseReceiver:
         self._last = content.counter
         if self.check.status is ProfileStatus.WRONGSEQUENCE:
             ahead = None
-        return ReceivedPose(content, record.t_ns, record.frames, ahead)
+        counters = self._layout.slot_counters(content.raw)
+        return ReceivedPose(content, counters, record.t_ns, record.frames, ahead)
 
     def expire(self, t_ns: int) -> None:
         """Drop the transfers that have timed out at ``t_ns`` [ns]."""

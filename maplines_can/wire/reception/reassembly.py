@@ -10,16 +10,17 @@ from typing import Generic, Literal, NamedTuple, Protocol, TypeVar
 
 from ...values.errors import LayoutError
 from ..layout.packing import pieces_of
+from ..layout.pose_layout import Owner
 from ..layout.signals import PAGE, PAGE_BYTES, TRANSFER_ID, Signal
 from ..reasons import Reason
+from ..records.record import Content, RecordReader
 
-#: Owner of records, such as a slot, and decoded content of a record.
-Owner = TypeVar("Owner", covariant=True)
-Key = TypeVar("Key")
-Content = TypeVar("Content")
+#: Owner of records: slots, or the pose error.
+Key = TypeVar("Key", bound=Owner)
+Key_co = TypeVar("Key_co", bound=Owner, covariant=True)
 
 
-class ReceivedLayout(Protocol[Owner]):
+class ReceivedLayout(Protocol[Key_co]):
     """What the reassembly needs to know of a ``Layout`` or ``PoseLayout``."""
 
     def __getitem__(self, name: str) -> Signal:
@@ -34,7 +35,7 @@ class ReceivedLayout(Protocol[Owner]):
         """Number of pages of a record whose ``HasCovariance`` is 0."""
 
     @property
-    def message_of_id(self) -> Mapping[tuple[int, bool], tuple[Owner, bool]]:
+    def message_of_id(self) -> Mapping[tuple[int, bool], tuple[Key_co, bool]]:
         """Map from (CAN ID, extended) to (owner, is_whole_record)."""
 
     @property
@@ -106,7 +107,7 @@ class Reassembler(Generic[Key, Content]):
 
     Args:
         layout: CAN IDs and pages.
-        read: decodes the payload of a slot's record received at a time [ns], or rejects it.
+        reader: reader of the records.
         timeouts_ns: longest time between the first and the last page of a transfer, for each slot
             [ns].
         verify: returns the record of an authenticated payload and its data ID, or the reason
@@ -117,12 +118,12 @@ class Reassembler(Generic[Key, Content]):
     def __init__(
         self,
         layout: ReceivedLayout[Key],
-        read: Callable[[bytes, Key, int], Content | Reason],
+        reader: RecordReader[Content],
         timeouts_ns: Mapping[Key, int],
         verify: Callable[[bytes, int], bytes | Reason] | None = None,
     ) -> None:
         self._ids, self._data_id_of_secured = layout.message_of_id, layout.data_id_of_secured
-        self._read, self._verify = read, verify
+        self._reader, self._verify = reader, verify
         self._pages, self._short_pages = layout.pages, layout.short_pages
         self._record_bytes = PAGE_BYTES * layout.pages
         self._timeouts_ns = timeouts_ns
@@ -247,7 +248,7 @@ class Reassembler(Generic[Key, Content]):
 
     def _completed(self, slot: Key, payload: bytes, t_ns: int, frames: int) -> Record[Key, Content]:
         """Decode a record; remember a good one, and forget those of the previous round of IDs."""
-        record = Record(slot, payload, t_ns, frames, self._read(payload, slot, t_ns))
+        record = Record(slot, payload, t_ns, frames, self._reader.read(payload, slot, t_ns))
         if not isinstance(record.content, Reason):
             complete, own = self._complete[slot], self._read_transfer_id[0](payload[:PAGE_BYTES])
             complete[own] = record

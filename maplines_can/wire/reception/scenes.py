@@ -11,8 +11,9 @@ from ...values.errors import IllPosedError
 from ...values.line import MapLine
 from ...values.scene import Scene
 from ..layout.message_layout import Layout
+from ..layout.pose_layout import slot_of
 from ..reasons import Reason
-from ..records.pose_records import ConditionalRecord
+from ..records.record import RawRecord
 from ..records.scene_reader import Member, SceneReader
 from .epochs import Epoch, EpochAssembler, Joined
 from .poses import PoseReceiver, ReceivedPose
@@ -103,13 +104,13 @@ class SceneReceiver:
         if isinstance(pose, Reason):
             return pose
         self.is_too_old = math.isinf(self._reader.age(pose.record))
-        joined = self._epochs.add_pose(pose, pose.record.slot_counters, pose.t_ns, ahead=pose.ahead)
-        conditional = [one for one in joined if isinstance(one.line.content, ConditionalRecord)]
+        joined = self._epochs.add_pose(pose, pose.slot_counters, pose.t_ns, ahead=pose.ahead)
+        conditional = [one for one in joined if isinstance(one.line.content, RawRecord)]
         lines = [self._rebuilt(one) for one in conditional]
         return [line for line in lines if isinstance(line, ReceivedLine)] or Reason.PENDING
 
     def add_record(
-        self, record: ConditionalRecord, t_ns: int, frames: int, is_break: bool
+        self, record: RawRecord, t_ns: int, frames: int, is_break: bool
     ) -> ReceivedLine | Reason:
         """Add a record that is conditional on a pose error; return its line, if that is there.
 
@@ -121,7 +122,7 @@ class SceneReceiver:
         """
         joined = self._epochs.add_line(
             Member(record, t_ns),
-            record.slot,
+            slot_of(record.owner),
             record.counter,
             t_ns,
             frames=frames,

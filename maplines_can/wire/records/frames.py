@@ -46,15 +46,10 @@ class FrameWriter:
             EncodeError: the DBC has no such message, or classic CAN is requested with an
                 authenticator.
         """
-        if owner == POSE:
-            return self.write_pose(record, fd)
-        messages = self._layout.messages.get(owner)
-        return self._write(record, messages, self._layout.secured, f"slot {owner!r}", fd)
-
-    def write_pose(self, record: bytes, fd: bool) -> list[Frame]:
-        """Return the frames of a record of the pose error; raises as ``write``."""
-        pose = self._layout.pose
-        messages, secured = (pose.messages, pose.secured) if pose else (None, None)
+        messages = self._layout.messages_of.get(owner)
+        if owner != POSE:
+            return self._write(record, messages, self._layout.secured, f"slot {owner!r}", fd)
+        secured = None if self._layout.pose is None else self._layout.pose.secured
         return self._write(record, messages, secured, "the pose error", fd)
 
     def _write(

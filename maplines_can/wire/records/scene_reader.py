@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ...values.gaussian import Gaussian
-from ...values.line import PARAMETERS, MapLine, Slot
+from ...values.line import PARAMETERS, Kind, MapLine, Slot
 from ...values.map_error import MapError
 from ...values.scene import PoseError, Scene
 from ...values.seen_lines import SeenLines, valid_ranges
 from ..covariance.scene_code import SceneCode
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import PoseLayout
+from ..layout.pose_layout import PoseLayout, slot_of
 from ..layout.signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
-from .pose_records import ConditionalRecord, PoseRecord
+from .record import RawRecord
 
 #: Steps of the ends of the valid range [1/m]. The ends are moved inwards to the next one, so that a
 #: range that is computed from decoded values does not exceed that of the sender. A division gives
@@ -31,7 +31,7 @@ N = len(PARAMETERS)
 class Member(NamedTuple):
     """A received line of a scene: its record, or the line if that has its own covariance."""
 
-    content: ConditionalRecord | MapLine
+    content: RawRecord | MapLine
     t_ns: int  #: time of its first frame [ns]
 
 
@@ -45,7 +45,7 @@ class SceneReader:
         self._greatest_heading = pose["MapHeading"].raw_max
         self._signals = [layout[name] for name in (*PARAMETER_SIGNALS, "XMin", "XMax")]
 
-    def scene(self, pose: PoseRecord, t_ns: int, members: Sequence[Member]) -> Scene:
+    def scene(self, pose: RawRecord, t_ns: int, members: Sequence[Member]) -> Scene:
         """Return the scene of a pose error and the lines received that belong to it.
 
         A line of a conditional record has the covariance that it has in the scene. Another line is
@@ -95,9 +95,9 @@ class SceneReader:
             middle = float(x_ranges[i].mean())
             lines.append(
                 MapLine(
-                    slot=content.slot,
+                    slot=slot_of(content.owner),
                     gaussian=Gaussian.trusted(decoded.means[i].copy(), cov),
-                    kind=content.kind,
+                    kind=Kind(content.raw["Kind"]),
                     x_min=min(low, middle),
                     x_max=max(high, middle) if low <= high else middle,
                     age=_later(age, line_ns - t_ns),
@@ -114,14 +114,14 @@ class SceneReader:
             own_covs=decoded.own_covs,
         )
 
-    def age(self, pose: PoseRecord) -> float:
+    def age(self, pose: RawRecord) -> float:
         """Return the age of a pose error when it was sent [s]; infinite if it is too old."""
         raw = pose.raw["Age"]
         return math.inf if raw >= self._too_old else self._age.physical_one(raw) / 1000
 
-    def _raw(self, content: ConditionalRecord | MapLine, pose: Mapping[str, int]) -> dict[str, int]:
+    def _raw(self, content: RawRecord | MapLine, pose: Mapping[str, int]) -> dict[str, int]:
         """Return the raw values of a line: mean, range, and what it has of its own."""
-        if isinstance(content, ConditionalRecord):
+        if isinstance(content, RawRecord):
             return dict(content.raw)
         values = [*content.gaussian.mean, content.x_min, content.x_max]
         raw = {s.name: int(s.raw(x)) for s, x in zip(self._signals, values, strict=True)}

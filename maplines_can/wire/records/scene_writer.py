@@ -16,13 +16,8 @@ from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner, PoseLayout
 from ..layout.signals import SLOT_SIGNALS, slot_title
 from .complete_records import CompleteRecords
-from .pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-    absent_counter,
-)
+from .raw_format import RawFormat, absent_counter
+from .record import RawRecord
 from .writer import up
 
 
@@ -80,8 +75,8 @@ class SceneWriter:
     ) -> None:
         self._layout, self._pose, self._encoder = layout, pose, encoder
         self._complete = complete
-        self._pose_records = PoseRecords(pose)
-        self._records = ConditionalRecords(layout) if layout.is_conditional else None
+        self._pose_format = RawFormat.of_pose(pose)
+        self._line_format = RawFormat.of_lines(layout) if layout.is_conditional else None
         self._modulus = 2 ** layout["Counter"].length
         self._pose_modulus = 2 ** pose["Counter"].length
 
@@ -125,27 +120,27 @@ class SceneWriter:
         ages = age if isinstance(age, Mapping) else dict.fromkeys((POSE, *Slot), age)
         following: Counter[Owner] = Counter(counters)
         own: dict[Owner, bytes] = {}
-        if self._records is not None:
+        if self._line_format is not None:
             for line in sent:
                 counter = following[line.slot] % self._modulus
-                record = ConditionalRecord(members[line.slot], counter, line.kind, line.slot)
-                own[line.slot] = self._records.write(record)
+                raw = members[line.slot] | {"Kind": int(line.kind)}
+                own[line.slot] = self._line_format.write(RawRecord(line.slot, counter, raw))
                 following[line.slot] = (counter + 1) % self._modulus
         elif self._complete is not None and sent:
             aged = [replace(line, age=ages[line.slot]) for line in sent]
             records, following = self._complete.line_writer.write(aged, counters)
             own |= {line.slot: of[0].tobytes() for line, of in zip(aged, records, strict=True)}
-        stated = {}
+        raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
         for slot, signal in self._pose.counters.items():
             bits, then = signal.length, following[slot]
             first = counters.get(slot, 0) % 2**bits
             # A line that is sent but is no member has a counter before ``then``, as earlier ones.
-            stated[slot] = first if slot in members else absent_counter(then - 1, then, bits)
-        raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
+            stated = first if slot in members else absent_counter(then - 1, then, bits)
+            raw_pose[signal.name] = stated
         if not self._layout.is_conditional:
             raw_pose |= self._levels(members)
         number = following[POSE] % self._pose_modulus
-        pose = self._pose_records.write(PoseRecord(raw_pose, number, stated))
+        pose = self._pose_format.write(RawRecord(POSE, number, raw_pose))
         following[POSE] = (number + 1) % self._pose_modulus
         return {POSE: pose} | own, following
 

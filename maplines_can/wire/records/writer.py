@@ -14,14 +14,10 @@ from ..covariance import CovarianceCode
 from ..covariance.nearest_line import nearest_line, slope_error
 from ..layout.attributes import RecordAttributes
 from ..layout.message_layout import Layout
-from ..layout.packing import Packing
-from ..layout.signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID, Signal
+from ..layout.signals import PARAMETER_SIGNALS, Signal
 from ..layout.validation import CheckedGaussians
-from ..protection.e2e import CRC_BYTES, record_crc, record_crc_one
+from .packer import RecordPacker
 
-#: Up to this number, records are packed one by one: with few records, arrays cost more than they
-#: save.
-FEW = 8
 #: Least range of a line that is sent instead of one that exceeds the message [m].
 MIN_RANGE = 1.0
 #: Tolerance for the floating-point error of the division before directed rounding [steps].
@@ -38,15 +34,14 @@ class _Sent(NamedTuple):
 
 
 class RecordWriter:
-    """Writer of records of a layout, with the packing of its signals and its covariance code."""
+    """Writer of complete records, with the packer of its signals and its covariance code."""
 
-    def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
+    def __init__(self, layout: Layout, packer: RecordPacker, covariance: CovarianceCode) -> None:
         self.layout = layout
         self._mean = [layout[name] for name in PARAMETER_SIGNALS]
         self._factor = np.array([signal.factor for signal in self._mean])
         self._covariance = covariance
-        self._packing = packing
-        self._crc_offset = layout.crc_offset
+        self._packer = packer
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports what does not fit
     def write(
@@ -89,7 +84,7 @@ class RecordWriter:
         self._put_age_and_weight(raw, attributes, n)
         self._put_covariance(raw, gaussians, sent, requested, cover)
         raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
-        return self._protect(raw, data_ids, n)
+        return self._packer.pack(raw, data_ids)
 
     @np.errstate(over="ignore", invalid="ignore")
     def decoded_mean(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -259,33 +254,6 @@ class RecordWriter:
                 f"signal {name}: {values[bad][0]!r} is not a whole number from {low:g} to {high:g}"
             )
         return raw.astype(np.int64)
-
-    def _protect(
-        self, raw: dict[str, NDArray[np.int64]], data_ids: NDArray[np.uint16], n: int
-    ) -> NDArray[np.uint8]:
-        """Pack records, and add their page numbers, transfer IDs and checksums."""
-        for page in range(self.layout.pages):
-            raw[f"{PAGE}{page}"] = np.full(n, page, dtype=np.int64)
-            raw[f"{TRANSFER_ID}{page}"] = raw["Counter"]
-        if n <= FEW:
-            rows = zip(*(values.tolist() for values in raw.values()), strict=True)
-            records = [
-                self.protect_one(dict(zip(raw, row, strict=True)), data_id)
-                for row, data_id in zip(rows, data_ids.tolist(), strict=True)
-            ]
-            joined = np.frombuffer(b"".join(records), dtype=np.uint8)
-            return joined.reshape(n, self.layout.record_bytes).copy()
-        payloads = self._packing.pack(raw, n)
-        crc = record_crc(payloads, data_ids, self._crc_offset)
-        payloads[:, self._crc_offset] = crc & 0xFF
-        payloads[:, self._crc_offset + 1] = crc >> 8
-        return payloads
-
-    def protect_one(self, raw: dict[str, int], data_id: int) -> bytes:
-        """Pack the raw values of one record, and add its checksum."""
-        payload = self._packing.pack_one(raw)
-        crc = record_crc_one(payload, data_id, self._crc_offset).to_bytes(CRC_BYTES, "little")
-        return payload[: self._crc_offset] + crc + payload[self._crc_offset + CRC_BYTES :]
 
 
 def up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:

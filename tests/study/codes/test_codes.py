@@ -18,6 +18,7 @@ from maplines_can.study.dbc.record_spec import SERVICE, dbc_writer_for
 from maplines_can.study.round_trip import round_trip
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Layout
+from maplines_can.wire.records.packer import RecordPacker
 
 WITH_WIDTHS = [name for name in CODES if name not in ("Float16", "Float32", "MeanOnly")]
 
@@ -94,10 +95,8 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
     lines = 0
     for _ in range(300):
         raw = {f.name: int(rng.integers(f.raw_min, f.raw_max, endpoint=True)) for f in fields}
-        raw |= {f"Page{p}": p for p in range(codec.layout.pages)}
-        raw |= {f"TransferId{p}": raw["Counter"] for p in range(codec.layout.pages)}
         raw |= {"Status": Status.FULL, "ComponentIndex": 0, "ComponentCount": 0, "Kind": 0}
-        data = codec._complete_records().writer.protect_one(
+        data = RecordPacker(codec.layout).pack_one(
             raw, codec.layout.messages[Slot.EGO_LEFT].data_id
         )
         line = codec.decode_one(data, Slot.EGO_LEFT)

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene_layouts import pose_record
 
 from maplines_can.values.errors import EncodeError
 from maplines_can.values.line import Kind, Slot
@@ -30,19 +31,15 @@ from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
 from maplines_can.wire.reception.settings import decoder_settings, pose_settings
 from maplines_can.wire.records.frames import FrameWriter
-from maplines_can.wire.records.pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-)
+from maplines_can.wire.records.raw_format import RawFormat
+from maplines_can.wire.records.record import RawRecord, RecordReader
 
 CYCLE = 50_000_000  # [ns]
 LAYOUTS = {
     name: Layout.from_dbc(default_dbc_path(name)) for name in ("maplines.dbc", "maplines-pose.dbc")
 }
 LAYOUT = LAYOUTS["maplines-pose.dbc"]
-RECORDS = ConditionalRecords(LAYOUT)
+RECORDS = RawFormat.of_lines(LAYOUT)
 LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnShape": 3}
 SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
 LONG = SHORT | dict.fromkeys(LEVELS, 0)
@@ -53,12 +50,12 @@ LONG |= {
 }
 
 
-def line(counter: int, raw: dict[str, int] = SHORT, slot: Slot = Slot.CENTRE) -> ConditionalRecord:
+def line(counter: int, raw: dict[str, int] = SHORT, slot: Slot = Slot.CENTRE) -> RawRecord:
     """A conditional record."""
-    return ConditionalRecord(raw, counter, Kind.SOLID, slot)
+    return RawRecord(slot, counter, raw | {"Kind": Kind.SOLID})
 
 
-def pose(layout: Layout, counter: int) -> PoseRecord:
+def pose(layout: Layout, counter: int) -> RawRecord:
     """A record of the pose error."""
     assert layout.pose is not None
     filled = ("Crc", "Counter", "Page", "TransferId")
@@ -67,15 +64,15 @@ def pose(layout: Layout, counter: int) -> PoseRecord:
         for name, signal in layout.pose.signals.items()
         if not name.startswith(filled) and not name.endswith("Counter")
     }
-    return PoseRecord(raw, counter, dict.fromkeys(Slot, counter % 8))
+    return pose_record(layout.pose, counter, raw, dict.fromkeys(Slot, counter))
 
 
 def reassembler(
     verify: Verifier | None = None, layout: Layout = LAYOUT
-) -> Reassembler[Slot, ConditionalRecord]:
+) -> Reassembler[Slot, RawRecord]:
     """A reassembler of conditional records."""
     timeouts, _, _ = decoder_settings(layout)
-    return Reassembler(layout, lambda data, slot, _: RECORDS.read(data, slot), timeouts, verify)
+    return Reassembler(layout, RecordReader(RECORDS), timeouts, verify)
 
 
 def receiver(layout: Layout, verifier: Verifier | None = None) -> PoseReceiver:
@@ -84,9 +81,9 @@ def receiver(layout: Layout, verifier: Verifier | None = None) -> PoseReceiver:
     return PoseReceiver(layout.pose, verifier, *pose_settings(layout.pose), E2EConfig())
 
 
-def frames_of(record: ConditionalRecord, *, fd: bool = False) -> list[Frame]:
+def frames_of(record: RawRecord, *, fd: bool = False) -> list[Frame]:
     """Frames of a conditional record."""
-    return FrameWriter(LAYOUT, None).write(RECORDS.write(record), record.slot, fd)
+    return FrameWriter(LAYOUT, None).write(RECORDS.write(record), record.owner, fd)
 
 
 @pytest.mark.parametrize(("raw", "frames"), [(SHORT, 2), (LONG, 4)])
@@ -153,11 +150,11 @@ def test_the_pose_error_is_received(dbc: str, fd: bool) -> None:
     """In classic frames or one CAN FD frame; duplicates and lost records as for a slot."""
     layout = LAYOUTS[dbc]
     assert layout.pose is not None
-    state, records = receiver(layout), PoseRecords(layout.pose)
+    state, records = receiver(layout), RawFormat.of_pose(layout.pose)
     writer = FrameWriter(layout, None)
     answers: list[Any] = []
     for i, counter in enumerate([*range(250, 260), 262]):
-        frames = writer.write_pose(records.write(pose(layout, counter % 256)), fd)
+        frames = writer.write(records.write(pose(layout, counter % 256)), POSE, fd=fd)
         assert len(frames) == (1 if fd else layout.pose.pages)
         assert all(state.knows(frame.can_id) for frame in frames)
         answers += [
@@ -175,8 +172,8 @@ def test_a_damaged_pose_error_is_rejected() -> None:
     """Each flipped bit, and the frames of other messages."""
     layout = LAYOUT
     assert layout.pose is not None
-    records = PoseRecords(layout.pose)
-    (frame,) = FrameWriter(layout, None).write_pose(records.write(pose(layout, 3)), fd=True)
+    records = RawFormat.of_pose(layout.pose)
+    (frame,) = FrameWriter(layout, None).write(records.write(pose(layout, 3)), POSE, fd=True)
     for bit in range(8 * layout.pose.record_bytes):
         data = bytearray(frame.data)
         data[bit // 8] ^= 1 << bit % 8
@@ -190,10 +187,12 @@ def test_a_damaged_pose_error_is_rejected() -> None:
 def test_after_a_restart_the_records_follow_a_break() -> None:
     """A receiver must not join lines of before the restart."""
     assert LAYOUT.pose is not None
-    state, records = receiver(LAYOUT), PoseRecords(LAYOUT.pose)
+    state, records = receiver(LAYOUT), RawFormat.of_pose(LAYOUT.pose)
     got: list[Any] = []
     for i, counter in [*enumerate(range(100, 110)), *enumerate(range(5), 30)]:
-        (frame,) = FrameWriter(LAYOUT, None).write_pose(records.write(pose(LAYOUT, counter)), True)
+        (frame,) = FrameWriter(LAYOUT, None).write(
+            records.write(pose(LAYOUT, counter)), POSE, fd=True
+        )
         got.append(state.feed(frame.can_id, frame.data, i * CYCLE))
     assert [answer.ahead for answer in got] == [1] * 10 + [None] + [1] * 4
 
@@ -205,8 +204,8 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     assert layout.pose is not None
     assert layout.pose.secured is not None
     key = Authenticator(Key(bytes(range(16))), clock=lambda: 1_750_000_000_000_000_000)
-    writer, records = FrameWriter(layout, key), PoseRecords(layout.pose)
-    (frame,) = writer.write_pose(records.write(pose(layout, 9)), fd=True)
+    writer, records = FrameWriter(layout, key), RawFormat.of_pose(layout.pose)
+    (frame,) = writer.write(records.write(pose(layout, 9)), POSE, fd=True)
     state = receiver(layout, Verifier(key, layout.pose.secured))
     answer = state.feed(frame.can_id, frame.data, 0)
     assert isinstance(answer, ReceivedPose)
@@ -216,10 +215,10 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
     assert state.check.statuses == {ProfileStatus.OK: 1}
     assert receiver(layout).feed(frame.can_id, frame.data, 0) is Reason.KEY
-    (plain,) = FrameWriter(layout, None).write_pose(records.write(pose(layout, 9)), fd=True)
+    (plain,) = FrameWriter(layout, None).write(records.write(pose(layout, 9)), POSE, fd=True)
     assert state.feed(plain.can_id, plain.data, 0) is Reason.UNAUTHENTICATED
     with pytest.raises(EncodeError, match="classic CAN is not authenticated"):
-        writer.write_pose(records.write(pose(layout, 9)), fd=False)
+        writer.write(records.write(pose(layout, 9)), POSE, fd=False)
     if layout.is_conditional:
         assert layout.secured is not None
         for raw in (SHORT, LONG):
@@ -233,7 +232,7 @@ def test_a_dbc_without_a_pose_error_cannot_send_one() -> None:
     """The message says so."""
     layout = replace(LAYOUTS["maplines.dbc"], pose=None)
     with pytest.raises(EncodeError, match="has no classic message for the pose error"):
-        FrameWriter(layout, None).write_pose(bytes(40), fd=False)
+        FrameWriter(layout, None).write(bytes(40), POSE, fd=False)
     assert LAYOUTS["maplines.dbc"].pose is not None
     assert LAYOUTS["maplines.dbc"].pose.message_of_id[0x35C, False] == (POSE, False)
 
@@ -241,8 +240,8 @@ def test_a_dbc_without_a_pose_error_cannot_send_one() -> None:
 def pose_frames(counter: int, *, fd: bool = False) -> list[Frame]:
     """Frames of a pose error with this counter."""
     assert LAYOUT.pose is not None
-    payload = PoseRecords(LAYOUT.pose).write(pose(LAYOUT, counter))
-    return FrameWriter(LAYOUT, None).write_pose(payload, fd)
+    payload = RawFormat.of_pose(LAYOUT.pose).write(pose(LAYOUT, counter))
+    return FrameWriter(LAYOUT, None).write(payload, POSE, fd=fd)
 
 
 def received(state: PoseReceiver, counter: int, t_ns: int) -> ReceivedPose | Reason:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene_layouts import pose_record
 from scene_streams import (
     COMPLETE,
     CONDITIONAL,
@@ -23,12 +24,8 @@ from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Rea
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
 from maplines_can.wire.reception.settings import decoder_settings
 from maplines_can.wire.records.frames import FrameWriter
-from maplines_can.wire.records.pose_records import (
-    ConditionalRecord,
-    ConditionalRecords,
-    PoseRecord,
-    PoseRecords,
-)
+from maplines_can.wire.records.raw_format import RawFormat
+from maplines_can.wire.records.record import RawRecord, RecordReader
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 
@@ -208,7 +205,10 @@ class Forger:
         codec = codec_of(CONDITIONAL)
         assert codec.layout.pose is not None
         self.pose_layout, self.layout = codec.layout.pose, codec.layout
-        self.poses, self.records = PoseRecords(self.pose_layout), ConditionalRecords(self.layout)
+        self.poses, self.records = (
+            RawFormat.of_pose(self.pose_layout),
+            RawFormat.of_lines(self.layout),
+        )
         self.writer = FrameWriter(self.layout, None)
         prepared = codec.prepare_scene(road_scene(SLOTS), fd=True)
         self.pose_raw = {**prepared.encoded.pose, "Age": 3}
@@ -220,14 +220,14 @@ class Forger:
         self, pose: dict[str, int], lines: dict[Slot, dict[str, int]], counter: int = 0
     ) -> dict[Any, list[Frame]]:
         """Return the frames of a pose error and lines with these raw values."""
-        counters = dict.fromkeys(Slot, counter % 8)
-        record = PoseRecord(self.pose_raw | pose, counter % 256, counters)
+        counters, raw = dict.fromkeys(Slot, counter), self.pose_raw | pose
+        record = pose_record(self.pose_layout, counter % 256, raw, counters)
         frames: dict[Any, list[Frame]] = {
-            POSE: self.writer.write_pose(self.poses.write(record), False)
+            POSE: self.writer.write(self.poses.write(record), POSE, fd=False)
         }
         for slot, raw in lines.items():
             whole = (self.long_raw if raw.keys() - self.line_raw.keys() else self.line_raw) | raw
-            line = ConditionalRecord(whole, counter % 256, Kind.SOLID, slot)
+            line = RawRecord(slot, counter % 256, whole | {"Kind": Kind.SOLID})
             frames[slot] = self.writer.write(self.records.write(line), slot, False)
         return frames
 
@@ -441,8 +441,8 @@ def test_a_mixture_is_in_no_scene(components: int) -> None:
 def test_a_decoder_without_scenes_drops_lines_that_need_a_pose_error() -> None:
     """They are counted, each with its frames."""
     layout = codec_of(CONDITIONAL).layout
-    records, settings_ = ConditionalRecords(layout), decoder_settings(layout)
-    decoder = Decoder(layout, lambda data, slot, _: records.read(data, slot), None, *settings_)
+    reader: RecordReader[Any] = RecordReader(RawFormat.of_lines(layout))
+    decoder = Decoder(layout, reader, None, *decoder_settings(layout))
     frames = Forger().frames({}, {Slot.EGO_LEFT: {}})
     answers, _ = feed(decoder, frames, 0)
     poses = len(frames[POSE])

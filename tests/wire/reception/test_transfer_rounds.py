@@ -108,7 +108,10 @@ class Mixing:
         timeouts = {SLOT: round(timeout_ms * MS)} | {
             slot: MS for slot in default_codec().layout.messages if slot != SLOT
         }
-        self.reassembler = Reassembler(default_codec().layout, self.read, timeouts)
+        reader: Any = self
+        self.reassembler: Reassembler[Any, Any] = Reassembler(
+            default_codec().layout, reader, timeouts
+        )
         self.origin = [{row[page]: i for i, row in enumerate(pages())} for page in range(PAGES)]
         assert all(len(origin) == RECORDS for origin in self.origin)
 

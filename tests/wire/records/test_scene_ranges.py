@@ -10,7 +10,8 @@ from scene_layouts import CONDITIONAL, layout_of, scene_code, scene_encoder
 
 from maplines_can import Gaussian, Kind, MapError, MapLine, PoseError, Scene, Slot
 from maplines_can.values.seen_lines import SeenLines, valid_ranges
-from maplines_can.wire.records.pose_records import ConditionalRecord, PoseRecord
+from maplines_can.wire import POSE as OWNER
+from maplines_can.wire.records.record import RawRecord
 from maplines_can.wire.records.scene_reader import Member, SceneReader
 
 SIGMA = np.array([0.05, 2e-3, 1e-4, 3e-6])
@@ -21,9 +22,9 @@ READER = SceneReader(layout_of(CONDITIONAL), POSE, CODE)
 def received(scene: Scene, late_ns: Any = (0, 0), raw_age: int = 5, **raw: int) -> Scene:
     """What the reader makes of an encoded scene; ``raw`` changes values of the Pose record."""
     sent = scene_encoder(CONDITIONAL).encode(scene)
-    pose = PoseRecord(sent.pose | {"Age": raw_age} | raw, 0, {})
+    pose = RawRecord(OWNER, 0, sent.pose | {"Age": raw_age} | raw)
     members = [
-        Member(ConditionalRecord(row, 0, scene.lines[i].kind, scene.lines[i].slot), 1000 + late)
+        Member(RawRecord(scene.lines[i].slot, 0, row | {"Kind": scene.lines[i].kind}), 1000 + late)
         for (i, row), late in zip(sent.lines.items(), late_ns, strict=True)
     ]
     return READER.scene(pose, 1000, members)

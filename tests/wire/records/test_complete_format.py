@@ -1,14 +1,16 @@
 """Reader of records: values that have no meaning."""
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
 from dbc_alterations import original
+from dbcs import changed_record
 
 from maplines_can.values.line import Slot
 from maplines_can.wire import Codec, Layout, Reason
-from maplines_can.wire.records.reader import DecodedRecord
+from maplines_can.wire.records.record import CompleteRecord
 
 
 @pytest.fixture(scope="module")
@@ -38,13 +40,11 @@ def roomy() -> Codec:
     ],
 )
 def test_a_record_with_a_value_that_has_no_meaning_is_rejected(
-    roomy: Codec, change: dict[str, int], accepted: bool
+    roomy: Codec, change: dict[str, Any], accepted: bool
 ) -> None:
     """By both readers, one beyond the last value that has one."""
-    complete, data_id = roomy._complete_records(), roomy.layout.messages[Slot.EGO_LEFT].data_id
     payload = roomy.encode_batch([[1.75, 0, 0, 0]], np.eye(4)[None] * 1e-4)[0].tobytes()
-    raw = complete.reader._packing.unpack_one(payload) | change
-    data = complete.writer.protect_one(raw, data_id)
+    data = changed_record(roomy, payload, **change)
     one = roomy.read_record(data, Slot.EGO_LEFT)
     batch = roomy.decode_batch(np.frombuffer(data, np.uint8)[None])
     assert batch.accepted[0] == accepted
@@ -52,8 +52,8 @@ def test_a_record_with_a_value_that_has_no_meaning_is_rejected(
         assert one is Reason.CONTENT
         assert batch.rejects == {Reason.CONTENT: 1}
         return
-    assert isinstance(one, DecodedRecord)
+    assert isinstance(one, CompleteRecord)
     assert (one.index, one.count) == (batch.component_index[0], batch.component_count[0])
     assert one.weight == batch.component_weight[0]
     too_old = change.get("Age") == 31
-    assert one.line.age == batch.age[0] == (np.inf if too_old else 0.008 * raw["Age"])
+    assert one.line.age == batch.age[0] == (np.inf if too_old else 0.008 * change.get("Age", 0))

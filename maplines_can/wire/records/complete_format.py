@@ -1,25 +1,24 @@
-"""Reader of records: many at once, or one as it comes from the bus."""
+"""Format of complete records: a line with a covariance of its own, or a part of its mixture."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...values.gaussian import Gaussian, nearest_covariance
-from ...values.line import VAGUE_SIGMA, Kind, MapLine, Slot, Status
+from ...values.line import VAGUE_SIGMA, Kind, MapLine, Status
 from ..covariance import CovarianceCode
 from ..layout.message_layout import Layout
-from ..layout.packing import Packing
-from ..layout.signals import PAGE, PARAMETER_SIGNALS, TRANSFER_ID
-from ..protection.e2e import record_crc, record_crc_one
+from ..layout.pose_layout import Owner, slot_of
+from ..layout.signals import PARAMETER_SIGNALS
 from ..reasons import Reason
-
-#: Outcomes of the checks of a record, in the order of their numbers in ``Batch.verdict``.
-VERDICTS = (None, Reason.MIXED, Reason.CRC, Reason.CONTENT)
+from .packer import VERDICTS, RecordPacker
+from .record import CompleteRecord
 
 LAST_STATUS, LAST_KIND = max(Status), max(Kind)
 #: Least eigenvalue of a repaired correlation matrix.
@@ -59,35 +58,28 @@ class Batch:
         return Counter({reason: n for reason, n in pairs if reason and n})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DecodedRecord:
-    """One decoded record: a line, or one component of a line that is a mixture."""
+class CompleteFormat:
+    """Format of complete records; ``read`` and ``content`` give bit-identical results.
 
-    line: MapLine
-    index: int  #: of the component, from 0
-    count: int  #: number of components of the line
-    weight: float  #: of the component
-    counter: int  #: E2E counter of the record
+    Args:
+        layout: of the records.
+        covariance: code of the covariance.
+    """
 
-
-class RecordReader:
-    """Reader of records of a layout; ``read`` and ``read_one`` give bit-identical results."""
-
-    def __init__(self, layout: Layout, packing: Packing, covariance: CovarianceCode) -> None:
+    def __init__(self, layout: Layout, covariance: CovarianceCode) -> None:
+        self.packer = RecordPacker(layout)
+        self.data_ids: dict[Owner, int]
+        self.data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
         self._signals = layout.signals
-        self._pages = layout.pages
         self._mean = [layout[name] for name in PARAMETER_SIGNALS]
         self._too_old = layout["Age"].raw_max  # the raw value that means so, or more
         self._resolution = layout.resolution
         self._covariance = covariance
-        self._packing = packing
-        self._crc_offset = layout.crc_offset
-        self._transfer_mask = 2 ** layout[f"{TRANSFER_ID}0"].length - 1
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
         """Read (N, record bytes) records with (N,) E2E data IDs."""
         n = len(payloads)
-        raw = self._packing.unpack(payloads)
+        raw, verdict = self.packer.unpack(payloads, data_ids)
         mean = np.empty((n, len(self._mean)))
         for i, signal in enumerate(self._mean):
             mean[:, i] = signal.physical(raw[signal.name])
@@ -102,21 +94,13 @@ class RecordReader:
             for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
         }
         index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
-        transfer = raw["Counter"] & self._transfer_mask
-        verdict = np.zeros(n, dtype=np.int8)
         invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         invalid |= (physical["XMin"] > physical["XMax"]) & (status != Status.OUT_OF_RANGE)
         invalid |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
         if not self._covariance.positive_definite:
             invalid |= ~np.isfinite(cov).all(axis=(1, 2))
             invalid |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
-        # The later checks overwrite the earlier ones: read_one makes them in the reverse order.
-        verdict[invalid] = VERDICTS.index(Reason.CONTENT)
-        crc = record_crc(payloads, data_ids, self._crc_offset)
-        verdict[raw["Crc"] != crc] = VERDICTS.index(Reason.CRC)
-        for page in range(self._pages):
-            mixed = (raw[f"{PAGE}{page}"] != page) | (raw[f"{TRANSFER_ID}{page}"] != transfer)
-            verdict[mixed] = VERDICTS.index(Reason.MIXED)
+        verdict[invalid & (verdict == 0)] = VERDICTS.index(Reason.CONTENT)
         return Batch(
             mean=mean,
             cov=cov,
@@ -132,19 +116,11 @@ class RecordReader:
             counter=raw["Counter"],
         )
 
-    def read_one(
-        self, payload: bytes, slot: Slot, data_id: int, t_ns: int | None
-    ) -> DecodedRecord | Reason:
-        """Read one record, received at ``t_ns`` [ns]; as ``read``, without the array overhead."""
-        if len(payload) != self._packing.record_bytes:
-            return Reason.LENGTH
-        raw, signals = self._packing.unpack_one(payload), self._signals
-        transfer = raw["Counter"] & self._transfer_mask
-        for page in range(self._pages):
-            if raw[f"{PAGE}{page}"] != page or raw[f"{TRANSFER_ID}{page}"] != transfer:
-                return Reason.MIXED
-        if raw["Crc"] != record_crc_one(payload, data_id, self._crc_offset):
-            return Reason.CRC
+    def content(
+        self, raw: Mapping[str, int], owner: Owner, t_ns: int | None
+    ) -> CompleteRecord | Reason:
+        """Return the content of an intact record, or CONTENT: as ``read``, without arrays."""
+        signals = self._signals
         weight = signals["ComponentWeight"].physical_one(raw["ComponentWeight"])
         index = raw["ComponentIndex"]
         count = int(signals["ComponentCount"].physical_one(raw["ComponentCount"]))
@@ -168,7 +144,7 @@ class RecordReader:
                 cov += np.diag(np.maximum(self._resolution, MIN_VARIANCE * cov.diagonal()))
                 status = Status.REPAIRED
         line = MapLine(
-            slot=slot,
+            slot=slot_of(owner),
             gaussian=Gaussian.trusted(mean, cov),
             kind=Kind(raw["Kind"]),
             x_min=min(x_min, x_max),
@@ -177,7 +153,7 @@ class RecordReader:
             status=status,
             t_ns=t_ns,
         )
-        return DecodedRecord(line, index, count, weight, raw["Counter"])
+        return CompleteRecord(line, index, count, weight, raw["Counter"])
 
 
 def _is_definite(cov: NDArray[np.float64]) -> bool:
