@@ -8,6 +8,7 @@ import behaviour_api
 import journeys
 import numpy as np
 import pytest
+import sizes
 
 import maplines_can as ml
 
@@ -51,3 +52,15 @@ def test_a_journey_is_there_and_back() -> None:
     assert all(one != other for one, other in pairwise(files))
     assert len(set(files)) < len(files)
     assert {Path(file).name for file in files} == {"gaussian.py", "arrays.py"}
+
+
+def test_sizes_are_those_of_a_reader(tmp_path: Path) -> None:
+    """Docstrings, comments and blank lines are no code; an elif is no deeper than its if."""
+    (tmp_path / "a.py").write_text(
+        'def f(self, a, *, b):\n    """Do.\n\n    More.\n    """\n\n    # why\n    if a:\n'
+        "        for _ in b:\n            pass\n    elif b:\n        pass\n"
+    )
+    (module,) = sizes.modules(tmp_path, ".")
+    (function,) = sizes.functions(module)
+    assert (module.lines, function.code) == (12, 6)
+    assert (function.depth, function.parameters) == (2, 2)
