@@ -38,9 +38,11 @@ def test_a_difference_of_recordings_is_found(
 def test_the_last_bit_of_a_value_is_recorded() -> None:
     """Of a variance of a line, and of an entry of an array that is too long to be written."""
     cov, long = np.eye(4), np.ones(200)
-    before = behaviour_api.shown(ml.MapLine(0, ml.Gaussian(np.zeros(4), cov)))
+    before = behaviour_api.shown(ml.MapLine(ml.Slot.EGO_LEFT, ml.Gaussian(np.zeros(4), cov)))
     cov[2, 2], long[7] = np.nextafter(1, 2), np.nextafter(1, 2)
-    assert behaviour_api.shown(ml.MapLine(0, ml.Gaussian(np.zeros(4), cov))) != before
+    assert (
+        behaviour_api.shown(ml.MapLine(ml.Slot.EGO_LEFT, ml.Gaussian(np.zeros(4), cov))) != before
+    )
     assert behaviour_api.shown(long) != behaviour_api.shown(np.ones(200))
 
 
