@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from maplines_can.maps import Map, load, town_path, town_tour
-from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.trajectory import drive_along
 
 TOOLS = Path(__file__).parents[1] / "tools"
 

@@ -127,8 +127,8 @@ def _simulated(
 ) -> Iterator[tuple[LaneFusion, FusionInputs]]:
     """Yield the epochs of a simulated car in the town."""
     from ..maps import load, town_path, town_tour
-    from ..simulation.along_route import drive_along
     from ..simulation.car_stream import CarStream
+    from ..simulation.trajectory import drive_along
 
     road_map = load(town_path())
     route = town_tour(road_map)

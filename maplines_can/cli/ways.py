@@ -9,10 +9,9 @@ from pathlib import Path
 from ..bus import read_signals
 from ..maps import Map, Route, random_tour, town_path, town_tour
 from ..maps.formats.load import map_path
-from ..simulation.along_route import drive_along
 from ..simulation.map_frame import check_on_map
 from ..simulation.recorded import RecordedDrive
-from ..simulation.trajectory import CarState, SimulatedDrive
+from ..simulation.trajectory import CarState, SimulatedDrive, drive_along
 from ..values.errors import DriveFileError, RouteError
 from .output import counts_text
 from .parsing import option_group

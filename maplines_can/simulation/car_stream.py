@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 
 from ..maps import LaneTracker, Map, Route
 from ..propagation import MapError, Motion, map_scene
-from ..values.gaussian import Gaussian
-from ..values.line import MapLine, Slot
+from ..values.line import MapLine
 from ..values.polyline import Polyline
 from ..values.scene import Scene
 from ..wire import Codec, Monitor
-from .camera import Errors, UnitGaussMarkov
-from .camera_view import AGE, CAMERA_WINDOW, COLUMNS, FRAME, LANE, camera_lines
+from .camera import COLUMNS, LANE, Errors, UnitGaussMarkov, camera_view
 from .pose_source import PoseSource
 from .trajectory import SimulatedDrive
 from .truth import true_lines
 
 Array = NDArray[np.float64]
+
+#: Time from the pose to the first frame, and from frame to frame [s].
+AGE, FRAME = 0.02, 0.00025
 
 
 class CarCycle(NamedTuple):
@@ -142,32 +143,3 @@ class CarStream:
             local = self._errors.map_local[0] * self._rng.standard_normal(line.points.shape)
             self._offsets[key] = own + local
         return Polyline(line.points + self._offsets[key], line.kind)
-
-
-def camera_view(
-    lines: Mapping[Slot, Polyline],
-    pose: Array,
-    bias: Array,
-    errors: Errors,
-    rng: np.random.Generator,
-) -> list[MapLine]:
-    """Return the lines of the ego lane that a camera sees, with its errors.
-
-    Args:
-        lines: true ones.
-        pose: (3,) true one.
-        bias: (3,) of the camera now: offset [m], heading [rad], curvature [1/m].
-        errors: their sizes.
-        rng: random numbers.
-    """
-    seen = camera_lines(lines, pose)
-    if np.isnan(seen).any():
-        return []
-    found = []
-    for slot, mean in zip(LANE, seen, strict=True):
-        y = mean + rng.standard_normal(4) * errors.camera_sigma + np.append(bias, 0.0)
-        if rng.random() < errors.false_lines:
-            y[0] += rng.choice([-1, 1]) * rng.uniform(0.5, 2.0)
-        cov = np.diag(np.square(errors.camera_sigma))
-        found.append(MapLine(slot, Gaussian(y, cov), x_max=CAMERA_WINDOW[1] / 2))
-    return found

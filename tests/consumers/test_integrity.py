@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from evidence.sampling import excursion_probability, nominal
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad
@@ -20,7 +21,6 @@ from maplines_can.consumers.integrity import (
     risk_bound,
     samples_of,
 )
-from maplines_can.study.integrity.sampling import excursion_probability, nominal
 
 
 @pytest.mark.parametrize("K", [0.5, 1.0, 3.0, 5.0])

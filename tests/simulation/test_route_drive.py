@@ -10,7 +10,7 @@ from lane_maps import lane, network
 from maplines_can.maps import Map, Route
 from maplines_can.maps.line_source import LineSource
 from maplines_can.simulation import PoseSource
-from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.trajectory import drive_along
 
 LANES = [lane("a", length=100.0), lane("b", (100.0, 0.0, 0.0), 100.0)]
 

@@ -35,7 +35,8 @@ import numpy as np
 from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
 from maplines_can.consumers.steering import SteeringState
 from maplines_can.maps import LaneTracker
-from maplines_can.simulation.camera_view import AGE, COLUMNS, FRAME, LANE, PLACES
+from maplines_can.simulation.camera import COLUMNS, LANE, PLACES
+from maplines_can.simulation.car_stream import AGE, FRAME
 from maplines_can.simulation.truth import true_lines
 from maplines_can.wire import POSE, Frame, Monitor, default_dbc_path
 

@@ -20,9 +20,7 @@ from maplines_can.consumers.lane_fusion import SceneSource
 from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
 from maplines_can.localisation import Localisation, LocalisationLayer
 from maplines_can.maps.line_source import Cycle, LineSource
-from maplines_can.simulation.camera import Errors, UnitGaussMarkov
-from maplines_can.simulation.camera_view import LANE, PLACES
-from maplines_can.simulation.car_stream import camera_view
+from maplines_can.simulation.camera import LANE, PLACES, Errors, UnitGaussMarkov, camera_view
 from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
 from maplines_can.simulation.simulated_localisation import START_SIGMA
 from maplines_can.simulation.trajectory import CarState

@@ -23,17 +23,17 @@ from maplines_can.maps import LaneTracker
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.propagation import Motion
 from maplines_can.simulation import PoseSource
-from maplines_can.simulation.along_route import drive_along
-from maplines_can.simulation.camera import Errors, Simulation, UnitGaussMarkov
-from maplines_can.simulation.camera_view import AGE, FRAME, LANE, PLACES, DriveView, drive_view
-from maplines_can.simulation.car_stream import camera_view
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.camera import LANE, PLACES, Errors, UnitGaussMarkov, camera_view
+from maplines_can.simulation.car_stream import AGE, FRAME
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.simulation.truth import Y_PLACES, true_lines
 from maplines_can.values.line import MapLine, Slot, lateral_jacobian
 from maplines_can.values.polyline import Polyline
 from maplines_can.wire import Monitor, default_dbc_path
 
+from .drive_view import DriveView, drive_view
 from .figures import Mean, Share
+from .fleet import Simulation
 from .fusion_ways import RIGHT, WRONG
 from .harness import evidence, progress
 from .roads import ROADS, route_of, sources, spiral_map

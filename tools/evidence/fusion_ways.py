@@ -21,8 +21,9 @@ from maplines_can.consumers.lane_filter import (
     roots,
     squared_distance,
 )
-from maplines_can.simulation.camera import MapFilter
-from maplines_can.simulation.camera_view import PLACES
+from maplines_can.simulation.camera import PLACES
+
+from .fleet import MapFilter
 
 Array = NDArray[np.float64]
 

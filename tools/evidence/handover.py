@@ -28,7 +28,7 @@ from maplines_can.consumers.steering import (
 from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation.motion import Motion
 from maplines_can.simulation import PoseSource
-from maplines_can.simulation.along_route import drive_along
+from maplines_can.simulation.trajectory import drive_along
 
 from .closed_loop import BESIDE_CHANGE, ODOMETRY
 from .figures import Share

@@ -21,9 +21,9 @@ from maplines_can.consumers.integrity import (
     risk_bound,
     samples_of,
 )
-from maplines_can.simulation.camera import Errors, Simulation
-from maplines_can.simulation.camera_view import PLACES
+from maplines_can.simulation.camera import PLACES, Errors
 
+from .fleet import Simulation
 from .fusion import TIMES, town_views
 from .fusion_ways import RIGHT
 from .harness import evidence, progress

@@ -29,10 +29,9 @@ from maplines_can.localisation import (
     Verdict,
 )
 from maplines_can.maps import load, town_path, town_tour
-from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import START_SIGMA
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 
 from .harness import evidence, progress
 from .localised_drives import ROADS, Localised, figures, on_map, on_road

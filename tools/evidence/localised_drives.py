@@ -14,9 +14,8 @@ from scipy.stats import chi2
 from maplines_can import Slot
 from maplines_can.localisation import LocalisationLayer
 from maplines_can.maps import Lane, LaneTracker, Map, Road, Route, random_tour
-from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.values.line import Kind
 from maplines_can.values.polyline import Polyline
 

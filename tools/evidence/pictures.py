@@ -15,7 +15,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_lines, map_scene
-from maplines_can.simulation.camera_view import PLACES
+from maplines_can.simulation.camera import PLACES
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.study.figures.panels import Z99

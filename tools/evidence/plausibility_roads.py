@@ -30,10 +30,10 @@ from maplines_can.consumers.plausibility import (
     stations,
 )
 from maplines_can.maps.line_source import WINDOW
-from maplines_can.simulation.along_route import drive_along
-from maplines_can.simulation.camera_view import turned
+from maplines_can.simulation.trajectory import drive_along
 from maplines_can.values.seen_lines import NODES
 
+from .drive_view import turned
 from .harness import evidence, progress
 from .plausibility import RATES, SETTINGS
 from .roads import ROADS, route_of, sources, spiral_map, straight_map

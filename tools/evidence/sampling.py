@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import ndtr, ndtri
 
-from maplines_can.simulation.camera import Errors
-from maplines_can.simulation.camera_view import PLACES, DriveView
+from maplines_can.simulation.camera import PLACES, Errors
 from maplines_can.values.line import lateral, transform_line_or_nan
+
+from .drive_view import DriveView
 
 Array = NDArray[np.float64]
 

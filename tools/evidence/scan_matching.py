@@ -32,9 +32,8 @@ from maplines_can.localisation.scan_matching import (
     simulated_scan,
 )
 from maplines_can.maps import Map, load, town_path, town_tour
-from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.sensors import SensorSetup, simulated_measurements
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 
 from .harness import evidence, progress
 from .localisation import Run, run_of, share_inside

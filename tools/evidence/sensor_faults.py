@@ -31,10 +31,9 @@ from maplines_can.localisation import (
     SensorErrors,
 )
 from maplines_can.maps import Map, load, town_path, town_tour
-from maplines_can.simulation.along_route import drive_along
 from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import START_SIGMA
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.testing.sensor_faults import FAULTS, SensorFault, injected
 
 from .figures import longest

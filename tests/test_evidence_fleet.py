@@ -4,13 +4,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence.drive_view import DriveView
+from evidence.fleet import Simulation
+from evidence.fusion_ways import RIGHT, WRONG
+from evidence.integrity import Shares
+from evidence.sampling import nominal, tail_probability
 
-from maplines_can.simulation.camera import Errors, Simulation, UnitGaussMarkov
-from maplines_can.simulation.camera_view import DriveView
+from maplines_can.simulation.camera import Errors, UnitGaussMarkov
 from maplines_can.simulation.trajectory import CarState
-from maplines_can.study.fusion.variants import RIGHT, WRONG
-from maplines_can.study.integrity.sampling import nominal, tail_probability
-from maplines_can.study.integrity.stanford import Shares
 
 CARS = 40
 

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..consumers.lane_fusion import positive_part
-from ..maps import LaneTracker, Map, Route
-from ..propagation import MapError, map_scene
-from ..values.gaussian import Gaussian
-from ..values.line import Slot
-from ..values.polyline import Polyline
-from ..values.scene import Scene
-from ..values.seen_lines import SeenLines
-from ..wire import Codec, Decoder
-from .trajectory import CarState, SimulatedDrive
-from .truth import Y_PLACES, true_lines
+from maplines_can.consumers.lane_fusion import positive_part
+from maplines_can.maps import LaneTracker, Map, Route
+from maplines_can.propagation import MapError, map_scene
+from maplines_can.simulation.camera import COLUMNS, LANE, PLACES, camera_lines
+from maplines_can.simulation.car_stream import AGE, FRAME
+from maplines_can.simulation.trajectory import CarState, SimulatedDrive
+from maplines_can.simulation.truth import true_lines
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.scene import Scene
+from maplines_can.values.seen_lines import SeenLines
+from maplines_can.wire import Codec, Decoder
 
 Array = NDArray[np.float64]
-
-LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
-#: Where the lane centre is evaluated [m].
-PLACES = (0.0, 20.0, 40.0)
-#: Window in which a camera fits a cubic [m], with this deviation at most [m], and the range that
-#: it has to see [m].
-CAMERA_WINDOW, CAMERA_MISFIT, CAMERA_RANGE = (0.0, 50.0), 0.03, 25.0
-COLUMNS = [Y_PLACES.index(int(x)) for x in PLACES]
-#: Time from the pose to the first frame, and from frame to frame [s].
-AGE, FRAME = 0.02, 0.00025
 
 
 class DriveView(NamedTuple):
@@ -92,15 +82,6 @@ def drive_view(
             view.valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
             view.own[k] = own_cov(received)
     return view
-
-
-def camera_lines(lines: Mapping[Slot, Polyline], pose: Array) -> Array:
-    """Return the (2, 4) cubics that a camera without errors fits; NaN if it sees too little."""
-    exact = Gaussian(pose, np.zeros((3, 3)))
-    seen = map_scene(lines, exact, window=CAMERA_WINDOW, max_misfit=CAMERA_MISFIT)
-    if not all(slot in seen.index for slot in LANE) or seen.x_range(LANE)[1] < CAMERA_RANGE:
-        return np.full((2, 4), np.nan)
-    return np.array([seen.line(slot).gaussian.mean for slot in LANE])
 
 
 def turned(cov: Array, heading: float) -> Array:
