@@ -46,6 +46,10 @@ STUDY_COMMANDS = {
 STUDY_HELP = "study the error caused by quantization on the bus"
 #: Parts of error messages that name a Python argument, and the option of the command for it.
 OPTIONS = {
+    "a lower rate, fd=True, a higher bitrate or a higher max_load": "a lower --rate, --fd, a "
+    "higher --bitrate or a higher --max-load",
+    "use fewer lines or components": "use fewer --lines or --components",
+    "use fewer lines": "use fewer --lines",
     "interface=...": "--interface",
     "channel=...": "--channel",
     "channel='can0'": "--channel can0",

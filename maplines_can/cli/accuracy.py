@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import read_log
-from ..simulation.truth import read_truth
+from ..simulation.truth import read_truth, truth_paths
 from ..study.accuracy.consistency import consistency_of
 from ..study.accuracy.evaluation import accuracy_of
 from ..study.accuracy.text import as_text
-from ..values.errors import LogError
+from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
 from ..wire import Decoder
 from .fitting_dbc import MAX_IDS, dbc_hint
@@ -23,7 +23,6 @@ from .output import counts_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, option_group
 from .stderr import note, with_progress
-from .truth_paths import truth_of
 
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -118,3 +117,20 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
     return status
+
+
+def truth_of(log: str) -> Path:
+    """Return the truth beside a log; the newer one if there are two.
+
+    Raises:
+        DriveFileError: there is none.
+    """
+    paths = truth_paths(log)
+    found = [path for path in paths if path.is_file()]
+    if not found:
+        names = " nor ".join(str(path) for path in paths)
+        raise DriveFileError(
+            f"{log}: there is no truth beside it, neither {names}; give it as "
+            "'maplines accuracy TRUTH LOG'"
+        )
+    return max(found, key=lambda path: path.stat().st_mtime_ns)

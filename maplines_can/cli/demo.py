@@ -4,35 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..propagation.component_counts import TOLERANCE
-from ..simulation.scenarios import Scenario, scenario
 from ..study.figures.picture import draw_round_trip
 from ..study.round_trip import BusSettings, LineResult, RoundTrip, round_trip
 from ..study.scene_result import SceneResult
-from ..values.line import MapLineList, Slot, Status
-from ..values.scene import Scene
+from ..values.line import Status
 from ..wire import POSE
 from .options import add_bus, add_codec, add_faults, bus_settings, keyed_codec
 from .output import counts_text, faults_text, left_out_text, pose_errors_text, slot_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, option_group, seconds
-from .scene_sending import sends_scenes
-from .sending import (
-    LineComponents,
-    add_sending,
-    bitrates,
-    components_dict,
-    components_of,
-    components_text,
-    lines_of,
-    rate_of,
-)
+from .sending import Sending, add_sending, components_dict, components_text, sending_of
 from .stderr import progress_bar
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -86,23 +74,19 @@ def add_demo(commands: Any) -> None:
 
 def _demo(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
-    sent = scenario(arguments.scenario)
     if arguments.plot and Path(arguments.plot).suffix.lower() not in PICTURES:
         raise ValueError(
             f"--plot must be a file that ends in {', '.join(PICTURES)}, got {arguments.plot!r}"
         )
     check_new(arguments, arguments.plot)
     private = arguments.interface == "virtual" and arguments.channel is None
-    bitrate, data_bitrate = bitrates(arguments)
-    rate = rate_of(sent, codec, arguments)
-    components = components_of(sent, codec, arguments, rate)
-    as_scene = sends_scenes(codec, arguments)
-    lines = lines_of(sent, components, arguments, as_scene=as_scene)
-    bus = BusSettings(rate, bitrate, data_bitrate, None if private else bus_settings(arguments))
+    sending = sending_of(codec, arguments)
+    interface = None if private else bus_settings(arguments)
+    bus = BusSettings(sending.bus.rate, *sending.bus.bitrates, interface)
     shape = "{l_bar}{bar}| {n:.1f}/{total:.1f} s"
     with progress_bar(" s", bar_format=shape, leave=False) as progress:
         trip = round_trip(
-            lines,
+            sending.lines,
             codec,
             bus=bus,
             seconds=arguments.seconds,
@@ -110,27 +94,26 @@ def _demo(arguments: argparse.Namespace) -> int:
             tick=lambda elapsed: progress(min(elapsed, arguments.seconds), arguments.seconds),
         )
     if arguments.plot:
-        draw_round_trip(trip, sent, arguments.plot)
+        draw_round_trip(trip, sending.source.scenario, arguments.plot)
     if arguments.json:
+        left_out = sending.lines.left_out.items()
         scene_figures = {
-            "components": components_dict(components),
-            "left_out": {slot.name: reason.name for slot, reason in lines.left_out.items()},
+            "components": components_dict(sending.components),
+            "left_out": {slot.name: reason.name for slot, reason in left_out},
         }
-        print(json.dumps({"scenario": sent.name} | trip.as_dict() | scene_figures, indent=2))
+        name = sending.source.scenario.name
+        print(json.dumps({"scenario": name} | trip.as_dict() | scene_figures, indent=2))
     else:
-        print(_text(trip, sent, lines, components if arguments.components != 1 else {}))
+        print(_text(trip, sending, with_components=arguments.components != 1))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
     return 0 if all(line.mean is not None for line in trip.lines) else 1
 
 
-def _text(
-    trip: RoundTrip,
-    scenario: Scenario,
-    lines: MapLineList | Scene,
-    components: Mapping[Slot, LineComponents],
-) -> str:
+def _text(trip: RoundTrip, sending: Sending, *, with_components: bool) -> str:
     """Return the results as text: the lines, the counters and a legend."""
+    scenario, left_out = sending.source.scenario, sending.lines.left_out
+    components = sending.components if with_components else {}
     texts = [components_text(components[line.slot]) for line in trip.true_lines if components]
     out = [
         f"{scenario.name}: {scenario.about}",
@@ -138,7 +121,7 @@ def _text(
         f"{trip.seconds:.1f} s",
         "",
         *_table(trip.lines, texts),
-        *([left_out_text(lines.left_out)] if lines.left_out else []),
+        *([left_out_text(left_out)] if left_out else []),
         *(["", *_scene(trip.scene)] if trip.scene else []),
         "",
         *_counters(trip),

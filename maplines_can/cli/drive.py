@@ -21,8 +21,15 @@ from ..maps import LaneTracker, Map, Route, load, town_path
 from ..maps.line_source import WINDOW, ChooseComponents, LineSource
 from ..maps.view import AHEAD, BEHIND
 from ..propagation.component_counts import component_counts
+from ..simulation.components import (
+    MAX_LOAD,
+    check_scene_load,
+    component_budget,
+    line_nonlinearity,
+)
 from ..simulation.trajectory import CarState
-from ..simulation.transmission import Counters, Drive, TruthRecorder
+from ..simulation.transmission import Counters, Transmission, TruthRecorder
+from ..simulation.truth import TruthWriter, truth_paths
 from ..values.gaussian import Gaussian
 from ..values.line import LeftOut, Slot
 from ..values.polyline import Polyline
@@ -41,17 +48,8 @@ from .output import counts_text, faults_text, pose_errors_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, number, option_group, seconds
 from .reported_pose import ReportedPose, add_reported_pose, check_reported_pose, reported_pose_of
-from .scene_sending import check_scene_load, sends_scenes
-from .sending import (
-    MAX_LOAD,
-    add_line_model,
-    bitrates,
-    component_budget,
-    line_nonlinearity,
-    map_error_of,
-)
+from .sending import add_line_model, bus_share, map_error_of, sends_scenes
 from .stderr import note, progress_bar
-from .truth_paths import truth_paths
 from .ways import TOUR, add_way, check_way, states_of, way_of
 
 #: Name of the map of this package.
@@ -185,19 +183,17 @@ def _drive(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         truth = None
         if path := _truth_path(arguments):
-            from ..simulation.truth import TruthWriter
-
             writer = stack.enter_context(TruthWriter(path, slots))
             truth = TruthRecorder(writer, LaneTracker(road_map, route), slots)
         shape = "{l_bar}{bar}| {n:.0f}/{total:.0f} s"
         progress = stack.enter_context(progress_bar(" s", bar_format=shape, leave=False))
-        drive = Drive(
+        drive = Transmission(
             source,
             states,
             1 / arguments.rate,
             codec,
             arguments.fd,
-            bitrates(arguments),
+            bus_share(arguments, arguments.rate).bitrates,
             (lambda start: LogWriter(arguments.record, start)) if arguments.record else None,
             truth,
             progress,
@@ -231,7 +227,7 @@ def _check_overwriting(arguments: argparse.Namespace) -> None:
             raise ValueError(f"--{option} {name} would overwrite what is read; use another name")
 
 
-def _send(drive: Drive, arguments: argparse.Namespace) -> dict[str, Any]:
+def _send(drive: Transmission, arguments: argparse.Namespace) -> dict[str, Any]:
     settings = bus_settings(arguments)
     if arguments.interface == "virtual" and arguments.channel is None:
         settings["channel"] = f"maplines-{uuid.uuid4()}"
@@ -250,19 +246,17 @@ def _components(
     """
     as_scene = sends_scenes(codec, arguments)
     auto = arguments.components == "auto"
-    least = 1 if auto else arguments.components
-    max_load = arguments.max_load
-    if max_load is None and auto:
-        max_load = MAX_LOAD
+    bus = bus_share(arguments, arguments.rate)
+    if bus.max_load is None and auto:
+        bus = bus._replace(max_load=MAX_LOAD)
     if arguments.as_fast_as_possible:
-        max_load = min(1.0 if max_load is None else max_load, _free_load(arguments))
-    rate, fd, bitrate = arguments.rate, arguments.fd, bitrates(arguments)[0]
+        most = 1.0 if bus.max_load is None else bus.max_load
+        bus = bus._replace(max_load=min(most, _free_load(arguments)))
     if as_scene:
-        check_scene_load(codec, slots, rate, *bitrates(arguments), max_load=max_load)
+        check_scene_load(codec, slots, bus)
         return 1
-    budget = component_budget(
-        codec, slots, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
-    )
+    least = 1 if auto else arguments.components
+    budget = component_budget(codec, slots, least, bus)
 
     def choose(lines: Mapping[Slot, Polyline], ego: Gaussian) -> Mapping[Slot, int]:
         amounts = [line_nonlinearity(line, ego, arguments.window) for line in lines.values()]
@@ -279,7 +273,7 @@ def _free_load(arguments: argparse.Namespace) -> float:
     """
     flood = 0.0 if arguments.faults is None else arguments.faults.flood
     frame = Frame(0, bytes(8))
-    load = flood * frame_time(frame, *bitrates(arguments))
+    load = flood * frame_time(frame, *bus_share(arguments, arguments.rate).bitrates)
     if load >= 1:
         raise ValueError(
             f"--faults flood={flood:g} takes {100 * load:.3g} % of the bus; use a lower rate, or a "

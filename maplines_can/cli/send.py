@@ -5,14 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Mapping
 from typing import Any
 
-from ..bus import Link, Transmitter
+from ..bus import Link, Transmitter, TransmitterStats
 from ..bus.schedule import Schedule
-from ..simulation.scenarios import Scenario, scenario
-from ..values.line import MapLineList, Slot
-from ..values.scene import Scene
+from ..simulation.scenario_lines import AMPLITUDE, SINE_PERIOD, SPEED, weaving_ego
+from ..wire import Codec
 from .options import (
     add_bus,
     add_codec,
@@ -24,22 +22,7 @@ from .options import (
 )
 from .output import faults_text, left_out_text, pose_errors_text, slot_text
 from .parsing import add_command, add_json, natural, option_group
-from .scene_sending import left_out_of, sends_scenes
-from .sending import (
-    AMPLITUDE,
-    SINE_PERIOD,
-    SPEED,
-    LineComponents,
-    add_sending,
-    components_dict,
-    components_of,
-    components_text,
-    frame_format_text,
-    lines_of,
-    rate_of,
-    single_lines,
-    weaving_ego,
-)
+from .sending import Sending, add_sending, components_dict, components_text, sending_of
 from .stderr import note
 
 #: Bounds of the rate at which lines are computed [1/s]. With a lower --rate they would become too
@@ -80,78 +63,76 @@ def add_send(commands: Any) -> None:
 
 def _send(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments)
-    sent = scenario(arguments.scenario)
-    rate = rate_of(sent, codec, arguments)
-    components = components_of(sent, codec, arguments, rate)
-    as_scene = sends_scenes(codec, arguments)
-    lines = lines_of(sent, components, arguments, as_scene=as_scene)
-    opener = fault_opener(arguments)
+    sending = sending_of(codec, arguments)
+    opener, period = fault_opener(arguments), 1 / sending.bus.rate
     with Link(opener, **bus_settings(arguments)) as link:
         transmitter = Transmitter(
-            link, codec, period=1 / rate, fd=arguments.fd, count=arguments.count
+            link, codec, period=period, fd=arguments.fd, count=arguments.count
         )
         try:
             with transmitter:
                 if not arguments.json:
-                    until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
-                    frame_format = frame_format_text(codec, fd=arguments.fd)
-                    note(
-                        f"{len(single_lines(lines))} lines of {arguments.scenario}"
-                        f"{' and their pose error' * as_scene} on {link.name}, "
-                        f"{frame_format}, {rate:g} Hz, {until}"
-                    )
-                    if arguments.components != 1:
-                        for line in single_lines(lines):
-                            text = components_text(components[line.slot])
-                            note(f"{slot_text(line.slot.name)}: {text}")
-                    if left_out := left_out_of(codec, lines, fd=arguments.fd):
-                        note(left_out_text(left_out))
-                _publish(transmitter, lines, sent, components, arguments, rate)
+                    _note_start(sending, codec, link, arguments)
+                _publish(transmitter, sending, moves=not arguments.standstill)
         except KeyboardInterrupt:
             pass
         stats, faults = transmitter.stats(), fault_counts(opener)
         if arguments.json:
-            rest = {"outages": link.outages, "components": components_dict(components)}
+            rest = {"outages": link.outages, "components": components_dict(sending.components)}
             rest |= {"faults": faults} if faults else {}
             print(json.dumps(stats.as_dict() | rest))
         else:
-            poses = pose_errors_text(stats.pose_errors)
-            print(
-                f"sent {stats.lines} lines{poses} in {stats.frames} frames; "
-                f"{stats.down} lines given up while the interface was down, "
-                f"{stats.full} with a full queue; "
-                f"{stats.overruns} periods skipped because the sender was late"
-            )
-            if stats.left_out:
-                reasons = "; ".join(f"{n} times, {reason}" for reason, n in stats.left_out.items())
-                print(f"lines left out of those published: {reasons}")
-            if faults:
-                print(f"faults: {faults_text(faults)}")
-            lateness = ", ".join(f"{1e3 * value:.2f}" for value in stats.lateness)
-            print(f"late by {lateness} ms (median, 99 %, maximum)")
+            print(_text(stats, faults))
         return 0
 
 
-def _publish(
-    transmitter: Transmitter,
-    lines: MapLineList | Scene,
-    scenario: Scenario,
-    components: Mapping[Slot, LineComponents],
-    arguments: argparse.Namespace,
-    rate: float,
-) -> None:
+def _note_start(sending: Sending, codec: Codec, link: Link, arguments: argparse.Namespace) -> None:
+    """Print what is about to be sent."""
+    until = f"{arguments.count} times" if arguments.count else "until Ctrl-C"
+    authenticated = ", authenticated" if codec.authenticator else ""
+    note(
+        f"{len(sending.each_line)} lines of {arguments.scenario}"
+        f"{' and their pose error' * sending.is_scene} on {link.name}, "
+        f"{'CAN FD' if arguments.fd else 'classic CAN'}{authenticated}, "
+        f"{sending.bus.rate:g} Hz, {until}"
+    )
+    if arguments.components != 1:
+        for line in sending.each_line:
+            text = components_text(sending.components[line.slot])
+            note(f"{slot_text(line.slot.name)}: {text}")
+    if left_out := sending.left_out(codec):
+        note(left_out_text(left_out))
+
+
+def _text(stats: TransmitterStats, faults: dict[str, int]) -> str:
+    """Return the counters as text."""
+    rows = [
+        f"sent {stats.lines} lines{pose_errors_text(stats.pose_errors)} in {stats.frames} frames; "
+        f"{stats.down} lines given up while the interface was down, "
+        f"{stats.full} with a full queue; "
+        f"{stats.overruns} periods skipped because the sender was late"
+    ]
+    if stats.left_out:
+        reasons = "; ".join(f"{n} times, {reason}" for reason, n in stats.left_out.items())
+        rows.append(f"lines left out of those published: {reasons}")
+    if faults:
+        rows.append(f"faults: {faults_text(faults)}")
+    lateness = ", ".join(f"{1e3 * value:.2f}" for value in stats.lateness)
+    return "\n".join([*rows, f"late by {lateness} ms (median, 99 %, maximum)"])
+
+
+def _publish(transmitter: Transmitter, sending: Sending, *, moves: bool) -> None:
     """Publish the lines of the moving car until the transmitter ends."""
     start = time.monotonic()
-    schedule: Schedule[str] = Schedule(1 / min(max(rate, MIN_RATE), MAX_RATE))
+    rate = min(max(sending.bus.rate, MIN_RATE), MAX_RATE)
+    schedule: Schedule[str] = Schedule(1 / rate)
     schedule.add("pose", 0.0, start)
-    pause = 0.0
-    as_scene = isinstance(lines, Scene)
+    lines, source, pause = sending.lines, sending.source, 0.0
     while not transmitter.wait(pause):
         now, t_pose_ns = time.monotonic(), time.time_ns()
         if schedule.take(now):
-            if not arguments.standstill:
-                ego = weaving_ego(scenario, now - start)
-                lines = lines_of(scenario, components, arguments, ego, as_scene=as_scene)
+            if moves:
+                lines = source.seen_from(weaving_ego(source.scenario, now - start))
             transmitter.publish(lines, t_pose_ns)
         after = time.monotonic()
         # At least half of the time is left to the transmitter's thread.

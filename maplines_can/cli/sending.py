@@ -1,47 +1,59 @@
-"""Options of ``send`` and ``demo``, and the lines that they send."""
+"""Options of commands that send lines, and the lines that ``send`` and ``demo`` send."""
 
 from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from itertools import islice
-from typing import Any, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..bus import bus_load, transfers_within
-from ..propagation import MapError, Refit, component_counts, map_lines, map_scene, nonlinearity
+from ..propagation import MapError
 from ..propagation.certain_range import MAX_SIGMA
-from ..propagation.component_counts import remaining_nonlinearity
-from ..simulation.scenarios import SCENARIOS, STREETS, Scenario
-from ..values.errors import IllPosedError
-from ..values.gaussian import Gaussian
-from ..values.line import MapLine, MapLineList, Slot
-from ..values.polyline import Polyline
+from ..simulation.components import (
+    MAX_LOAD,
+    BusShare,
+    LineComponents,
+    check_scene_load,
+    choose_components,
+)
+from ..simulation.scenario_lines import ScenarioLines
+from ..simulation.scenarios import SCENARIOS, STREETS, Scenario, scenario
+from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import Codec
 from .output import left_out_text
 from .parsing import number, option_group, positive
-from .scene_sending import add_pose_error, check_scene_load, sends_scenes
 
-#: Default bus-load limit for --components auto.
-MAX_LOAD = 0.3
 #: Rate of each line if neither --rate nor the DBC states it [1/s].
 DEFAULT_RATE = 20.0
-#: Speed of the car of a scenario along its road [m/s], and the lateral sine by which it weaves
-#: within its lane: amplitude [m] and period [s].
-SPEED, AMPLITUDE, SINE_PERIOD = 10.0, 0.3, 10.0
 
 
-@dataclass(frozen=True)
-class LineComponents:
-    """Number of mixture components of a line, and its nonlinearity."""
+class Sending(NamedTuple):
+    """Lines of a scenario that are sent."""
 
-    components: int
-    nonlinearity: float  #: of the line as a single Gaussian; see ``Nonlinearity.amount``
-    remaining_nonlinearity: float  #: within each component
+    source: ScenarioLines
+    lines: MapLineList | Scene  #: as seen from the pose of the scenario
+    components: dict[Slot, LineComponents]
+    bus: BusShare
+
+    @property
+    def is_scene(self) -> bool:
+        """Whether the lines are sent with the error of their pose."""
+        return isinstance(self.lines, Scene)
+
+    @property
+    def each_line(self) -> Sequence[MapLine]:
+        """Lines one by one."""
+        return self.lines.lines if isinstance(self.lines, Scene) else self.lines
+
+    def left_out(self, codec: Codec) -> Mapping[Slot, LeftOut]:
+        """Return why lines are not sent: those of a scene that do not fit the message, too."""
+        if isinstance(self.lines, Scene):
+            return codec.prepare_scene(self.lines, fd=self.bus.fd).left_out
+        return self.lines.left_out
 
 
 def add_sending(parser: argparse.ArgumentParser) -> None:
@@ -81,8 +93,15 @@ def add_sending(parser: argparse.ArgumentParser) -> None:
 
 def add_line_model(parser: argparse.ArgumentParser) -> None:
     """Add the options of what lines are sent as: pose error, components, load, map error."""
-    add_pose_error(parser)
-    option_group(parser, "message").add_argument(
+    message, scenario = option_group(parser, "message"), option_group(parser, "scenario")
+    message.add_argument(
+        "--pose-error",
+        action="store_true",
+        help="send the error of the pose, too, from which the lines of a cycle are seen: receivers "
+        "then know their joint covariance (always so with --dbc maplines-pose.dbc, whose lines "
+        "take fewer frames, but are received with the pose error only)",
+    )
+    message.add_argument(
         "--components",
         type=number(int, 1, 8, "auto"),
         default=1,
@@ -98,14 +117,14 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
         help="largest bus load of the lines, as a share of the bus time from 0.001 to 1 "
         f"(default: {MAX_LOAD:g} with --components auto, otherwise no limit)",
     )
-    option_group(parser, "scenario").add_argument(
+    scenario.add_argument(
         "--map-error",
         type=number(float, 1e-6, 100),
         metavar="SIGMA",
         help="standard deviation of the map [m]: of each point, and of the common offset of all "
         "points of a line; the pose error comes on top (default: the map is exact)",
     )
-    option_group(parser, "scenario").add_argument(
+    scenario.add_argument(
         "--max-sigma",
         type=number(float, 1e-3, math.inf),
         default=MAX_SIGMA,
@@ -115,219 +134,84 @@ def add_line_model(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def first_lines(scenario: Scenario, lines: int) -> dict[Slot, Polyline]:
-    """Return the first lines of a scenario."""
-    return dict(islice(scenario.lines.items(), lines))
-
-
-def rate_of(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> float:
-    """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
-    if arguments.rate is not None:
-        return float(arguments.rate)
-    messages = codec.layout.messages
-    slots = [slot for slot in first_lines(scenario, arguments.lines) if slot in messages]
-    cycles = [messages[slot].cycle_ms for slot in slots if messages[slot].cycle_ms]
-    return 1000 / min(cycles) if cycles else DEFAULT_RATE
-
-
-def components_of(
-    scenario: Scenario, codec: Codec, arguments: argparse.Namespace, rate: float
-) -> dict[Slot, LineComponents]:
-    """Return the number of components of each line, from the options.
+def sending_of(codec: Codec, arguments: argparse.Namespace) -> Sending:
+    """Return what is sent, by the options of ``add_sending``.
 
     Raises:
-        ValueError: the lines exceed ``--max-load``, or options contradict each other.
+        ValueError: the lines exceed ``--max-load``; options contradict each other or the DBC; or
+            all lines are left out as seen from the pose of the scenario.
     """
-    max_load = arguments.max_load
-    if sends_scenes(codec, arguments):
-        slots = first_lines(scenario, arguments.lines)
-        check_scene_load(codec, slots, rate, *bitrates(arguments), max_load=max_load)
-        max_load = None
-    elif arguments.correlation_time is not None:
+    sent, number, time = scenario(arguments.scenario), arguments.lines, arguments.correlation_time
+    bus = bus_share(arguments, _rate(sent, codec, arguments))
+    limit, as_scene = bus, sends_scenes(codec, arguments)
+    if as_scene:
+        check_scene_load(codec, sent.first_lines(number), bus)
+        limit = bus._replace(max_load=None)
+    elif time is not None:
         raise ValueError(
             "--correlation-time is sent with the pose error only; add --pose-error, or take "
             "--dbc maplines-pose.dbc"
         )
-    return choose_components(
-        scenario,
-        codec,
-        arguments.lines,
-        components=arguments.components,
-        rate=rate,
-        fd=arguments.fd,
-        bitrate=bitrates(arguments)[0],
-        max_load=max_load,
+    components = choose_components(sent, codec, number, arguments.components, limit)
+    source = ScenarioLines(
+        sent,
+        number,
+        {slot: line.components for slot, line in components.items()},
+        (math.inf if time is None else time) if as_scene else None,
+        map_error_of(arguments),
+        arguments.max_sigma,
     )
+    sending = Sending(source, source.seen_from(), components, bus)
+    if not sending.each_line:
+        raise ValueError(
+            f"no line of the scenario {sent.name!r} can be sent; "
+            f"{left_out_text(sending.lines.left_out)}"
+        )
+    return sending
 
 
-def lines_of(
-    scenario: Scenario,
-    components: Mapping[Slot, LineComponents],
-    arguments: argparse.Namespace,
-    ego: Gaussian | None = None,
-    *,
-    as_scene: bool = False,
-) -> MapLineList | Scene:
-    """Return the lines as seen from a pose; by default, that of the scenario.
+def _rate(scenario: Scenario, codec: Codec, arguments: argparse.Namespace) -> float:
+    """Return how often each line is sent: ``--rate``, or the shortest cycle time in the DBC."""
+    if arguments.rate is not None:
+        return float(arguments.rate)
+    messages = codec.layout.messages
+    slots = [slot for slot in scenario.first_lines(arguments.lines) if slot in messages]
+    cycles = [messages[slot].cycle_ms for slot in slots if messages[slot].cycle_ms]
+    return 1000 / min(cycles) if cycles else DEFAULT_RATE
 
-    Args:
-        scenario: the scenario.
-        components: of each line.
-        arguments: options of the lines.
-        ego: the pose; None for that of the scenario.
-        as_scene: return a ``Scene``, with their joint covariance.
+
+def sends_scenes(codec: Codec, arguments: argparse.Namespace) -> bool:
+    """Return whether lines are sent as scenes: together with the error of their pose.
 
     Raises:
-        ValueError: all lines are left out as seen from the pose of the scenario.
+        ValueError: options contradict each other or the DBC.
     """
-    first, pose = first_lines(scenario, arguments.lines), scenario.ego if ego is None else ego
-    options: dict[str, Any] = {
-        "window": scenario.window,
-        "map_error": map_error_of(arguments),
-        "max_sigma": arguments.max_sigma,
-    }
-    lines: MapLineList | Scene
-    if as_scene:
-        time = math.inf if arguments.correlation_time is None else arguments.correlation_time
-        lines = map_scene(first, pose, correlation_time=time, **options)
-    else:
-        counts = {slot: line.components for slot, line in components.items()}
-        lines = map_lines(first, pose, components=counts, **options)
-    if ego is None and not single_lines(lines):
+    layout = codec.layout
+    if arguments.pose_error and layout.pose is None:
         raise ValueError(
-            f"no line of the scenario {scenario.name!r} can be sent; "
-            f"{left_out_text(lines.left_out)}"
+            f"--pose-error: {layout.source} has no message of the pose error (MapLinePose); leave "
+            f"it out, or take one of this package, such as --dbc maplines.dbc"
         )
-    return lines
+    if not (arguments.pose_error or layout.is_conditional):
+        return False
+    if arguments.components != 1:
+        why = "--pose-error" if arguments.pose_error else f"{layout.source}"
+        raise ValueError(
+            f"--components {arguments.components} does not go with {why}: lines are sent with the "
+            "error of their pose, and a receiver splits that itself; leave out --components"
+        )
+    return True
 
 
-def single_lines(lines: MapLineList | Scene) -> Sequence[MapLine]:
-    """Return the lines one by one."""
-    return lines.lines if isinstance(lines, Scene) else lines
+def bus_share(arguments: argparse.Namespace, rate: float) -> BusShare:
+    """Return the bus of the options, and the share of it that the lines may take."""
+    return BusShare(rate, arguments.fd, arguments.bitrate or 500_000, arguments.max_load)
 
 
 def map_error_of(arguments: argparse.Namespace) -> MapError | None:
     """Return the map error of ``--map-error``; None if the map is exact."""
     sigma = arguments.map_error
     return MapError(sigma, sigma, np.radians(0.05)) if sigma else None
-
-
-def weaving_ego(scenario: Scenario, t: float) -> Gaussian:
-    """Return the pose at time t [s] of a car that weaves within its lane at ``SPEED``.
-
-    Its offset to the left is a sine, and its heading relative to the road is the slope of its path.
-    The road ahead stays that of the scenario, as it does on a straight or circular road.
-
-    >>> weaving_ego(SCENARIOS["production"], 2.5).mean.round(9)  # at the end to the left
-    array([0. , 0.3, 0. ])
-    """
-    phase = 2 * np.pi * t / SINE_PERIOD
-    slope = 2 * np.pi / SINE_PERIOD * AMPLITUDE * np.cos(phase) / SPEED
-    offset = [0.0, AMPLITUDE * np.sin(phase), np.arctan(slope)]
-    return Gaussian(scenario.ego.mean + offset, scenario.ego.cov)
-
-
-def bitrates(arguments: argparse.Namespace) -> tuple[int, int | None]:
-    """Return the bit rates for the bus load: nominal, and of the data phase of CAN FD [bit/s]."""
-    bitrate = arguments.bitrate or 500_000
-    return bitrate, 4 * bitrate if arguments.fd else None
-
-
-def choose_components(
-    scenario: Scenario,
-    codec: Codec,
-    lines: int = 4,
-    *,
-    components: int | Literal["auto"] = "auto",
-    rate: float = 20.0,
-    fd: bool = False,
-    bitrate: int = 500_000,
-    max_load: float | None = None,
-) -> dict[Slot, LineComponents]:
-    """Choose the number of mixture components of each line within a bus load.
-
-    Args:
-        scenario: the scenario.
-        codec: codec of the sender.
-        lines: number of lines, the first of the scenario.
-        components: of every line; "auto": as many as the nonlinearity of each line needs.
-        rate: how often each line is sent [1/s].
-        fd: whether the frames are CAN FD.
-        bitrate: nominal bit rate of the bus [bit/s].
-        max_load: largest share of the bus time that the lines may take, with worst-case bit
-            stuffing. None: ``MAX_LOAD`` for "auto", otherwise no limit.
-
-    Raises:
-        ValueError: the lines exceed the limit, for "auto" even with one component each.
-    """
-    first = first_lines(scenario, lines)
-    least = 1 if components == "auto" else components
-    if components == "auto" and max_load is None:
-        max_load = MAX_LOAD
-    budget = component_budget(
-        codec, first, least, rate=rate, fd=fd, bitrate=bitrate, max_load=max_load
-    )
-    amounts = [line_nonlinearity(line, scenario.ego, scenario.window) for line in first.values()]
-    auto = components == "auto"
-    counts = component_counts(amounts, budget=budget) if auto else [least] * len(first)
-    return {
-        slot: LineComponents(k, amount, remaining_nonlinearity(amount, k))
-        for slot, k, amount in zip(first, counts, amounts, strict=True)
-    }
-
-
-def component_budget(
-    codec: Codec,
-    slots: Collection[Slot],
-    least: int,
-    *,
-    rate: float,
-    fd: bool,
-    bitrate: int,
-    max_load: float | None,
-) -> int | None:
-    """Return how many components all lines together may have; None for no limit.
-
-    Args:
-        codec: codec of the sender.
-        slots: of the lines.
-        least: components that each line has at least.
-        rate: how often each line is sent [1/s].
-        fd: whether the frames are CAN FD.
-        bitrate: nominal bit rate of the bus [bit/s].
-        max_load: largest share of the bus time; None for no limit.
-
-    Raises:
-        ValueError: the lines exceed the limit with the least components.
-    """
-    if max_load is None:
-        return None
-    bus = (1 / rate, bitrate, 4 * bitrate if fd else None)
-    blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
-    transfers = [codec.frames(blank, slot, fd=fd) for slot in slots]
-    budget = min(transfers_within(max_load, transfer, *bus) for transfer in transfers)
-    total = least * len(slots)
-    if budget < total:
-        load = total * max(bus_load(transfer, *bus) for transfer in transfers)
-        raise ValueError(
-            f"{len(slots)} lines with {total} components take {100 * load:.3g} % of the "
-            f"bus at {rate:g} Hz and {bitrate / 1000:g} kbit/s, and {100 * max_load:g} % are "
-            "allowed; use fewer --lines or --components, a lower --rate, --fd, a higher "
-            "--bitrate or a higher --max-load"
-        )
-    return budget
-
-
-def line_nonlinearity(line: Polyline, ego: Gaussian, window: tuple[float, float]) -> float:
-    """Return the nonlinearity of a line: 0 if it is not seen, 1 if some poses do not see it."""
-    amount = 0.0
-    try:
-        refit = Refit(line, ego.mean, window)
-        amount = 1.0
-        amount = nonlinearity(refit, ego).amount
-    except IllPosedError:
-        pass
-    return amount
 
 
 def components_text(line: LineComponents) -> str:
@@ -342,9 +226,3 @@ def components_text(line: LineComponents) -> str:
 def components_dict(components: Mapping[Slot, LineComponents]) -> list[dict[str, Any]]:
     """Return the number of components of each line and its nonlinearity, for JSON."""
     return [{"slot": slot.name} | asdict(line) for slot, line in components.items()]
-
-
-def frame_format_text(codec: Codec, *, fd: bool) -> str:
-    """Return the frame format, and whether the frames are authenticated, as text."""
-    authenticated = ", authenticated" if codec.authenticator else ""
-    return f"{'CAN FD' if fd else 'classic CAN'}{authenticated}"

@@ -1,4 +1,4 @@
-"""Simulation: scenarios, drives of a car on a map, its sensors, and its errors."""
+"""Simulation: scenarios, drives and their truth, the pose that a car knows, and its sensors."""
 
 from .. import attach_stub
 

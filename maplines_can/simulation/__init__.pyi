@@ -1,17 +1,31 @@
 from ..values.errors import DriveFileError as DriveFileError
-from .along_route import drive_along as drive_along
+from .camera import Errors as Errors
+from .camera import camera_lines as camera_lines
+from .camera import camera_view as camera_view
+from .car_stream import CarStream as CarStream
+from .components import BusShare as BusShare
+from .components import LineComponents as LineComponents
+from .components import choose_components as choose_components
 from .pose_source import PoseSource as PoseSource
 from .recorded import RecordedDrive as RecordedDrive
+from .scenario_lines import ScenarioLines as ScenarioLines
+from .scenario_lines import weaving_ego as weaving_ego
 from .scenarios import SCENARIOS as SCENARIOS
 from .scenarios import STREETS as STREETS
 from .scenarios import Scenario as Scenario
 from .scenarios import scenario as scenario
 from .sensors import SensorSetup as SensorSetup
 from .sensors import SimulatedSensors as SimulatedSensors
+from .sensors import simulated_measurements as simulated_measurements
 from .simulated_localisation import SimulatedLocalisation as SimulatedLocalisation
 from .street_shapes import Street as Street
 from .street_shapes import StreetPiece as StreetPiece
 from .trajectory import CarState as CarState
 from .trajectory import SimulatedDrive as SimulatedDrive
+from .trajectory import drive_along as drive_along
+from .transmission import Transmission as Transmission
+from .truth import TruthWriter as TruthWriter
+from .truth import read_truth as read_truth
+from .truth import true_lines as true_lines
 
 __all__: list[str]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,6 +38,10 @@ class Scenario:
     ego: Gaussian
     lines: Mapping[Slot, Polyline]
     window: tuple[float, float]
+
+    def first_lines(self, number: int) -> dict[Slot, Polyline]:
+        """Return the first lines."""
+        return dict(islice(self.lines.items(), number))
 
 
 def pose(

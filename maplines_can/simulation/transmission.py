@@ -1,4 +1,4 @@
-"""A drive cycle by cycle: its lines on a bus or into a log, the truth, and counters."""
+"""Transmission of a drive cycle by cycle, on a bus or into a log, with its truth and counters."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from ..values.line import MapLine, MapLineList, Slot
 from ..values.scene import Scene
 from ..wire import POSE, Codec, Frame, Owner, PreparedScene
 from .trajectory import CarState
+from .truth import TruthWriter, true_lines
 
 if TYPE_CHECKING:
     from ..testing import FaultInjector, FaultyOpener
-    from .truth import TruthWriter
 
 #: Shows the time of the drive that has passed and its whole duration [s].
 Progress = Callable[[float, float], None]
@@ -74,8 +74,6 @@ class TruthRecorder:
 
         A car without a pose believes nothing.
         """
-        from .truth import true_lines
-
         tracked = self._tracker.lines(state.pose)
         motion = float(state.speed), float(state.yaw_rate)
         row = [time, float(state.t), *state.pose.tolist(), *motion]
@@ -93,8 +91,8 @@ class TruthRecorder:
 
 
 @dataclass
-class Drive:
-    """A drive to be sent.
+class Transmission:
+    """Transmission of the lines of a drive.
 
     Args:
         source: lines of each cycle.

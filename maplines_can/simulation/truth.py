@@ -180,6 +180,18 @@ def _suffix(path: Path) -> str:
     return suffix
 
 
+def truth_paths(log: str) -> tuple[Path, Path]:
+    """Return where the truth beside a log is as Parquet, or else, without pyarrow, as CSV.
+
+    >>> [path.name for path in truth_paths("drive.log.gz")]
+    ['drive.truth.parquet', 'drive.truth.csv']
+    """
+    path = Path(log)
+    if path.suffix.lower() == ".gz":
+        path = path.with_suffix("")
+    return path.with_suffix(".truth.parquet"), path.with_suffix(".truth.csv")
+
+
 class Truth(NamedTuple):
     """The truth of a drive, read from a file."""
 

@@ -10,7 +10,8 @@ import pytest
 from drive_files import run, town
 
 from maplines_can.cli import main
-from maplines_can.cli.truth_paths import truth_of, truth_paths
+from maplines_can.cli.accuracy import truth_of
+from maplines_can.simulation.truth import truth_paths
 
 FAST = ["--as-fast-as-possible", "--route", "1:0:-1..1:0:-1", "--seconds", "10"]
 

@@ -15,8 +15,9 @@ from fake_bus import LONG
 
 from maplines_can import Codec, Link, Polyline, Slot, Transmitter
 from maplines_can.cli import main
-from maplines_can.cli.sending import choose_components, components_text
+from maplines_can.cli.sending import components_text
 from maplines_can.simulation import scenario
+from maplines_can.simulation.components import BusShare, choose_components
 from maplines_can.simulation.scenarios import SCENARIOS, STREETS
 from maplines_can.study.round_trip import _Arrivals
 
@@ -128,7 +129,9 @@ def test_the_number_of_components_is_printed(
     send = ["send", "--interface", "virtual", "--channel", channel, "--rate", "50", "--count", "2"]
     assert main([*send, *turn]) == 0
     out, err = capsys.readouterr()
-    chosen = choose_components(scenario("street-turn-10deg"), Codec.from_dbc(), 2, fd=True)
+    chosen = choose_components(
+        scenario("street-turn-10deg"), Codec.from_dbc(), 2, bus=BusShare(fd=True)
+    )
     for line in chosen.values():
         assert line.components > 1
         assert components_text(line) in out

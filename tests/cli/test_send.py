@@ -13,8 +13,8 @@ from fake_bus import FakeOpener, FakeTime
 
 from maplines_can import Link, MapLine, Transmitter
 from maplines_can.cli import main
-from maplines_can.cli.sending import AMPLITUDE, SPEED, weaving_ego
 from maplines_can.simulation import scenario
+from maplines_can.simulation.scenario_lines import AMPLITUDE, SPEED, weaving_ego
 from maplines_can.values.line import transform_line
 
 

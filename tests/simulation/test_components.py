@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can.bus import bus_load
-from maplines_can.cli.sending import MAX_LOAD, choose_components
 from maplines_can.simulation import scenario
+from maplines_can.simulation.components import MAX_LOAD, BusShare, choose_components
 
 
 @given(
@@ -26,12 +26,13 @@ def test_the_bus_load_stays_within_its_limit(
 ) -> None:
     """If one component for each line exceeds the limit, an error says so."""
     codec, scene = default_codec(), scenario(name)
+    share = BusShare(rate, fd, max_load=max_load)
     one_each = codec.encode_lines(scenario_lines(scene, lines), fd=fd)
     if bus_load(chain(*one_each), 1 / rate, 5e5, 2e6) > max_load:
         with pytest.raises(ValueError, match=f"{100 * max_load:g} % are allowed"):
-            choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
+            choose_components(scene, codec, lines, bus=share)
         return
-    chosen = choose_components(scene, codec, lines, rate=rate, fd=fd, max_load=max_load)
+    chosen = choose_components(scene, codec, lines, bus=share)
     sent = scenario_lines(
         scene, lines, components={slot: line.components for slot, line in chosen.items()}
     )
@@ -46,8 +47,8 @@ def test_one_component_each_may_exceed_the_limit() -> None:
     with pytest.raises(
         ValueError, match=r"4 lines with 4 components take 8.64 % .* 8 % are allowed; use fewer"
     ):
-        choose_components(scene, codec, max_load=0.08)
-    chosen = choose_components(scene, codec, max_load=0.0864)
+        choose_components(scene, codec, bus=BusShare(max_load=0.08))
+    chosen = choose_components(scene, codec, bus=BusShare(max_load=0.0864))
     assert [line.components for line in chosen.values()] == [1] * 4
 
 
@@ -57,7 +58,7 @@ def test_a_fixed_number_has_no_limit_by_default() -> None:
     chosen = choose_components(scene, codec, components=8)
     assert [line.components for line in chosen.values()] == [8] * 4
     with pytest.raises(ValueError, match=r"4 lines with 32 components take 69.1 %"):
-        choose_components(scene, codec, components=8, max_load=MAX_LOAD)
+        choose_components(scene, codec, components=8, bus=BusShare(max_load=MAX_LOAD))
 
 
 def test_can_fd_allows_more_components() -> None:
@@ -65,7 +66,10 @@ def test_can_fd_allows_more_components() -> None:
     scene, codec = scenario("street-turn-10deg"), default_codec()
     classic, fd = (
         {slot: line.components for slot, line in chosen.items()}
-        for chosen in (choose_components(scene, codec, fd=fd, max_load=0.2) for fd in (False, True))
+        for chosen in (
+            choose_components(scene, codec, bus=BusShare(fd=fd, max_load=0.2))
+            for fd in (False, True)
+        )
     )
     assert sum(classic.values()) == 9  # 9 transfers of 4 x 135 bits take 19.4 %
     assert set(fd.values()) == {3}  # nonlinearity of 0.4 to 0.52, of which each may keep 0.225
