@@ -28,7 +28,7 @@ from .values.errors import IllPosedError as IllPosedError
 from .values.errors import LayoutError as LayoutError
 from .values.errors import MaplinesError as MaplinesError
 from .values.gaussian import Gaussian as Gaussian
-from .values.gaussian import nearest_covariance as nearest_covariance
+from .values.linalg import nearest_covariance as nearest_covariance
 from .values.line import Kind as Kind
 from .values.line import LeftOut as LeftOut
 from .values.line import MapLine as MapLine

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from .error_times import block_diag, cover, transition
+from ..values.linalg import block_diagonal
+from .error_times import cover, transition
 
 #: Correlation times of what lines and cameras have of their own [s]. An error of a map changes
 #: within some 20 m, or hardly within a kilometre.
@@ -173,9 +174,9 @@ class ResidualFilter:
             decay[0] = np.minimum(decay[0], kept)
             decay[1] *= kept > 0
         F_own, Q_own, self._own_blocks = transition(self._own_blocks, own, decay, np.eye(n))
-        F = block_diag(*F_pose, *F_own)
+        F = block_diagonal([*F_pose, *F_own])
         self._mean = self._mean @ F.T
-        self._cov = F @ self._cov @ F.T + block_diag(*Q_pose, *Q_own)
+        self._cov = F @ self._cov @ F.T + block_diagonal([*Q_pose, *Q_own])
         self._G = np.hstack([*[model.H] * POSE_NODES, *[np.eye(n)] * len(own)])
 
     def update(self, z: NDArray[np.float64], noise_cov: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..values.linalg import positive_part
+
 #: Greatest ratio of neighbouring nodes: (2 + sqrt(3))^2, for which their weight is 1.
 RATIO = (2 + math.sqrt(3)) ** 2
 
@@ -88,19 +90,3 @@ def transition(
     kept = F @ before @ F.swapaxes(1, 2)
     noise = positive_part(after - kept)
     return F, noise, kept + noise
-
-
-def block_diag(*blocks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix of square blocks; SciPy's takes a third of the time of a cycle."""
-    found, at = np.zeros((sum(map(len, blocks)),) * 2), 0
-    for block in blocks:
-        end = at + len(block)
-        found[at:end, at:end] = block
-        at = end
-    return found
-
-
-def positive_part(cov: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (..., n, n) symmetric matrices without their negative eigenvalues."""
-    values, vectors = np.linalg.eigh((cov + cov.swapaxes(-1, -2)) / 2)
-    return np.asarray((vectors * values.clip(0)[..., None, :]) @ vectors.swapaxes(-1, -2))

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ..values.linalg import squared_distance
 from ..values.line import transform_line_or_nan
 
 Array = NDArray[np.float64]
@@ -254,11 +255,6 @@ class LaneFilter:
         P = I_KH @ self.cov @ I_KH.mT + K @ R @ K.mT
         self.cov = (P + P.mT) / 2
         return passed
-
-
-def squared_distance(r: Array, S: Array) -> Array:
-    """Return the (...,) squared Mahalanobis distances of (..., n) innovations."""
-    return np.asarray(np.einsum("...i,...i", r, np.linalg.solve(S, r[..., None])[..., 0]))
 
 
 def roots(covs: Array) -> Array:

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..propagation import Motion, pose_time_ns
-from ..values.gaussian import Gaussian, block_diagonal, square_root
+from ..values.gaussian import Gaussian
+from ..values.linalg import block_diagonal, square_root
 from ..values.line import MapLine, Slot
 from ..values.scene import PoseError, Scene
 from ..values.seen_lines import SeenLines

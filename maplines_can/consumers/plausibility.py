@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..propagation.motion import Motion
 from ..values.gaussian import Gaussian
+from ..values.linalg import block_diagonal, positive_part
 from ..values.line import (
     PARAMETERS,
     MapLine,
@@ -30,7 +31,6 @@ from .consistency import (
     ResidualModel,
     threshold,
 )
-from .error_times import block_diag, positive_part
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
@@ -331,8 +331,8 @@ def residuals(
         noise.append(J_cam @ gaussian.cov @ J_cam.T + J_y_pose @ moved @ J_y_pose.T)
     if not slots:
         return None
-    own_cov = block_diag(*own)
-    model = ResidualModel(np.vstack(H), P, own_cov, own_cov, block_diag(*noise))
+    own_cov = block_diagonal(own)
+    model = ResidualModel(np.vstack(H), P, own_cov, own_cov, block_diagonal(noise))
     return tuple(slots), np.concatenate(z), model
 
 

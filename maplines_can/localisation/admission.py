@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import floats
-from ..values.gaussian import ROUNDING, asymmetric, indefinite
+from ..values.linalg import ROUNDING, asymmetric, indefinite
 from .association import Verdict
 from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
 

@@ -42,11 +42,6 @@ class Verdict(IntEnum):
 GATES = {m: float(chdtri(m, FALSE_ALARM)) for m in (2, 3, 4)}
 
 
-def squared_distance(residual: Array, S: Array) -> Array:
-    """Return (...,) squared Mahalanobis distances of (..., m) residuals."""
-    return np.asarray((residual * np.linalg.solve(S, residual[..., None])[..., 0]).sum(axis=-1))
-
-
 class Association(NamedTuple):
     """Candidates of n measurements, k in all."""
 

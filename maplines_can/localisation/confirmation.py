@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .association import GATES, Verdict, squared_distance
+from ..values.linalg import squared_distance
+from .association import GATES, Verdict
 from .observation_models import Innovation
 
 Array = NDArray[np.float64]

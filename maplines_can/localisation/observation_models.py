@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..values.linalg import squared_distance
 from ..values.line import Kind
-from .association import GATES, Verdict, associate, squared_distance
+from .association import GATES, Verdict, associate
 from .localisation_layer import LocalisationLayer
 from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
 from .motion_model import CAMERA, FIX, GNSS, HEADING, POSE, N, X, Y

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import floats
-from ..values.gaussian import Gaussian, indefinite
+from ..values.gaussian import Gaussian
+from ..values.linalg import indefinite
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.map_error import MapError
 from ..values.mixture import GaussianMixture

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.arrays import floats
-from ..values.gaussian import Gaussian, block_diagonal, diagonal_blocks
+from ..values.gaussian import Gaussian
+from ..values.linalg import block_diagonal, diagonal_blocks
 from ..values.line import PARAMETERS, LeftOut, MapLine, Slot
 from ..values.map_error import MapError
 from ..values.polyline import Polyline, stretches

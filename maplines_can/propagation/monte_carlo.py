@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..values.errors import IllPosedError
-from ..values.gaussian import Gaussian, square_root
+from ..values.gaussian import Gaussian
+from ..values.linalg import square_root
 from .transform import Moments, Transform, weighted_products
 
 

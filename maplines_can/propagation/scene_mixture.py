@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values.gaussian import Gaussian, nearest_covariance
+from ..values.gaussian import Gaussian
+from ..values.linalg import nearest_covariance
 from ..values.line import PARAMETERS, Slot
 from ..values.mixture import GaussianMixture
 from ..values.scene import Scene

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
 from ..values.errors import DriveFileError
-from ..values.gaussian import MAX_COV, asymmetric, indefinite
+from ..values.linalg import MAX_COV, asymmetric, indefinite
 from .columns import COVARIANCE, chosen
 
 #: Largest value of a record, such as a coordinate [m] or a time [s]; beyond it a double cannot

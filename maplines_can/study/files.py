@@ -35,8 +35,8 @@ from ..maps import load
 from ..maps.formats.load import map_path
 from ..simulation.parquet_files import parquet_batches
 from ..values.errors import MapFileError, StudyError
-from ..values.gaussian import asymmetric, indefinite, nearest_covariance
 from ..values.input_files import checked_path, lines_of
+from ..values.linalg import asymmetric, indefinite, nearest_covariance
 from ..values.polyline import Polyline
 
 Array = NDArray[np.float64]

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from scipy.linalg import block_diag
-
+from ..values.linalg import block_diagonal
 from ..values.line import LeftOut, Slot
 from ..values.scene import Scene
 from ..wire import POSE, Frame, Owner, PreparedScene
@@ -88,7 +87,7 @@ def lane_results(sent: Scene, received: Scene) -> list[LaneResult]:
         return []
     ranges = [scene.x_range(LANE) for scene in (sent, received)]
     low, high = max(low for low, _ in ranges), min(high for _, high in ranges)
-    blocks = block_diag(*(line.gaussian.cov for line in received.lines))
+    blocks = block_diagonal(line.gaussian.cov for line in received.lines)
     apart = replace(received, cov=blocks)
     found = []
     for quantity, of in (("width", Scene.width), ("centre", Scene.centre)):

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
-from .gaussian import MAX_COV, ROUNDING, Gaussian, asymmetric
+from .gaussian import Gaussian
+from .linalg import is_covariance
 from .line import PARAMETERS, LeftOut, MapLine, Slot, lateral, lateral_jacobian
 from .map_error import MapError
 
@@ -133,13 +134,13 @@ class Scene:
                 )
             values.flags.writeable = False
             object.__setattr__(self, name, values)
-        if not _is_covariance(self.cov):
+        if not is_covariance(self.cov):
             raise ValueError(
                 "cov must be finite, symmetric and positive semidefinite; for rounding errors, use "
                 f"nearest_covariance(cov); got {self.cov!r}"
             )
-        if self.own_covs is not None and not _is_covariance(self.own_covs):
-            own = next(own for own in self.own_covs if not _is_covariance(own))
+        if self.own_covs is not None and not is_covariance(self.own_covs):
+            own = next(own for own in self.own_covs if not is_covariance(own))
             raise ValueError(
                 f"each of own_covs must be finite, symmetric and positive semidefinite, got {own!r}"
             )
@@ -257,20 +258,3 @@ class Scene:
 
 def _name(line: MapLine) -> str:
     return line.slot.name
-
-
-def _is_covariance(cov: NDArray[np.float64]) -> bool:
-    """Return whether (..., n, n) matrices are covariances up to rounding, as ``Gaussian`` demands.
-
-    The Cholesky factors of their correlation matrices exist with ``ROUNDING`` on the diagonals.
-    """
-    variance = np.diagonal(cov, axis1=-2, axis2=-1)
-    if not ((np.abs(cov) <= MAX_COV).all() and (variance >= 0).all()) or asymmetric(cov).any():
-        return False
-    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
-    correlation = cov / scale[..., None, :] / scale[..., :, None]
-    try:
-        np.linalg.cholesky(correlation + ROUNDING * np.eye(cov.shape[-1]))
-    except np.linalg.LinAlgError:
-        return False
-    return True

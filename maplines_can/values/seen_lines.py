@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
 from .errors import IllPosedError
-from .gaussian import square_root
+from .linalg import square_root
 from .line import lateral, lateral_jacobian, line_of_cubic, transform_line_or_nan
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so

@@ -10,9 +10,9 @@ from scipy import stats
 from scipy.spatial import distance
 from strategies import covariances, gaussians, symmetric
 
-from maplines_can.values.gaussian import (
+from maplines_can.values.gaussian import Gaussian
+from maplines_can.values.linalg import (
     ROUNDING,
-    Gaussian,
     asymmetric,
     indefinite,
     nearest_covariance,

@@ -19,9 +19,9 @@ from maplines_can.consumers.lane_filter import (
     move_lines,
     road_noise,
     roots,
-    squared_distance,
 )
 from maplines_can.simulation.camera import PLACES
+from maplines_can.values.linalg import squared_distance
 
 from .fleet import MapFilter
 

@@ -35,7 +35,7 @@ import numpy as np
 
 from maplines_can import Codec, Gaussian, MapError, Scene, Slot, map_scene
 from maplines_can.study.scenes.source import noise_floor
-from maplines_can.values.gaussian import block_diagonal
+from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire import POSE, default_dbc_path

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
+from ...values.linalg import block_diagonal
 from ...values.line import Status, lateral_jacobian
 from ...values.scene import Scene
 from ...wire import Codec, PreparedScene
@@ -122,7 +122,7 @@ def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, An
             "all_entries": lines,
         }
         if len(here):
-            cov = block_diag(*batch.cov[here])
+            cov = block_diagonal(batch.cov[here])
             floor = np.diag(np.tile(codec.resolution, len(here)))
             row |= compare(scene, here - start, batch.mean[here], cov, floor)
         start += lines

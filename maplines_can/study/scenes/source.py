@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 
 from ...propagation import MapError, map_scene
 from ...simulation.street_shapes import Street, StreetPiece
-from ...values.gaussian import Gaussian, block_diagonal
+from ...values.gaussian import Gaussian
+from ...values.linalg import block_diagonal
 from ...values.line import Slot, lateral_jacobian, line_of_cubic
 from ...values.polyline import Polyline
 from ...values.scene import Scene
@@ -137,7 +138,8 @@ def information(drawn: RandomScene, resolution: float) -> Array:
     for i, (mean, fit_range) in enumerate(zip(scene.means, scene.fit_ranges, strict=True)):
         block = np.s_[4 * i : 4 * i + 4]
         noise, longer, shorter = (
-            point_noise(mean, fit_range, np.exp(theta[8 + i] + step)) for step in (0, STEP, -STEP)
+            unit_point_cov(mean, fit_range, np.exp(theta[8 + i] + step))
+            for step in (0, STEP, -STEP)
         )
         dC[6, block, block] = 2 * point * noise
         dC[7, block, block] = 2 * offset * J[i] @ J[i].T
@@ -146,7 +148,7 @@ def information(drawn: RandomScene, resolution: float) -> Array:
     return np.asarray(M @ M.T / 2)
 
 
-def point_noise(mean: Array, fit_range: Array, spacing: float) -> Array:
+def unit_point_cov(mean: Array, fit_range: Array, spacing: float) -> Array:
     """Return the (4, 4) covariance of a line for unit errors of points with a spacing [m].
 
     The errors are averaged by the fit, but the line itself has them in full (see ``Refit``).

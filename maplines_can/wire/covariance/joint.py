@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...values.gaussian import block_diagonal, diagonal_blocks
+from ...values.linalg import block_diagonal, diagonal_blocks
 from .code import Array
 
 #: Share of D_i by which a sum must exceed what it covers, so that a check with another algorithm's
@@ -25,18 +25,6 @@ _VALUES = np.vstack(
 )
 #: (16, K) products of these, for variances of lateral position and direction.
 _PRODUCTS = (_VALUES[:, :, None] * _VALUES[:, None]).reshape(-1, 16).T
-
-
-def positive_part(matrices: Array, J: Array) -> Array:
-    """Return the least (L, 4, 4) positive semidefinite matrices that cover symmetric ones.
-
-    The least is meant in the coefficients of w, all of which are in metres.
-    """
-    inverse = np.linalg.inv(J)
-    E = inverse @ matrices @ inverse.swapaxes(1, 2)
-    values, vectors = np.linalg.eigh((E + E.swapaxes(1, 2)) / 2)
-    root = J @ (vectors * np.sqrt(values.clip(0))[:, None, :])
-    return np.asarray(root @ root.swapaxes(1, 2))
 
 
 def uncovered(true: Array, spread: Array, own: Array, J: Array) -> Array | None:

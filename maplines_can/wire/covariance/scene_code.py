@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import IllPosedError
-from ...values.gaussian import block_diagonal
+from ...values.linalg import block_diagonal
 from ...values.line import Slot
 from ...values.seen_lines import SeenLines, bases
 from ..layout.record_layout import RecordLayout

@@ -26,14 +26,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.errors import EncodeError, IllPosedError
-from ...values.gaussian import block_diagonal, diagonal_blocks
+from ...values.linalg import block_diagonal, diagonal_blocks, positive_part
 from ...values.line import LeftOut
 from ...values.scene import Scene
 from ...values.seen_lines import SeenLines, bases
 from ..layout.signals import Signal
 from .cholesky import CholeskyCode
 from .code import Array
-from .joint import divergence, largest_ratio, positive_part, uncovered
+from .joint import divergence, largest_ratio, uncovered
 from .nearest_line import is_within, nearest_line, slope_error
 from .rounding import refined, rounded_means, split
 from .scene_code import FORM, RESOLUTION, DecodedLines, Rows, SceneCode

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...values.arrays import floats
-from ...values.gaussian import MAX_COV, asymmetric, indefinite, rounding_of
+from ...values.linalg import MAX_COV, asymmetric, indefinite, rounding_of
 from .signals import PARAMETER_SIGNALS
 
 #: Greatest difference of the sum of weights from 1.

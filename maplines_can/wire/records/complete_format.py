@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...values.gaussian import Gaussian, nearest_covariance
+from ...values.gaussian import Gaussian
+from ...values.linalg import nearest_covariance
 from ...values.line import VAGUE_SIGMA, Kind, MapLine, Status
 from ..covariance import CovarianceCode
 from ..layout.message_layout import Layout

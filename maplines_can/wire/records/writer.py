@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...values.errors import EncodeError
-from ...values.gaussian import nearest_covariance
+from ...values.linalg import nearest_covariance
 from ...values.line import Kind, MapLine, Status
 from ..covariance import CovarianceCode
 from ..covariance.nearest_line import nearest_line, slope_error

@@ -14,9 +14,9 @@ from maplines_can.study.scenes.source import (
     information,
     joint_limit,
     noise_floor,
-    point_noise,
     pose_cov,
     random_scene,
+    unit_point_cov,
 )
 from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire.covariance.scene_code import RESOLUTION
@@ -68,7 +68,7 @@ def test_noise_of_points_is_that_of_a_scene(spacing: float) -> None:
     fine, coarse = scene(0.05), scene(0.1)
     assert np.array_equal(fine.fit_ranges, coarse.fit_ranges)
     expected = (coarse.cov - fine.cov) / (0.1**2 - 0.05**2)
-    noise = point_noise(fine.means[0], fine.fit_ranges[0], spacing)
+    noise = unit_point_cov(fine.means[0], fine.fit_ranges[0], spacing)
 
     assert np.allclose(noise.diagonal(), expected.diagonal(), rtol=0.25, atol=0)
 

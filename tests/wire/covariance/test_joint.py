@@ -10,9 +10,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.linalg import block_diag
 from strategies import ENTRIES, covariances, mild_lines, symmetric
 
-from maplines_can.values.gaussian import block_diagonal, diagonal_blocks
+from maplines_can.values.linalg import block_diagonal, diagonal_blocks, positive_part
 from maplines_can.values.seen_lines import bases
-from maplines_can.wire.covariance.joint import positive_part, uncovered
+from maplines_can.wire.covariance.joint import uncovered
 
 RANGES = np.array([[-20.0, 80.0], [-5.0, 40.0], [0.0, 20.0]])
 

@@ -13,7 +13,7 @@ from scene_streams import codec_of
 
 from maplines_can import Gaussian, LeftOut, MapError, MapLine, Polyline, PoseError, Scene, Slot
 from maplines_can.propagation import map_scene
-from maplines_can.values.gaussian import block_diagonal
+from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral
 from maplines_can.values.seen_lines import bases
 from maplines_can.wire.covariance.nearest_line import MAX_DEVIATION, is_within, nearest_line
