@@ -73,7 +73,7 @@ from map_copies import copies_of_town
 
 from maplines_can import maps
 from maplines_can.maps.view import LaneView
-from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene
+from maplines_can.propagation import Refit, SigmaPoints, map_lines, map_scene, points_in_window
 from maplines_can.simulation.scenarios import scenario
 from maplines_can.study.sets import road
 from maplines_can.values.gaussian import Gaussian
@@ -223,7 +223,7 @@ def window(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
         """Return the windows of a drive of 300 m about the middle of a line."""
         x = line.points[len(line.points) // 2, 0] + np.arange(-150, 150, 1.5)
         poses = np.column_stack([x, 10 * np.sin(x / 50), np.arctan(np.cos(x / 50) / 5)])
-        return [line.window(pose, -20.0, 80.0) for pose in poses]
+        return [points_in_window(line, pose, (-20.0, 80.0)) for pose in poses]
 
     for spacing, text in ((1.0, "1 m"), (0.001, "1 mm")):
         few, many = line(1000, 1.0), line(10**6, spacing)

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..propagation.stretches import MAX_TURN
 from ..values.line import Slot
-from ..values.polyline import MAX_TURN, Polyline
+from ..values.polyline import Polyline
 from .joints import MAX_GAP, SNAP, gap, joined_lines
 from .lane import Lane, Skipped
 from .lane_graph import DirectedLane, DrivenLine, LaneGraph

@@ -14,6 +14,7 @@ from .refit import Refit
 from .scene_mixture import scene_mixture
 from .sigma_points import SigmaPoints
 from .splitting import Mixture
+from .stretches import points_in_window
 from .transform import Moments, Transform
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "map_lines",
     "map_scene",
     "nonlinearity",
+    "points_in_window",
     "pose_time_ns",
     "predict",
     "predict_to",

@@ -15,11 +15,12 @@ from ..values.linalg import indefinite
 from ..values.line import LeftOut, MapLine, MapLineList, Slot
 from ..values.map_error import MapError
 from ..values.mixture import GaussianMixture
-from ..values.polyline import MAX_TURN, Polyline, stretches, to_ego
+from ..values.polyline import Polyline, to_ego
 from ..values.seen_lines import extended, margins
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .refit import MAX_MISFIT, Refit
 from .splitting import Mixture
+from .stretches import MAX_TURN, stretches
 from .transform import Transform
 
 #: Lines of less range are left out [m].

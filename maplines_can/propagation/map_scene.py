@@ -15,13 +15,14 @@ from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, diagonal_blocks
 from ..values.line import PARAMETERS, LeftOut, MapLine, Slot
 from ..values.map_error import MapError
-from ..values.polyline import Polyline, stretches
+from ..values.polyline import Polyline
 from ..values.scene import PoseError, Scene
 from ..values.seen_lines import valid_ranges
 from .certain_range import MAX_SIGMA, certain_ranges, check_max_sigma
 from .map_lines import MIN_RANGE, ExtendedRefit, check_lines, ego_cov, view_of
 from .refit import MAX_MISFIT, Refit
 from .sigma_points import SigmaPoints
+from .stretches import stretches
 from .transform import Transform
 
 #: Parameters of a line.

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values.polyline import Stretches
 from ..values.seen_lines import NODES, SHAPE
+from .stretches import Stretches
 from .valid_range import Fitted, at_nodes
 
 #: Least level of the shape, and standard deviation of T_0 beside the misfit [m]: no map is exact to

@@ -13,9 +13,10 @@ from ..values.arrays import floats
 from ..values.errors import IllPosedError
 from ..values.line import MIN_ADVANCE, PARAMETERS, lateral, lateral_jacobian, line_of_cubic
 from ..values.map_error import MapError
-from ..values.polyline import MAX_TURN, Polyline, Stretches, stretches
+from ..values.polyline import Polyline
 from ..values.seen_lines import NODES, bases
 from .misfit import coefficient_variances
+from .stretches import MAX_TURN, Stretches, stretches
 from .valid_range import longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
@@ -41,7 +42,7 @@ class Refit:
     """Function from a pose to the cubics that map lines are, seen from there.
 
     The stretch of each line is selected once, in a window relative to ``pose``, so that the
-    function is smooth (see ``Polyline.window``), and shortened to the range that a cubic follows
+    function is smooth (see ``stretches``), and shortened to the range that a cubic follows
     within ``max_misfit``. For each pose the stretch is transformed to the ego frame (u, v), and a
     cubic ``v = p0 + p1 u + p2 u^2 + p3 u^3`` is fitted by least squares (Map Line Interface,
     section III-A) at 64 Chebyshev nodes of the range, interpolated on the line. The result

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..values.polyline import Stretches
 from ..values.seen_lines import NODES
+from .stretches import Stretches
 
 #: As ``NODES``, for the search, which fits many ranges.
 _COARSE = np.cos(np.pi * np.arange(32) / 31)[::-1]

@@ -28,10 +28,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..propagation.stretches import stretches
 from ..values.errors import DriveFileError
 from ..values.input_files import checked_path, lines_of
 from ..values.line import Slot
-from ..values.polyline import Polyline, stretches
+from ..values.polyline import Polyline
 from .parquet_files import arrow, parquet_batches
 
 Array = NDArray[np.float64]

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from ..propagation import MapError, Refit, SigmaPoints
 from ..propagation.refit import MAX_MISFIT
+from ..propagation.stretches import MAX_TURN
 from ..values.errors import IllPosedError
 from ..values.gaussian import Gaussian
-from ..values.polyline import MAX_TURN, Polyline
+from ..values.polyline import Polyline
 
 Array = NDArray[np.float64]
 

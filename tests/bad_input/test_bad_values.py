@@ -91,8 +91,8 @@ from maplines_can import IllPosedError
         ("road.resampled(nan)", ValueError, "spacing.*nan"),
         ("road.resampled(-1)", ValueError, "spacing.*-1"),
         ("road.resampled(1e-12)", ValueError, "spacing.*1e-12"),
-        ("road.window([0, 0], 0, 80)", ValueError, "pose"),
-        ("road.window([0, 0, nan], 0, 80)", ValueError, "pose.*nan"),
+        ("points_in_window(road, [0, 0], (0, 80))", ValueError, "pose"),
+        ("points_in_window(road, [0, 0, nan], (0, 80))", ValueError, "pose.*nan"),
         ('scenario("moon")', ValueError, "'moon'"),
         ("scenario(None)", ValueError, "None"),
         ("scenario([])", WRONG_CLASS, "."),
@@ -104,7 +104,7 @@ from maplines_can import IllPosedError
         ("Refit(road, [0, 0, 0], (80, -20))", ValueError, "window.*80"),
         ("Refit(road, [0, 0, 0], (nan, 80))", ValueError, "window.*nan"),
         ("Refit(road, [0, 0, 0], (0, 3), max_misfit=0)", ValueError, "max_misfit.*0"),
-        ("road.window([0, 0, 0], 80, 0)", ValueError, "window.*80, 0"),
+        ("points_in_window(road, [0, 0, 0], (80, 0))", ValueError, "window.*80, 0"),
         ("Refit(road, [1e9, 0, 0], (-20, 80))", IllPosedError, "not in the window.*-20, 80"),
         ("Refit(road, [0, 0, 1.57], (-20, 80))", IllPosedError, "across.*-20, 80"),
         ("Refit(Polyline([[5, 1]] * 9), [0, 0, 0], (-20, 80))", IllPosedError, "-20, 80"),
@@ -179,7 +179,7 @@ def test_bad_values_are_refused(expression: str, error: type[Exception], words: 
 @pytest.mark.parametrize(
     ("expression", "answer"),
     cases(
-        ("road.window([1e9, 0, 0], 0, 80)", "[]"),
+        ("points_in_window(road, [1e9, 0, 0], (0, 80))", "[]"),
         ("refit([[nan, 0, 0]])[:, :3]", "[[nan nan nan]]"),
         ("refit([[0, 0, 1.57]])", "[[nan nan nan nan]]"),
         ("component_counts([])", "[]"),

@@ -12,8 +12,9 @@ from xodr_files import cubic, linked, read_map, road, section
 from xodr_files import lane as xodr_lane
 
 from maplines_can.maps import Map, link_gaps, view
+from maplines_can.propagation.stretches import stretches
 from maplines_can.values.line import Kind, Slot
-from maplines_can.values.polyline import Polyline, stretches
+from maplines_can.values.polyline import Polyline
 
 ORDER = (
     Slot.EDGE_LEFT,

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from maplines_can import Gaussian, MapError, Polyline, Refit, SigmaPoints, Slot
+from maplines_can.propagation import points_in_window
 from maplines_can.study.paper_refit import PAPER
 from maplines_can.study.random_scenarios import curve, random_scenarios
 from maplines_can.values.line import lateral
@@ -32,7 +33,7 @@ def s_bend(radius: float) -> Any:
 
 def deviation(polyline: Any, x_range: Any, line: Any = None) -> float:
     """Largest deviation of a cubic from a line, by default of the best one (Chebyshev)."""
-    points = polyline.window(ORIGIN, *x_range)
+    points = points_in_window(polyline, ORIGIN, x_range)
     x_min, x_max = x_range
     x = np.linspace(x_min, x_max, 150)
     y = np.interp(x, *points.T)

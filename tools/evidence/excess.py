@@ -11,8 +11,8 @@ from maplines_can import Gaussian, MapError, Polyline
 from maplines_can.propagation.map_lines import view_of
 from maplines_can.propagation.misfit import coefficient_variances
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
+from maplines_can.propagation.stretches import stretches
 from maplines_can.propagation.valid_range import longest_ranges
-from maplines_can.values.polyline import stretches
 from maplines_can.values.seen_lines import bases
 
 from .witness import WINDOW, Array
