@@ -161,7 +161,7 @@ def send(pipe: Connection, bus: Mapping[str, Any], dbc: str, seed: int, start: A
     pipe.send(sent | sender.figures() | {"CPU": dict(sender.cpu) | {"all": used}})
 
 
-@evidence()
+@evidence(in_real_time=True)
 def real_time(
     seconds: float = 600.0,
     interface: str = "udp_multicast",

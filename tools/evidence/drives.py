@@ -70,7 +70,7 @@ def simulated(
         return checked_slots(folder, route, json.loads(done.stdout))
 
 
-@evidence()
+@evidence(in_real_time=True)
 def real_time(
     interface: str = "udp_multicast",
     channel: str = "",

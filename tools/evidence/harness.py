@@ -7,7 +7,6 @@ import importlib
 import inspect
 import json
 import re
-import sys
 import time
 import tomllib
 import types
@@ -41,6 +40,7 @@ class Evidence(NamedTuple):
     name: str
     measure: Callable[..., Figures]
     quick: Mapping[str, Any]  #: options of its quickest form
+    in_real_time: bool  #: it needs a bus and a quiet machine, so there is no quick form
 
     @property
     def about(self) -> str:
@@ -60,13 +60,15 @@ REGISTRY: dict[str, Evidence] = {}
 TABLES: dict[tuple[str, str], Callable[[], str]] = {}
 
 
-def evidence(**quick: Any) -> Callable[[Callable[..., Figures]], Callable[..., Figures]]:
+def evidence(
+    *, in_real_time: bool = False, **quick: Any
+) -> Callable[[Callable[..., Figures]], Callable[..., Figures]]:
     """Register a function as evidence, with the options of its quickest form."""
 
     def register(measure: Callable[..., Figures]) -> Callable[..., Figures]:
         module, own = measure.__module__.rpartition(".")[2], measure.__name__
         name = module if own == module else f"{module}.{own}"
-        REGISTRY[name] = Evidence(name, measure, quick)
+        REGISTRY[name] = Evidence(name, measure, quick, in_real_time)
         return measure
 
     return register
@@ -161,14 +163,11 @@ def promises() -> list[dict[str, Any]]:
     return found
 
 
-def bounds_of(name: str) -> list[dict[str, Any]]:
-    """Return the bounds of an evidence."""
-    return [
-        bound
-        for promise in promises()
-        if promise.get("evidence") == name
-        for bound in promise.get("bounds", ())
-    ]
+def bounds_of(name: str, *, quick: bool) -> list[dict[str, Any]]:
+    """Return the bounds of an evidence, or those of its quick form."""
+    found = [one for one in promises() if one.get("evidence") == name]
+    every = [bound for promise in found for bound in promise.get("bounds", ())]
+    return [bound for bound in every if not (quick and bound.get("full"))]
 
 
 def matching(figures: Figures, pattern: str) -> list[tuple[str, Any]]:
@@ -184,11 +183,19 @@ def missed(figures: Figures, bounds: Iterable[Mapping[str, Any]]) -> Iterator[st
         for path, value in matching(figures, bound["figure"]):
             if value is None or path in excepted:
                 continue
-            for side, sign in (("min", -1), ("max", 1)):
-                if side in bound:
-                    room = value.room(bound[side]) if isinstance(value, Statistic) else 0.0
-                    if not sign * (value - bound[side]) <= room:
-                        yield f"{path} is {shown(value)}, {side} {bound[side]:g}"
+            for side in ("min", "max", "equal", "yes"):
+                if side in bound and not is_kept(value, side, bound[side]):
+                    yield f"{path} is {shown(value)}, {side} {bound[side]:g}"
+
+
+def is_kept(value: Any, side: str, bound: float) -> bool:
+    """Return whether a value keeps a bound, with the room of a statistic."""
+    room = value.room(bound) if isinstance(value, Statistic) else 0.0
+    if side == "min":
+        return bool(value >= bound - room)
+    if side == "max":
+        return bool(value <= bound + room)
+    return bool(value == bound)
 
 
 # ---- results ---------------------------------------------------------------------------------
@@ -259,12 +266,12 @@ def markdown(rows: Figures, columns: Sequence[str], title: str = "") -> list[str
     return [lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]]
 
 
-def run(one: Evidence, options: Mapping[str, Any]) -> dict[str, Any]:
+def run(one: Evidence, options: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
     """Return the figures of an evidence, and the bounds that they miss."""
     started = time.perf_counter()
     figures = one.measure(**options)
     seconds = round(time.perf_counter() - started, 1)
-    misses = list(missed(figures, bounds_of(one.name)))
+    misses = list(missed(figures, bounds_of(one.name, quick=quick)))
     return {"figures": figures, "missed": misses, "seconds": seconds}
 
 
@@ -276,14 +283,21 @@ def bound_text(bound: Mapping[str, Any]) -> str:
     name = bound.get("name", bound["figure"].replace("*/", "").replace("*", "").strip("/"))
     unit = f" {bound['unit']}" if "unit" in bound else ""
     scale = 100 if bound.get("unit") == "%" else 1
-    low, high = (
-        f"{round(scale * bound[side], 9):g}" if side in bound else None for side in ("min", "max")
-    )
-    if low is not None and high is not None:
-        return f"{name}: {low} to {high}{unit}"
-    if bound.get("min") == 1 and "unit" not in bound and bound.get("is_fact"):
-        return str(name)
-    return f"{name} ≥ {low}{unit}" if high is None else f"{name} ≤ {high}{unit}"
+    texts = {
+        side: f"{scale * bound[side]:.6g}{unit}"
+        for side in ("min", "max", "equal")
+        if side in bound
+    }
+    match texts:
+        case {"min": low, "max": high}:
+            return f"{name} {low.removesuffix(unit)} to {high}"
+        case {"min": low}:
+            return f"{name} ≥ {low}"
+        case {"max": high}:
+            return f"{name} ≤ {high}"
+        case {"equal": value}:
+            return f"{name} = {value}"
+    return str(name)
 
 
 def promises_table() -> str:
@@ -342,10 +356,12 @@ def main(doc: str | None, argv: Sequence[str] | None = None) -> int:
         if not names:
             print(*listed(every), sep="\n")
             return 0
+        every = [one for one in every if not (arguments.quick and one.in_real_time)]
         jobs = [(one, settings(one, texts, quick=arguments.quick)) for one in every]
     except ValueError as error:
         parser.error(str(error))
-    return report({one.name: run(one, options) for one, options in jobs}, arguments)
+    quick = arguments.quick
+    return report({one.name: run(one, own, quick=quick) for one, own in jobs}, arguments)
 
 
 def listed(every: Iterable[Evidence]) -> Iterator[str]:
@@ -359,10 +375,10 @@ def report(results: Mapping[str, Any], arguments: argparse.Namespace) -> int:
     """Print results and return the exit status: 1 if a bound is missed."""
     is_missed = any(result["missed"] for result in results.values())
     if arguments.json:
-        print(json.dumps(results, indent=2))
+        print(json.dumps(results, indent=2, default=lambda number: number.item()))
         return int(is_missed)
     for name, result in results.items():
         print(f"\n{name}, {result['seconds']} s\n", *as_text(result["figures"]), sep="\n")
         print("", *(f"MISSED  {text}" for text in result["missed"]), sep="\n")
-    print("" if is_missed else "All bounds are met.", end="\n", file=sys.stdout)
+    print("" if is_missed else "All bounds are met.")
     return int(is_missed)
