@@ -7,6 +7,7 @@ import pytest
 from evidence.drive_view import DriveView
 from evidence.fleet import Simulation
 from evidence.fusion_ways import RIGHT, WRONG
+from evidence.integrity import stanford_shares
 from evidence.sampling import nominal, tail_probability
 
 from maplines_can.simulation.camera import Errors, UnitGaussMarkov
@@ -87,3 +88,9 @@ def test_the_tail_of_an_exact_scene_is_that_of_a_normal_variable() -> None:
         assert tail.low * 0.95 < nominal(K) < tail.high * 1.05
         wide = tail_probability(exact._replace(own=4 * own[None]), 0, 1, K, errors, 5000, seed=1)
         assert wide.value < nominal(K)
+
+
+def test_the_regions_of_a_stanford_diagram() -> None:
+    error, level = np.array([0.1, 0.3, 0.7, 0.3]), np.array([0.2, 0.2, 0.4, 0.9])
+    shares = stanford_shares(error, level, 0.5)
+    assert [*shares.values()] == [0.5, 0.75, 0.5, 0.25]

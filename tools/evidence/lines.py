@@ -59,7 +59,14 @@ class Settings(NamedTuple):
     seed: int
 
 
-@evidence(n=1, draws=5, ranges=1)
+@evidence(
+    n=3,
+    draws=5,
+    ranges=1,
+    shapes=("motorway", "rural", "city"),
+    poses=("production",),
+    map_error=(0.05,),
+)
 def lines(
     n: int = 25,
     maps: tuple[str, ...] = (),

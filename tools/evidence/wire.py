@@ -47,7 +47,7 @@ def guarantee(n: int = 10**6, seed: int = 0) -> dict[str, Any]:
     return {"covariances": n, **counts, RATIO: largest, "status": dict(statuses)}
 
 
-@evidence(n=2000)
+@evidence(n=400)
 def quality(n: int = 20_000, seed: int = 0) -> dict[str, Any]:
     """Measure the loss of accuracy for pose error alone (paper) and with map error (road)."""
     codec = Codec.from_dbc()

@@ -1,9 +1,6 @@
 """Authenticated lines: accepted from a sender with the key, once and in order."""
 
-import json
 import re
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from functools import cache
@@ -11,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import cantools
-import numpy as np
 import pytest
 from dbcs import new_codec
 from example_lines import scenario_lines
@@ -525,13 +521,3 @@ def test_records_of_other_lengths_are_authenticated(tmp_path: Path, clock: Any, 
     damaged = frame.data[:padding] + bytes([frame.data[padding] ^ 1]) + frame.data[padding + 1 :]
     assert names(feed(decoder, [frame._replace(data=damaged)]))[0] in {"MAC", "KEY"}
     assert names(feed(decoder, [frame])) == ["line"]
-
-
-def test_the_evidence_with_few_frames() -> None:
-    """tools/evidence_secoc.py with a thousandth of its frames."""
-    tool = [sys.executable, ROOT / "tools" / "evidence_secoc.py", "--n", "1000", "--json"]
-    done = subprocess.run(tool, capture_output=True, text=True, check=False)  # type: ignore[arg-type]
-    assert done.returncode == 0, done.stdout + done.stderr
-    result = json.loads(done.stdout)
-    assert result["met"]
-    assert np.all([attack["accepted"] == 0 for attack in result["attacks"].values()])

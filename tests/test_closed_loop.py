@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from maplines_can.study.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
+from evidence.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
 
 from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState

@@ -1,0 +1,343 @@
+"""Evidence: each in its quickest form keeps its bounds, and it finds what is wrong."""
+
+import importlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from drive_files import town
+from evidence import (
+    bus,
+    epochs,
+    fusion,
+    harness,
+    integrity,
+    lines,
+    localisation,
+    plausibility,
+    plausibility_roads,
+    scenes,
+    slots,
+    ways,
+)
+from evidence.figures import Rms, Share
+from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
+from evidence.roads import maps_of, random_map
+
+from maplines_can import Codec, Gaussian, LeftOut
+from maplines_can.maps import Map, load
+from maplines_can.wire.covariance.scene_code import SceneCode
+
+for _name in harness.modules():
+    importlib.import_module(f"evidence.{_name}")
+QUICK = {name: one for name, one in harness.REGISTRY.items() if not one.in_real_time}
+
+
+@pytest.fixture(scope="module", params=QUICK)
+def result(request: pytest.FixtureRequest) -> tuple[Evidence, Any]:
+    """An evidence, and the figures of its quickest form."""
+    one = QUICK[request.param]
+    return one, one.measure(**one.quick)
+
+
+def test_the_quickest_form_keeps_its_bounds(result: tuple[Evidence, Any]) -> None:
+    """And there is something to compare, but of data that a checkout does not have."""
+    one, figures = result
+    bounds = bounds_of(one.name, quick=True)
+    assert not [*missed(figures, bounds)]
+    assert not bounds or not figures or any(matching(figures, one["figure"]) for one in bounds)
+    json.dumps(figures, default=lambda number: number.item())
+    assert [*harness.as_text(figures)] or not figures
+
+
+def test_the_page_of_the_promises_is_that_of_the_table() -> None:
+    for path, text in harness.pages().items():
+        assert path.read_text(encoding="utf-8") == text
+
+
+def test_each_promise_names_its_evidence_and_options_that_it_has() -> None:
+    for promise in promises():
+        assert ("evidence" in promise) != ("command" in promise)
+        if "evidence" in promise:
+            one = harness.REGISTRY[promise["evidence"]]
+            texts = dict(word.split("=", 1) for word in promise.get("options", "").split())
+            settings(one, texts, quick=False)
+    # What has no promise draws a picture.
+    named = {promise.get("evidence") for promise in promises()}
+    assert {name for name in harness.REGISTRY if name not in named} == {
+        "pictures.joint",
+        "pictures.shape",
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "is_kept"),
+    [
+        (5.0, {"max": 5}, True),
+        (5.1, {"max": 5}, False),
+        (4.9, {"min": 5}, False),
+        (float("nan"), {"max": 5}, False),
+        (None, {"max": 5}, True),
+        (True, {"yes": True}, True),
+        (False, {"yes": True}, False),
+        (-1, {"equal": 0}, False),
+        (Share(0.02, 400), {"max": 0.01}, False),
+        (Share(0.02, 399), {"max": 0.01}, True),  # 4 sqrt(0.01 0.99 / 399) = 0.0199
+        (Share(0.031, 399), {"max": 0.01}, False),
+        (Rms(1.3, 100), {"max": 1.0}, False),  # 4 / sqrt(200) = 0.283
+        (Rms(1.28, 100), {"max": 1.0}, True),
+        (Rms(0.7, 100), {"min": 1.0}, False),
+    ],
+)
+def test_bounds(value: Any, bound: dict[str, Any], is_kept: bool) -> None:
+    """A statistic of few cases has four standard errors of room."""
+    found = [*missed({"a": {"b": value}}, [{"figure": "*/b", **bound}])]
+    assert (not found) is is_kept
+
+
+def test_a_figure_that_is_excepted_is_not_compared() -> None:
+    figures = {"ramp": {"b": 2}, "jump": {"b": 2}}
+    bound = {"figure": "*/b", "max": 1, "but": ["ramp/*"]}
+    assert [*missed(figures, [bound])] == ["jump/b is 2, max 1"]
+
+
+def test_the_command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lists, measures, prints and tells by its status whether a bound is missed."""
+    assert harness.main("", []) == 0
+    assert set(QUICK) <= {line.split(" ", 1)[0] for line in capsys.readouterr().out.splitlines()}
+    assert harness.main("", ["wire.guarantee", "wire.frames", "n=1e2", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["wire.guarantee"]["figures"]["covariances"] == 100
+    monkeypatch.setattr(
+        harness, "bounds_of", lambda *_, **__: [{"figure": "covariances", "max": 1}]
+    )
+    assert harness.main("", ["wire.guarantee", "--quick"]) == 1
+    assert "MISSED  covariances is 2000, max 1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["nothing"], "there is no evidence 'nothing'"),
+        (["wire.nothing"], "there is no evidence 'wire.nothing'; there are wire.guarantee"),
+        (["wire.frames", "m=3"], "wire.frames has no option 'm'; it has n, seed"),
+        (["wire.frames", "n=few"], "n: could not convert"),
+        (["lines", "by=hand"], "by: must be one of line, wire"),
+    ],
+)
+def test_wrong_words_are_named(
+    words: list[str], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        harness.main("", words)
+    assert text in capsys.readouterr().err
+
+
+# ---- what is wrong is found ----------------------------------------------------------------------
+
+
+def misses(name: str, figures: Any) -> str:
+    return "\n".join(missed(figures, bounds_of(name, quick=True)))
+
+
+def test_lines_that_are_too_certain_or_too_short_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sigmas of half the size, and ranges of half the length."""
+    map_lines = ways.map_lines
+
+    def halved(*arguments: Any, **options: Any) -> Any:
+        found = map_lines(*arguments, **options)
+        for i, line in enumerate(found):
+            small = Gaussian(line.gaussian.mean, line.gaussian.cov / 4)
+            found[i] = replace(line, gaussian=small, x_max=(line.x_min + line.x_max) / 2)
+        return found
+
+    monkeypatch.setattr(ways, "map_lines", halved)
+    figures = lines.lines(n=20, shapes=("city",), poses=("production",), map_error=(0.0,), ranges=3)
+    text = misses("lines", figures)
+    for words in ("beyond 3 sigma/y at x_min", "rms/y", "range over limit, same x_min/50 %"):
+        assert words in text
+
+
+def test_lines_that_are_refused_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    map_lines = ways.map_lines
+    monkeypatch.setattr(ways, "map_lines", lambda *a, **k: map_lines(*a, **k)[:0])
+    figures = lines.lines(n=10, shapes=("city",), poses=("production",), map_error=(0.0,))
+    assert "refused with 15 m ahead is 1" in misses("lines", figures)
+
+
+def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two lines in each other's slots, and the lines of another lane."""
+    lines_of, (left, right, *_) = Map.lines, slots.SLOTS
+    swap = {left: right, right: left}
+
+    def exchanged(found: Map, pose: Any) -> Any:
+        return {swap.get(slot, slot): line for slot, line in lines_of(found, pose).items()}
+
+    def beside(found: Map, pose: Any) -> Any:
+        return lines_of(found, pose + 3.5 * np.array([-np.sin(pose[2]), np.cos(pose[2]), 0]))
+
+    path = (town(tmp_path),)
+    assert not misses("slots", slots.slots(path, n=40))
+    for wrong in (exchanged, beside):
+        monkeypatch.setattr(Map, "lines", wrong)
+        assert "right is" in misses("slots", slots.slots(path, n=40))
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (0.5, "overconfident is"),
+        (2.0, "width/99 %"),
+    ],
+)
+def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, words: str) -> None:
+    """Too certain, in floating point and exactly; and too wide."""
+    decode = SceneCode.decode
+
+    def scaled(self: Any, *arguments: Any) -> Any:
+        decoded = decode(self, *arguments)
+        return decoded._replace(cov=factor * decoded.cov)
+
+    monkeypatch.setattr(SceneCode, "decode", scaled)
+    options: Any = {"poses": ("production",), "errors": ("5 cm",), "records": ("conditional",)}
+    figures = scenes.scenes(n=4, exact=2, **options)
+    assert words in "\n".join(missed(figures, bounds_of("scenes", quick=False)))
+
+
+def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first line of each scene is not sent."""
+    prepare = Codec.prepare_scene
+
+    def without_first(codec: Any, scene: Any, **options: Any) -> Any:
+        prepared = prepare(codec, scene, **options)
+        first = {0: LeftOut.MEAN} if prepared.sent_slots else {}
+        encoded = replace(prepared.encoded, left_out=prepared.encoded.left_out | first)
+        return replace(prepared, encoded=encoded, sent_slots=prepared.sent_slots[1:])
+
+    monkeypatch.setattr(Codec, "prepare_scene", without_first)
+    figures = scenes.scenes(14, records=("conditional",), poses=("production",), errors=("5 cm",))
+    assert "lost is" in misses("scenes", figures)
+
+
+def test_a_scene_of_two_cycles_is_found() -> None:
+    """By its values: its pose error and its lines show the number of the cycle."""
+    chain = epochs.WholeChain(epochs.CARRIERS["conditional"][0], fd=False)
+    chain.write(3, epochs.SLOTS, epochs.Counter())
+    scene, other = epochs.road_scene(3), epochs.road_scene(4)
+    assert not +chain.check(scene)
+    mixed = replace(scene, lines=other.lines)
+    assert chain.check(mixed) == {"wrong joints": 1}
+    for number in range(epochs.SCENES):
+        sigma = epochs.MIN_SIGMA * epochs.RATIO**number
+        assert epochs.scene_number(sigma) == epochs.scene_number(1.03 * sigma) == number
+
+
+def test_lines_that_were_not_sent_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If what must be received is said to be something else."""
+    monkeypatch.setattr(bus.Chunk, "expected", lambda *_: ())
+    assert "lines that were not sent" in misses("bus.lines", bus.lines(500))
+
+
+def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here the mean of many scenes seems to have no errors of its own."""
+    from maplines_can.consumers import lane_filter
+
+    monkeypatch.setattr(lane_filter.LaneFilter, "_keep_own", lambda *_: None)
+    road_map = random_map("s-bend", 0)
+    car = fusion.of_car(road_map, road_map.route("1", "1"), None, 5.0, 0)
+    assert "scenes/shape/NEES" in misses("fusion.roads", {"all, exact": fusion.figures([car])})
+
+
+def test_a_protection_level_that_is_too_low_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine tenths of sigma."""
+    multiplier = integrity.multiplier
+    monkeypatch.setattr(integrity, "multiplier", lambda *a, **k: 0.9 * multiplier(*a, **k))
+    assert "over risk" in "\n".join(
+        missed(integrity.rare(300, (1.0,)), bounds_of("integrity.rare", quick=False))
+    )
+    assert "sigma 30 % greater/z" in misses("integrity.hours", integrity.hours(100))
+
+
+@pytest.mark.parametrize(("number", "text"), [(100, ""), (134, "z is 3.4"), (66, "z is -3.4")])
+def test_a_wrong_number_of_false_alarms_is_found(number: int, text: str) -> None:
+    row = plausibility.FalseAlarms(100.0, number, 10.0).result(1.0)
+    assert text in (misses("plausibility.model", {"5 s, exact": row}) or text)
+    assert bool(text) == bool(misses("plausibility.model", {"5 s, exact": row}))
+
+
+def test_what_cubics_miss_is_found_if_it_is_not_covered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Here all cubics are off by 1 m after 2 s, which nothing states; there are two cameras."""
+    seen, offset = plausibility_roads.seen, iter(np.resize(np.repeat([0.0, 1.0], 80), 320))
+
+    def wrong(*arguments: Any) -> Any:
+        parts = seen(*arguments)
+        return None if parts is None else (parts[0], parts[1] + next(offset), *parts[2:])
+
+    monkeypatch.setattr(plausibility_roads, "seen", wrong)
+    monkeypatch.setattr(plausibility_roads, "MAP_ERRORS", {"exact": None})
+    figures = plausibility_roads.plausibility_roads(n=1, seconds=4.0, cars=40, shapes=())
+    assert "z over twice" in misses("plausibility_roads", figures)
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_a_localisation_that_does_not_know_its_error_is_found(scale: float) -> None:
+    """Whether it is too certain or not certain enough: 50 cars, 400 times."""
+    from maplines_can.localisation import BlockOutcome, Verdict
+
+    rng, root = np.random.default_rng(6), np.diag([0.3, 0.1, 0.01])
+    covs, used = np.broadcast_to(root @ root, (400, 50, 3, 3)), np.full((50, 1), Verdict.USED)
+    times = np.full((400, 50, 3), 1e9)
+
+    def figures(scale: float) -> Any:
+        outcomes = [
+            BlockOutcome(float(i), source, used, scale**2 * rng.chisquare(2, (50, 1)))
+            for i in range(400)
+            for source in ("gnss", "line", "landmark")
+        ]
+        errors = scale * rng.standard_normal((400, 50, 3)) @ root
+        run = localisation.Run(np.arange(400) / 2, errors, covs, np.zeros(400), times, outcomes, {})
+        return {"town, with bias": localisation.of_run(run)}
+
+    bounds = bounds_of("localisation.tour", quick=False)
+    right, wrong = ("\n".join(missed(figures(one), bounds)) for one in (1.0, scale))
+    assert not right
+    for words in ("quantile of NEES", "NEES inside", "NIS line/inside"):
+        assert words in wrong
+
+
+def test_a_recorded_drive_shows_the_bias(tmp_path: Path) -> None:
+    """With the bias as a state, the covariance covers it; as white noise, it does not."""
+    rng = np.random.default_rng(6)
+    imu_t, gnss_t, truth_t = (np.arange(0.0, 30.0, dt) for dt in (0.02, 0.1, 0.05))
+    still, noise = np.zeros((len(imu_t), 2)), 0.1 * rng.standard_normal((len(gnss_t), 3))
+    gyro = 0.002 + 0.002 * rng.standard_normal(len(imu_t))
+    np.savez(
+        tmp_path / "drive.npz",
+        imu_t=imu_t,
+        gyro_frd=np.column_stack([still, gyro]),
+        speed_t=imu_t,
+        speed=np.full(len(imu_t), 15.0),
+        gnss_t=gnss_t,
+        gnss_enu=np.outer(gnss_t, [15.0, 0, 0]) + np.array([1.4, 0.4, 0.0]) + noise,
+        gnss_bearing_deg=np.full(len(gnss_t), 90.0),
+        truth_t=truth_t,
+        truth_enu=np.outer(truth_t, [15.0, 0, 0]),
+        truth_vel_enu=np.tile([15.0, 0, 0], (len(truth_t), 1)),
+    )
+    found = localisation.recorded(tmp_path / "drive.npz")
+    assert not misses("localisation.recorded", found)
+    assert found["bias as a state"]["GNSS noise [m]"] == pytest.approx(0.1, rel=0.2)
+    assert found["bias as a state"]["NEES"] < 3 < 30 < found["white, 0.5 m"]["NEES"]
+
+
+def test_a_map_is_read_for_its_roads(tmp_path: Path) -> None:
+    """Other files of a folder are left out; a file that is named must be a map."""
+    (tmp_path / "README.md").write_text("A map.")
+    path = town(tmp_path)
+    assert [*maps_of([str(tmp_path)])] == [Path(path).name]
+    assert len(maps_of([path])[Path(path).name].lanes) == len(load(path).lanes)
+    for wrong, text in (("README.md", "is no map"), ("nowhere", "there is no file")):
+        with pytest.raises(ValueError, match=text):
+            maps_of([str(tmp_path / wrong)])

@@ -1,0 +1,403 @@
+"""The arithmetic of the evidence against closed forms."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from evidence import (
+    canyon,
+    drives,
+    integrity,
+    propagation,
+    range_limit,
+    scenes,
+    slots,
+    ways,
+    witness,
+)
+from evidence import plausibility_errors as drawn
+from evidence import sums as sums_
+from evidence.exact import covers, is_positive_definite
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lane_maps import lane, network, pose_on
+from scipy.special import ndtri
+from strategies import covariances
+
+from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Slot
+from maplines_can.simulation.scenarios import SCENARIOS
+from maplines_can.study.paper_refit import paper_refit
+
+LEFT, RIGHT, NEXT_LEFT, NEXT_RIGHT = slots.SLOTS
+DRAWS = 20_000
+
+# ---- lines as they are seen -----------------------------------------------------------------
+
+
+@given(st.floats(-0.5, 0.5), st.floats(-3, 3), st.floats(-60, 60))
+def test_a_straight_line_is_crossed_where_it_lies(angle: float, y: float, x: float) -> None:
+    """Seen from a pose that is turned by an angle, and from the origin."""
+    points = np.column_stack([np.linspace(-100, 100, 7), np.full(7, y)])
+    poses = np.array([[0, 0, 0], [0, 0, angle]])
+
+    local = witness.seen_from(points, poses)
+    _, s = witness.place_of(local[0])
+
+    expected = [y, y / np.cos(angle) - x * np.tan(angle)]
+    assert np.allclose(witness.crossings(local, s, x), expected)
+
+
+def test_a_line_that_ends_is_not_crossed() -> None:
+    points = np.array([[0.0, 1], [10, 1], [20, 1]])
+    assert np.isnan(witness.crossings(points[None], np.array([0.0, 10, 20]), 25.0)).all()
+
+
+def test_a_line_that_comes_back_is_crossed_where_it_is_followed() -> None:
+    """Of a circle, the side on which the car is; its other side is not a line ahead."""
+    angle = np.linspace(-0.7 * np.pi, 1.2 * np.pi, 400)
+    circle = 12 * np.column_stack([np.cos(angle), 1 + np.sin(angle)])
+    local = circle - [0, 0.3]
+    _, s = witness.place_of(local)
+    near, far = witness.crossings(np.array([local, local + np.array([0, 40])]), s, 4.0)
+    assert near == pytest.approx(12 - np.sqrt(12**2 - 4**2) - 0.3, abs=1e-3)
+    assert far == pytest.approx(near + 40)
+    assert np.isnan(witness.crossings(local[None], s, 12.5)).all()
+
+
+def test_an_oncoming_line_is_known_by_its_direction_at_the_car() -> None:
+    """Whatever its direction is farther along."""
+    hairpin = np.array([[-50.0, 2], [50, 2], [50, 30], [-50, 30]])
+    assert not witness.is_oncoming(hairpin)
+    assert witness.is_oncoming(hairpin[::-1])
+    assert witness.is_oncoming(hairpin - [0, 31])
+
+
+def test_the_nearest_place_is_between_points() -> None:
+    nearest, s = witness.place_of(np.array([[-30.0, 4], [-10, 4], [30, 4]]))
+    assert nearest == 1
+    assert s.tolist() == [-30, -10, 30]
+
+
+@given(st.floats(0.5, 50), st.floats(-40, 40), st.floats(1e-6, 1e-3))
+@settings(max_examples=20)
+def test_the_misfit_of_a_quartic_is_that_of_chebyshev(
+    half: float, centre: float, scale: float
+) -> None:
+    """x^4 on [-1, 1] deviates from its best cubic, x^2 - 1/8, by 1/8."""
+    w = np.linspace(-1, 1, 401)
+    misfit = range_limit.chebyshev_misfit(centre + half * w, scale * half**4 * w**4)
+    assert misfit == pytest.approx(scale * half**4 / 8, rel=1e-4, abs=1e-6)
+
+
+def test_the_limit_of_a_quartic_is_known() -> None:
+    """A cubic follows a x^4 over a range of length 2 (8 max_misfit / a)^(1/4), wherever it is."""
+    x = np.linspace(-20, 80, 2001)
+    a = 1e-5
+    y = a * (x - 5) ** 4
+    view = range_limit.View(np.column_stack([x, y]), 400)
+    length = 2 * (8 * range_limit.MAX_MISFIT / a) ** 0.25
+
+    assert view.is_seen
+    assert view.farthest(-15.0, -15.0) == pytest.approx(length - 15, abs=0.15)
+    assert view.longest(1.0) == pytest.approx(length, abs=0.3)
+    assert view.longest(length + 1) == length + 1
+
+
+def test_a_view_ends_where_the_line_turns_away() -> None:
+    """Both ways along an arc, at the angle of the limit."""
+    angle = np.linspace(-1.5, 1.5, 3001)
+    arc = 12 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    view = range_limit.View(arc, 1500)
+    assert [view.low, view.high] == pytest.approx(
+        12 * np.sin([-range_limit.TURN, range_limit.TURN]), abs=0.05
+    )
+
+
+def test_points_keep_their_errors_in_other_lines() -> None:
+    points = np.column_stack([np.arange(0.0, 40.0, 2.0), np.zeros(20)])
+    of_map = witness.MapOfCar(MapError(0.05, 0.05), np.random.default_rng(0))
+    first = of_map(Slot.EGO_LEFT, Polyline(points))
+    later = of_map(Slot.EGO_LEFT, Polyline(points[5:]))
+    np.testing.assert_array_equal(first.points[5:], later.points)
+    assert 0.02 < np.abs(first.points - points).mean() < 0.15
+
+
+def test_the_true_line_deviates_as_the_map_error_says() -> None:
+    """Standard deviations of the common offset, of the rotation and of each point."""
+    points = np.column_stack([5e5 + np.linspace(0, 50, 26), np.full(26, 5e6 + 2.0)])
+    pose, error = np.array([5e5, 5e6, 0.4]), MapError(0.05, 0.1, np.radians(0.1))
+    true = witness.erred(points, pose, error, DRAWS, np.random.default_rng(1)) - points
+    x = points[:, 0] - pose[0]
+    variance = error.point_sigma**2 + error.offset_sigma**2 + (x * error.heading_sigma) ** 2
+    assert true[..., 1].var(axis=0) == pytest.approx(variance, rel=0.06)
+    assert witness.erred(points, pose, None, 5, np.random.default_rng(1)).shape == (1, 26, 2)
+
+
+def test_the_witness_knows_the_lane_and_those_beside_it() -> None:
+    """Also for a car that drives against the direction, and only where the boundaries pass it."""
+    found = network(
+        lane("l", t=3.5), lane("m"), lane("o", t=-3.5, backward=True), rows=["l m"],
+        opposite=["m o"], left_hand_traffic=True,
+    )  # fmt: skip
+    witness = slots.Witness(found)
+    pose = pose_on(found.lanes["m"], 50.0, t=0.25)
+    expected = {LEFT: 1.5, RIGHT: -2.0, NEXT_LEFT: 5.0, NEXT_RIGHT: -5.5}
+    assert witness.expected(found.lanes["m"], pose) == pytest.approx(expected)
+    turned = pose + np.array([0, 0, np.pi])
+    assert witness.expected(found.lanes["m"], turned) == pytest.approx(
+        {RIGHT: -1.5, LEFT: 2.0, NEXT_RIGHT: -5.0, NEXT_LEFT: 5.5}
+    )
+    assert witness.expected(found.lanes["l"], pose) is None
+    assert witness.is_right(expected, pose)
+    assert not witness.is_right({LEFT: 1.5, RIGHT: -2.0}, pose)
+    assert not witness.is_right(expected | {NEXT_LEFT: 4.5}, pose)
+    assert not witness.is_right({slot: -y for slot, y in expected.items()}, pose)
+
+
+def line(slot: Slot, y: float, age: float = 0.0) -> MapLine:
+    return MapLine(slot, Gaussian([y, 0, 0, 0], 0.01 * np.eye(4)), x_min=-8, x_max=80, age=age)
+
+
+def test_a_line_is_followed_from_cycle_to_cycle() -> None:
+    """The car drives 1 m and 0.2 m to the left: the same line is 0.2 m more to the right."""
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.2, 0.0]])
+    before = {Slot.EGO_LEFT: (line(Slot.EGO_LEFT, 1.75), 0)}
+    for y, expected in ((1.55, 0.0), (5.05, 3.5)):
+        now = {Slot.EGO_LEFT: (line(Slot.EGO_LEFT, y), 1)}
+        jump = drives.jump(before, now, Slot.EGO_LEFT, poses, 1)
+        assert jump == pytest.approx(expected, abs=1e-9)
+    assert np.isnan(drives.jump(before, {}, Slot.EGO_LEFT, poses, 1))
+    assert np.isinf(drives.jump({}, before, Slot.EGO_LEFT, poses, 1))
+
+
+# ---- sums of lateral positions -----------------------------------------------------------------
+
+
+def cubic(parameters: Any, x: float) -> Any:
+    """Return the (...,) lateral positions of (..., 4) lines (Map Line Interface, eq. 1)."""
+    y_off, beta, c0, c1 = np.moveaxis(parameters, -1, 0)
+    return y_off + np.tan(beta) * x + c0 * x**2 / 2 + c1 * x**3 / 6
+
+
+def two_lines(rng: Any, components: int = 1) -> sums_.Given:
+    """Return a random joint distribution of two lines."""
+    means = np.zeros((components, 2, 4))
+    means[:, 0] = [1.75, 0.1, 1e-3, 1e-5]
+    means[:, 1] = [-1.75, 0.1, 1e-3, 1e-5]
+    scale = np.tile([0.3, 0.01, 1e-3, 1e-5], 2)
+    means += 2 * (rng.standard_normal((components, 8)) * scale).reshape(-1, 2, 4)
+    roots = rng.standard_normal((components, 8, 8)) * scale[:, None]
+    covs = roots @ roots.swapaxes(1, 2)
+    shares = rng.dirichlet(np.ones(components))
+    return sums_.Given(shares, means, covs, np.array([[-20.0, 80.0]] * 2))
+
+
+@pytest.mark.parametrize("components", [1, 3])
+@pytest.mark.parametrize(("sums", "lines"), [(sums_.OF_LINE, [1]), (sums_.OF_WIDTH, [0, 1])])
+def test_z_is_normal_if_the_parameters_are_as_stated(
+    components: int, sums: sums_.Sums, lines: list[int]
+) -> None:
+    """Of one line and of the difference of two; each mean, rms and tail within five sigmas."""
+    rng = np.random.default_rng(1)
+    given = two_lines(rng, components)
+    which = rng.choice(components, DRAWS, p=given.shares)
+    roots = np.linalg.cholesky(given.covs)[which]
+    errors = (roots @ rng.standard_normal((DRAWS, 8, 1))).reshape(DRAWS, 2, 4)
+    drawn = given.means[which] + errors
+
+    z = given.z(sums, lines, lambda i, x: cubic(drawn[:, i], x))
+
+    assert z.shape == (len(sums.names), DRAWS)
+    assert np.abs(z.mean(axis=1)).max() < 5 / np.sqrt(DRAWS)
+    assert np.abs(z.var(axis=1) - 1).max() < 5 * np.sqrt(2 / DRAWS)
+    share = (np.abs(z) > 2).mean(axis=1)
+    assert np.abs(share - 0.0455).max() < 5 * np.sqrt(0.0455 / DRAWS)
+
+
+def test_the_curvature_about_the_car_is_c0() -> None:
+    """A cubic has no third difference about its middle."""
+    given = two_lines(np.random.default_rng(2))
+    sums = sums_.Sums.of([("", (-5.0, 0.0, 5.0), (0.04, -0.08, 0.04))])
+    mean, variance = given.moments(sums, [0])
+    assert mean == pytest.approx(given.means[0, 0, 2])
+    assert variance == pytest.approx(given.covs[0, 2, 2])
+
+
+def test_quantiles_of_a_mixture_do_not_saturate() -> None:
+    """Far from all components they are those of the widest; near zero, of the average."""
+    shares = np.array([0.5, 0.5])
+    u = np.array([[-40.0, 60.0], [-80.0, 20.0]])
+    z = sums_.normal_quantiles(u[..., None], shares)[:, 0]
+    assert z == pytest.approx([-40.0, 20.0], abs=0.05)
+    middle = sums_.normal_quantiles(np.array([[1.0], [-0.5]]), shares)
+    cdf = (0.841345 + 0.308538) / 2
+    assert middle == pytest.approx(ndtri(cdf), abs=1e-5)
+
+
+def test_the_motion_ends_where_the_closed_form_says() -> None:
+    """The mean pose of the witness is that of ``Motion``, from any pose, on arcs and straight."""
+    for yaw_rate in (0.0, 1e-4, 0.5, -0.3):
+        local = Motion(ways.SPEED, yaw_rate).over(ways.SECONDS).mean
+        c, s = np.cos(0.7), np.sin(0.7)
+        expected = [10 + c * local[0] - s * local[1], 5 + s * local[0] + c * local[1]]
+        found = ways.arc(10.0, 5.0, 0.7, ways.SPEED, yaw_rate)
+        assert found == pytest.approx([*expected, 0.7 + local[2]], abs=1e-6)
+
+
+def test_a_line_that_does_not_cross_counts_as_beyond() -> None:
+    """As in the other evidence, and only in sums that need that place."""
+    given, tally = two_lines(np.random.default_rng(1)), sums_.Tally()
+    mean = given.means[0, 0]
+    tally.evaluate(
+        given._replace(ranges=given.ranges[:1]),
+        lambda _, x: np.full(7, np.nan) if x == 40.0 else np.full(7, cubic(mean, x)),
+    )
+    beyond = tally.figures()["beyond 3 sigma"]
+    assert beyond["y"] == pytest.approx(1 / 3)
+    assert beyond["slope 10 m"] == pytest.approx(1 / 3)
+    assert beyond["curvature"] == 0.0
+
+
+# ---- covariances --------------------------------------------------------------------------------
+
+
+@given(covariances(4, (0.0, 1e-15, 1e-9, 1.0)))
+def test_exact_definiteness_agrees_with_the_eigenvalues(cov: np.ndarray[Any, Any]) -> None:
+    """Where they are not near 0; and a matrix covers itself plus anything definite only."""
+    scale = np.sqrt(np.where(cov.diagonal() > 0, cov.diagonal(), 1.0))
+    least = np.linalg.eigvalsh(cov / scale / scale[:, None])[0]
+    if abs(least) > 1e-12:
+        assert is_positive_definite(cov.tolist()) == (least > 0)
+    zero = np.zeros(4)
+    assert not covers(cov, zero, cov, zero)
+    more = cov + np.diag(scale**2)
+    assert covers(more, zero, cov, zero)
+    assert not covers(more, zero, cov, 2 * scale * [1, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "definite"),
+    [
+        ([[1.0, 1.0], [1.0, 1.0 + 2**-52]], True),
+        ([[1.0, 1.0], [1.0, 1.0]], False),
+        ([[1e-300, 0.0], [0.0, 1e300]], True),
+        ([[0.0]], False),
+        ([[2, -1, 0], [-1, 2, -1], [0, -1, 2]], True),
+        ([[2, -1, -1], [-1, 2, -1], [-1, -1, 2]], False),
+        ([[1, 2], [2, 1]], False),
+    ],
+)
+def test_exact_definiteness(matrix: Any, definite: bool) -> None:
+    assert is_positive_definite(matrix) is definite
+
+
+def test_eigenvalues_are_those_of_the_whitened_covariance() -> None:
+    rng = np.random.default_rng(1)
+    A, B = (X @ X.T + np.eye(5) for X in rng.normal(size=(2, 5, 5)))
+    expected = np.sort(np.linalg.eigvals(np.linalg.solve(A, B)).real)
+    assert scenes.whitened(np.linalg.cholesky(A), B) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_refit_of_lines_a_micrometre_aside_is_found(name: str) -> None:
+    scene = SCENARIOS[name]
+    aside = {slot: Polyline(np.add(line.points, [0, 1e-6])) for slot, line in scene.lines.items()}
+    refit = paper_refit(replace(scene, lines=aside))
+    poses = scene.ego.sample(100, 1)
+    assert propagation.compare_refit(scene, refit, poses).max() > 100 * 1e-9
+
+
+def test_the_witness_is_a_fit_by_least_squares() -> None:
+    """On an arc, against numpy, one pose at a time."""
+    angle = np.linspace(-0.5, 1.2, 64)
+    points = 20 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    poses = SCENARIOS["street-turn"].ego.sample(20, 1)
+    lines = propagation.qr_refit(points, poses)
+    for local, line in zip(witness.seen_from(points, poses), lines, strict=True):
+        u, v = local.T
+        d, c, b, a = np.polyfit(u, v, 3)
+        assert line == pytest.approx([a, np.arctan(b), 2 * c, 6 * d], rel=1e-9, abs=1e-12)
+
+
+# ---- drawn errors -------------------------------------------------------------------------------
+
+
+def test_the_errors_have_the_covariance_of_the_model() -> None:
+    model, x = drawn.model_of_lane()
+    errors = drawn.Errors.of_model(model, 5.0, 40_000, np.random.default_rng(0))
+    z = errors.next()
+    scale = np.sqrt(model.marginal.diagonal())
+    found = np.cov(z.T) / scale / scale[:, None]
+    assert found == pytest.approx(model.marginal / scale / scale[:, None], abs=0.03)
+    assert x == pytest.approx([2.0, 20.0] * 2)
+
+
+def test_the_faults_are_those_of_the_docstring() -> None:
+    _, x = drawn.model_of_lane()
+    t = np.array([-1.0, 0.0, 10.0])
+    faults = {name: fault(t) for name, fault in drawn.faults(x).items()}
+    assert all(not shift[0].any() for shift in faults.values())
+    assert faults["shift"][1:] == pytest.approx(0.5 * np.ones((2, 4)))
+    assert faults["camera"][1] == pytest.approx(math.radians(1) * x)
+    assert faults["drift"][2] == pytest.approx(math.radians(1) / 6 * x)
+    assert faults["lost"][2] == pytest.approx(-math.radians(0.1) * (15 * 50 + 10 * x))
+    assert faults["lane"][1] == pytest.approx([3.5, 3.5, 0, 0])
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        pytest.param(drawn.WHITE, id="white"),
+        pytest.param(drawn.Noise(0.3, 1.0), id="lasts"),
+        pytest.param(drawn.Noise(0.3, 0.5, heavy=True), id="half-lasts-half-heavy"),
+    ],
+)
+def test_the_noise_has_the_stated_covariance(noise: drawn.Noise) -> None:
+    """And the stated correlation between two images."""
+    rng, root = np.random.default_rng(1), np.linalg.cholesky(np.diag([1.0, 2.0, 3.0, 4.0]))
+    images = noise.drawn(200_000, root, rng)
+    first, second = next(images), next(images)
+    variance = (second**2).mean(axis=0)
+    assert variance == pytest.approx([1, 2, 3, 4], rel=0.05)
+    rho = noise.share * math.exp(-drawn.DT / noise.time) if noise.time else 0.0
+    assert (first * second).mean(axis=0) / variance == pytest.approx([rho] * 4, abs=0.03)
+
+
+def test_hours_of_white_noise_are_those_of_independent_samples() -> None:
+    """The largest of 72000: its median is where each sample is within with 0.5^(1 / 72000)."""
+    row = integrity.Row(((1.0, 0.0),))
+    found = integrity.largest(row, 60, np.random.default_rng(0))
+    assert np.median(found) == pytest.approx(4.42, abs=0.1)
+
+
+def test_the_errors_are_those_that_are_told() -> None:
+    """In a canyon, (fix - pose) / sigma has a variance of 1 and the correlation time."""
+    n = 200
+    course = canyon.made(canyon.Kind("canyon"), n, np.random.default_rng(3))
+    row = np.searchsorted(course.t, course.fix_t)
+    white = course.cov[0, 0]
+    off = (course.fixes - course.pose[row, :, :2]) / course.error[..., :1]
+    share = white / course.canyon[:, 0] ** 2
+    assert (off**2).mean(axis=(0, 2)).mean() == pytest.approx(1 + share.mean(), rel=0.1)
+    lag = 10  # 2 s
+    rho = (off[lag:] * off[:-lag]).mean(axis=(0, 2)).mean()
+    assert rho == pytest.approx(np.exp(-2.0 / course.canyon[:, 1]).mean(), rel=0.1)
+
+
+def test_events_are_where_they_belong() -> None:
+    """A gap has no fixes, a jump is 100 m, outliers are a tenth."""
+    rng = np.random.default_rng(4)
+    gap = canyon.made(canyon.Kind("canyon", "gap"), 2, rng)
+    missing = np.isnan(gap.fixes).all(axis=(1, 2))
+    assert missing.sum() == 150
+    assert (gap.fix_t[missing] >= canyon.GAP[0]).all()
+    jump = canyon.made(canyon.Kind("open", "jump"), 2, rng)
+    row = np.searchsorted(jump.t, jump.fix_t)
+    size = np.linalg.norm(jump.fixes - jump.pose[row, :, :2], axis=-1)
+    assert np.median(size[(jump.fix_t >= 100) & (jump.fix_t < 110)]) == pytest.approx(100, abs=5)
+    outliers = canyon.made(canyon.Kind("open", "outliers"), 20, rng)
+    row = np.searchsorted(outliers.t, outliers.fix_t)
+    size = np.linalg.norm(outliers.fixes - outliers.pose[row, :, :2], axis=-1)
+    assert (size > 150).mean() == pytest.approx(0.1, abs=0.01)
