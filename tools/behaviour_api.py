@@ -37,14 +37,16 @@ FIELDS = {
     "GaussianMixture": ("weights", "components"), "Frame": ("can_id", "is_fd", "data"),
 }  # fmt: skip
 LABELS: dict[str, str] = {}
+#: Attributes that have another name than when they were recorded.
+RENAMED = {"own_covs": "specific_covs"}
 
 
 def shown(value: Any) -> str:
     """Return a value as text, with its floats to the last bit."""
     name = type(value).__name__
     if name in FIELDS:
-        parts = [f"{key}={shown(getattr(value, key))}" for key in FIELDS[name]
-                 if getattr(value, key, None) is not None]  # fmt: skip
+        found = {key: getattr(value, RENAMED.get(key, key), None) for key in FIELDS[name]}
+        parts = [f"{key}={shown(one)}" for key, one in found.items() if one is not None]
         return f"{LABELS.get(name, name)}({' '.join(parts)})"
     if isinstance(value, Enum):
         return value.name

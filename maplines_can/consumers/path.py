@@ -74,7 +74,7 @@ def path_beside(
     distance: float,
     displacement: Gaussian,
     rest: Chebyshev = EXACT,
-    own_cov: NDArray[np.float64] | None = None,
+    specific_cov: NDArray[np.float64] | None = None,
 ) -> Path | None:
     """Return the path parallel to a line, as seen after a displacement of the car.
 
@@ -88,11 +88,11 @@ def path_beside(
         displacement: the new pose in the ego frame of the line (x [m], y [m], heading [rad]).
         rest: what the cubic leaves of the line, in the range in which it was fitted [m]. It goes
             on straight beyond.
-        own_cov: (4, 4) part of the covariance of the line that is due to what its cubic misses,
-            and to errors of the points of the map. It makes the shape of the cubic uncertain, most
-            of all at the ends of its range; but the variance of the lateral position is nowhere
-            more than that of the coefficient of T_0 states, so more does not count. It needs
-            ``rest``. None: all of the covariance counts.
+        specific_cov: (4, 4) part of the line-specific covariance that is due to what its cubic
+            misses, and to errors of the points of the map. It makes the shape of the cubic
+            uncertain, most of all at the ends of its range; but the variance of the lateral
+            position is nowhere more than that of the coefficient of T_0 states, so more does not
+            count. It needs ``rest``. None: all of the covariance counts.
 
     Returns:
         The path from the point that is nearest to the car; None if the car has passed its end,
@@ -123,11 +123,11 @@ def path_beside(
     # Lateral means across the path, and so does the displacement of the car.
     J = lateral_jacobian(line.gaussian.mean, x) / norm[:, None]
     variance = np.einsum("ki,ij,kj->k", J, line.gaussian.cov, J)
-    if own_cov is not None:
+    if specific_cov is not None:
         to_t0 = np.linalg.inv(bases(line.gaussian.mean[None], rest.domain[None])[0])[0]
         least = MIN_SIGMA**2
-        most = max(0.0, to_t0 @ own_cov @ to_t0 - least) / LATERAL_SHARE + least
-        variance -= (np.einsum("ki,ij,kj->k", J, own_cov, J) - most / norm**2).clip(0)
+        most = max(0.0, to_t0 @ specific_cov @ to_t0 - least) / LATERAL_SHARE + least
+        variance -= (np.einsum("ki,ij,kj->k", J, specific_cov, J) - most / norm**2).clip(0)
     dx, dy, turn = displacement.mean
     arm = points - [dx, dy]
     J = np.column_stack([normal, (tangent * arm).sum(axis=1)])
@@ -177,10 +177,10 @@ def lane_path(
     def beside(slot: Slot, distance: float) -> Path | None:
         i = given[slot]
         rest = Chebyshev([0, 0, 0, 0, scene.quartics[i]], domain=scene.fit_ranges[i])
-        own_cov = None if scene.own_covs is None else scene.own_covs[i]
-        if own_cov is not None and scene.map_error is not None:
-            own_cov = own_cov - _offset_and_heading(scene, i)
-        return path_beside(scene.lines[i], distance, displacement, rest, own_cov)
+        specific_cov = None if scene.specific_covs is None else scene.specific_covs[i]
+        if specific_cov is not None and scene.map_error is not None:
+            specific_cov = specific_cov - _offset_and_heading(scene, i)
+        return path_beside(scene.lines[i], distance, displacement, rest, specific_cov)
 
     if route is not None:
         return (beside(route, 0.0) if route in given else None), width

@@ -331,8 +331,8 @@ def residuals(
         noise.append(J_cam @ gaussian.cov @ J_cam.T + J_y_pose @ moved @ J_y_pose.T)
     if not slots:
         return None
-    own_cov = block_diagonal(own)
-    model = ResidualModel(np.vstack(H), P, own_cov, own_cov, block_diagonal(noise))
+    specific_cov = block_diagonal(own)
+    model = ResidualModel(np.vstack(H), P, specific_cov, specific_cov, block_diagonal(noise))
     return tuple(slots), np.concatenate(z), model
 
 

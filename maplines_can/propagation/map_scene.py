@@ -98,9 +98,11 @@ def map_scene(
         refit = Refit(
             seen, ego.mean, map_error=map_error, max_misfit=max_misfit, room=view.room, step=STEP
         )
-        own_covs = np.zeros((len(seen.given), N, N)) if refit.noise_cov is None else refit.noise_cov
+        specific_covs = (
+            np.zeros((len(seen.given), N, N)) if refit.noise_cov is None else refit.noise_cov
+        )
         x_ranges = valid_ranges(
-            refit(ego.mean[None])[0], refit.x_range, pose_error.cov, own_covs, heading_sigma
+            refit(ego.mean[None])[0], refit.x_range, pose_error.cov, specific_covs, heading_sigma
         )
         kept = (
             (x_ranges[:, 1] - x_ranges[:, 0] >= MIN_RANGE) & ~refit.is_across & ~short & ~uncertain
@@ -113,7 +115,7 @@ def map_scene(
         means, covs = mean.reshape(-1, N), diagonal_blocks(cov, N)
         # From the means that are sent, as a receiver does.
         x_ranges = valid_ranges(
-            means, refit.x_range[kept], pose_error.cov, own_covs[kept], heading_sigma
+            means, refit.x_range[kept], pose_error.cov, specific_covs[kept], heading_sigma
         )
         ended = x_ranges[:, 1] - x_ranges[:, 0] < MIN_RANGE
         if ended.any():
@@ -149,7 +151,7 @@ def map_scene(
         map_error,
         left_out,
         refit.quartic[kept],
-        own_covs[kept],
+        specific_covs[kept],
     )
 
 

@@ -1,4 +1,4 @@
-"""Error of a map: what of it a line has of its own, whatever the pose is."""
+"""Error of a map: the line-specific part of it, whatever the pose is."""
 
 from __future__ import annotations
 

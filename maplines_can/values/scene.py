@@ -75,13 +75,13 @@ class Scene:
         left_out: reasons of the lines that are not in the scene, by slot.
         quartics: (L,) coefficients of the Chebyshev polynomial T_4 that the cubics leave of the
             lines in their fit ranges [m]; 0 if they are empty. See ``SeenLines``.
-        own_covs: (L, 4, 4) part of the covariance of each line that is not due to the pose error
-            and independent from line to line: that of the map error and of the misfit of the cubic.
-            None if it is not known.
+        specific_covs: (L, 4, 4) line-specific covariances: the part of the covariance of each line
+            that is not due to the pose error and independent from line to line, of the map error
+            and of the misfit of the cubic. None if it is not known.
 
     Raises:
         ValueError: a shape is wrong, two lines have the same slot, a line has a mixture, a
-            range is empty, or ``cov`` or one of ``own_covs`` is not a covariance.
+            range is empty, or ``cov`` or one of ``specific_covs`` is not a covariance.
 
     >>> pose = PoseError(np.diag([0.1, 0.2, 0.01]) ** 2)
     >>> lines = [MapLine(slot, Gaussian([y, 0, 0, 0], np.diag([0.05, 1e-4, 1e-8, 1e-12])))
@@ -102,7 +102,7 @@ class Scene:
     map_error: MapError | None = None
     left_out: Mapping[Slot, LeftOut] = field(default_factory=dict)
     quartics: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    own_covs: NDArray[np.float64] | None = None
+    specific_covs: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         lines = tuple(self.lines)
@@ -122,8 +122,8 @@ class Scene:
             "fit_ranges": (len(lines), 2),
             "quartics": (len(lines),),
         }
-        if self.own_covs is not None:
-            shapes["own_covs"] = (len(lines), N, N)
+        if self.specific_covs is not None:
+            shapes["specific_covs"] = (len(lines), N, N)
         for name, shape in shapes.items():
             values = np.array(floats(getattr(self, name), name)).reshape(
                 shape if not lines else np.shape(getattr(self, name))
@@ -139,10 +139,11 @@ class Scene:
                 "cov must be finite, symmetric and positive semidefinite; for rounding errors, use "
                 f"nearest_covariance(cov); got {self.cov!r}"
             )
-        if self.own_covs is not None and not is_covariance(self.own_covs):
-            own = next(own for own in self.own_covs if not is_covariance(own))
+        if self.specific_covs is not None and not is_covariance(self.specific_covs):
+            bad = next(cov for cov in self.specific_covs if not is_covariance(cov))
             raise ValueError(
-                f"each of own_covs must be finite, symmetric and positive semidefinite, got {own!r}"
+                "each of specific_covs must be finite, symmetric and positive semidefinite, "
+                f"got {bad!r}"
             )
         if not (np.isfinite(self.fit_ranges).all() and (np.diff(self.fit_ranges) > 0).all()):
             raise ValueError(f"fit_ranges must be finite and not empty, got {self.fit_ranges!r} m")
@@ -191,7 +192,7 @@ class Scene:
             cov=self._joint_cov(places),
             fit_ranges=self.fit_ranges[places],
             quartics=self.quartics[places],
-            own_covs=None if self.own_covs is None else self.own_covs[places],
+            specific_covs=None if self.specific_covs is None else self.specific_covs[places],
         )
 
     def x_range(self, slots: Iterable[Slot]) -> tuple[float, float]:

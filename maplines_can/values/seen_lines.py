@@ -206,7 +206,7 @@ def valid_ranges(
     means: NDArray[np.float64],
     fit_ranges: NDArray[np.float64],
     P: NDArray[np.float64],
-    own_covs: NDArray[np.float64],
+    specific_covs: NDArray[np.float64],
     heading_sigma: ArrayLike,
 ) -> NDArray[np.float64]:
     """Return the (L, 2) ranges in which lines are valid, within those in which they were fitted.
@@ -218,13 +218,13 @@ def valid_ranges(
         means: (L, 4) lines.
         fit_ranges: (L, 2) [m].
         P: (3, 3) covariance of the pose in the ego frame.
-        own_covs: (L, 4, 4) covariances of what the lines have of their own; the variance of the
-            lateral position in the middle of the range is taken to act along the line, too.
+        specific_covs: (L, 4, 4) line-specific covariances; the variance of the lateral position in
+            the middle of the range is taken to act along the line, too.
         heading_sigma: of the map, (L,) or one for all [rad].
     """
     ends = np.stack([fit_ranges, lateral(means[:, None], fit_ranges)], axis=-1)
     middle = lateral_jacobian(means, fit_ranges.mean(axis=1))
-    shift = np.einsum("li,lij,lj->l", middle, own_covs, middle)
+    shift = np.einsum("li,lij,lj->l", middle, specific_covs, middle)
     own = np.zeros((len(means), 3, 3))
     own[:, 0, 0], own[:, 1, 1], own[:, 2, 2] = shift, shift, np.square(heading_sigma)
     return np.asarray(fit_ranges + margins(P + own, ends) * [1, -1])

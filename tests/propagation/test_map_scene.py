@@ -190,14 +190,14 @@ def test_own_covariances_are_the_difference_of_what_the_pose_does(error: Any) ->
     """The joint covariance without them is that of a scene without misfit and map error."""
     lines, ego, scene = drawn_scene("s-bend", "production", 2, map_error=error)
     refit = refit_of(lines, ego, scene, error)
-    assert scene.own_covs is not None
+    assert scene.specific_covs is not None
     assert refit.noise_cov is not None
-    assert np.array_equal(scene.own_covs, refit.noise_cov)
+    assert np.array_equal(scene.specific_covs, refit.noise_cov)
     values = SigmaPoints().moments(lambda poses: refit(poses).reshape(len(poses), -1), ego)
     blocks = [np.s_[4 * i : 4 * i + 4, 4 * i : 4 * i + 4] for i in range(len(lines))]
-    for block, own in zip(blocks, scene.own_covs, strict=True):
+    for block, own in zip(blocks, scene.specific_covs, strict=True):
         scale = np.sqrt(scene.cov[block].diagonal())
         rest = scene.cov[block] - values.cov[block] - own
         assert (np.abs(rest) <= 1e-3 * scale[:, None] * scale).all()
-    share = scene.own_covs[:, 0, 0] / scene.cov.diagonal()[::4]
+    share = scene.specific_covs[:, 0, 0] / scene.cov.diagonal()[::4]
     assert share.max() >= (3e-3 if error else 1e-6)

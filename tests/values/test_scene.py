@@ -123,35 +123,35 @@ def test_wrong_scenes_are_refused() -> None:
         with pytest.raises(ValueError, match=words):
             Scene(*arguments)
     own = np.array([line.gaussian.cov for line in good])
-    for own_covs, words in (
-        (own[:2], r"own_covs must be \(3, 4, 4\) for 3 lines, got \(2, 4, 4\)"),
-        (-own, "each of own_covs must be finite, symmetric and positive semidefinite"),
-        (own * np.nan, "each of own_covs must be finite"),
-        (own + np.eye(4, k=1) * 1e-9, "each of own_covs must be finite, symmetric"),
+    for specific_covs, words in (
+        (own[:2], r"specific_covs must be \(3, 4, 4\) for 3 lines, got \(2, 4, 4\)"),
+        (-own, "each of specific_covs must be finite, symmetric and positive semidefinite"),
+        (own * np.nan, "each of specific_covs must be finite"),
+        (own + np.eye(4, k=1) * 1e-9, "each of specific_covs must be finite, symmetric"),
     ):
         with pytest.raises(ValueError, match=words):
-            scene(own_covs=own_covs)
+            scene(specific_covs=specific_covs)
 
 
 @pytest.mark.parametrize("slots", [[], [NEXT], [RIGHT, LEFT], [LEFT, RIGHT, NEXT]])
 def test_a_subset_has_all_of_its_lines(slots: list[Slot]) -> None:
     """Each array has the rows of the lines, in their order; a slot without a line is refused."""
     own = np.array([line.gaussian.cov * (i + 1) for i, line in enumerate(lines())])
-    whole = scene(quartics=np.array([0.1, 0.2, 0.3]), own_covs=own)
+    whole = scene(quartics=np.array([0.1, 0.2, 0.3]), specific_covs=own)
     part = whole.subset(slots)
     places = [whole.index[slot] for slot in slots]
     assert [line.slot for line in part.lines] == slots
     if slots:
         assert np.array_equal(part.cov, whole.joint(slots).cov)
-    assert part.own_covs is not None
+    assert part.specific_covs is not None
     for got, expected in (
         (part.means, whole.means),
         (part.fit_ranges, whole.fit_ranges),
         (part.quartics, whole.quartics),
-        (part.own_covs, own),
+        (part.specific_covs, own),
     ):
         assert np.array_equal(got, expected[places])
-    assert scene().subset(slots).own_covs is None
+    assert scene().subset(slots).specific_covs is None
     with pytest.raises(ValueError, match="has no line of slot ROUTE"):
         whole.subset([*slots, Slot.ROUTE])
 
@@ -161,7 +161,7 @@ def test_a_scene_cannot_be_changed() -> None:
     made = scene(cov=cov)
     cov[0, 0] = 7
     assert made.cov[0, 0] == COV[0, 0]
-    own = scene(own_covs=np.zeros((len(MEANS), 4, 4))).own_covs
+    own = scene(specific_covs=np.zeros((len(MEANS), 4, 4))).specific_covs
     assert own is not None
     for array in (made.cov, made.fit_ranges, made.pose_error.cov, own):
         with pytest.raises(ValueError, match="read-only"):

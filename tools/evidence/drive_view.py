@@ -80,7 +80,7 @@ def drive_view(
             view.fit_ranges[k] = received.fit_ranges
             low, high = received.x_range(LANE)
             view.valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
-            view.own[k] = own_cov(received)
+            view.own[k] = specific_cov(received)
     return view
 
 
@@ -108,7 +108,7 @@ def transferred(codec: Codec, decoder: Decoder, scene: Scene, t: float) -> Scene
     return received.scene if received is not None and is_new else None
 
 
-def own_cov(scene: Scene) -> Array:
+def specific_cov(scene: Scene) -> Array:
     """Return the (4 L, 4 L) covariance of what the lines of a scene have of their own."""
     J = SeenLines(scene.means, scene.fit_ranges).jacobian().reshape(-1, 3)
     return positive_part(scene.cov - J @ scene.pose_error.cov @ J.T)

@@ -61,7 +61,7 @@ class DecodedLines(NamedTuple):
 
     means: Array  #: (L, 4)
     fit_ranges: Array  #: (L, 2) [m]
-    own_covs: Array  #: (L, 4, 4) D_i
+    specific_covs: Array  #: (L, 4, 4) D_i
     cov: Array  #: (4 L, 4 L) C
     quartics: Array  #: (L,) coefficients of T_4 [m]
 

@@ -370,8 +370,8 @@ class _Parts(NamedTuple):
             J[fits] = bases(stated.means[fits], stated.ranges[fits])
             seen = SeenLines(scene.means[fits], stated.ranges[fits], stated.quartics[fits])
             due_to_pose[fits] = diagonal_blocks(seen.spread(scene.pose_error.cov), 4)
-            if scene.own_covs is not None:
-                own[fits] = scene.own_covs[fits]
+            if scene.specific_covs is not None:
+                own[fits] = scene.specific_covs[fits]
             else:
                 own[fits] = positive_part(
                     diagonal_blocks(scene.cov, 4)[fits] - due_to_pose[fits], J[fits]
@@ -428,8 +428,8 @@ def _can_be_seen(scene: Scene) -> Mask:
     """Return which lines are functions of x and have covariances that do not overflow."""
     variances = scene.cov.diagonal().reshape(-1, 4)
     large = (variances > LARGEST**2) | (np.abs(scene.means) > LARGEST)
-    if scene.own_covs is not None:
-        large |= np.einsum("lii->li", scene.own_covs) > LARGEST**2
+    if scene.specific_covs is not None:
+        large |= np.einsum("lii->li", scene.specific_covs) > LARGEST**2
     small = np.logical_not(large).all(axis=1)
     return _are_functions(scene.means, scene.fit_ranges, scene.quartics, np.asarray(small))
 

@@ -73,12 +73,14 @@ class SceneReader:
             # It may be beyond the levels, but no more than the variance of Beta has room for.
             seen = SeenLines(decoded.means, decoded.fit_ranges, decoded.quartics)
             turn = np.abs(seen.jacobian()[:, 1, 2]).clip(MIN_TURN)
-            heading_sigma = np.maximum(heading_sigma, np.sqrt(decoded.own_covs[:, 1, 1]) / turn)
+            heading_sigma = np.maximum(
+                heading_sigma, np.sqrt(decoded.specific_covs[:, 1, 1]) / turn
+            )
         x_ranges = valid_ranges(
             decoded.means,
             decoded.fit_ranges,
             decoded_pose.cov,
-            decoded.own_covs,
+            decoded.specific_covs,
             heading_sigma,
         )
         x_min = np.ceil(x_ranges[:, 0] * STEPS) / STEPS + 0.0  # without -0.0
@@ -111,7 +113,7 @@ class SceneReader:
             decoded.fit_ranges,
             map_error,
             quartics=decoded.quartics,
-            own_covs=decoded.own_covs,
+            specific_covs=decoded.specific_covs,
         )
 
     def age(self, pose: RawRecord) -> float:

@@ -176,7 +176,7 @@ def test_any_scene_is_covered(
     scene = scene_of(means, A @ A.T + own, pose, ranges, error)
     if rng.random() < 0.5:  # of another scene
         B = rng.standard_normal((lines, 4, 4)) * 10.0 ** rng.integers(-3, 2) * SIGMA[:, None]
-        scene = replace(scene, own_covs=B @ B.swapaxes(1, 2))
+        scene = replace(scene, specific_covs=B @ B.swapaxes(1, 2))
     if np.sqrt(pose.diagonal()).max() > 0.5:
         with suppress(EncodeError):
             ENCODER.encode(scene)
@@ -244,7 +244,7 @@ def test_own_covariances_beyond_all_codes_do_not_affect_the_others(size: float) 
     """The line is left out, without a warning, in both kinds of records."""
     lanes = straight_lanes(2)
     own = np.array([size * np.eye(4), np.diag(SIGMA**2)])
-    scene = replace(lanes, own_covs=own)
+    scene = replace(lanes, specific_covs=own)
     assert [*ENCODER.encode(scene).lines] == [1]
     assert 0 not in LEVELS_ENCODER.encode_levels(scene, [*sent_rows(scene)]).lines
 
@@ -374,10 +374,10 @@ def test_joint_quantities_are_as_uncertain_as_at_the_sender(
 def test_a_scene_that_states_its_own_covariances_is_covered() -> None:
     """Even if they are wrong, and with less for a poor pose: they are not to be inferred."""
     known = road_scene(5, 4, "poor", None)
-    assert known.own_covs is not None
-    unknown = replace(known, own_covs=None)
+    assert known.specific_covs is not None
+    unknown = replace(known, specific_covs=None)
     sizes = []
-    for scene in (known, unknown, replace(known, own_covs=0 * known.own_covs)):
+    for scene in (known, unknown, replace(known, specific_covs=0 * known.specific_covs)):
         sent = ENCODER.encode(scene)
         check_covered(CODE, scene, sent)
         assert sent.decoded is not None

@@ -51,12 +51,12 @@ def test_valid_ranges_end_on_tenths_of_a_metre_inside(ranges: Any, heading: floa
     found = received(scene)
     step = 2.0 ** POSE["MapHeading"].factor
     assert found.map_error is not None
-    assert found.own_covs is not None
+    assert found.specific_covs is not None
     inside = valid_ranges(
         found.means,
         found.fit_ranges,
         found.pose_error.cov,
-        found.own_covs,
+        found.specific_covs,
         found.map_error.heading_sigma * step,
     )
     for line, (low, high) in zip(found.lines, inside, strict=True):
@@ -74,15 +74,15 @@ def test_the_greatest_heading_error_of_a_map_may_be_a_greater_one() -> None:
     greatest = POSE["MapHeading"].raw_max
     scene = scene_of(np.array([[-20.0, 80.0], [-10.0, 40.0]]), MapError(0.02, 0.05, 0.0))
     found, less = (received(scene, MapHeading=raw) for raw in (greatest, greatest - 1))
-    assert found.own_covs is not None
+    assert found.specific_covs is not None
     seen = SeenLines(found.means, found.fit_ranges, found.quartics)
     turn = np.abs(seen.jacobian()[:, 1, 2])
     assert found.map_error is not None
-    sigma = np.sqrt(found.own_covs[:, 1, 1]) / turn
+    sigma = np.sqrt(found.specific_covs[:, 1, 1]) / turn
     stated = found.map_error.heading_sigma * 2.0 ** POSE["MapHeading"].factor
     heading = np.maximum(sigma, stated)
     expected = valid_ranges(
-        found.means, found.fit_ranges, found.pose_error.cov, found.own_covs, heading
+        found.means, found.fit_ranges, found.pose_error.cov, found.specific_covs, heading
     )
     for line, (low, high) in zip(found.lines, expected, strict=True):
         assert [line.x_min, line.x_max] == pytest.approx([low, high], abs=0.1 + 1e-9)
