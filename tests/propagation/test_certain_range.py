@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from evidence.roads import SHAPES, random_scene
+from evidence.witness import POSES, Poses
 from hypothesis import example, given
 from hypothesis import strategies as st
-from line_witness import POSES, Poses
-from random_roads import SHAPES, random_scene
 from scene_streams import CONDITIONAL, feed, new_codec
 from strategies import covariances
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from line_witness import POSES, Poses
-from random_roads import SHAPES, random_scene
+from evidence.roads import SHAPES, random_scene
+from evidence.witness import POSES, Poses
 
 from maplines_can import (
     Gaussian,

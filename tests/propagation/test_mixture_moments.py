@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from dbcs import default_codec
-from line_witness import crossings, place_of, seen_from
+from evidence.witness import crossings, place_of, seen_from
 
 from maplines_can import Gaussian, MonteCarlo, Quadrature, Refit, SigmaPoints, map_lines
 from maplines_can.propagation import Mixture
