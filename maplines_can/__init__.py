@@ -7,7 +7,7 @@
 >>> (line,) = ml.map_lines({ml.Slot.EGO_LEFT: road}, ego)
 >>> line.gaussian.mean.round(3)[0]  # Gaussian over (y_off, beta, c0, c1)
 np.float64(1.75)
->>> frames = ml.Codec.from_dbc().encode(line)  # 4 frames of classic CAN
+>>> frames = ml.Codec.from_dbc().encoder().encode(line)  # 4 frames of classic CAN
 >>> decoder = ml.Codec.from_dbc().decoder()
 >>> *_, received = [decoder.feed(frame.can_id, frame.data, t_ns=0) for frame in frames]
 >>> received.slot.name, bool(abs(received.y(80.0) - line.y(80.0)) < 0.005)

@@ -22,13 +22,13 @@ def record(counter: Any, which: Any = None) -> Any:
     """Return the record of a counter; its line depends on the counter, or on ``which``."""
     i = counter % 256 if which is None else which
     one = MEANS[i : i + 1], COVS[i : i + 1]
-    return default_codec().encode_batch(*one, slot=SLOT, counter=[counter % 256])[0]
+    return default_codec().batch.encode(*one, slot=SLOT, counter=[counter % 256])[0]
 
 
 @cache
 def frames(counter: Any, fd: bool = False, which: Any = None) -> Any:
     """Return the frames of that record."""
-    return default_codec().frames(record(counter, which=which), SLOT, fd=fd)
+    return default_codec().encoder().frames(record(counter, which=which), SLOT, fd=fd)
 
 
 def feed(decoder: Any, transfer: Any, t_ns: Any) -> Any:
@@ -58,11 +58,11 @@ def mixture_frames(counter: Any, k: Any, fd: Any, seed: int = 0) -> Any:
     rng = np.random.default_rng([seed, counter])
     means = MEANS[rng.integers(0, 256, k)]
     weights = np.full((1, k), 1 / k)
-    payloads = default_codec().encode_mixtures(
+    payloads = default_codec().batch.encode_mixtures(
         weights, means[None], np.tile(np.diag([1e-2, 1e-4, 1e-8, 1e-12]), (1, k, 1, 1)),
         slot=SLOT, counter=[counter],
     )[0]  # fmt: skip
-    return [frame for p in payloads for frame in default_codec().frames(p, SLOT, fd=fd)]
+    return [frame for p in payloads for frame in default_codec().encoder().frames(p, SLOT, fd=fd)]
 
 
 def two_senders(

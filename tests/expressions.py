@@ -79,7 +79,7 @@ def _objects() -> dict[str, Any]:
         "refit": ml.Refit(road, [0, 0, 0], window=(-20, 80)),
         "frame": ml.Frame(1, bytes(8)),
         "key": wire.Key(bytes(range(16))),
-        "encode": partial(codec.encode_batch, [[0, 0, 0, 0]], [np.eye(4)]),
+        "encode": partial(codec.batch.encode, [[0, 0, 0, 0]], [np.eye(4)]),
         "dbc": _slots,
         "edited": _edited,
         "without": _without,
@@ -88,7 +88,7 @@ def _objects() -> dict[str, Any]:
 
 
 def _status_names(payloads: Any) -> list[str]:
-    batch = _objects()["codec"].decode_batch(payloads)
+    batch = _objects()["codec"].batch.decode(payloads)
     return [ml.Status(status).name for status in batch.status]
 
 

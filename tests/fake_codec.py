@@ -44,6 +44,9 @@ class FakeCodec:
             return [Frame(can_id, b"".join(pages), is_fd=True)]
         return [Frame(can_id, page) for page in pages]
 
+    def encoder(self) -> Any:
+        return self
+
     def decoder(self) -> Any:
         return FakeDecoder()
 

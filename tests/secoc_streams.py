@@ -42,11 +42,11 @@ def names(answers: Any) -> Any:
     return ["line" if isinstance(answer, MapLine) else answer.name for answer in answers]
 
 
-def sent(codec: Any, clock: Any, line: Any, n: Any, step_ns: Any = 50 * MS) -> Any:
+def sent(encoder: Any, clock: Any, line: Any, n: Any, step_ns: Any = 50 * MS) -> Any:
     """Return n frames of a line, a period apart."""
     frames = []
     for _ in range(n):
-        frames += codec.encode(line, fd=True)
+        frames += encoder.encode(line, fd=True)
         clock.now += step_ns
     return frames
 

@@ -47,7 +47,7 @@ class Sender:
         scene, codec, k = prepared(dbc, self.number, tuple(self.slots)), codec_of(dbc), 0
         while (t := self.start + k * self.every) < min(self.stop, cycles):
             counters = {owner: (self.counters.get(owner, 0) + k) % 256 for owner in owners}
-            owned = codec.encode_scene(scene, counters=counters)
+            owned = codec.encoder().encode_scene(scene, counters=counters)
             frames = [f for o, of in owned.items() if o != POSE or self.sends_pose for f in of]
             for i, frame in enumerate(frames):
                 yield Event(round(t * PERIOD_NS) + i * FRAME_NS, self.number, frame)
@@ -58,7 +58,9 @@ class Sender:
 def prepared(dbc: str, sender: int, slots: tuple[Slot, ...]) -> PreparedScene:
     """Return the scene of a sender."""
     sigma = (0.3, SIGMA[sender], 0.005)
-    return codec_of(dbc).prepare_scene(road_scene(slots, radius=RADIUS[sender], sigma=sigma))
+    return (
+        codec_of(dbc).encoder().prepare_scene(road_scene(slots, radius=RADIUS[sender], sigma=sigma))
+    )
 
 
 def senders_of_line(line: MapLine) -> set[int]:

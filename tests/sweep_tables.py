@@ -30,7 +30,7 @@ def share(name: Any, which: Any) -> Any:
 def rows_of(set_: Any, code: Any, finer_bits: Any, mean: Any, cov: Any) -> Any:
     """Return a code's row of the summary and its worst cases; infinities are kept."""
     codec = Codec(Layout.from_text(dbc_writer_for(code, finer_bits).dbc(), code), codes=CODES)
-    batch = codec.decode_batch(codec.encode_batch(mean, cov))
+    batch = codec.batch.decode(codec.batch.encode(mean, cov))
     verdict = evaluate(mean, cov, batch.mean, batch.cov, codec.resolution)
     kl, bits = verdict.kl_covered, sum(s.bits for s in covariance_signals(code, finer_bits))
     row = {"set": set_, "code": code, "finer_bits": finer_bits, "n": len(mean), "seed": 0}

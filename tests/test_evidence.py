@@ -27,8 +27,9 @@ from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
 from evidence.roads import maps_of, random_map
 
-from maplines_can import Codec, Gaussian, LeftOut
+from maplines_can import Gaussian, LeftOut
 from maplines_can.maps import Map, load
+from maplines_can.wire import Encoder
 from maplines_can.wire.covariance.scene_code import SceneCode
 
 for _name in harness.modules():
@@ -208,15 +209,15 @@ def test_wrong_joints_are_found(monkeypatch: pytest.MonkeyPatch, factor: float, 
 
 def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first line of each scene is not sent."""
-    prepare = Codec.prepare_scene
+    prepare = Encoder.prepare_scene
 
-    def without_first(codec: Any, scene: Any, **options: Any) -> Any:
-        prepared = prepare(codec, scene, **options)
+    def without_first(encoder: Any, scene: Any, **options: Any) -> Any:
+        prepared = prepare(encoder, scene, **options)
         first = {0: LeftOut.MEAN} if prepared.sent_slots else {}
         encoded = replace(prepared.encoded, left_out=prepared.encoded.left_out | first)
         return replace(prepared, encoded=encoded, sent_slots=prepared.sent_slots[1:])
 
-    monkeypatch.setattr(Codec, "prepare_scene", without_first)
+    monkeypatch.setattr(Encoder, "prepare_scene", without_first)
     figures = scenes.scenes(14, records=("conditional",), poses=("production",), errors=("5 cm",))
     assert "lost is" in misses("scenes", figures)
 

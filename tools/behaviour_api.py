@@ -209,7 +209,7 @@ def random_scene(rng: Any, lines: int) -> Any:
 
 
 def codecs() -> dict[str, Any]:
-    """Return a codec of each DBC, and one with a key; each has counters of its own."""
+    """Return a codec of each DBC, and one with a key."""
     found = {path.stem: ml.Codec.from_dbc(path) for path in sorted((ROOT / "dbc").glob("*.dbc"))}
     clock = count(NOW_NS, MS)
     keys = ml.Authenticator(ml.Key(bytes(range(16)), key_id=1), clock=lambda: next(clock))
@@ -224,6 +224,7 @@ def has_lines(codec: Any) -> bool:
 def wires() -> Iterator[tuple[str, str]]:
     """Yield the frames of each DBC, and what a receiver makes of them under each fault."""
     for name, codec in codecs().items():
+        encoder = codec.encoder()
         for fd in (False, True) if name != "keys" else (True,):
             rng = np.random.default_rng(7)
             cycles: list[list[Any]] = []
@@ -237,7 +238,7 @@ def wires() -> Iterator[tuple[str, str]]:
             ]:
                 ages = float(rng.uniform(0, 0.2))
                 try:
-                    frames = encoded(codec, source, fd, ages)
+                    frames = encoded(encoder, source, fd, ages)
                 except ml.EncodeError as error:
                     sent.append(f"EncodeError: {error}")
                     continue
@@ -251,11 +252,11 @@ def wires() -> Iterator[tuple[str, str]]:
             yield f"wire-{name}-batch", batch(codec)
 
 
-def encoded(codec: Any, source: Any, fd: bool, age: float) -> list[Any]:
+def encoded(encoder: Any, source: Any, fd: bool, age: float) -> list[Any]:
     """Return the frames of lines, or of a scene."""
     if isinstance(source, Sequence):
-        return [frame for one in codec.encode_lines(source, fd=fd) for frame in one]
-    return [frame for own in codec.encode_scene(source, age=age, fd=fd).values() for frame in own]
+        return [frame for one in encoder.encode_lines(source, fd=fd) for frame in one]
+    return [frame for own in encoder.encode_scene(source, age=age, fd=fd).values() for frame in own]
 
 
 def received(codec: Any, cycles: list[list[Any]], change: Any, rng: Any) -> str:
@@ -343,17 +344,17 @@ def batch(codec: Any) -> str:
     covs = roots @ roots.transpose(0, 2, 1)
     covs[::9] -= 2 * np.eye(4) * covs[::9].diagonal(axis1=1, axis2=2)[:, None] * 0.3  # indefinite
     rest = {"x_min": rng.uniform(-40, 0, 300), "x_max": rng.uniform(0, 120, 300), "age": 0.05}
-    records = codec.encode_batch(means, covs, kind=np.arange(300) % 4, **rest)
+    records = codec.batch.encode(means, covs, kind=np.arange(300) % 4, **rest)
     junk = np.concatenate([records, rng.integers(0, 256, (20, records.shape[1]), dtype=np.uint8)])
     rows = [shown(record.tobytes()) for record in records]
     rows += [
-        f"{field}: {[shown(v) for v in getattr(codec.decode_batch(junk), field)]}"
+        f"{field}: {[shown(v) for v in getattr(codec.batch.decode(junk), field)]}"
         for field in BATCH
     ]
-    one = [codec.decode_one(record.tobytes(), ml.Slot.EGO_LEFT) for record in junk]
-    few = codec.encode_batch(means[:20]), codec.encode_batch(means[:20], covs[:20], status=2)
+    one = [codec.batch.decode_one(record.tobytes(), ml.Slot.EGO_LEFT) for record in junk]
+    few = codec.batch.encode(means[:20]), codec.batch.encode(means[:20], covs[:20], status=2)
     weights, equal = np.full((9, 3), 1 / 3), np.broadcast_to(np.eye(4) * 1e-4, (9, 3, 4, 4))
-    mixed = codec.encode_mixtures(weights, means[:27].reshape(9, 3, 4) / 40, equal)
+    mixed = codec.batch.encode_mixtures(weights, means[:27].reshape(9, 3, 4) / 40, equal)
     return "\n".join(rows + list(map(shown, one)) + [r.tobytes().hex() for r in (*few, mixed)])
 
 

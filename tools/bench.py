@@ -260,7 +260,7 @@ class Traffic:
 
     def encoded(self) -> Any:
         """Return the payloads by our codec."""
-        return self.codec.encode_batch(self.mean, self.cov, kind=np.arange(self.n) % 8, age=0.05)
+        return self.codec.batch.encode(self.mean, self.cov, kind=np.arange(self.n) % 8, age=0.05)
 
     def cantools_encoded(self, **options: bool) -> list[list[bytes]]:
         """Return the pages of each line by cantools."""
@@ -310,7 +310,7 @@ def signals(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
 def batch(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Compare Gaussians to payloads and back with packing alone by cantools."""
     traffic = Traffic(sizes.lines, seed)
-    decoded = partial(traffic.codec.decode_batch, traffic.payloads)
+    decoded = partial(traffic.codec.batch.decode, traffic.payloads)
     agree("records sent and accepted", (~decoded().accepted).sum())
     yield traffic.check()
     n, encode, decode = traffic.n, traffic.cantools_encoded, traffic.cantools_decoded
@@ -322,10 +322,11 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     """Compare single lines with packing alone by cantools."""
     n, traffic = sizes.singles, Traffic(sizes.singles, seed)
     codec, decoder, t_ns = traffic.codec, traffic.codec.decoder(), 0
+    encoder = codec.encoder()
     gaussians = [Gaussian(mean, cov) for mean, cov in zip(traffic.mean, traffic.cov, strict=True)]
     lines = [MapLine(Slot(i % len(Slot)), gaussian) for i, gaussian in enumerate(gaussians)]
-    singly = partial(each, codec.encode, lines)
-    eights = partial(each, codec.encode_lines, list(zip(*[iter(lines)] * len(Slot), strict=True)))
+    singly = partial(each, encoder.encode, lines)
+    eights = partial(each, encoder.encode_lines, list(zip(*[iter(lines)] * len(Slot), strict=True)))
     rounds = cycle(
         [list(chain.from_iterable(singly())) for _ in range(2)]
     )  # so that no counter repeats
@@ -339,8 +340,8 @@ def one(sizes: Sizes, seed: int) -> Iterator[str | Pair]:
     agree("lines fed and lines delivered", abs(delivered - 2 * n))
     yield traffic.check()
     encode, decode = traffic.cantools_encoded, traffic.cantools_decoded
-    yield Pair("Codec.encode", ENCODE, n, singly, encode)
-    yield Pair("Codec.encode_lines of 8", ENCODE, n, eights, encode)
+    yield Pair("Encoder.encode", ENCODE, n, singly, encode)
+    yield Pair("Encoder.encode_lines of 8", ENCODE, n, eights, encode)
     yield Pair("Decoder.feed, 4 frames", DECODE, n, fed, decode)
 
 

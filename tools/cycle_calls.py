@@ -161,14 +161,14 @@ def _messages() -> Iterator[tuple[str, Call]]:
     ego, codec = Gaussian(np.zeros(3), EGO_COV), Codec.from_dbc(default_dbc_path(COMPLETE))
     for name, lines, components in (("lines", highway_lines(), 1), ("mixtures", city_lines(), 3)):
         found = map_lines(dict(zip(Slot, lines, strict=True)), ego, components=components)
-        yield from _round_trip(name, codec, partial(codec.encode_lines, found))
+        yield from _round_trip(name, codec, partial(codec.encoder().encode_lines, found))
     for dbc in (CONDITIONAL, COMPLETE):
         codec = Codec.from_dbc(default_dbc_path(dbc))
         for road, of_road in ROADS.items():
             for text, error in ERRORS.items():
                 scene = _scene(of_road(), error)
                 name = f"scene of {dbc}, {road}{text}"
-                yield from _round_trip(name, codec, partial(codec.encode_scene, scene))
+                yield from _round_trip(name, codec, partial(codec.encoder().encode_scene, scene))
 
 
 def _round_trip(name: str, codec: Codec, encode: Call) -> Iterator[tuple[str, Call]]:
@@ -197,7 +197,8 @@ class _Reception:
 
     def __init__(self, lines: list[Polyline]) -> None:
         self._codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
-        self._prepared = self._codec.prepare_scene(_scene(lines))
+        self._encoder = self._codec.encoder()
+        self._prepared = self._encoder.prepare_scene(_scene(lines))
         self.monitor, self.t_ns = Monitor(self._codec.decoder()), 0
         while not self.monitor.latest_scene(self.t_ns).usable:
             self.receive()
@@ -205,7 +206,7 @@ class _Reception:
     def receive(self) -> None:
         """Receive the scene of the next cycle."""
         self.t_ns += PERIOD_NS - self.t_ns % PERIOD_NS
-        for frame in _flat(self._codec.encode_scene(self._prepared)):
+        for frame in _flat(self._encoder.encode_scene(self._prepared)):
             self.monitor.feed(frame.can_id, frame.data, self.t_ns)
             self.t_ns += FRAME_NS
 

@@ -65,6 +65,7 @@ def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 2
     Raises:
         WrongResultError: a result is wrong. Any other exception is also a wrong result.
     """
+    encoder = codec.encoder()
     for of_slot in codec.layout.messages.values():
         slot = of_slot.slot
         most = int(codec.layout["ComponentCount"].physical_range[1])
@@ -79,7 +80,7 @@ def check_codec(codec: Codec, database: Database, records: int = 300, n: int = 2
             _check_authenticated(codec, database, lines[1:7], slot)
         for missing, fd in ((of_slot.can_id is None, False), (of_slot.fd_can_id is None, True)):
             if missing:
-                _must(EncodeError, codec.encode, lines[0], fd=fd)
+                _must(EncodeError, encoder.encode, lines[0], fd=fd)
 
 
 def _check_frames(
@@ -94,7 +95,7 @@ def _check_frames(
     decoder = codec.decoder()
     records: list[bytes] = []
     signals: list[dict[str, Any]] = []
-    frames_of_lines = codec.encode_lines(lines, fd=fd, counters={})
+    frames_of_lines = codec.encoder().encode_lines(lines, fd=fd, counters={})
     for i, (line, frames) in enumerate(zip(lines, frames_of_lines, strict=True)):
         answer: Any = None
         for j, frame in enumerate(frames):
@@ -140,9 +141,9 @@ def _check_records(
     codec: Codec, records: list[bytes], witness: list[dict[str, Any]], slot: Slot
 ) -> None:
     """Compare decoded records with the physical values that cantools decodes."""
-    batch = codec.decode_batch(np.array([list(record) for record in records], np.uint8), slot=slot)
+    batch = codec.batch.decode(np.array([list(record) for record in records], np.uint8), slot=slot)
     if not batch.accepted.all():
-        raise WrongResultError(f"decode_batch rejects: {dict(batch.rejects)}")
+        raise WrongResultError(f"batch.decode rejects: {dict(batch.rejects)}")
     columns = {
         **dict(zip(PARAMETER_SIGNALS, batch.mean.T, strict=True)),
         "Status": batch.status,
@@ -164,9 +165,9 @@ def _check_records(
             expected["Age"] = np.inf
         for name, value in expected.items():
             _equal(name, columns[name][i], value)
-        one: Any = codec.read_record(record, slot)
+        one: Any = codec.reader.read(record, slot)
         if (one.line.gaussian.mean != batch.mean[i]).any() or one.counter != batch.counter[i]:
-            raise WrongResultError("read_record differs from decode_batch")
+            raise WrongResultError("reader.read differs from batch.decode")
         if batch.status[i] not in (Status.UNKNOWN, Status.OUT_OF_RANGE):
             by_hand = covariance_by_hand(signals, codec)
             sigma = np.sqrt(by_hand.diagonal())  # entries near 0 are what is left of large ones
@@ -271,10 +272,11 @@ def _check_authenticated(
         return now
 
     secured = Codec(codec.layout, Authenticator(Key(SECRET, key_id=5), clock=clock))
+    secured_encoder = secured.encoder()
     decoder = secured.decoder()
     for line in lines:
         now += CYCLE_NS
-        (frame,) = secured.encode(line, fd=True)
+        (frame,) = secured_encoder.encode(line, fd=True)
         signals: Any = _message(database, frame).decode(frame.data, decode_choices=False)
         _equal("KeyId", 5, signals["KeyId"])
         bits = 8 * codec.layout.secured.freshness_bytes if codec.layout.secured else 0

@@ -329,6 +329,7 @@ class Testbed:
         their arrival. It is sent again only if its transfer has surely timed out.
         """
         codec, receiver = Codec.from_dbc(), self.receiver
+        encoder = codec.encoder()
         deadline, attempts = time.monotonic() + TIMEOUT, 0
 
         def printed() -> Any:
@@ -339,7 +340,7 @@ class Testbed:
                 if time.monotonic() > deadline:
                     raise UnmetError("the receiver does not print the last line")
                 attempts += 1
-                for frame in codec.encode(MapLine.mean_only(LAST_SLOT, [0, 0, 0, 0])):
+                for frame in encoder.encode(MapLine.mean_only(LAST_SLOT, [0, 0, 0, 0])):
                     bus.send(
                         can.Message(
                             arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
@@ -354,10 +355,11 @@ class Testbed:
 def expected(name: Any) -> Any:
     """Return the contents that may be received of the lines of a scenario."""
     codec, example = Codec.from_dbc(), scenario(name)
+    encoder = codec.encoder()
     decoder, lines = codec.decoder(), set()
     first = {slot: example.lines[slot] for slot in list(example.lines)[:4]}
     for line in map_lines(first, example.ego, window=example.window):
-        for frame in codec.encode(line):
+        for frame in encoder.encode(line):
             result = decoder.feed(frame.can_id, frame.data, 0)
             if isinstance(result, MapLine):
                 lines.add(content(line_dict(result)))

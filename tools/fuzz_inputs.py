@@ -71,7 +71,9 @@ def logs_seeds() -> Iterator[bytes]:
                 warnings.simplefilter("ignore")
                 with can.Logger(path) as writer:
                     t = 1000.0
-                    for frame in codec.frames(np.frombuffer(record, np.uint8), Slot.EGO_LEFT):
+                    for frame in codec.encoder().frames(
+                        np.frombuffer(record, np.uint8), Slot.EGO_LEFT
+                    ):
                         t += 0.001
                         writer(
                             can.Message(

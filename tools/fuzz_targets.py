@@ -148,7 +148,7 @@ def decoder(data: bytes) -> Counter[str]:
             counter = (first + index) % 256
             record = valid_record(codec, packing, content, slot, counter, **signals)
             check_record(codec, record, slot)
-            frames = sender.frames(record, slot, bool(how & 2))
+            frames = sender.encoder().frames(record, slot, bool(how & 2))
             if how & 4:
                 frames = frames[::-1]
             if how & 8:
@@ -239,8 +239,8 @@ def check_line(line: MapLine) -> None:
 
 def check_record(codec: Codec, record: bytes, slot: Slot) -> None:
     """Check that both ways of decoding accept the same records and agree to the last bit."""
-    batch = codec.decode_batch(np.frombuffer(record, dtype=np.uint8)[None], slot)
-    line = codec.decode_one(record, slot)
+    batch = codec.batch.decode(np.frombuffer(record, dtype=np.uint8)[None], slot)
+    line = codec.batch.decode_one(record, slot)
     require(batch.accepted[0] == isinstance(line, MapLine), "the two decoders do not agree")
     if isinstance(line, MapLine):
         check_line(line)
@@ -284,6 +284,7 @@ def dbc(data: bytes) -> Counter[str]:
     text = data.decode("cp1252", "replace")
     try:
         codec = Codec(Layout.from_text(text, "fuzz"), codes=STUDY_CODES)
+        encoder = codec.encoder()
     except LayoutError as error:
         require("\n" not in str(error), "the message has more than one line")
         return Counter(LayoutError=1)
@@ -292,12 +293,12 @@ def dbc(data: bytes) -> Counter[str]:
     junk = random.Random(len(data)).randbytes(layout.record_bytes)  # noqa: S311
     for slot, messages in layout.messages.items():
         for record in (junk, bytes(layout.record_bytes)):
-            require(not isinstance(codec.decode_one(record, slot), Exception), "")
-            codec.decode_batch(np.frombuffer(record, np.uint8)[None], slot)
+            require(not isinstance(codec.batch.decode_one(record, slot), Exception), "")
+            codec.batch.decode(np.frombuffer(record, np.uint8)[None], slot)
         for fd in (False, True):
             try:
                 line = MapLine.with_sigma(slot, [1.75, 0.01, 1e-3, 1e-6], [0.1, 0.01, 1e-4, 1e-6])
-                frames = codec.encode(line, fd=fd)
+                frames = encoder.encode(line, fd=fd)
             except EncodeError:
                 outcomes["EncodeError"] += 1
                 continue

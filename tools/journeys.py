@@ -88,20 +88,21 @@ def journeys() -> dict[str, list[Step]]:
     lines, ego, codec = {first: roads.lines[first]}, roads.ego, ml.Codec.from_dbc()
     scene = ml.map_scene(lines | {second: roads.lines[second]}, ego, window=roads.window)
     (line,) = ml.map_lines(lines, ego)
-    codec.encode_scene(scene)
+    encoder = codec.encoder()
+    encoder.encode_scene(scene)
     return {
         "last frame to line": last_frame(codec, line),
-        "a line to its frames": steps(lambda: codec.encode(line)),
-        "encode_scene, 2 lines": steps(lambda: codec.encode_scene(scene)),
+        "a line to its frames": steps(lambda: encoder.encode(line)),
+        "encode_scene, 2 lines": steps(lambda: encoder.encode_scene(scene)),
         "map_lines, 1 line": steps(lambda: ml.map_lines(lines, ego)),
     }
 
 
 def last_frame(codec: ml.Codec, line: ml.MapLine) -> list[Step]:
     """Return the steps from the last frame of a line to this line, once the slot is VALID."""
-    decoder, found = codec.decoder(), list[Step]()
+    encoder, decoder, found = codec.encoder(), codec.decoder(), list[Step]()
     for cycle in range(12):
-        *frames, last = codec.encode(line)
+        *frames, last = encoder.encode(line)
         for frame in frames:
             decoder.feed(frame.can_id, frame.data, 50 * MS * cycle)
         found = steps(lambda: decoder.feed(last.can_id, last.data, 50 * MS * cycle))  # noqa: B023

@@ -107,7 +107,11 @@ def check_scenes(codec: Codec) -> None:
     sent = _scene(tuple(codec.layout.messages))
     for fd in (False, True):
         decoder = codec.decoder()
-        frames = [f for own in codec.encode_scene(sent, fd=fd, counters={}).values() for f in own]
+        frames = [
+            f
+            for own in codec.encoder().encode_scene(sent, fd=fd, counters={}).values()
+            for f in own
+        ]
         for j, frame in enumerate(frames):
             decoder.feed(frame.can_id, frame.data, CYCLE_NS + j * FRAME_NS)
         received = decoder.scene()

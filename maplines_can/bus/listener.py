@@ -66,7 +66,7 @@ class LineListener(can.Listener):
     >>> from maplines_can import Codec, MapLine
     >>> codec = Codec.from_dbc()
     >>> listener = LineListener(codec.decoder())
-    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0])):
+    >>> for frame in codec.encoder().encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0])):
     ...     listener(
     ...         can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
     ...     )

@@ -103,7 +103,7 @@ class Transmitter(BackgroundThread):
         clock: Callable[[], float] = time.monotonic,
         on_sent: Callable[[Frame], None] | None = None,
     ) -> None:
-        if not hasattr(codec, "encode_lines"):
+        if not hasattr(codec, "encoder"):
             raise TypeError(f"codec must be a Codec, such as Codec.from_dbc(), got {codec!r}")
         if not 0.001 <= period <= 3600:
             raise ValueError(f"period must be in [0.001, 3600] s, got {period!r} s")
@@ -123,7 +123,7 @@ class Transmitter(BackgroundThread):
             )
         super().__init__("maplines transmit")
         self._link, self._period, self._clock, self._on_sent = link, period, clock, on_sent
-        self._codec, self._fd = codec, fd
+        self._codec, self._encoder, self._fd = codec, codec.encoder(), fd
         max_age = stated if max_age is None else max_age
         self._tx_queue = TxQueue(codec, period, fd=fd, count=count, max_age=max_age)
         self._counts = Counter(
@@ -145,7 +145,7 @@ class Transmitter(BackgroundThread):
 
         A scene is sent instead of all that was published before: in each period the pose error
         first, then the lines that were seen from this pose. This call encodes the scene, in the
-        thread of the caller, unless ``Codec.prepare_scene`` has done so.
+        thread of the caller, unless ``Encoder.prepare_scene`` has done so.
 
         Args:
             line: the line, or several lines that take effect at the same moment, such as the
@@ -155,7 +155,7 @@ class Transmitter(BackgroundThread):
                 ``line.age`` is ignored.
 
         Raises:
-            EncodeError: a scene does not fit the DBC, see ``Codec.prepare_scene``; or the DBC takes
+            EncodeError: a scene does not fit the DBC, see ``Encoder.prepare_scene``; or it takes
                 scenes only.
             ValueError: ``t_pose_ns`` is more than 1 s ahead of ``time.time_ns()``, or more
                 than 1 h behind.
@@ -172,7 +172,7 @@ class Transmitter(BackgroundThread):
                     f"ago, got {t_pose_ns!r}, which was {age:g} s ago"
                 )
         if isinstance(line, Scene):
-            line = self._codec.prepare_scene(line, fd=self._fd)
+            line = self._encoder.prepare_scene(line, fd=self._fd)
         prepared = line if isinstance(line, PreparedScene) else None
         left_out = line.left_out if isinstance(line, MapLineList | PreparedScene) else {}
         lines: list[MapLine] = []

@@ -104,7 +104,7 @@ class TxQueue:
     def __init__(
         self, codec: Codec, period: float, *, fd: bool, count: int | None, max_age: float
     ) -> None:
-        self._codec, self._period, self._fd, self._max_age = codec, period, fd, max_age
+        self._encoder, self._period, self._fd, self._max_age = codec.encoder(), period, fd, max_age
         self._schedule: Schedule[Owner] = Schedule(period, count)
         self._published: dict[Owner, Published] = {}
         self._scene: PublishedScene | None = None  # then nothing else is published
@@ -231,7 +231,7 @@ class TxQueue:
         self, lines: Sequence[MapLine], counters: Mapping[Owner, int] | None = None
     ) -> list[list[Frame]]:
         known = self._counters if counters is None else counters
-        return self._codec.encode_lines(lines, fd=self._fd, counters=known)
+        return self._encoder.encode_lines(lines, fd=self._fd, counters=known)
 
     def _line_again(
         self, own: Published, counters: Mapping[Owner, int], latest: float
@@ -269,7 +269,7 @@ class TxQueue:
     def _scene_frames(
         self, scene: PublishedScene, counters: Mapping[Owner, int], ages: Mapping[Owner, float]
     ) -> Mapping[Owner, Sequence[Frame]]:
-        return self._codec.encode_scene(scene.prepared, age=ages, fd=self._fd, counters=counters)
+        return self._encoder.encode_scene(scene.prepared, age=ages, fd=self._fd, counters=counters)
 
     def _scene_again(
         self, scene: PublishedScene, counters: Mapping[Owner, int], owner: Owner, latest: float

@@ -52,7 +52,7 @@ class Sending(NamedTuple):
     def left_out(self, codec: Codec) -> Mapping[Slot, LeftOut]:
         """Return why lines are not sent: those of a scene that do not fit the message, too."""
         if isinstance(self.lines, Scene):
-            return codec.prepare_scene(self.lines, fd=self.bus.fd).left_out
+            return codec.encoder().prepare_scene(self.lines, fd=self.bus.fd).left_out
         return self.lines.left_out
 
 

@@ -17,7 +17,7 @@ BLOCK = 128
 
 
 class Moments(NamedTuple):
-    """Means and covariances of one or several outputs, as ``Codec.encode_batch`` takes them."""
+    """Means and covariances of one or several outputs, as ``BatchCodec.encode`` takes them."""
 
     mean: NDArray[np.float64]  #: (..., m)
     cov: NDArray[np.float64]  #: (..., m, m)

@@ -70,6 +70,7 @@ class CarStream:
         has_camera: bool = True,
     ) -> None:
         self._tracker, self._drive, self._codec = LaneTracker(road_map, route), drive, codec
+        self._encoder = codec.encoder()
         self._errors, self._time = errors or Errors(), correlation_time
         self._rng = np.random.default_rng([seed, 1])
         self._poses = PoseSource(self._errors.pose_sigma, correlation_time, seed)
@@ -129,7 +130,7 @@ class CarStream:
     def _transfer(self, monitor: Monitor, scene: Scene, t: float) -> int:
         """Send a scene; return the time after its last frame [ns]."""
         t_ns = round(1e9 * (t + AGE))
-        for own in self._codec.encode_scene(scene, age=AGE).values():
+        for own in self._encoder.encode_scene(scene, age=AGE).values():
             for frame in own:
                 monitor.feed(frame.can_id, frame.data, t_ns)
                 t_ns += round(1e9 * FRAME)

@@ -99,7 +99,8 @@ def component_budget(
         return None
     timing = 1 / bus.rate, *bus.bitrates
     blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
-    transfers = [codec.frames(blank, slot, fd=bus.fd) for slot in slots]
+    encoder = codec.encoder()
+    transfers = [encoder.frames(blank, slot, fd=bus.fd) for slot in slots]
     budget = min(transfers_within(bus.max_load, transfer, *timing) for transfer in transfers)
     total = least * len(slots)
     if budget < total:
@@ -123,8 +124,9 @@ def check_scene_load(codec: Codec, slots: Collection[Slot], bus: BusShare) -> No
         return
     blank = np.zeros(codec.layout.record_bytes, dtype=np.uint8)
     empty = Scene((), np.zeros((0, 0)), PoseError(np.eye(3) * 0.01), np.zeros((0, 2)))
-    pose = codec.encode_scene(empty, fd=bus.fd, counters={})[POSE]
-    lines = (codec.frames(blank, slot, fd=bus.fd) for slot in slots)
+    encoder = codec.encoder()
+    pose = encoder.encode_scene(empty, fd=bus.fd, counters={})[POSE]
+    lines = (encoder.frames(blank, slot, fd=bus.fd) for slot in slots)
     load = bus_load([*pose, *chain(*lines)], 1 / bus.rate, *bus.bitrates)
     if load > bus.max_load:
         raise ValueError(

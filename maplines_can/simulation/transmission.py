@@ -117,6 +117,9 @@ class Transmission:
     progress: Progress
     counters: Counters = field(default_factory=Counters)
 
+    def __post_init__(self) -> None:
+        self._encoder = self.codec.encoder()
+
     def simulate(
         self,
         start_ns: int,
@@ -252,7 +255,7 @@ class Transmission:
         """Yield the frames of each line, of which each record takes ``step`` [s] on the bus."""
         ages = np.cumsum([0.0, *(step * _records(line) for line in lines)])
         aged = [replace(line, age=float(age)) for line, age in zip(lines, ages, strict=False)]
-        for frames in self.codec.encode_lines(aged, fd=self.fd):
+        for frames in self._encoder.encode_lines(aged, fd=self.fd):
             self.counters.lines += 1
             yield frames
 
@@ -267,7 +270,9 @@ class Transmission:
         first, age = Counter(numbers), 0.0
         owners: tuple[Owner, ...] = (POSE, *prepared.sent_slots)
         for owner in owners:
-            frames = self.codec.encode_scene(prepared, age=age, fd=self.fd, counters=first)[owner]
+            frames = self._encoder.encode_scene(prepared, age=age, fd=self.fd, counters=first)[
+                owner
+            ]
             numbers[owner] += 1
             self.counters.pose_errors += owner == POSE
             self.counters.lines += owner != POSE
@@ -276,7 +281,7 @@ class Transmission:
 
     def _prepared(self, scene: Scene) -> PreparedScene:
         """Return a scene for sending, and count the lines that do not fit the message."""
-        prepared = self.codec.prepare_scene(scene, fd=self.fd)
+        prepared = self._encoder.prepare_scene(scene, fd=self.fd)
         self.counters.left_out.update(reason.name for reason in prepared.unfit.values())
         return prepared
 
@@ -285,7 +290,7 @@ class Transmission:
         if not lines:
             return 0.0
         blank = np.zeros(self.codec.layout.record_bytes, dtype=np.uint8)
-        frames = self.codec.frames(blank, lines[0].slot, fd=self.fd)
+        frames = self._encoder.frames(blank, lines[0].slot, fd=self.fd)
         return sum(map(self._duration, frames))
 
 

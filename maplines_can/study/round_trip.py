@@ -156,11 +156,12 @@ def round_trip(
         BusError: the interface cannot be opened.
         EncodeError: a scene does not fit the DBC.
     """
+    encoder = codec.encoder()
     bus = BusSettings() if bus is None else bus
     true_lines: Sequence[MapLine]
     published: Sequence[MapLine] | PreparedScene
     if isinstance(lines, Scene):
-        true_lines, published = lines.lines, codec.prepare_scene(lines, fd=bus.fd)
+        true_lines, published = lines.lines, encoder.prepare_scene(lines, fd=bus.fd)
     else:
         true_lines = published = lines
     arrivals = _Arrivals(1 / bus.rate)
@@ -181,12 +182,12 @@ def round_trip(
     duration, cpu = elapsed(), time.process_time() - cpu
     result = None
     if isinstance(published, PreparedScene):
-        transfers = codec.encode_scene(published, fd=bus.fd)
+        transfers = encoder.encode_scene(published, fd=bus.fd)
         full = len(true_lines) * (1 if bus.fd else codec.layout.pages)
         result = scene_result(published, transfers, arrivals.scene, full)
         frames = chain(*transfers.values())
     else:
-        frames = chain(*codec.encode_lines(published, fd=bus.fd))
+        frames = chain(*encoder.encode_lines(published, fd=bus.fd))
     return RoundTrip(
         bus=bus,
         authenticated=codec.authenticator is not None,

@@ -1,6 +1,8 @@
 """Map lines and their Gaussians as messages on a CAN bus, as a DBC describes them."""
 
+from .batch import BatchCodec
 from .codec import CODES, Codec
+from .encoder import Encoder
 from .layout.dbc_reader import default_dbc_path
 from .layout.message_layout import Layout
 from .layout.pose_layout import POSE, Owner
@@ -21,10 +23,12 @@ __all__ = [
     "POSE",
     "Authenticator",
     "Batch",
+    "BatchCodec",
     "Codec",
     "Decoder",
     "E2EConfig",
     "E2EState",
+    "Encoder",
     "Frame",
     "Key",
     "Layout",

@@ -53,7 +53,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def texts() -> dict[str, str]:
     """Return the text files by name; some are good, for a command that is bad otherwise."""
-    frames = Codec.from_dbc().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
+    frames = Codec.from_dbc().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
     text = DEFAULT.dbc()
     return {
         "a-file": "a file\n",

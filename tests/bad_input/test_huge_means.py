@@ -22,12 +22,14 @@ def test_item_10_a_huge_mean_issues_no_warning(codec: Codec, size: float, parame
     line = MapLine(Slot.EGO_LEFT, Gaussian(mean, cov), t_ns=0)
     line.y([0.0, 80.0])
     line.y_sigma([0.0, 80.0])
-    payloads = codec.encode_batch([mean], [cov])
-    mixture = codec.encode_mixtures([[0.5, 0.5]], [[mean, np.zeros(4)]], [[cov, cov]])
-    *_, sent = codec.encode(MapLine.of_mixture(0, GaussianMixture([0.5, 0.5], [line.gaussian] * 2)))  # type: ignore[arg-type]
+    payloads = codec.batch.encode([mean], [cov])
+    mixture = codec.batch.encode_mixtures([[0.5, 0.5]], [[mean, np.zeros(4)]], [[cov, cov]])
+    *_, sent = codec.encoder().encode(
+        MapLine.of_mixture(0, GaussianMixture([0.5, 0.5], [line.gaussian] * 2))
+    )  # type: ignore[arg-type]
 
-    assert codec.decode_batch(payloads).status[0] == Status.OUT_OF_RANGE
-    assert codec.decode_batch(mixture[0]).status[0] == Status.OUT_OF_RANGE
+    assert codec.batch.decode(payloads).status[0] == Status.OUT_OF_RANGE
+    assert codec.batch.decode(mixture[0]).status[0] == Status.OUT_OF_RANGE
     assert sent.data
     for call in (
         lambda: predict(line.gaussian, Motion(20.0, 0.1).over(0.1), (0.0, 80.0)),

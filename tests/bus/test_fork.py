@@ -68,7 +68,7 @@ def test_item_10_stop_wait_and_get_end_at_once_in_a_forked_child(link: Any, othe
     ):
         transmitter.publish(map_line(y=1))
         collect(receiver, 1)
-        send_frames(link, *codec.encode(map_line(y=2)))
+        send_frames(link, *codec.encoder().encode(map_line(y=2)))
         wait_until(lambda: receiver.stats().lines == 2)
 
         def check() -> bool:
@@ -148,7 +148,7 @@ def test_a_listener_works_in_the_child() -> None:
     listener = LineListener(codec.decoder(), on_line=lines.put)
 
     def check() -> bool:
-        for frame in codec.encode(map_line()):
+        for frame in codec.encoder().encode(map_line()):
             listener(can.Message(arbitration_id=frame.can_id, data=frame.data))
         return lines.qsize() == listener.stats().lines == 1
 

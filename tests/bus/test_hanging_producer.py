@@ -181,14 +181,14 @@ def test_item_1_other_dbcs(make_bench: Any, tmp_path: Any, conversion: str, max_
     codec = Codec.from_dbc(edited(tmp_path, (AGE, rf"\1{conversion}")))
     assert codec.layout.max_age == pytest.approx(max_age)
     ages = np.linspace(0.0, 0.6, 601)
-    payloads = codec.encode_batch(np.zeros((601, 4)), age=ages)
-    batch = codec.decode_batch(payloads)
+    payloads = codec.batch.encode(np.zeros((601, 4)), age=ages)
+    batch = codec.batch.decode(payloads)
     assert (batch.age >= ages).all()
     assert ((batch.age == np.inf) == (ages > max_age + 1e-12)).all()
-    assert {codec.decode_one(p.tobytes(), SLOT).age for p in payloads} == set(batch.age)  # type: ignore[union-attr]
+    assert {codec.batch.decode_one(p.tobytes(), SLOT).age for p in payloads} == set(batch.age)  # type: ignore[union-attr]
     for age in range(codec.layout["Age"].raw_max, 32):
         payload = changed_record(codec, payloads[0].tobytes(), SLOT, Age=age)
-        assert codec.decode_one(payload, SLOT).age == np.inf  # type: ignore[union-attr]
+        assert codec.batch.decode_one(payload, SLOT).age == np.inf  # type: ignore[union-attr]
     bench = make_bench(codec, np.random.default_rng(2))
     bench.transmitter.publish(map_line())
     bench.run(1.0)
@@ -229,7 +229,7 @@ class Sleeper:
 @pytest.mark.parametrize("ages", [(0.04, 0.04, 0.04), (np.inf,) * 3, (0.04, np.inf, 0.04)])
 def test_item_1_a_mixture_is_as_old_as_its_components(codec: Codec, ages: Any) -> None:
     """A line has one pose, so components of different ages are not of one line."""
-    payloads = codec.encode_batch(
+    payloads = codec.batch.encode(
         np.zeros((3, 4)), np.tile(np.diag([1e-2, 1e-4, 1e-8, 1e-12]), (3, 1, 1)), age=ages,
         counter=range(3), component_index=range(3), component_count=3,
         component_weight=[0.25, 0.25, 0.5],
@@ -238,7 +238,7 @@ def test_item_1_a_mixture_is_as_old_as_its_components(codec: Codec, ages: Any) -
     answers = [
         decoder.feed(frame.can_id, frame.data, 10**6 * i)
         for i, payload in enumerate(payloads)
-        for frame in codec.frames(payload, SLOT)
+        for frame in codec.encoder().frames(payload, SLOT)
     ]
     lines = [answer for answer in answers if isinstance(answer, MapLine)]
     if len(set(ages)) > 1:

@@ -301,7 +301,7 @@ def test_a_socket_of_a_deleted_interface_is_detected(vcan: str) -> None:
         events.expect(False, "it was deleted")
         events.expect(True, "is back")
         with Link(interface="socketcan", channel=vcan) as link:
-            send_frames(link, *codec.encode(map_line()))
+            send_frames(link, *codec.encoder().encode(map_line()))
             assert receiver.get(LONG)
 
 

@@ -33,9 +33,9 @@ def buses(channel: str) -> Any:
         yield out, back
 
 
-def send(bus: Any, codec: Any, *lines: Any, **rest: Any) -> None:
+def send(bus: Any, encoder: Any, *lines: Any, **rest: Any) -> None:
     for line in lines:
-        for frame in codec.encode(line):
+        for frame in encoder.encode(line):
             bus.send(message_of(frame, **rest))
 
 
@@ -43,10 +43,11 @@ def test_item_3_a_notifier_passes_lines_to_a_listener(buses: Any) -> None:
     """As with a receiver: queue, newest line, states and counters."""
     out, back = buses
     codec = new_codec()
+    encoder = codec.encoder()
     listener = maplines_can.LineListener(codec.decoder())
     with can.Notifier(back, [listener], timeout=POLL):
         for k in range(9):
-            send(out, codec, map_line(y=k / 8), timestamp=1e9 + k / 20)
+            send(out, encoder, map_line(y=k / 8), timestamp=1e9 + k / 20)
         out.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, timestamp=1e9))
         out.send(can.Message(is_error_frame=True))
         out.send(can.Message(is_remote_frame=True))
@@ -67,9 +68,10 @@ def test_the_iteration_ends_with_the_notifier(buses: Any) -> None:
     """Lines that wait are still returned; frames that come later are ignored."""
     out, back = buses
     codec = FakeCodec()
+    encoder = codec.encoder()
     listener = LineListener(codec.decoder())
     notifier = can.Notifier(back, [listener], timeout=POLL)
-    send(out, codec, map_line(y=1), map_line(y=2))
+    send(out, encoder, map_line(y=1), map_line(y=2))
     wait_until(lambda: listener.stats().lines == 2)
     lines: list[Any] = []
     reading = threading.Thread(target=lambda: lines.extend(listener))
@@ -85,6 +87,7 @@ def test_the_iteration_ends_with_the_notifier(buses: Any) -> None:
 def test_a_callback_is_called_by_the_notifier(buses: Any) -> None:
     out, back = buses
     codec, called, threads = FakeCodec(), threading.Event(), []
+    encoder = codec.encoder()
 
     def on_line(line: Any) -> None:
         threads.append((threading.current_thread().name, line.slot))
@@ -92,7 +95,7 @@ def test_a_callback_is_called_by_the_notifier(buses: Any) -> None:
 
     listener = LineListener(codec.decoder(), on_line=on_line)
     with can.Notifier(back, [listener], timeout=POLL):
-        send(out, codec, map_line())
+        send(out, encoder, map_line())
         assert called.wait(LONG)
         with pytest.raises(TypeError, match="the lines go to on_line"):
             listener.get()
@@ -105,13 +108,14 @@ def test_an_event_loop_calls_the_listener(buses: Any) -> None:
     """The lines reach an ``asyncio.Queue``, in the thread of the loop."""
     out, back = buses
     codec = FakeCodec()
+    encoder = codec.encoder()
 
     async def receive() -> Any:
         lines: asyncio.Queue[Any] = asyncio.Queue()
         listener = LineListener(codec.decoder(), on_line=lines.put_nowait)
         loop = asyncio.get_running_loop()
         with can.Notifier(back, [listener], timeout=POLL, loop=loop):
-            send(out, codec, map_line(y=1), map_line(y=2))
+            send(out, encoder, map_line(y=1), map_line(y=2))
             return [await asyncio.wait_for(lines.get(), LONG) for _ in range(2)]
 
     assert [line.gaussian.mean[0] for line in asyncio.run(receive())] == [1, 2]
@@ -122,12 +126,13 @@ def test_the_error_of_a_callback_reaches_the_notifier(buses: Any) -> None:
     """It ends the thread of the notifier, as that of any listener."""
     out, back = buses
     codec = FakeCodec()
+    encoder = codec.encoder()
 
     def on_line(line: Any) -> None:
         raise ZeroDivisionError
 
     notifier = can.Notifier(back, [LineListener(codec.decoder(), on_line=on_line)], timeout=POLL)
-    send(out, codec, map_line())
+    send(out, encoder, map_line())
     wait_until(lambda: notifier.exception)
     assert isinstance(notifier.exception, ZeroDivisionError)
     notifier.stop()
@@ -154,12 +159,13 @@ def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None
 
     out, back = buses
     codec = FakeCodec()
+    encoder = codec.encoder()
     listener = LineListener(codec.decoder())
     with can.Notifier(back, [listener, Handler()], timeout=POLL) as notifier:
         assert notifier._on_error(KeyError("handled"))
         with pytest.raises(KeyError):
             listener.get()
-        send(out, codec, map_line())
+        send(out, encoder, map_line())
         wait_until(lambda: listener.stats().lines)
         assert listener.get() is not None
         assert listener.get(0.0) is None
@@ -168,9 +174,10 @@ def test_an_error_that_another_listener_handles_ends_nothing(buses: Any) -> None
 def test_the_messages_of_a_log_become_lines(tmp_path: Path) -> None:
     """With python-can's readers, and at the pace of the log with its ``MessageSync``."""
     codec, path = new_codec(), tmp_path / "drive.asc"
+    encoder = codec.encoder()
     with can.Logger(path) as logger:
         for k in range(9):
-            for frame in codec.encode(map_line()):
+            for frame in encoder.encode(map_line()):
                 logger(message_of(frame, timestamp=1e9 + k / 20))
 
     def messages() -> Any:
@@ -216,11 +223,12 @@ def test_a_queue_size_of_0_raises_here_too() -> None:
 def test_by_default_256_lines_wait(kind: Any) -> None:
     """One more, and the oldest is dropped."""
     codec = FakeCodec()
+    encoder = codec.encoder()
     consumer = kind(codec.decoder())
     listener = getattr(consumer, "_listener", consumer)
     for n in range(257):
         assert listener.stats().overflowed == 0
-        for frame in codec.encode(map_line(y=n / 10)):
+        for frame in encoder.encode(map_line(y=n / 10)):
             listener(message_of(frame))
     assert listener.stats().overflowed == 1
     assert [line.gaussian.mean[0] for line in collect(listener, 256)] == [
@@ -272,10 +280,12 @@ def test_a_scene_of_unknown_age_is_stale(kind: Any, monkeypatch: pytest.MonkeyPa
     listener = getattr(consumer, "_listener", consumer)
     assert consumer.pose_error() is None
     assert consumer.slots() == {}
-    scene = codec.prepare_scene(road_scene())
+    scene = codec.encoder().prepare_scene(road_scene())
     counters: dict[Any, int] = {}
     for cycle in range(8):
-        for owner, frames in codec.encode_scene(scene, age=0.02, counters=counters).items():
+        for owner, frames in (
+            codec.encoder().encode_scene(scene, age=0.02, counters=counters).items()
+        ):
             counters[owner] = counters.get(owner, 0) + 1
             for frame in frames:
                 listener(message_of(frame, timestamp=50 + 0.05 * cycle))

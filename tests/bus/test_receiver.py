@@ -34,11 +34,14 @@ from maplines_can.wire import Codec, Frame
 def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
     """Lines, rejected frames, error frames, remote frames."""
     codec = FakeCodec()
-    frames = codec.encode(map_line())
+    encoder = codec.encoder()
+    frames = encoder.encode(map_line())
     with Receiver(other, codec.decoder(), can_ids=None) as receiver:
         link.send(can.Message(is_error_frame=True))
         link.send(can.Message(arbitration_id=0x100, is_remote_frame=True, is_extended_id=False))
-        send_frames(link, Frame(0x7FF, b"other"), *frames[:2], frames[3], *codec.encode(map_line()))
+        send_frames(
+            link, Frame(0x7FF, b"other"), *frames[:2], frames[3], *encoder.encode(map_line())
+        )
         received = receiver.get(LONG)
         stats = receiver.stats()
 
@@ -56,8 +59,9 @@ def test_everything_that_arrives_is_counted(link: Any, other: Any) -> None:
 def test_iteration_ends_with_stop(link: Any, other: Any) -> None:
     """Lines in the queue are still returned, then the iteration ends."""
     codec = FakeCodec()
+    encoder = codec.encoder()
     with Receiver(other, codec.decoder()) as receiver:
-        send_frames(link, *codec.encode(map_line(y=1)), *codec.encode(map_line(y=2)))
+        send_frames(link, *encoder.encode(map_line(y=1)), *encoder.encode(map_line(y=2)))
         for received in receiver:
             receiver.stop()
             assert received.gaussian.mean[0] == 1
@@ -92,9 +96,10 @@ def test_item_10_a_receiver_that_never_started_has_nothing_to_wait_for(other: An
 def test_the_queue_keeps_the_newest_lines(link: Any, other: Any) -> None:
     """A full queue drops the oldest lines and counts them."""
     codec = FakeCodec()
+    encoder = codec.encoder()
     with Receiver(other, codec.decoder(), queue_size=3) as receiver:
         for y in range(10):
-            send_frames(link, *codec.encode(map_line(y=y)))
+            send_frames(link, *encoder.encode(map_line(y=y)))
         wait_until(lambda: receiver.stats().lines == 10)
         assert [x.gaussian.mean[0] for x in collect(receiver, 3)] == [7, 8, 9]
         assert receiver.stats().overflowed == 7
@@ -103,7 +108,7 @@ def test_the_queue_keeps_the_newest_lines(link: Any, other: Any) -> None:
 def test_a_callback_gets_the_lines(link: Any, other: Any) -> None:
     codec, lines = FakeCodec(), queue.SimpleQueue[Any]()
     with Receiver(other, codec.decoder(), on_line=lines.put) as receiver:
-        send_frames(link, *codec.encode(map_line(y=3)))
+        send_frames(link, *codec.encoder().encode(map_line(y=3)))
         assert lines.get(timeout=LONG).gaussian.mean[0] == 3
         with pytest.raises(TypeError, match="go to on_line"):
             receiver.get()
@@ -117,7 +122,7 @@ def test_the_error_of_a_callback_is_raised_by_stop(link: Any, other: Any) -> Non
         raise ZeroDivisionError
 
     receiver = Receiver(other, codec.decoder(), on_line=on_line).start()
-    send_frames(link, *codec.encode(map_line()))
+    send_frames(link, *codec.encoder().encode(map_line()))
     receiver._join(LONG)
     with pytest.raises(ZeroDivisionError):
         receiver.stop()
@@ -141,7 +146,7 @@ def test_item_10_only_the_ids_of_the_decoder_pass_by_default(
 ) -> None:
     codec = FakeCodec()
     with Receiver(other, codec.decoder(), **settings) as receiver:
-        send_frames(link, Frame(0x7FF, b""), *codec.encode(map_line()))
+        send_frames(link, Frame(0x7FF, b""), *codec.encoder().encode(map_line()))
         assert receiver.get(LONG)
         assert receiver.stats().frames == PAGES + foreign
 
@@ -170,7 +175,7 @@ def test_kernel_filters_and_local_frames(vcan: str) -> None:
         Link(interface="socketcan", channel=vcan) as other,
         Receiver(other, codec.decoder()) as receiver,
     ):
-        send_frames(link, *[Frame(0x7FF, b"")] * 20, *codec.encode(map_line()))
+        send_frames(link, *[Frame(0x7FF, b"")] * 20, *codec.encoder().encode(map_line()))
         assert abs(receiver.get(LONG).t_ns - time.time_ns()) < LONG * 1e9  # type: ignore[operator, union-attr]
         assert receiver.stats().frames == PAGES
 
@@ -181,13 +186,14 @@ def test_the_latest_line_of_a_backlog_is_not_new(
     """The sender has died; then the receiver starts, and reads a backlog from the queue."""
     monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
     codec = new_codec()
+    encoder = codec.encoder()
     with (
         Link(interface="virtual", channel=channel, preserve_timestamps=True) as sender,
         Link(interface="virtual", channel=channel) as late,
     ):
 
         def send(k: Any, age_ns: Any) -> None:
-            for frame in codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [k / 16, 0, 0, 0])):
+            for frame in encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [k / 16, 0, 0, 0])):
                 message = message_of(frame, timestamp=(now.ns - age_ns) / 1e9)
                 assert sender.send(message) is Sent.OK
 
@@ -214,9 +220,10 @@ def test_the_latest_line_of_a_backlog_is_not_new(
 def test_a_queue_of_one_line_holds_the_newest(link: Any, other: Any) -> None:
     """1 is the least size."""
     codec = FakeCodec()
+    encoder = codec.encoder()
     with Receiver(other, codec.decoder(), queue_size=1) as receiver:
         for y in (1.0, 2.0, 3.0):
-            send_frames(link, *codec.encode(map_line(y=y)))
+            send_frames(link, *encoder.encode(map_line(y=y)))
         wait_until(lambda: receiver.stats().lines == 3)
         assert receiver.get(LONG).gaussian.mean[0] == 3.0  # type: ignore[union-attr]
         assert receiver.stats().overflowed == 2
@@ -226,7 +233,7 @@ def test_lines_received_before_an_error_come_before_it(link: Any, other: Any) ->
     """`get` raises the error of the thread once no line waits."""
     codec = FakeCodec()
     receiver = Receiver(other, codec.decoder()).start()
-    send_frames(link, *codec.encode(map_line()))
+    send_frames(link, *codec.encoder().encode(map_line()))
     wait_until(lambda: receiver.stats().lines == 1)
     other.close()
     with pytest.raises(BusError, match="is closed"):

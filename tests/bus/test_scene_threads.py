@@ -54,7 +54,7 @@ def test_a_consumer_sees_whole_scenes(monkeypatch: Any, channel: Any, dbc: str) 
     monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
     codec = Codec.from_dbc(default_dbc_path(dbc))
     scenes = [
-        codec.prepare_scene(road_scene(SLOTS, radius=radius, sigma=(0.3, sigma, 0.005)))
+        codec.encoder().prepare_scene(road_scene(SLOTS, radius=radius, sigma=(0.3, sigma, 0.005)))
         for radius, sigma in SIGMA_OF_RADIUS.items()
     ]
     others, stop, start_ns = cycle(scenes), threading.Event(), now.ns

@@ -34,7 +34,7 @@ from maplines_can import (
 )
 from maplines_can.bus import LineListener
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE
-from maplines_can.wire import POSE, E2EState, ProfileStatus, SceneView
+from maplines_can.wire import POSE, E2EState, Encoder, ProfileStatus, SceneView
 from maplines_can.wire.reception.monitor import STALE_CYCLES
 
 PERIOD = 0.05
@@ -270,7 +270,7 @@ def test_lines_that_do_not_fit_the_message_are_retracted_and_counted(make_bench:
     view = bench.view()
     assert view.scene is not None
     assert tuple(view.scene.index) == (Slot.EGO_LEFT, Slot.ROUTE)
-    bench.transmitter.publish(bench.codec.prepare_scene(beside))
+    bench.transmitter.publish(bench.codec.encoder().prepare_scene(beside))
     stats = bench.transmitter.stats()
     assert stats.left_out == {LeftOut.MEAN: 2, LeftOut.ACROSS: 2}
     assert stats.as_dict()["left_out"] == {"MEAN": 2, "ACROSS": 2}
@@ -419,17 +419,19 @@ def test_a_full_queue_delays_a_transfer(make_bench: Any, dbc: str) -> None:
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, "maplines-secoc.dbc"])
 @pytest.mark.parametrize("period", [PERIOD, 1.0, 30.0])
-def test_authenticated_scenes_of_a_slow_sender(make_bench: Any, dbc: str, period: float) -> None:
+def test_authenticated_scenes_of_a_slow_sender(
+    make_bench: Any, monkeypatch: pytest.MonkeyPatch, dbc: str, period: float
+) -> None:
     """Frames are made at most 0.1 s ahead, so that their freshness values are in the window."""
     bench = make_bench(dbc, codec=authenticated_codec(dbc), period=period, settings={"fd": True})
     made: list[float] = []
-    write = bench.codec.encode_scene
+    write = Encoder.encode_scene
 
     def encode_scene(*arguments: Any, **settings: Any) -> Any:
         made.append(bench.time)
         return write(*arguments, **settings)
 
-    bench.codec.encode_scene = encode_scene
+    monkeypatch.setattr(Encoder, "encode_scene", encode_scene)
     bench.transmitter.publish(scene_of())
     bench.run(3.95 * period)
     scene = bench.view().scene
@@ -471,7 +473,7 @@ def test_a_scene_may_be_prepared_by_the_caller(make_bench: Any) -> None:
     scene = Scene(part.lines, part.cov, part.pose_error, part.fit_ranges, left_out=left_out)
     benches = [make_bench(CONDITIONAL), make_bench(CONDITIONAL)]
     benches[0].transmitter.publish(scene)
-    benches[1].transmitter.publish(benches[1].codec.prepare_scene(scene))
+    benches[1].transmitter.publish(benches[1].codec.encoder().prepare_scene(scene))
     for bench in benches:
         bench.run(0.95 * PERIOD)
         assert bench.transmitter.stats().left_out == {LeftOut.TOO_SHORT: 1}
@@ -502,12 +504,13 @@ def test_a_count_of_deadlines_ends(make_bench: Any) -> None:
 def test_the_scene_of_a_listener() -> None:
     """By the clock of the frames' time stamps, or at the given time."""
     codec = new_codec(CONDITIONAL)
+    encoder = codec.encoder()
     listener = LineListener(codec.decoder())
-    prepared = codec.prepare_scene(scene_of())
+    prepared = encoder.prepare_scene(scene_of())
     t = 1000.0
     for cycle in range(16):
         t = 1000.0 + cycle * PERIOD
-        for own in codec.encode_scene(prepared, age=0.02).values():
+        for own in encoder.encode_scene(prepared, age=0.02).values():
             for frame in own:
                 t += 0.00025
                 listener(
@@ -530,7 +533,7 @@ def test_the_scene_of_a_listener() -> None:
 def test_lines_that_waited_reach_the_consumer() -> None:
     """All lines that a late pose error completes go to the queue of a listener, or its callback."""
     codec = new_codec(CONDITIONAL)
-    frames = codec.encode_scene(scene_of())
+    frames = codec.encoder().encode_scene(scene_of())
     late = [frame for slot in SLOTS for frame in frames[slot]] + frames[POSE]
     got: list[MapLine] = []
     for listener in (

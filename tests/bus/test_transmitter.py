@@ -390,7 +390,7 @@ def test_a_scene_is_sent_prepared_or_not(prepared: bool) -> None:
     codec = SceneCodec()
     with Link(opener) as link:
         transmitter = Transmitter(link, codec, clock=clock)  # type: ignore[arg-type]
-        transmitter.publish(codec.prepare_scene(scene, fd=False) if prepared else scene)
+        transmitter.publish(codec.encoder().prepare_scene(scene, fd=False) if prepared else scene)
         drive(transmitter, clock, clock.now + 0.049)
     sent = [bytes(opener.sent.get(timeout=0).data) for _ in range(opener.sent.qsize())]
     assert sent == [str(owner).encode()[:8] for owner in (POSE, Slot.EGO_LEFT, Slot.ROUTE)]

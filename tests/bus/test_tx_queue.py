@@ -447,7 +447,7 @@ def test_no_lines_in_place_of_a_scene_end_its_pose_error() -> None:
     ego = Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.001]) ** 2)
     scene = map_scene({Slot.EGO_LEFT: road}, ego, correlation_time=3.0)
     queue = TxQueue(codec, 0.05, fd=False, count=None, max_age=0.2)
-    queue.put_scene(codec.prepare_scene(scene), 0.0)
+    queue.put_scene(codec.encoder().prepare_scene(scene), 0.0)
     assert queue.take(0.01) is not None
     queue.put([], 0.02)
     assert queue.wait(0.02) is None

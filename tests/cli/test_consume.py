@@ -31,13 +31,14 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     ego = Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2)
     scene = map_scene(lines, ego, correlation_time=5.0)
-    codec, plain = Codec.from_dbc(default_dbc_path(DBC)), Codec.from_dbc()
-    prepared = codec.prepare_scene(scene)
+    encoder = Codec.from_dbc(default_dbc_path(DBC)).encoder()
+    plain_encoder = Codec.from_dbc().encoder()
+    prepared = encoder.prepare_scene(scene)
     noise = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
     with can.Logger(folder / "drive.log") as log, can.Logger(folder / "camera.log") as camera:
         for k in range(20 * SECONDS):
             t = 100.0 + 0.05 * k
-            for frames in codec.encode_scene(prepared, age=0.02).values():
+            for frames in encoder.encode_scene(prepared, age=0.02).values():
                 for i, frame in enumerate(frames):
                     log(_message(t + 0.0005 * i, frame))
             shift = np.array([1.0 if k >= 60 else 0.0, 0, 0, 0])
@@ -45,7 +46,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 seen = MapLine(
                     line.slot, Gaussian(line.gaussian.mean + shift, noise), x_max=40.0, age=0.02
                 )
-                for i, frame in enumerate(plain.encode(seen)):
+                for i, frame in enumerate(plain_encoder.encode(seen)):
                     camera(_message(t + 0.0005 * i, frame))
         log(can.Message(timestamp=t + 2.0, arbitration_id=1, is_extended_id=False))
     return folder / "drive.log"

@@ -125,11 +125,12 @@ def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 def scenes_of(codec: Codec, scene: Scene, cycles: int = 10**6) -> Callable[[int, Any], None]:
     """Return a function that sends the scene in each of the first cycles."""
-    prepared = codec.prepare_scene(scene)
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(scene)
 
     def send(cycle: int, put: Any) -> None:
         if cycle < cycles:
-            for frames in codec.encode_scene(prepared, age=0.02).values():
+            for frames in encoder.encode_scene(prepared, age=0.02).values():
                 put(frames)
 
     return send
@@ -163,7 +164,7 @@ def test_fusion_with_the_camera_of_another_channel(
     sending: Any, codec: Codec, scene: Scene, channel: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its lines are used from the scenes on, each once; without it, none are."""
-    send_scene, plain, lines = scenes_of(codec, scene), Codec.from_dbc(), seen(scene)
+    send_scene, plain, lines = scenes_of(codec, scene), Codec.from_dbc().encoder(), seen(scene)
     other = f"{channel}-camera"
 
     def send(cycle: int, put: Any) -> None:
@@ -202,7 +203,7 @@ def test_check_with_the_camera_of_another_channel(
 
     An image that has been compared is not compared again.
     """
-    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc()
+    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
     before, after = seen(scene), seen(scene, shift)
 
     def send(cycle: int, put: Any) -> None:
@@ -321,7 +322,7 @@ def test_check_does_not_compare_while_the_motion_is_unknown(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """The signals come for a second, and count for half a second."""
-    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc()
+    send_scene, plain = scenes_of(codec, scene), Codec.from_dbc().encoder()
 
     def send(cycle: int, put: Any) -> None:
         send_scene(cycle, put)
@@ -404,8 +405,9 @@ def test_a_bus_without_scenes_is_one_clear_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Of another DBC, or without the pose error; status 1."""
-    plain = [one for line in scene.lines for one in Codec.from_dbc().encode(line)]
-    own = [one for frames in codec.encode_scene(scene).values() for one in frames]
+    encoder = codec.encoder()
+    plain = [one for line in scene.lines for one in Codec.from_dbc().encoder().encode(line)]
+    own = [one for frames in encoder.encode_scene(scene).values() for one in frames]
     frames = {
         "nothing": [],
         "others": plain,

@@ -25,19 +25,20 @@ from maplines_can.simulation import scenario
 def log(tmp_path: Path) -> Any:
     """A candump log of 20 lines on can0 and 5 on can1, a foreign frame and an incomplete line."""
     codec, path = Codec.from_dbc(), tmp_path / "drive.log"
+    encoder = codec.encoder()
     lines = scenario_lines(scenario("highway"))
     with can.Logger(path) as writer:
         t = 1000.0
         for k in range(5):
             for line in lines:
-                for frame in codec.encode(line):
+                for frame in encoder.encode(line):
                     t += 0.0002
                     writer(message(frame, t, "can0"))
-            for frame in codec.encode(lines[0]):
+            for frame in encoder.encode(lines[0]):
                 writer(message(frame, t, "can1"))
             if k == 2:
                 writer(can.Message(t, 0x7AA, is_extended_id=False, data=b"hello", channel="can0"))
-                for frame in codec.encode(lines[1])[:2]:
+                for frame in encoder.encode(lines[1])[:2]:
                     writer(message(frame, t, "can0"))
             t += 0.05
     return path
@@ -100,6 +101,7 @@ def test_a_line_that_must_not_be_used_has_empty_cells(
 ) -> None:
     """Out of range, or too old; 1000 m of sigma are no number to compute with."""
     codec, path = Codec.from_dbc(), tmp_path / "a.log"
+    encoder = codec.encoder()
     lines = [
         MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]),
         MapLine.mean_only(Slot.EGO_LEFT, [1e6, 0, 0, 0]),
@@ -107,7 +109,7 @@ def test_a_line_that_must_not_be_used_has_empty_cells(
     ]
     with can.Logger(path) as writer:
         for t, line in enumerate(lines):
-            for frame in codec.encode(line):
+            for frame in encoder.encode(line):
                 writer(message(frame, 1000 + 0.05 * t, "can0"))
     assert main(["decode", str(path), "--csv"]) == 0
     rows = list(csv.DictReader(capsys.readouterr().out.splitlines()))
@@ -236,11 +238,11 @@ def test_a_closed_pipe_ends_the_command(log: Any) -> None:
 def drive(path: Any, *, cycle: Any, channels: Any = ("can0",), cut: Any = (), n: int = 20) -> Any:
     """Write a candump log of one slot, a line in each cycle [s], without the lines in ``cut``."""
     (line,) = scenario_lines(scenario("highway"), 1)
-    codecs = {channel: Codec.from_dbc() for channel in channels}
+    encoders = {channel: Codec.from_dbc().encoder() for channel in channels}
     with can.Logger(path) as writer:
         for k in range(n):
-            for channel, codec in codecs.items():
-                frames = codec.encode(line)
+            for channel, encoder in encoders.items():
+                frames = encoder.encode(line)
                 for frame in frames if (channel, k) not in cut else []:
                     writer(message(frame, 1000 + k * cycle, channel))
     return str(path)
@@ -288,7 +290,7 @@ def test_the_time_out_of_a_transfer_is_an_option(
 ) -> None:
     """60 ms between two frames are not too long; with an option, they are."""
     path = tmp_path / "held-up.log"
-    frames = Codec.from_dbc().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
+    frames = Codec.from_dbc().encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0]))
     with can.Logger(path) as writer:
         for t, frame in zip((1.0, 1.0002, 1.0602, 1.0604), frames, strict=True):
             writer(message(frame, t, "can0"))
@@ -307,7 +309,7 @@ def test_a_dbc_with_the_same_ids_and_other_records_is_an_error(
     other = edited(tmp_path, (r'(BA_ "E2EDataId" BO_ \d+ )1', r"\g<1>2"))
     codec = Codec.from_dbc(other)
     with can.Logger(path) as writer:
-        for frame in codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])):
+        for frame in codec.encoder().encode(MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])):
             writer(message(frame, 1.0, "can0"))
     assert main(["decode", str(path), "--dbc", str(other)]) == 0
     assert main(["decode", str(path)]) == 1

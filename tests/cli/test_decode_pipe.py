@@ -23,10 +23,11 @@ from maplines_can.simulation import scenario
 def rows(n: int) -> list[str]:
     """Return n lines as candump prints their frames without -L, one text for each line."""
     codec, (line,) = Codec.from_dbc(), scenario_lines(scenario("highway"), 1)
+    encoder = codec.encoder()
     return [
         "".join(
             f"  vcan0  {f.can_id:03X}   [{len(f.data)}]  {f.data.hex(' ').upper()}\n"
-            for f in codec.encode(line)
+            for f in encoder.encode(line)
         )
         for _ in range(n)
     ]

@@ -47,7 +47,7 @@ def log(tmp_path: Path) -> Any:
     path = tmp_path / "drive.log"
     with can.Logger(path) as writer:
         for line in scenario_lines(scenario("production")):
-            for frame in Codec.from_dbc().encode(line):
+            for frame in Codec.from_dbc().encoder().encode(line):
                 writer(can.Message(1.0, frame.can_id, is_extended_id=False, data=frame.data))
     return path
 

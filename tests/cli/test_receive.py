@@ -158,7 +158,8 @@ def test_the_cycle_time_decides_whether_a_slot_is_valid(
     bus = ["--interface", "virtual", "--channel", channel]
     (line,) = scenario_lines(scenario("highway"), 1)
     codec = Codec.from_dbc()
-    transfers = [(1e9 + 0.2 * k, codec.encode(line)) for k in range(8)]
+    encoder = codec.encoder()
+    transfers = [(1e9 + 0.2 * k, encoder.encode(line)) for k in range(8)]
     replay(transfers)
     assert main(["receive", *bus, "--count", "8", "--cycle-ms", "200"]) == 0
     (with_cycle,) = slot_notes()

@@ -51,12 +51,13 @@ def scene_of(name: Any = "production", lines: int = 4, **settings: Any) -> Any:
 
 def transfers_of(codec: Codec, cycles: int = CYCLES, **settings: Any) -> list[Any]:
     """Return (time stamp [s], owner, frames) of the transfers of some cycles, 50 ms each."""
-    prepared = codec.prepare_scene(scene_of(correlation_time=4.0), **settings)
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(scene_of(correlation_time=4.0), **settings)
     return [
         (1000.0 + 0.05 * cycle + 0.004 * place, owner, frames)
         for cycle in range(cycles)
         for place, (owner, frames) in enumerate(
-            codec.encode_scene(prepared, age=0.008, **settings).items()
+            encoder.encode_scene(prepared, age=0.008, **settings).items()
         )
     ]
 
@@ -134,9 +135,10 @@ def test_demo_compares_lines_and_the_ego_lane(
             assert row["independent_sigma"] > 1.5 * row["true_sigma"]
     assert scene["unsent"] == []
     codec = Codec.from_dbc(default_dbc_path(name))
+    encoder = codec.encoder()
     frames = {
         POSE if owner == POSE else Slot(owner).name: len(each)
-        for owner, each in codec.encode_scene(scene_of(), fd=fd).items()
+        for owner, each in encoder.encode_scene(scene_of(), fd=fd).items()
     }
     assert scene["frames"] == frames
     assert scene["frames_per_cycle"] == sum(frames.values())
@@ -187,13 +189,14 @@ def test_demo_shows_the_lane_where_its_lines_are_valid(capsys: pytest.CaptureFix
 def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
     """As one that the levels of the pose error do not cover: it is sent and received alone."""
     codec = Codec.from_dbc()
-    prepared = codec.prepare_scene(scene_of())
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(scene_of())
     raw = {place: raw for place, raw in prepared.encoded.lines.items() if place != 0}
     prepared = replace(prepared, encoded=replace(prepared.encoded, lines=raw))
     assert len(prepared.sent_slots) == 4
     decoder, lines = codec.decoder(), 0
     for cycle in range(300):
-        for frame in chain.from_iterable(codec.encode_scene(prepared).values()):
+        for frame in chain.from_iterable(encoder.encode_scene(prepared).values()):
             answer = decoder.feed(frame.can_id, frame.data, cycle * 50_000_000)
             lines += isinstance(answer, MapLine)
         received = decoder.scene()
@@ -547,4 +550,4 @@ def test_a_scene_may_have_no_lines(name: str) -> None:
     scene = map_scene({}, scenario("production").ego)
     assert (scene.lines, scene.cov.shape) == ((), (0, 0))
     codec = Codec.from_dbc(default_dbc_path(name))
-    assert list(codec.encode_scene(scene)) == [POSE]
+    assert list(codec.encoder().encode_scene(scene)) == [POSE]

@@ -30,7 +30,7 @@ class Car:
 
     def __init__(self, across: float = 0.0, time: float = 10.0, speed: float = 10.0) -> None:
         self.codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
-        self.monitor = Monitor(self.codec.decoder())
+        self.encoder, self.monitor = self.codec.encoder(), Monitor(self.codec.decoder())
         self.across, self.time, self.speed, self.cycle = across, time, speed, 0
         self.slots: tuple[Slot, ...] = LANE
 
@@ -49,7 +49,7 @@ class Car:
             correlation_time=self.time,
         )
         t_ns = self.cycle * CYCLE
-        for frames in self.codec.encode_scene(scene, age=0.0).values():
+        for frames in self.encoder.encode_scene(scene, age=0.0).values():
             for frame in frames:
                 self.monitor.feed(frame.can_id, frame.data, t_ns)
                 t_ns += 250_000

@@ -127,7 +127,7 @@ def test_the_receiver_knows_no_more() -> None:
         lines, ego = lines_of("rural", number)
         scene = map_scene(lines, ego, map_error=MAP_ERROR, max_sigma=1.2)
         decoder = codec.decoder()
-        feed(decoder, codec.encode_scene(scene, counters={}), 0)
+        feed(decoder, codec.encoder().encode_scene(scene, counters={}), 0)
         received = decoder.scene()
         assert received is not None
         assert len(received.scene.lines) == len(scene.lines) > 0

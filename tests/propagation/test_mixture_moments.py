@@ -132,7 +132,7 @@ def test_item_7_after_the_wire(name: str, k: int) -> None:
     scene, codec = SCENARIOS[name], default_codec()
     lines = map_lines(scene.lines, scene.ego, window=scene.window, components=k)
     mixtures = [line.mixture for line in lines]
-    payloads = codec.encode_mixtures(
+    payloads = codec.batch.encode_mixtures(
         np.array([mixture.weights for mixture in mixtures]),  # type: ignore[union-attr]
         np.array([mixture.means for mixture in mixtures]),  # type: ignore[union-attr]
         np.array([mixture.covs for mixture in mixtures]),  # type: ignore[union-attr]
@@ -141,7 +141,7 @@ def test_item_7_after_the_wire(name: str, k: int) -> None:
     )
     poses = scene.ego.sample(4000, seed=3)
     for line, payload in zip(lines, payloads, strict=True):
-        batch = codec.decode_batch(payload)
+        batch = codec.batch.decode(payload)
         assert batch.accepted.all()
         weights, means, covs = batch.component_weight, batch.mean, batch.cov
         assert worst_direction(overall(weights, means, covs)[1], line.gaussian.cov) <= 1 + 1e-9

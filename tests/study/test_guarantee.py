@@ -20,8 +20,8 @@ LIMITS = np.array([32.0, 0.5, 0.125, 0.03125])
 
 def check_guarantee(codec: Any, means: Any, covs: Any) -> Any:
     """Check that no covariance is overconfident or indefinite."""
-    payloads = codec.encode_batch(means, covs)
-    batch = codec.decode_batch(payloads)
+    payloads = codec.batch.encode(means, covs)
+    batch = codec.batch.decode(payloads)
     assert batch.accepted.all()
     stated = batch.status != Status.OUT_OF_RANGE
     evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
@@ -74,13 +74,13 @@ def test_kl_of_the_rounding_agrees_with_the_theory(codec: Any) -> None:
     root = rng.standard_normal((n, 4, 4)) * [0.5, 0.02, 1e-3, 1e-4] + 0
     covs = np.einsum("nki,nkj->nij", root, root)
     means = np.zeros((n, 4))
-    batch = codec.decode_batch(codec.encode_batch(means, covs))
+    batch = codec.batch.decode(codec.batch.encode(means, covs))
     names = [f.name for f in codec.layout.signals.values()]
     pivots = [codec.layout[name].factor for name in names if name.startswith("Pivot")]
     ratios = [codec.layout[name].factor for name in names if name.startswith("Ratio")]
     theory = sum((p * np.log(2)) ** 2 / 12 for p in pivots) + sum(r**2 / 24 for r in ratios)
     packing = Packing(list(codec.layout.signals.values()), codec.layout.record_bytes)
-    raw = packing.unpack(codec.encode_batch(means, covs))
+    raw = packing.unpack(codec.batch.encode(means, covs))
     inflation = 2.0 ** codec.layout["Inflation"].physical(raw["Inflation"])
     plain = batch.cov / inflation[:, None, None]
     keep = batch.status == Status.FULL
@@ -155,7 +155,7 @@ def test_a_changed_dbc_changes_the_code(tmp_path: Path, edit: Any, coarser: str)
     """With another factor or length in a copy of the DBC, the guarantee still holds."""
     codec, other = Codec.from_dbc(), Codec.from_dbc(edited(tmp_path, edit))
     means, covs = road(500, seed=6)
-    first, second = codec.encode_batch(means, covs), other.encode_batch(means, covs)
+    first, second = codec.batch.encode(means, covs), other.batch.encode(means, covs)
     assert (first != second).any()
     _, a = check_guarantee(codec, means, covs)
     _, b = check_guarantee(other, means, covs)

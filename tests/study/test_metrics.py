@@ -110,7 +110,7 @@ def test_the_standard_error_of_a_share_is_that_of_laplace(count: int, n: int) ->
 def test_terms_of_the_divergence_add_up_to_it(codec: Any) -> None:
     """Compared with ``Gaussian.kl``."""
     means, covs = road(50, seed=4)
-    decoded = codec.decode_batch(codec.encode_batch(means, covs)).cov
+    decoded = codec.batch.decode(codec.batch.encode(means, covs)).cov
     terms = kl_terms(covs, decoded).sum(axis=(1, 2))
 
     expected = [
@@ -125,7 +125,7 @@ def test_scores_of_chunks_add_up_to_the_score_of_all(codec: Any) -> None:
     means, covs = road(300, seed=5)
 
     def score(rows: Any) -> Any:
-        batch = codec.decode_batch(codec.encode_batch(means[rows], covs[rows]))
+        batch = codec.batch.decode(codec.batch.encode(means[rows], covs[rows]))
         evaluation = evaluate(means[rows], covs[rows], batch.mean, batch.cov, codec.resolution)
         return Score.of(evaluation, batch.status, batch.accepted, np.zeros(len(batch.mean), bool))
 

@@ -305,10 +305,12 @@ def sent_lines(n: int = 120, fd: bool = False) -> Any:
     codec = default_codec()
     means, covs = road(n, seed=3)
     slots = np.arange(n) % 3
-    payloads = codec.encode_batch(means, covs, slot=slots, counter=np.arange(n) // 3)
-    frames = [codec.frames(p, Slot(s), fd=fd) for p, s in zip(payloads, slots, strict=True)]  # type: ignore[arg-type]
+    payloads = codec.batch.encode(means, covs, slot=slots, counter=np.arange(n) // 3)
+    frames = [
+        codec.encoder().frames(p, Slot(s), fd=fd) for p, s in zip(payloads, slots, strict=True)
+    ]  # type: ignore[arg-type]
     known = {
-        content(codec.decode_one(p.tobytes(), Slot(s))): i  # type: ignore[arg-type]
+        content(codec.batch.decode_one(p.tobytes(), Slot(s))): i  # type: ignore[arg-type]
         for i, (p, s) in enumerate(zip(payloads, slots, strict=True))
     }
     assert len(known) == n

@@ -389,11 +389,11 @@ def test_sums_over_a_virtual_bus(channel: str, fd: bool) -> None:
     """Transmitter, faults, Receiver: sent and duplicated frames are lost or received, once."""
     codec = default_codec()
     means, covs = road(8, seed=5)
-    payloads = codec.encode_batch(means, covs, slot=np.arange(8))
-    lines = [codec.decode_one(p.tobytes(), Slot(i)) for i, p in enumerate(payloads)]
-    reference = codec.from_dbc().encode_lines(lines, fd=fd)  # type: ignore[arg-type]
+    payloads = codec.batch.encode(means, covs, slot=np.arange(8))
+    lines = [codec.batch.decode_one(p.tobytes(), Slot(i)) for i, p in enumerate(payloads)]
+    reference = codec.from_dbc().encoder().encode_lines(lines, fd=fd)  # type: ignore[arg-type]
     expected = {
-        content(codec.decode_one(b"".join(f.data for f in frames)[:32], line.slot))  # type: ignore[union-attr]
+        content(codec.batch.decode_one(b"".join(f.data for f in frames)[:32], line.slot))  # type: ignore[union-attr]
         for line, frames in zip(lines, reference, strict=True)
     }
     received: list[Any] = []

@@ -20,7 +20,7 @@ from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
 
 def test_huge_numbers_do_not_overflow(codec: Any) -> None:
     """Numbers such as 1e200 are out of range, without a warning."""
-    batch = codec.decode_batch(codec.encode_batch(np.full((1, 4), 1e200), 1e300 * np.eye(4)[None]))
+    batch = codec.batch.decode(codec.batch.encode(np.full((1, 4), 1e200), 1e300 * np.eye(4)[None]))
     assert batch.status[0] == Status.OUT_OF_RANGE
     assert np.isfinite(batch.cov).all()
 
@@ -30,15 +30,15 @@ def test_the_three_data_structures_of_the_paper(codec: Any) -> None:
     mean = np.array([[1.75, 0.01, 1e-3, 1e-5]])
     root = np.array([[0.3, 0, 0, 0], [0.01, 0.02, 0, 0], [1e-4, 0, 1e-4, 0], [0, 0, 0, 1e-6]])
     cov = (root @ root.T)[None]
-    bare = codec.decode_batch(codec.encode_batch(mean))
+    bare = codec.batch.decode(codec.batch.encode(mean))
     assert bare.status[0] == Status.UNKNOWN
     assert bare.cov[0].diagonal() == pytest.approx(np.square(VAGUE_SIGMA))
-    alone = codec.decode_batch(codec.encode_batch(mean, cov, status=Status.DIAGONAL))
+    alone = codec.batch.decode(codec.batch.encode(mean, cov, status=Status.DIAGONAL))
     assert alone.status[0] == Status.DIAGONAL
     assert np.array_equal(alone.cov[0], np.diag(alone.cov[0].diagonal()))
     assert (alone.cov[0].diagonal() >= cov[0].diagonal()).all()
     assert alone.cov[0].diagonal() == pytest.approx(cov[0].diagonal(), rel=0.2)
-    full = codec.decode_batch(codec.encode_batch(mean, cov))
+    full = codec.batch.decode(codec.batch.encode(mean, cov))
     assert full.status[0] == Status.FULL
     for batch in (bare, alone, full):
         assert batch.mean == pytest.approx(mean, abs=1e-3)
@@ -49,27 +49,28 @@ def test_a_mean_alone_may_be_sent_with_a_status_that_claims_no_covariance(
     codec: Any, status: Status
 ) -> None:
     """UNKNOWN is what it would get anyway; OUT_OF_RANGE is the caller's to say."""
-    payloads = codec.encode_batch([[1.75, 0, 0, 0]], status=status)
-    assert codec.decode_batch(payloads).status[0] == status
+    payloads = codec.batch.encode([[1.75, 0, 0, 0]], status=status)
+    assert codec.batch.decode(payloads).status[0] == status
 
 
 def test_diagonal_stays_diagonal_when_a_value_is_clipped(codec: Any) -> None:
     """A line without correlations never gets a status that implies correlations."""
     cov = np.diag([0.09, 4e-4, 1e-6, 1e-10])[None]
-    payload = codec.encode_batch(
+    payload = codec.batch.encode(
         [[33.0, 0, 0, 0]], cov, status=Status.DIAGONAL, x_min=5.0, x_max=80.0
     )
-    assert codec.decode_batch(payload).status[0] == Status.DIAGONAL
+    assert codec.batch.decode(payload).status[0] == Status.DIAGONAL
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.5, 1.5), st.sampled_from([-1, 1]), st.floats(-20, 20))
 def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int, x: float) -> None:
     """By the first-order sigma of the lateral position, or the line is OUT_OF_RANGE."""
+    encoder = codec.encoder()
     cov = np.diag([1e-2, 1e-6, 1e-10, 1e-14])
     line = MapLine(0, Gaussian([0.0, sign * beta, 0.0, 0.0], cov), x_min=-20, x_max=20)  # type: ignore[arg-type]
     decoder = codec.decoder()
-    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]
+    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in encoder.encode(line)]
     if received.is_usable:
         assert abs(line.y(x) - received.y(x)) <= received.y_sigma(x) + 1e-9
 
@@ -77,7 +78,7 @@ def test_a_clipped_beta_is_covered_at_each_x(codec: Any, beta: float, sign: int,
 def test_age_is_rounded_up(codec: Any) -> None:
     """To the next step; the greatest raw value means "too old"."""
     ages = np.array([0.0, 0.001, 0.008, 0.0081, 0.239, 0.24, 0.2401, 0.248, 9.0, np.inf])
-    batch = codec.decode_batch(codec.encode_batch(np.zeros((10, 4)), age=ages))
+    batch = codec.batch.decode(codec.batch.encode(np.zeros((10, 4)), age=ages))
     assert batch.age.tolist() == [0.0, 0.008, 0.008, 0.016, 0.24, 0.24, *[np.inf] * 4]
     assert codec.layout.max_age == 0.24
 
@@ -87,14 +88,14 @@ def test_single_precision_is_accepted(codec: Any) -> None:
     rng = np.random.default_rng(8)
     root = (rng.standard_normal((300, 4, 3)) * [[0.3], [0.02], [1e-3], [1e-5]]).astype(np.float32)
     covs = np.einsum("nik,njk->nij", root, root)
-    batch = codec.decode_batch(codec.encode_batch(np.zeros((300, 4), np.float32), covs))
+    batch = codec.batch.decode(codec.batch.encode(np.zeros((300, 4), np.float32), covs))
     assert not (batch.status == Status.REPAIRED).any()
     assert Gaussian(np.zeros(4, np.float32), covs[0]).dimension == 4
 
 
 def test_unknown_with_a_mean_out_of_range_is_out_of_range(codec: Any) -> None:
     """Without a covariance, nothing covers a clipped mean."""
-    batch = codec.decode_batch(codec.encode_batch([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
+    batch = codec.batch.decode(codec.batch.encode([[1.75, 0, 0, 0], [40.0, 0, 0, 0]]))
     assert batch.status.tolist() == [Status.UNKNOWN, Status.OUT_OF_RANGE]
 
 
@@ -107,16 +108,16 @@ def test_an_ill_conditioned_line_of_the_default_code_is_not_repaired(tmp_path: P
         tmp_path, (r"(RatioC0C1 [^(]*)\(0.03125,-80\) \[[^]]*\]", r"\1(0.9375,-2400) [0|0]")
     )
     codec = Codec.from_dbc(path)
-    signals, (payload,) = codec.layout.signals, codec.encode_batch([[1.75, 0, 0, 0]])
+    signals, (payload,) = codec.layout.signals, codec.batch.encode([[1.75, 0, 0, 0]])
     raw: dict[str, Any] = {
         name: s.raw_min for name, s in signals.items() if name.startswith("Ratio")
     }
     raw |= {name: s.raw_max for name, s in signals.items() if name.startswith("RatioBeta")}
     data = changed_record(codec, payload.tobytes(), Status=Status.FULL, **raw)
-    batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
+    batch = codec.batch.decode(np.frombuffer(data, dtype=np.uint8)[None])
     sigma = np.sqrt(batch.cov[0].diagonal())
     assert 0 < np.linalg.eigvalsh(batch.cov[0] / np.outer(sigma, sigma))[0] < 1e-12
-    line = codec.decode_one(data, Slot.EGO_LEFT)
+    line = codec.batch.decode_one(data, Slot.EGO_LEFT)
     assert isinstance(line, MapLine)
     assert line.status == Status.FULL
     assert np.array_equal(line.gaussian.cov, batch.cov[0])
@@ -126,16 +127,16 @@ def test_cantools_decodes_and_encodes_the_same_frames(codec: Any) -> None:
     """In each page of each frame format, the bytes and the physical values are the same."""
     database = cantools.database.load_file(DBC)
     means, covs = random_lines(40, seed=3)
-    payloads = codec.encode_batch(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
-    batch = codec.decode_batch(payloads, Slot.NEXT_LEFT)
+    payloads = codec.batch.encode(means, covs, slot=Slot.NEXT_LEFT, kind=Kind.DASHED, age=0.024)
+    batch = codec.batch.decode(payloads, Slot.NEXT_LEFT)
     for i, payload in enumerate(payloads):
         signals: dict[Any, Any] = {}
-        for frame in codec.frames(payload, Slot.NEXT_LEFT):
+        for frame in codec.encoder().frames(payload, Slot.NEXT_LEFT):
             message = database.get_message_by_frame_id(frame.can_id)  # type: ignore[union-attr]
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
             signals |= page
-        (fd,) = codec.frames(payload, Slot.NEXT_LEFT, fd=True)
+        (fd,) = codec.encoder().frames(payload, Slot.NEXT_LEFT, fd=True)
         record = database.get_message_by_frame_id(fd.can_id).decode(fd.data, decode_choices=False)  # type: ignore[union-attr]
         assert {k: record[k] for k in signals if k != "Page"} == {
             k: v for k, v in signals.items() if k != "Page"
@@ -162,18 +163,18 @@ def covariance_by_hand(signals: Any) -> Any:
 @pytest.mark.parametrize("length", [0, 1, 31, 33, 64])
 def test_a_record_of_another_length_is_rejected(length: int) -> None:
     """Whatever its content."""
-    assert default_codec().decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
+    assert default_codec().batch.decode_one(bytes(length), Slot.ROUTE) is Reason.LENGTH
 
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(min_size=32, max_size=32), st.booleans(), st.sampled_from(list(Slot)))
 def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) -> None:
-    """decode_one and decode_batch agree to the last bit, or on the reason."""
+    """batch.decode_one and batch.decode agree to the last bit, or on the reason."""
     codec = default_codec()
     if valid:  # correct page numbers, transfer IDs and checksum
         data = changed_record(codec, data, slot)
-    batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None], slot)
-    one = codec.decode_one(data, slot)
+    batch = codec.batch.decode(np.frombuffer(data, dtype=np.uint8)[None], slot)
+    one = codec.batch.decode_one(data, slot)
     if isinstance(one, Reason):
         assert not batch.accepted[0]
         assert batch.rejects == {one: 1}
@@ -183,7 +184,7 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
         assert np.array_equal(one.gaussian.cov, batch.cov[0])
         assert (one.status, one.kind, one.age) == (batch.status[0], batch.kind[0], batch.age[0])
         assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0])
-        record = codec.read_record(data, slot)
+        record = codec.reader.read(data, slot)
         assert (record.index, record.count, record.weight) == (  # type: ignore[union-attr]
             batch.component_index[0],
             batch.component_count[0],
@@ -195,13 +196,13 @@ def test_both_readers_agree_on_any_bytes(data: bytes, valid: bool, slot: Any) ->
 
 
 def test_all_writers_agree(codec: Any) -> None:
-    """encode, encode_lines and encode_batch give the same bytes."""
+    """encode, encode_lines and batch.encode give the same bytes."""
     means, covs = random_lines(50, seed=5)
     lines = [
         MapLine(Slot(i % 8), Gaussian(m, S), Kind(i % 8), -20, 60 + i, 0.008 * (i % 9))
         for i, (m, S) in enumerate(zip(means, covs, strict=True))
     ]
-    payloads = codec.encode_batch(
+    payloads = codec.batch.encode(
         means,
         covs,
         slot=[line.slot for line in lines],
@@ -212,8 +213,12 @@ def test_all_writers_agree(codec: Any) -> None:
         age=[line.age for line in lines],
     )
     fresh = Codec.from_dbc()
-    one_by_one = [b"".join(frame.data for frame in fresh.encode(line)) for line in lines]
-    together = [b"".join(f.data for f in frames) for frames in Codec.from_dbc().encode_lines(lines)]
+    fresh_encoder = fresh.encoder()
+    one_by_one = [b"".join(frame.data for frame in fresh_encoder.encode(line)) for line in lines]
+    together = [
+        b"".join(f.data for f in frames)
+        for frames in Codec.from_dbc().encoder().encode_lines(lines)
+    ]
     assert one_by_one == together == [payload.tobytes() for payload in payloads]
 
 
@@ -222,8 +227,8 @@ def test_the_valid_range_is_rounded_inwards(codec: Any) -> None:
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
     ends = np.array([[-20.0, 80.0], [-19.9, 83.9], [8.0, 252.0], [-31.0, 3.9], [0.1, 400.0]])
     for x_min, x_max in ends:
-        batch = codec.decode_batch(
-            codec.encode_batch(np.zeros((1, 4)), cov, x_min=x_min, x_max=x_max)
+        batch = codec.batch.decode(
+            codec.batch.encode(np.zeros((1, 4)), cov, x_min=x_min, x_max=x_max)
         )
         assert batch.x_min[0] >= x_min
         assert batch.x_max[0] <= x_max
@@ -259,7 +264,7 @@ def test_an_invalid_argument_raises(codec: Any, change: Any, words: str) -> None
     """The message names the value, the row or signal, and the allowed values."""
     good = {"means": np.zeros((1, 4)), "covs": np.zeros((1, 4, 4))}
     with pytest.raises((ValueError, EncodeError), match=words):
-        codec.encode_batch(**{**good, **change})
+        codec.batch.encode(**{**good, **change})
 
 
 @pytest.mark.parametrize(
@@ -269,15 +274,15 @@ def test_an_invalid_argument_raises(codec: Any, change: Any, words: str) -> None
 def test_payloads_of_another_shape_raise(codec: Any, payloads: Any) -> None:
     """The bytes may be anything, but there must be 32 uint8 in each row."""
     with pytest.raises(ValueError, match="payloads must"):
-        codec.decode_batch(payloads)
+        codec.batch.decode(payloads)
 
 
 def test_no_records(codec: Any) -> None:
     """No lines give no records, and no records give no lines."""
-    payloads = codec.encode_batch(np.zeros((0, 4)), np.zeros((0, 4, 4)))
+    payloads = codec.batch.encode(np.zeros((0, 4)), np.zeros((0, 4, 4)))
     assert payloads.shape == (0, 32)
-    assert codec.decode_batch(payloads).mean.shape == (0, 4)
-    assert codec.encode_lines([]) == []
+    assert codec.batch.decode(payloads).mean.shape == (0, 4)
+    assert codec.encoder().encode_lines([]) == []
 
 
 LINE, COV = np.zeros((1, 4)), np.eye(4)[None] * 1e-4
@@ -290,17 +295,20 @@ RECORD = np.zeros((1, 32), dtype=np.uint8)
         (lambda c: c.decoder(timeout_ms=1e308), r"at most an hour \(3600000 ms\), got 1e\+308"),
         (lambda c: c.decoder(timeout_ms=3_600_001), "timeout_ms must be .* got 3600001"),
         (lambda c: c.decoder(cycle_ms=10**400), "cycle_ms must be .* integer of about 1e400"),
-        (lambda c: c.encode_batch([[10**400, 0, 0, 0]], COV), "means must be numbers"),
-        (lambda c: c.encode_batch(LINE, [[[10**400] * 4] * 4]), "covs must be numbers"),
-        (lambda c: c.encode_batch(LINE, -COV + 1e308), "covs must be finite"),
-        (lambda c: c.encode_batch(LINE, COV, x_min=-(10**400)), "x_min must be numbers"),
-        (lambda c: c.encode_batch(LINE, COV, counter=10**400), "counter must be numbers"),
-        (lambda c: c.encode_batch(LINE, COV, slot=np.inf), "slot must be from 0 to 7, got inf"),
-        (lambda c: c.encode_batch(LINE, COV, slot=1e300), r"slot must be from 0 to 7, got 1e\+300"),
-        (lambda c: c.decode_batch(RECORD, np.nan), "slot must be from 0 to 7, got nan"),
-        (lambda c: c.encode_mixtures([10**400], LINE, COV), "weights must be numbers"),
-        (lambda c: c.encode_mixtures([1.0], LINE, COV), r"weights must have shape \(N, k\)"),
-        (lambda c: c.encode_mixtures([[1.0]], LINE[None], COV[None], age=10**400), "age must be"),
+        (lambda c: c.batch.encode([[10**400, 0, 0, 0]], COV), "means must be numbers"),
+        (lambda c: c.batch.encode(LINE, [[[10**400] * 4] * 4]), "covs must be numbers"),
+        (lambda c: c.batch.encode(LINE, -COV + 1e308), "covs must be finite"),
+        (lambda c: c.batch.encode(LINE, COV, x_min=-(10**400)), "x_min must be numbers"),
+        (lambda c: c.batch.encode(LINE, COV, counter=10**400), "counter must be numbers"),
+        (lambda c: c.batch.encode(LINE, COV, slot=np.inf), "slot must be from 0 to 7, got inf"),
+        (lambda c: c.batch.encode(LINE, COV, slot=1e300), r"slot must be from 0 to 7, got 1e\+300"),
+        (lambda c: c.batch.decode(RECORD, np.nan), "slot must be from 0 to 7, got nan"),
+        (lambda c: c.batch.encode_mixtures([10**400], LINE, COV), "weights must be numbers"),
+        (lambda c: c.batch.encode_mixtures([1.0], LINE, COV), r"weights must have shape \(N, k\)"),
+        (
+            lambda c: c.batch.encode_mixtures([[1.0]], LINE[None], COV[None], age=10**400),
+            "age must be",
+        ),
     ],
 )
 @pytest.mark.filterwarnings("error")
@@ -321,7 +329,7 @@ def test_a_clipped_mean_without_a_covariance_is_out_of_range(
     signal = codec.layout[PARAMETER_SIGNALS[i]]
     mean = np.zeros(4)
     mean[i] = signal.physical_range[end] + (1 if end else -1) * steps * abs(signal.factor)
-    batch = codec.decode_batch(codec.encode_batch(mean[None]))
+    batch = codec.batch.decode(codec.batch.encode(mean[None]))
     assert batch.status[0] == (Status.UNKNOWN if steps < 0.5 else Status.OUT_OF_RANGE)
 
 
@@ -330,8 +338,8 @@ def test_repaired_is_of_its_own_row_and_not_of_variances(codec: Any) -> None:
     definite = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
     indefinite = definite.copy()
     indefinite[0, 1] = indefinite[1, 0] = 2e-3
-    batch = codec.decode_batch(
-        codec.encode_batch(
+    batch = codec.batch.decode(
+        codec.batch.encode(
             np.zeros((4, 4)),
             [indefinite, definite, indefinite, definite],
             status=[Status.DIAGONAL, Status.FULL, Status.FULL, Status.DIAGONAL],
@@ -354,7 +362,7 @@ def test_a_correlation_beyond_its_signal_is_reported(
     L[i, j] = reach * factor.ratios[i][j].physical_range[1] * L[i, i]
     cov = np.empty((4, 4))
     cov[np.ix_(factor.order, factor.order)] = L @ L.T
-    batch = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), (cov + cov.T)[None] / 2))
+    batch = codec.batch.decode(codec.batch.encode(np.zeros((1, 4)), (cov + cov.T)[None] / 2))
     assert batch.status[0] == status
     scaled = batch.cov[0] - cov
     scale = np.sqrt(batch.cov[0].diagonal())
@@ -365,17 +373,19 @@ def test_a_correlation_beyond_its_signal_is_reported(
 def test_every_kind_and_status_is_accepted(codec: Any, fd: bool) -> None:
     """By both readers, up to the last of each; the next raw value has no meaning."""
     kinds, cov = list(Kind), np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
-    payloads = codec.encode_batch(np.zeros((len(kinds), 4)), cov.repeat(len(kinds), 0), kind=kinds)
-    assert codec.decode_batch(payloads).accepted.all()
-    assert codec.decode_batch(payloads).kind.tolist() == kinds
+    payloads = codec.batch.encode(np.zeros((len(kinds), 4)), cov.repeat(len(kinds), 0), kind=kinds)
+    assert codec.batch.decode(payloads).accepted.all()
+    assert codec.batch.decode(payloads).kind.tolist() == kinds
     for kind, payload in zip(kinds, payloads, strict=True):
-        assert codec.decode_one(payload.tobytes(), Slot.EGO_LEFT).kind is kind
-        assert {frame.is_fd for frame in codec.frames(payload, Slot.EGO_LEFT, fd=fd)} == {fd}
+        assert codec.batch.decode_one(payload.tobytes(), Slot.EGO_LEFT).kind is kind
+        assert {frame.is_fd for frame in codec.encoder().frames(payload, Slot.EGO_LEFT, fd=fd)} == {
+            fd
+        }
     for status in Status:
-        payloads = codec.encode_batch(np.zeros((1, 4)), cov, status=status)
-        assert codec.decode_batch(payloads).accepted.all()
-        assert codec.decode_batch(payloads).status[0] == status
-        assert codec.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
+        payloads = codec.batch.encode(np.zeros((1, 4)), cov, status=status)
+        assert codec.batch.decode(payloads).accepted.all()
+        assert codec.batch.decode(payloads).status[0] == status
+        assert codec.batch.decode_one(payloads[0].tobytes(), Slot.EGO_LEFT).status is status
 
 
 def test_a_frame_is_classic_with_11_bits_by_default() -> None:
@@ -384,6 +394,6 @@ def test_a_frame_is_classic_with_11_bits_by_default() -> None:
 
 def test_a_valid_range_may_be_one_point_but_not_reversed(codec: Any) -> None:
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None]
-    assert codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.0, x_max=12.0).shape == (1, 32)
+    assert codec.batch.encode(np.zeros((1, 4)), cov, x_min=12.0, x_max=12.0).shape == (1, 32)
     with pytest.raises(EncodeError, match="x_min must be x_max or less"):
-        codec.encode_batch(np.zeros((1, 4)), cov, x_min=12.001, x_max=12.0)
+        codec.batch.encode(np.zeros((1, 4)), cov, x_min=12.001, x_max=12.0)

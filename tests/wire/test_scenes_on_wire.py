@@ -49,7 +49,7 @@ def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     """Return a scene as received."""
     monitor = Monitor(codec.decoder())
     counters = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
-    frames = codec.encode_scene(scene, fd=fd, counters=counters, age=0.02)
+    frames = codec.encoder().encode_scene(scene, fd=fd, counters=counters, age=0.02)
     _, t_ns = feed(monitor, frames, 0)
     view = monitor.latest_scene(t_ns)
     assert view.scene is not None
@@ -99,7 +99,7 @@ def test_an_authenticated_scene(dbc: str) -> None:
     assert_covers(decoded, scene)
 
     decoder = codec_of(dbc).decoder()
-    for own in codec.encode_scene(scene, fd=True).values():
+    for own in codec.encoder().encode_scene(scene, fd=True).values():
         decoder.feed(own[0].can_id, own[0].data[:-1] + b"\0", 0)
     assert decoder.scene() is None
     assert decoder.lines == 0
@@ -109,7 +109,7 @@ def test_a_line_has_the_covariance_that_it_has_in_the_scene() -> None:
     """Of conditional records; each line that the decoder returns is that of the scene, too."""
     codec = codec_of(CONDITIONAL)
     decoder = codec.decoder()
-    answers, _ = feed(decoder, codec.encode_scene(road_scene(SLOTS), counters={}), 0)
+    answers, _ = feed(decoder, codec.encoder().encode_scene(road_scene(SLOTS), counters={}), 0)
     lines = [answer for answer in answers if isinstance(answer, MapLine)]
     scene = decoder.scene()
     assert scene is not None
@@ -149,7 +149,7 @@ def test_lines_that_do_not_fit(dbc: str) -> None:
     ]
     odd = Scene(tuple(lines), scene.cov, scene.pose_error, scene.fit_ranges, scene.map_error)
     codec, is_conditional = codec_of(dbc), dbc == CONDITIONAL
-    frames = codec.encode_scene(odd, counters={})
+    frames = codec.encoder().encode_scene(odd, counters={})
     assert (Slot.EGO_RIGHT in frames) is not is_conditional
 
     decoder = codec.decoder()
@@ -166,12 +166,12 @@ def test_lines_that_do_not_fit(dbc: str) -> None:
 def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
     """Whatever the counters are: what no levels cover is sent, and stays out of each scene."""
     codec = codec_of(dbc)
-    prepared = codec.prepare_scene(road_scene(SLOTS))
+    prepared = codec.encoder().prepare_scene(road_scene(SLOTS))
     prepared.encoded.lines.pop(1)
     decoder = codec.decoder()
     counters: dict[Any, int] = dict.fromkeys([POSE, *Slot], first)
     for cycle in range(10):
-        frames = codec.encode_scene(prepared, counters=counters)
+        frames = codec.encoder().encode_scene(prepared, counters=counters)
         answers, _ = feed(decoder, frames, cycle * PERIOD_NS)
         assert sum(isinstance(one, MapLine) for one in answers) == 3
         decoded = decoder.scene()
@@ -184,12 +184,13 @@ def test_a_line_that_is_no_member_never_joins(dbc: str, first: int) -> None:
 def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
     """A sender that alternates scenes of different slots: each scene has the lines of its cycle."""
     codec = new_codec(dbc)
+    encoder = codec.encoder()
     plans = [SLOTS, SLOTS[:1], SLOTS[1:], (), SLOTS[:2]]
     empty = Scene((), np.zeros((0, 0)), road_scene().pose_error, np.zeros((0, 2)))
-    prepared = [codec.prepare_scene(road_scene(slots) if slots else empty) for slots in plans]
+    prepared = [encoder.prepare_scene(road_scene(slots) if slots else empty) for slots in plans]
     decoder, last = codec.decoder(), None
     for cycle in range(40):
-        frames = codec.encode_scene(prepared[cycle % len(plans)])
+        frames = encoder.encode_scene(prepared[cycle % len(plans)])
         _, t_ns = feed(decoder, {POSE: frames.pop(POSE)}, cycle * PERIOD_NS)
         if last is not None:  # the cycle before is over
             decoded = decoder.scene()
@@ -205,10 +206,11 @@ def test_an_absent_slot_is_not_in_the_scene(dbc: str) -> None:
 def test_counters_of_the_codec_have_no_gap() -> None:
     """Each slot and the pose error counts by itself, modulo 256."""
     codec = new_codec(CONDITIONAL)
-    prepared = codec.prepare_scene(road_scene(SLOTS[:1]))
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(road_scene(SLOTS[:1]))
     seen: dict[Any, list[int]] = {POSE: [], Slot.EGO_LEFT: []}
     for _ in range(260):
-        for owner, frames in codec.encode_scene(prepared).items():
+        for owner, frames in encoder.encode_scene(prepared).items():
             seen[owner].append(frames[0].data[2])
     expected = [n % 256 for n in range(260)]
     assert seen == {POSE: expected, Slot.EGO_LEFT: expected}
@@ -217,12 +219,13 @@ def test_counters_of_the_codec_have_no_gap() -> None:
 def test_counters_of_plain_lines_and_scenes_go_on() -> None:
     """They wrap around, too."""
     codec = new_codec(COMPLETE)
+    encoder = codec.encoder()
     scene = road_scene(SLOTS[:1])
-    prepared = codec.prepare_scene(scene)
+    prepared = encoder.prepare_scene(scene)
     counters = []
     for cycle in range(260):
-        frames = codec.encode_scene(prepared)[Slot.EGO_LEFT]
-        counters += [(frames if cycle % 3 else codec.encode(scene.lines[0]))[0].data[2]]
+        frames = encoder.encode_scene(prepared)[Slot.EGO_LEFT]
+        counters += [(frames if cycle % 3 else encoder.encode(scene.lines[0]))[0].data[2]]
         counters += [] if cycle % 3 else [frames[0].data[2]]
     assert sorted(counters[:256]) == list(range(256))
     assert counters[-1] == (len(counters) - 1) % 256
@@ -231,7 +234,7 @@ def test_counters_of_plain_lines_and_scenes_go_on() -> None:
 def test_the_age_is_that_of_the_sending() -> None:
     """Rounded up; too old beyond the greatest one. A line is older by its distance to the pose."""
     codec = codec_of(CONDITIONAL)
-    prepared = codec.prepare_scene(road_scene(SLOTS))
+    prepared = codec.encoder().prepare_scene(road_scene(SLOTS))
     for age, stated in (
         (0.0, 0.0),
         (0.001, 0.008),
@@ -240,7 +243,7 @@ def test_the_age_is_that_of_the_sending() -> None:
         (np.inf, np.inf),
     ):
         decoder = codec.decoder()
-        answers, _ = feed(decoder, codec.encode_scene(prepared, age=age, counters={}), 0)
+        answers, _ = feed(decoder, codec.encoder().encode_scene(prepared, age=age, counters={}), 0)
         decoded = decoder.scene()
         assert decoded is not None
         assert decoded.age == pytest.approx(stated)
@@ -259,7 +262,7 @@ def test_a_decoded_range_is_within_the_one_sent(radius: float, sigma: Any, noise
     """The room of 3 sigma at its ends does not get smaller, whatever is rounded."""
     scene = road_scene(SLOTS, radius=radius, sigma=sigma, map_error=MapError(*noise))
     decoder = codec_of(CONDITIONAL).decoder()
-    feed(decoder, codec_of(CONDITIONAL).encode_scene(scene, counters={}), 0)
+    feed(decoder, codec_of(CONDITIONAL).encoder().encode_scene(scene, counters={}), 0)
     decoded = decoder.scene()
     for line in decoded.scene.lines if decoded else ():
         sent = scene.line(line.slot)
@@ -300,7 +303,7 @@ def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) 
     before, now = Codec.from_dbc(path), codec_of(COMPLETE)
     assert before.layout.pose is None
     scene = road_scene(OFFSETS)
-    frames = now.encode_scene(scene, counters={}, age=0.02)
+    frames = now.encoder().encode_scene(scene, counters={}, age=0.02)
     old, new = before.decoder(), now.decoder()
     theirs, _ = feed(old, frames, 0)
     ours, _ = feed(new, frames, 0)
@@ -321,22 +324,23 @@ def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) 
 def test_the_records_are_those_of_the_lines_alone() -> None:
     """A full record does not change if it is sent with its scene."""
     codec, scene = codec_of(COMPLETE), road_scene(SLOTS)
-    alone = codec.encode_lines(scene.lines, counters={})
-    together = codec.encode_scene(scene, counters={})
+    alone = codec.encoder().encode_lines(scene.lines, counters={})
+    together = codec.encoder().encode_scene(scene, counters={})
     assert [together[line.slot] for line in scene.lines] == alone
 
 
 def faulty_stream(codec: Codec, faults: str, cycles: int, fd: bool) -> Iterator[tuple[Any, int]]:
     """Yield the frames of a sender of scenes, of plain lines at times, over a faulty bus."""
+    encoder = codec.encoder()
     injector = FaultInjector[Any](Faults.parse(faults))
-    full, small = (codec.prepare_scene(road_scene(s), fd=fd) for s in (SLOTS, SLOTS[1:]))
+    full, small = (encoder.prepare_scene(road_scene(s), fd=fd) for s in (SLOTS, SLOTS[1:]))
     line = MapLine.with_sigma(Slot.EGO_RIGHT, [-1.75, 0, 0, 0], [0.1, 0.01, 0.001, 0.0001])
     for cycle in range(cycles):
         t_ns = cycle * PERIOD_NS
         if cycle % 11 == 10 and not codec.layout.is_conditional:
-            frames: Mapping[Any, Any] = {0: codec.encode(line, fd=fd)}
+            frames: Mapping[Any, Any] = {0: encoder.encode(line, fd=fd)}
         else:
-            frames = codec.encode_scene(small if cycle % 5 == 4 else full, fd=fd)
+            frames = encoder.encode_scene(small if cycle % 5 == 4 else full, fd=fd)
         for own in frames.values():
             for frame in own:
                 for out in injector.apply(frame, t_ns / 1e9):
@@ -377,7 +381,7 @@ def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
     path.write_text(without_pose(COMPLETE))
     codec = Codec.from_dbc(path)
     with pytest.raises(EncodeError, match="MapLinePose"):
-        codec.encode_scene(road_scene())
+        codec.encoder().encode_scene(road_scene())
     with pytest.raises(ValueError, match="MapLinePose"):
         Monitor(codec.decoder()).latest_scene(0)
 
@@ -388,7 +392,7 @@ def test_a_pose_error_that_does_not_fit_is_refused(sigma: Any) -> None:
     pose = type(scene.pose_error)(np.diag(sigma) ** 2)
     odd = Scene(scene.lines, scene.cov, pose, scene.fit_ranges)
     with pytest.raises(EncodeError, match="3000 m"):
-        codec_of(CONDITIONAL).encode_scene(odd)
+        codec_of(CONDITIONAL).encoder().encode_scene(odd)
 
 
 def test_both_dbcs_have_one_layout_of_the_pose_error() -> None:

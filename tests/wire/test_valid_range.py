@@ -47,10 +47,10 @@ def test_item_4_a_decoded_range_is_inside_the_given_one(
     x_min, x_max = np.sort(np.array(ends), axis=1).T
     n = len(x_min)
     for cov in (COV, np.where(np.eye(4), COV, 2 * np.sqrt(np.outer(*[COV.diagonal()] * 2)))):
-        payloads = ranged.encode_batch(
+        payloads = ranged.batch.encode(
             np.zeros((n, 4)), np.tile(cov, (n, 1, 1)), x_min=x_min, x_max=x_max, status=status
         )
-        batch = ranged.decode_batch(payloads)
+        batch = ranged.batch.decode(payloads)
         stated = batch.status != Status.OUT_OF_RANGE
         assert batch.accepted.all()
         assert (x_min <= batch.x_min)[stated].all()
@@ -73,9 +73,9 @@ def test_item_4_a_range_that_cannot_be_stated_is_out_of_range(
     codec: Any, ends: Any, status: Any
 ) -> None:
     """Beyond an end of XMin or XMax, or shorter than a step: never a longer range."""
-    payload = codec.encode_batch([[0.0] * 4], [COV], x_min=ends[0], x_max=ends[1], status=status)
-    assert codec.decode_batch(payload).status[0] == Status.OUT_OF_RANGE
-    assert not codec.decode_one(payload[0].tobytes(), Slot.EGO_LEFT).is_usable
+    payload = codec.batch.encode([[0.0] * 4], [COV], x_min=ends[0], x_max=ends[1], status=status)
+    assert codec.batch.decode(payload).status[0] == Status.OUT_OF_RANGE
+    assert not codec.batch.decode_one(payload[0].tobytes(), Slot.EGO_LEFT).is_usable
 
 
 @pytest.mark.parametrize(("ends", "usable"), [((-20, 80), True), ((50, 80), False)])
@@ -84,9 +84,10 @@ def test_item_4_each_component_of_a_mixture(ends: Any, usable: bool) -> None:
     components = tuple(Gaussian(np.array([y, 0, 0, 0]), COV) for y in (-0.1, 0.1))
     mixture = GaussianMixture(np.array([0.5, 0.5]), components)
     codec = new_codec()
+    encoder = codec.encoder()
     line = MapLine.of_mixture(Slot.ROUTE, mixture, x_min=ends[0], x_max=ends[1])
     decoder = codec.decoder()
-    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in codec.encode(line)]
+    *_, received = [decoder.feed(f.can_id, f.data, 0) for f in encoder.encode(line)]
     assert isinstance(received, MapLine)
     assert received.is_usable == usable
     if usable:
@@ -98,10 +99,10 @@ def test_item_4_a_received_range_that_ends_before_it_starts_is_rejected(
     codec: Any, status: Any
 ) -> None:
     """By the batch and by one record alike, unless the status is OUT_OF_RANGE."""
-    record = codec.encode_batch([[0.0] * 4], [COV], x_min=8, x_max=8, status=status)[0]
+    record = codec.batch.encode([[0.0] * 4], [COV], x_min=8, x_max=8, status=status)[0]
     payload = changed_record(codec, record.tobytes(), XMax=1)  # 4 m
-    batch = codec.decode_batch(np.frombuffer(payload, np.uint8)[None])
-    one = codec.decode_one(payload, Slot.EGO_LEFT)
+    batch = codec.batch.decode(np.frombuffer(payload, np.uint8)[None])
+    one = codec.batch.decode_one(payload, Slot.EGO_LEFT)
     if status is Status.OUT_OF_RANGE:
         assert batch.accepted[0]
         assert (one.x_min, one.x_max) == (batch.x_min[0], batch.x_max[0]) == (4, 4)

@@ -69,8 +69,8 @@ def test_a_mixture_is_widened_by_what_it_lacks() -> None:
 def test_no_component_and_no_mixture_is_overconfident(k: int) -> None:
     """Random mixtures with singular components and weights between the steps."""
     weights, means, covs = random_mixtures(4000, k, seed=k)
-    payloads = default_codec().encode_mixtures(weights, means, covs)
-    batch = default_codec().decode_batch(payloads.reshape(-1, 32))
+    payloads = default_codec().batch.encode_mixtures(weights, means, covs)
+    batch = default_codec().batch.decode(payloads.reshape(-1, 32))
     assert batch.accepted.all()
     components = evaluate(
         means.reshape(-1, 4),
@@ -103,7 +103,7 @@ def test_a_mixture_round_trip(fd: bool) -> None:
     codec = new_codec()
     decoder = codec.decoder()
     (line,) = sent_lines(1, 5)
-    frames = codec.encode(line, fd=fd)
+    frames = codec.encoder().encode(line, fd=fd)
     assert len(frames) == 5 * (1 if fd else 4)
     answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
     assert set(answers[:-1]) == {Reason.PENDING}
@@ -122,11 +122,12 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
     """Under loss, duplication and reordering each delivered mixture was sent, and only once."""
     rng = np.random.default_rng(seed)
     codec = new_codec()
+    encoder = codec.encoder()
     sent = list(sent_lines(12, k, seed=seed % 1000))
     expected = {}
     stream = []
     for i, line in enumerate(sent):
-        frames = codec.encode(line, fd=fd)
+        frames = encoder.encode(line, fd=fd)
         alone = codec.decoder()
         (line_alone,) = [
             answer
@@ -149,8 +150,9 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
 def test_an_incomplete_mixture_times_out() -> None:
     """Its frames are counted, and the next line is delivered."""
     codec = new_codec()
+    encoder = codec.encoder()
     decoder = codec.decoder(timeout_ms=50)
-    first, second = (codec.encode(line) for line in sent_lines(2, 3))
+    first, second = (encoder.encode(line) for line in sent_lines(2, 3))
     for i, frame in enumerate(first[:8]):
         decoder.feed(frame.can_id, frame.data, i * 1000)
     assert decoder.pending == 8
@@ -167,7 +169,7 @@ def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     line = MapLine.of_mixture(Slot.EGO_LEFT, GaussianMixture(weights[0], components))
     codec = new_codec()
     decoder = codec.decoder(timeout_ms=25)
-    frames = codec.encode(line)
+    frames = codec.encoder().encode(line)
     answers = [decoder.feed(f.can_id, f.data, i * 1_080_000) for i, f in enumerate(frames)]
     assert len(frames) == 32
     assert isinstance(answers[-1], MapLine)
@@ -178,7 +180,7 @@ def component(
     codec: Codec, counter: int, index: int, count: int, weight: float, **attributes: float
 ) -> Any:
     """Return the frames of a component as a sender of any weights and counts sends it."""
-    payloads = codec.encode_batch(
+    payloads = codec.batch.encode(
         [[1.75 + 0.1 * index, 0.0, 0.0, 0.0]],
         np.diag([1e-2, 1e-4, 1e-8, 1e-12])[None],
         slot=Slot.CENTRE,
@@ -188,7 +190,7 @@ def component(
         component_weight=weight,
         **attributes,
     )
-    return codec.frames(payloads[0], Slot.CENTRE)
+    return codec.encoder().frames(payloads[0], Slot.CENTRE)
 
 
 @pytest.mark.parametrize("second", [0.25, 0.46875, 0.53125, 1.0])
@@ -278,8 +280,8 @@ def test_a_component_after_the_time_out_does_not_complete_the_mixture() -> None:
 def test_a_mixture_of_one_component_is_a_line() -> None:
     """Its weight is 1, the greatest that is allowed."""
     cov = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
-    payloads = default_codec().encode_mixtures([[1.0]], [[[1.75, 0, 0, 0]]], [[cov]])
-    batch = default_codec().decode_batch(payloads[:, 0])
+    payloads = default_codec().batch.encode_mixtures([[1.0]], [[[1.75, 0, 0, 0]]], [[cov]])
+    batch = default_codec().batch.decode(payloads[:, 0])
     assert (batch.component_count[0], batch.component_weight[0]) == (1, 1)
     assert batch.accepted.all()
 

@@ -83,7 +83,7 @@ class Chunk:
         self.start = start
         numbers = np.arange(start, start + n)
         self.slots = numbers % len(Slot)
-        self.payloads = codec.encode_batch(
+        self.payloads = codec.batch.encode(
             means,
             covs,
             slot=self.slots,
@@ -93,7 +93,7 @@ class Chunk:
             x_max=8.0 * rng.integers(0, 32, n),
             age=0.008 * rng.integers(0, 31, n),
         )
-        self.batch = codec.decode_batch(self.payloads, slot=self.slots)
+        self.batch = codec.batch.decode(self.payloads, slot=self.slots)
         self.arrived, self.damaged, self.delivered = (bytearray(n) for _ in range(3))
 
     def expected(self, line: int) -> tuple[Any, ...]:
@@ -187,7 +187,7 @@ class Stream:
     def _send(self, chunk: Chunk) -> None:
         for i, payload in enumerate(chunk.payloads):
             line, t_ns = chunk.start + i, (chunk.start + i) * STEP_NS
-            frames = self._codec.frames(payload, Slot(line % len(Slot)), fd=self._fd)
+            frames = self._codec.encoder().frames(payload, Slot(line % len(Slot)), fd=self._fd)
             for page, frame in enumerate(frames):
                 sent = Page(*frame, line, page, frame.can_id, frame.data)
                 for out in self._injector.apply(sent, 1e-9 * t_ns):
@@ -306,13 +306,13 @@ def sent_mixtures(
         (places,) = np.nonzero(sizes == k)
         slots = places % len(Slot)
         w, m, S = random_mixtures(len(places), k, rng)
-        payloads = codec.encode_mixtures(w, m, S, slot=slots, counter=first[places])
-        batch = codec.decode_batch(payloads.reshape(-1, 32), slot=np.repeat(slots, k))
+        payloads = codec.batch.encode_mixtures(w, m, S, slot=slots, counter=first[places])
+        batch = codec.batch.decode(payloads.reshape(-1, 32), slot=np.repeat(slots, k))
         for j, (place, slot) in enumerate(zip(places.tolist(), slots.tolist(), strict=True)):
             rows = slice(j * k, (j + 1) * k)
             values = batch.component_weight[rows], batch.mean[rows], batch.cov[rows]
             known[Slot(slot), *(value.tobytes() for value in values)] = place
-            records = [codec.frames(p, Slot(slot), fd=slot % 2 == 0) for p in payloads[j]]
+            records = [codec.encoder().frames(p, Slot(slot), fd=slot % 2 == 0) for p in payloads[j]]
             frames[place] = [frame for record in records for frame in record]
     return frames, known
 

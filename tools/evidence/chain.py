@@ -91,6 +91,7 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
     """Return the figures of a simulated drive."""
     world = World(seed)
     sender, codec = Sender(seed, world.row), Codec.from_dbc(default_dbc_path(dbc))
+    encoder = codec.encoder()
     monitor = Monitor(codec.decoder())
     consumer = Consumer(world, monitor)
     rows, lines, received, frames = world.row[None], 0, 0, 0
@@ -109,7 +110,7 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
         sender.move(rows)
         scene = sender.cycle(rows[-1]).scene
         if scene is not None and scene.lines:
-            encoded = codec.encode_scene(scene, age=AGE)
+            encoded = encoder.encode_scene(scene, age=AGE)
             lines += len(encoded.keys() - {POSE})
             frames += sum(map(len, encoded.values()))
             on_the_way += spread(encoded.values(), world.t + AGE)

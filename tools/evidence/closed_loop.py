@@ -256,6 +256,7 @@ class ClosedLoop:
             tick: called with each time step [s].
         """
         codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+        encoder = codec.encoder()
         monitor = Monitor(codec.decoder())
         random = np.random.default_rng(self.seed)
         place = RouteProgress(self.line.points, self.line.distance)
@@ -277,7 +278,7 @@ class ClosedLoop:
             if scene is not None and scene.lines and not lost:
                 ns = round((t + AGE) * 1e9)
                 sent = scene if route is not None else without(scene, Slot.ROUTE)
-                for frames in codec.encode_scene(sent, age=AGE).values():
+                for frames in encoder.encode_scene(sent, age=AGE).values():
                     for frame in frames:
                         ns += round(TRANSMISSION / 10 * 1e9)
                         monitor.feed(frame.can_id, frame.data, ns)

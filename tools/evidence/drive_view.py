@@ -18,7 +18,7 @@ from maplines_can.simulation.truth import true_lines
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.scene import Scene
 from maplines_can.values.seen_lines import SeenLines
-from maplines_can.wire import Codec, Decoder
+from maplines_can.wire import Codec, Decoder, Encoder
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ def drive_view(
         np.full((n, 8, 8), np.nan),
         np.full((n, 2, 4), np.nan),
     )
-    decoder = codec.decoder()
+    encoder, decoder = codec.encoder(), codec.decoder()
     for k, pose in enumerate(state.pose):
         seen = tracker.lines(pose)
         lines = {slot: seen.lines[slot] for slot in LANE if slot in seen.lines}
@@ -74,7 +74,7 @@ def drive_view(
         view.seen[k] = camera_lines(lines, pose)
         ego = Gaussian(pose, turned(pose_cov, pose[2]))
         scene = map_scene(lines, ego, map_error=map_error, correlation_time=1.0)
-        received = transferred(codec, decoder, scene, float(state.t[k]))
+        received = transferred(encoder, decoder, scene, float(state.t[k]))
         if received is not None and all(slot in received.index for slot in LANE):
             view.lines[k] = [received.line(slot).gaussian.mean for slot in LANE]
             view.fit_ranges[k] = received.fit_ranges
@@ -91,16 +91,16 @@ def turned(cov: Array, heading: float) -> Array:
     return np.asarray(R @ cov @ R.T)
 
 
-def transferred(codec: Codec, decoder: Decoder, scene: Scene, t: float) -> Scene | None:
+def transferred(encoder: Encoder, decoder: Decoder, scene: Scene, t: float) -> Scene | None:
     """Return a scene as received; None if it was not.
 
     Args:
-        codec: encodes the scene.
+        encoder: encodes the scene.
         decoder: of the receiver.
         scene: as sent.
         t: time of its pose [s], later than that of the scene before.
     """
-    for own in codec.encode_scene(scene, age=AGE).values():
+    for own in encoder.encode_scene(scene, age=AGE).values():
         for i, frame in enumerate(own):
             decoder.feed(frame.can_id, frame.data, round(1e9 * (t + AGE + i * FRAME)))
     received = decoder.scene()

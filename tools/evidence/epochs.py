@@ -179,8 +179,8 @@ class WholeChain:
         known, key = self._scenes[number % SCENES], tuple(slots)
         if key not in known:
             scene = road_scene(number % SCENES, key)
-            known[key] = scene, self._codec.prepare_scene(scene, fd=self._fd)
-        frames = self._codec.encode_scene(known[key][1], fd=self._fd, counters=counters)
+            known[key] = scene, self._codec.encoder().prepare_scene(scene, fd=self._fd)
+        frames = self._codec.encoder().encode_scene(known[key][1], fd=self._fd, counters=counters)
         for owner in frames:
             counters[owner] += 1
         return frames

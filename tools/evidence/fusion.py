@@ -193,6 +193,7 @@ def moments(
     seed: int,
 ) -> Iterator[Moment]:
     """Yield the moments of a car at times of a drive [s]."""
+    encoder = codec.encoder()
     e = Errors()
     rng = np.random.default_rng([seed, 1])
     poses, tracker = PoseSource(e.pose_sigma, POSE_TIME, seed), LaneTracker(road_map, route)
@@ -212,7 +213,7 @@ def moments(
             correlation_time=POSE_TIME,
         )
         now_ns = round(1e9 * (t + AGE))
-        for frames in codec.encode_scene(scene, age=AGE).values():
+        for frames in encoder.encode_scene(scene, age=AGE).values():
             for frame in frames:
                 monitor.feed(frame.can_id, frame.data, now_ns)
                 now_ns += round(1e9 * FRAME)

@@ -127,8 +127,9 @@ def received_scene() -> Scene:
         lines, shipped.ego, window=shipped.window, map_error=MapError(0.05, 0.05, 0.001)
     )
     codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+    encoder = codec.encoder()
     decoder = codec.decoder()
-    frames = [frame for own in codec.encode_scene(scene).values() for frame in own]
+    frames = [frame for own in encoder.encode_scene(scene).values() for frame in own]
     for i, frame in enumerate(frames):
         decoder.feed(frame.can_id, frame.data, 250_000 * i)
     received = decoder.scene()

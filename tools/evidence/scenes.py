@@ -145,7 +145,7 @@ class Passage:
     def passed(self, codec: Codec, figures: Figures) -> Scene | None:
         """Return a scene as received, with the counts of its lines; None if no line is sent."""
         counts, values, started = figures.counts, figures.values, time.perf_counter()
-        prepared = codec.prepare_scene(self.scene)
+        prepared = codec.encoder().prepare_scene(self.scene)
         values["encode [ms]"].append(1000 * (time.perf_counter() - started))
         far = [line.slot for line in self.scene.lines if line.x_max >= AHEAD]
         counts["given"] += len(self.scene.lines)
@@ -154,7 +154,7 @@ class Passage:
         counts.update(f"not sent, {why.name}" for why in prepared.unfit.values())
         if not prepared.sent_slots:
             return None
-        frames = codec.encode_scene(prepared)
+        frames = codec.encoder().encode_scene(prepared)
         of_lines = [len(own) for owner, own in frames.items() if owner != POSE]
         whole = codec.layout.pages
         counts["all entries"] += codec.layout.is_conditional * of_lines.count(whole)

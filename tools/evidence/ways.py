@@ -90,7 +90,7 @@ def given_of(line: MapLine) -> Given:
 def over_the_wire(codec: Codec, line: MapLine) -> MapLine | None:
     """Return a line as a receiver gets it; None if it is not usable."""
     decoder, received = codec.decoder(), None
-    for frame in codec.encode(line):
+    for frame in codec.encoder().encode(line):
         received = decoder.feed(frame.can_id, frame.data, t_ns=0)
     return received if isinstance(received, MapLine) and received.is_usable else None
 
@@ -161,7 +161,7 @@ def scene_sent(scene: Scene) -> Scene:
     by = codec("maplines-pose.dbc")
     decoder = by.decoder()
     try:
-        messages = by.encode_scene(scene)
+        messages = by.encoder().encode_scene(scene)
     except EncodeError:
         return scene.subset([])
     for frames in messages.values():

@@ -36,7 +36,7 @@ def guarantee(n: int = 10**6, seed: int = 0) -> dict[str, Any]:
     largest = 0.0
     for start in progress(range(0, n, CHUNK), "covariances"):
         means, covs = adversarial(min(CHUNK, n - start), seed + start)
-        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        batch = codec.batch.decode(codec.batch.encode(means, covs))
         evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
         stated = batch.status != Status.OUT_OF_RANGE
         counts["not positive definite"] += int((~evaluation.positive_definite).sum())
@@ -54,7 +54,7 @@ def quality(n: int = 20_000, seed: int = 0) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, make in (("paper", paper), ("road", road)):
         means, covs = make(n, seed)
-        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        batch = codec.batch.decode(codec.batch.encode(means, covs))
         evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
         result[name] = {
             "cases": len(means),
@@ -84,11 +84,16 @@ def frames(n: int = 10**7, seed: int = 0) -> dict[str, Any]:
     known: set[Any] = set()
     for i, (m, S) in enumerate(zip(means, covs, strict=True)):
         slot = Slot(i % len(Slot))
-        payload = codec.encode_batch(m[None], S[None], slot=slot, counter=i // len(Slot))
-        line = codec.decode_one(payload.tobytes(), slot)
+        payload = codec.batch.encode(m[None], S[None], slot=slot, counter=i // len(Slot))
+        line = codec.batch.decode_one(payload.tobytes(), slot)
         if isinstance(line, MapLine):
             known.add(identity(line))
-        transfers.append([codec.frames(payload[0], slot), codec.frames(payload[0], slot, fd=True)])
+        transfers.append(
+            [
+                codec.encoder().frames(payload[0], slot),
+                codec.encoder().frames(payload[0], slot, fd=True),
+            ]
+        )
     made = Counter[str]()
     wrong = 0
     t_ns, done = 0, 0
@@ -127,7 +132,7 @@ def mixtures(n: int = 10**6, seed: int = 0) -> dict[str, Any]:
             count = n // len(COMPONENTS) + (k - COMPONENTS[0] < n % len(COMPONENTS))
             for start in range(0, count, CHUNK // k):
                 w, m, S = random_mixtures(min(CHUNK // k, count - start), k, [seed, k, start])
-                batch = codec.decode_batch(codec.encode_mixtures(w, m, S).reshape(-1, 32))
+                batch = codec.batch.decode(codec.batch.encode_mixtures(w, m, S).reshape(-1, 32))
                 decoded_w = batch.component_weight.reshape(-1, k)
                 decoded = batch.mean.reshape(m.shape), batch.cov.reshape(S.shape)
                 stated = (batch.status != Status.OUT_OF_RANGE).reshape(-1, k)

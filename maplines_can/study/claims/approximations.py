@@ -78,15 +78,15 @@ def through_the_wire(
     """
     weights, means, covs = approximation.weights, approximation.means, approximation.covs
     if len(means) > 1 and covs is not None:
-        payloads = codec.encode_mixtures(
+        payloads = codec.batch.encode_mixtures(
             weights[None], means[None], covs[None], slot=slot, x_min=x_range[0], x_max=x_range[1]
         )[0]
     else:
         status = None if covs is None else Status.DIAGONAL if diagonal else Status.FULL
-        payloads = codec.encode_batch(
+        payloads = codec.batch.encode(
             means, covs, slot=slot, x_min=x_range[0], x_max=x_range[1], status=status
         )
-    batch = codec.decode_batch(payloads, slot=slot)
+    batch = codec.batch.decode(payloads, slot=slot)
     if not batch.accepted.all() or (batch.status == Status.OUT_OF_RANGE).any():
         raise ValueError(
             f"a line of mean {means.tolist()} does not fit the messages of {codec.layout.source}"

@@ -114,7 +114,7 @@ def design(
 
 def figures_of(codec: Codec, lines: Gaussians) -> LayoutFigures:
     """Encode and decode lines, and return the figures; OUT_OF_RANGE lines are only counted."""
-    batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
+    batch = codec.batch.decode(codec.batch.encode(lines.mean, lines.cov))
     figures = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
     in_range = batch.status != Status.OUT_OF_RANGE
     lateral_error = np.abs(figures.lateral_error[:, LATERAL_X.index(80.0)])

@@ -60,8 +60,9 @@ def evaluations(code: str, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
 
 def with_pose(codec: Codec, scene: Scene) -> dict[str, Any]:
     """Return the figures of a scene as sent by a codec with a message of the pose error."""
-    prepared = codec.prepare_scene(scene)
-    frames = sum(map(len, codec.encode_scene(prepared).values()))
+    encoder = codec.encoder()
+    prepared = encoder.prepare_scene(scene)
+    frames = sum(map(len, encoder.encode_scene(prepared).values()))
     decoded = prepared.encoded.decoded
     lines = len(prepared.sent_slots)
     row = {
@@ -107,7 +108,7 @@ def _with_all_entries(prepared: PreparedScene) -> int:
 def _independent(codec: Codec, scenes: Sequence[Scene]) -> Iterator[dict[str, Any]]:
     means = np.concatenate([scene.means for scene in scenes])
     covs = np.array([line.gaussian.cov for scene in scenes for line in scene.lines])
-    batch = codec.decode_batch(codec.encode_batch(means, covs))
+    batch = codec.batch.decode(codec.batch.encode(means, covs))
     good = batch.accepted & (batch.status != Status.OUT_OF_RANGE)
     bits = sum(signal.length for signal in codec.covariance.signals)
     start = 0

@@ -94,8 +94,8 @@ class _Trial:
     def __init__(self, plan: Plan, given: Gaussians) -> None:
         self.codec, self.given = codec_of(plan), given
         started = time.perf_counter()
-        self.payloads = self.codec.encode_batch(*given)
-        self.batch = self.codec.decode_batch(self.payloads)
+        self.payloads = self.codec.batch.encode(*given)
+        self.batch = self.codec.batch.decode(self.payloads)
         decoded = self.batch.mean, self.batch.cov
         self.evaluation = evaluate(*given, *decoded, self.codec.resolution)
         self.seconds = time.perf_counter() - started

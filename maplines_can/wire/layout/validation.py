@@ -24,7 +24,7 @@ class CheckedGaussians(NamedTuple):
 
 
 def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussians:
-    """Return Gaussians as arrays, of covariance 0 without ``covs``; see ``Codec.encode_batch``."""
+    """Return Gaussians as arrays, of covariance 0 without ``covs``; see ``BatchCodec.encode``."""
     rounding = rounding_of(covs)
     mean = floats(means, "means")
     if mean.ndim != 2 or mean.shape[1] != len(PARAMETER_SIGNALS):
@@ -45,7 +45,7 @@ def checked_gaussians(means: ArrayLike, covs: ArrayLike | None) -> CheckedGaussi
 def checked_mixtures(
     weights: ArrayLike, means: ArrayLike, covs: ArrayLike
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return weights, means and covs of mixtures as arrays; see ``Codec.encode_mixtures``."""
+    """Return weights, means and covs of mixtures as arrays; see ``BatchCodec.encode_mixtures``."""
     weights, means = floats(weights, "weights"), floats(means, "means")
     covs = floats(covs, "covs")
     if weights.ndim != 2:
@@ -63,7 +63,7 @@ def checked_mixtures(
 
 
 def checked_payloads(payloads: ArrayLike, record_bytes: int) -> NDArray[np.uint8]:
-    """Return records as an array; see ``Codec.decode_batch``."""
+    """Return records as an array; see ``BatchCodec.decode``."""
     payloads = np.asarray(payloads)
     if payloads.ndim != 2 or payloads.shape[1] != record_bytes:
         raise ValueError(f"payloads must have shape (N, {record_bytes}), got {payloads.shape}")

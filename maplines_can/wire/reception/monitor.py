@@ -97,7 +97,8 @@ class Monitor:
     >>> from maplines_can import Codec, Slot, MapLine
     >>> codec = Codec.from_dbc()
     >>> monitor = Monitor(codec.decoder())
-    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)):
+    >>> encoder = codec.encoder()
+    >>> for frame in encoder.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)):
     ...     _ = monitor.feed(frame.can_id, frame.data, t_ns=0)
     >>> view = monitor.latest(Slot.ROUTE, now_ns=60_000_000)
     >>> view.state.name, round(view.age, 3), view.stale

@@ -33,7 +33,7 @@ class Batch:
 
     mean: NDArray[np.float64]  #: (N, 4) in [m, rad, 1/m, 1/m^2]
     #: (N, 4, 4), positive definite in every row if the covariance code guarantees it. With another
-    #: code a row may be indefinite; ``Codec.decode_one`` and a receiver repair it.
+    #: code a row may be indefinite; ``BatchCodec.decode_one`` and a receiver repair it.
     cov: NDArray[np.float64]
     verdict: NDArray[np.int8]  #: (N,) 0 if accepted, else an index into VERDICTS
     status: NDArray[np.int64]  #: (N,) as ``Status``

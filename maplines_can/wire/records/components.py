@@ -22,7 +22,7 @@ class MixtureWriter:
     def write(
         self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
     ) -> NDArray[np.uint8]:
-        """Return the (N, k, record bytes) records of mixtures; see ``Codec.encode_mixtures``."""
+        """Return (N, k, record bytes) records of mixtures; see ``BatchCodec.encode_mixtures``."""
         n, k = weights.shape
         gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
         decoded_weights, cover = self.cover(weights, means, covs)

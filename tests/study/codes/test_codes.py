@@ -41,8 +41,8 @@ def lines_of(which: Any) -> Any:
 
 def sent_and_decoded(name: Any, means: Any, covs: Any) -> Any:
     codec = codec_of(name)
-    payloads = codec.encode_batch(means, covs)
-    return codec, payloads, codec.decode_batch(payloads)
+    payloads = codec.batch.encode(means, covs)
+    return codec, payloads, codec.batch.decode(payloads)
 
 
 @pytest.mark.parametrize("name", CODES)
@@ -99,8 +99,8 @@ def test_any_bits_decode_to_a_definite_line_or_a_reason(name: Any) -> None:
         data = RecordPacker(codec.layout).pack_one(
             raw, codec.layout.messages[Slot.EGO_LEFT].data_id
         )
-        line = codec.decode_one(data, Slot.EGO_LEFT)
-        batch = codec.decode_batch(np.frombuffer(data, dtype=np.uint8)[None])
+        line = codec.batch.decode_one(data, Slot.EGO_LEFT)
+        batch = codec.batch.decode(np.frombuffer(data, dtype=np.uint8)[None])
         assert isinstance(line, MapLine) == batch.accepted[0]
         if isinstance(line, MapLine):
             lines += 1
@@ -117,7 +117,7 @@ def test_a_definite_line_is_decoded_alone_as_in_a_batch(name: Any) -> None:
     codec, payloads, batch = sent_and_decoded(name, *(values[:30] for values in lines_of("road")))
     definite = 0
     for payload, cov, status in zip(payloads, batch.cov, batch.status, strict=True):
-        line = codec.decode_one(payload.tobytes(), Slot.EGO_LEFT)
+        line = codec.batch.decode_one(payload.tobytes(), Slot.EGO_LEFT)
         sigma = np.sqrt(cov.diagonal())
         if sigma.all() and np.linalg.eigvalsh(cov / np.outer(sigma, sigma))[0] > 1e-9:
             definite += 1
@@ -136,7 +136,7 @@ def test_cantools_reads_the_same_signals(name: Any) -> None:
     database = database_of(name)
     for i, payload in enumerate(payloads):
         signals: dict[Any, Any] = {}
-        for frame in codec.frames(payload, Slot.EGO_LEFT):
+        for frame in codec.encoder().frames(payload, Slot.EGO_LEFT):
             message = database.get_message_by_frame_id(frame.can_id)
             page = message.decode(frame.data, decode_choices=False)
             assert message.encode(page) == frame.data
@@ -219,7 +219,7 @@ def test_one_bit_more_in_each_field_divides_the_divergence_by_four() -> None:
     kl = []
     for finer in (-1, 0, 1):
         codec = Codec(Layout.from_text(dbc_writer_for("Cholesky", finer).dbc()), codes=CODES)
-        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        batch = codec.batch.decode(codec.batch.encode(means, covs))
         kl.append(evaluate(means, covs, batch.mean, batch.cov, codec.resolution).kl_covered.mean())
     assert kl[0] / kl[1] == pytest.approx(4, rel=0.15)
     assert kl[1] / kl[2] == pytest.approx(4, rel=0.15)
@@ -231,7 +231,7 @@ def test_codes_work_with_other_widths(name: Any) -> None:
     for finer in (-1, 2):
         writer = dbc_writer_for(name, finer)
         codec = Codec(Layout.from_text(writer.dbc()), codes=CODES)
-        batch = codec.decode_batch(codec.encode_batch(means, covs))
+        batch = codec.batch.decode(codec.batch.encode(means, covs))
         assert batch.accepted.all()
         if codec.covariance.covering:
             usable = batch.status != Status.OUT_OF_RANGE
@@ -284,11 +284,11 @@ def test_item_10_no_gaussian_loses_its_batch(name: Any) -> None:
     """A covariance that is singular but for rounding has no factor; the others are as alone."""
     codec, covs = codec_of(name), singular(400)
     means = np.tile([1.0, 0.0, 0.0, 0.0], (len(covs), 1))
-    payloads = codec.encode_batch(means, covs)
-    batch = codec.decode_batch(payloads)
+    payloads = codec.batch.encode(means, covs)
+    batch = codec.batch.decode(payloads)
     assert batch.accepted.all()
     for k in range(0, len(covs), 7):
-        alone = codec.decode_batch(codec.encode_batch(means[[k]], covs[[k]]))
+        alone = codec.batch.decode(codec.batch.encode(means[[k]], covs[[k]]))
         np.testing.assert_array_equal(batch.cov[k], alone.cov[0])
     usable = batch.status != Status.OUT_OF_RANGE
     if codec.covariance.covering and usable.any():
@@ -304,5 +304,5 @@ def test_item_10_the_integer_factor_takes_what_rounding_left_indefinite() -> Non
     gaussian = Gaussian(np.zeros(4), root @ root.T)
     with pytest.raises(np.linalg.LinAlgError):
         np.linalg.cholesky(gaussian.cov + 1e-12 * np.eye(4))
-    record = codec_of("IntegerCholesky").encode(MapLine(Slot.EGO_LEFT, gaussian))
+    record = codec_of("IntegerCholesky").encoder().encode(MapLine(Slot.EGO_LEFT, gaussian))
     assert len(record) == 4

@@ -131,8 +131,8 @@ def test_another_arrangement_of_pages_works(tmp_path: Path) -> None:
     codec = Codec.from_dbc(path)
     assert min(codec.can_ids) == 0x100
     assert codec.layout.messages[Slot.EGO_LEFT].cycle_ms == 20
-    payload = codec.encode_batch([[1.75, 0, 0, 0]])
-    assert codec.decode_batch(payload).mean[0, 0] == 1.75
+    payload = codec.batch.encode([[1.75, 0, 0, 0]])
+    assert codec.batch.decode(payload).mean[0, 0] == 1.75
 
 
 def test_a_single_field_is_wider_over_the_same_range() -> None:

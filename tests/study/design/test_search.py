@@ -107,7 +107,7 @@ def test_no_design_is_overconfident(folder: Any, unlike: Any, frames: Any, name:
     """On the set of the design, on another set, and on adversarial covariances."""
     codec = Codec.from_dbc(folder / f"frames{frames}.dbc")
     lines = unlike[name]
-    batch = codec.decode_batch(codec.encode_batch(lines.mean, lines.cov))
+    batch = codec.batch.decode(codec.batch.encode(lines.mean, lines.cov))
     verdict = evaluate(lines.mean, lines.cov, batch.mean, batch.cov, codec.resolution)
     assert batch.accepted.all()
     assert verdict.positive_definite.all()
@@ -156,7 +156,7 @@ def test_a_design_is_sent_and_received(folder: Any, others: Any, frames: Any, fd
             line = receiver.get(5)
             assert line is not None
             received[line.slot] = line
-    wanted = codec.decode_batch(codec.encode_batch(others["road"].mean[:8], others["road"].cov[:8]))
+    wanted = codec.batch.decode(codec.batch.encode(others["road"].mean[:8], others["road"].cov[:8]))
     for i, line in enumerate(lines):
         assert np.array_equal(received[line.slot].gaussian.mean, wanted.mean[i])
         assert np.array_equal(received[line.slot].gaussian.cov, wanted.cov[i])
@@ -169,7 +169,7 @@ def test_a_signal_of_zero_means_zero(folder: Any) -> None:
     assert len(ratios) == 6
     assert all(field.physical(field.raw(0.0)) == 0 for field in ratios)
     cov = np.diag([0.04, 1e-4, 1e-6, 1e-9])[None]
-    alone = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), cov, status=Status.DIAGONAL))
+    alone = codec.batch.decode(codec.batch.encode(np.zeros((1, 4)), cov, status=Status.DIAGONAL))
     assert np.array_equal(alone.cov[0], np.diag(alone.cov[0].diagonal()))
 
 
@@ -198,7 +198,7 @@ def test_ranges_are_kept(roads: Any) -> None:
     assert 2.0 ** signals["PivotYOff"].range[1] >= 20 * 0.999
     assert 2.0 ** signals["PivotC1"].range[1] >= 0.05 * 0.999
     codec = Codec(Layout.from_text(made.writer.dbc()))
-    batch = codec.decode_batch(codec.encode_batch([[6.99, -0.3, 0.07, 0.025]]))
+    batch = codec.batch.decode(codec.batch.encode([[6.99, -0.3, 0.07, 0.025]]))
     assert batch.mean[0] == pytest.approx([6.99, -0.3, 0.07, 0.025], abs=5e-3)
 
 

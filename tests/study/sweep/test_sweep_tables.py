@@ -19,7 +19,7 @@ def test_the_summary_is_that_of_all_chunks_at_once(undisturbed: Any) -> None:
     chunks = [drawn_chunk("road", 3, i, 50) for i in range(8)]
     means, covs = (np.concatenate(arrays) for arrays in zip(*chunks, strict=True))
     codec = codec_of(Plan("Cholesky"))
-    batch = codec.decode_batch(codec.encode_batch(means, covs))
+    batch = codec.batch.decode(codec.batch.encode(means, covs))
     evaluation = evaluate(means, covs, batch.mean, batch.cov, codec.resolution)
     row = undisturbed["summary"][0]
 

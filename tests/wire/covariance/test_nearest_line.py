@@ -172,7 +172,7 @@ def test_a_line_that_is_left_out_has_its_reason(
     scene = scene_of([mean], [x_range], size * SIGMA)
     sent = scene_encoder(CONDITIONAL).encode(scene)
     assert (sent.lines, sent.left_out) == ({}, {0: reason})
-    prepared = codec_of(CONDITIONAL).prepare_scene(scene)
+    prepared = codec_of(CONDITIONAL).encoder().prepare_scene(scene)
     assert prepared.left_out == prepared.unfit == {Slot(0): reason}
 
 
@@ -202,8 +202,8 @@ def test_a_complete_record_of_a_line_beyond_the_message_is_near_it(line: Any, st
     near = nearest_line(
         SIGNALS[COMPLETE], np.array(line), np.array([low, high]), 1.0, codec.covariance.reach
     )
-    payload = codec.encode_batch([line], [np.diag(SIGMA**2)], x_min=low, x_max=high)
-    batch = codec.decode_batch(payload)
+    payload = codec.batch.encode([line], [np.diag(SIGMA**2)], x_min=low, x_max=high)
+    batch = codec.batch.decode(payload)
     if near is None or batch.status[0] == 5:
         return
     assert low <= batch.x_min[0] <= batch.x_max[0] <= high
@@ -233,7 +233,7 @@ def test_a_scene_takes_no_more_frames_than_complete_records(
     for seed in range(3):
         sigma = np.diag([0.3, 0.2, 0.01 * 4.0**-seed]) ** 2
         scene = map_scene(lines, Gaussian([0.0, 0.1 * seed, 0.0], sigma), map_error=error)
-        frames = codec_of(CONDITIONAL).encode_scene(scene, counters={})
+        frames = codec_of(CONDITIONAL).encoder().encode_scene(scene, counters={})
         assert len(frames) == 1 + count
         assert sum(map(len, frames.values())) <= 4 * count
         sent = scene_encoder(CONDITIONAL).encode(scene)

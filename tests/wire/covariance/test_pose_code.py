@@ -129,7 +129,7 @@ def test_a_consumer_gets_the_rounded_correlation_time(
     """Through the frames of a codec."""
     codec = new_codec(dbc)
     decoder = codec.decoder()
-    feed(decoder, codec.encode_scene(road_scene(correlation_time=time)), 0)
+    feed(decoder, codec.encoder().encode_scene(road_scene(correlation_time=time)), 0)
     scene = decoder.scene()
     assert scene is not None
     assert scene.scene.pose_error.correlation_time == received

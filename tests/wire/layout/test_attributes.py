@@ -15,7 +15,7 @@ COV = np.diag([1e-2, 1e-4, 1e-8, 1e-12])
 def test_the_defaults() -> None:
     """Single new lines of an unknown kind, which claim nothing but x = 0."""
     codec = codec_of(COMPLETE)
-    batch = codec.decode_batch(codec.encode_batch(np.zeros((3, 4)), [COV] * 3), Slot.EGO_LEFT)
+    batch = codec.batch.decode(codec.batch.encode(np.zeros((3, 4)), [COV] * 3), Slot.EGO_LEFT)
     assert batch.accepted.all()
     assert batch.counter.tolist() == [0, 1, 2]
     for values, wanted in (
@@ -35,14 +35,14 @@ def test_the_defaults() -> None:
 def test_a_slot_may_be_a_float(slot: Any) -> None:
     """As of a table of numbers."""
     codec = codec_of(COMPLETE)
-    batch = codec.decode_batch(codec.encode_batch(np.zeros((1, 4)), [COV], slot=slot), slot)
+    batch = codec.batch.decode(codec.batch.encode(np.zeros((1, 4)), [COV], slot=slot), slot)
     assert batch.accepted.all()
 
 
 @pytest.mark.parametrize("slot", [-0.5, 7.5, 1e30])
 def test_a_float_beyond_the_slots_is_refused(slot: float) -> None:
     with pytest.raises(EncodeError, match="slot must be from 0 to 7, got"):
-        codec_of(COMPLETE).encode_batch(np.zeros((1, 4)), [COV], slot=slot)
+        codec_of(COMPLETE).batch.encode(np.zeros((1, 4)), [COV], slot=slot)
 
 
 @pytest.mark.parametrize(
@@ -52,11 +52,11 @@ def test_a_float_beyond_the_slots_is_refused(slot: float) -> None:
 def test_the_counters_of_components(counter: Any, counters: list[int]) -> None:
     """They go on from that of the line; without one, from the line before."""
     codec = codec_of(COMPLETE)
-    payloads = codec.encode_mixtures(
+    payloads = codec.batch.encode_mixtures(
         np.full((2, 2), 0.5), np.zeros((2, 2, 4)), np.tile(COV, (2, 2, 1, 1)),
         counter=counter, slot=[Slot.CENTRE, Slot.ROUTE],
     )  # fmt: skip
-    batch = codec.decode_batch(payloads.reshape(4, 32), np.repeat([Slot.CENTRE, Slot.ROUTE], 2))
+    batch = codec.batch.decode(payloads.reshape(4, 32), np.repeat([Slot.CENTRE, Slot.ROUTE], 2))
     assert batch.accepted.all()
     assert batch.counter.tolist() == counters
     assert batch.component_index.tolist() == [0, 1, 0, 1]
@@ -70,7 +70,7 @@ def test_weights_add_up_to_1_but_for_rounding(total: float, accepted: bool, sign
     weights = np.array([[0.5, 0.5], [0.5, 0.5 + sign * total]])
     arguments = weights, np.zeros((2, 2, 4)), np.tile(COV, (2, 2, 1, 1))
     if accepted:
-        assert codec_of(COMPLETE).encode_mixtures(*arguments).shape == (2, 2, 32)
+        assert codec_of(COMPLETE).batch.encode_mixtures(*arguments).shape == (2, 2, 32)
     else:
         with pytest.raises(ValueError, match="weights must be positive and each row of sum 1"):
-            codec_of(COMPLETE).encode_mixtures(*arguments)
+            codec_of(COMPLETE).batch.encode_mixtures(*arguments)

@@ -27,13 +27,13 @@ def test_motorola_signals_are_supported(tmp_path: Path) -> None:
     codec, other = Codec.from_dbc(), Codec.from_dbc(path)
     message = cantools.database.load_file(path).get_message_by_name("EgoLeftFd")  # type: ignore[union-attr]
     means, covs = random_lines(20, seed=9)
-    payloads = other.encode_batch(means, covs, kind=Kind.KERB)
-    assert other.decode_batch(payloads).accepted.all()
+    payloads = other.batch.encode(means, covs, kind=Kind.KERB)
+    assert other.batch.decode(payloads).accepted.all()
     for i, payload in enumerate(payloads):
         decoded = message.decode(payload.tobytes())
         assert (decoded["Kind"], decoded["Counter"]) == ("KERB", i)  # type: ignore[call-overload]
     # Signals of whole bytes, or within one, have the same bits in both byte orders.
-    assert (payloads == codec.encode_batch(means, covs, kind=Kind.KERB)).all()
+    assert (payloads == codec.batch.encode(means, covs, kind=Kind.KERB)).all()
 
 
 @pytest.mark.parametrize(
@@ -102,11 +102,12 @@ def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
     fd_id = 0x80000000 | 0x18FF0048
     path = edited(tmp_path, (r"\b840\b", str(fd_id)))
     codec = Codec.from_dbc(path)
-    (frame,) = codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
+    encoder = codec.encoder()
+    (frame,) = encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
     assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
     answer = codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True)
     assert isinstance(answer, MapLine)
-    assert not codec.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
+    assert not encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
 
 
 @pytest.mark.parametrize("content", [None, b"", b"\xff\x00 not a DBC", b'VERSION "'])

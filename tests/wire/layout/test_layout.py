@@ -50,10 +50,10 @@ def test_a_slot_without_messages_is_refused_in_a_batch() -> None:
     layout = Layout.from_dbc()
     left = {Slot.EGO_LEFT: layout.messages[Slot.EGO_LEFT]}
     codec = Codec(replace(layout, messages=left))
-    payloads = codec.encode_batch([[1.75, 0, 0, 0]], slot=Slot.EGO_LEFT)
+    payloads = codec.batch.encode([[1.75, 0, 0, 0]], slot=Slot.EGO_LEFT)
     for use in (
-        lambda: codec.encode_batch([[1.75, 0, 0, 0]], slot=Slot.EGO_RIGHT),
-        lambda: codec.decode_batch(payloads, Slot.EGO_RIGHT),
+        lambda: codec.batch.encode([[1.75, 0, 0, 0]], slot=Slot.EGO_RIGHT),
+        lambda: codec.batch.decode(payloads, Slot.EGO_RIGHT),
     ):
         with pytest.raises(EncodeError, match="no message for slot 1"):
             use()
@@ -66,7 +66,8 @@ def test_a_frame_format_without_a_message_is_refused(fd: bool, kind: str) -> Non
     left = layout.messages[Slot.EGO_LEFT]
     only = replace(left, fd_can_id=None) if fd else replace(left, can_id=None)
     codec = Codec(replace(layout, messages={Slot.EGO_LEFT: only}))
+    encoder = codec.encoder()
     line = MapLine.mean_only(Slot.EGO_LEFT, [1.75, 0, 0, 0])
     with pytest.raises(EncodeError, match=f"no {kind} message for slot"):
-        codec.encode(line, fd=fd)
-    assert len(codec.encode(line, fd=not fd)) == (layout.pages if fd else 1)
+        encoder.encode(line, fd=fd)
+    assert len(encoder.encode(line, fd=not fd)) == (layout.pages if fd else 1)

@@ -83,7 +83,7 @@ def test_no_text_of_an_object_contains_the_key(clock: Any, lines: Any) -> None:
     with pytest.raises(TypeError, match="cannot be pickled"):
         pickle.dumps(key)
     try:
-        codec.encode(lines[0])
+        codec.encoder().encode(lines[0])
     except EncodeError as error:
         check_no_secret(whole_traceback(error))
 

@@ -45,8 +45,8 @@ ROOT = Path(__file__).parents[3]
 def test_every_byte_of_a_frame_is_as_documented(clock: Any, lines: Any) -> None:
     """Record, key ID, time in microseconds and MAC, computed independently from the same line."""
     codec = codec_of(Key(SECRET, key_id=9), clock=clock)
-    (frame,) = codec.encode(lines[0], fd=True)
-    (plain,) = new_codec().encode(lines[0], fd=True)
+    (frame,) = codec.encoder().encode(lines[0], fd=True)
+    (plain,) = new_codec().encoder().encode(lines[0], fd=True)
     assert (frame.can_id, frame.is_fd, len(frame.data)) == (0x350, True, 48)
     freshness = NOW // US
     assert frame.data[:33] == plain.data + b"\x09"
@@ -58,7 +58,7 @@ def test_every_byte_of_a_frame_is_as_documented(clock: Any, lines: Any) -> None:
 def test_cantools_decodes_authenticated_frames(clock: Any, lines: Any) -> None:
     """The DBC has the key ID, freshness value and MAC, and the record of the CAN FD message."""
     database = cantools.database.load_file(ROOT / "dbc" / "maplines-secoc.dbc")
-    (frame,) = codec_of(Key(SECRET, key_id=9), clock=clock).encode(lines[0], fd=True)
+    (frame,) = codec_of(Key(SECRET, key_id=9), clock=clock).encoder().encode(lines[0], fd=True)
     signals = database.get_message_by_name("EgoLeftSecOc").decode(frame.data)  # type: ignore[union-attr]
     assert (
         [signals.pop(name) for name in ("KeyId", "Freshness", "Mac")]  # type: ignore[union-attr]
@@ -108,7 +108,7 @@ def test_any_of_the_next_values_is_reconstructed(floor: int, bits: Any, data: An
 def test_replay_reordering_and_loss(clock: Any, lines: Any) -> None:
     """A frame is accepted once, not after a later one, and after any number of lost frames."""
     codec = codec_of(clock=clock)
-    frames = sent(codec, clock, lines[0], 40)
+    frames = sent(codec.encoder(), clock, lines[0], 40)
     order = [0, 0, 1, 3, 2, 1, 3, 39, 38]
     decoder = codec_of().decoder()
     answers = names(feed(decoder, [frames[i] for i in order]))
@@ -131,7 +131,8 @@ def test_an_old_frame_is_late_or_a_replay(clock: Any) -> None:
 def test_each_slot_has_its_own_freshness(clock: Any, lines: Any) -> None:
     """Frames of two slots may be reordered, and none is accepted for the other slot."""
     codec = codec_of(clock=clock)
-    left, right = (codec.encode(line, fd=True)[0] for line in lines)
+    encoder = codec.encoder()
+    left, right = (encoder.encode(line, fd=True)[0] for line in lines)
     decoder = codec.decoder()
     swapped = left._replace(can_id=right.can_id)
     assert names(feed(decoder, [right, left, swapped])) == ["line", "line", "MAC"]
@@ -141,17 +142,21 @@ def test_all_components_of_a_mixture_must_be_authentic(clock: Any) -> None:
     """With a forged or missing component there is no line."""
     (line,) = scenario_lines(scenario("street-turn"), 1, components=3)
     codec = codec_of(clock=clock)
-    first, second, third = codec.encode(line, fd=True)
+    encoder = codec.encoder()
+    first, second, third = encoder.encode(line, fd=True)
     forged = second._replace(data=bytes([second.data[0] ^ 1]) + second.data[1:])
     decoder = codec.decoder()
-    answers = feed(decoder, [first, forged, third, second, *codec.encode(line, fd=True)], step_ns=1)
+    answers = feed(
+        decoder, [first, forged, third, second, *encoder.encode(line, fd=True)], step_ns=1
+    )
     assert names(answers) == ["PENDING", "MAC", "PENDING", "REPLAY", "PENDING", "PENDING", "line"]
 
 
 def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock: Any, lines: Any) -> None:
     """A sender never uses a freshness value twice."""
     codec = codec_of(clock=clock)
-    frames = sent(codec, clock, lines[0], 3, step_ns=0) + sent(codec, clock, lines[0], 3, -S)
+    encoder = codec.encoder()
+    frames = sent(encoder, clock, lines[0], 3, step_ns=0) + sent(encoder, clock, lines[0], 3, -S)
     decoder = codec_of().decoder()
     assert names(feed(decoder, frames)) == ["line"] * 6
     assert codec.authenticator.last_sent == NOW // US + 5
@@ -160,23 +165,27 @@ def test_freshness_increases_while_the_clock_stands_or_is_set_back(clock: Any, l
 def test_a_sender_that_restarts(clock: Any, lines: Any) -> None:
     """Accepted at once if its clock continued; if it was set back, after it has caught up."""
     decoder = codec_of().decoder()
-    first = sent(codec_of(clock=clock), clock, lines[0], 10)
+    first = sent(codec_of(clock=clock).encoder(), clock, lines[0], 10)
     clock.now += 3 * S
-    again = sent(codec_of(clock=clock), clock, lines[0], 2)
+    again = sent(codec_of(clock=clock).encoder(), clock, lines[0], 2)
     last = decoder_last(decoder, first + again)
     clock.now = NOW
     set_back = codec_of(clock=clock)
-    assert names(feed(decoder, sent(set_back, clock, lines[0], 2), NOW + 9 * S)) == ["REPLAY"] * 2
+    assert (
+        names(feed(decoder, sent(set_back.encoder(), clock, lines[0], 2), NOW + 9 * S))
+        == ["REPLAY"] * 2
+    )
     remembers = codec_of(clock=clock, not_before=last)
     # E2E rejects the first one: the restarted sender starts with the last counter.
-    frames = sent(remembers, clock, lines[0], 2)
+    frames = sent(remembers.encoder(), clock, lines[0], 2)
     assert "line" in names(feed(decoder, frames, NOW + 10 * S))
 
 
 @pytest.mark.parametrize("apart", [3, 77, 128, 200])
 def test_two_senders_with_the_same_key(clock: Any, lines: Any, apart: int) -> None:
     """Both are authentic and always newer: all lines are delivered, but not VALID, and reported."""
-    first, second, decoder = codec_of(clock=clock), codec_of(clock=clock), codec_of().decoder()
+    first, second = codec_of(clock=clock).encoder(), codec_of(clock=clock).encoder()
+    decoder = codec_of().decoder()
     sent(second, clock, lines[0], apart)
     answers = []
     for _ in range(20):
@@ -199,7 +208,7 @@ def decoder_last(decoder: Any, frames: Any) -> Any:
 
 def test_a_recording_to_a_receiver_that_has_just_started(clock: Any, lines: Any) -> None:
     """Rejected by its clock or a stored freshness value; without either, accepted once."""
-    recorded = sent(codec_of(clock=clock), clock, lines[0], 20)
+    recorded = sent(codec_of(clock=clock).encoder(), clock, lines[0], 20)
     last = clock.now // US
     clock.now += 10 * S
     assert set(names(feed(codec_of(clock=clock).decoder(), recorded))) == {"AGE"}
@@ -217,9 +226,9 @@ def test_the_window_about_the_current_time(
 ) -> None:
     """A frame that was delayed too long, or is from the future, is rejected."""
     receiver = codec_of(clock=clock).decoder()
-    frames = codec_of(clock=Clock(NOW + ahead_ns)).encode(lines[0], fd=True)
+    frames = codec_of(clock=Clock(NOW + ahead_ns)).encoder().encode(lines[0], fd=True)
     assert names(feed(receiver, frames)) == [answer]
-    (good,) = codec_of(clock=Clock(NOW + S)).encode(lines[0], fd=True)
+    (good,) = codec_of(clock=Clock(NOW + S)).encoder().encode(lines[0], fd=True)
     assert receiver.feed(good.can_id, good.data, NOW + S) is not Reason.AGE
 
 
@@ -282,11 +291,11 @@ def test_what_is_accepted_works(
     verify = Codec(with_freshness(n), receiver).verifier()
     assert verify is not None
     line = lines[0]
-    (record,) = sender.encode_batch(line.gaussian.mean[None], line.gaussian.cov[None])
+    (record,) = sender.batch.encode(line.gaussian.mean[None], line.gaussian.cov[None])
     for gap_s in gaps_s:
         own.now += round(gap_s * S)
         other.now = own.now + US * round(offset * window_ns / US)
-        (frame,) = sender.frames(record, line.slot, fd=True)
+        (frame,) = sender.encoder().frames(record, line.slot, fd=True)
         assert isinstance(verify(frame.data, DATA_ID), bytes)
         assert verify(frame.data, DATA_ID) is Reason.REPLAY
 
@@ -295,9 +304,10 @@ def test_without_a_clock_the_whole_value_is_accepted_after_any_silence(lines: An
     """Item 8: 7 bytes need no clock at the receiver."""
     own = Clock()
     sender, decoder = codec_of(clock=own), codec_of().decoder()
+    sender_encoder = sender.encoder()
     for gap_s in (0.05, 17, 3600 * 24 * 365, 0.05):
         own.now += round(gap_s * S)
-        assert names(feed(decoder, sender.encode(lines[0], fd=True))) == ["line"]
+        assert names(feed(decoder, sender_encoder.encode(lines[0], fd=True))) == ["line"]
 
 
 # ---- rejected frames ----------------------------------------------------------------------
@@ -306,7 +316,7 @@ def test_without_a_clock_the_whole_value_is_accepted_after_any_silence(lines: An
 def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
     """Each of the 384 bits of a frame; the frame itself is still accepted."""
     codec = codec_of(Key(SECRET, 1), Key(OTHER, 2), clock=clock)
-    (frame,) = codec.encode(lines[0], fd=True)
+    (frame,) = codec.encoder().encode(lines[0], fd=True)
     decoder = codec.decoder()
     for bit in range(384):
         data = bytearray(frame.data)
@@ -319,7 +329,7 @@ def test_every_flipped_bit_is_rejected(clock: Any, lines: Any) -> None:
 def test_another_length_is_rejected(clock: Any, lines: Any, length: int) -> None:
     """Truncated or longer; a frame of 32 bytes is the record without its MAC."""
     codec = codec_of(clock=clock)
-    (frame,) = codec.encode(lines[0], fd=True)
+    (frame,) = codec.encoder().encode(lines[0], fd=True)
     decoder = codec.decoder()
     cut = frame._replace(data=frame.data.ljust(64, b"\0")[:length])
     assert names(feed(decoder, [cut, frame])) == ["LENGTH", "line"]
@@ -330,12 +340,13 @@ def test_a_frame_without_a_mac_is_rejected(clock: Any, lines: Any, fd: bool) -> 
     """Even a correct frame of the slot's other messages, and the E2E state does not change."""
     codec = codec_of(clock=clock)
     decoder = codec.decoder()
-    good = sent(codec, clock, lines[0], 20)
+    good = sent(codec.encoder(), clock, lines[0], 20)
     assert names(feed(decoder, good)) == ["line"] * 20
     assert decoder.checks[Slot.EGO_LEFT].state is E2EState.VALID
     before = decoder.checks[Slot.EGO_LEFT].stats()
     plain = new_codec()
-    without_mac = [frame for _ in range(20) for frame in plain.encode(lines[0], fd=fd)]
+    plain_encoder = plain.encoder()
+    without_mac = [frame for _ in range(20) for frame in plain_encoder.encode(lines[0], fd=fd)]
     damaged = [frame._replace(data=b"?") for frame in [*without_mac, *good]]
     answers = feed(decoder, without_mac + damaged, clock.now, step_ns=1)
     assert set(names(answers[: len(without_mac) * 2])) == {"UNAUTHENTICATED"}
@@ -349,8 +360,8 @@ def test_a_receiver_without_a_key_rejects_authenticated_frames(clock: Any, lines
     path = ROOT / "dbc" / "maplines-secoc.dbc"
     plain = Codec.from_dbc(path)
     decoder = plain.decoder()
-    secured = sent(codec_of(clock=clock), clock, lines[0], 2)
-    assert names(feed(decoder, [*secured, *plain.encode(lines[0], fd=True)])) == [
+    secured = sent(codec_of(clock=clock).encoder(), clock, lines[0], 2)
+    assert names(feed(decoder, [*secured, *plain.encoder().encode(lines[0], fd=True)])) == [
         *["KEY"] * 2,
         "line",
     ]
@@ -360,11 +371,11 @@ def test_classic_can_with_a_key_raises(clock: Any, lines: Any) -> None:
     """Otherwise a line would be sent without the MAC that the caller expects."""
     codec = codec_of(clock=clock)
     with pytest.raises(EncodeError, match="classic CAN is not authenticated; send CAN FD"):
-        codec.encode(lines[0])
+        codec.encoder().encode(lines[0])
     with pytest.raises(LayoutError, match=r"maplines\.dbc has no authenticated message .*classic"):
         Codec.from_dbc(ROOT / "dbc" / "maplines.dbc", Authenticator(Key(SECRET)))
     with pytest.raises(EncodeError, match=r"needs a clock, such as time\.time_ns"):
-        codec_of().encode(lines[0], fd=True)
+        codec_of().encoder().encode(lines[0], fd=True)
 
 
 @settings(max_examples=300, deadline=None)
@@ -385,10 +396,10 @@ def test_a_key_change_loses_no_line(clock: Any, lines: Any) -> None:
     """New key to the receiver, new key to the sender, old key retired: every line is accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
-    decoder = receiver.decoder()
+    encoder, decoder = sender.encoder(), receiver.decoder()
 
     def send() -> Any:
-        (frame,) = sender.encode(lines[0], fd=True)
+        (frame,) = encoder.encode(lines[0], fd=True)
         clock.now += 50 * MS
         return frame
 
@@ -415,7 +426,7 @@ def test_a_key_change_loses_no_line(clock: Any, lines: Any) -> None:
 def test_a_key_that_the_receiver_does_not_have(clock: Any, lines: Any) -> None:
     """Another secret, another key ID, or the same secret with two key IDs."""
     sender = codec_of(Key(SECRET, 1), clock=clock)
-    frames = sent(sender, clock, lines[0], 1)
+    frames = sent(sender.encoder(), clock, lines[0], 1)
     clock.now = NOW
     assert names(feed(codec_of(Key(OTHER, 1), clock=clock).decoder(), frames)) == ["MAC"]
     assert names(feed(codec_of(Key(SECRET, 2), clock=clock).decoder(), frames)) == ["KEY"]
@@ -428,17 +439,17 @@ def test_the_steps_of_a_key_change(clock: Any, lines: Any) -> None:
     """As in docs/security.md: no line is lost, and the old key is no longer accepted."""
     old, new = Key(SECRET, 1), Key(OTHER, 2)
     sender, receiver = codec_of(old, clock=clock), codec_of(old, clock=clock)
-    decoder = receiver.decoder()
-    answers = feed(decoder, sent(sender, clock, lines[0], 2))
+    decoder, encoder = receiver.decoder(), sender.encoder()
+    answers = feed(decoder, sent(encoder, clock, lines[0], 2))
     receiver.authenticator.add(new)
     sender.authenticator.add(new)
-    late = sent(sender, clock, lines[0], 1)
+    late = sent(encoder, clock, lines[0], 1)
     sender.authenticator.use(2)
-    answers += feed(decoder, late + sent(sender, clock, lines[0], 2), clock.now)
+    answers += feed(decoder, late + sent(encoder, clock, lines[0], 2), clock.now)
     receiver.authenticator.retire(1)
     sender.authenticator.retire(1)
-    answers += feed(decoder, sent(sender, clock, lines[0], 1), clock.now)
-    forged = sent(codec_of(old, clock=clock), clock, lines[0], 1)
+    answers += feed(decoder, sent(encoder, clock, lines[0], 1), clock.now)
+    forged = sent(codec_of(old, clock=clock).encoder(), clock, lines[0], 1)
 
     assert names(answers) == ["line"] * 6
     assert names(feed(decoder, forged)) == ["KEY"]
@@ -461,7 +472,7 @@ def test_the_key_in_use_cannot_be_retired(clock: Any, lines: Any) -> None:
     authenticator = codec_of(first, second, third, clock=clock).authenticator
     authenticator.retire(7)
     assert authenticator.active == second
-    Codec.from_dbc(None, authenticator).encode(lines[0], fd=True)
+    Codec.from_dbc(None, authenticator).encoder().encode(lines[0], fd=True)
     with pytest.raises(ValueError, match=r"one of \[3\], got 2; the key that is in use, 2, cannot"):
         authenticator.retire(2)
     authenticator.retire(3)
@@ -515,7 +526,7 @@ def test_records_of_other_lengths_are_authenticated(tmp_path: Path, clock: Any, 
     authenticator = Authenticator(Key(SECRET), clock=clock)
     codec = Codec.from_dbc(path, authenticator, codes=CODES)
     (line,) = scenario_lines(scenario("highway"), 1)
-    (frame,) = codec.encode(line, fd=True)
+    (frame,) = codec.encoder().encode(line, fd=True)
     decoder = codec.decoder()
     padding = codec.layout.record_bytes
     damaged = frame.data[:padding] + bytes([frame.data[padding] ^ 1]) + frame.data[padding + 1 :]

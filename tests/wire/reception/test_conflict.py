@@ -18,7 +18,7 @@ OURS, THEIRS = 1.75, -1.75
 def payload(y_off: float, counter: int) -> bytes:
     """Return the record of a line."""
     codec = default_codec()
-    return codec.encode_batch([[y_off, 0, 0, 0]], slot=SLOT, counter=counter)[0]
+    return codec.batch.encode([[y_off, 0, 0, 0]], slot=SLOT, counter=counter)[0]
 
 
 def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> None:
@@ -34,7 +34,7 @@ def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> Non
         if cycle % 10 == 9:
             records.append((THEIRS, cycle + 2))
         for y_off, counter in records:
-            for frame in codec.frames(payload(y_off, counter % 256), SLOT, fd=True):  # type: ignore[arg-type]
+            for frame in codec.encoder().frames(payload(y_off, counter % 256), SLOT, fd=True):  # type: ignore[arg-type]
                 monitor.feed(frame.can_id, frame.data, cycle * CYCLE_NS)
         view = monitor.latest(SLOT, cycle * CYCLE_NS)
         seen.append((view.state, view.usable, round(float(view.line.gaussian.mean[0]), 2)))  # type: ignore[union-attr]
@@ -114,11 +114,11 @@ def test_components_with_other_attributes_are_of_another_sender(other: Any) -> N
     codec, decoder = default_codec(), default_codec().decoder()
 
     def component(index: int, **attributes: Any) -> Any:
-        record = codec.encode_mixtures(
+        record = codec.batch.encode_mixtures(
             [[0.5, 0.5]], np.zeros((1, 2, 4)), np.tile(1e-2 * np.eye(4), (1, 2, 1, 1)),
             slot=SLOT, counter=[8], **attributes,
         )[0, index]  # fmt: skip
-        return codec.frames(record, SLOT, fd=True)[0]
+        return codec.encoder().frames(record, SLOT, fd=True)[0]
 
     first, second = component(0), component(1, **other)
     assert decoder.feed(first.can_id, first.data, 0) is Reason.PENDING

@@ -46,12 +46,13 @@ def test_a_slot_with_two_senders_is_not_usable(every: int) -> None:
 def test_a_line_becomes_stale() -> None:
     """After three cycles; its age counts from its pose, and the state changes at 275 ms."""
     codec = new_codec()
+    encoder = codec.encoder()
     monitor = Monitor(codec.decoder())
     before = monitor.latest(SLOT, 0)
     assert before == (SLOT, None, np.inf, True, NODATA, None, False)
     for k in range(10):
         line = MapLine.mean_only(SLOT, [1.0 + k / 8, 0, 0, 0], age=0.04)
-        for frame in codec.encode(line):
+        for frame in encoder.encode(line):
             monitor.feed(frame.can_id, frame.data, k * CYCLE)
     last = 9 * CYCLE
     for waited_ms, stale, state in [
@@ -148,6 +149,7 @@ def test_what_comes_after_now_is_stale(now_ns: int, age: float) -> None:
 def lines_until(age: float) -> Monitor:
     """A monitor after ten lines and ten mixtures, the last ones at 9 CYCLE."""
     codec = new_codec()
+    encoder = codec.encoder()
     monitor = Monitor(codec.decoder())
     line = MapLine.mean_only(SLOT, [1.0, 0, 0, 0], age=age)
     mixture = GaussianMixture(
@@ -155,7 +157,7 @@ def lines_until(age: float) -> Monitor:
     )
     both = MapLine(Slot.EGO_RIGHT, mixture.overall, x_max=80.0, age=age, mixture=mixture)
     for k in range(10):
-        for frame in (*codec.encode(line), *codec.encode(both)):
+        for frame in (*encoder.encode(line), *encoder.encode(both)):
             monitor.feed(frame.can_id, frame.data, k * CYCLE)
     return monitor
 
@@ -163,9 +165,10 @@ def lines_until(age: float) -> Monitor:
 def scenes_until(age: float) -> Monitor:
     """A monitor after ten scenes, the last one at 9 CYCLE."""
     codec = scene_streams.new_codec(scene_streams.CONDITIONAL)
+    encoder = codec.encoder()
     monitor, scene = Monitor(codec.decoder()), sender_pairs.prepared(CONDITIONAL, 0, (SLOT,))
     for k in range(10):
-        scene_streams.feed(monitor, codec.encode_scene(scene, age=age), k * CYCLE, apart_ns=0)
+        scene_streams.feed(monitor, encoder.encode_scene(scene, age=age), k * CYCLE, apart_ns=0)
     return monitor
 
 

@@ -24,8 +24,8 @@ def transfers(n: int = 40, slot: Any = Slot.EGO_LEFT, fd: bool = False, seed: in
     """Frames of n lines of one slot, all different."""
     codec = default_codec()
     means, covs = road(n, seed=seed)
-    payloads = codec.encode_batch(means, covs, slot=slot)
-    return [codec.frames(payload, slot, fd=fd) for payload in payloads]
+    payloads = codec.batch.encode(means, covs, slot=slot)
+    return [codec.encoder().frames(payload, slot, fd=fd) for payload in payloads]
 
 
 def feed(decoder: Any, frames: Any, t_ns: int = 0) -> Any:
@@ -65,7 +65,7 @@ def test_pages_in_any_order(codec: Any, order: Any) -> None:
     decoder = codec.decoder()
     answers = feed(decoder, [transfers()[0][page] for page in order])
     assert isinstance(answers[-1], MapLine)
-    direct = codec.decode_one(b"".join(f.data for f in transfers()[0]), Slot.EGO_LEFT)
+    direct = codec.batch.decode_one(b"".join(f.data for f in transfers()[0]), Slot.EGO_LEFT)
     assert np.array_equal(answers[-1].gaussian.cov, direct.gaussian.cov)
 
 
@@ -262,7 +262,7 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int,
     truth = {
         line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes(): i  # type: ignore[union-attr]
         for payload, i in payloads.items()
-        for line in [default_codec().decode_one(payload, Slot.EGO_LEFT)]
+        for line in [default_codec().batch.decode_one(payload, Slot.EGO_LEFT)]
     }
     numbers = [
         truth[line.gaussian.mean.tobytes() + line.gaussian.cov.tobytes()] for line in delivered
@@ -301,8 +301,8 @@ def test_a_timeout_must_be_positive(codec: Any, timeout_ms: Any) -> None:
 def standing(n: int) -> Any:
     """Frames of n transfers of one line that stands still."""
     codec, mean = default_codec(), [[1.75, 0.0, 0.0, 0.0]] * n
-    payloads = codec.encode_batch(mean, [np.diag([1e-2, 1e-4, 1e-8, 1e-12])] * n)
-    return [codec.frames(payload, Slot.EGO_LEFT) for payload in payloads]
+    payloads = codec.batch.encode(mean, [np.diag([1e-2, 1e-4, 1e-8, 1e-12])] * n)
+    return [codec.encoder().frames(payload, Slot.EGO_LEFT) for payload in payloads]
 
 
 def test_a_line_that_stands_still_is_no_duplicate_of_itself(codec: Any) -> None:

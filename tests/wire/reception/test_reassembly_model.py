@@ -93,8 +93,12 @@ class Bus(RuleBasedStateMachine):
         mixture = GaussianMixture(np.full(parts, 1 / parts), gaussians)
         weights, means, covs = mixture.weights[None], mixture.means[None], mixture.covs[None]
         first = self.counter[slot]
-        payloads = self.codec.encode_mixtures(weights, means, covs, slot=slot, counter=first)[0]
-        frames = [f for payload in payloads for f in self.codec.frames(payload, slot, fd=fd)]
+        payloads = self.codec.batch.encode_mixtures(weights, means, covs, slot=slot, counter=first)[
+            0
+        ]
+        frames = [
+            f for payload in payloads for f in self.codec.encoder().frames(payload, slot, fd=fd)
+        ]
         alone = self.codec.decoder()
         *_, line = (alone.feed(f.can_id, f.data, 0) for f in frames)
         records = range(self.records[slot], self.records[slot] + parts)

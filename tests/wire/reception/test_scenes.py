@@ -33,9 +33,9 @@ SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 def cycles(dbc: str, n: int, **settings: Any) -> list[dict[Any, list[Frame]]]:
     """Return the frames of a scene in n cycles."""
     codec = codec_of(dbc)
-    prepared = codec.prepare_scene(road_scene(SLOTS))
+    prepared = codec.encoder().prepare_scene(road_scene(SLOTS))
     return [
-        codec.encode_scene(prepared, counters=dict.fromkeys([POSE, *Slot], n), **settings)
+        codec.encoder().encode_scene(prepared, counters=dict.fromkeys([POSE, *Slot], n), **settings)
         for n in range(n)
     ]
 
@@ -178,12 +178,13 @@ def test_the_last_scene_of_a_sender_that_stops_has_waited_for_long_enough() -> N
 def test_no_scene_is_usable_while_the_newest_pose_error_is_too_old() -> None:
     """Also that of the cycle before is not, of which the age remains what it was."""
     codec = codec_of(CONDITIONAL)
+    encoder = codec.encoder()
     monitor, decoder = Monitor(codec.decoder()), codec.decoder()
-    prepared = codec.prepare_scene(road_scene(SLOTS))
+    prepared = encoder.prepare_scene(road_scene(SLOTS))
     t_ns = 0
     for cycle in range(20):
         old = cycle == 16
-        for owner, frames in codec.encode_scene(prepared, age=1.0 if old else 0.02).items():
+        for owner, frames in encoder.encode_scene(prepared, age=1.0 if old else 0.02).items():
             for frame in frames:
                 monitor.feed(frame.can_id, frame.data, t_ns)
                 decoder.feed(frame.can_id, frame.data, t_ns)
@@ -210,7 +211,7 @@ class Forger:
             RawFormat.of_lines(self.layout),
         )
         self.writer = FrameWriter(self.layout, None)
-        prepared = codec.prepare_scene(road_scene(SLOTS), fd=True)
+        prepared = codec.encoder().prepare_scene(road_scene(SLOTS), fd=True)
         self.pose_raw = {**prepared.encoded.pose, "Age": 3}
         self.long_raw = dict(prepared.encoded.lines[0])
         of_own = (*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS)
@@ -257,8 +258,8 @@ def test_a_full_line_that_is_no_function_of_x_is_in_no_scene() -> None:
     steep = MapLine.with_sigma(
         Slot.EGO_RIGHT, [0, 0.4, 0.12, 0.03], [0.1, 0.01, 1e-3, 1e-4], x_min=-8, x_max=124
     )
-    frames = codec.encode_scene(scene, counters={}) | {
-        Slot.EGO_RIGHT: codec.encode_lines([steep], counters={})[0]
+    frames = codec.encoder().encode_scene(scene, counters={}) | {
+        Slot.EGO_RIGHT: codec.encoder().encode_lines([steep], counters={})[0]
     }
     decoder = codec.decoder()
     answers, _ = feed(decoder, frames, 0)
@@ -375,7 +376,7 @@ def test_a_line_without_a_valid_range_is_in_no_scene() -> None:
     empty = MapLine.with_sigma(
         Slot.EGO_RIGHT, [0, 0, 0, 0], [0.1, 0.01, 1e-3, 1e-4], x_min=0, x_max=0
     )
-    frames[Slot.EGO_RIGHT] = codec.encode_lines([empty], counters={})[0]
+    frames[Slot.EGO_RIGHT] = codec.encoder().encode_lines([empty], counters={})[0]
     decoder = codec.decoder()
     answers, t_ns = feed(decoder, {owner: frames.pop(owner) for owner in (POSE, empty.slot)}, 0)
     assert isinstance(answers[-1], MapLine)
@@ -403,7 +404,7 @@ def test_after_a_sequence_break_of_a_slot_its_lines_wait_for_a_later_pose_error(
     for dbc in (CONDITIONAL, COMPLETE):
         codec, (first,) = codec_of(dbc), cycles(dbc, 1)
         counters: dict[Any, int] = dict.fromkeys([POSE, *SLOTS], 1) | {Slot.EGO_RIGHT: 41}
-        far = codec.encode_scene(road_scene(SLOTS), counters=counters)
+        far = codec.encoder().encode_scene(road_scene(SLOTS), counters=counters)
         decoder = codec.decoder()
         feed(decoder, first, 0)
         feed(decoder, far, 40 * PERIOD_NS)
@@ -421,7 +422,7 @@ def test_a_mixture_is_in_no_scene(components: int) -> None:
     counters: dict[Any, int] = {POSE: 0, Slot.EGO_LEFT: components - 1}
     (line,) = road_scene(SLOTS[:1]).lines
     weights = np.full((1, components), 1 / components)
-    payloads = codec.encode_mixtures(
+    payloads = codec.batch.encode_mixtures(
         weights,
         np.tile(line.gaussian.mean, (1, components, 1)),
         np.tile(line.gaussian.cov, (1, components, 1, 1)),
@@ -430,8 +431,10 @@ def test_a_mixture_is_in_no_scene(components: int) -> None:
         x_min=line.x_min,
         x_max=line.x_max,
     )[0]
-    frames = codec.encode_scene(road_scene(SLOTS[:1]), counters=counters)
-    frames[line.slot] = [f for payload in payloads for f in codec.frames(payload, line.slot)]
+    frames = codec.encoder().encode_scene(road_scene(SLOTS[:1]), counters=counters)
+    frames[line.slot] = [
+        f for payload in payloads for f in codec.encoder().frames(payload, line.slot)
+    ]
     decoder = codec.decoder()
     answers, _ = feed(decoder, frames, 0)
     assert isinstance(answers[-1], MapLine)

@@ -96,7 +96,7 @@ def pages() -> Any:
     """Return the pages of consecutive records, all different."""
     means, covs = road(RECORDS, seed=7)
     means[:, 0] = np.arange(RECORDS) / 64 - 8
-    payloads = default_codec().encode_batch(means, covs, slot=SLOT)
+    payloads = default_codec().batch.encode(means, covs, slot=SLOT)
     return [[row[8 * i : 8 * i + 8].tobytes() for i in range(PAGES)] for row in payloads]
 
 
@@ -264,7 +264,7 @@ def test_no_delivered_line_is_made_of_two_transfers(
     numbers = [round(64 * (line.gaussian.mean[0] + 8)) for line in delivered]
     assert numbers == sorted(set(numbers))
     for number, line in zip(numbers, delivered, strict=True):
-        sent = codec.decode_one(b"".join(pages()[number]), SLOT)
+        sent = codec.batch.decode_one(b"".join(pages()[number]), SLOT)
         assert isinstance(sent, MapLine)
         assert np.array_equal(line.gaussian.mean, sent.gaussian.mean)
         assert np.array_equal(line.gaussian.cov, sent.gaussian.cov)

@@ -43,10 +43,10 @@ def test_a_record_with_a_value_that_has_no_meaning_is_rejected(
     roomy: Codec, change: dict[str, Any], accepted: bool
 ) -> None:
     """By both readers, one beyond the last value that has one."""
-    payload = roomy.encode_batch([[1.75, 0, 0, 0]], np.eye(4)[None] * 1e-4)[0].tobytes()
+    payload = roomy.batch.encode([[1.75, 0, 0, 0]], np.eye(4)[None] * 1e-4)[0].tobytes()
     data = changed_record(roomy, payload, **change)
-    one = roomy.read_record(data, Slot.EGO_LEFT)
-    batch = roomy.decode_batch(np.frombuffer(data, np.uint8)[None])
+    one = roomy.reader.read(data, Slot.EGO_LEFT)
+    batch = roomy.batch.decode(np.frombuffer(data, np.uint8)[None])
     assert batch.accepted[0] == accepted
     if not accepted:
         assert one is Reason.CONTENT

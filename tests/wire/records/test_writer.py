@@ -23,7 +23,7 @@ from maplines_can.wire.records.complete_records import complete_records
 def test_a_clipped_beta_is_covered_by_the_difference_of_the_tangents(sign: int, y: float) -> None:
     """Of the decoded and the true line, in first order; by this and the rounding, and not more."""
     codec, cov = codec_of(COMPLETE), np.diag([1e-4, 1e-8, 1e-12, 1e-16])
-    batch = codec.decode_batch(codec.encode_batch([[y, sign * 0.7, 0, 0]], cov[None]))
+    batch = codec.batch.decode(codec.batch.encode([[y, sign * 0.7, 0, 0]], cov[None]))
     decoded = batch.mean[0, 1]
     needed = (np.tan(sign * 0.7) - np.tan(decoded)) * np.cos(decoded) ** 2
     assert batch.status[0] == Status.SATURATED
@@ -35,7 +35,7 @@ def test_each_record_of_a_scene_has_its_own_age() -> None:
     codec, scene = codec_of(COMPLETE), road_scene()
     ages: Any = {POSE: 0.016, Slot.EGO_LEFT: 0.024, Slot.EGO_RIGHT: 0.032}
     decoder = codec.decoder()
-    answers, _ = feed(decoder, codec.encode_scene(scene, age=ages, counters={}), 0)
+    answers, _ = feed(decoder, codec.encoder().encode_scene(scene, age=ages, counters={}), 0)
     received = decoder.scene()
     assert received is not None
     assert received.age == pytest.approx(0.016)
@@ -66,7 +66,7 @@ def test_a_scene_states_the_lines_that_are_sent(
     assert complete is not None
     raw = complete.writer.raw_mean_and_range(line)
     assert raw is not None
-    batch = codec.decode_batch(codec.encode_batch([mean], [own], x_min=low, x_max=high))
+    batch = codec.batch.decode(codec.batch.encode([mean], [own], x_min=low, x_max=high))
     assert [signal.physical(raw[signal.name]) for signal in signals] == batch.mean[0].tolist()
     assert (layout["XMin"].physical(raw["XMin"]), layout["XMax"].physical(raw["XMax"])) == (
         batch.x_min[0],
@@ -76,7 +76,7 @@ def test_a_scene_states_the_lines_that_are_sent(
     pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2)
     scene = Scene((line,), own, pose, np.array([[low, high]]))
     decoder = codec.decoder()
-    feed(decoder, codec.encode_scene(scene, counters={}), 0)
+    feed(decoder, codec.encoder().encode_scene(scene, counters={}), 0)
     received = decoder.scene()
     assert received is not None or parameter >= 2  # too bent to be a function of x
     if received is not None:

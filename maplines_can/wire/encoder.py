@@ -1,0 +1,162 @@
+"""Encoder of lines and scenes into frames, with the counters of a sender."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..values.errors import EncodeError
+from ..values.line import MapLine, Slot
+from ..values.scene import Scene
+from .layout.message_layout import Layout
+from .layout.pose_layout import Owner
+from .records.frames import Frame, FrameWriter
+from .records.line_writer import LineWriter
+from .records.scene_writer import PreparedScene, SceneWriter
+
+
+class Encoder:
+    """Encoder of the lines of a sender; it holds the counter of each slot and of the pose error.
+
+    ``Codec.encoder`` makes one, whose counters begin with 0.
+
+    Args:
+        layout: of the records.
+        frame_writer: writes the frames of a record.
+        line_writer: writes lines; None if the records are conditional on the pose error.
+        scene_writer: writes scenes; None if the DBC has no message of the pose error.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        frame_writer: FrameWriter,
+        line_writer: LineWriter | None,
+        scene_writer: SceneWriter | None,
+    ) -> None:
+        self._layout, self._frame_writer = layout, frame_writer
+        self._lines, self._scenes = line_writer, scene_writer
+        self._counters: Counter[Owner] = Counter()
+
+    def encode(self, line: MapLine, *, fd: bool = False) -> list[Frame]:
+        """Encode a line into frames to be sent back to back, and advance the slot's counter.
+
+        Args:
+            line: line to send.
+            fd: one CAN FD frame instead of the pages of the classic message; with an
+                authenticator, an authenticated one.
+
+        Raises:
+            EncodeError: the DBC has no such message, or it is not authenticated.
+        """
+        return self.encode_lines([line], fd=fd)[0]
+
+    def encode_lines(
+        self,
+        lines: Sequence[MapLine],
+        *,
+        fd: bool = False,
+        counters: Mapping[Owner, int] | None = None,
+    ) -> list[list[Frame]]:
+        """Return the frames of each line; encoding many takes hardly longer than encoding one.
+
+        Args:
+            lines: lines to send.
+            fd: see ``encode``.
+            counters: start counter of each slot; pass it if encoded frames may never be sent.
+                None: those of the encoder, which advance.
+        """
+        if not lines:
+            return []
+        writer = self._line_writer()
+        first = self._counters if counters is None else counters
+        records_of_lines, following = writer.write(lines, first)
+        frames = [
+            [frame for record in records for frame in self.frames(record, line.slot, fd=fd)]
+            for line, records in zip(lines, records_of_lines, strict=True)
+        ]
+        if counters is None:
+            self._counters = following
+        return frames
+
+    def prepare_scene(self, scene: Scene, *, fd: bool = False) -> PreparedScene:
+        """Encode a scene but for counters and age, which takes most of the time.
+
+        Args:
+            scene: from ``map_scene``.
+            fd: for CAN FD frames, which always have all entries of what a line has of its own.
+
+        Raises:
+            EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose
+                error does not fit.
+        """
+        return self._scene_writer().prepare(scene, full=fd and self._layout.is_conditional)
+
+    def encode_scene(
+        self,
+        scene: Scene | PreparedScene,
+        *,
+        age: float | Mapping[Owner, float] = 0.0,
+        fd: bool = False,
+        counters: Mapping[Owner, int] | None = None,
+    ) -> dict[Owner, list[Frame]]:
+        """Encode the pose error and the lines of a scene; send the frames in this order.
+
+        Args:
+            scene: from ``map_scene``, or prepared.
+            age: time from the pose to the sending of each record, or one for all [s]; infinite if
+                it is too old.
+            fd: CAN FD frames, or with an authenticator, authenticated ones.
+            counters: next counters of the pose error and of each slot; None: those of the encoder,
+                which advance.
+
+        Returns:
+            The frames of the pose error (``POSE``), then of each slot. With a DBC whose records are
+            conditional on the pose error, lines that do not fit are not among them.
+
+        Raises:
+            EncodeError: as ``prepare_scene``.
+
+        >>> from maplines_can import Codec, Gaussian, Polyline, map_scene
+        >>> from maplines_can.wire import default_dbc_path
+        >>> lines = {Slot.EGO_LEFT: Polyline([[-100, 1.75], [200, 1.75]])}
+        >>> scene = map_scene(lines, Gaussian([0, 0, 0], np.diag([0.1, 0.2, 0.01]) ** 2))
+        >>> codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
+        >>> {owner: len(frames) for owner, frames in codec.encoder().encode_scene(scene).items()}
+        {'pose': 2, <Slot.EGO_LEFT: 0>: 2}
+        """
+        prepared = self.prepare_scene(scene, fd=fd) if isinstance(scene, Scene) else scene
+        first = self._counters if counters is None else counters
+        records, following = self._scene_writer().write(prepared, first, age)
+        if counters is None:
+            self._counters = following
+        write = self._frame_writer.write
+        return {owner: write(record, owner, fd) for owner, record in records.items()}
+
+    def frames(self, payload: NDArray[np.uint8], slot: Slot, *, fd: bool = False) -> list[Frame]:
+        """Return the frames of one record; each authenticated frame has its own freshness value."""
+        return self._frame_writer.write(payload.tobytes(), slot, fd)
+
+    def _line_writer(self) -> LineWriter:
+        if self._lines is None:
+            raise conditional_error(self._layout)
+        return self._lines
+
+    def _scene_writer(self) -> SceneWriter:
+        if self._scenes is None:
+            raise EncodeError(
+                f"{self._layout.source} has no message of the pose error (MapLinePose), so lines "
+                "cannot be sent as a scene; take maplines.dbc or maplines-pose.dbc"
+            )
+        return self._scenes
+
+
+def conditional_error(layout: Layout) -> EncodeError:
+    """Return the error that lines of a layout can only be sent and received as scenes."""
+    return EncodeError(
+        f"{layout.source}: its records are conditional on the pose error, so lines are sent and "
+        "received as scenes; use map_scene and encode_scene"
+    )
