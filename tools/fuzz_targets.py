@@ -148,7 +148,7 @@ def decoder(data: bytes) -> Counter[str]:
             counter = (first + index) % 256
             record = valid_record(codec, packing, content, slot, counter, **signals)
             check_record(codec, record, slot)
-            frames = sender.encoder().frames(record, slot, bool(how & 2))
+            frames = sender.frames(record, slot, bool(how & 2))
             if how & 4:
                 frames = frames[::-1]
             if how & 8:
