@@ -189,14 +189,12 @@ class CholeskyCode(CovarianceCode):
             ratio = self.factor.ratios[i][j]
             rest = target[j] - sum(row[k] * A[k][j] for k in range(j + 1, i))
             wanted = rest / (A[j][j] * sigma)
-            nearest = ratio.raw(wanted)
-            limited = ratio.limited(nearest)
-            beyond = nearest != limited
+            limited, decoded, beyond = ratio.nearest(wanted)
             if beyond.any():
-                end = np.abs(ratio.physical(limited)) + ratio.factor / 2
+                end = np.abs(decoded) + ratio.factor / 2
                 overflow = np.maximum(overflow, np.where(beyond, np.abs(wanted) / end, 1.0))
             raw[ratio.name] = limited
-            row[j] = ratio.physical(limited) * sigma
+            row[j] = decoded * sigma
         return row, overflow
 
 

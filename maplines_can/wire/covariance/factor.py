@@ -9,7 +9,7 @@ matrix.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import chain, combinations
+from itertools import chain, combinations, islice
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...values.errors import LayoutError
 from ..layout.record_layout import RecordLayout
 from ..layout.requirements import POSITIVE, QUANTITY, check, unit
-from ..layout.signals import PARAMETER_SIGNALS, Signal
+from ..layout.signals import PARAMETER_SIGNALS, Signal, SignalRow
 from .code import Array, check_octaves
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
@@ -76,6 +76,7 @@ class CholeskyFactor:
                 f"matrix could have the condition number {condition:.0e}, too large for double "
                 "precision; give them smaller factors or fewer bits"
             )
+        self._all_ratios = SignalRow(chain(*self.ratios))
         #: Standard deviations by raw pivot, for ``lookup``.
         self.sigmas = [exp2_table(signal) for signal in self.pivots]
 
@@ -111,10 +112,10 @@ class CholeskyFactor:
 
     def decode_one(self, raw: Mapping[str, int], scale: float = 1.0) -> Array:
         """Return one (k, k) covariance: as ``decode`` to the last bit."""
-        L = []
-        for table, pivot, ratios in zip(self.sigmas, self.pivots, self.ratios, strict=True):
+        L, ratios = [], iter(self._all_ratios.physical_one(raw))
+        for i, (table, pivot) in enumerate(zip(self.sigmas, self.pivots, strict=True)):
             sigma = lookup_one(table, pivot, raw[pivot.name])
-            L.append([ratio.physical_one(raw[ratio.name]) * sigma for ratio in ratios] + [sigma])
+            L.append([ratio * sigma for ratio in islice(ratios, i)] + [sigma])
         cov = [[0.0] * len(L) for _ in L]
         for i, j, value in _products(L, scale):
             cov[self.order[i]][self.order[j]] = cov[self.order[j]][self.order[i]] = value

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ...values.errors import EncodeError
 from ...values.line import Slot
 
+#: Tolerance for the floating-point error of the division before directed rounding [steps].
+SLACK = 1e-9
 #: Bytes of a page, the payload of one classic CAN frame.
 PAGE_BYTES = 8
 #: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
@@ -95,6 +100,40 @@ class Signal:
         """Return the (...,) raw values clipped to the range; the caller reports the clipping."""
         return raw.clip(self.raw_min, self.raw_max)
 
+    def nearest(self, physical: ArrayLike) -> Nearest:
+        """Return the (...,) nearest raw values within the range, and what they mean."""
+        raw = self.raw(physical)
+        limited = self.limited(raw)
+        return Nearest(limited, self.physical(limited), raw != limited)
+
+    def raw_above(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (...,) raw values of physical values, rounded up."""
+        raw = np.ceil((physical - self.offset) / self.factor - SLACK)
+        return raw + (self.physical(raw) < physical)
+
+    def raw_below(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (...,) raw values of physical values, rounded down."""
+        raw = np.floor((physical - self.offset) / self.factor + SLACK)
+        return raw - (self.physical(raw) > physical)
+
+    def whole(self, values: NDArray[Any], most: int | None = None) -> NDArray[np.int64]:
+        """Return the (n,) raw values of numbers, such as those of an enumeration.
+
+        Raises:
+            EncodeError: one is not whole, or not in the range or from 0 to ``most``.
+        """
+        raw = self.raw(values)
+        low, high = self.physical_range
+        high = high if most is None else min(high, most)
+        physical = self.physical(raw)
+        bad = (raw != self.limited(raw)) | (physical > high) | (physical != values)
+        if bad.any():
+            raise EncodeError(
+                f"signal {self.name}: {values[bad][0]!r} is not a whole number from {low:g} to "
+                f"{high:g}"
+            )
+        return raw.astype(np.int64)
+
     @property
     def all_raw(self) -> tuple[int, int]:
         """Least and greatest raw value of any bits, including those outside the DBC's range."""
@@ -111,6 +150,42 @@ class Signal:
         """Least and greatest physical value."""
         low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
         return float(low), float(high)
+
+
+class Nearest(NamedTuple):
+    """Raw values that are nearest to physical ones."""
+
+    raw: NDArray[np.float64]  #: (...,) within the range
+    physical: NDArray[np.float64]  #: (...,) what they mean
+    clipped: NDArray[np.bool_]  #: (...,) where the nearest one is out of range
+
+
+class SignalRow:
+    """Several signals whose values are the last axis of an array; see ``Signal``."""
+
+    def __init__(self, signals: Iterable[Signal]) -> None:
+        self.signals = tuple(signals)
+        columns = [(s.factor, s.offset, s.raw_min, s.raw_max) for s in self.signals]
+        self.factor, self._offset, self._raw_min, self._raw_max = np.array(columns, float).reshape(-1, 4).T
+
+    def nearest(self, physical: NDArray[np.float64]) -> Nearest:
+        """Return the (..., k) nearest raw values within the ranges, and what they mean."""
+        raw = np.rint((physical - self._offset) / self.factor)
+        limited = raw.clip(self._raw_min, self._raw_max)
+        return Nearest(limited, self.physical(limited), raw != limited)
+
+    def physical(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (..., k) physical values."""
+        return raw * self.factor + self._offset
+
+    def physical_of(self, raw: Mapping[str, NDArray[np.int64]]) -> NDArray[np.float64]:
+        """Return the (..., k) physical values of raw values by signal."""
+        columns = [raw[signal.name] for signal in self.signals]
+        return self.physical(np.stack(columns, axis=-1).astype(float))
+
+    def physical_one(self, raw: Mapping[str, int]) -> list[float]:
+        """Return the k physical values of raw values by signal, without the array overhead."""
+        return [raw[s.name] * s.factor + s.offset for s in self.signals]
 
 
 def all_raw(length: int, signed: bool) -> tuple[int, int]:

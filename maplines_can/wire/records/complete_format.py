@@ -16,11 +16,13 @@ from ...values.line import VAGUE_SIGMA, Kind, MapLine, Status
 from ..covariance import CovarianceCode
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import Owner, slot_of
-from ..layout.signals import PARAMETER_SIGNALS
+from ..layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..reasons import Reason
 from .packer import VERDICTS, RecordPacker
 from .record import CompleteRecord
 
+#: Signals of the other numbers of a record.
+NUMBERS = ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
 LAST_STATUS, LAST_KIND = max(Status), max(Kind)
 #: Least eigenvalue of a repaired correlation matrix.
 MIN_VARIANCE = 1e-9
@@ -71,29 +73,23 @@ class CompleteFormat:
         self.packer = RecordPacker(layout)
         self.data_ids: dict[Owner, int]
         self.data_ids = {slot: messages.data_id for slot, messages in layout.messages.items()}
-        self._signals = layout.signals
-        self._mean = [layout[name] for name in PARAMETER_SIGNALS]
+        self._mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
+        self._numbers = SignalRow(layout[name] for name in NUMBERS)
         self._too_old = layout["Age"].raw_max  # the raw value that means so, or more
         self._resolution = layout.resolution
         self._covariance = covariance
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
         """Read (N, record bytes) records with (N,) E2E data IDs."""
-        n = len(payloads)
         raw, verdict = self.packer.unpack(payloads, data_ids)
-        mean = np.empty((n, len(self._mean)))
-        for i, signal in enumerate(self._mean):
-            mean[:, i] = signal.physical(raw[signal.name])
+        mean = self._mean.physical_of(raw)
         cov = self._covariance.decode(raw)
         status = raw["Status"]
         without_covariance = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
         if without_covariance.any():
             cov[without_covariance] = _VAGUE
 
-        physical = {
-            name: self._signals[name].physical(raw[name])
-            for name in ("XMin", "XMax", "Age", "ComponentCount", "ComponentWeight")
-        }
+        physical = dict(zip(NUMBERS, self._numbers.physical_of(raw).T, strict=True))
         index, count = raw["ComponentIndex"], physical["ComponentCount"].astype(np.int64)
         invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         invalid |= (physical["XMin"] > physical["XMax"]) & (status != Status.OUT_OF_RANGE)
@@ -121,19 +117,15 @@ class CompleteFormat:
         self, raw: Mapping[str, int], owner: Owner, t_ns: int | None
     ) -> CompleteRecord | Reason:
         """Return the content of an intact record, or CONTENT: as ``read``, without arrays."""
-        signals = self._signals
-        weight = signals["ComponentWeight"].physical_one(raw["ComponentWeight"])
-        index = raw["ComponentIndex"]
-        count = int(signals["ComponentCount"].physical_one(raw["ComponentCount"]))
+        x_min, x_max, age_ms, components, weight = self._numbers.physical_one(raw)
+        index, count = raw["ComponentIndex"], int(components)
         if raw["Status"] > LAST_STATUS or raw["Kind"] > LAST_KIND:
             return Reason.CONTENT
         if index >= count or not 0 < weight <= 1:
             return Reason.CONTENT
-        x_min, x_max = (signals[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
         if x_min > x_max and raw["Status"] != Status.OUT_OF_RANGE:
             return Reason.CONTENT
-        age = signals["Age"].physical_one(raw["Age"]) / 1000
-        mean = np.array([signal.physical_one(raw[signal.name]) for signal in self._mean])
+        mean = np.array(self._mean.physical_one(raw))
         without_covariance = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
         cov = _VAGUE.copy() if without_covariance else self._covariance.decode_one(raw)
         status = Status(raw["Status"])
@@ -150,7 +142,7 @@ class CompleteFormat:
             kind=Kind(raw["Kind"]),
             x_min=min(x_min, x_max),
             x_max=x_max,
-            age=age if raw["Age"] < self._too_old else math.inf,
+            age=age_ms / 1000 if raw["Age"] < self._too_old else math.inf,
             status=status,
             t_ns=t_ns,
         )

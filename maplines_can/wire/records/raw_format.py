@@ -17,6 +17,7 @@ from ..layout.signals import (
     POSE_ROWS,
     POSE_SIGNALS,
     SLOT_SIGNALS,
+    SignalRow,
     slot_title,
 )
 from ..reasons import Reason
@@ -47,6 +48,7 @@ class RawFormat:
         self.data_ids = data_ids
         self._names, self._all_names = tuple(names), (*names, *covariance)
         self._covariance = frozenset(covariance)
+        self._range = SignalRow(layout[name] for name in ("XMin", "XMax") if name in names)
 
     @classmethod
     def of_pose(cls, layout: PoseLayout) -> RawFormat:
@@ -107,7 +109,7 @@ class RawFormat:
             return None
         if raw["Kind"] > LAST_KIND:
             return f"Kind must be at most {LAST_KIND}, got {raw['Kind']}"
-        x_min, x_max = (self.layout[name].physical_one(raw[name]) for name in ("XMin", "XMax"))
+        x_min, x_max = self._range.physical_one(raw)
         if x_min >= x_max:
             return f"XMin must be less than XMax, got {x_min:g} and {x_max:g} m"
         if raw["HasCovariance"] and any(raw[name] for name in OWN_SIGNALS):
@@ -120,7 +122,7 @@ class RawFormat:
             differing = ", ".join(sorted(raw.keys() ^ set(names)))
             raise EncodeError(f"raw must have values of {', '.join(names)}; {differing} differ")
         for name in names:
-            signal = self.layout[name]
+            signal = self.layout.signals[name]
             if not signal.raw_min <= raw[name] <= signal.raw_max:
                 raise EncodeError(
                     f"signal {name}: the raw value {raw[name]} is not from {signal.raw_min} to "

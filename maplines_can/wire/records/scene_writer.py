@@ -18,7 +18,6 @@ from ..layout.signals import SLOT_SIGNALS, slot_title
 from .complete_records import CompleteRecords
 from .raw_format import RawFormat, absent_counter
 from .record import RawRecord
-from .writer import up
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,4 +153,4 @@ class SceneWriter:
 
     def _raw_age(self, age: float) -> int:
         signal = self._pose["Age"]
-        return int(signal.limited(up(signal, np.asarray(1000 * age))))
+        return int(signal.limited(signal.raw_above(np.asarray(1000 * age))))

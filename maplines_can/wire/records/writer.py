@@ -14,14 +14,12 @@ from ..covariance import CovarianceCode
 from ..covariance.nearest_line import nearest_line, slope_error
 from ..layout.attributes import RecordAttributes
 from ..layout.message_layout import Layout
-from ..layout.signals import PARAMETER_SIGNALS, Signal
+from ..layout.signals import PARAMETER_SIGNALS, SignalRow
 from ..layout.validation import CheckedGaussians
 from .packer import RecordPacker
 
 #: Least range of a line that is sent instead of one that exceeds the message [m].
 MIN_RANGE = 1.0
-#: Tolerance for the floating-point error of the division before directed rounding [steps].
-SLACK = 1e-9
 
 
 class _Sent(NamedTuple):
@@ -38,8 +36,8 @@ class RecordWriter:
 
     def __init__(self, layout: Layout, packer: RecordPacker, covariance: CovarianceCode) -> None:
         self.layout = layout
-        self._mean = [layout[name] for name in PARAMETER_SIGNALS]
-        self._factor = np.array([signal.factor for signal in self._mean])
+        self._signals = layout.signals
+        self._mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
         self._covariance = covariance
         self._packer = packer
 
@@ -59,22 +57,8 @@ class RecordWriter:
         """
         n = len(gaussians.mean)
         data_ids = self.layout.data_ids(attributes.slot, n)
-        status = Status.FULL if attributes.status is None else attributes.status
-        requested = self._integers("Status", status, n, max(Status))
-        counter = np.arange(n) if attributes.counter is None else attributes.counter
-        raw = {
-            "Counter": self._integers("Counter", counter, n),
-            "Kind": self._integers("Kind", attributes.kind, n, max(Kind)),
-            "ComponentIndex": self._integers("ComponentIndex", attributes.component_index, n),
-            "ComponentCount": self._integers("ComponentCount", attributes.component_count, n),
-        }
-        index = np.broadcast_to(np.asarray(attributes.component_index), n)
-        count = np.broadcast_to(np.asarray(attributes.component_count), n)
-        if (index >= count).any():
-            i = int((index >= count).argmax())
-            raise EncodeError(
-                f"component_index must be below component_count, got {index[i]} of {count[i]}"
-            )
+        raw = self._raw_numbers(attributes, n)
+        requested, count = raw["Status"], np.broadcast_to(np.asarray(attributes.component_count), n)
         requested = self._supported(requested)
         x_range = np.column_stack(
             [_finite("x_min", attributes.x_min, n), _finite("x_max", attributes.x_max, n)]
@@ -89,8 +73,7 @@ class RecordWriter:
     @np.errstate(over="ignore", invalid="ignore")
     def decoded_mean(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the (..., 4) means that a receiver decodes."""
-        columns = zip(self._mean, np.moveaxis(mean, -1, 0), strict=True)
-        return np.stack([s.physical(s.limited(s.raw(x))) for s, x in columns], axis=-1)
+        return self._mean.nearest(mean).physical
 
     def raw_mean_and_range(self, line: MapLine) -> dict[str, int] | None:
         """Return the raw values of the mean and the valid range of a line, as ``write`` sends them.
@@ -100,10 +83,34 @@ class RecordWriter:
         x_range = np.array([[line.x_min, line.x_max]])
         sent = self._sent(line.gaussian.mean[None], x_range, np.zeros(1, dtype=bool))
         raw = {name: int(values[0]) for name, values in sent.raw.items()}
-        first, last = self.layout["XMin"], self.layout["XMax"]
+        first, last = self._signals["XMin"], self._signals["XMax"]
         if first.physical_one(raw[first.name]) >= last.physical_one(raw[last.name]):
             return None
         return None if sent.clipped[0] or sent.cut[0] else raw
+
+    def _raw_numbers(self, attributes: RecordAttributes, n: int) -> dict[str, NDArray[np.int64]]:
+        """Return the (n,) raw values of the attributes that are numbers or enumerations."""
+        signals = self._signals
+        status = Status.FULL if attributes.status is None else attributes.status
+        counter = np.arange(n) if attributes.counter is None else attributes.counter
+        of_line = np.broadcast_to(np.asarray(counter), n) % 2 ** signals["Counter"].length
+        index = np.broadcast_to(np.asarray(attributes.component_index), n)
+        count = np.broadcast_to(np.asarray(attributes.component_count), n)
+        raw = {
+            "Status": signals["Status"].whole(np.broadcast_to(np.asarray(status), n), max(Status)),
+            "Counter": signals["Counter"].whole(of_line),
+            "Kind": signals["Kind"].whole(
+                np.broadcast_to(np.asarray(attributes.kind), n), max(Kind)
+            ),
+            "ComponentIndex": signals["ComponentIndex"].whole(index),
+            "ComponentCount": signals["ComponentCount"].whole(count),
+        }
+        if (index >= count).any():
+            i = int((index >= count).argmax())
+            raise EncodeError(
+                f"component_index must be below component_count, got {index[i]} of {count[i]}"
+            )
+        return raw
 
     def _supported(self, requested: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the (n,) requested status, as far as the covariance code supports it."""
@@ -125,18 +132,21 @@ class RecordWriter:
             x_range: (n, 2) valid ranges [m].
             rows: (n,) lines that may be replaced.
         """
-        raw, clipped = self._raw_mean(mean)
+        nearest = self._mean.nearest(mean)
+        raw, clipped = nearest.raw, nearest.clipped.any(axis=-1)
         ends, cut, outside = self._raw_range(x_range)
         for i in np.flatnonzero(rows & clipped & (x_range[:, 0] < x_range[:, 1])):
-            near = nearest_line(self._mean, mean[i], x_range[i], MIN_RANGE, self._covariance.reach)
+            near = nearest_line(
+                self._mean.signals, mean[i], x_range[i], MIN_RANGE, self._covariance.reach
+            )
             if near is None:
                 continue
             (short,), (is_cut,), (is_outside,) = self._raw_range(near.x_range[None])
-            first, last = self.layout["XMin"], self.layout["XMax"]
+            first, last = self._signals["XMin"], self._signals["XMax"]
             # Rounding inwards may leave nothing of a short range.
             length = last.physical(short[1]) - first.physical(short[0])
             if not is_outside and length >= MIN_RANGE:
-                raw[i] = self._raw_mean(near.mean[None])[0]
+                raw[i] = self._mean.nearest(near.mean).raw
                 ends[i], cut[i], outside[i] = short, is_cut, is_outside
         columns = np.column_stack([raw, ends]).astype(np.int64).T
         return _Sent(
@@ -145,13 +155,6 @@ class RecordWriter:
             cut,
             outside,
         )
-
-    def _raw_mean(self, mean: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return the (n, 4) raw values of means, and the (n,) rows that are clipped."""
-        nearest = [s.raw(x) for s, x in zip(self._mean, mean.T, strict=True)]
-        limited = [s.limited(raw) for s, raw in zip(self._mean, nearest, strict=True)]
-        raw = np.column_stack(limited)
-        return raw, (raw != np.column_stack(nearest)).any(axis=1)
 
     def _raw_range(
         self, x_range: NDArray[np.float64]
@@ -164,8 +167,8 @@ class RecordWriter:
         x_min, x_max = x_range.T
         if (x_min > x_max).any():
             raise EncodeError("x_min must be x_max or less")
-        first, last = self.layout["XMin"], self.layout["XMax"]
-        low, high = up(first, x_min), down(last, x_max)
+        first, last = self._signals["XMin"], self._signals["XMax"]
+        low, high = first.raw_above(x_min), last.raw_below(x_max)
         raw_min, raw_max = first.limited(low), last.limited(high)
         start, end = first.physical(raw_min), last.physical(raw_max)
         outside = (start < x_min) | (start > end) | (end > x_max)
@@ -183,7 +186,7 @@ class RecordWriter:
         """Add the raw covariance and status."""
         mean, cov, indefinite = gaussians
         clipped = sent.clipped
-        decoded = np.column_stack([signal.physical(sent.raw[signal.name]) for signal in self._mean])
+        decoded = self._mean.physical_of(sent.raw)
         d = mean - decoded
         error = cov + d[:, :, None] * d[:, None, :]
         if indefinite.any():
@@ -211,7 +214,7 @@ class RecordWriter:
         # Most repaired matrices also saturate; REPAIRED takes precedence: it is more informative.
         status[(indefinite | (requested == Status.REPAIRED)) & ~without] = Status.REPAIRED
         # Without a covariance, a clipped mean cannot be compensated: OUT_OF_RANGE.
-        far = (np.abs(d) > 0.51 * np.abs(self._factor)).any(axis=1)
+        far = (np.abs(d) > 0.51 * np.abs(self._mean.factor)).any(axis=1)
         status[np.where(without, far, ~coded.covered)] = Status.OUT_OF_RANGE
         raw["Status"] = np.where(requested == Status.OUT_OF_RANGE, requested, status)
 
@@ -222,50 +225,16 @@ class RecordWriter:
 
         Longer ages are limited to the greatest raw value, which means "too old".
         """
-        signal = self.layout["Age"]
+        signal = self._signals["Age"]
         age = np.broadcast_to(np.asarray(attributes.age, dtype=float), n)
         if not (age >= 0).all():
             raise EncodeError(f"age must be 0 s or more, got {age[~(age >= 0)][0]:g}")
-        raw["Age"] = signal.limited(up(signal, 1000 * age)).astype(np.int64)
-        signal = self.layout["ComponentWeight"]
+        raw["Age"] = signal.limited(signal.raw_above(1000 * age)).astype(np.int64)
+        signal = self._signals["ComponentWeight"]
         weight = _finite("component_weight", attributes.component_weight, n)
         if ((weight <= 0) | (weight > 1)).any():
             raise EncodeError(f"component_weight must be in (0, 1], got {weight.min():g}")
-        raw["ComponentWeight"] = signal.limited(signal.raw(weight)).astype(np.int64)
-
-    def _integers(
-        self, name: str, value: ArrayLike, n: int, most: int | None = None
-    ) -> NDArray[np.int64]:
-        """Return the (n,) raw values of a signal that holds a number or an enumeration.
-
-        The greatest valid value is ``most``, or the end of the signal's range.
-        """
-        signal = self.layout[name]
-        values = np.broadcast_to(np.asarray(value), n)
-        if name == "Counter":
-            values = values % 2**signal.length
-        raw = signal.raw(values)
-        low, high = signal.physical_range
-        high = high if most is None else min(high, most)
-        bad = (raw != signal.limited(raw)) | (signal.physical(raw) > high)
-        bad |= signal.physical(raw) != values
-        if bad.any():
-            raise EncodeError(
-                f"signal {name}: {values[bad][0]!r} is not a whole number from {low:g} to {high:g}"
-            )
-        return raw.astype(np.int64)
-
-
-def up(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) raw values of the physical values, rounded up."""
-    raw = np.ceil((physical - signal.offset) / signal.factor - SLACK)
-    return raw + (signal.physical(raw) < physical)
-
-
-def down(signal: Signal, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the (n,) raw values of the physical values, rounded down."""
-    raw = np.floor((physical - signal.offset) / signal.factor + SLACK)
-    return raw - (signal.physical(raw) > physical)
+        raw["ComponentWeight"] = signal.nearest(weight).raw.astype(np.int64)
 
 
 def _without_covariance(status: NDArray[np.int64]) -> NDArray[np.bool_]:
