@@ -8,11 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..values.errors import EncodeError
 from ..values.line import MapLine, Slot
 from .layout.attributes import LINE_ATTRIBUTES, RecordAttributes, numbers
-from .layout.message_layout import Layout
 from .layout.validation import checked_gaussians, checked_mixtures, checked_payloads
 from .reasons import Reason
 from .records.complete_format import Batch
-from .records.complete_records import CompleteRecords
+from .records.complete_writer import CompleteWriter
 from .records.record import RecordReader
 
 
@@ -20,13 +19,12 @@ class BatchCodec:
     """Codec of many lines at once; ``Codec.batch`` is one.
 
     Args:
-        layout: of the records.
-        complete: their format and their writers.
+        writer: writer of the records.
     """
 
-    def __init__(self, layout: Layout, complete: CompleteRecords) -> None:
-        self._layout, self._complete = layout, complete
-        self._reader = RecordReader(complete.format)
+    def __init__(self, writer: CompleteWriter) -> None:
+        self._writer, self._layout = writer, writer.layout
+        self._reader = RecordReader(writer.format)
 
     def encode(
         self,
@@ -64,7 +62,7 @@ class BatchCodec:
         """
         gaussians = checked_gaussians(means, covs)
         values = RecordAttributes.from_keywords(attributes)
-        return self._complete.writer.write(
+        return self._writer.write(
             gaussians, values.without_covariance() if covs is None else values
         )
 
@@ -93,7 +91,7 @@ class BatchCodec:
                 positive, or do not add up to 1.
         """
         values = RecordAttributes.from_keywords(attributes, LINE_ATTRIBUTES)
-        return self._complete.mixture_writer.write(*checked_mixtures(weights, means, covs), values)
+        return self._writer.write_mixtures(*checked_mixtures(weights, means, covs), values)
 
     def decode(self, payloads: ArrayLike, slot: ArrayLike = Slot.EGO_LEFT) -> Batch:
         """Decode many records. Never raises on payload content.
@@ -110,7 +108,7 @@ class BatchCodec:
         """
         records = checked_payloads(payloads, self._layout.record_bytes)
         data_ids = self._layout.data_ids(numbers("slot", slot), len(records))
-        return self._complete.format.read(records, data_ids)
+        return self._writer.format.read(records, data_ids)
 
     def decode_one(self, payload: bytes, slot: Slot, t_ns: int | None = None) -> MapLine | Reason:
         """Decode one record, received at ``t_ns`` [ns]; bit-identical to ``decode``.

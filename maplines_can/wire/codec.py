@@ -22,7 +22,8 @@ from .reception.decoder import Decoder
 from .reception.poses import PoseReceiver
 from .reception.scenes import SceneReceiver
 from .reception.settings import decoder_settings, pose_settings
-from .records.complete_records import complete_records
+from .records.complete_format import CompleteFormat
+from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
 from .records.raw_format import RawFormat
 from .records.record import CompleteRecord, RawRecord, RecordFormat, RecordReader
@@ -89,7 +90,9 @@ class Codec:
             )
         #: Code of the covariance that the DBC names.
         self.covariance = codes[layout.covariance_code](layout)
-        self._complete = complete_records(layout, self.covariance)
+        self._complete: CompleteWriter | None = None
+        if not layout.is_conditional:
+            self._complete = CompleteWriter(layout, CompleteFormat(layout, self.covariance))
         #: Reader of the records of each slot and of the pose error.
         self.reader: RecordReader[CompleteRecord | RawRecord] = RecordReader(*self._formats())
         self._frame_writer = FrameWriter(layout, authenticator)
@@ -146,12 +149,11 @@ class Codec:
         """
         if self._complete is None:
             raise conditional_error(self.layout)
-        return BatchCodec(self.layout, self._complete)
+        return BatchCodec(self._complete)
 
     def encoder(self) -> Encoder:
         """Return a new encoder, which holds the counters of a sender."""
-        lines = None if self._complete is None else self._complete.line_writer
-        return Encoder(self.layout, self._frame_writer, lines, self._scene_writer)
+        return Encoder(self.layout, self._frame_writer, self._complete, self._scene_writer)
 
     def _formats(self) -> Iterator[RecordFormat[CompleteRecord | RawRecord]]:
         yield RawFormat.of_lines(self.layout) if self._complete is None else self._complete.format

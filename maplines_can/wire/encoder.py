@@ -13,8 +13,8 @@ from ..values.line import MapLine, Slot
 from ..values.scene import Scene
 from .layout.message_layout import Layout
 from .layout.pose_layout import Owner
+from .records.complete_writer import CompleteWriter
 from .records.frames import Frame, FrameWriter
-from .records.line_writer import LineWriter
 from .records.scene_writer import PreparedScene, SceneWriter
 
 
@@ -34,7 +34,7 @@ class Encoder:
         self,
         layout: Layout,
         frame_writer: FrameWriter,
-        line_writer: LineWriter | None,
+        line_writer: CompleteWriter | None,
         scene_writer: SceneWriter | None,
     ) -> None:
         self._layout, self._frame_writer = layout, frame_writer
@@ -73,7 +73,7 @@ class Encoder:
             return []
         writer = self._line_writer()
         first = self._counters if counters is None else counters
-        records_of_lines, following = writer.write(lines, first)
+        records_of_lines, following = writer.write_lines(lines, first)
         frames = [
             [frame for record in records for frame in self.frames(record, line.slot, fd=fd)]
             for line, records in zip(lines, records_of_lines, strict=True)
@@ -140,7 +140,7 @@ class Encoder:
         """Return the frames of one record; each authenticated frame has its own freshness value."""
         return self._frame_writer.write(payload.tobytes(), slot, fd)
 
-    def _line_writer(self) -> LineWriter:
+    def _line_writer(self) -> CompleteWriter:
         if self._lines is None:
             raise conditional_error(self._layout)
         return self._lines

@@ -166,7 +166,9 @@ class SignalRow:
     def __init__(self, signals: Iterable[Signal]) -> None:
         self.signals = tuple(signals)
         columns = [(s.factor, s.offset, s.raw_min, s.raw_max) for s in self.signals]
-        self.factor, self._offset, self._raw_min, self._raw_max = np.array(columns, float).reshape(-1, 4).T
+        self.factor, self._offset, self._raw_min, self._raw_max = (
+            np.array(columns, float).reshape(-1, 4).T
+        )
 
     def nearest(self, physical: NDArray[np.float64]) -> Nearest:
         """Return the (..., k) nearest raw values within the ranges, and what they mean."""

@@ -77,13 +77,13 @@ class CompleteFormat:
         self._numbers = SignalRow(layout[name] for name in NUMBERS)
         self._too_old = layout["Age"].raw_max  # the raw value that means so, or more
         self._resolution = layout.resolution
-        self._covariance = covariance
+        self.covariance = covariance
 
     def read(self, payloads: NDArray[np.uint8], data_ids: NDArray[np.uint16]) -> Batch:
         """Read (N, record bytes) records with (N,) E2E data IDs."""
         raw, verdict = self.packer.unpack(payloads, data_ids)
         mean = self._mean.physical_of(raw)
-        cov = self._covariance.decode(raw)
+        cov = self.covariance.decode(raw)
         status = raw["Status"]
         without_covariance = (status == Status.UNKNOWN) | (status == Status.OUT_OF_RANGE)
         if without_covariance.any():
@@ -94,7 +94,7 @@ class CompleteFormat:
         invalid = (status > LAST_STATUS) | (raw["Kind"] > LAST_KIND) | (index >= count)
         invalid |= (physical["XMin"] > physical["XMax"]) & (status != Status.OUT_OF_RANGE)
         invalid |= (physical["ComponentWeight"] <= 0) | (physical["ComponentWeight"] > 1)
-        if not self._covariance.positive_definite:
+        if not self.covariance.positive_definite:
             invalid |= ~np.isfinite(cov).all(axis=(1, 2))
             invalid |= (np.einsum("nii->ni", cov) < 0).any(axis=1)
         verdict[invalid & (verdict == 0)] = VERDICTS.index(Reason.CONTENT)
@@ -127,9 +127,9 @@ class CompleteFormat:
             return Reason.CONTENT
         mean = np.array(self._mean.physical_one(raw))
         without_covariance = raw["Status"] in (Status.UNKNOWN, Status.OUT_OF_RANGE)
-        cov = _VAGUE.copy() if without_covariance else self._covariance.decode_one(raw)
+        cov = _VAGUE.copy() if without_covariance else self.covariance.decode_one(raw)
         status = Status(raw["Status"])
-        if not (without_covariance or self._covariance.positive_definite):
+        if not (without_covariance or self.covariance.positive_definite):
             if not np.isfinite(cov).all() or (cov.diagonal() < 0).any():
                 return Reason.CONTENT
             if not _is_definite(cov):

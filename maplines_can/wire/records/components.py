@@ -1,40 +1,11 @@
-"""Gaussian mixtures as records, one for each component."""
+"""Weights of the components of a mixture as a record has them, and what their rounding leaves."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..layout.attributes import RecordAttributes
-from ..layout.validation import checked_gaussians
-from .writer import RecordWriter
-
 Array = NDArray[np.float64]
-
-
-class MixtureWriter:
-    """Writer of mixtures, which covers each component and the mixture as a whole."""
-
-    def __init__(self, writer: RecordWriter) -> None:
-        self._writer = writer
-        self._weight_steps = round(1 / writer.layout["ComponentWeight"].factor)
-
-    def write(
-        self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
-    ) -> NDArray[np.uint8]:
-        """Return (N, k, record bytes) records of mixtures; see ``BatchCodec.encode_mixtures``."""
-        n, k = weights.shape
-        gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
-        decoded_weights, cover = self.cover(weights, means, covs)
-        of_components = attributes.of_components(decoded_weights)
-        payloads = self._writer.write(gaussians, of_components, np.repeat(cover, k, axis=0))
-        return payloads.reshape(n, k, -1)
-
-    def cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
-        """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
-        steps = self._weight_steps
-        decoded = quantized_weights(weights, steps) / steps
-        return decoded, deficit(weights, means, covs, decoded, self._writer.decoded_mean(means))
 
 
 def quantized_weights(weights: Array, steps: int) -> NDArray[np.int64]:

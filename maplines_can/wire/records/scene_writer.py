@@ -15,7 +15,7 @@ from ..covariance.scene_encoder import EncodedScene, SceneEncoder
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import POSE, Owner, PoseLayout
 from ..layout.signals import SLOT_SIGNALS, slot_title
-from .complete_records import CompleteRecords
+from .complete_writer import CompleteWriter
 from .raw_format import RawFormat, absent_counter
 from .record import RawRecord
 
@@ -62,7 +62,7 @@ class SceneWriter:
         layout: of the records of lines.
         pose: of the record of the pose error.
         encoder: of both.
-        complete: writers of the records of lines; None if these are conditional.
+        complete: writer of the records of lines; None if these are conditional.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class SceneWriter:
         layout: Layout,
         pose: PoseLayout,
         encoder: SceneEncoder,
-        complete: CompleteRecords | None,
+        complete: CompleteWriter | None,
     ) -> None:
         self._layout, self._pose, self._encoder = layout, pose, encoder
         self._complete = complete
@@ -96,7 +96,7 @@ class SceneWriter:
             encoded = self._encoder.encode(scene, full=full)
             sent = tuple(scene.lines[place].slot for place in encoded.lines)
             return PreparedScene(scene, encoded, sent)
-        raw = [self._complete.writer.raw_mean_and_range(line) for line in scene.lines]
+        raw = [self._complete.raw_mean_and_range(line) for line in scene.lines]
         encoded = self._encoder.encode_levels(scene, raw)
         return PreparedScene(scene, encoded, tuple(line.slot for line in scene.lines))
 
@@ -127,7 +127,7 @@ class SceneWriter:
                 following[line.slot] = (counter + 1) % self._modulus
         elif self._complete is not None and sent:
             aged = [replace(line, age=ages[line.slot]) for line in sent]
-            records, following = self._complete.line_writer.write(aged, counters)
+            records, following = self._complete.write_lines(aged, counters)
             own |= {line.slot: of[0].tobytes() for line, of in zip(aged, records, strict=True)}
         raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
         for slot, signal in self._pose.counters.items():

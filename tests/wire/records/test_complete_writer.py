@@ -15,7 +15,8 @@ from maplines_can.values.line import MapLine, Slot, Status
 from maplines_can.values.scene import PoseError, Scene
 from maplines_can.wire import POSE
 from maplines_can.wire.layout.signals import PARAMETER_SIGNALS
-from maplines_can.wire.records.complete_records import complete_records
+from maplines_can.wire.records.complete_format import CompleteFormat
+from maplines_can.wire.records.complete_writer import CompleteWriter
 
 
 @pytest.mark.parametrize("y", [0.0, np.pi / 2])
@@ -62,9 +63,8 @@ def test_a_scene_states_the_lines_that_are_sent(
     own = np.diag([0.01, 1e-4, 1e-6, 1e-8]) ** 2
     low, high = 4.0 * ends[0], 4.0 * ends[1]
     line = MapLine(Slot.EGO_LEFT, Gaussian(mean, own), x_min=low, x_max=high)
-    complete = complete_records(layout, codec.covariance)
-    assert complete is not None
-    raw = complete.writer.raw_mean_and_range(line)
+    writer = CompleteWriter(layout, CompleteFormat(layout, codec.covariance))
+    raw = writer.raw_mean_and_range(line)
     assert raw is not None
     batch = codec.batch.decode(codec.batch.encode([mean], [own], x_min=low, x_max=high))
     assert [signal.physical(raw[signal.name]) for signal in signals] == batch.mean[0].tolist()

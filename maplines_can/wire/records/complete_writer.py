@@ -1,22 +1,29 @@
-"""Writer of records: each value at its bits in the DBC, and no value is clipped silently."""
+"""Writer of complete records; no value is clipped silently."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...values.errors import EncodeError
+from ...values.gaussian import Gaussian
 from ...values.linalg import nearest_covariance
 from ...values.line import Kind, MapLine, Status
-from ..covariance import CovarianceCode
 from ..covariance.nearest_line import nearest_line, slope_error
 from ..layout.attributes import RecordAttributes
 from ..layout.message_layout import Layout
+from ..layout.pose_layout import Owner
 from ..layout.signals import PARAMETER_SIGNALS, SignalRow
-from ..layout.validation import CheckedGaussians
-from .packer import RecordPacker
+from ..layout.validation import CheckedGaussians, checked_gaussians
+from .complete_format import CompleteFormat
+from .components import deficit, quantized_weights
+
+Array = NDArray[np.float64]
 
 #: Least range of a line that is sent instead of one that exceeds the message [m].
 MIN_RANGE = 1.0
@@ -31,15 +38,33 @@ class _Sent(NamedTuple):
     outside: NDArray[np.bool_]  #: (n,) lines of whose ranges no part can be stated
 
 
-class RecordWriter:
-    """Writer of complete records, with the packer of its signals and its covariance code."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Component:
+    """Content of one record of a line: all of it, or a component of its mixture."""
 
-    def __init__(self, layout: Layout, packer: RecordPacker, covariance: CovarianceCode) -> None:
-        self.layout = layout
+    line: MapLine
+    gaussian: Gaussian
+    index: int
+    count: int
+    weight: float
+    cover: NDArray[np.float64]  #: (4, 4) that the decoded covariance must cover besides its own
+
+
+class CompleteWriter:
+    """Writer of complete records: of arrays, of mixtures, and of lines.
+
+    Args:
+        layout: of the records.
+        form: their format.
+    """
+
+    def __init__(self, layout: Layout, form: CompleteFormat) -> None:
+        self.layout, self.format = layout, form
+        self._packer, self._covariance = form.packer, form.covariance
         self._signals = layout.signals
         self._mean = SignalRow(layout[name] for name in PARAMETER_SIGNALS)
-        self._covariance = covariance
-        self._packer = packer
+        self._weight_steps = round(1 / layout["ComponentWeight"].factor)
+        self._modulus = 2 ** layout["Counter"].length
 
     @np.errstate(over="ignore", invalid="ignore")  # the status reports what does not fit
     def write(
@@ -70,10 +95,55 @@ class RecordWriter:
         raw["Status"] = np.where(sent.outside, Status.OUT_OF_RANGE, raw["Status"])
         return self._packer.pack(raw, data_ids)
 
-    @np.errstate(over="ignore", invalid="ignore")
-    def decoded_mean(self, mean: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (..., 4) means that a receiver decodes."""
-        return self._mean.nearest(mean).physical
+    def write_mixtures(
+        self, weights: Array, means: Array, covs: Array, attributes: RecordAttributes
+    ) -> NDArray[np.uint8]:
+        """Return (N, k, record bytes) records of mixtures; see ``BatchCodec.encode_mixtures``."""
+        n, k = weights.shape
+        gaussians = checked_gaussians(means.reshape(-1, 4), covs.reshape(-1, 4, 4))
+        decoded_weights, cover = self._cover(weights, means, covs)
+        of_components = attributes.of_components(decoded_weights)
+        payloads = self.write(gaussians, of_components, np.repeat(cover, k, axis=0))
+        return payloads.reshape(n, k, -1)
+
+    def write_lines(
+        self, lines: Sequence[MapLine], counters: Mapping[Owner, int]
+    ) -> tuple[list[list[NDArray[np.uint8]]], Counter[Owner]]:
+        """Return the records of each line, and the counters that follow them.
+
+        The counters are of the next record of each slot; 0 if there is none. That of the pose error
+        does not change.
+        """
+        records_of_lines = [self._components(line) for line in lines]
+        records = [record for records in records_of_lines for record in records]
+        following: Counter[Owner] = Counter(counters)
+        counter = []
+        for record in records:
+            slot = record.line.slot
+            counter.append(following[slot] % self._modulus)
+            following[slot] = (following[slot] + 1) % self._modulus
+        payloads = self.write(
+            CheckedGaussians(
+                np.array([record.gaussian.mean for record in records]),
+                np.array([record.gaussian.cov for record in records]),
+                np.zeros(len(records), dtype=bool),  # a Gaussian is never indefinite
+            ),
+            RecordAttributes(
+                slot=[record.line.slot for record in records],
+                counter=counter,
+                kind=[record.line.kind for record in records],
+                x_min=[record.line.x_min for record in records],
+                x_max=[record.line.x_max for record in records],
+                age=[record.line.age for record in records],
+                status=[record.line.status for record in records],
+                component_index=[record.index for record in records],
+                component_count=[record.count for record in records],
+                component_weight=[record.weight for record in records],
+            ),
+            np.array([record.cover for record in records]),
+        )
+        left = iter(payloads)
+        return [[next(left) for _ in records] for records in records_of_lines], following
 
     def raw_mean_and_range(self, line: MapLine) -> dict[str, int] | None:
         """Return the raw values of the mean and the valid range of a line, as ``write`` sends them.
@@ -87,6 +157,23 @@ class RecordWriter:
         if first.physical_one(raw[first.name]) >= last.physical_one(raw[last.name]):
             return None
         return None if sent.clipped[0] or sent.cut[0] else raw
+
+    def _components(self, line: MapLine) -> list[_Component]:
+        if line.mixture is None:
+            return [_Component(line, line.gaussian, 0, 1, 1.0, np.zeros((4, 4)))]
+        mixture, k = line.mixture, len(line.mixture.weights)
+        weights, cover = self._cover(mixture.weights[None], mixture.means[None], mixture.covs[None])
+        return [
+            _Component(line, gaussian, i, k, float(weights[0, i]), cover[0])
+            for i, gaussian in enumerate(mixture.components)
+        ]
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def _cover(self, weights: Array, means: Array, covs: Array) -> tuple[Array, Array]:
+        """Return the (N, k) decoded weights, and the (N, 4, 4) ``deficit`` that they leave."""
+        steps = self._weight_steps
+        decoded = quantized_weights(weights, steps) / steps
+        return decoded, deficit(weights, means, covs, decoded, self._mean.nearest(means).physical)
 
     def _raw_numbers(self, attributes: RecordAttributes, n: int) -> dict[str, NDArray[np.int64]]:
         """Return the (n,) raw values of the attributes that are numbers or enumerations."""
