@@ -2,6 +2,7 @@
 
 import importlib
 import json
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from evidence import (
 )
 from evidence.figures import Rms, Share
 from evidence.harness import Evidence, bounds_of, matching, missed, promises, settings
-from evidence.roads import maps_of, random_map
+from evidence.roads import SLOTS, maps_of, random_map
 
-from maplines_can import Gaussian, LeftOut
+from maplines_can import Gaussian, LeftOut, map_lines
+from maplines_can.consumers.integrity import multiplier
 from maplines_can.maps import Map, load
 from maplines_can.wire import Encoder
 from maplines_can.wire.covariance.scene_code import SceneCode
@@ -145,7 +147,6 @@ def misses(name: str, figures: Any) -> str:
 
 def test_lines_that_are_too_certain_or_too_short_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sigmas of half the size, and ranges of half the length."""
-    map_lines = ways.map_lines
 
     def halved(*arguments: Any, **options: Any) -> Any:
         found = map_lines(*arguments, **options)
@@ -162,7 +163,6 @@ def test_lines_that_are_too_certain_or_too_short_are_found(monkeypatch: pytest.M
 
 
 def test_lines_that_are_refused_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    map_lines = ways.map_lines
     monkeypatch.setattr(ways, "map_lines", lambda *a, **k: map_lines(*a, **k)[:0])
     figures = lines.lines(n=10, shapes=("city",), poses=("production",), map_error=(0.0,))
     assert "refused with 15 m ahead is 1" in misses("lines", figures)
@@ -170,7 +170,7 @@ def test_lines_that_are_refused_are_found(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_wrong_slots_are_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Two lines in each other's slots, and the lines of another lane."""
-    lines_of, (left, right, *_) = Map.lines, slots.SLOTS
+    lines_of, (left, right, *_) = Map.lines, SLOTS
     swap = {left: right, right: left}
 
     def exchanged(found: Map, pose: Any) -> Any:
@@ -225,7 +225,7 @@ def test_lines_that_are_lost_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_scene_of_two_cycles_is_found() -> None:
     """By its values: its pose error and its lines show the number of the cycle."""
     chain = epochs.WholeChain(epochs.CARRIERS["conditional"][0], fd=False)
-    chain.write(3, epochs.SLOTS, epochs.Counter())
+    chain.write(3, epochs.SLOTS, Counter())
     scene, other = epochs.road_scene(3), epochs.road_scene(4)
     assert not +chain.check(scene)
     mixed = replace(scene, lines=other.lines)
@@ -253,7 +253,6 @@ def test_a_fused_lane_that_is_too_certain_is_found(monkeypatch: pytest.MonkeyPat
 
 def test_a_protection_level_that_is_too_low_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine tenths of sigma."""
-    multiplier = integrity.multiplier
     monkeypatch.setattr(integrity, "multiplier", lambda *a, **k: 0.9 * multiplier(*a, **k))
     assert "over risk" in "\n".join(
         missed(integrity.rare(300, (1.0,)), bounds_of("integrity.rare", quick=False))

@@ -63,7 +63,7 @@ def test_the_figures_of_a_course_are_those_of_its_errors() -> None:
     errors[20:50, 0, 2] = 6.0
     errors[10:30, 1, 0] = 50.0
     known[10:30, 1] = False
-    course = tool.Course(tool.STEP * np.arange(k), known, errors, sigmas)
+    course = tool.Course(tool.STEP * np.arange(k, dtype=float), known, errors, sigmas)
     found = tool.figures(course)
     assert found["beyond [s]"] == pytest.approx(3.0)
     assert found["position beyond [s]"] == 0

@@ -66,7 +66,7 @@ def handover(
     result = {}
     found = sources(maps, shapes)
     for name, map_of in progress(found.items(), "roads", len(found)):
-        rows = []
+        rows: list[tuple[SteeringReason | None, float, float]] = []
         for number in range(seed, seed + n):
             road_map = map_of(number)
             route = route_of(road_map, number)

@@ -325,7 +325,7 @@ def pages() -> dict[Path, str]:
     for module in modules():
         if "\n@table" in (FOLDER / f"{module}.py").read_text(encoding="utf-8"):
             importlib.import_module(f"evidence.{module}")
-    found = {}
+    found: dict[Path, str] = {}
     for (page, name), write in TABLES.items():
         path = DOCS / page
         text = found.get(path, path.read_text(encoding="utf-8"))

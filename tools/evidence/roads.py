@@ -340,9 +340,12 @@ def sources(
     paths: Sequence[str], shapes: Sequence[str], *roads: tuple[str, maps.Map]
 ) -> dict[str, Callable[[int], maps.Map]]:
     """Return maps for a seed, by name: of folders and files, given ones, and random roads."""
-    fixed = maps_of(paths) | dict(roads)
+
+    def always(one: maps.Map, _: int) -> maps.Map:
+        return one
+
     found: dict[str, Callable[[int], maps.Map]] = {
-        name: lambda _, one=one: one for name, one in fixed.items()
+        name: partial(always, one) for name, one in (maps_of(paths) | dict(roads)).items()
     }
     return found | {f"random: {x}": partial(random_map, x) for x in shapes}
 

@@ -59,7 +59,7 @@ def poses(
     """Match scans each so many seconds through the streets of the town, for map errors [m]."""
     town = load(town_path())
     way = drive_along(town, town_tour(town))
-    result = {}
+    result: dict[str, Any] = {}
     for error in errors:
         result |= {
             f"map error {100 * error:g} cm, {name}": found
@@ -144,7 +144,7 @@ def localisation(
     """
     town = load(town_path())
     way = drive_along(town, town_tour(town))
-    result = {}
+    result: dict[str, Any] = {}
     for name in methods:
         result |= localised(town, way, name, seeds, (FED_SPAN[0], FED_SPAN[0] + span), seed)
     return result
