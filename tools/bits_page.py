@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
-from joint_figures import RATES, bus_load
 from reporting import fill_tables, parser_of
 
+from maplines_can.bus import frame_bits
 from maplines_can.study.design.plan import Targets
 from maplines_can.study.design.search import design, sets_of
 from maplines_can.study.scenes.carriers import WITH_POSE
@@ -26,6 +26,8 @@ from maplines_can.study.scenes.table import HEAD, cells_of
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "bits.md"
 HELD_OUT_SEED = 1_000_003
 TARGETS = (1e-2, 1e-3, 1e-4)
+#: Of the load of a bus of classic CAN: bit rate [1/s], and rates of the scenes [Hz].
+BITRATE, RATES = 500_000.0, (20, 50)
 #: Codes that docs/bits.md compares on scenes.
 SCENE_CODES = ("Cholesky", "Float32", *WITH_POSE)
 
@@ -135,7 +137,8 @@ def of_scenes(scenes: Any) -> Any:
     for row in scenes:
         if row["code"] in SCENE_CODES:
             cells = dict(zip(HEAD, cells_of(row), strict=True))
-            loads = [f"{100 * (bus_load(row['frames'], rate) or 0):.1f} %" for rate in RATES]
+            bits = (row["frames"] or 0) * frame_bits(8).nominal
+            loads = [f"{100 * bits * rate / BITRATE:.1f} %" for rate in RATES]
             kept = [cells[name] for name in SCENE_COLUMNS]
             body.append([f"{row['code']}, {row['lines']} lines", kept[0], *loads, *kept[1:]])
     loads = [f"load at {rate} Hz" for rate in RATES]

@@ -137,7 +137,7 @@ def fuzz(target: str, seconds: int, seed: int, work: Path) -> int:
     with atheris.instrument_imports(include=list(INSTRUMENTED)):
         import fuzz_inputs
         import fuzz_scenes
-    for number, content in enumerate(fuzz_inputs.SEEDS[target]()):
+    for number, content in enumerate(fuzz_inputs.SEEDS.get(target, tuple)()):
         (work / "inputs" / f"seed-{number}").write_bytes(content)
     attempt = guarded(fuzz_scenes.ALL_TARGETS[target], work / "defects")
     mutate = fuzz_inputs.MUTATORS.get(target)

@@ -2,105 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
-import gzip
 import random
 import re
-import sqlite3
-import tempfile
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
-import can
-import numpy as np
-from fuzz_scenes import DBCS
-from fuzz_targets import CODES, SUFFIXES, codec_of, valid_record
+from fuzz_targets import SUFFIXES
 
 from maplines_can.study.dbc.record_spec import DEFAULT, dbc_writer_for
 from maplines_can.values.line import Slot
 
-# ---- frames ------------------------------------------------------------------------------
-
-
-def decoder_seeds() -> Iterator[bytes]:
-    """Yield inputs of the decoder: some of each operation, for each DBC."""
-    rng = random.Random(1)  # noqa: S311 - not a secret
-    for code, name in enumerate(CODES):
-        size = codec_of(name)[0].layout.record_bytes
-        start = bytes([code])
-        yield start + bytes([0, 2, 8]) + rng.randbytes(8)
-        record = bytes([1, 0, 1]) + rng.randbytes(size)
-        yield start + record * 2
-        yield start + bytes([1, 1, 3]) + rng.randbytes(size) + bytes([6, 0, 14, 0, 9, 0])
-        yield start + bytes([4, 0, 3]) + rng.randbytes(2 * size) + bytes([53, 60, 0, 7])
-        yield start + bytes([1, 2, 0x2D]) + rng.randbytes(size) + record
-
-
-def scenes_seeds() -> Iterator[bytes]:
-    """Yield inputs of scenes: cycles in order, with loss, late frames, and records alone."""
-    rng = random.Random(2)  # noqa: S311 - not a secret
-    for dbc in range(len(DBCS)):
-        for fd in (0, 8):
-            for order in (0x0F, 0x02, 0x1F, 0x5F):
-                cycles = [
-                    bytes([0x10 | fd, *[1, 0, 0, 0, 0, 0, 0, 1]])
-                    + rng.randbytes(3 * 32)
-                    + bytes([order])
-                    for _ in range(3)
-                ]
-                yield bytes([dbc]) + b"".join(cycles)
-        alone = bytes([3]) + rng.randbytes(9 + 32) + bytes([4, 2, 7]) + rng.randbytes(32)
-        yield bytes([dbc]) + alone + bytes([6, 0, 14, 1, 9, 5, 30, 0, 7]) + alone
-
-
 # ---- logs --------------------------------------------------------------------------------
-
-
-def logs_seeds() -> Iterator[bytes]:
-    """Yield a log of each format, and of the versions of TRC."""
-    codec = codec_of("Cholesky")[0]
-    record = valid_record(*codec_of("Cholesky"), bytes(32), Slot.EGO_LEFT, 0)
-    with tempfile.TemporaryDirectory(prefix="maplines-fuzz-") as folder:
-        for number, suffix in enumerate(SUFFIXES):
-            if suffix.endswith(".gz"):
-                continue
-            path = Path(folder) / f"log{suffix}"
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                with can.Logger(path) as writer:
-                    t = 1000.0
-                    for frame in codec.encoder().frames(
-                        np.frombuffer(record, np.uint8), Slot.EGO_LEFT
-                    ):
-                        t += 0.001
-                        writer(
-                            can.Message(
-                                timestamp=t,
-                                arbitration_id=frame.can_id,
-                                is_extended_id=False,
-                                data=frame.data,
-                                channel=0,
-                            )
-                        )
-                    writer(can.Message(t, 0x123, is_extended_id=True, is_remote_frame=True, dlc=4))
-                    writer(can.Message(t, is_error_frame=True, data=bytes(8), channel=0))
-            if suffix == ".db":
-                with contextlib.closing(sqlite3.connect(path)) as file:
-                    file.executescript("PRAGMA page_size = 512; VACUUM")
-            content = path.read_bytes().replace(str(path).encode(), path.name.encode())
-            yield bytes([number]) + content
-            if f"{suffix}.gz" in SUFFIXES:
-                content = gzip.compress(content, mtime=0) if suffix == ".blf" else content
-                yield bytes([SUFFIXES.index(f"{suffix}.gz")]) + content
-    fd = "(1000.0) can0 348##0" + record.hex().upper() + "\n"
-    yield bytes([0]) + fd.encode()
-    old_trc = b";$FILEVERSION=1.1\n;$STARTTIME=37704.5364870833\n"
-    yield bytes([4]) + old_trc + b" 1)  1059.9  Rx  0340  8  00 00 00 00 00 00 00 00\n"
-    for version in (b"2.0", b"2.1", b"1.3"):
-        yield bytes([4]) + old_trc.replace(b"1.1", version)
-
 
 #: Replacements for a token of a log.
 LOG_TOKENS = (
@@ -210,12 +122,8 @@ def mutate(text: str, words: Sequence[str], seed: int) -> str:
     return text
 
 
-SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {
-    "decoder": decoder_seeds,
-    "scenes": scenes_seeds,
-    "logs": logs_seeds,
-    "dbc": dbc_seeds,
-}
+#: Inputs beside those of the corpus, which follow the layout of a DBC.
+SEEDS: dict[str, Callable[[], Iterator[bytes]]] = {"dbc": dbc_seeds}
 #: Mutators of the targets for which mutated bytes would hardly pass the first check.
 MUTATORS: dict[str, Callable[[bytes, int], bytes]] = {"dbc": mutate_dbc, "logs": mutate_log}
 #: Maximum length of an input [bytes].
