@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 from numpy.typing import NDArray
 
-from ..propagation.misfit import LATERAL_SHARE, MIN_SIGMA
+from ..propagation.cubic_fit import LATERAL_SHARE, MIN_SIGMA
 from ..values.gaussian import Gaussian
 from ..values.line import MapLine, Slot, lateral_jacobian
 from ..values.map_error import MapError

@@ -2,9 +2,8 @@
 
 from ..values.map_error import MapError
 from .component_counts import component_counts, remaining_nonlinearity
+from .from_map import map_lines, map_scene
 from .linear import Linear
-from .map_lines import map_lines
-from .map_scene import map_scene
 from .monte_carlo import MonteCarlo, Samples
 from .motion import Motion
 from .nonlinearity import Nonlinearity, nonlinearity

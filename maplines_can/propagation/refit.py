@@ -15,9 +15,8 @@ from ..values.line import MIN_ADVANCE, PARAMETERS, lateral, lateral_jacobian, li
 from ..values.map_error import MapError
 from ..values.polyline import Polyline
 from ..values.seen_lines import NODES, bases
-from .misfit import coefficient_variances
+from .cubic_fit import Fitted, coefficient_variances, longest_ranges
 from .stretches import MAX_TURN, Stretches, stretches
-from .valid_range import longest_ranges
 
 #: The sums of the normal equations are polynomials of degree 6 in the cosine and sine
 #: of the rotation of the car.
@@ -81,6 +80,7 @@ class Refit:
            [  nan,   nan,   nan,   nan]])
     """
 
+    # More parameters than six: all choices of a fit, and most callers need two.
     def __init__(
         self,
         polyline: Polyline | Sequence[Polyline] | Stretches,
@@ -103,7 +103,10 @@ class Refit:
         self._trailing = () if isinstance(polyline, Polyline) else (len(seen.given),)
         self.pose = np.array(pose)
         fitted = longest_ranges(seen, max_misfit, room, step)
-        self._x_range, self._misfit = fitted.x_range, fitted.misfit
+        #: (2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m].
+        self.x_range = fitted.x_range.reshape(*self._trailing, 2)
+        #: (), or (L,): largest deviation of the cubic from the line in its range [m].
+        self.misfit = fitted.misfit.reshape(self._trailing)
         x, y = fitted.x, fitted.y
         if max_misfit < np.inf:
             y = y + fitted.shift[:, None]
@@ -117,40 +120,20 @@ class Refit:
         chords = self.points[:, CHORD::CHORD] - self.points[:, :-CHORD:CHORD]  # (L, CHORDS, 2)
         self._chords = chords.reshape(-1, 2)
         self._least_advance = MIN_ADVANCE * np.hypot(*chords.T).sum(axis=0)[:, None]
+        #: (), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose.
+        self.is_across = (2 * self._half < self._least_advance).reshape(self._trailing)
         c, s = math.cos(pose[2]), math.sin(pose[2])
         self._to_ego = np.array([[c, -s], [s, c]])
-        noise_cov = np.zeros((len(x), len(PARAMETERS), len(PARAMETERS)))
-        mean = self._block(self.pose[None])[0]
-        if map_error is not None:
-            noise_cov += self._noise_cov(map_error, mean, seen.position(x))
-        if max_misfit < np.inf:
-            J = bases(mean, self._x_range)
-            point_sigma = 0.0 if map_error is None else map_error.point_sigma
-            variances = coefficient_variances(seen, fitted, point_sigma)
-            noise_cov += np.einsum("lik,lk,ljk->lij", J, variances, J)
-        is_exact = map_error is None and max_misfit == np.inf
         #: (4, 4), or (L, 4, 4): covariance of the map error and of the misfit; None without both.
-        self.noise_cov = None if is_exact else noise_cov.reshape(*self._trailing, 4, 4)
-
-    @property
-    def x_range(self) -> NDArray[np.float64]:
-        """(2,), or (L, 2): range that the cubics describe, in the frame of the mean pose [m]."""
-        return self._x_range.reshape(*self._trailing, 2)
-
-    @property
-    def is_across(self) -> NDArray[np.bool_]:
-        """(), or (L,): whether the line is nearly perpendicular to the x axis of the mean pose."""
-        return (2 * self._half < self._least_advance).reshape(self._trailing)
+        self.noise_cov = None
+        if map_error is not None or max_misfit < np.inf:
+            noise_cov = self._noise_cov(seen, fitted, map_error, is_covered=max_misfit < np.inf)
+            self.noise_cov = noise_cov.reshape(*self._trailing, 4, 4)
 
     @property
     def quartic(self) -> NDArray[np.float64]:
         """(), or (L,): coefficient of the polynomial T_4 that the cubic leaves of the line [m]."""
         return np.asarray((self.points[..., 1] @ _TO_QUARTIC).reshape(self._trailing))
-
-    @property
-    def misfit(self) -> NDArray[np.float64]:
-        """(), or (L,): largest deviation of the cubic from the line in its range [m]."""
-        return self._misfit.reshape(self._trailing)
 
     def __call__(self, poses: ArrayLike) -> NDArray[np.float64]:
         """Return the lines (y_off, beta, c0, c1) for poses.
@@ -207,6 +190,21 @@ class Refit:
         return q
 
     def _noise_cov(
+        self, seen: Stretches, fitted: Fitted, map_error: MapError | None, *, is_covered: bool
+    ) -> NDArray[np.float64]:
+        """Return the (L, 4, 4) covariance of the map error and, if it is covered, of the misfit."""
+        cov = np.zeros((len(fitted.x), len(PARAMETERS), len(PARAMETERS)))
+        mean = self._block(self.pose[None])[0]
+        if map_error is not None:
+            cov += self._map_cov(map_error, mean, seen.position(fitted.x))
+        if is_covered:
+            J = bases(mean, fitted.x_range)
+            point_sigma = 0.0 if map_error is None else map_error.point_sigma
+            variances = coefficient_variances(seen, fitted, point_sigma)
+            cov += np.einsum("lik,lk,ljk->lij", J, variances, J)
+        return cov
+
+    def _map_cov(
         self, error: MapError, mean: NDArray[np.float64], position: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the (L, 4, 4) covariance of the lines due to the map error, to first order.

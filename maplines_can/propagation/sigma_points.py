@@ -51,7 +51,7 @@ class SigmaPoints(Transform):
 
     def points(self, gaussian: Gaussian) -> NDArray[np.float64]:
         """Return the (2n + 1, n) sigma points, the mean first (eq. 8 to 10)."""
-        n = gaussian.dimension
+        n = gaussian.mean.size
         spread = math.sqrt(self._scale(n)) * gaussian.root.T
         points = np.empty((2 * n + 1, n))
         points[0] = gaussian.mean
@@ -70,4 +70,4 @@ class SigmaPoints(Transform):
 
     def _moments(self, function: Callable[..., Any], gaussian: Gaussian) -> Moments:
         values = values_at(function, self.points(gaussian))
-        return weighted_moments(values, *self.weights(gaussian.dimension))
+        return weighted_moments(values, *self.weights(gaussian.mean.size))

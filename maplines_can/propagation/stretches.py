@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..values.arrays import floats
 from ..values.line import LeftOut
-from ..values.polyline import Polyline, to_map
-from ..values.search_tree import nearest_share, squared_length
+from ..values.polyline import Polyline, nearest_share, squared_length, to_map
 
 #: Concatenated lines that are kept for the next query.
 KEPT = 16
@@ -111,7 +110,7 @@ def stretches(
     pose = floats(pose, "pose")
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise ValueError(f"pose must be finite with shape (3,), got {pose!r}")
-    x_min, x_max = (floats(end, "window").item() for end in window)
+    x_min, x_max = floats(window, "window").tolist()
     if not -np.inf < x_min < x_max < np.inf:
         raise ValueError(f"window must have finite x_min < x_max [m], got {window}")
     # If the car is not in the window, the end of the window nearest to it takes its place.

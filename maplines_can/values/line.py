@@ -126,8 +126,8 @@ class MapLine:
                 f"gaussian must be a Gaussian over {PARAMETERS}, got {_class_name(self.gaussian)}; "
                 "use MapLine.mean_only(slot, mean) for a mean without a covariance"
             )
-        if self.gaussian.dimension != len(PARAMETERS):
-            raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.dimension}-D")
+        if self.gaussian.mean.size != len(PARAMETERS):
+            raise ValueError(f"gaussian must be over {PARAMETERS}, got {self.gaussian.mean.size}-D")
         if not isinstance(self.mixture, GaussianMixture | None):
             raise TypeError(
                 f"mixture must be a GaussianMixture, or None, got {_class_name(self.mixture)}; "

@@ -20,7 +20,7 @@ from maplines_can import (
     map_lines,
 )
 from maplines_can.propagation import map_scene
-from maplines_can.propagation.map_lines import view_of
+from maplines_can.propagation.from_map import View
 from maplines_can.values.line import lateral, lateral_jacobian
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
@@ -77,16 +77,8 @@ def test_the_joint_is_that_of_drawn_poses(shape: str, pose: str) -> None:
 def refit_of(lines: Any, ego: Gaussian, scene: Any, error: MapError | None) -> Refit:
     """The refit of a scene of which no line is left out."""
     assert not scene.left_out
-    view = view_of(ego, (-20.0, 80.0), error)
-    refit = Refit(
-        [*lines.values()],
-        ego.mean,
-        view.window,
-        error,
-        max_turn=view.max_turn,
-        room=view.room,
-        step=1.0,
-    )
+    view = View.of(lines, ego, (-20.0, 80.0), error)
+    refit = view.refit(view.stretches([*lines]), step=1.0)
     assert np.array_equal(refit.x_range, scene.fit_ranges)
     return refit
 

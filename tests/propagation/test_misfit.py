@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapError, Polyline, Refit, Slot, map_lines
-from maplines_can.propagation.misfit import MIN_SIGMA, second_difference_variance
+from maplines_can.propagation.cubic_fit import MIN_SIGMA, second_difference_variance
 from maplines_can.simulation.street_shapes import Street, StreetPiece
 from maplines_can.values.line import lateral, lateral_jacobian
 

@@ -8,11 +8,9 @@ from typing import Any
 import numpy as np
 
 from maplines_can import Gaussian, MapError, Polyline
-from maplines_can.propagation.map_lines import view_of
-from maplines_can.propagation.misfit import coefficient_variances
+from maplines_can.propagation.cubic_fit import coefficient_variances, longest_ranges
+from maplines_can.propagation.from_map import View
 from maplines_can.propagation.refit import MAX_MISFIT, Refit
-from maplines_can.propagation.stretches import stretches
-from maplines_can.propagation.valid_range import longest_ranges
 from maplines_can.values.seen_lines import bases
 
 from .witness import WINDOW, Array
@@ -22,8 +20,8 @@ def excess_covs(
     lines: Mapping[Any, Polyline], ego: Gaussian, error: MapError | None
 ) -> dict[Any, Array]:
     """Return a (4, 4) covariance for each line that ``map_lines`` gives, by slot."""
-    view, slots = view_of(ego, WINDOW, error), [*lines]
-    seen = stretches([*lines.values()], ego.mean, view.window, view.max_turn)
+    view, slots = View.of(lines, ego, WINDOW, error), [*lines]
+    seen = view.stretches(slots)
     if not len(seen.given):
         return {}
     fitted = longest_ranges(seen, MAX_MISFIT, view.room, 0.0)
