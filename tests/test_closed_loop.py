@@ -9,6 +9,7 @@ import pytest
 from evidence.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
 
 from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers import scene_view
 from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
 from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
@@ -131,11 +132,11 @@ def drive(
     steering: LaneSteering, car: Car, middles: Sequence[float], set_speed: float
 ) -> tuple[list[Any], Any]:
     """Return the commands, and the lateral positions after them, of a car in a lane that jumps."""
-    commands, offsets = [], []
+    commands, offsets, steering.set_speed = [], [], set_speed
     for k, middle in enumerate(middles):
         motion = Motion(car.speed, car.speed * car.curvature)
         scene = lane_around(car, middle)
-        commands.append(steering.update(0.05 * k, scene, 0.0, motion, set_speed))
+        commands.append(steering.step(50_000_000 * k, scene_view(scene), motion))
         car.drive(commands[-1].curvature, commands[-1].speed, 0.05)
         offsets.append(car.pose[1])
     return commands, np.array(offsets)

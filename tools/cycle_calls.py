@@ -34,7 +34,7 @@ from maplines_can import (
     predict_to,
     scene_mixture,
 )
-from maplines_can.consumers import LaneFusion
+from maplines_can.consumers import LaneFusion, scene_view
 from maplines_can.consumers.integrity import protection_level
 from maplines_can.consumers.plausibility import PlausibilityCheck
 from maplines_can.consumers.steering import LaneSteering
@@ -239,26 +239,27 @@ def _consumers() -> Iterator[tuple[str, Call]]:
         for one in scene.lines
     }
     lane = [camera[Slot.EGO_LEFT], camera[Slot.EGO_RIGHT]]
-    fusion = LaneFusion(reception.monitor)
+    fusion, monitor = LaneFusion(), reception.monitor
 
     def fuse() -> Any:
         reception.receive()
-        return fusion.step(reception.t_ns, motion, lane)
+        t_ns = reception.t_ns
+        return fusion.step(t_ns, monitor.latest_scene(t_ns), motion, lane)
 
     yield "reception and LaneFusion.step", fuse
-    check, images = PlausibilityCheck(), count(1)
+    check, images, view = PlausibilityCheck(), count(1), scene_view(scene, 0.02)
     yield (
-        "PlausibilityCheck.update",
-        lambda: check.update(0.05 * next(images), scene, camera, motion.over(0.02), motion),
+        "PlausibilityCheck.step",
+        lambda: check.step(50_000_000 * next(images), view, motion, camera.values()),
     )
-    steering, periods = LaneSteering(), count(1)
+    steering, periods = LaneSteering(set_speed=20.0), count(1)
 
     def steer() -> Any:
         i = next(periods)
         moving = Motion.with_sigma(10.0 + 0.5 * (i % 40), 0.0, (0.2, 0.01))  # new gains
-        return steering.update(0.05 * i, scene, 0.02, moving, 20.0)
+        return steering.step(50_000_000 * i, view, moving)
 
-    yield "LaneSteering.update", steer
+    yield "LaneSteering.step", steer
 
 
 def _localisation() -> Iterator[tuple[str, Call]]:

@@ -4,40 +4,28 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 from collections import Counter
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ..consumers.consistency import SLOW, CameraNoise
 from ..consumers.plausibility import Check, Outcome, PlausibilityCheck
+from ..consumers.residual_filter import SLOW, CameraNoise
 from ..propagation import Motion
-from ..values.gaussian import Gaussian
-from ..values.line import MapLine, Slot, transform_line_or_nan
+from ..simulation.camera import CameraAtReportedPose
+from ..values.line import MapLine, Slot
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, ConsumerCycle, Input, add_input
 from .consume_motion import add_motion, motion_of
 from .parsing import add_command, number, option_group
 from .stderr import note
 
-#: Noise of the lines of the simulated camera [m, rad, 1/m, 1/m^2].
-CAMERA_SIGMA = (0.05, 0.003, 2e-4, 2e-6)
 #: Oldest camera line that is compared [s].
 OLDEST = 0.15
 
 
-class Image(NamedTuple):
-    """Lines of a camera."""
-
-    lines: dict[Slot, Gaussian | MapLine]
-    since: float  #: time since the pose of the scene [s]
-
-
-#: Newest image in a cycle; None if it is that of the cycle before.
-Camera = Callable[[ConsumerCycle], Image | None]
+#: Lines of the newest image in a cycle, with their ages; None if it is that of the cycle before.
+Camera = Callable[[ConsumerCycle], list[MapLine] | None]
 
 DESCRIPTION = f"""\
 Compare received map lines with the lines of a camera, and print whether they contradict each other.
@@ -134,14 +122,12 @@ def _check(arguments: argparse.Namespace) -> int:
     ):
         camera = _simulated(arguments) if arguments.simulate else _seen(new_lines)
         for cycle in cycles:
-            image, now = camera(cycle), motion(cycle.now_ns)
-            is_known = cycle.view.usable and now is not None
-            t, scene = cycle.t, cycle.view.scene if is_known else None
-            if image is None and scene is not None:
+            lines, now = camera(cycle), motion(cycle.now_ns)
+            view = cycle.view if cycle.view.usable and now is not None else None
+            if lines is None and view is not None and view.scene is not None:
                 continue  # this image was compared before
-            lines, since = image or Image({}, 0.0)
-            moved = None if scene is None or now is None else now.over(since)
-            result = check.update(t, scene, lines, moved, now)
+            t, moving = cycle.t, now or Motion(0.0, 0.0)
+            result = check.step(cycle.since_ns, view, moving, lines or ())
             counts[result.outcome] += 1
             alarms += result.raised
             if result.outcome is not last or t >= due - 1e-9:
@@ -161,54 +147,36 @@ def _check(arguments: argparse.Namespace) -> int:
 
 
 def _simulated(arguments: argparse.Namespace) -> Camera:
-    """Return a camera at a pose that differs from the stated one by a Gauss-Markov error."""
-    rng = np.random.default_rng(arguments.seed)
-    error: NDArray[np.float64] | None = None  # in units of the stated covariance
-    noise = np.diag(np.square(CAMERA_SIGMA))
+    """Return a simulated camera, whose lines ``--shift`` moves to the side from a time on."""
+    camera = CameraAtReportedPose(PERIOD, arguments.seed)
 
-    def image(cycle: ConsumerCycle) -> Image:
-        nonlocal error
-        scene = cycle.view.scene
-        if scene is None:
-            return Image({}, 0.0)
-        rho = math.exp(-PERIOD / scene.pose_error.correlation_time)
-        new = rng.standard_normal(3)
-        error = new if error is None else rho * error + math.sqrt(1 - rho**2) * new
-        # The true pose in the frame of the stated one.
-        true = -Gaussian(np.zeros(3), scene.pose_error.cov).root @ error
-        lines: dict[Slot, Gaussian | MapLine] = {}
-        for line in scene.lines:
-            mean = transform_line_or_nan(line.gaussian.mean, true, (line.x_min, line.x_max))
-            if np.isnan(mean).any():
-                continue
-            mean = mean + rng.standard_normal(4) * CAMERA_SIGMA
-            mean[0] += arguments.shift * (cycle.t >= arguments.shift_at)
-            lines[line.slot] = MapLine(
-                line.slot, Gaussian(mean, noise), x_min=line.x_min, x_max=line.x_max
-            )
-        return Image(lines, 0.0)
+    def lines(cycle: ConsumerCycle) -> list[MapLine]:
+        shift = arguments.shift * (cycle.t >= arguments.shift_at)
+        scene, age = cycle.view.scene, cycle.view.age
+        return [] if scene is None else camera.lines(scene, age, shift)
 
-    return image
+    return lines
 
 
 def _seen(new_lines: NewLines) -> Camera:
     """Return a camera whose lines arrive one by one."""
     known: dict[Slot, tuple[int, MapLine]] = {}  # with the time of each [ns]
 
-    def image(cycle: ConsumerCycle) -> Image | None:
-        arrived = new_lines(cycle.now_ns)
+    def lines(cycle: ConsumerCycle) -> list[MapLine] | None:
+        arrived, now_ns = new_lines(cycle.now_ns), cycle.now_ns
         for line in arrived:
-            known[line.slot] = cycle.now_ns - round(1e9 * line.age), line
+            known[line.slot] = now_ns - round(1e9 * line.age), line
         newest = max((t_ns for t_ns, _ in known.values()), default=0)
-        age = (cycle.now_ns - newest) / 1e9
-        if not known or age > OLDEST:
-            return Image({}, 0.0)
-        fresh: dict[Slot, Gaussian | MapLine] = {
-            slot: line for slot, (t_ns, line) in known.items() if newest - t_ns < 1e9 * PERIOD
-        }
-        return Image(fresh, cycle.view.age - age) if arrived else None
+        if not known or (now_ns - newest) / 1e9 > OLDEST:
+            return []
+        fresh = [
+            replace(line, age=(now_ns - t_ns) / 1e9)
+            for t_ns, line in known.values()
+            if newest - t_ns < 1e9 * PERIOD
+        ]
+        return fresh if arrived else None
 
-    return image
+    return lines
 
 
 def _print(t: float, result: Check, *, as_json: bool) -> None:

@@ -14,7 +14,7 @@ from ..consumers import FusedLane, LaneFusion
 from ..consumers.integrity import RISKS, multiplier
 from ..propagation import Motion
 from ..values.line import MapLine
-from ..wire import Codec
+from ..wire import Codec, SceneView
 from .consume_camera import COLUMNS, NewLines, add_camera, camera_of, check_camera
 from .consume_input import PERIOD, ConsumerCycle, Input, add_input, scene_codec
 from .consume_motion import MotionAt, add_motion, motion_of
@@ -46,6 +46,7 @@ class FusionInputs(NamedTuple):
     """Inputs of one step."""
 
     t_ns: int
+    view: SceneView
     motion: Motion
     camera: list[MapLine]
     true_centre: Any = None  #: (3,) at ``LANE_X`` [m], if it is known
@@ -98,7 +99,7 @@ def _print_rows(
     rows = 0
     try:
         for fusion, epoch in epochs:
-            lane = fusion.step(epoch.t_ns, epoch.motion, epoch.camera)
+            lane = fusion.step(epoch.t_ns, epoch.view, epoch.motion, epoch.camera)
             if last is None or abs(epoch.t_ns - last) >= round(1e9 * arguments.every) - 1:
                 last = epoch.t_ns
                 row = lane_dict(lane, epoch)
@@ -116,10 +117,10 @@ def _epochs(
     fusion, last = None, 0
     for cycle in cycles:
         if fusion is None or cycle.now_ns < last:  # the clock of the stamps was set back
-            fusion = LaneFusion(cycle.source)
+            fusion = LaneFusion()
         last = cycle.now_ns
         lines = [line for line in camera(last) if line.slot in LANE]
-        yield fusion, FusionInputs(last, motion(last) or UNKNOWN_MOTION, lines)
+        yield fusion, FusionInputs(last, cycle.view, motion(last) or UNKNOWN_MOTION, lines)
 
 
 def _simulated(
@@ -136,11 +137,11 @@ def _simulated(
     stream = CarStream(road_map, route, drive, codec, SIMULATED_TIME, arguments.seed)
     length = 60.0 if arguments.seconds is None else arguments.seconds
     end = min(SIMULATED_START + length, drive.duration - 1.0)
-    fusion = None
+    fusion = LaneFusion()
     for moment in stream(SIMULATED_START, end, 1 / PERIOD):
-        fusion = fusion or LaneFusion(moment.monitor)
+        view = moment.monitor.latest_scene(moment.t_ns)
         true = moment.true.mean(axis=0)
-        yield fusion, FusionInputs(moment.t_ns, moment.motion, moment.camera, true)
+        yield fusion, FusionInputs(moment.t_ns, view, moment.motion, moment.camera, true)
 
 
 def lane_dict(lane: FusedLane, epoch: FusionInputs) -> dict[str, Any]:

@@ -64,17 +64,21 @@ def add_input(parser: argparse.ArgumentParser, what: str) -> None:
 class ConsumerCycle(NamedTuple):
     """One period of a consumer."""
 
-    t: float  #: time since the first one [s]
+    since_ns: int  #: time since the first one, on a clock that is never set back [ns]
     now_ns: int  #: time on the clock of the frames' time stamps [ns]
     view: SceneView
-    source: Monitor | Receiver  #: from which it comes
+
+    @property
+    def t(self) -> float:
+        """Time since the first one [s]."""
+        return self.since_ns / 1e9
 
 
 #: Rows of a Parquet file that are read at a time.
 BATCH = 10_000
 
 #: Time since the start of some clock [ns], and a cycle without its time.
-Found = tuple[int, int, SceneView, Monitor | Receiver]
+Found = tuple[int, int, SceneView]
 
 
 class Input:
@@ -135,12 +139,12 @@ class Input:
     def _counted(self) -> Generator[ConsumerCycle, None, None]:
         first, most = None, self._arguments.seconds
         found = self._from_log() if self._arguments.log else self._from_bus()
-        for mono_ns, now_ns, view, source in found:
+        for mono_ns, now_ns, view in found:
             first = mono_ns if first is None else first
             if most is not None and mono_ns - first >= most * 1e9:
                 found.close()
                 return
-            yield ConsumerCycle((mono_ns - first) / 1e9, now_ns, view, source)
+            yield ConsumerCycle(mono_ns - first, now_ns, view)
 
     def _from_log(self) -> Generator[Found, None, None]:
         path, monitor = self._arguments.log, Monitor(self._decoder)
@@ -155,11 +159,11 @@ class Input:
             if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
                 due = frame.t_ns
             while frame.t_ns >= due:
-                yield due, due, monitor.latest_scene(due), monitor
+                yield due, due, monitor.latest_scene(due)
                 due += step
             monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
         if due is not None:
-            yield due, due, monitor.latest_scene(due), monitor
+            yield due, due, monitor.latest_scene(due)
 
     def _from_bus(self) -> Generator[Found, None, None]:
         with ExitStack() as stack:
@@ -169,9 +173,7 @@ class Input:
                 note(f"listening on {link.name}; stop with Ctrl-C")
             due = time.monotonic()
             while True:
-                yield (
-                    time.monotonic_ns(), receiver.now_ns(), receiver.latest_scene(), receiver,
-                )  # fmt: skip
+                yield time.monotonic_ns(), receiver.now_ns(), receiver.latest_scene()
                 due = max(due + PERIOD, time.monotonic())
                 receiver.wait(max(0.0, due - time.monotonic()))
 

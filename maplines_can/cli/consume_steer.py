@@ -39,15 +39,14 @@ def add_steer(commands: Any) -> None:
 
 
 def _steer(arguments: argparse.Namespace) -> int:
-    steering = LaneSteering(period=PERIOD)
+    steering = LaneSteering(period=PERIOD, set_speed=arguments.set_speed)
     motion = Motion(arguments.set_speed, 0.0)
     state: SteeringState | None = None
     due, engaged = 0.0, False
     source = Input(arguments)
     with source as cycles:
-        for t, _, view, _ in cycles:
-            scene = view.scene if view.usable else None
-            command = steering.update(t, scene, view.age, motion, arguments.set_speed)
+        for cycle in cycles:
+            t, command = cycle.t, steering.step(cycle.since_ns, cycle.view, motion)
             motion = Motion(command.speed, command.speed * command.curvature)
             engaged |= command.state is not SteeringState.HANDOVER
             if command.state is not state or t >= due - 1e-9:

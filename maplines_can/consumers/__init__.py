@@ -1,4 +1,4 @@
-"""Consumers of received lines: what a car does with them."""
+"""Consumers of received scenes, with one interface: fusion, steering, plausibility; integrity."""
 
 from .. import attach_stub
 

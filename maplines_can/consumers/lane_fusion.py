@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..propagation import Motion, pose_time_ns
+from ..propagation import Motion
 from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, square_root
 from ..values.line import MapLine, Slot
 from ..values.scene import PoseError, Scene
 from ..values.seen_lines import SeenLines
-from ..wire import SceneView, SlotView
+from ..wire import SceneView
+from .consumer import age_of, scene_view
 from .lane_filter import BIAS_SIGMA, BIAS_TIME, Handling, LaneFilter, N, move_lines
 
 Array = NDArray[np.float64]
@@ -28,16 +29,6 @@ MAX_GAP, MAX_AGE = 2.0, 0.5
 AGE_SIGMA = 0.004
 
 
-class SceneSource(Protocol):
-    """Source of received scenes: a ``Receiver``, ``LineListener`` or ``Monitor``."""
-
-    def latest_scene(self, now_ns: int) -> SceneView:
-        """Return the newest scene."""
-
-    def latest(self, slot: Slot, now_ns: int) -> SlotView:
-        """Return the newest line of a slot."""
-
-
 class FusedLane(NamedTuple):
     """The ego lane at one time."""
 
@@ -48,6 +39,11 @@ class FusedLane(NamedTuple):
     map_age: float  #: time since the pose of the newest scene that was used [s]; infinite before
     used: tuple[Slot, ...]  #: camera lines that were used
     rejected: tuple[Slot, ...]  #: camera lines beyond the gate
+
+    @property
+    def view(self) -> SceneView:
+        """The lane as a view for other consumers, such as ``LaneSteering``."""
+        return scene_view(self.scene)
 
 
 class LaneFusion:
@@ -65,7 +61,6 @@ class LaneFusion:
     does not fit, the road or the lane has changed. The lane begins with the first scene.
 
     Args:
-        source: of the scenes; None for camera lines only.
         handling: of the pose error at camera lines: ``"state"`` to estimate it, ``"consider"``, or
             None to choose by the correlation time.
         error_frame: frame in which the pose error lasts while the car turns: ``"map"`` for
@@ -79,7 +74,7 @@ class LaneFusion:
     >>> seen = [ml.MapLine.with_sigma(slot, [y, 0, 0, 0], [0.05, 0.005, 5e-4, 2e-5], x_max=50)
     ...         for slot, y in ((Slot.EGO_LEFT, 1.7), (Slot.EGO_RIGHT, -1.8))]
     >>> for k in range(100):
-    ...     lane = fusion.step(50_000_000 * k, ml.Motion(20.0, 0.0), camera=seen)
+    ...     lane = fusion.step(50_000_000 * k, None, ml.Motion(20.0, 0.0), seen)
     >>> lane.scene.width(0.0).value.round(3), lane.scene.centre(0.0).value.round(3)
     (np.float64(3.5), np.float64(-0.05))
     >>> bool(0.04 < lane.scene.centre(0.0).sigma < 0.06)  # the bias of the camera remains
@@ -88,7 +83,6 @@ class LaneFusion:
 
     def __init__(
         self,
-        source: SceneSource | None = None,
         *,
         handling: Handling | None = None,
         error_frame: Literal["map", "ego"] = "ego",
@@ -107,7 +101,7 @@ class LaneFusion:
             )
         if not bias_time > 0:
             raise ValueError(f"bias_time must be more than 0 s, got {bias_time!r}")
-        self._source, self._handling, self._frame = source, handling, error_frame
+        self._handling, self._frame = handling, error_frame
         self._biases = (*sigmas.tolist(),), bias_time
         self._t_ns: int | None = None
         self._restart()
@@ -122,14 +116,20 @@ class LaneFusion:
         self._done: tuple[tuple[int, int], frozenset[Slot]] | None = None  # scene and its lines
         self._map_ns: int | None = None
 
-    def step(self, now_ns: int, motion: Motion, camera: Iterable[MapLine] = ()) -> FusedLane:
-        """Advance the lane to a time, and fuse what has arrived since the last step.
+    def step(
+        self,
+        now_ns: int,
+        view: SceneView | None,
+        motion: Motion,
+        camera: Iterable[MapLine] = (),
+    ) -> FusedLane:
+        """Advance the lane to a time, and fuse what is new; see ``Consumer.step``.
 
         Args:
-            now_ns: time on the clock of the source, not before that of the last step [ns].
+            now_ns: time, not before that of the last step [ns].
+            view: newest scene, as received; None for camera lines only.
             motion: of the car since the last step.
-            camera: lines of the ego lane in the ego frame, of the time ``now_ns`` less their age,
-                or less the time since their ``t_ns`` and their age.
+            camera: lines of the ego lane.
 
         Raises:
             ValueError: the time is before that of the last step, or a camera line is of a slot
@@ -142,9 +142,11 @@ class LaneFusion:
                     f"camera lines must be of EGO_LEFT or EGO_RIGHT, got {line.slot.name}"
                 )
         self._advance(now_ns, motion)
-        if self._source is not None:
-            self._fuse_scene(self._source, now_ns, motion)
-        outcomes = [(line.slot, self._fuse_camera(line, now_ns, motion)) for line in camera]
+        if view is not None:
+            self._fuse_scene(view, now_ns, motion)
+        # The first camera line may be a false one, and no gate would find it.
+        usable = camera if view is None or self._map_ns is not None else []
+        outcomes = [(line.slot, self._fuse_camera(line, now_ns, motion)) for line in usable]
         return FusedLane(
             now_ns,
             self._scene(now_ns),
@@ -175,8 +177,7 @@ class LaneFusion:
         if not np.isfinite(self._filter.mean).all():  # a line is across the car's x axis
             self._restart()
 
-    def _fuse_scene(self, source: SceneSource, now_ns: int, motion: Motion) -> None:
-        view = source.latest_scene(now_ns)
+    def _fuse_scene(self, view: SceneView, now_ns: int, motion: Motion) -> None:
         if not view.usable or view.scene is None or view.received is None or view.age > MAX_AGE:
             return
         scene, key = view.scene, (view.received.t_ns, view.received.counter)
@@ -184,7 +185,7 @@ class LaneFusion:
         slots = [
             slot
             for slot in LANE
-            if slot in scene.index and slot not in before and source.latest(slot, now_ns).usable
+            if slot in scene.index and slot not in before and scene.line(slot).is_usable
         ]
         if not slots:
             return
@@ -214,11 +215,10 @@ class LaneFusion:
         self._filter.update_map(z, loading, cov, None, used)
 
     def _fuse_camera(self, line: MapLine, now_ns: int, motion: Motion) -> bool | None:
-        """Return whether a camera line was used; None if it is too old, or before the scenes."""
-        # The first camera line may be a false one, and no gate would find it.
-        if not line.is_usable or (self._source is not None and self._map_ns is None):
+        """Return whether a camera line was used; None if it is too old."""
+        if not line.is_usable:
             return None
-        age = line.age if line.t_ns is None else (now_ns - pose_time_ns(line)) / 1e9
+        age = age_of(line, now_ns)
         if not 0 <= age <= MAX_AGE:
             return None
         i, fit = LANE.index(line.slot), np.array([[line.x_min, max(line.x_max, line.x_min + 1)]])

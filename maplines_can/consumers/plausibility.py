@@ -24,13 +24,10 @@ from ..values.line import (
     transform_line_or_nan,
 )
 from ..values.scene import Scene
-from .consistency import (
-    SLOW,
-    CameraNoise,
-    ConsistencyTest,
-    ResidualModel,
-    threshold,
-)
+from ..wire import SceneView
+from .consistency import ConsistencyTest
+from .consumer import StepTimes, age_of
+from .residual_filter import SLOW, CameraNoise, ResidualModel, threshold
 
 #: Distances ahead at which lines are compared, less where a line is shorter [m].
 STATIONS = (2.0, 20.0)
@@ -119,16 +116,18 @@ class PlausibilityCheck:
     Raises:
         ValueError: the number is not more than 0 and at most 10, or the time is out of range.
 
-    >>> from maplines_can.consumers.consistency import WHITE_NOISE
+    >>> from maplines_can.consumers import scene_view
+    >>> from maplines_can.consumers.residual_filter import WHITE_NOISE
     >>> from maplines_can.values.scene import PoseError
     >>> pose = PoseError(np.diag([0.1, 0.1, 0.002]) ** 2, correlation_time=5.0)
     >>> line = MapLine(0, Gaussian([1.75, 0, 0, 0], np.diag([0.011, 4e-6, 0, 0])))
     >>> scene = Scene([line], line.gaussian.cov, pose, [[-20, 80]])
     >>> check = PlausibilityCheck(0.01, camera_noise=WHITE_NOISE, longest_pose_time=0.0)
     >>> seen = np.diag([0.05, 0.003, 1e-4, 1e-6]) ** 2
-    >>> check.update(0.0, scene, {Slot.EGO_LEFT: Gaussian([1.70, 0, 0, 0], seen)}).outcome.name
+    >>> for k, y_off in enumerate((1.70, 1.15)):
+    ...     image = [MapLine(0, Gaussian([y_off, 0, 0, 0], seen))]
+    ...     check.step(50_000_000 * k, scene_view(scene), Motion(0.0, 0.0), image).outcome.name
     'CONSISTENT'
-    >>> check.update(0.05, scene, {Slot.EGO_LEFT: Gaussian([1.15, 0, 0, 0], seen)}).outcome.name
     'INCONSISTENT'
     """
 
@@ -143,40 +142,42 @@ class PlausibilityCheck:
                 f"longest_pose_time must be finite and 0 s or more, got {self.longest_pose_time!r}"
             )
         self._test = ConsistencyTest(self.false_alarms, noise=self.camera_noise)
+        self._times = StepTimes()
         self._t = self._compared = -math.inf
         self._turn = 0.0  # of the car since the last comparison [rad]
         self._travel = 0.0  # since then [m]
         self._fits: dict[Slot, Fit] = {}  # of the last comparison
 
-    def update(
+    def step(
         self,
-        t: float,
-        scene: Scene | None,
-        camera: Mapping[Slot, Gaussian | MapLine],
-        displacement: Gaussian | None = None,
-        motion: Motion | None = None,
+        now_ns: int,
+        view: SceneView | None,
+        motion: Motion,
+        camera: Iterable[MapLine] = (),
     ) -> Check:
-        """Compare the lines of an image.
+        """Compare the lines of an image with those of a scene; see ``Consumer.step``.
 
         Args:
-            t: time of the image, later than that of the last one [s].
-            scene: received map lines; None if there are none that are usable.
-            camera: lines in the image, in the ego frame of its time, with the covariances of their
-                noise. Of a ``MapLine``, the valid range counts.
-            displacement: of the car from the time of the scene's pose to that of the image, from
-                ``Motion.over``; None for none.
-            motion: of the car since the last image; None for straight ahead.
+            now_ns: time, later than that of the last step [ns].
+            view: received map lines, of a pose before the image or after it.
+            motion: of the car since the last step.
+            camera: lines of one image, with the covariances of their noise. Their time is that of
+                the newest one. Without lines, only the motion counts.
 
         Raises:
-            ValueError: the time is not finite, or not later than the last one.
+            ValueError: the time is not later than that of the last step.
         """
-        if not self._t < t < math.inf:
-            raise ValueError(f"t must be finite and later than {self._t:g} s, got {t!r}")
-        if motion is not None and self._t > -math.inf:
+        t = self._times.next(now_ns)
+        if self._t > -math.inf:
             self._turn += motion.yaw_rate * (t - self._t)
             self._travel += motion.speed * (t - self._t)
         self._t = t
-        compared = None if scene is None else residuals(scene, camera, displacement)
+        scene = None if view is None or not view.usable else view.scene
+        compared = None
+        if view is not None and scene is not None:
+            seen = {line.slot: line for line in camera if line.is_usable}
+            age = min((age_of(line, now_ns) for line in seen.values()), default=view.age)
+            compared = residuals(scene, seen, motion.over(view.age - age))
         if scene is None or compared is None:
             return Check(Outcome.UNCHECKED, False, 0.0, (), None)
         slots, z, model = compared

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -10,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..propagation import map_scene
 from ..values.gaussian import Gaussian
-from ..values.line import MapLine, Slot
+from ..values.line import MapLine, Slot, transform_line_or_nan
 from ..values.polyline import Polyline
+from ..values.scene import Scene
 from .truth import Y_PLACES
 
 Array = NDArray[np.float64]
@@ -23,6 +25,8 @@ COLUMNS = [Y_PLACES.index(int(x)) for x in PLACES]
 #: Window in which a camera fits a cubic [m], with this deviation at most [m], and the range that
 #: it has to see [m].
 CAMERA_WINDOW, CAMERA_MISFIT, CAMERA_RANGE = (0.0, 50.0), 0.03, 25.0
+#: Noise of the lines of ``CameraAtReportedPose`` [m, rad, 1/m, 1/m^2].
+CAMERA_SIGMA = (0.05, 0.003, 2e-4, 2e-6)
 
 
 @dataclass(frozen=True)
@@ -94,6 +98,48 @@ def camera_view(
         cov = np.diag(np.square(errors.camera_sigma))
         found.append(MapLine(slot, Gaussian(y, cov), x_max=CAMERA_WINDOW[1] / 2))
     return found
+
+
+class CameraAtReportedPose:
+    """Camera of a car whose true pose differs from the reported one by a Gauss-Markov error.
+
+    It sees the lines of received scenes, from a pose whose error is as the scene states it.
+
+    Args:
+        period: time between two images [s].
+        seed: of the random numbers.
+    """
+
+    def __init__(self, period: float, seed: int = 0) -> None:
+        self._period, self._rng = period, np.random.default_rng(seed)
+        self._error: Array | None = None  # in units of the stated covariance
+
+    def lines(self, scene: Scene, age: float, shift: float = 0.0) -> list[MapLine]:
+        """Return the lines of the next image.
+
+        Args:
+            scene: as received.
+            age: of the image, which is of the time of the scene's pose [s].
+            shift: of all lines to the left [m].
+        """
+        rng = self._rng
+        rho = math.exp(-self._period / scene.pose_error.correlation_time)
+        new = rng.standard_normal(3)
+        old = self._error
+        self._error = new if old is None else rho * old + math.sqrt(1 - rho**2) * new
+        # The true pose in the frame of the reported one.
+        true = -Gaussian(np.zeros(3), scene.pose_error.cov).root @ self._error
+        noise = np.diag(np.square(CAMERA_SIGMA))
+        found = []
+        for line in scene.lines:
+            mean = transform_line_or_nan(line.gaussian.mean, true, (line.x_min, line.x_max))
+            if np.isnan(mean).any():
+                continue
+            mean = mean + rng.standard_normal(4) * CAMERA_SIGMA
+            mean[0] += shift
+            gaussian, valid = Gaussian(mean, noise), (line.x_min, line.x_max)
+            found.append(MapLine(line.slot, gaussian, x_min=valid[0], x_max=valid[1], age=age))
+        return found
 
 
 class UnitGaussMarkov:

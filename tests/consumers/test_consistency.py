@@ -10,16 +10,15 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag
 from scipy.stats import chi2, kstest
 
-from maplines_can.consumers.consistency import (
+from maplines_can.consumers.consistency import ConsistencyTest, window_lengths
+from maplines_can.consumers.residual_filter import (
     FAST,
     SLOW,
     WHITE_NOISE,
     CameraNoise,
-    ConsistencyTest,
     ResidualFilter,
     ResidualModel,
     threshold,
-    window_lengths,
 )
 
 DT, T = 0.05, 5.0

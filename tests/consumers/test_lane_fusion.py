@@ -56,9 +56,14 @@ class Car:
         self.cycle += 1
         return t_ns
 
+    def step(self, fusion: LaneFusion, t_ns: int, motion: Motion, camera: Any = ()) -> FusedLane:
+        """Fuse what has arrived by a time."""
+        return fusion.step(t_ns, self.monitor.latest_scene(t_ns), motion, camera)
+
     def run(self, fusion: LaneFusion, cycles: int, camera: Any = ()) -> FusedLane:
         for _ in range(cycles):
-            lane = fusion.step(self.send(), Motion.with_sigma(self.speed, 0, (0.1, 0.002)), camera)
+            t_ns, motion = self.send(), Motion.with_sigma(self.speed, 0, (0.1, 0.002))
+            lane = self.step(fusion, t_ns, motion, camera)
         return lane
 
 
@@ -71,7 +76,7 @@ def camera(y: float = 0.0) -> list[MapLine]:
 def test_scenes_with_one_pose_error_do_not_average() -> None:
     """After 3 s with a correlation time of 10 s, about one error was seen."""
     car = Car(across=0.3)
-    lane = car.run(LaneFusion(car.monitor), 60)
+    lane = car.run(LaneFusion(), 60)
     assert lane.scene is not None
     centre = lane.scene.centre(0.0)
     assert centre.value == pytest.approx(-0.3, abs=0.05)
@@ -83,7 +88,7 @@ def test_scenes_with_one_pose_error_do_not_average() -> None:
 def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
     """Two seconds after the camera has failed, the lane is still near the truth."""
     car = Car(across=0.3, time=30.0)
-    fusion = LaneFusion(car.monitor)
+    fusion = LaneFusion()
     lane = car.run(fusion, 60, camera())
     assert lane.used == LANE
     assert lane.pose_error is not None
@@ -96,19 +101,19 @@ def test_the_camera_finds_the_pose_error_and_the_lane_keeps_it() -> None:
 
 def test_an_unknown_correlation_time_gives_a_schmidt_filter() -> None:
     car = Car(across=0.3, time=np.inf)
-    lane = car.run(LaneFusion(car.monitor), 40, camera())
+    lane = car.run(LaneFusion(), 40, camera())
     assert lane.pose_error is not None
     assert not lane.pose_error.mean.any()
     assert lane.pose_error.sigma[1] == pytest.approx(0.2, rel=0.05)
     car = Car(across=0.3, time=np.inf)
-    lane = car.run(LaneFusion(car.monitor, handling="state"), 40, camera())
+    lane = car.run(LaneFusion(handling="state"), 40, camera())
     assert lane.pose_error is not None
     assert lane.pose_error.mean[1] > 0.1
 
 
 def test_a_false_camera_line_is_rejected() -> None:
     car = Car()
-    fusion = LaneFusion(car.monitor)
+    fusion = LaneFusion()
     car.run(fusion, 20, camera())
     false = [camera(1.5)[0], camera()[1]]
     lane = car.run(fusion, 1, false)
@@ -118,32 +123,32 @@ def test_a_false_camera_line_is_rejected() -> None:
 
 def test_without_scenes_the_lane_becomes_less_certain_and_ends() -> None:
     car = Car()
-    fusion = LaneFusion(car.monitor)
+    fusion = LaneFusion()
     lane = car.run(fusion, 20)
     assert lane.scene is not None
     sigma, x_max = lane.scene.centre(0.0).sigma, lane.scene.x_range(LANE)[1]
     t_ns, scene = lane.t_ns, lane.scene
     for k in range(1, 60):
-        lane = fusion.step(t_ns + k * CYCLE, Motion.with_sigma(10.0, 0, (0.1, 0.02)))
+        lane = car.step(fusion, t_ns + k * CYCLE, Motion.with_sigma(10.0, 0, (0.1, 0.02)))
         scene = lane.scene or scene
     assert scene.centre(0.0).sigma > sigma
     assert scene.x_range(LANE)[1] == pytest.approx(x_max - 29.5, abs=0.6)
     for k in range(60, 200):
-        lane = fusion.step(t_ns + k * CYCLE, Motion(10.0, 0))
+        lane = car.step(fusion, t_ns + k * CYCLE, Motion(10.0, 0))
     assert lane.scene is None
 
 
 def test_a_long_gap_starts_again() -> None:
     car = Car()
-    fusion = LaneFusion(car.monitor)
+    fusion = LaneFusion()
     lane = car.run(fusion, 20)
-    assert fusion.step(lane.t_ns + 10**10, Motion(10.0, 0)).scene is None
+    assert car.step(fusion, lane.t_ns + 10**10, Motion(10.0, 0)).scene is None
 
 
 def test_one_line_alone_leaves_the_other_one_unknown() -> None:
     car = Car()
     car.slots = LANE[:1]
-    lane = car.run(LaneFusion(car.monitor), 20)
+    lane = car.run(LaneFusion(), 20)
     assert lane.scene is not None
     assert lane.scene.line(LANE[0]).y_sigma(0.0) < 0.25
     assert lane.scene.line(LANE[1]).y_sigma(0.0) > 10
@@ -152,9 +157,9 @@ def test_one_line_alone_leaves_the_other_one_unknown() -> None:
 def test_a_scene_is_used_once() -> None:
     """Steps without a new scene change nothing while the car stands."""
     car = Car(speed=0.0)
-    fusion = LaneFusion(car.monitor)
+    fusion = LaneFusion()
     lane = car.run(fusion, 20)
-    again = fusion.step(lane.t_ns, Motion(0, 0))
+    again = car.step(fusion, lane.t_ns, Motion(0, 0))
     assert lane.scene is not None
     assert again.scene is not None
     assert np.array_equal(lane.scene.cov, again.scene.cov)
@@ -163,9 +168,9 @@ def test_a_scene_is_used_once() -> None:
 @pytest.mark.parametrize("frame", ["map", "ego"])
 def test_both_error_frames_work_in_a_turn(frame: Any) -> None:
     car = Car()
-    fusion = LaneFusion(car.monitor, error_frame=frame)
+    fusion = LaneFusion(error_frame=frame)
     car.run(fusion, 20)
-    lane = fusion.step(car.send(), Motion(10.0, 0.1))
+    lane = car.step(fusion, car.send(), Motion(10.0, 0.1))
     assert lane.scene is not None
     assert np.isfinite(lane.scene.cov).all()
 
@@ -173,7 +178,7 @@ def test_both_error_frames_work_in_a_turn(frame: Any) -> None:
 def test_an_old_camera_line_is_not_used() -> None:
     fusion = LaneFusion()
     old = [MapLine(Slot.EGO_LEFT, Gaussian([1.75, 0, 0, 0], CAMERA_COV), age=0.6)]
-    lane = fusion.step(0, Motion(0, 0), old)
+    lane = fusion.step(0, None, Motion(0, 0), old)
     assert lane == FusedLane(0, None, None, np.inf, (), ())
 
 
@@ -193,9 +198,9 @@ def test_wrong_settings(call: Any, message: str) -> None:
 
 def test_time_does_not_run_backwards_and_slots_are_of_the_lane() -> None:
     fusion = LaneFusion()
-    fusion.step(100, Motion(0, 0))
+    fusion.step(100, None, Motion(0, 0))
     with pytest.raises(ValueError, match="now_ns must be 100 or later, got 99"):
-        fusion.step(99, Motion(0, 0))
+        fusion.step(99, None, Motion(0, 0))
     other = [MapLine(Slot.CENTRE, Gaussian([0, 0, 0, 0], CAMERA_COV))]
     with pytest.raises(ValueError, match="must be of EGO_LEFT or EGO_RIGHT, got CENTRE"):
-        fusion.step(100, Motion(0, 0), other)
+        fusion.step(100, None, Motion(0, 0), other)

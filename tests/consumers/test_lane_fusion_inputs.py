@@ -1,7 +1,6 @@
 """What lane fusion takes of scenes and camera lines, by a source that a test controls."""
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,11 +8,13 @@ import pytest
 from scipy.linalg import block_diag
 
 from maplines_can import Gaussian, MapLine, Motion, PoseError, Scene, Slot
-from maplines_can.consumers import LaneFusion
+from maplines_can.consumers import LaneFusion, scene_view
 from maplines_can.consumers.lane_filter import LaneFilter, move_lines
 from maplines_can.consumers.lane_fusion import positive_part
 from maplines_can.propagation import predict
 from maplines_can.values.seen_lines import SeenLines
+from maplines_can.wire import SceneView
+from maplines_can.wire.reception.scenes import ReceivedScene
 
 LANE = (Slot.EGO_LEFT, Slot.EGO_RIGHT)
 P = np.diag([0.3, 0.2, 0.003]) ** 2
@@ -50,16 +51,19 @@ class Source:
 
     def __init__(self, scene: Scene | None = None, age: float = 0.0) -> None:
         self.scene, self.age, self.usable, self.t_ns, self.counter = scene, age, True, 0, 0
-        self.usable_slots: set[Slot] = set(LANE)
+        self.slots: set[Slot] = set(LANE)  #: of the lines that have come
 
-    def latest_scene(self, _now_ns: int) -> Any:
-        received = SimpleNamespace(t_ns=self.t_ns, counter=self.counter)
-        return SimpleNamespace(
-            usable=self.usable, scene=self.scene, received=received, age=self.age
+    @property
+    def view(self) -> SceneView:
+        scene = (
+            None
+            if self.scene is None
+            else self.scene.subset(
+                line.slot for line in self.scene.lines if line.slot in self.slots
+            )
         )
-
-    def latest(self, slot: Slot, _now_ns: int) -> Any:
-        return SimpleNamespace(usable=slot in self.usable_slots)
+        received = None if scene is None else ReceivedScene(scene, self.counter, self.t_ns, 0.0)
+        return scene_view(scene, self.age)._replace(stale=not self.usable, received=received)
 
 
 def lateral_sigmas(lane: Any) -> list[float]:
@@ -77,7 +81,7 @@ def seen_by_camera(y: float = 0.0, slots: Any = LANE, **rest: Any) -> list[MapLi
 def test_the_first_scene_is_the_lane(age: float, slots: Any) -> None:
     """Moved to the present as ``predict`` does; its own errors count twice, with their noise."""
     scene = scene_of(slots)
-    lane = LaneFusion(Source(scene, age)).step(SECOND, DRIVING)
+    lane = LaneFusion().step(SECOND, Source(scene, age).view, DRIVING)
     assert lane.scene is not None
     moved = DRIVING.over(age, 0.004)
     for slot in slots:
@@ -107,7 +111,7 @@ def test_the_first_scene_is_the_lane(age: float, slots: Any) -> None:
 
 def test_both_lines_share_the_pose_error() -> None:
     """The width of the lane has nothing of it, its centre has all of it."""
-    lane = LaneFusion(Source(scene_of())).step(0, STILL)
+    lane = LaneFusion().step(0, Source(scene_of()).view, STILL)
     assert lane.scene is not None
     both = np.hypot(0.05, 0.05)
     assert lane.scene.width(0.0).sigma == pytest.approx(both * 2**0.5, rel=0.02)
@@ -122,22 +126,22 @@ def test_both_lines_share_the_pose_error() -> None:
         ({"scene": None}, False),
         ({"age": 0.5}, True),
         ({"age": 0.501}, False),
-        ({"usable_slots": set()}, False),
+        ({"slots": set()}, False),
     ],
 )
 def test_which_scenes_are_used(change: Any, is_used: bool) -> None:
     source = Source(scene_of())
     for name, value in change.items():
         setattr(source, name, value)
-    lane = LaneFusion(source).step(0, STILL)
+    lane = LaneFusion().step(0, source.view, STILL)
     assert (lane.scene is not None) is is_used
     assert math.isfinite(lane.map_age) is is_used
 
 
 def test_a_slot_that_is_not_usable_is_left_out() -> None:
     source = Source(scene_of())
-    source.usable_slots = {Slot.EGO_RIGHT}
-    left, right = lateral_sigmas(LaneFusion(source).step(0, STILL))
+    source.slots = {Slot.EGO_RIGHT}
+    left, right = lateral_sigmas(LaneFusion().step(0, source.view, STILL))
     assert left > 25
     assert right < 0.3
 
@@ -145,12 +149,12 @@ def test_a_slot_that_is_not_usable_is_left_out() -> None:
 def test_a_line_that_comes_later_in_its_scene_is_added() -> None:
     """And the line that was there is not fused again."""
     source = Source(scene_of())
-    source.usable_slots = {Slot.EGO_LEFT}
-    fusion = LaneFusion(source)
-    first = lateral_sigmas(fusion.step(0, STILL))
-    source.usable_slots = set(LANE)
-    second = lateral_sigmas(fusion.step(0, STILL))
-    third = lateral_sigmas(fusion.step(0, STILL))
+    source.slots = {Slot.EGO_LEFT}
+    fusion = LaneFusion()
+    first = lateral_sigmas(fusion.step(0, source.view, STILL))
+    source.slots = set(LANE)
+    second = lateral_sigmas(fusion.step(0, source.view, STILL))
+    third = lateral_sigmas(fusion.step(0, source.view, STILL))
     assert second[0] == pytest.approx(first[0], rel=0.03)
     assert second[1] < 0.3 < 25 < first[1]
     assert third == second
@@ -160,10 +164,10 @@ def test_a_line_that_comes_later_in_its_scene_is_added() -> None:
 def test_another_scene_is_used(name: str) -> None:
     """With another time or another counter."""
     source = Source(scene_of())
-    fusion = LaneFusion(source)
-    first = fusion.step(0, STILL)
+    fusion = LaneFusion()
+    first = fusion.step(0, source.view, STILL)
     setattr(source, name, 1)
-    second = fusion.step(0, STILL)
+    second = fusion.step(0, source.view, STILL)
     assert first.scene is not None
     assert second.scene is not None
     assert second.scene.width(0.0).sigma < 0.95 * first.scene.width(0.0).sigma
@@ -171,21 +175,21 @@ def test_another_scene_is_used(name: str) -> None:
 
 def test_the_age_of_the_map_is_that_of_the_newest_scene_that_was_used() -> None:
     source = Source(scene_of(), age=0.25)
-    fusion = LaneFusion(source)
-    assert fusion.step(2 * SECOND, STILL).map_age == pytest.approx(0.25)
+    fusion = LaneFusion()
+    assert fusion.step(2 * SECOND, source.view, STILL).map_age == pytest.approx(0.25)
     source.usable = False
-    assert fusion.step(3 * SECOND, STILL).map_age == pytest.approx(1.25)
+    assert fusion.step(3 * SECOND, source.view, STILL).map_age == pytest.approx(1.25)
     source.usable, source.counter = True, 1
-    assert fusion.step(3 * SECOND + 1, STILL).map_age == pytest.approx(0.25)
+    assert fusion.step(3 * SECOND + 1, source.view, STILL).map_age == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(("gap_ns", "lasts"), [(2 * SECOND, True), (2 * SECOND + 1, False)])
 def test_a_gap_of_more_than_two_seconds_starts_again(gap_ns: int, lasts: bool) -> None:
     source = Source(scene_of())
-    fusion = LaneFusion(source)
-    fusion.step(0, STILL)
+    fusion = LaneFusion()
+    fusion.step(0, source.view, STILL)
     source.usable = False
-    lane = fusion.step(gap_ns, STILL)
+    lane = fusion.step(gap_ns, source.view, STILL)
     assert (lane.scene is not None) is lasts
     assert (lane.pose_error is not None) is lasts
     assert math.isfinite(lane.map_age) is lasts
@@ -195,10 +199,10 @@ def test_a_gap_of_more_than_two_seconds_starts_again(gap_ns: int, lasts: bool) -
 def test_the_lane_ends_where_its_shorter_line_does(metres: float) -> None:
     """The valid ranges move with the car; the right line is valid up to 55 m."""
     source = Source(scene_of())
-    fusion = LaneFusion(source)
-    fusion.step(0, STILL)
+    fusion = LaneFusion()
+    fusion.step(0, source.view, STILL)
     source.usable = False
-    lane = fusion.step(SECOND, Motion(metres, 0.0))
+    lane = fusion.step(SECOND, source.view, Motion(metres, 0.0))
     if metres > 55:
         assert lane.scene is None
         return
@@ -212,13 +216,13 @@ def test_the_lane_ends_where_its_shorter_line_does(metres: float) -> None:
 def test_a_lane_that_the_car_stands_across_starts_again() -> None:
     """After a turn of 100 degrees no line is a function of x."""
     source = Source(scene_of())
-    fusion = LaneFusion(source)
-    fusion.step(0, STILL)
+    fusion = LaneFusion()
+    fusion.step(0, source.view, STILL)
     source.usable = False
-    lane = fusion.step(SECOND, Motion(0.0, 1.75))
+    lane = fusion.step(SECOND, source.view, Motion(0.0, 1.75))
     assert (lane.scene, lane.pose_error, lane.map_age) == (None, None, math.inf)
     source.usable = True
-    assert fusion.step(SECOND, STILL).scene is not None
+    assert fusion.step(SECOND, source.view, STILL).scene is not None
 
 
 @pytest.mark.parametrize(
@@ -236,7 +240,7 @@ def test_a_lane_that_the_car_stands_across_starts_again() -> None:
 )
 def test_which_camera_lines_are_used(ages: Any, is_used: bool) -> None:
     """By the age that they state, and the time since their reception."""
-    lane = LaneFusion().step(5 * SECOND, STILL, seen_by_camera(**ages))
+    lane = LaneFusion().step(5 * SECOND, None, STILL, seen_by_camera(**ages))
     assert lane.used == (LANE if is_used else ())
     assert lane.rejected == ()
     assert (lane.scene is not None) is is_used
@@ -246,11 +250,11 @@ def test_a_camera_line_is_not_used_before_the_first_scene() -> None:
     """If there is a source of scenes: no gate would find that it is a false one."""
     source = Source(scene_of())
     source.usable = False
-    fusion = LaneFusion(source)
-    lane = fusion.step(0, STILL, seen_by_camera())
+    fusion = LaneFusion()
+    lane = fusion.step(0, source.view, STILL, seen_by_camera())
     assert (lane.scene, lane.used, lane.rejected) == (None, (), ())
     source.usable = True
-    assert fusion.step(0, STILL, seen_by_camera()).used == LANE
+    assert fusion.step(0, source.view, STILL, seen_by_camera()).used == LANE
 
 
 @pytest.mark.parametrize("age", [0.0, 0.3])
@@ -258,7 +262,7 @@ def test_the_first_camera_lines_are_the_lane(age: float) -> None:
     """Without a map: the line of its time, moved to the present, with the biases of the camera."""
     slots = LANE[:1]
     lane = LaneFusion(bias_sigma=(0.04, 0.003, 1e-4, 0.0)).step(
-        SECOND, DRIVING, seen_by_camera(slots=slots, age=age)
+        SECOND, None, DRIVING, seen_by_camera(slots=slots, age=age)
     )
     assert lane.scene is not None
     moved = DRIVING.over(age)
@@ -277,8 +281,8 @@ def test_the_first_camera_lines_are_the_lane(age: float) -> None:
 
 
 def test_camera_lines_do_not_set_the_ranges_of_a_map() -> None:
-    fusion = LaneFusion(Source(scene_of()))
-    lane = fusion.step(0, STILL, seen_by_camera())
+    fusion, source = LaneFusion(), Source(scene_of())
+    lane = fusion.step(0, source.view, STILL, seen_by_camera())
     assert lane.scene is not None
     assert lane.scene.fit_ranges == pytest.approx(RANGES)
 
@@ -289,26 +293,26 @@ def test_the_pose_error_lasts_in_its_frame(frame: Any, turn: float) -> None:
     """While the car turns, one in the frame of the map turns the other way relative to the car."""
     pose = np.diag([0.3, 0.3, 1e-4]) ** 2
     source = Source(scene_of(pose=pose, time=1e6))
-    fusion = LaneFusion(source, error_frame=frame, handling="state")
+    fusion = LaneFusion(error_frame=frame, handling="state")
     for k in range(5):
         source.counter = k
-        lane = fusion.step(0, STILL, seen_by_camera(0.3))
+        lane = fusion.step(0, source.view, STILL, seen_by_camera(0.3))
     assert lane.pose_error is not None
     along, across = before = lane.pose_error.mean[:2]
     assert across == pytest.approx(0.3, abs=0.15)
     source.scene = scene_of(means=MEANS - [0, turn, 0, 0], pose=pose, time=1e6)
     source.usable = False
     for k in (1, 2):  # what the car has turned adds up
-        fusion.step(k * SECOND, Motion(0.0, turn / 2))
+        fusion.step(k * SECOND, source.view, Motion(0.0, turn / 2))
     source.usable, source.counter = True, 99
-    lane = fusion.step(2 * SECOND, STILL)
+    lane = fusion.step(2 * SECOND, source.view, STILL)
     assert lane.pose_error is not None
     c, d = math.cos(turn), math.sin(turn)
     turned = [c * along + d * across, c * across - d * along]
     expected = turned if frame == "map" else before
     assert lane.pose_error.mean[:2] == pytest.approx(expected, abs=1e-5)
     source.counter = 100  # the turn counts once
-    lane = fusion.step(2 * SECOND, STILL)
+    lane = fusion.step(2 * SECOND, source.view, STILL)
     assert lane.pose_error is not None
     assert lane.pose_error.mean[:2] == pytest.approx(expected, abs=1e-5)
 
@@ -324,8 +328,8 @@ def test_the_pose_error_lasts_in_its_frame(frame: Any, turn: float) -> None:
 )
 def test_who_estimates_the_pose_error(time: float, handling: Any, estimates: bool) -> None:
     """A known correlation time, or the caller's will."""
-    fusion = LaneFusion(Source(scene_of(time=time)), handling=handling)
-    lane = fusion.step(0, STILL, seen_by_camera(0.2))
+    fusion, source = LaneFusion(handling=handling), Source(scene_of(time=time))
+    lane = fusion.step(0, source.view, STILL, seen_by_camera(0.2))
     assert lane.pose_error is not None
     assert bool(lane.pose_error.mean.any()) is estimates
     assert bool(lane.pose_error.sigma[1] < 0.19) is estimates
@@ -337,10 +341,10 @@ def test_who_estimates_the_pose_error(time: float, handling: Any, estimates: boo
 def test_the_pose_error_is_forgotten_with_its_correlation_time() -> None:
     """A prediction of T ln 2 takes half of its mean."""
     source = Source(scene_of(time=2.0))
-    fusion = LaneFusion(source)
-    first = fusion.step(0, STILL, seen_by_camera(0.2))
+    fusion = LaneFusion()
+    first = fusion.step(0, source.view, STILL, seen_by_camera(0.2))
     source.usable = False
-    lane = fusion.step(round(2 * math.log(2) * SECOND), STILL)
+    lane = fusion.step(round(2 * math.log(2) * SECOND), source.view, STILL)
     assert first.pose_error is not None
     assert lane.pose_error is not None
     assert lane.pose_error.mean == pytest.approx(first.pose_error.mean / 2)
@@ -349,14 +353,14 @@ def test_the_pose_error_is_forgotten_with_its_correlation_time() -> None:
 def test_the_steps_are_those_of_a_lane_filter() -> None:
     """Scenes of other ages, camera lines and motions, against the filter with the same inputs."""
     source, peer = Source(scene_of(time=5.0)), LaneFilter()
-    fusion, fits = LaneFusion(source), RANGES
+    fusion, fits = LaneFusion(), RANGES
     root = np.linalg.cholesky(P)
     for k in range(4):
         source.counter, source.age = k, 0.05 * k
         if k:
             moved = DRIVING.over(0.1)
             peer.predict(moved.mean, moved.cov, 0.1, fits, 5.0)
-        lane = fusion.step(k * 100_000_000, DRIVING, seen_by_camera(0.01 * k, age=0.1))
+        lane = fusion.step(k * 100_000_000, source.view, DRIVING, seen_by_camera(0.01 * k, age=0.1))
         assert source.scene is not None
         moved = DRIVING.over(source.age, 0.004)
         lines, F, G = move_lines(MEANS, moved.mean, RANGES)
@@ -395,4 +399,4 @@ def test_the_positive_part_has_no_negative_eigenvalue() -> None:
 def test_biases_are_four_finite_standard_deviations(wrong: Any) -> None:
     with pytest.raises(ValueError, match="bias_sigma must be 4 numbers"):
         LaneFusion(bias_sigma=wrong)
-    assert LaneFusion(bias_sigma=(0, 0, 0, 0)).step(0, STILL).scene is None
+    assert LaneFusion(bias_sigma=(0, 0, 0, 0)).step(0, None, STILL).scene is None

@@ -1,6 +1,7 @@
 """Check of scenes against camera lines: faults, missing lines, the suspect."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -8,9 +9,10 @@ import numpy as np
 import pytest
 
 from maplines_can import Gaussian, MapError, MapLine, Motion, Polyline, Scene, Slot, map_scene
-from maplines_can.consumers.consistency import WHITE_NOISE
+from maplines_can.consumers import WHITE_NOISE, scene_view
 from maplines_can.consumers.plausibility import (
     CameraBias,
+    Check,
     Outcome,
     PlausibilityCheck,
     residuals,
@@ -19,6 +21,7 @@ from maplines_can.consumers.plausibility import (
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT
 NOISE = np.diag([0.05, 0.003, 2e-4, 2e-6]) ** 2
 SIGMA = np.array([0.3, 0.1, 0.003])
+STILL = Motion(0.0, 0.0)
 
 
 def lane_scene(
@@ -42,6 +45,21 @@ def camera(scene: Scene, **shifts: float) -> dict[Slot, Gaussian]:
         )
         for line in scene.lines
     }
+
+
+def step(
+    check: PlausibilityCheck,
+    t: float,
+    scene: Scene | None,
+    seen: Mapping[Slot, Gaussian | MapLine],
+    motion: Motion = STILL,
+) -> Check:
+    """Compare the lines of an image at a time [s], with those of a scene of the same time."""
+    lines = [
+        line if isinstance(line, MapLine) else MapLine(slot, line, x_min=-20, x_max=80)
+        for slot, line in seen.items()
+    ]
+    return check.step(round(1e9 * t), scene_view(scene), motion, lines)
 
 
 def test_residuals_follow_the_pose_error() -> None:
@@ -98,8 +116,8 @@ def test_faults_are_found_in_a_few_images(
     scene = lane_scene()
     check = PlausibilityCheck(**known)
     for k in range(20):
-        assert check.update(0.05 * k, scene, camera(scene)).outcome is Outcome.CONSISTENT
-    found = [check.update(1.0 + 0.05 * k, scene, camera(scene, **shifts)) for k in range(5)]
+        assert step(check, 0.05 * k, scene, camera(scene)).outcome is Outcome.CONSISTENT
+    found = [step(check, 1.0 + 0.05 * k, scene, camera(scene, **shifts)) for k in range(5)]
     first = found[images - 1]
     assert [one.raised for one in found].index(True) == images - 1
     assert first.outcome is Outcome.INCONSISTENT
@@ -133,7 +151,7 @@ def test_no_alarm_if_the_noise_lasts_or_has_heavy_tails(time: float, heavy: bool
             for (slot, line), noise in zip(camera(scene).items(), lasting, strict=True)
         }
         for i, check in enumerate(checks):
-            alarms[i] += check.update(0.05 * k, scene, seen).raised
+            alarms[i] += step(check, 0.05 * k, scene, seen).raised
     assert alarms[0] == 0
     assert alarms[1] > 0
 
@@ -144,7 +162,7 @@ def test_agreement_with_noise() -> None:
     for k in range(300):
         noise = rng.multivariate_normal(np.zeros(4), NOISE)
         seen = {s: Gaussian(g.mean + noise, NOISE) for s, g in camera(scene).items()}
-        assert check.update(0.05 * k, scene, seen).outcome is Outcome.CONSISTENT
+        assert step(check, 0.05 * k, scene, seen).outcome is Outcome.CONSISTENT
 
 
 @pytest.mark.parametrize(
@@ -161,7 +179,7 @@ def test_agreement_with_noise() -> None:
     ],
 )
 def test_without_a_common_line_nothing_is_checked(scene: Any, seen: Any) -> None:
-    found = PlausibilityCheck().update(0.0, scene, seen)
+    found = step(PlausibilityCheck(), 0.0, scene, seen)
     assert (found.outcome, found.slots) == (Outcome.UNCHECKED, ())
 
 
@@ -169,7 +187,7 @@ def test_lines_come_and_go_without_an_alarm() -> None:
     both = lane_scene()
     one = both.subset([LEFT])
     check = PlausibilityCheck()
-    found = [check.update(0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]
+    found = [step(check, 0.05 * k, (both, one)[k // 3 % 2], camera(both)) for k in range(60)]
     assert {check.outcome for check in found} == {Outcome.CONSISTENT}
     assert {check.slots for check in found} == {(LEFT, RIGHT), (LEFT,)}
 
@@ -183,7 +201,8 @@ def test_another_line_has_errors_of_its_own(known: dict[str, Any]) -> None:
     before, after = lane_scene((0, 1.65, 0), offset=0.2), lane_scene((0, -1.85, 0), offset=0.2)
     check, ahead = PlausibilityCheck(1.0, **known), Motion(10.0, 0.0)
     found = [
-        check.update(
+        step(
+            check,
             0.05 * k,
             scene,
             camera(scene, EGO_LEFT=side * 0.3, EGO_RIGHT=-side * 0.3),
@@ -205,22 +224,22 @@ def test_the_motion_of_an_outage_counts() -> None:
         )
         for _ in range(40):
             t += 0.05
-            check.update(t, scene, camera(scene, EGO_LEFT=0.2, EGO_RIGHT=0.2))
+            step(check, t, scene, camera(scene, EGO_LEFT=0.2, EGO_RIGHT=0.2))
         for _ in range(10):
             t += 0.05
-            check.update(t, None, {}, motion=Motion(5.0, yaw_rate))
+            step(check, t, None, {}, motion=Motion(5.0, yaw_rate))
         t += 0.05
-        return check.update(t, scene, camera(scene, EGO_LEFT=-0.4, EGO_RIGHT=-0.4)).statistic
+        return step(check, t, scene, camera(scene, EGO_LEFT=-0.4, EGO_RIGHT=-0.4)).statistic
 
     assert statistic(math.pi) < 1 < statistic(0.0)
 
 
 def test_time_must_increase() -> None:
     check = PlausibilityCheck()
-    check.update(1.0, None, {})
+    step(check, 1.0, None, {})
     for t in (1.0, 0.5, math.nan, math.inf):
-        with pytest.raises(ValueError, match="t must be finite and later than 1 s"):
-            check.update(t, None, {})
+        with pytest.raises(ValueError, match="now_ns must be finite and later than 1000000000 ns"):
+            check.step(1e9 * t, None, STILL)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("name", ["offset", "heading"])

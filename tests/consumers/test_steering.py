@@ -10,18 +10,15 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
+from maplines_can.consumers import scene_view
 from maplines_can.consumers.path import Path
+from maplines_can.consumers.preview_control import COST, SLOW, model, preview_gains, riccati
+from maplines_can.consumers.speed_limit import CUT, fastest
 from maplines_can.consumers.steering import (
-    COST,
-    CUT,
-    SLOW,
     LaneSteering,
     SteeringLimits,
     SteeringReason,
     SteeringState,
-    model,
-    preview_gains,
-    riccati,
 )
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.simulation import STREETS
@@ -41,12 +38,19 @@ def straight(sigma: float = 0.05, reach: float = 80.0, offset: float = 0.0) -> S
     return Scene(lines, np.kron(np.eye(2), cov), POSE, np.array([[-4.0, reach]] * 2))
 
 
+def ns(t: float) -> int:
+    """Nanoseconds of a time [s]."""
+    return round(1e9 * t)
+
+
 def driven(
     steering: LaneSteering, scenes: Sequence[Scene | None], speed: float = 10.0, first: float = 0.0
 ) -> list[Any]:
     """Commands in successive periods, of a car that drives straight ahead."""
+    steering.set_speed = 13.9
+    motion = Motion(speed, 0.0)
     return [
-        steering.update(first + 0.05 * k, scene, 0.05, Motion(speed, 0.0), 13.9)
+        steering.step(ns(first + 0.05 * k), scene_view(scene, 0.05), motion)
         for k, scene in enumerate(scenes)
     ]
 
@@ -139,7 +143,7 @@ def test_it_can_stop_where_the_lines_end() -> None:
     assert (command.state, command.reason) == (SteeringState.SLOWING, SteeringReason.RANGE)
     limits = SteeringLimits()
     reach = command.path.reach
-    v = LaneSteering()._fastest(command.path, 10.0, 13.9)[1]
+    v = fastest(command.path, 10.0, 13.9, SteeringLimits())[1]
     stopping = v * limits.reaction + v**2 / (2 * limits.deceleration)
     assert stopping == pytest.approx(reach)
 
@@ -198,10 +202,10 @@ def test_a_scene_without_the_line_of_the_route_is_not_used() -> None:
         lane.lines[0], slot=Slot.ROUTE, gaussian=Gaussian([0, 0, 0, 0], np.eye(4) * 1e-9)
     )
     with_route = Scene((line,), line.gaussian.cov, POSE, lane.fit_ranges[:1])
-    steering, states = LaneSteering(), []
+    steering, states = LaneSteering(route=Slot.ROUTE), []
     for k in range(20):
         scene = with_route if k < 5 else lane
-        command = steering.update(0.05 * k, scene, 0.05, Motion(5.0, 0.0), 13.9, Slot.ROUTE)
+        command = steering.step(ns(0.05 * k), scene_view(scene, 0.05), Motion(5.0, 0.0))
         states.append(command.state)
     assert SteeringState.HANDOVER not in states[:13]
     assert states[-1] is SteeringState.HANDOVER
@@ -219,21 +223,21 @@ def corner_path(speed: float) -> Any:
     scene = map_scene(
         lines, Gaussian(np.zeros(3), np.diag([0.1, 0.1, 0.003]) ** 2), window=(-4, 60)
     )
-    return LaneSteering().update(0.0, scene, 0.05, Motion(speed, speed / 12), 13.9)
+    return LaneSteering().step(0, scene_view(scene, 0.05), Motion(speed, speed / 12))
 
 
 def test_curves_limit_the_lateral_acceleration() -> None:
     command = corner_path(4.0)
     assert command.reason is SteeringReason.CURVE
-    fastest = LaneSteering()._fastest(command.path, 4.0, 13.9)[1]
+    most = fastest(command.path, 4.0, 13.9, SteeringLimits())[1]
     worst = np.abs(command.path.curvature).max()
-    assert math.sqrt(2.0 / worst) <= fastest + 1e-9 <= math.sqrt(2.0 * 12) * 1.1
+    assert math.sqrt(2.0 / worst) <= most + 1e-9 <= math.sqrt(2.0 * 12) * 1.1
 
 
 def test_a_curve_that_is_too_tight_is_handed_over() -> None:
     path = corner_path(4.0).path
-    steering = LaneSteering(SteeringLimits(curvature=1 / 15))
-    assert steering._fastest(path, 4.0, 13.9) == (SteeringReason.TIGHT, 0.0)
+    limits = SteeringLimits(curvature=1 / 15)
+    assert fastest(path, 4.0, 13.9, limits) == (SteeringReason.TIGHT, 0.0)
 
 
 def bend_path(curvature: float, first: float, length: float) -> Path:
@@ -261,7 +265,7 @@ def test_a_curve_is_too_tight_if_the_car_leaves_the_path_at_full_lock(
     e = curvature - k
     length = math.sqrt(2 * CUT / (e + e**2 / k))
     path = bend_path(side * curvature, 0.0, share * length)
-    assert LaneSteering()._fastest(path, 2.0, 2.0)[0] is reason
+    assert fastest(path, 2.0, 2.0, SteeringLimits())[0] is reason
 
 
 @pytest.mark.parametrize("turn", [60.0, 90.0, 120.0])
@@ -278,14 +282,13 @@ def test_a_turn_at_a_junction_is_driven(radius: float, turn: float, speed: float
     normal = np.column_stack([-np.sin(heading), np.cos(heading)])
     lines = {slot: Polyline(points + y * normal) for slot, y in ((LEFT, 1.75), (RIGHT, -1.75))}
     cov = np.diag([0.1, 0.1, 0.003]) ** 2
-    steering = LaneSteering()
+    steering = LaneSteering(set_speed=speed)
     for k, at in enumerate(np.arange(-15.0, arc + 5.0, 0.05 * speed)):
         i = s.searchsorted(at)
         pose = Gaussian([*points[i], heading[i]], cov)
         motion = Motion.with_sigma(speed, speed / radius * (0 < at < arc), (0.05, 0.003))
-        command = steering.update(
-            0.05 * k, map_scene(lines, pose, window=WINDOW), 0.0, motion, speed
-        )
+        view = scene_view(map_scene(lines, pose, window=WINDOW))
+        command = steering.step(ns(0.05 * k), view, motion)
         assert command.state is not SteeringState.HANDOVER, (at, command.reason)
 
 
@@ -316,14 +319,14 @@ def test_it_hands_over_while_it_can_stop_before_a_tight_curve(
 ) -> None:
     """At 4.86 m/s, and with 0.3 s and 2.5 m/s^2, it stops within 6.18 m."""
     path = bend_path(0.25, first, 5.0)
-    found = LaneSteering()._fastest(path, 4.86, 3.0)[0]
+    found = fastest(path, 4.86, 3.0, SteeringLimits())[0]
     assert found is reason
 
 
 def test_a_peak_of_the_curvature_slows_the_car_no_more_than_full_lock() -> None:
     """As at the end of a cubic, beside a car that leaves a corner."""
     limits = SteeringLimits()
-    reason, speed = LaneSteering()._fastest(bend_path(1.0, 0.0, 0.3), 3.0, 13.9)
+    reason, speed = fastest(bend_path(1.0, 0.0, 0.3), 3.0, 13.9, SteeringLimits())
     assert reason is SteeringReason.CURVE
     assert speed == pytest.approx(math.sqrt(limits.lateral_acceleration / limits.curvature))
 
@@ -365,8 +368,8 @@ def test_wrong_updates_raise() -> None:
     steering = LaneSteering()
     driven(steering, [straight()], first=1.0)
     for t in (1.0, 0.5, math.nan, math.inf):
-        with pytest.raises(ValueError, match="t must be finite and later than 1 s"):
-            steering.update(t, None, math.inf, Motion(10.0, 0.0), 13.9)
-    for set_speed in (-1.0, math.nan, math.inf):
+        with pytest.raises(ValueError, match="now_ns must be finite and later than 1000000000 ns"):
+            steering.step(1e9 * t, None, Motion(10.0, 0.0))  # type: ignore[arg-type]
+    for steering.set_speed in (-1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="set_speed must be finite and 0"):
-            steering.update(2.0, None, math.inf, Motion(10.0, 0.0), set_speed)
+            steering.step(2 * 10**9, None, Motion(10.0, 0.0))

@@ -10,6 +10,7 @@ from hypothesis import given, settings, target
 from hypothesis import strategies as st
 
 from maplines_can import Gaussian, MapLine, Motion, Scene, Slot
+from maplines_can.consumers import scene_view
 from maplines_can.consumers.curvature_limiter import MAX_DECELERATION, CurvatureLimiter
 from maplines_can.consumers.steering import Command, LaneSteering, SteeringReason, SteeringState
 from maplines_can.values.scene import PoseError
@@ -91,14 +92,14 @@ SPEEDS = st.sampled_from([1.0, 4.0, 8.0, 14.0, 25.0, 35.0]) | numbers(0.0, 40.0)
 
 def drive(steering: LaneSteering, cycles: list[Cycle], speed: float) -> tuple[list[Command], Any]:
     """Return the commands and the (n, 2) times and speeds at which they were given."""
-    t, curvature, commands, rows = 0.0, 0.0, [], []
+    t, curvature, commands, rows, steering.set_speed = 0.0, 0.0, [], [], 40.0
     for cycle in cycles:
         t += cycle.dt
         speed = max(0.0, speed + cycle.acceleration * cycle.dt)
         turning = speed * curvature if cycle.yaw_rate is None else cycle.yaw_rate
         motion = Motion(speed, turning)
         scene = None if cycle.lane is None else scene_of(cycle.lane)
-        command = steering.update(t, scene, cycle.age, motion, 40.0)
+        command = steering.step(round(1e9 * t), scene_view(scene, cycle.age), motion)
         curvature = command.curvature
         commands.append(command)
         rows.append((t, speed))
@@ -268,15 +269,13 @@ def test_it_recovers_from_a_handover() -> None:
     steering = LaneSteering()
     drive(steering, [Cycle(Lane())] * 5 + [Cycle(Lane(3.5))], 20.0)
     for k in range(10):
-        command = steering.update(
-            1.0 + PERIOD * k, scene_of(Lane()), PERIOD, Motion(19.0, 0.0), 20.0
-        )
+        view = scene_view(scene_of(Lane()), PERIOD)
+        command = steering.step(10**9 + 50_000_000 * k, view, Motion(19.0, 0.0))
         assert (command.state, command.reason) == (SteeringState.HANDOVER, SteeringReason.OFF_LANE)
     steering.reset()
+    steering.set_speed = 12.0
     for k in range(10):
-        command = steering.update(
-            2.0 + PERIOD * k, scene_of(Lane()), PERIOD, Motion(12.0, 0.0), 12.0
-        )
+        command = steering.step(2 * 10**9 + 50_000_000 * k, view, Motion(12.0, 0.0))
         assert (command.state, command.speed) == (SteeringState.DRIVING, 12.0)
 
 
@@ -286,7 +285,7 @@ def test_a_late_update_brakes_for_its_time() -> None:
     for dt in (0.02, 0.05, 0.2):
         drive(steering, [Cycle(Lane())] * 5 + [Cycle(None, dt=0.6)], 20.0)
         speeds = [
-            steering.update(1.0 + dt * k, None, 0.0, Motion(20.0, 0.0), 20.0).speed
+            steering.step(10**9 + round(1e9 * dt) * k, None, Motion(20.0, 0.0)).speed
             for k in range(5)
         ]
         assert np.diff(speeds) == pytest.approx([-BRAKING * dt] * 4)

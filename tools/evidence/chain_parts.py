@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maplines_can import Gaussian, Motion, Slot, maps
-from maplines_can.consumers import FusedLane, LaneFusion
-from maplines_can.consumers.lane_fusion import SceneSource
+from maplines_can.bus import LineListener
+from maplines_can.consumers import FusedLane, LaneFusion, scene_view
 from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
 from maplines_can.localisation import Localisation, LocalisationLayer
 from maplines_can.maps.line_source import Cycle, LineSource
@@ -196,14 +196,14 @@ class Consumer:
     """Fusion and lane keeping of the receiver, and what they did."""
 
     world: World
-    source: SceneSource
+    source: LineListener
     demands: tuple[float, float] = (0.0, 0.0)
     cpu: CpuTimes = field(default_factory=lambda: CpuTimes(float))
     moments: list[Moment] = field(default_factory=list)
     rows: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._fusion, self._steering = LaneFusion(self.source), LaneSteering()
+        self._fusion, self._steering = LaneFusion(), LaneSteering()
         self._stopped, self._is_driver = 0.0, False
         margin = BESIDE_CHANGE
         self._changes = [(c.start - margin, c.end + margin) for c in self.world.route.changes]
@@ -219,14 +219,13 @@ class Consumer:
         camera = [replace(line, age=max(now - world.t, 0.0)) for line in camera]
         route = Slot.ROUTE if any(a <= along <= b for a, b in self._changes) else None
         with self.cpu.of("fusion"):
-            lane = self._fusion.step(now_ns, motion, camera)
+            view = self.source.latest_scene(now_ns)
+            lane = self._fusion.step(now_ns, view, motion, camera)
         with self.cpu.of("steering"):
-            scene = lane.scene if lane.map_age <= OLDEST else None
-            age = 0.0
-            if route is not None:
-                view = self.source.latest_scene(now_ns)
-                scene, age = view.scene if view.usable else None, view.age
-            command = self._steering.update(now, scene, age, motion, limit, route)
+            if route is None:
+                view = lane.view if lane.map_age <= OLDEST else scene_view(None)
+            self._steering.set_speed, self._steering.route = limit, route
+            command = self._steering.step(now_ns, view, motion)
         self.demands = command.curvature, command.speed
         self._take_over(command, along, error)
         self.moments.append(

@@ -286,15 +286,10 @@ class ClosedLoop:
             now = t + latency
             noise = random.standard_normal(2) * ODOMETRY * (car.speed > 0)
             speed, yaw_rate = np.array([car.speed, car.speed * car.curvature]) + noise
-            view = monitor.latest_scene(round(now * 1e9))
-            command = self.steering.update(
-                now,
-                view.scene if view.usable else None,
-                view.age,
-                Motion.with_sigma(speed, yaw_rate, ODOMETRY),
-                speed_limit,
-                route,
-            )
+            now_ns = round(now * 1e9)
+            self.steering.set_speed, self.steering.route = speed_limit, route
+            motion = Motion.with_sigma(speed, yaw_rate, ODOMETRY)
+            command = self.steering.step(now_ns, monitor.latest_scene(now_ns), motion)
             demands = command.curvature, command.speed
             car.drive(*demands, PERIOD - latency)
             moments.append(

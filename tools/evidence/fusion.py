@@ -286,12 +286,13 @@ def of_car(
     times = np.arange(start, min(start + seconds, drive.end - 0.2), DT)
     codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
     monitor = Monitor(codec.decoder(cycle_ms=round(1000 * DT)))
-    alone, with_camera = LaneFusion(monitor), LaneFusion(monitor)
+    alone, with_camera = LaneFusion(), LaneFusion()
     z: dict[str, list[Array]] = {way: [] for way in WAYS}
     for now in moments(road_map, route, drive, times, error, codec, monitor, seed):
-        lane = alone.step(now.t_ns, now.motion)
+        view = monitor.latest_scene(now.t_ns)
+        lane = alone.step(now.t_ns, view, now.motion)
         z["scenes"].append(normalised(lane.scene, now.true))
-        lane = with_camera.step(now.t_ns, now.motion, now.camera)
+        lane = with_camera.step(now.t_ns, view, now.motion, now.camera)
         z["scenes and camera"].append(normalised(lane.scene, now.true))
         z["newest scene"].append(normalised(now.sent, now.true_then))
     return {way: np.array(rows).reshape(-1, len(QUANTITIES)) for way, rows in z.items()}

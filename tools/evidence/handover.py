@@ -18,6 +18,7 @@ import numpy as np
 
 from maplines_can import Slot
 from maplines_can import maps as map_model
+from maplines_can.consumers import scene_view
 from maplines_can.consumers.path import WIDTHS
 from maplines_can.consumers.steering import (
     LaneSteering,
@@ -116,9 +117,9 @@ def watched(
             scene = scene.subset(x.slot for x in scene.lines if x.slot is not Slot.ROUTE)
         speed = float(state.speed[i])
         motion = Motion.with_sigma(speed, float(state.yaw_rate[i]), ODOMETRY)
-        command = steering.update(
-            now, scene if scene and scene.lines else None, 0.0, motion, max(speed, 2.0), slot
-        )
+        steering.set_speed, steering.route = max(speed, 2.0), slot
+        view = scene_view(scene if scene and scene.lines else None)
+        command = steering.step(round(1e9 * now), view, motion)
         near = (along >= along[i]) & (along <= along[i] + NEAR)
         has_trouble = (
             bend[near].max() > SteeringLimits().curvature

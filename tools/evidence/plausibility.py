@@ -29,16 +29,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maplines_can.consumers.consistency import (
+from maplines_can.consumers.consistency import ConsistencyTest
+from maplines_can.consumers.plausibility import pose_times
+from maplines_can.consumers.residual_filter import (
     SLOW,
     WHITE_NOISE,
     CameraNoise,
-    ConsistencyTest,
     ResidualFilter,
     ResidualModel,
     threshold,
 )
-from maplines_can.consumers.plausibility import pose_times
 
 from .harness import evidence, progress
 from .plausibility_errors import (

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maplines_can import Gaussian, MapError, Polyline, Slot, map_scene
-from maplines_can.consumers.consistency import FAST, SLOW, ResidualModel
 from maplines_can.consumers.plausibility import CameraBias, residuals
+from maplines_can.consumers.residual_filter import FAST, SLOW, ResidualModel
 
 Array = NDArray[np.float64]
 
