@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maplines_can import Codec, Gaussian, MapError, Scene, Slot, map_scene
+from maplines_can import Codec, Gaussian, MapError, MapLine, Scene, Slot, map_scene
 from maplines_can.study.scenes.source import noise_floor
 from maplines_can.values.linalg import block_diagonal
 from maplines_can.values.line import lateral_jacobian
@@ -163,7 +163,9 @@ class Passage:
         values["frames"].append(sent / (4 * len(of_lines)))
         decoder, t_ns = codec.decoder(), 0
         for frame in (frame for own in frames.values() for frame in own):
-            decoder.feed(frame.can_id, frame.data, t_ns)
+            answer = decoder.feed(frame.can_id, frame.data, t_ns)
+            if isinstance(answer, MapLine):
+                counts[f"received, {answer.status.name}"] += 1
             t_ns += 250_000
         started = time.perf_counter()
         received = decoder.scene()
