@@ -186,41 +186,15 @@ def real_time(
     bus |= {"channel": channel} if channel else {}
     bus |= {"port": free_port()} if interface == "udp_multicast" else {}
     world = World(seed)
-    context = multiprocessing.get_context("spawn")
-    pipe, other = context.Pipe()
-    process = context.Process(
-        target=send, args=(other, dict(bus), dbc, seed, world.row), daemon=True
-    )
-    process.start()
-    other.close()
-    if not pipe.poll(START):
-        raise RuntimeError(f"the sender did not start within {START:g} s")
-    pipe.recv()
-    lines: list[object] = []
+    process, pipe = started(bus, dbc, seed, world.row)
+    decoder = Codec.from_dbc(default_dbc_path(dbc)).decoder()
     with (
         Link(**bus) as link,
-        Receiver(
-            link, Codec.from_dbc(default_dbc_path(dbc)).decoder(), on_line=lines.append
-        ) as receiver,
+        Receiver(link, decoder, on_line=lambda _: None) as receiver,
         bar(round(seconds), "drive", unit=" s") as shown,
     ):
-        consumer, skipped = Consumer(world, receiver), 0
-        before, start, start_ns = time.process_time(), time.monotonic(), time.time_ns()
-        pipe.send(start_ns)
-        rows = world.row[None]
-        while world.t < seconds - STEP / 2 and not is_at_goal(world):
-            due = start + world.t
-            time.sleep(max(due - time.monotonic(), 0.0))
-            pipe.send(rows)
-            shown.update(PERIOD)
-            if time.monotonic() - due >= PERIOD:
-                skipped += 1
-                rows = consumer.drive(consumer.demands, 0.0)
-                continue
-            demands = consumer.demands
-            consumer.step(start_ns, time.time_ns())
-            latency = STEP * math.ceil((time.monotonic() - due) / STEP)
-            rows = consumer.drive(demands, min(latency, PERIOD))
+        consumer, before = Consumer(world, receiver), time.process_time()
+        skipped = drive_in_real_time(consumer, pipe, seconds, shown)
         used = time.process_time() - before
         pipe.send(None)
         sent = pipe.recv()
@@ -241,6 +215,43 @@ def real_time(
         "share of a core": shares,
         "processors of this machine": os.cpu_count(),
     }
+
+
+def started(
+    bus: Mapping[str, Any], dbc: str, seed: int, start: Array
+) -> tuple[multiprocessing.process.BaseProcess, Connection]:
+    """Return the process of the sender when it is ready, and the pipe to it."""
+    context = multiprocessing.get_context("spawn")
+    pipe, other = context.Pipe()
+    process = context.Process(target=send, args=(other, dict(bus), dbc, seed, start), daemon=True)
+    process.start()
+    other.close()
+    if not pipe.poll(START):
+        raise RuntimeError(f"the sender did not start within {START:g} s")
+    pipe.recv()
+    return process, pipe
+
+
+def drive_in_real_time(consumer: Consumer, pipe: Connection, seconds: float, shown: Any) -> int:
+    """Drive up to a time [s], with the motion to the pipe; return the cycles skipped."""
+    world, skipped = consumer.world, 0
+    start, start_ns = time.monotonic(), time.time_ns()
+    pipe.send(start_ns)
+    rows = world.row[None]
+    while world.t < seconds - STEP / 2 and not is_at_goal(world):
+        due = start + world.t
+        time.sleep(max(due - time.monotonic(), 0.0))
+        pipe.send(rows)
+        shown.update(PERIOD)
+        if time.monotonic() - due >= PERIOD:
+            skipped += 1
+            rows = consumer.drive(consumer.demands, 0.0)
+            continue
+        demands = consumer.demands
+        consumer.step(start_ns, time.time_ns())
+        latency = STEP * math.ceil((time.monotonic() - due) / STEP)
+        rows = consumer.drive(demands, min(latency, PERIOD))
+    return skipped
 
 
 def is_at_goal(world: World) -> bool:

@@ -20,7 +20,7 @@ from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
-from maplines_can.wire import Codec, Monitor, default_dbc_path
+from maplines_can.wire import Codec, Encoder, Monitor, default_dbc_path
 
 #: Period of the lines and of the control [s].
 PERIOD = 0.05
@@ -276,12 +276,8 @@ class ClosedLoop:
             route = Slot.ROUTE if any(a <= along <= b for a, b in self.changes) else None
             lost = any(begin <= t < end for begin, end in self.line_outages)
             if scene is not None and scene.lines and not lost:
-                ns = round((t + AGE) * 1e9)
                 sent = scene if route is not None else without(scene, Slot.ROUTE)
-                for frames in encoder.encode_scene(sent, age=AGE).values():
-                    for frame in frames:
-                        ns += round(TRANSMISSION / 10 * 1e9)
-                        monitor.feed(frame.can_id, frame.data, ns)
+                transmit(encoder, sent, t + AGE, monitor)
             car.drive(*demands, latency)
             now = t + latency
             noise = random.standard_normal(2) * ODOMETRY * (car.speed > 0)
@@ -292,22 +288,23 @@ class ClosedLoop:
             command = self.steering.step(now_ns, monitor.latest_scene(now_ns), motion)
             demands = command.curvature, command.speed
             car.drive(*demands, PERIOD - latency)
+            motion = car.speed, car.curvature
             moments.append(
-                LoopCycle(
-                    t,
-                    along,
-                    error,
-                    float(across),
-                    car.speed,
-                    car.curvature,
-                    command.state,
-                    command.reason,
-                )
+                LoopCycle(t, along, error, float(across), *motion, command.state, command.reason)
             )
             tick(PERIOD)
             if command.state is SteeringState.HANDOVER and car.speed < 0.05 and t > START:
                 break
         return moments
+
+
+def transmit(encoder: Encoder, scene: Scene, t: float, monitor: Monitor) -> None:
+    """Feed the frames of a scene that is sent at a time [s] to its receiver."""
+    ns = round(t * 1e9)
+    for frames in encoder.encode_scene(scene, age=AGE).values():
+        for frame in frames:
+            ns += round(TRANSMISSION / 10 * 1e9)
+            monitor.feed(frame.can_id, frame.data, ns)
 
 
 def without(scene: Scene, slot: Slot) -> Scene:

@@ -227,23 +227,11 @@ def slots_of(folder: Path, road_map: maps.Map, route: maps.Route) -> dict[str, A
     poses = np.array(
         [[float(row[f"stated_{name}"]) for name in ("x", "y", "heading")] for row in rows]
     )
-    witness, counts, wrong = Witness(road_map), Counter[str](), list[str]()
-    changes: list[Change] = []
     places = [route.start]
-    for k in range(1, len(rows)):
-        places.append(along(route, poses[k, :2], places[-1]))
-        if not PATIENCE < k < len(rows) - PATIENCE:
-            continue  # the first and the last lines of the slots are not of the same cycle
-        jumps = {slot: jump(cycles[k - 1], cycles[k], slot, poses, k) for slot in SLOTS}
-        new = {slot: value for slot, value in jumps.items() if not abs(value) <= JUMP}
-        if not new:
-            continue
-        counts["slots with another line"] += len(new)
-        counts["of these without a line now"] += int(np.isnan(list(new.values())).sum())
-        if not changes or k - changes[-1].last > PATIENCE:
-            changes.append(Change(k))
-        changes[-1].last = k
-        changes[-1].jumps |= new
+    for point in poses[1:, :2]:
+        places.append(along(route, point, places[-1]))
+    changes, counts = changes_of(cycles, poses)
+    witness, wrong = Witness(road_map), list[str]()
     for change in changes:
         k = change.last
         at_car = {slot: position(seen, poses, k) for slot, seen in cycles[k].items()}
@@ -278,6 +266,24 @@ def slots_of(folder: Path, road_map: maps.Map, route: maps.Route) -> dict[str, A
         "each is that of the truth": of_truth,
         "cycles on another lane than believed": sum(away),
     }
+
+
+def changes_of(cycles: Sequence[Any], poses: Any) -> tuple[list[Change], Counter[str]]:
+    """Return when slots get other lines, and how many do; cycles are those of ``known_lines``."""
+    changes, counts = list[Change](), Counter[str]()
+    # The first and the last lines of the slots are not of the same cycle.
+    for k in range(PATIENCE + 1, len(cycles) - PATIENCE):
+        jumps = {slot: jump(cycles[k - 1], cycles[k], slot, poses, k) for slot in SLOTS}
+        new = {slot: value for slot, value in jumps.items() if not abs(value) <= JUMP}
+        if not new:
+            continue
+        counts["slots with another line"] += len(new)
+        counts["of these without a line now"] += int(np.isnan(list(new.values())).sum())
+        if not changes or k - changes[-1].last > PATIENCE:
+            changes.append(Change(k))
+        changes[-1].last = k
+        changes[-1].jumps |= new
+    return changes, counts
 
 
 @dataclass
