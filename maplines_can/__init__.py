@@ -9,7 +9,7 @@
 np.float64(1.75)
 >>> frames = ml.Codec.from_dbc().encoder().encode(line)  # 4 frames of classic CAN
 >>> decoder = ml.Codec.from_dbc().decoder()
->>> *_, received = [decoder.feed(frame.can_id, frame.data, t_ns=0) for frame in frames]
+>>> *_, (received,) = [decoder.feed(frame.can_id, frame.data, t_ns=0) for frame in frames]
 >>> received.slot.name, bool(abs(received.y(80.0) - line.y(80.0)) < 0.005)
 ('EGO_LEFT', True)
 

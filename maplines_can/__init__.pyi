@@ -47,7 +47,6 @@ from .wire import Decoder as Decoder
 from .wire import E2EConfig as E2EConfig
 from .wire import Frame as Frame
 from .wire import Key as Key
-from .wire import Monitor as Monitor
 from .wire import Reason as Reason
 from .wire import SceneView as SceneView
 from .wire import SlotView as SlotView

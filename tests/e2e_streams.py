@@ -4,6 +4,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from answers import one
 from dbcs import default_codec
 from random_lines import random_lines
 
@@ -33,7 +34,9 @@ def frames(counter: Any, fd: bool = False, which: Any = None) -> Any:
 
 def feed(decoder: Any, transfer: Any, t_ns: Any) -> Any:
     """Return the answer to the last frame of a transfer, whose frames are 0.25 ms apart."""
-    answers = [decoder.feed(f.can_id, f.data, t_ns + i * MS // 4) for i, f in enumerate(transfer)]
+    answers = [
+        one(decoder.feed(f.can_id, f.data, t_ns + i * MS // 4)) for i, f in enumerate(transfer)
+    ]
     return answers[-1]
 
 

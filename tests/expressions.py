@@ -29,7 +29,7 @@ def evaluate(expression: str) -> Any:
         names = _objects() | {
             "link": link,
             "decoder": codec.decoder(),
-            "monitor": ml.Monitor(codec.decoder()),
+            "monitor": codec.decoder(),
         }
         value = eval(expression, names)  # noqa: S307 - our own expressions
         return list(value) if isinstance(value, Iterator) else value

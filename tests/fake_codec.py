@@ -2,21 +2,13 @@
 
 import struct
 from collections import Counter
-from enum import Enum
 from types import SimpleNamespace
 from typing import Any
 
 from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import Frame
+from maplines_can.wire import Frame, Reason
 
 PAGES = 4
-
-
-class Reason(Enum):
-    PENDING = "page kept"
-    DONE = "line complete"
-    UNKNOWN_ID = "not ours"
-    BROKEN = "transfer not complete"
 
 
 class FakeCodec:
@@ -64,24 +56,25 @@ class FakeDecoder:
         self.counts: Counter[Any] = Counter()
         self.checks: dict[Any, Any] = {}
         self.lost = self.pending = 0
-        self.further: list[Any] = []
-        self.pose_check, self.pose_errors = None, 0
+        self.pose_errors = 0
         self.transfers: dict[Any, Any] = {}
 
     def feed(self, can_id: Any, data: Any, t_ns: Any, *, is_extended: bool = False) -> Any:  # noqa: ARG002
         result = self._feed(can_id, data, t_ns)
-        self.counts[Reason.DONE if isinstance(result, MapLine) else result] += 1
-        return result
+        if isinstance(result, Reason):
+            self.counts[result] += 1
+            return result
+        return [result]
 
     def _feed(self, can_id: Any, data: Any, t_ns: Any) -> Any:
         if not 0x100 <= can_id < 0x108 or len(data) not in (8, 32):
-            return Reason.UNKNOWN_ID
+            return Reason.FOREIGN
         for start in range(0, len(data), 8):
             page, counter, slot, _, age, y = struct.unpack_from("<BBBBHh", data, start)
             expected, of = self.transfers.get(slot, (0, counter))
             if page != 0 and (page, counter) != (expected, of):
                 self.transfers.pop(slot, None)
-                return Reason.BROKEN
+                return Reason.INCOMPLETE
             self.transfers[slot] = page + 1, counter
         if page + 1 < PAGES:
             return Reason.PENDING

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scene_layouts import layout_of
 
-from maplines_can import Codec, Gaussian, MapError, Monitor, Polyline, Scene, Slot, map_scene
-from maplines_can.wire import Authenticator, Decoder, Frame, Key
+from maplines_can import Codec, Gaussian, MapError, Polyline, Scene, Slot, map_scene
+from maplines_can.wire import Authenticator, Decoder, Frame, Key, Reason
 
 #: Offsets of the lines from the car [m].
 OFFSETS = {
@@ -72,15 +72,16 @@ def road_scene(
 
 
 def feed(
-    receiver: Monitor | Decoder,
+    receiver: Decoder,
     frames: Mapping[Any, list[Frame]],
     t_ns: int,
     apart_ns: int = FRAME_NS,
 ) -> tuple[list[Any], int]:
-    """Feed the frames of a cycle from ``t_ns``; return the answers and the time after them."""
-    answers = []
+    """Feed the frames of a cycle; return the lines and reasons, and the time after them."""
+    answers: list[Any] = []
     for own in frames.values():
         for frame in own:
-            answers.append(receiver.feed(frame.can_id, frame.data, t_ns))
+            answer = receiver.feed(frame.can_id, frame.data, t_ns)
+            answers += [answer] if isinstance(answer, Reason) else answer
             t_ns += apart_ns
     return answers, t_ns

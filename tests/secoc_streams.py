@@ -4,6 +4,7 @@ import traceback
 from pathlib import Path
 from typing import Any
 
+from answers import one
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
 from dbcs import new_codec
 
@@ -35,7 +36,7 @@ def codec_of(*keys: Any, clock: Any = None, **rest: Any) -> Any:
 
 def feed(decoder: Any, frames: Any, t_ns: Any = NOW, step_ns: Any = 50 * MS) -> Any:
     """Return the answers to frames, a period apart."""
-    return [decoder.feed(f.can_id, f.data, t_ns + i * step_ns) for i, f in enumerate(frames)]
+    return [one(decoder.feed(f.can_id, f.data, t_ns + i * step_ns)) for i, f in enumerate(frames)]
 
 
 def names(answers: Any) -> Any:

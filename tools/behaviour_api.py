@@ -118,9 +118,9 @@ def watch(rows: list[str], last: list[Any]) -> None:
         module.check_counts = noted_counts  # type: ignore[attr-defined]
     check_scene = _ORIGINAL["check_scene"]
 
-    def noted_scene(monitor: Any, t_ns: int) -> Any:
-        rows.append(shown(monitor.latest_scene(t_ns)))
-        return check_scene(monitor, t_ns)
+    def noted_scene(state: Any, t_ns: int) -> Any:
+        rows.append(shown(state.latest_scene(t_ns)))
+        return check_scene(state, t_ns)
 
     fuzz_scenes.check_scene = noted_scene
 
@@ -134,9 +134,14 @@ _ORIGINAL: dict[str, Any] = {
 }
 
 
+def slots_of(decoder: Any) -> list[Any]:
+    """Return the slots that a decoder knows."""
+    return [owner for owner in decoder.checks if owner != "pose"]
+
+
 def counters(decoder: Any) -> str:
     """Return the counters of a decoder, and the states of its slots."""
-    checks = {slot: check.stats() for slot, check in decoder.checks.items()}
+    checks = {slot: decoder.checks[slot].stats() for slot in slots_of(decoder)}
     values = {name: getattr(decoder, name) for name in COUNTERS}
     return f"{shown(values)} {shown({k: tuple(v) for k, v in checks.items() if v.status})}"
 
@@ -262,15 +267,15 @@ def encoded(encoder: Any, source: Any, fd: bool, age: float) -> list[Any]:
 def received(codec: Any, cycles: list[list[Any]], change: Any, rng: Any) -> str:
     """Return the answers to frames, the views after each cycle, and the counters."""
     decoder = codec.decoder()
-    monitor, rows, t_ns = ml.Monitor(decoder), list[str](), NOW_NS
+    # Checkouts of before have a monitor for the views.
+    monitor = ml.Monitor(decoder) if hasattr(ml, "Monitor") else decoder
+    rows, t_ns = list[str](), NOW_NS
     for number, frames in enumerate(cycles):
         start = t_ns = max(t_ns, NOW_NS + number * 50 * MS)
         for can_id, data, pause_ns in change([(f.can_id, bytes(f.data), MS) for f in frames], rng):
             rows += map(shown, answers(monitor, can_id, data, t_ns))
             t_ns += pause_ns
-        rows += [
-            shown(monitor.latest(slot, t_ns)) for slot in list(decoder.checks)[number % 8 :][:2]
-        ]
+        rows += [shown(monitor.latest(slot, t_ns)) for slot in slots_of(decoder)[number % 8 :][:2]]
         if codec.layout.pose is not None:
             rows += [shown(monitor.latest_scene(t_ns)), shown(monitor.pose_error(t_ns))]
         rows.append(f"cycle {number} at {t_ns - start}: {counters(decoder)}")
@@ -280,7 +285,8 @@ def received(codec: Any, cycles: list[list[Any]], change: Any, rng: Any) -> str:
 
 def answers(monitor: Any, can_id: int, data: bytes, t_ns: int) -> list[Any]:
     """Return the reason, or all lines that a frame completes, the one of its slot first."""
-    return [monitor.feed(can_id, data, t_ns), *monitor.further]
+    answer = monitor.feed(can_id, data, t_ns)
+    return list(answer) if isinstance(answer, list) else [answer, *getattr(monitor, "further", ())]
 
 
 def lost(frames: list[Any], rng: Any) -> list[Any]:

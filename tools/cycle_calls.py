@@ -21,7 +21,6 @@ from maplines_can import (
     MapError,
     MapLine,
     Mixture,
-    Monitor,
     Motion,
     Polyline,
     Quadrature,
@@ -174,15 +173,15 @@ def _messages() -> Iterator[tuple[str, Call]]:
 def _round_trip(name: str, codec: Codec, encode: Call) -> Iterator[tuple[str, Call]]:
     """Yield the call that encodes, and that which decodes the frames of four calls in turn."""
     yield f"encode, {name}", encode
-    monitor, rounds, counters = Monitor(codec.decoder()), [_flat(encode()) for _ in "1234"], count()
+    decoder, rounds, counters = codec.decoder(), [_flat(encode()) for _ in "1234"], count()
 
     def decode() -> Any:
         i = next(counters)
         t_ns = i * 10**9  # late enough for any counter
         for frame in rounds[i % len(rounds)]:
-            monitor.feed(frame.can_id, frame.data, t_ns)
+            decoder.feed(frame.can_id, frame.data, t_ns)
             t_ns += FRAME_NS
-        return monitor.latest_scene(t_ns)
+        return decoder.latest_scene(t_ns)
 
     yield f"decode, {name}", decode
 
@@ -199,21 +198,21 @@ class _Reception:
         self._codec = Codec.from_dbc(default_dbc_path(CONDITIONAL))
         self._encoder = self._codec.encoder()
         self._prepared = self._encoder.prepare_scene(_scene(lines))
-        self.monitor, self.t_ns = Monitor(self._codec.decoder()), 0
-        while not self.monitor.latest_scene(self.t_ns).usable:
+        self.decoder, self.t_ns = self._codec.decoder(), 0
+        while not self.decoder.latest_scene(self.t_ns).usable:
             self.receive()
 
     def receive(self) -> None:
         """Receive the scene of the next cycle."""
         self.t_ns += PERIOD_NS - self.t_ns % PERIOD_NS
         for frame in _flat(self._encoder.encode_scene(self._prepared)):
-            self.monitor.feed(frame.can_id, frame.data, self.t_ns)
+            self.decoder.feed(frame.can_id, frame.data, self.t_ns)
             self.t_ns += FRAME_NS
 
     @property
     def scene(self) -> Scene:
         """The last one."""
-        scene = self.monitor.latest_scene(self.t_ns).scene
+        scene = self.decoder.latest_scene(self.t_ns).scene
         if scene is None or len(scene.lines) < len(Slot):
             raise RuntimeError(f"not all lines have been received, but {scene}")
         return scene
@@ -239,12 +238,12 @@ def _consumers() -> Iterator[tuple[str, Call]]:
         for one in scene.lines
     }
     lane = [camera[Slot.EGO_LEFT], camera[Slot.EGO_RIGHT]]
-    fusion, monitor = LaneFusion(), reception.monitor
+    fusion, decoder = LaneFusion(), reception.decoder
 
     def fuse() -> Any:
         reception.receive()
         t_ns = reception.t_ns
-        return fusion.step(t_ns, monitor.latest_scene(t_ns), motion, lane)
+        return fusion.step(t_ns, decoder.latest_scene(t_ns), motion, lane)
 
     yield "reception and LaneFusion.step", fuse
     check, images, view = PlausibilityCheck(), count(1), scene_view(scene, 0.02)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from answers import one
 from cantools.database.can import Database, Message
 
 from maplines_can.values.errors import EncodeError
@@ -100,7 +101,9 @@ def _check_frames(
         answer: Any = None
         for j, frame in enumerate(frames):
             t_ns = i * CYCLE_NS + j * FRAME_NS
-            answer = decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+            answer = one(
+                decoder.feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+            )
         if not isinstance(answer, MapLine):
             raise WrongResultError(f"line {i} is not delivered: {answer}")
         check_line(codec, line, answer)
@@ -281,7 +284,7 @@ def _check_authenticated(
         _equal("KeyId", 5, signals["KeyId"])
         bits = 8 * codec.layout.secured.freshness_bytes if codec.layout.secured else 0
         _equal("Freshness", now // 1000 % 2**bits, signals["Freshness"])
-        answer = decoder.feed(frame.can_id, frame.data, now, is_extended=frame.is_extended)
+        answer = one(decoder.feed(frame.can_id, frame.data, now, is_extended=frame.is_extended))
         if not isinstance(answer, MapLine) or answer.slot is not slot:
             raise WrongResultError(f"an authenticated line is not delivered: {answer}")
         check_line(codec, line, answer)

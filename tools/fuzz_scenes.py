@@ -21,8 +21,8 @@ from fuzz_targets import (
 )
 from scene_layouts import pose_record
 
-from maplines_can.values.line import MapLine, Slot
-from maplines_can.wire import POSE, Codec, Decoder, Frame, Monitor, Reason, default_dbc_path
+from maplines_can.values.line import Slot
+from maplines_can.wire import POSE, Codec, Decoder, Frame, Reason, default_dbc_path
 from maplines_can.wire.covariance import CholeskyCode
 from maplines_can.wire.layout.packing import Packing
 from maplines_can.wire.layout.pose_layout import PoseLayout
@@ -110,19 +110,16 @@ def scenes(data: bytes) -> Counter[str]:
     take = Bytes(data)
     parts = parts_of(DBCS[take.byte() % len(DBCS)])
     state = parts.codec.decoder(timeout_ms=20.0)
-    monitor, t_ns = Monitor(state), 0
+    t_ns = 0
     outcomes, counters = Counter[str](), Counter[Any]()
     fed: list[tuple[int, bytes]] = []
 
     def feed(can_id: int, payload: bytes) -> None:
-        answer = monitor.feed(can_id, payload, t_ns)
+        answer = state.feed(can_id, payload, t_ns)
         fed.append((can_id, payload))
         check_counts(state, len(fed))
-        for one in (answer, *monitor.further):
-            if isinstance(one, MapLine):
-                check_line(one)
-            else:
-                require(isinstance(one, Reason), f"the answer is {one!r}")
+        for line in () if isinstance(answer, Reason) else answer:
+            check_line(line)
         outcomes[outcome_of(answer)] += 1
 
     while take.left > 0:
@@ -161,7 +158,7 @@ def scenes(data: bytes) -> Counter[str]:
         elif what == 7:
             state.expire(t_ns)
             check_counts(state, len(fed))
-        outcomes["scene"] += check_scene(monitor, t_ns)
+        outcomes["scene"] += check_scene(state, t_ns)
     state.expire(t_ns + 10**18)
     check_counts(state, len(fed))
     require(state.pending == 0, f"{state.pending} frames stay pending")
@@ -175,9 +172,9 @@ def check_counts(state: Decoder, frames: int) -> None:
     require(min(state.counts.values(), default=0) >= 0, "a count is negative")
 
 
-def check_scene(monitor: Monitor, t_ns: int) -> bool:
+def check_scene(state: Decoder, t_ns: int) -> bool:
     """Check the newest scene; return whether there is one with lines."""
-    scene = monitor.latest_scene(t_ns).scene
+    scene = state.latest_scene(t_ns).scene
     if scene is None or not scene.lines:
         return False
     require(len(scene.index) == len(scene.lines), "a slot is twice in a scene")

@@ -89,7 +89,7 @@ SCENES = [
     *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "own_levels")),
     *(f"maplines_can/wire/covariance/scene_{n}.py" for n in ("code", "encoder")),
     *(f"maplines_can/wire/records/scene_{n}.py" for n in ("reader", "writer")),
-    *(f"maplines_can/wire/reception/{n}.py" for n in ("epochs", "poses", "scenes")),
+    "maplines_can/wire/reception/scenes.py",
 ]
 #: Areas by name. Tests that run commands are left out: they are slow.
 AREAS = {

@@ -9,8 +9,7 @@ import numpy as np
 from dbc_witness import CYCLE_NS, WrongResultError
 from scene_layouts import pose_record
 
-from maplines_can.values.line import Slot
-from maplines_can.wire import POSE, E2EConfig, Layout
+from maplines_can.wire import POSE, Layout
 from maplines_can.wire.covariance import CholeskyCode
 from maplines_can.wire.layout.signals import (
     FINE_SIGNALS,
@@ -19,9 +18,8 @@ from maplines_can.wire.layout.signals import (
     POSE_ROWS,
     SLOT_SIGNALS,
 )
-from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
-from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+from maplines_can.wire.reception.settings import decoder_settings
 from maplines_can.wire.records.frames import Frame, FrameWriter
 from maplines_can.wire.records.raw_format import RawFormat
 from maplines_can.wire.records.record import RawRecord, RecordReader
@@ -55,6 +53,12 @@ def drawn(layout: Any, names: list[str], rng: np.random.Generator) -> dict[str, 
     return {n: int(rng.integers(layout[n].raw_min, layout[n].raw_max + 1)) for n in names}
 
 
+def reassembler(layout: Layout, records: RawFormat) -> Reassembler[RawRecord]:
+    """Return a reassembler of the records of a layout, which reads those of a format."""
+    timeouts_ns = {owner: own.timeout_ns for owner, own in decoder_settings(layout).items()}
+    return Reassembler(layout, RecordReader(records), timeouts_ns)
+
+
 def check_pose(layout: Layout, database: Any, count: int) -> None:
     """Send records of the pose error in both frame formats.
 
@@ -71,23 +75,23 @@ def check_pose(layout: Layout, database: Any, count: int) -> None:
     names += [f"{slot}{name}" for slot in ("EgoLeft", "EgoRight") for name in SLOT_SIGNALS]
     rng = np.random.default_rng(3)
     for fd in (False, True):
-        receiver = PoseReceiver(pose, None, *pose_settings(pose), E2EConfig())
+        state = reassembler(layout, records)
         for i in range(count):
             counters = {slot: int(rng.integers(256)) for slot in pose.counters}
             number = i % 2 ** pose["Counter"].length
             record = pose_record(pose, number, drawn(pose, names, rng), counters)
             frames = writer.write(records.write(record), POSE, fd=fd)
-            got = [receiver.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
-            if not isinstance(got, ReceivedPose):
+            got = [state.feed(f.can_id, f.data, i * CYCLE_NS) for f in frames][-1]
+            if not isinstance(got, Record) or not isinstance(got.content, RawRecord):
                 raise WrongResultError(f"a pose error is dropped: {got}")
-            found = got.record
+            found = got.content
             require((found.raw, found.counter) == (record.raw, number), f"{found} of {record}")
             signals = decoded(database, frames)
             check_signals(pose, dict(record.raw), signals)
             for slot, signal in pose.counters.items():
                 low = counters[slot] % 2**signal.length
                 require(low == signals[signal.name], f"{signal.name} by cantools")
-                require(low == got.slot_counters[slot], signal.name)
+                require(low == pose.slot_counters(found.raw)[slot], signal.name)
             least = np.linalg.eigvalsh(_correlation(covariance.decode_one(record.raw)))[0]
             require(least > 0, "the covariance is not positive definite")
 
@@ -102,9 +106,7 @@ def check_conditional(layout: Layout, database: Any, count: int) -> None:
     records, writer = RawFormat.of_lines(layout), FrameWriter(layout, None)
     rng, slot = np.random.default_rng(4), min(layout.messages)
     for fd in (False, True):
-        state: Reassembler[Slot, RawRecord] = Reassembler(
-            layout, RecordReader(records), decoder_settings(layout)[0]
-        )
+        state = reassembler(layout, records)
         for i in range(count):
             raw = drawn(layout, [*PARAMETER_SIGNALS, "XMin", "XMax", "Quartic", *OWN_SIGNALS], rng)
             raw |= {"XMin": layout["XMin"].raw_min, "XMax": layout["XMax"].raw_max}

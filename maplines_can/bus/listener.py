@@ -11,8 +11,8 @@ from typing import NamedTuple
 import can
 
 from ..values.line import MapLine, Slot
-from ..wire import Decoder, Monitor, Reason, SceneView, SlotStats, SlotView
-from ..wire.reception.monitor import STALE_CYCLES
+from ..wire import Decoder, Reason, SceneView, SlotStats, SlotView
+from ..wire.reception.views import STALE_CYCLES
 from .background import ForkSafeCondition
 from .stamp_clock import StampClock
 
@@ -91,7 +91,6 @@ class LineListener(can.Listener):
         if queue_size < 1:
             raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
         self._decoder, self._on_line = decoder, on_line
-        self._monitor = Monitor(decoder)
         self._changed = ForkSafeCondition()  # guards the state below, and the decoder
         self._queue: deque[MapLine] = deque(maxlen=queue_size)
         self._lines = self._frames = 0
@@ -116,10 +115,9 @@ class LineListener(can.Listener):
             t_ns = round(msg.timestamp * 1e9) or time.time_ns()
             self._stamps.add(t_ns, time.monotonic_ns())
             can_id, data = msg.arbitration_id, bytes(msg.data)
-            line = self._monitor.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
-            if not isinstance(line, MapLine):
+            lines = self._decoder.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
+            if isinstance(lines, Reason):
                 return
-            lines = [line, *self._monitor.further]
             self._lines += len(lines)
             if self._on_line is None:
                 for line in lines:
@@ -200,7 +198,7 @@ class LineListener(can.Listener):
             ValueError: the DBC has no such slot.
         """
         with self._changed:
-            view = self._monitor.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+            view = self._decoder.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
             known = now_ns is not None or self._stamps.is_settled
         return view if known else view._replace(age=float("inf"), stale=True)
 
@@ -217,7 +215,7 @@ class LineListener(can.Listener):
             ValueError: the DBC has no message of the pose error.
         """
         with self._changed:
-            view = self._monitor.latest_scene(self._now(now_ns), stale_cycles=stale_cycles)
+            view = self._decoder.latest_scene(self._now(now_ns), stale_cycles=stale_cycles)
             known = now_ns is not None or self._stamps.is_settled
         return view if known else view._replace(age=float("inf"), stale=True)
 
@@ -232,12 +230,12 @@ class LineListener(can.Listener):
     def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
         """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
         with self._changed:
-            return self._monitor.slots(self._now(now_ns))
+            return self._decoder.slots(self._now(now_ns))
 
     def pose_error(self, now_ns: int | None = None) -> SlotStats | None:
         """Return the statistics of the pose error; None if none came; ``now_ns`` as in `latest`."""
         with self._changed:
-            return self._monitor.pose_error(self._now(now_ns))
+            return self._decoder.pose_error(self._now(now_ns))
 
     def stats(self) -> ReceiverStats:
         """Return a consistent copy of all counters."""

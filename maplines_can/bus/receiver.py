@@ -11,7 +11,7 @@ from can.typechecking import CanFilters
 
 from ..values.line import MapLine, Slot
 from ..wire import Decoder, SceneView, SlotStats, SlotView
-from ..wire.reception.monitor import STALE_CYCLES
+from ..wire.reception.views import STALE_CYCLES
 from .background import BackgroundThread
 from .link import Link, link_of
 from .listener import LineListener, ReceiverStats

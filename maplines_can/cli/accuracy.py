@@ -16,7 +16,7 @@ from ..study.accuracy.evaluation import accuracy_of
 from ..study.accuracy.text import as_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
-from ..wire import Decoder
+from ..wire import Decoder, Reason
 from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import add_codec, add_cycle, add_transfer_timeout, decoder_of, keyed_codec
 from .output import counts_text
@@ -82,11 +82,11 @@ def _accuracy(arguments: argparse.Namespace) -> int:
                     can_ids.add(frame.can_id)
                 decoder = decoders.setdefault(frame.channel, decoder_of(codec, arguments))
                 has_time = frame.has_time
-                line = decoder.feed(
+                found = decoder.feed(
                     frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
                 )
-                if isinstance(line, MapLine):
-                    yield from (line, *decoder.further)
+                if not isinstance(found, Reason):
+                    yield from found
         except LogError as error:
             if not any(decoder.lines for decoder in decoders.values()):
                 raise

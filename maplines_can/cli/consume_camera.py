@@ -17,7 +17,7 @@ from ..bus import Link, Receiver, read_log
 from ..propagation import pose_time_ns
 from ..values.gaussian import Gaussian
 from ..values.line import PARAMETERS, MapLine, Slot
-from ..wire import Codec
+from ..wire import Codec, Reason
 from .consume_input import table_rows
 from .options import bus_settings, codec_from
 from .parsing import option_group
@@ -137,9 +137,8 @@ def _of_log(path: str, codec: Codec) -> Iterator[MapLine]:
     decoder = codec.decoder()
     for frame in read_log(path):
         found = decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
-        if isinstance(found, MapLine):
-            yield found
-            yield from decoder.further
+        if not isinstance(found, Reason):
+            yield from found
 
 
 def _is_table(path: str) -> bool:

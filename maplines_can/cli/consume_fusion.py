@@ -139,7 +139,7 @@ def _simulated(
     end = min(SIMULATED_START + length, drive.duration - 1.0)
     fusion = LaneFusion()
     for moment in stream(SIMULATED_START, end, 1 / PERIOD):
-        view = moment.monitor.latest_scene(moment.t_ns)
+        view = moment.decoder.latest_scene(moment.t_ns)
         true = moment.true.mean(axis=0)
         yield fusion, FusionInputs(moment.t_ns, view, moment.motion, moment.camera, true)
 

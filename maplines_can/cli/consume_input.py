@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from ..bus import Link, Receiver, read_log
 from ..values.input_files import lines_of
-from ..wire import Codec, Monitor, SceneView
+from ..wire import Codec, SceneView
 from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_bus,
@@ -147,7 +147,7 @@ class Input:
             yield ConsumerCycle(mono_ns - first, now_ns, view)
 
     def _from_log(self) -> Generator[Found, None, None]:
-        path, monitor = self._arguments.log, Monitor(self._decoder)
+        path, decoder = self._arguments.log, self._decoder
         step = round(PERIOD * 1e9)
         due: int | None = None
         for frame in with_progress(read_log(path), " frames"):
@@ -159,11 +159,11 @@ class Input:
             if frame.t_ns - due > 60 * 10**9:  # a pause, not a drive
                 due = frame.t_ns
             while frame.t_ns >= due:
-                yield due, due, monitor.latest_scene(due)
+                yield due, due, decoder.latest_scene(due)
                 due += step
-            monitor.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
+            decoder.feed(frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended)
         if due is not None:
-            yield due, due, monitor.latest_scene(due)
+            yield due, due, decoder.latest_scene(due)
 
     def _from_bus(self) -> Generator[Found, None, None]:
         with ExitStack() as stack:

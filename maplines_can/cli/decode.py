@@ -14,7 +14,7 @@ from typing import Any
 from ..bus import read_log
 from ..values.errors import LogError
 from ..values.line import MapLine
-from ..wire import Decoder, Monitor, SceneView
+from ..wire import POSE, Decoder, Reason, SceneView
 from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_codec,
@@ -78,7 +78,6 @@ def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
     decoders: dict[str, Decoder] = {}
-    monitors: dict[str, Monitor] = {}
     scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
     last_ns = status = beyond = 0
     has_time = True
@@ -93,7 +92,7 @@ def _decode(arguments: argparse.Namespace) -> int:
         """Print the scene before if there is a new one, which may still get lines."""
         if not arguments.scenes:
             return
-        view = monitors[channel].latest_scene(last_ns)
+        view = decoders[channel].latest_scene(last_ns)
         before = scenes.get(channel, view)
         is_new = is_another_scene(view, before)
         if is_new:
@@ -112,14 +111,13 @@ def _decode(arguments: argparse.Namespace) -> int:
                         beyond += 1
                         continue
                     decoders[frame.channel] = decoder_of(codec, arguments)
-                    monitors[frame.channel] = Monitor(decoders[frame.channel])
                 has_time = frame.has_time
                 last_ns = frame.t_ns
-                result = monitors[frame.channel].feed(
+                found = decoders[frame.channel].feed(
                     frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
                 )
-                if isinstance(result, MapLine):
-                    for line in (result, *monitors[frame.channel].further):
+                if not isinstance(found, Reason):
+                    for line in found:
                         yield frame.channel, line if has_time else replace(line, t_ns=None)
                 see(frame.channel)
         except LogError as error:  # the intact records have been read by now
@@ -172,10 +170,8 @@ def _summarize(decoders: Mapping[str, Decoder], last_ns: int) -> None:
     )
     for channel, decoder in decoders.items():
         where = f"{channel} " if len(decoders) > 1 else ""
-        checks = [(slot_text(slot.name), check) for slot, check in decoder.checks.items()]
-        if decoder.pose_check is not None:
-            checks.append((POSE_ERROR, decoder.pose_check))
-        for name, check in checks:
+        for owner, check in decoder.checks.items():
+            name = POSE_ERROR if owner == POSE else slot_text(owner.name)
             check.elapse(last_ns)
             stats = check.stats()
             if stats.status is not None:

@@ -32,7 +32,7 @@ class Consumer(Protocol[Result]):
 
         Args:
             now_ns: time, not before that of the last step [ns].
-            view: newest scene of a ``Receiver``, ``LineListener`` or ``Monitor``, or of
+            view: newest scene of a ``Receiver``, ``LineListener`` or ``Decoder``, or of
                 ``scene_view``; one that is not usable is not used. None: there is no receiver.
             motion: of the car since the last step.
             camera: lines that a camera has seen, in the ego frame of their time: that of

@@ -15,7 +15,7 @@ from ..propagation import MapError, Motion, map_scene
 from ..values.line import MapLine
 from ..values.polyline import Polyline
 from ..values.scene import Scene
-from ..wire import Codec, Monitor
+from ..wire import Codec, Decoder
 from .camera import COLUMNS, LANE, Errors, UnitGaussMarkov, camera_view
 from .pose_source import PoseSource
 from .trajectory import SimulatedDrive
@@ -31,7 +31,7 @@ class CarCycle(NamedTuple):
     """One cycle of a drive, after its scene has arrived."""
 
     t_ns: int  #: now [ns]
-    monitor: Monitor  #: of the receiver
+    decoder: Decoder  #: of the receiver
     scene: Scene | None  #: that has arrived in this cycle, of a pose ``age`` ago
     true_then: Array  #: (2, 3) as ``true``, from the pose of the scene
     motion: Motion  #: as measured
@@ -80,7 +80,7 @@ class CarStream:
     def __call__(self, start: float, end: float, rate: float = 20.0) -> Iterator[CarCycle]:
         """Yield the moments from start to end of the drive [s], at a rate [1/s]."""
         e, rng, dt = self._errors, self._rng, 1 / rate
-        monitor = Monitor(self._codec.decoder(cycle_ms=1000 * dt))
+        decoder = self._codec.decoder(cycle_ms=1000 * dt)
         bias = UnitGaussMarkov(rng, (3,))
         scale, gyro = (
             1 + e.speed_scale * rng.standard_normal(),
@@ -98,7 +98,7 @@ class CarStream:
             }
             true = {slot: self._moved(line) for slot, line in lines.items()}
             sent = map_scene(lines, stated, map_error=error, correlation_time=self._time)
-            t_ns = self._transfer(monitor, sent, t)
+            t_ns = self._transfer(decoder, sent, t)
             speed = float(state.speed) * scale
             noise = e.yaw_rate_noise * rng.standard_normal()
             motion = Motion.with_sigma(
@@ -110,13 +110,13 @@ class CarStream:
             camera = []
             if self._has_camera and not outage[0] <= t < outage[1]:
                 camera = camera_view(true, state.pose, seen_bias, e, rng)
-            view = monitor.latest_scene(t_ns)
+            view = decoder.latest_scene(t_ns)
             is_new = view.received is not None and view.received.t_ns > round(1e9 * t)
             c, s = math.cos(state.pose[2]), math.sin(state.pose[2])
             R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
             yield CarCycle(
                 t_ns,
-                monitor,
+                decoder,
                 view.scene if is_new else None,
                 true_lines(true, LANE, state.pose)[:, COLUMNS],
                 motion,
@@ -127,12 +127,12 @@ class CarStream:
                 R @ (stated.mean - state.pose),
             )
 
-    def _transfer(self, monitor: Monitor, scene: Scene, t: float) -> int:
+    def _transfer(self, decoder: Decoder, scene: Scene, t: float) -> int:
         """Send a scene; return the time after its last frame [ns]."""
         t_ns = round(1e9 * (t + AGE))
         for own in self._encoder.encode_scene(scene, age=AGE).values():
             for frame in own:
-                monitor.feed(frame.can_id, frame.data, t_ns)
+                decoder.feed(frame.can_id, frame.data, t_ns)
                 t_ns += round(1e9 * FRAME)
         return t_ns
 

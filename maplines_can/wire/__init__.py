@@ -11,9 +11,9 @@ from .protection.key import Key
 from .protection.secoc import Authenticator, Verifier
 from .reasons import Reason
 from .reception.decoder import Decoder
-from .reception.monitor import Monitor, SceneView, SlotView
 from .reception.scenes import ReceivedScene
 from .reception.sequence import SequenceCheck, SlotStats
+from .reception.views import SceneView, SlotView
 from .records.complete_format import Batch
 from .records.frames import Frame
 from .records.scene_writer import PreparedScene
@@ -32,7 +32,6 @@ __all__ = [
     "Frame",
     "Key",
     "Layout",
-    "Monitor",
     "Owner",
     "PreparedScene",
     "ProfileStatus",

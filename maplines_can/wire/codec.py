@@ -15,13 +15,11 @@ from .covariance import CholeskyCode, CovarianceCode, SceneCode, SceneEncoder
 from .encoder import Encoder, conditional_error
 from .layout.dbc_reader import Database, default_dbc_path
 from .layout.message_layout import POSE_CONDITIONAL, Layout
-from .layout.pose_layout import PoseLayout
+from .layout.pose_layout import POSE, Owner, PoseLayout
 from .protection.e2e_state import E2EConfig
 from .protection.secoc import Authenticator, Verifier
 from .reception.decoder import Decoder
-from .reception.poses import PoseReceiver
-from .reception.scenes import SceneReceiver
-from .reception.settings import decoder_settings, pose_settings
+from .reception.settings import decoder_settings
 from .records.complete_format import CompleteFormat
 from .records.complete_writer import CompleteWriter
 from .records.frames import FrameWriter
@@ -200,14 +198,14 @@ class Codec:
             ValueError: a time is 0 or less, or more than an hour; or ``e2e`` does not fit the
                 DBC's counter.
         """
-        layout = self.layout
-        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
+        layout, pose = self.layout, self.layout.pose
+        verifiers: dict[Owner, Verifier] = {}
+        if (of_lines := self._verifier_of(layout)) is not None:
+            verifiers |= dict.fromkeys(layout.messages, of_lines)
+        if pose is not None and (of_pose := self._verifier_of(pose)) is not None:
+            verifiers[POSE] = of_pose
         scenes = None
-        if layout.pose is not None and self._scene_code is not None:
-            times = pose_settings(layout.pose, timeout_ms, cycle_ms)
-            scenes = SceneReceiver.of(
-                PoseReceiver(layout.pose, self._verifier_of(layout.pose), *times, settings[2]),
-                SceneReader(layout, layout.pose, self._scene_code),
-                layout,
-            )
-        return Decoder(layout, self.reader, self.verifier(), *settings, scenes)
+        if pose is not None and self._scene_code is not None:
+            scenes = SceneReader(layout, pose, self._scene_code)
+        settings = decoder_settings(layout, timeout_ms, cycle_ms, e2e)
+        return Decoder(layout, self.reader, verifiers, settings, scenes)

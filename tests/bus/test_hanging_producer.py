@@ -10,14 +10,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import changed_record, edited, new_codec
 from fake_bus import FULL, Clock, FakeOpener, map_line
 
-from maplines_can import Codec, Link, MapLine, Monitor, Motion, Slot, Transmitter, predict_to
+from maplines_can import Codec, Link, MapLine, Motion, Slot, Transmitter, predict_to
 from maplines_can.bus.tx_queue import ALLOWANCE
 from maplines_can.values.line import Status
 from maplines_can.wire import E2EState
-from maplines_can.wire.reception.monitor import STALE_CYCLES
+from maplines_can.wire.reception.views import STALE_CYCLES
 
 SLOT = Slot.EGO_LEFT
 PERIOD = 0.05
@@ -34,7 +35,7 @@ def true_line(t: float, age: float = 0.0) -> MapLine:
 
 @dataclass
 class Bench:
-    """A transmitter and a monitor on one clock, without threads."""
+    """A transmitter and a decoder on one clock, without threads."""
 
     codec: Codec
     rng: np.random.Generator
@@ -50,7 +51,7 @@ class Bench:
         self.transmitter = Transmitter(
             self.link, self.codec, period=PERIOD, max_age=self.max_age, clock=self.clock
         )
-        self.monitor = Monitor(self.codec.decoder())
+        self.decoder = self.codec.decoder()
         self.lines: list[MapLine] = []
 
     @property
@@ -75,7 +76,9 @@ class Bench:
                 message = self.opener.sent.get(timeout=0)
                 arrival_ns = t_ns + round(1e9 * self.rng.uniform(0, TRANSIT)) + 250_000 * i
                 if not (lost and i == 0):
-                    answer = self.monitor.feed(message.arbitration_id, message.data, arrival_ns)
+                    answer = one(
+                        self.decoder.feed(message.arbitration_id, message.data, arrival_ns)
+                    )
                     if isinstance(answer, MapLine):
                         self.lines.append(answer)
         self.clock.now = max(self.clock.now, self.start + end)
@@ -111,7 +114,7 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(
             pose = now - rng.uniform(0, 0.06)
             bench.transmitter.publish(true_line(pose, age=bench.time - pose))
             produced += PERIOD
-        view = bench.monitor.latest(SLOT, bench.now_ns)
+        view = bench.decoder.latest(SLOT, bench.now_ns)
         if not view.usable:
             continue
         used += 1
@@ -123,13 +126,13 @@ def test_item_1_a_hanging_producer_leaves_no_usable_line(
         predicted = predict_to(view.line, bench.now_ns, motion, time_sigma=0.005)
         assert abs(predicted.y(0.0) - true_line(bench.time).y(0.0)) < 3 * predicted.y_sigma(0.0)
     assert used > 100
-    view = bench.monitor.latest(SLOT, bench.now_ns)
+    view = bench.decoder.latest(SLOT, bench.now_ns)
     assert (view.state, view.stale, view.two_senders) == (E2EState.VALID, False, False)
     assert (view.usable, view.age) == (False, np.inf)
     stats = bench.transmitter.stats()
     assert stats.lines - stats.expired < 60
     assert stats.expired > 100
-    assert bench.monitor.slots(bench.now_ns)[SLOT].ok > 100  # the ECU is known to be alive
+    assert bench.decoder.slots(bench.now_ns)[SLOT].ok > 100  # the ECU is known to be alive
 
 
 def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
@@ -137,10 +140,10 @@ def test_item_1_a_line_published_again_is_usable_again(make_bench: Any) -> None:
     bench = make_bench(new_codec(), np.random.default_rng(0))
     bench.transmitter.publish(map_line())
     bench.run(2.0)
-    assert not bench.monitor.latest(SLOT, bench.now_ns).usable
+    assert not bench.decoder.latest(SLOT, bench.now_ns).usable
     bench.transmitter.publish(map_line())
     bench.run(2.11)
-    assert bench.monitor.latest(SLOT, bench.now_ns).usable
+    assert bench.decoder.latest(SLOT, bench.now_ns).usable
 
 
 @pytest.mark.parametrize("max_age", [0.06, 0.1, None])
@@ -210,7 +213,7 @@ def test_item_1_the_age_covers_the_wait_for_the_transmit_queue(
     assert bench.lines[0].age == 0.008
     age = bench.lines[1].age
     assert PERIOD + waited <= age <= PERIOD + max(2 * waited, ALLOWANCE) + 0.008
-    assert bench.monitor.slots(bench.now_ns)[SLOT].lost == 0
+    assert bench.decoder.slots(bench.now_ns)[SLOT].lost == 0
     assert bench.transmitter.stats()[2:6] == (0, 0, 4 * len(bench.lines), full)
 
 
@@ -236,7 +239,7 @@ def test_item_1_a_mixture_is_as_old_as_its_components(codec: Codec, ages: Any) -
     )  # fmt: skip
     decoder = codec.decoder()
     answers = [
-        decoder.feed(frame.can_id, frame.data, 10**6 * i)
+        one(decoder.feed(frame.can_id, frame.data, 10**6 * i))
         for i, payload in enumerate(payloads)
         for frame in codec.encoder().frames(payload, SLOT)
     ]
@@ -256,7 +259,7 @@ def test_item_1_a_line_out_of_range_is_never_usable(make_bench: Any) -> None:
     for k in range(20):
         bench.transmitter.publish(map_line(y=1000.0))
         bench.run(PERIOD * k)
-    view = bench.monitor.latest(SLOT, bench.now_ns)
+    view = bench.decoder.latest(SLOT, bench.now_ns)
     assert view.line is not None
     assert (view.state, view.stale, view.line.status) == (
         *(E2EState.VALID, False),
@@ -273,7 +276,7 @@ def test_item_10_a_line_retracted_and_published_again_is_not_lost(make_bench: An
         bench.run(bench.time + bench.rng.uniform(0, PERIOD))
         bench.transmitter.retract(Slot(k % 8))
         bench.run(bench.time + bench.rng.uniform(0, PERIOD))
-    slots = bench.monitor.slots(bench.now_ns)
+    slots = bench.decoder.slots(bench.now_ns)
     assert len(slots) == 8
     assert sum(stats.ok for stats in slots.values()) == bench.transmitter.stats().lines > 200
     assert {stats.lost for stats in slots.values()} == {0}

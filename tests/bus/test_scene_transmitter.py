@@ -27,7 +27,6 @@ from maplines_can import (
     LeftOut,
     Link,
     MapLine,
-    Monitor,
     Scene,
     Slot,
     Transmitter,
@@ -35,7 +34,7 @@ from maplines_can import (
 from maplines_can.bus import LineListener
 from maplines_can.bus.tx_queue import AHEAD, ALLOWANCE
 from maplines_can.wire import POSE, E2EState, Encoder, ProfileStatus, SceneView
-from maplines_can.wire.reception.monitor import STALE_CYCLES
+from maplines_can.wire.reception.views import STALE_CYCLES
 
 PERIOD = 0.05
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
@@ -65,7 +64,7 @@ class Bench:
         self.transmitter = Transmitter(
             self.link, self.codec, period=self.period, clock=self.clock, **self.settings
         )
-        self.monitor = Monitor(self.codec.decoder(cycle_ms=1e3 * self.period))
+        self.decoder = self.codec.decoder(cycle_ms=1e3 * self.period)
         self.rng = np.random.default_rng(1)
         self.owners: list[tuple[float, Any]] = []
         self.messages: list[can.Message] = []
@@ -94,17 +93,15 @@ class Bench:
         for i in range(self.opener.sent.qsize()):
             message = self.opener.sent.get(timeout=0)
             self.messages.append(message)
-            self.monitor.feed(message.arbitration_id, message.data, self.now_ns + 250_000 * i)
+            self.decoder.feed(message.arbitration_id, message.data, self.now_ns + 250_000 * i)
 
     def view(self) -> SceneView:
-        return self.monitor.latest_scene(self.now_ns)
+        return self.decoder.latest_scene(self.now_ns)
 
     @property
     def lost(self) -> int:
         """Records missing by their counters, of lines and of the pose error."""
-        decoder = self.monitor._decoder
-        assert decoder.pose_check is not None
-        return decoder.lost + decoder.pose_check.lost
+        return self.decoder.lost + self.decoder.checks[POSE].lost
 
 
 @pytest.fixture
@@ -138,7 +135,7 @@ def test_the_pose_error_comes_first_in_each_period(make_bench: Any, dbc: str) ->
         phase = 0.0 if owner == POSE else owner / 8
         assert time == pytest.approx((cycle + phase) * PERIOD, abs=1e-6)
     assert bench.lost == 0
-    assert not bench.monitor._decoder.counts
+    assert not bench.decoder.counts
     assert bench.view().usable
     stats = bench.transmitter.stats()
     assert (stats.pose_errors, stats.lines, stats.overruns) == (12, 36, 0)
@@ -159,9 +156,7 @@ def test_a_pose_error_that_is_skipped_leaves_no_gap(make_bench: Any, dbc: str) -
     poses = [m for m in bench.messages if m.arbitration_id == 0x35C and m.data[7] >> 5 == 0]
     counters = [message.data[2] for message in poses]
     assert counters == [n % 256 for n in range(len(counters))]
-    check = bench.monitor._decoder.pose_check
-    assert check is not None
-    assert check.lost == 0
+    assert bench.decoder.checks[POSE].lost == 0
     scene = bench.view().scene
     assert scene is not None
     assert tuple(scene.index) == SLOTS
@@ -185,7 +180,7 @@ def test_a_line_that_is_skipped_does_not_use_its_counter_again(make_bench: Any) 
     for _ in SLOTS:
         bench.transmitter._tx_queue._schedule.take(bench.clock.now)  # skipped
     bench.run(6.95 * PERIOD)
-    assert bench.monitor._decoder.lost == 3
+    assert bench.decoder.lost == 3
     scene = bench.view().scene
     assert scene is not None
     assert tuple(scene.index) == SLOTS
@@ -232,9 +227,8 @@ def test_slots_leave_and_come_back_at_any_time(make_bench: Any, dbc: str) -> Non
     view = bench.view()
     assert view.scene is not None
     assert tuple(view.scene.index) == SLOTS
-    decoder = bench.monitor._decoder
-    assert decoder.pose_check is not None
-    assert decoder.pose_check.lost == 0
+    decoder = bench.decoder
+    assert decoder.checks[POSE].lost == 0
 
 
 def test_a_line_that_was_left_out_is_retracted(make_bench: Any) -> None:
@@ -293,7 +287,7 @@ def test_scenes_then_plain_lines_and_back(make_bench: Any) -> None:
         assert view.scene is cycles.scene  # no newer one
         assert view.stale
         for slot in SLOTS:
-            line = bench.monitor.latest(slot, bench.now_ns).line
+            line = bench.decoder.latest(slot, bench.now_ns).line
             assert line is not None
             assert line.gaussian.mean[0] == 9.0 + round_
     assert bench.lost == 0
@@ -400,7 +394,7 @@ def test_a_late_transfer_keeps_its_counter(make_bench: Any, dbc: str) -> None:
             bench.transmitter._send(transfer)
             bench.receive()
     assert bench.lost == 0
-    assert not bench.monitor._decoder.counts
+    assert not bench.decoder.counts
 
 
 @BOTH
@@ -438,7 +432,7 @@ def test_authenticated_scenes_of_a_slow_sender(
     assert scene is not None
     assert tuple(scene.index) == SLOTS
     assert bench.lost == 0
-    assert not bench.monitor._decoder.counts
+    assert not bench.decoder.counts
     for time, _ in bench.owners:
         assert min(time - at for at in made if at <= time + 1e-6) < AHEAD
 

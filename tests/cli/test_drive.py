@@ -8,6 +8,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from answers import one
 from can.interfaces import virtual
 from drive_files import run, table, town
 from xodr_files import document, geometry, lane, road, section
@@ -26,7 +27,7 @@ FAST = ["--as-fast-as-possible", "--route", "1:0:-2..1:0:-1", "--seconds", "8"]
 def decoded(path: Path) -> list[MapLine]:
     """Return the lines in a log."""
     decoder = Codec.from_dbc().decoder()
-    fed = (decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(path))
+    fed = (one(decoder.feed(f.can_id, f.data, f.t_ns)) for f in read_log(path))
     lines = [line for line in fed if isinstance(line, MapLine)]
     assert not any(decoder.counts.values())
     assert decoder.lost == 0
@@ -263,7 +264,7 @@ def test_a_script_of_faults_hits_the_frames_that_it_names(
     options = [*FAST[:3], "--seconds", "1", "--record", str(log), "--faults", f"script={script}"]
     result = run(capsys, town(tmp_path), *options)
     decoder = Codec.from_dbc().decoder()
-    fed = [decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(log)]
+    fed = [one(decoder.feed(f.can_id, f.data, f.t_ns)) for f in read_log(log)]
     assert sum(isinstance(line, MapLine) for line in fed) == result["lines"] - 1
     assert result["faults"]["lost"] == 1
 

@@ -6,6 +6,7 @@ import threading
 from typing import Any
 
 import pytest
+from answers import one
 from dbcs import default_codec
 from e2e_streams import frames
 
@@ -24,7 +25,7 @@ def test_receive_prints_the_states_and_two_senders(
     ]
     decoder = default_codec().decoder()
     answers = [
-        decoder.feed(frame.can_id, frame.data, round(stamp * 1e9))
+        one(decoder.feed(frame.can_id, frame.data, round(stamp * 1e9)))
         for stamp, transfer in transfers
         for frame in transfer
     ]

@@ -11,6 +11,7 @@ from typing import Any
 import can
 import numpy as np
 import pytest
+from answers import lines_of, one
 from dbcs import DBC, edited
 from drive_files import run, town
 from sender_pairs import Sender, merged
@@ -85,8 +86,7 @@ def decoded(codec: Codec, transfers: list[Any]) -> tuple[list[MapLine], list[Any
     decoder, lines, scenes = codec.decoder(), list[MapLine](), dict[int, Any]()
     for stamp, _, frames in transfers:
         for frame in frames:
-            answer = decoder.feed(frame.can_id, frame.data, round(stamp * 1e9))
-            lines += [answer, *decoder.further] if isinstance(answer, MapLine) else []
+            lines += lines_of(decoder.feed(frame.can_id, frame.data, round(stamp * 1e9)))
         if received := decoder.scene():
             scenes[received.counter] = received
     assert decoder.lost == 0
@@ -197,7 +197,7 @@ def test_a_line_that_does_not_belong_to_the_pose_error_is_not_joined() -> None:
     decoder, lines = codec.decoder(), 0
     for cycle in range(300):
         for frame in chain.from_iterable(encoder.encode_scene(prepared).values()):
-            answer = decoder.feed(frame.can_id, frame.data, cycle * 50_000_000)
+            answer = one(decoder.feed(frame.can_id, frame.data, cycle * 50_000_000))
             lines += isinstance(answer, MapLine)
         received = decoder.scene()
         members = [] if received is None else [line.slot for line in received.scene.lines]
@@ -452,9 +452,8 @@ def test_drive_records_scenes(
     decoder = Codec.from_dbc(default_dbc_path(name)).decoder()
     lines, scenes = list[MapLine](), dict[int, Any]()
     for frame in read_log(log):
-        answer = decoder.feed(frame.can_id, frame.data, frame.t_ns)
+        answer = one(decoder.feed(frame.can_id, frame.data, frame.t_ns))
         if isinstance(answer, MapLine):
-            assert decoder.further == []
             lines.append(answer)
             received = decoder.scene()
             assert received is not None

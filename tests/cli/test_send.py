@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import edited
 from example_lines import scenario_lines
 from fake_bus import FakeOpener, FakeTime
@@ -61,7 +62,7 @@ class Simulated(Transmitter):
             self._send(transfer)
             for _ in range(self.opener.sent.qsize()):
                 message = self.opener.sent.get(timeout=0)
-                answer = self.decoder.feed(message.arbitration_id, message.data, self.now.ns)
+                answer = one(self.decoder.feed(message.arbitration_id, message.data, self.now.ns))
                 if isinstance(answer, MapLine):
                     self.received.append(answer)
         self.now.ns = max(end, self.now.ns)

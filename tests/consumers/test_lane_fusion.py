@@ -10,7 +10,6 @@ from maplines_can import (
     Gaussian,
     MapError,
     MapLine,
-    Monitor,
     Motion,
     Polyline,
     Slot,
@@ -30,7 +29,7 @@ class Car:
 
     def __init__(self, across: float = 0.0, time: float = 10.0, speed: float = 10.0) -> None:
         self.codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
-        self.encoder, self.monitor = self.codec.encoder(), Monitor(self.codec.decoder())
+        self.encoder, self.decoder = self.codec.encoder(), self.codec.decoder()
         self.across, self.time, self.speed, self.cycle = across, time, speed, 0
         self.slots: tuple[Slot, ...] = LANE
 
@@ -51,14 +50,14 @@ class Car:
         t_ns = self.cycle * CYCLE
         for frames in self.encoder.encode_scene(scene, age=0.0).values():
             for frame in frames:
-                self.monitor.feed(frame.can_id, frame.data, t_ns)
+                self.decoder.feed(frame.can_id, frame.data, t_ns)
                 t_ns += 250_000
         self.cycle += 1
         return t_ns
 
     def step(self, fusion: LaneFusion, t_ns: int, motion: Motion, camera: Any = ()) -> FusedLane:
         """Fuse what has arrived by a time."""
-        return fusion.step(t_ns, self.monitor.latest_scene(t_ns), motion, camera)
+        return fusion.step(t_ns, self.decoder.latest_scene(t_ns), motion, camera)
 
     def run(self, fusion: LaneFusion, cycles: int, camera: Any = ()) -> FusedLane:
         for _ in range(cycles):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from example_lines import lines_timed_out, scenario_lines
 
 from maplines_can import Codec, Slot
@@ -23,7 +24,7 @@ def test_every_line_is_received_as_the_codec_decodes_it() -> None:
     trip = round_trip(LINES, codec, seconds=0.2)
     decoder = Codec.from_dbc().decoder()
     for line, result in zip(LINES, trip.lines, strict=True):
-        *_, expected = [decoder.feed(f.can_id, f.data, 0) for f in encoder.encode(line)]
+        *_, expected = [one(decoder.feed(f.can_id, f.data, 0)) for f in encoder.encode(line)]
         received = trip.received_lines[line.slot.name]
         assert result.slot == line.slot.name
         assert result.mean == received.gaussian.mean.tolist() == expected.gaussian.mean.tolist()  # type: ignore[union-attr]

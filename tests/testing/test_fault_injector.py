@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import default_codec
 from fault_streams import MIX, bits_apart, content, number_of, numbered, run
 from hypothesis import given, settings
@@ -327,8 +328,10 @@ def test_whatever_the_faults_lines_are_sent_ones_and_delivered_once(faults: Any,
 
     def receive(out: Any, now: Any) -> None:
         for frame in out:
-            answer = decoder.feed(
-                frame.can_id, frame.data, round(now * 1e9), is_extended=frame.is_extended
+            answer = one(
+                decoder.feed(
+                    frame.can_id, frame.data, round(now * 1e9), is_extended=frame.is_extended
+                )
             )
             if isinstance(answer, MapLine):
                 delivered.append(content(answer))

@@ -7,8 +7,8 @@ import pytest
 from dbcs import default_codec, edited
 
 from maplines_can.values.line import Slot
-from maplines_can.wire import Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
-from maplines_can.wire.reception.settings import decoder_settings, pose_settings, timeout_cycles
+from maplines_can.wire import POSE, Codec, E2EConfig, Layout, ProfileStatus, default_dbc_path
+from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
 
 
 def test_a_time_of_an_hour_is_allowed() -> None:
@@ -62,9 +62,9 @@ def test_the_times_of_lines_and_of_the_pose_error(
         ((7, None), 7, 50 * factor),
     ):
         times = timeout_ms * 1_000_000, cycle_ms * 1_000_000
-        assert pose_settings(layout.pose, *given) == times
-        timeouts, cycles, _ = decoder_settings(layout, *given)
-        assert set(zip(timeouts.values(), cycles.values(), strict=True)) == {times}
+        settings = decoder_settings(layout, *given)
+        assert settings.keys() == {POSE, *Slot}
+        assert {one[:2] for one in settings.values()} == {times}
 
 
 def test_a_record_without_components_is_one_for_each_transfer_id() -> None:

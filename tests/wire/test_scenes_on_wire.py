@@ -33,7 +33,6 @@ from maplines_can import (
     Gaussian,
     MapError,
     MapLine,
-    Monitor,
     Scene,
     Slot,
 )
@@ -47,11 +46,11 @@ X = np.array([0.0, 20.0, 40.0])
 
 def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     """Return a scene as received."""
-    monitor = Monitor(codec.decoder())
+    decoder = codec.decoder()
     counters = {POSE: 7} | {slot: 250 + 3 * slot for slot in Slot}
     frames = codec.encoder().encode_scene(scene, fd=fd, counters=counters, age=0.02)
-    _, t_ns = feed(monitor, frames, 0)
-    view = monitor.latest_scene(t_ns)
+    _, t_ns = feed(decoder, frames, 0)
+    view = decoder.latest_scene(t_ns)
     assert view.scene is not None
     assert view.age == pytest.approx(0.024 + t_ns / 1e9)
     return view.scene
@@ -315,8 +314,9 @@ def test_a_receiver_that_knows_no_pose_error_gets_the_same_lines(tmp_path: Any) 
         assert (line.age, line.x_min, line.x_max) == (other.age, other.x_min, other.x_max)
     assert old.counts == {Reason.FOREIGN: len(frames[POSE])}
     assert old.frames == old.line_frames + sum(old.counts.values()) + old.pending
-    assert (old.pose_errors, old.pose_frames, old.pose_check, old.scene()) == (0, 0, None, None)
-    assert Monitor(old).pose_error(0) is None
+    assert (old.pose_errors, old.pose_frames, old.scene()) == (0, 0, None)
+    assert POSE not in old.checks
+    assert old.pose_error(0) is None
     old.expire(10**12)
     assert old.pending == 0
 
@@ -383,7 +383,7 @@ def test_a_dbc_without_a_pose_error_sends_no_scene(tmp_path: Any) -> None:
     with pytest.raises(EncodeError, match="MapLinePose"):
         codec.encoder().encode_scene(road_scene())
     with pytest.raises(ValueError, match="MapLinePose"):
-        Monitor(codec.decoder()).latest_scene(0)
+        codec.decoder().latest_scene(0)
 
 
 @pytest.mark.parametrize("sigma", [(3000.0, 0.2, 0.01), (0.3, 3000.0, 0.01)])

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import default_codec, new_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -105,7 +106,7 @@ def test_a_mixture_round_trip(fd: bool) -> None:
     (line,) = sent_lines(1, 5)
     frames = codec.encoder().encode(line, fd=fd)
     assert len(frames) == 5 * (1 if fd else 4)
-    answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
+    answers = [one(decoder.feed(f.can_id, f.data, i * 1000)) for i, f in enumerate(frames)]
     assert set(answers[:-1]) == {Reason.PENDING}
     back = answers[-1]
     assert back.mixture.weights.sum() == 1  # type: ignore[union-attr]
@@ -132,7 +133,7 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
         (line_alone,) = [
             answer
             for frame in frames
-            if isinstance(answer := alone.feed(frame.can_id, frame.data, 0), MapLine)
+            if isinstance(answer := one(alone.feed(frame.can_id, frame.data, 0)), MapLine)
         ]
         expected[line_alone.mixture.means.tobytes()] = i  # type: ignore[union-attr]
         stream += [frame for frame in frames for _ in range(rng.choice([0, 1, 1, 1, 1, 1, 1, 2]))]
@@ -140,7 +141,7 @@ def test_components_of_different_lines_are_not_combined(seed: int, k: Any, fd: b
     decoder = codec.decoder()
     got = []
     for i, place in enumerate(order):
-        answer = decoder.feed(stream[place].can_id, stream[place].data, i * 100_000)
+        answer = one(decoder.feed(stream[place].can_id, stream[place].data, i * 100_000))
         if isinstance(answer, MapLine):
             got.append(expected[answer.mixture.means.tobytes()])  # type: ignore[union-attr]
     assert got == sorted(set(got))
@@ -158,7 +159,7 @@ def test_an_incomplete_mixture_times_out() -> None:
     assert decoder.pending == 8
     decoder.expire(10**9)
     assert decoder.counts == {Reason.TIMEOUT: 8}
-    answers = [decoder.feed(f.can_id, f.data, 2 * 10**9 + i) for i, f in enumerate(second)]
+    answers = [one(decoder.feed(f.can_id, f.data, 2 * 10**9 + i)) for i, f in enumerate(second)]
     assert isinstance(answers[-1], MapLine)
 
 
@@ -170,7 +171,7 @@ def test_eight_components_on_a_slow_bus_are_one_line() -> None:
     codec = new_codec()
     decoder = codec.decoder(timeout_ms=25)
     frames = codec.encoder().encode(line)
-    answers = [decoder.feed(f.can_id, f.data, i * 1_080_000) for i, f in enumerate(frames)]
+    answers = [one(decoder.feed(f.can_id, f.data, i * 1_080_000)) for i, f in enumerate(frames)]
     assert len(frames) == 32
     assert isinstance(answers[-1], MapLine)
     assert len(answers[-1].mixture.weights) == 8  # type: ignore[union-attr]
@@ -199,12 +200,12 @@ def test_weights_that_do_not_add_up_are_rejected(second: float) -> None:
     codec = default_codec()
     decoder = codec.decoder()
     frames = [*component(codec, 0, 0, 2, 0.5), *component(codec, 1, 1, 2, second)]
-    answers = [decoder.feed(f.can_id, f.data, i * 1000) for i, f in enumerate(frames)]
+    answers = [one(decoder.feed(f.can_id, f.data, i * 1000)) for i, f in enumerate(frames)]
     assert answers == [Reason.PENDING] * 7 + [Reason.CONTENT]
     assert decoder.counts == {Reason.CONTENT: 8}
     assert decoder.pending == decoder.lines == 0
     good = [*component(codec, 2, 0, 2, 0.5), *component(codec, 3, 1, 2, 0.5)]
-    answers = [decoder.feed(f.can_id, f.data, 10**6 + i * 1000) for i, f in enumerate(good)]
+    answers = [one(decoder.feed(f.can_id, f.data, 10**6 + i * 1000)) for i, f in enumerate(good)]
     assert isinstance(answers[-1], MapLine)
 
 
@@ -228,7 +229,7 @@ def test_a_mixture_with_the_record_of_another_sender_within_is_given_up() -> Non
     other = component(codec, 0, 0, 2, 0.5, x_max=60.0)
     answers = []
     for i, frame in enumerate([*own[0], *other, *own[1]]):
-        answers.append(decoder.feed(frame.can_id, frame.data, i * 1000))
+        answers.append(one(decoder.feed(frame.can_id, frame.data, i * 1000)))
     assert Reason.STALE in answers
     assert not [answer for answer in answers if isinstance(answer, MapLine)]
     assert decoder.counts[Reason.INCOMPLETE] == 8
@@ -241,7 +242,7 @@ def test_a_mixture_has_the_time_of_its_first_component(first_ms: int, second_ms:
     codec = default_codec()
     decoder = codec.decoder(timeout_ms=50)
     answers = [
-        decoder.feed(frame.can_id, frame.data, t_ms * 1_000_000)
+        one(decoder.feed(frame.can_id, frame.data, t_ms * 1_000_000))
         for i, t_ms in enumerate((first_ms, second_ms))
         for frame in component(codec, i, i, 2, 0.5, age=0.008)
     ]
@@ -268,7 +269,7 @@ def test_a_component_after_the_time_out_does_not_complete_the_mixture() -> None:
     codec = default_codec()
     decoder = codec.decoder(timeout_ms=50)
     answers = [
-        decoder.feed(frame.can_id, frame.data, t_ns)
+        one(decoder.feed(frame.can_id, frame.data, t_ns))
         for t_ns, i in ((0, 0), (60_000_000, 1))
         for frame in component(codec, i, i, 2, 0.5)
     ]
@@ -293,7 +294,7 @@ def test_a_mixture_has_the_status_of_its_worst_component(order: tuple[int, int])
     decoder = codec.decoder()
     statuses = [[Status.FULL, Status.DIAGONAL][i] for i in order]
     answers = [
-        decoder.feed(frame.can_id, frame.data, i * 1_000_000)
+        one(decoder.feed(frame.can_id, frame.data, i * 1_000_000))
         for i, status in enumerate(statuses)
         for frame in component(codec, i, i, 2, 0.5, status=status)
     ]
@@ -310,7 +311,7 @@ def test_a_rejected_record_ends_only_the_mixture_that_its_counter_is_in(
     decoder = codec.decoder(e2e=E2EConfig(max_delta_counter=1))
     own = [component(codec, 10 + i, i, 3, weight) for i, weight in enumerate((0.5, 0.25, 0.25))]
     other = component(codec, counter, 0, 1, 1.0)
-    answers = [decoder.feed(f.can_id, f.data, 0) for f in [*own[0], *other, *own[1], *own[2]]]
+    answers = [one(decoder.feed(f.can_id, f.data, 0)) for f in [*own[0], *other, *own[1], *own[2]]]
     assert answers[7] is Reason.STALE
     assert isinstance(answers[-1], MapLine) is not is_given_up
     assert decoder.counts[Reason.INCOMPLETE] == (4 if is_given_up else 0)

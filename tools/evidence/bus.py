@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from answers import one
 
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults
@@ -196,7 +197,7 @@ class Stream:
 
     def _receive(self, frame: Page, t_ns: int) -> None:
         feed = self._decoder.feed
-        result = feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended)
+        result = one(feed(frame.can_id, frame.data, t_ns, is_extended=frame.is_extended))
         chunk = self._chunks[-1] if frame.line >= self._chunks[-1].start else self._chunks[0]
         i = frame.line - chunk.start
         (chunk.arrived if frame.intact else chunk.damaged)[i] |= 1 << frame.page
@@ -265,7 +266,7 @@ def mixtures(n: int = 10**5, seed: int = 0) -> dict[str, Any]:
         delivered: set[int | None] = set()
         last: dict[Slot, int] = {}
         for at, frame in order:
-            answer = decoder.feed(frame.can_id, frame.data, round((t_ms + at) * MS))
+            answer = one(decoder.feed(frame.can_id, frame.data, round((t_ms + at) * MS)))
             if isinstance(answer, MapLine):
                 place = known.get(mixture_identity(answer))
                 wrong["delivered, not sent"] += place is None

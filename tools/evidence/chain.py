@@ -31,14 +31,15 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
+from answers import lines_of
 
-from maplines_can import Codec, Link, MapLine, Receiver, Transmitter
+from maplines_can import Codec, Link, Receiver, Transmitter
 from maplines_can.consumers.steering import SteeringState
 from maplines_can.maps import LaneTracker
 from maplines_can.simulation.camera import COLUMNS, LANE, PLACES
 from maplines_can.simulation.car_stream import AGE, FRAME
 from maplines_can.simulation.truth import true_lines
-from maplines_can.wire import POSE, Frame, Monitor, default_dbc_path
+from maplines_can.wire import POSE, Frame, default_dbc_path
 
 from .chain_parts import CAMERA_OUTAGE, Array, Consumer, Sender, World
 from .closed_loop import BESIDE_CHANGE, MARGIN, PERIOD, STEP
@@ -92,8 +93,8 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
     world = World(seed)
     sender, codec = Sender(seed, world.row), Codec.from_dbc(default_dbc_path(dbc))
     encoder = codec.encoder()
-    monitor = Monitor(codec.decoder())
-    consumer = Consumer(world, monitor)
+    decoder = codec.decoder()
+    consumer = Consumer(world, decoder)
     rows, lines, received, frames = world.row[None], 0, 0, 0
     on_the_way: deque[tuple[int, Frame]] = deque()
 
@@ -102,8 +103,7 @@ def drive_of(seconds: float, seed: int, dbc: str, shown: Any) -> dict[str, Any]:
         found = 0
         while on_the_way and on_the_way[0][0] <= now_ns:
             ns, frame = on_the_way.popleft()
-            line = monitor.feed(frame.can_id, frame.data, ns)
-            found += isinstance(line, MapLine) + len(monitor.further)
+            found += len(lines_of(decoder.feed(frame.can_id, frame.data, ns)))
         return found
 
     while world.t < seconds - STEP / 2 and not is_at_goal(world):

@@ -20,7 +20,7 @@ from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.line import Slot
 from maplines_can.values.polyline import Polyline
 from maplines_can.values.scene import Scene
-from maplines_can.wire import Codec, Encoder, Monitor, default_dbc_path
+from maplines_can.wire import Codec, Decoder, Encoder, default_dbc_path
 
 #: Period of the lines and of the control [s].
 PERIOD = 0.05
@@ -257,7 +257,7 @@ class ClosedLoop:
         """
         codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
         encoder = codec.encoder()
-        monitor = Monitor(codec.decoder())
+        decoder = codec.decoder()
         random = np.random.default_rng(self.seed)
         place = RouteProgress(self.line.points, self.line.distance)
         car = Car(place.pose(self.way[0]), 0.0)
@@ -277,7 +277,7 @@ class ClosedLoop:
             lost = any(begin <= t < end for begin, end in self.line_outages)
             if scene is not None and scene.lines and not lost:
                 sent = scene if route is not None else without(scene, Slot.ROUTE)
-                transmit(encoder, sent, t + AGE, monitor)
+                transmit(encoder, sent, t + AGE, decoder)
             car.drive(*demands, latency)
             now = t + latency
             noise = random.standard_normal(2) * ODOMETRY * (car.speed > 0)
@@ -285,7 +285,7 @@ class ClosedLoop:
             now_ns = round(now * 1e9)
             self.steering.set_speed, self.steering.route = speed_limit, route
             motion = Motion.with_sigma(speed, yaw_rate, ODOMETRY)
-            command = self.steering.step(now_ns, monitor.latest_scene(now_ns), motion)
+            command = self.steering.step(now_ns, decoder.latest_scene(now_ns), motion)
             demands = command.curvature, command.speed
             car.drive(*demands, PERIOD - latency)
             motion = car.speed, car.curvature
@@ -298,13 +298,13 @@ class ClosedLoop:
         return moments
 
 
-def transmit(encoder: Encoder, scene: Scene, t: float, monitor: Monitor) -> None:
+def transmit(encoder: Encoder, scene: Scene, t: float, decoder: Decoder) -> None:
     """Feed the frames of a scene that is sent at a time [s] to its receiver."""
     ns = round(t * 1e9)
     for frames in encoder.encode_scene(scene, age=AGE).values():
         for frame in frames:
             ns += round(TRANSMISSION / 10 * 1e9)
-            monitor.feed(frame.can_id, frame.data, ns)
+            decoder.feed(frame.can_id, frame.data, ns)
 
 
 def without(scene: Scene, slot: Slot) -> Scene:

@@ -31,6 +31,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from answers import lines_of
 
 from maplines_can import Codec, Link, MapLine, Receiver, Slot, maps, read_log
 
@@ -194,7 +195,7 @@ def decoded(path: Path) -> list[MapLine]:
     """Return the lines in a log."""
     decoder = Codec.from_dbc().decoder(timeout_ms=3_600_000)
     fed = (decoder.feed(f.can_id, f.data, f.t_ns) for f in read_log(path))
-    return [line for line in fed if isinstance(line, MapLine)]
+    return [line for answer in fed for line in lines_of(answer)]
 
 
 @contextmanager

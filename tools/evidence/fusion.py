@@ -29,7 +29,7 @@ from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.simulation.truth import Y_PLACES, true_lines
 from maplines_can.values.line import MapLine, Slot, lateral_jacobian
 from maplines_can.values.polyline import Polyline
-from maplines_can.wire import Monitor, default_dbc_path
+from maplines_can.wire import Decoder, default_dbc_path
 
 from .drive_view import DriveView, drive_view
 from .figures import Mean, Share
@@ -189,7 +189,7 @@ def moments(
     times: Array,
     error: MapError | None,
     codec: Codec,
-    monitor: Monitor,
+    decoder: Decoder,
     seed: int,
 ) -> Iterator[Moment]:
     """Yield the moments of a car at times of a drive [s]."""
@@ -215,7 +215,7 @@ def moments(
         now_ns = round(1e9 * (t + AGE))
         for frames in encoder.encode_scene(scene, age=AGE).values():
             for frame in frames:
-                monitor.feed(frame.can_id, frame.data, now_ns)
+                decoder.feed(frame.can_id, frame.data, now_ns)
                 now_ns += round(1e9 * FRAME)
         speed = float(state.speed) * scale
         rate = float(state.yaw_rate) + gyro + e.yaw_rate_noise * rng.normal()
@@ -285,11 +285,11 @@ def of_car(
     start = float(np.random.default_rng([seed, 2]).uniform(0.5, latest))
     times = np.arange(start, min(start + seconds, drive.end - 0.2), DT)
     codec = Codec.from_dbc(default_dbc_path("maplines-pose.dbc"))
-    monitor = Monitor(codec.decoder(cycle_ms=round(1000 * DT)))
+    decoder = codec.decoder(cycle_ms=round(1000 * DT))
     alone, with_camera = LaneFusion(), LaneFusion()
     z: dict[str, list[Array]] = {way: [] for way in WAYS}
-    for now in moments(road_map, route, drive, times, error, codec, monitor, seed):
-        view = monitor.latest_scene(now.t_ns)
+    for now in moments(road_map, route, drive, times, error, codec, decoder, seed):
+        view = decoder.latest_scene(now.t_ns)
         lane = alone.step(now.t_ns, view, now.motion)
         z["scenes"].append(normalised(lane.scene, now.true))
         lane = with_camera.step(now.t_ns, view, now.motion, now.camera)

@@ -92,7 +92,7 @@ class Bus:
             if (total_now := sum(last.values())) != before:
                 before = total_now
                 moved += 1
-            counts["LINE" if isinstance(answer, MapLine) else answer.name] += 1
+            counts[answer.name if isinstance(answer, Reason) else "LINE"] += 1
         return max(moved, counts["LINE"]), dict(counts)
 
 
@@ -105,9 +105,7 @@ def secured_layout(layout: Layout) -> SecuredLayout:
 
 def last_accepted(decoder: Decoder) -> dict[int, int]:
     """Return the last freshness values that a decoder has accepted; it updates the mapping."""
-    if decoder.verifier is None:
-        raise RuntimeError("the decoder has no verifier")
-    return decoder.verifier.last_accepted
+    return next(iter(decoder.verifiers.values())).last_accepted
 
 
 # ---- attacks: (CAN ID, payload) ---------------------------------------------------------------
@@ -219,7 +217,7 @@ def reordered(rng: np.random.Generator, n: int) -> dict[str, Any]:
             moved = sum(last.values()) != before
             wrong += int(moved != (i > newest.get(frame.can_id, -1)))
             newest[frame.can_id] = max(i, newest.get(frame.can_id, -1))
-            counts["LINE" if isinstance(answer, MapLine) else answer.name] += 1
+            counts[answer.name if isinstance(answer, Reason) else "LINE"] += 1
     return {"frames": n, "accepted": wrong, "reasons": dict(counts)}
 
 

@@ -1,96 +1,122 @@
-"""Decoder of received frames: frames in, map lines out, everything else counted."""
+"""Decoder of received frames: frames in, map lines and scenes out, everything else counted."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from ...values.line import MapLine, Slot
 from ..layout.message_layout import Layout
-from ..protection.e2e_state import E2EConfig, ProfileStatus
+from ..layout.pose_layout import POSE, Owner
 from ..protection.secoc import Verifier
 from ..reasons import Reason
 from ..records.record import CompleteRecord, RawRecord, RecordReader
-from .mixtures import MixtureAssembler
-from .reassembly import Reassembler
-from .scenes import ReceivedLine, ReceivedScene, SceneReceiver
-from .sequence import SequenceCheck
+from ..records.scene_reader import SceneReader
+from .mixtures import MixtureAssembler, ReceivedLine
+from .reassembly import Reassembler, Record
+from .scenes import ReceivedScene, SceneAssembler
+from .sequence import SequenceCheck, SlotStats
+from .settings import RecordSettings
+from .views import STALE_CYCLES, SceneView, SlotView, scene_view, slot_view
 
 # Looked up only once, since feed is called for every frame.
 PENDING, FOREIGN = Reason.PENDING, Reason.FOREIGN
 
+Content = CompleteRecord | RawRecord
+
 
 class Decoder:
-    """Decoder of the frames of a bus, with the state of a receiver.
+    """Decoder of the frames of a bus: the state of a receiver, and views of it.
 
-    Data flows one way::
+    Every record passes the same stations, those of a slot and those of the pose error. Each may
+    drop it, with a counted reason::
 
-        frame -> Reassembler -> record -> SequenceCheck -> new record -> MixtureAssembler -> line
-
-    Frames of the pose error take a way of their own. ``scene`` returns the lines of one pose error
-    together. If the records of lines are conditional on it, a line comes when both are there::
-
-        frame -> PoseReceiver -> new record -> EpochAssembler -> lines, scene
+        frame          reassembly.py   all pages of one transfer, or none; time-outs
+          |            secoc.py        with a key, and before all others: MAC and freshness
+        record         records/        page numbers, transfer IDs, CRC, values that no sender sends
+          |            sequence.py     counter: duplicate, late, or new; E2E status and state
+        new record     mixtures.py     a line of all its components, or none
+          |            scenes.py       lines of one pose error; conditional records wait for theirs
+        lines, scene   views.py        may they be used: E2E state, age, second sender
 
     ``Codec.decoder`` makes one. At any time
     ``frames == line_frames + pose_frames + sum(counts.values()) + pending``.
 
     Each record is checked by its counter according to AUTOSAR E2E, and ``checks`` gives the state
-    of each slot. Of good records, only duplicates and late ones are dropped. What to do with a line
-    whose slot is not VALID is the consumer's decision.
+    of each owner. Of good records, only duplicates and late ones are dropped. What to do with a
+    line whose slot is not VALID is the consumer's decision; `latest` tells it. ``E2EConfig``
+    decides on states only: a step of more than ``max_delta_counter`` is a sequence break, but the
+    record is new. How far a new one may be ahead is in the table of ``SequenceCheck``.
 
     With a verifier the MAC is checked first, and a frame that is not authentic changes nothing:
     no line, no transfer, no check.
 
+    Time is an argument. `latest` and `latest_scene` return the newest line of a slot and the newest
+    scene at any time; a ``Receiver`` does the same on a bus. A decoder is not thread-safe.
+
     Args:
-        reader: reader of the records of slots.
-        verifier: checks authenticated frames; None for a bus without authentication.
-        timeouts_ns: longest time between the frames of a transfer, and between the components of a
-            mixture, for each slot [ns].
-        cycles_ns: time between records of each slot [ns].
-        e2e: windows and bounds of the E2E state machines.
-        scenes: receiver of pose errors and scenes; None if the DBC has no such message.
+        layout: of the records and their messages.
+        reader: reads the records.
+        verifiers: of the owners whose frames are authenticated.
+        settings: of each owner.
+        scenes: rebuilds lines and scenes; None if the DBC has no message of the pose error.
+
+    >>> from maplines_can import Codec, Slot, MapLine
+    >>> codec = Codec.from_dbc()
+    >>> decoder = codec.decoder()
+    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)):
+    ...     _ = decoder.feed(frame.can_id, frame.data, t_ns=0)
+    >>> view = decoder.latest(Slot.ROUTE, now_ns=60_000_000)
+    >>> view.state.name, round(view.age, 3), view.stale
+    ('INIT', 0.084, False)
+    >>> decoder.latest(Slot.ROUTE, now_ns=160_000_000).stale
+    True
     """
 
     def __init__(
         self,
         layout: Layout,
-        reader: RecordReader[CompleteRecord | RawRecord],
-        verifier: Verifier | None,
-        timeouts_ns: Mapping[Slot, int],
-        cycles_ns: Mapping[Slot, int],
-        e2e: E2EConfig,
-        scenes: SceneReceiver | None = None,
+        reader: RecordReader[Content],
+        verifiers: Mapping[Owner, Verifier],
+        settings: Mapping[Owner, RecordSettings],
+        scenes: SceneReader | None,
     ) -> None:
-        #: CAN IDs of all lines, for filters.
+        #: CAN IDs of all messages, for filters.
         self.can_ids = layout.can_ids
-        #: Checks whether a frame is authentic; None without authentication.
-        self.verifier = verifier
-        modulus = 2 ** layout["Counter"].length
-        self._message_of_id = layout.message_of_id
-        self._reassembler: Reassembler[Slot, CompleteRecord | RawRecord]
-        self._reassembler = Reassembler(layout, reader, timeouts_ns, verifier)
-        self._mixtures = MixtureAssembler(modulus, timeouts_ns)
-        self._scenes = scenes
+        #: Check whether frames are authentic, by owner; empty without authentication.
+        self.verifiers = verifiers
         self._is_conditional = layout.is_conditional
-        #: Lines that the last frame completed in addition to the one that ``feed`` returned.
-        self.further: list[MapLine] = []
-        self._counts: Counter[Reason] = Counter()  # dropped between reassembly and mixture assembly
+        timeouts_ns = {owner: own.timeout_ns for owner, own in settings.items()}
+        self._reassembler = Reassembler(layout, reader, timeouts_ns, verifiers)
+        self._mixtures = MixtureAssembler(2 ** layout["Counter"].length, timeouts_ns)
+        self._scenes: SceneAssembler | None = None
+        if (pose := layout.pose) is not None and scenes is not None:
+            cycle_ns, mixed = settings[POSE].cycle_ns, not layout.is_conditional
+            self._scenes = SceneAssembler(pose, scenes, cycle_ns, has_mixtures=mixed)
+        #: Checks of the records of each slot of the DBC, and of the pose error if it has that.
+        self.checks: Mapping[Owner, SequenceCheck] = {
+            owner: SequenceCheck(
+                own.e2e,
+                2 ** of_owner["Counter"].length,
+                of_owner.pages,
+                own.cycle_ns,
+                is_authentic=owner in verifiers,
+            )
+            for owner, own in settings.items()
+            if (of_owner := layout.pose if owner == POSE else layout) is not None
+        }
+        self._newest: dict[Slot, MapLine] = {}
+        self._counts: Counter[Reason] = Counter()  # of records that are damaged or not new
         self.frames = 0  #: frames received
         self.lines = 0  #: lines delivered
         self.line_frames = 0  #: frames of the lines delivered
-        #: Checks of each slot of the DBC.
-        self.checks: Mapping[Slot, SequenceCheck] = {
-            slot: SequenceCheck(
-                e2e, modulus, layout.pages, cycle_ns, is_authentic=verifier is not None
-            )
-            for slot, cycle_ns in cycles_ns.items()
-        }
+        self.pose_errors = 0  #: pose errors received
+        self.pose_frames = 0  #: frames of the pose errors received
 
     @property
     def lost(self) -> int:
-        """Records missing between those received, by their counters."""
-        return sum(check.lost for check in self.checks.values())
+        """Records of lines missing between those received, by their counters."""
+        return sum(check.lost for owner, check in self.checks.items() if owner != POSE)
 
     @property
     def counts(self) -> Counter[Reason]:
@@ -104,45 +130,10 @@ class Decoder:
         pending = self._reassembler.pending + self._mixtures.pending
         return pending if self._scenes is None else pending + self._scenes.pending
 
-    @property
-    def pose_errors(self) -> int:
-        """Pose errors received."""
-        return 0 if self._scenes is None else self._scenes.pose_errors
-
-    @property
-    def pose_frames(self) -> int:
-        """Frames of the pose errors received."""
-        return 0 if self._scenes is None else self._scenes.pose_frames
-
-    @property
-    def pose_check(self) -> SequenceCheck | None:
-        """Check of the pose errors, as that of a slot; None if the DBC has no such message."""
-        return None if self._scenes is None else self._scenes.check
-
-    def checks_of(self, slot: Slot) -> tuple[SequenceCheck, ...]:
-        """Return the checks of all that a line of a slot is made of.
-
-        These are that of the slot and, if its record is conditional on the pose error, that of the
-        pose error.
-        """
-        check, pose_check = self.checks[slot], self.pose_check
-        if pose_check is None or not self._is_conditional:
-            return (check,)
-        return check, pose_check
-
-    def scene(self) -> ReceivedScene | None:
-        """Return the newest scene, see ``Monitor.latest_scene``; None before the first."""
-        return None if self._scenes is None else self._scenes.latest()
-
-    @property
-    def pose_is_too_old(self) -> bool:
-        """Whether the newest pose error is too old, so that the sender vouches for no scene."""
-        return self._scenes is not None and self._scenes.is_too_old
-
     def feed(
         self, can_id: int, data: bytes, t_ns: int, *, is_extended: bool = False
-    ) -> MapLine | Reason:
-        """Decode a frame; return the line that it completes, or the reason why none.
+    ) -> Sequence[MapLine] | Reason:
+        """Decode a frame; return the lines that it completes, or the reason why none.
 
         Args:
             can_id: its CAN ID.
@@ -151,64 +142,155 @@ class Decoder:
             is_extended: the ID has 29 bits.
 
         Returns:
-            The line, or the reason why there is none (PENDING: not yet). No frame raises. A pose
-            error may complete several lines that waited for it; the others are in ``further``.
+            One line, or several if a pose error completes those that waited for it; or the reason
+            why there is none (PENDING: not yet). No frame raises.
         """
         self.frames += 1
-        self.further = []
-        if self._scenes is not None and self._scenes.knows(can_id, is_extended):
-            lines = self._scenes.feed_pose(can_id, data, t_ns, is_extended)
-            if isinstance(lines, Reason):
-                return lines
-            first, *self.further = map(self._delivered, lines)
-            return first
         record = self._reassembler.feed(can_id, data, t_ns, is_extended)
         if isinstance(record, Reason):
             if record is not PENDING and record is not FOREIGN:
-                slot, _ = self._message_of_id[can_id, is_extended]
-                self.checks[slot].frame_dropped(record, t_ns)
+                owner = self._reassembler.owner_of(can_id, is_extended)
+                self.checks[owner].frame_dropped(record, t_ns)
             return record
-        check, content = self.checks[record.slot], record.content
+        check, content = self.checks[record.owner], record.content
         if isinstance(content, Reason):
             check.failed(record.t_ns)
-            return self._dropped(content, record.frames)
-        reason = check.received(content.counter, hash(record.payload), record.t_ns, content.count)
+            return self._dropped(content, record)
+        payload = hash(record.payload)
+        reason = check.received(content.counter, payload, record.t_ns, content.count)
         if reason is not None:
             if reason is Reason.STALE:
-                self._mixtures.drop_if_within(record.slot, content.counter)
-            return self._dropped(reason, record.frames)
-        is_break = check.status is ProfileStatus.WRONGSEQUENCE
-        if isinstance(content, RawRecord):
-            if self._scenes is None:
-                return self._dropped(Reason.POSE, record.frames)
-            line = self._scenes.add_record(content, record.t_ns, record.frames, is_break)
-            return line if isinstance(line, Reason) else self._delivered(line)
-        if content.count > 1 and check.counter_was_reused(record.t_ns):
-            self._mixtures.drop(record.slot)  # its components may come from two senders
-            return self._dropped(Reason.INCOMPLETE, record.frames)
-        complete = self._mixtures.add(content, record.frames, record.t_ns)
-        if isinstance(complete, Reason):
-            return complete
-        check.delivered(complete.records)
-        self.lines += 1
-        self.line_frames += complete.frames
-        if self._scenes is not None and complete.records == 1:
-            self._scenes.add_line(complete.line, content.counter, record.t_ns, is_break)
-        return complete.line
+                self._mixtures.drop_if_within(record.owner, content.counter)
+            return self._dropped(reason, record)
+        if isinstance(content, CompleteRecord):
+            return self._add_component(content, record, check)
+        return self._add_to_scene(content, record, check)
 
     def expire(self, t_ns: int) -> None:
-        """Drop the transfers and mixtures that have timed out at ``t_ns`` [ns]."""
+        """Drop the transfers, mixtures and waiting lines that have timed out at ``t_ns`` [ns]."""
         self._reassembler.expire(t_ns)
         self._mixtures.expire(t_ns)
         if self._scenes is not None:
             self._scenes.expire(t_ns)
 
-    def _delivered(self, received: ReceivedLine) -> MapLine:
-        self.checks[received.line.slot].delivered(1)
-        self.lines += 1
-        self.line_frames += received.frames
-        return received.line
+    def latest(self, slot: Slot, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SlotView:
+        """Return the newest line of a slot with its state.
 
-    def _dropped(self, reason: Reason, frames: int) -> Reason:
-        self._counts[reason] += frames
+        A line that is late by 240 to 255 records looks newer and is returned as such (see
+        ``SequenceCheck``). These are 12 s of single lines, or 1.5 s of lines of 8 components.
+
+        Args:
+            slot: which line.
+            now_ns: current time on the clock of the frames' time stamps [ns]. If it is before the
+                reception of the line by more than ``CLOCK_JITTER_NS``, this clock was set back: the
+                line is stale, and its age is infinite.
+            stale_cycles: number of cycle times without a newer line after which a line is
+                stale; see ``Codec.decoder`` for the cycle time.
+
+        Raises:
+            ValueError: the DBC has no such slot, or ``now_ns`` is not a whole number.
+        """
+        slots = [owner for owner in self.checks if owner != POSE]
+        if slot not in slots:
+            names = ", ".join(known.name for known in slots)
+            raise ValueError(f"slot must be one of the DBC's, {names}, got {slot!r}")
+        if now_ns != now_ns // 1:
+            raise ValueError(f"now_ns must be whole [ns], got {now_ns!r}")
+        owners: tuple[Owner, ...] = (slot, POSE) if self._is_conditional else (slot,)
+        checks = [self.checks[owner] for owner in owners]
+        return slot_view(Slot(slot), self._newest.get(slot), checks, now_ns, stale_cycles)
+
+    def latest_scene(self, now_ns: int, *, stale_cycles: float = STALE_CYCLES) -> SceneView:
+        """Return the newest scene: lines of one pose, with their joint covariance.
+
+        The lines of a cycle arrive one after the other, in all of the cycle. The scene before
+        remains the newest one until lines of all slots of the last two scenes have come, or the
+        next pose error. A line that was lost is not in the scene. If the newest pose error is too
+        old, the age is infinite.
+
+        Args:
+            now_ns: as in ``latest``.
+            stale_cycles: number of cycle times since its pose error after which a scene is stale.
+
+        Raises:
+            ValueError: the DBC has no message of the pose error.
+        """
+        if self._scenes is None:
+            raise ValueError(
+                "the DBC has no message of the pose error (MapLinePose), so there are no scenes; "
+                "take maplines.dbc or maplines-pose.dbc"
+            )
+        received = self._scenes.latest()
+        lines = () if received is None else received.scene.lines
+        slots = {line.slot: self.checks[line.slot] for line in lines}
+        pose_check, is_too_old = self.checks[POSE], self._scenes.is_too_old
+        return scene_view(received, is_too_old, pose_check, slots, now_ns, stale_cycles)
+
+    def scene(self) -> ReceivedScene | None:
+        """Return the newest scene, see `latest_scene`; None before the first."""
+        return None if self._scenes is None else self._scenes.latest()
+
+    def slots(self, now_ns: int) -> dict[Slot, SlotStats]:
+        """Return the E2E statistics of each slot on which anything was received."""
+        slots = [owner for owner in self.checks if owner != POSE]
+        stats = {slot: self._stats(slot, now_ns) for slot in slots}
+        return {slot: known for slot, known in stats.items() if known is not None}
+
+    def pose_error(self, now_ns: int) -> SlotStats | None:
+        """Return the E2E statistics of the pose error; None if none was received."""
+        return self._stats(POSE, now_ns) if POSE in self.checks else None
+
+    def _stats(self, owner: Owner, now_ns: int) -> SlotStats | None:
+        check = self.checks[owner]
+        check.elapse(now_ns)
+        return None if check.status is None else check.stats()
+
+    def _add_component(
+        self, content: CompleteRecord, record: Record[Content], check: SequenceCheck
+    ) -> Sequence[MapLine] | Reason:
+        """Add a new record with a covariance of its own to its mixture, and its line to a scene."""
+        slot = content.line.slot
+        if content.count > 1 and check.counter_was_reused(record.t_ns):
+            self._mixtures.drop(slot)  # its components may come from two senders
+            return self._dropped(Reason.INCOMPLETE, record)
+        complete = self._mixtures.add(content, record.frames, record.t_ns)
+        if isinstance(complete, Reason):
+            return complete
+        if self._scenes is not None and complete.records == 1:
+            is_break = check.ahead is None
+            self._scenes.add_line(complete.line, content.counter, record.t_ns, is_break)
+        return self._delivered([complete])
+
+    def _add_to_scene(
+        self,
+        content: RawRecord,
+        record: Record[Content],
+        check: SequenceCheck,
+    ) -> Sequence[MapLine] | Reason:
+        """Add a new pose error, or a new record that is conditional on one, to its scene."""
+        if self._scenes is None:  # the layout requires a pose error
+            return self._dropped(Reason.POSE, record)
+        if content.owner != POSE:
+            is_break = check.ahead is None
+            line = self._scenes.add_record(content, record.t_ns, record.frames, is_break)
+            return line if isinstance(line, Reason) else self._delivered([line])
+        check.delivered(1)
+        self.pose_errors += 1
+        self.pose_frames += record.frames
+        lines = self._scenes.add_pose(content, record.t_ns, check.ahead)
+        return self._delivered(lines) if lines else PENDING
+
+    def _delivered(self, received: Iterable[ReceivedLine]) -> list[MapLine]:
+        """Count the lines that a frame has completed, and keep each as the newest of its slot."""
+        lines = []
+        for line, frames, records in received:
+            self.checks[line.slot].delivered(records)
+            self.lines += 1
+            self.line_frames += frames
+            self._newest[line.slot] = line
+            lines.append(line)
+        return lines
+
+    def _dropped(self, reason: Reason, record: Record[Content]) -> Reason:
+        self._counts[reason] += record.frames
         return reason

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...values.line import Kind, MapLine, Slot, Status
 from ...values.mixture import GaussianMixture
+from ..layout.pose_layout import Owner
 from ..reasons import Reason
 from ..records.record import CompleteRecord
 
@@ -28,12 +29,12 @@ SEVERITY = (
 WEIGHT_TOLERANCE = 1e-9
 
 
-class CompleteLine(NamedTuple):
-    """A line with all its components."""
+class ReceivedLine(NamedTuple):
+    """A line with all its components, and its pose error if its record is conditional on that."""
 
     line: MapLine
-    records: int  #: components
-    frames: int  #: frames that carried them
+    frames: int  #: frames that carried it
+    records: int = 1  #: records that carried it: components
 
 
 class _Common(NamedTuple):
@@ -70,9 +71,9 @@ class MixtureAssembler:
             from the last component, since a slow bus takes long for many components.
     """
 
-    def __init__(self, modulus: int, timeouts_ns: Mapping[Slot, int]) -> None:
+    def __init__(self, modulus: int, timeouts_ns: Mapping[Owner, int]) -> None:
         self._modulus, self._timeouts_ns = modulus, timeouts_ns
-        self._incomplete: dict[Slot, _Incomplete] = {}
+        self._incomplete: dict[Owner, _Incomplete] = {}
         #: Frames dropped here, by reason.
         self.counts: Counter[Reason] = Counter()
 
@@ -81,7 +82,7 @@ class MixtureAssembler:
         """Frames of incomplete mixtures."""
         return sum(mixture.frames for mixture in self._incomplete.values())
 
-    def add(self, record: CompleteRecord, frames: int, t_ns: int) -> CompleteLine | Reason:
+    def add(self, record: CompleteRecord, frames: int, t_ns: int) -> ReceivedLine | Reason:
         """Add a record to its mixture; return the line that it completes.
 
         Returns:
@@ -96,7 +97,7 @@ class MixtureAssembler:
         elif held and held.common != common:
             self._drop(slot, Reason.INCOMPLETE)
         if record.count == 1:
-            return CompleteLine(line, 1, frames)
+            return ReceivedLine(line, frames)
         mixture = self._incomplete.setdefault(slot, _Incomplete(common, t_ns))
         if record.index in mixture.components:
             self.counts[Reason.DUPLICATE] += frames
@@ -111,18 +112,18 @@ class MixtureAssembler:
             self._drop(slot, Reason.CONTENT)
             return Reason.CONTENT
         del self._incomplete[slot]
-        return CompleteLine(_mixture_line(records), record.count, mixture.frames)
+        return ReceivedLine(_mixture_line(records), mixture.frames, record.count)
 
     def drop(self, slot: Slot) -> None:
         """Drop the mixture of a slot, if there is one."""
         if slot in self._incomplete:
             self._drop(slot, Reason.INCOMPLETE)
 
-    def drop_if_within(self, slot: Slot, counter: int) -> None:
+    def drop_if_within(self, owner: Owner, counter: int) -> None:
         """Drop the mixture if the counter of a rejected (STALE) record falls in its range."""
-        held = self._incomplete.get(slot)
+        held = self._incomplete.get(owner)
         if held and (counter - held.common.first) % self._modulus < held.common.components:
-            self._drop(slot, Reason.INCOMPLETE)  # two senders, or components out of order
+            self._drop(owner, Reason.INCOMPLETE)  # two senders, or components out of order
 
     def expire(self, t_ns: int) -> None:
         """Drop the mixtures that have timed out at ``t_ns`` [ns]."""
@@ -130,11 +131,11 @@ class MixtureAssembler:
         for slot in [s for s, mixture in held if self._is_old(s, mixture, t_ns)]:
             self._drop(slot, Reason.TIMEOUT)
 
-    def _is_old(self, slot: Slot, mixture: _Incomplete, t_ns: int) -> bool:
-        return abs(t_ns - mixture.t_ns) > self._timeouts_ns[slot]
+    def _is_old(self, owner: Owner, mixture: _Incomplete, t_ns: int) -> bool:
+        return abs(t_ns - mixture.t_ns) > self._timeouts_ns[owner]
 
-    def _drop(self, slot: Slot, reason: Reason) -> None:
-        self.counts[reason] += self._incomplete.pop(slot).frames
+    def _drop(self, owner: Owner, reason: Reason) -> None:
+        self.counts[reason] += self._incomplete.pop(owner).frames
 
 
 def _mixture_line(records: Sequence[CompleteRecord]) -> MapLine:

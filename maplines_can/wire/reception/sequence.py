@@ -8,9 +8,7 @@ from typing import NamedTuple
 
 from ..protection.e2e_state import E2EConfig, E2EState, ProfileStatus, StateMachine, check
 from ..reasons import Reason
-from .conflict import SenderConflict
-from .deadline import ReceptionDeadline
-from .history import RecordHistory
+from .history import GRACE_CYCLES, ReceptionDeadline, RecordHistory, SenderConflict
 
 OK, NONEWDATA, ERROR, REPEATED, OKSOMELOST, WRONGSEQUENCE = ProfileStatus
 
@@ -36,16 +34,6 @@ class SlotStats(NamedTuple):
     errors: int
     no_new_data: int  #: cycles without a record
     two_senders: bool  #: detected in the last 256 cycles
-
-
-class _Run(NamedTuple):
-    """Consecutive records behind the last new one: late ones, or those of a restarted sender."""
-
-    first: int  #: counter of the first
-    since_ns: int  #: time of the first
-    last: int  #: counter of the last
-    records: int
-    is_other: bool  #: one has a counter that was received before with different content
 
 
 class SequenceCheck:
@@ -146,23 +134,15 @@ class SequenceCheck:
         self.statuses: Counter[ProfileStatus] = Counter()  #: checks by outcome
         self.status: ProfileStatus | None = None  #: of the last check
         self.lost = 0  #: records missing between those received, according to their counters
+        #: By how much the counter of the last new record is ahead of the one before; 1 for the
+        #: first record, None after a sequence break.
+        self.ahead: int | None = None
+        self._pages, self._is_authentic = pages, is_authentic
+        self._duplicated_frames = 0  # since the last new record
         self._machine = StateMachine(config)
         self._deadline = ReceptionDeadline(cycle_ns)
-        self._history = RecordHistory(modulus)
-        self._conflict = SenderConflict(cycle_ns)
-        self._is_authentic = is_authentic
-        self._max_delta, self._modulus, self._pages = config.max_delta_counter, modulus, pages
-        self._window_ns = config.window_size_valid * cycle_ns
-        self._last: int | None = None  # counter of the last new record
-        self._new_ns: int  # its time, if there is one
-        self._run: _Run | None = None  # records behind it since then
-        self._left: int | None = None  # last counter before the sequence break
-        # Records of the line delivered last; 1 while a later line is incomplete.
-        self._span: int
-        self._longest_line = 1  # greatest number of records of a line so far
-        self._duplicated_frames = 0  # since the last new record
-        self._line_ns = float(cycle_ns)  # mean time between two lines in sequence
-        self._line: tuple[int, int] | None = None  # counter and time of the last line
+        self._counters = _CounterCheck(config, modulus, cycle_ns, is_authentic)
+        self._conflict = self._counters.conflict
 
     @property
     def state(self) -> E2EState:
@@ -195,43 +175,19 @@ class SequenceCheck:
             None if the record is new; DUPLICATE or STALE if it must not be delivered.
         """
         self._record_arrived(t_ns)
-        status, ahead = check(counter, self._last, self._max_delta, self._modulus), 1
-        if status is not OK and self._last is not None:
-            ahead = (counter - self._last) % self._modulus
-            is_newer = 0 < ahead <= self._most_ahead(t_ns, records)
-            behind = self._modulus - ahead if ahead else 0
-            if not is_newer and (reason := self._why_not_new(counter, content, behind, t_ns)):
-                self._step(REPEATED if behind < self._span else WRONGSEQUENCE)
-                return reason
-            if self._left is not None and (counter - self._left) % self._modulus == 1:
-                self._conflict.conflict(t_ns)  # back to the sequence before the break
-            self._left = self._last
-            if not is_newer:
-                ahead = self._modulus  # the history is that of another sequence
-            elif status is OKSOMELOST or counter != 0:  # a sender restarts at 0
-                self.lost += ahead - 1
-            if status is WRONGSEQUENCE:
+        found = self._counters.check(counter, content, t_ns, records)
+        if found.reason is None:
+            self._duplicated_frames = 0
+            self.lost += found.lost
+            self.ahead = found.ahead
+            if found.ahead is None:
                 self._machine.clear()
-            elif self._is_ahead(ahead, t_ns, records):
-                self._conflict.ahead(t_ns)
-        else:
-            self._conflict.next()
-        self._history.add_new(counter, content, ahead)
-        self._conflict.new()
-        self._last, self._new_ns, self._run = counter, t_ns, None
-        self._span, self._duplicated_frames = 1, 0
-        self._step(status)
-        return None
+        self._step(found.status)
+        return found.reason
 
     def delivered(self, records: int) -> None:
-        """Note that the last record completed a line of this many records."""
-        self._span = records
-        self._longest_line = max(self._longest_line, records)
-        if self._last is None:
-            return
-        if self._line is not None and (self._last - self._line[0]) % self._modulus == records:
-            self._line_ns += (abs(self._new_ns - self._line[1]) - self._line_ns) / MEAN_LINES
-        self._line = self._last, self._new_ns
+        """Note that the last new record completed a line of this many records."""
+        self._counters.delivered(records)
 
     def failed(self, t_ns: int) -> None:
         """Count a damaged record or frame as an ERROR check."""
@@ -293,18 +249,91 @@ class SequenceCheck:
         for _ in range(min(cycles, self._machine.config.window_size_valid)):
             self._machine.step(NONEWDATA)
 
+
+class _Found(NamedTuple):
+    """Result of the check of a counter."""
+
+    status: ProfileStatus
+    reason: Reason | None = None  #: why the record is not delivered; None if it is new
+    ahead: int | None = 1  #: by how much it is ahead of the last one; None after a sequence break
+    lost: int = 0  #: records missing before this one
+
+
+class _CounterCheck:
+    """Check of the counters of a slot, by the table of ``SequenceCheck``."""
+
+    def __init__(self, config: E2EConfig, modulus: int, cycle_ns: int, is_authentic: bool) -> None:
+        self.conflict = SenderConflict(cycle_ns)
+        self._history, self._pace = RecordHistory(modulus), _Pace(cycle_ns, modulus)
+        self._max_delta, self._modulus = config.max_delta_counter, modulus
+        self._window_ns = config.window_size_valid * cycle_ns
+        self._grace_ns = int(GRACE_CYCLES * cycle_ns)
+        self._is_authentic = is_authentic
+        self._last: int | None = None  # counter of the last new record
+        self._new_ns = 0  # its time
+        self._left: int | None = None  # last counter before that, if there was a gap
+        # Records of the line delivered last; 1 while a later line is incomplete.
+        self._span = 1
+
+    def check(self, counter: int, content: int, t_ns: int, records: int) -> _Found:
+        """Check the counter of a record; remember a new one."""
+        status, last = check(counter, self._last, self._max_delta, self._modulus), self._last
+        if status is OK or last is None:
+            self.conflict.next()
+            self._accept(counter, content, t_ns, 1)
+            return _Found(OK)
+        ahead, waited_ns = (counter - last) % self._modulus, abs(t_ns - self._new_ns)
+        is_newer = 0 < ahead <= self._most_ahead(waited_ns, records)
+        if not is_newer:
+            behind = (last - counter) % self._modulus
+            reason = self._why_not_new(counter, content, behind, t_ns)
+            if reason is not None:
+                return _Found(REPEATED if behind < self._span else WRONGSEQUENCE, reason)
+            ahead = self._modulus  # the history is that of another sequence
+        if self._left is not None and (counter - self._left) % self._modulus == 1:
+            self.conflict.conflict(t_ns)  # back to the sequence before the break
+        self._left = last
+        is_gap = status is OKSOMELOST
+        if is_gap and self._pace.is_ahead(ahead, waited_ns, records):
+            self.conflict.ahead(t_ns)
+        self._accept(counter, content, t_ns, ahead)
+        # A sender restarts at 0: nothing is lost then.
+        lost = ahead - 1 if is_gap or (is_newer and counter != 0) else 0
+        return _Found(status, None, ahead if is_gap else None, lost)
+
+    def delivered(self, records: int) -> None:
+        """Note that the last new record completed a line of this many records."""
+        self._span = records
+        if self._last is not None:
+            self._pace.delivered(self._last, self._new_ns, records)
+
+    def _accept(self, counter: int, content: int, t_ns: int, ahead: int) -> None:
+        self._history.add_new(counter, content, ahead)
+        self.conflict.new()
+        self._last, self._new_ns, self._span = counter, t_ns, 1
+
+    def _most_ahead(self, waited_ns: int, records: int) -> int:
+        """Return the greatest difference of the counter of a newer record from the last new one.
+
+        With authentication it is not limited by time: the freshness value excludes older records.
+        """
+        half = self._modulus // 2 - 1
+        if self._is_authentic:
+            return half
+        return min(half, max(self._max_delta, self._pace.most(waited_ns, records)))
+
     def _why_not_new(self, counter: int, content: int, behind: int, t_ns: int) -> Reason | None:
         """Return why a record ``behind`` the last new one is not delivered; None if it is new."""
         is_duplicate = self._history.is_duplicate(counter, content, behind)
         if not is_duplicate:
-            self._conflict.late(t_ns)
+            self.conflict.late(t_ns)
         # Farther back, it may be of a sender that restarted in a car that stands.
         is_near = behind <= self._max_delta
         if is_duplicate and is_near and self._history.mark_duplicated(counter, behind):
-            self._conflict.duplicate(t_ns)
+            self.conflict.duplicate(t_ns)
         if behind < self._span:
             if not is_duplicate:
-                self._conflict.counter_reused(t_ns)
+                self.conflict.counter_reused(t_ns)
             return Reason.DUPLICATE if is_duplicate else Reason.STALE
         if self._is_authentic or abs(t_ns - self._new_ns) > self._window_ns:
             return None
@@ -313,48 +342,53 @@ class SequenceCheck:
         has_other = self._history.has_other(counter, content, behind)
         self._history.add_late(counter, content, behind)
         if has_other:
-            self._conflict.counter_reused(t_ns)
+            self.conflict.counter_reused(t_ns)
         elif self._is_of_another_sequence(counter, behind):
-            self._conflict.conflict(t_ns)
+            self.conflict.conflict(t_ns)
         return None if self._is_restart(counter, t_ns, is_other=has_other) else Reason.STALE
-
-    def _most_ahead(self, t_ns: int, records: int) -> int:
-        """Return the greatest difference of the counter of a newer record from the last new one.
-
-        With authentication it is not limited by time: the freshness value excludes older records.
-        """
-        half = self._modulus // 2 - 1
-        if self._is_authentic:
-            return half
-        lines = math.ceil(self._lines_since(t_ns))
-        return min(half, max(self._max_delta, lines * max(self._longest_line, records)))
-
-    def _lines_since(self, t_ns: int) -> float:
-        """Return how many lines a sender can have sent since the last new record: 1.3 is 1 or 2."""
-        line_ns = min(max(self._line_ns, self.cycle_ns / FASTEST), self.cycle_ns)
-        return abs(t_ns - self._new_ns) / line_ns + JITTER_CYCLES
-
-    def _is_ahead(self, ahead: int, t_ns: int, records: int) -> bool:
-        """Return whether a newer record is ahead of what its sender should have sent by now."""
-        return ahead > max(1.0, self._lines_since(t_ns)) * max(self._longest_line, records)
 
     def _is_of_another_sequence(self, counter: int, behind: int) -> bool:
         """Return whether a record is too far behind to be merely delayed, and fills no gap."""
-        is_far = behind > self._max_delta * self._longest_line
+        is_far = behind > self._max_delta * self._pace.longest_line
         return is_far and not self._history.fills_gap(counter, behind)
 
     def _is_restart(self, counter: int, t_ns: int, *, is_other: bool) -> bool:
         """Return whether the records behind the last new one are those of a restarted sender."""
-        run = self._run
-        if run is None or (counter - run.last) % self._modulus != 1:
-            run = _Run(counter, t_ns, counter, 0, is_other=False)
-        self._run = run = run._replace(
-            last=counter, records=run.records + 1, is_other=run.is_other or is_other
-        )
-        is_long = abs(t_ns - run.since_ns) >= self._deadline.grace_ns
+        run = self._history.run_with(counter, t_ns, is_other=is_other)
+        is_long = abs(t_ns - run.since_ns) >= self._grace_ns
         if run.records < RESTART_RECORDS or not is_long:
             return False
         if not (run.is_other and run.first < self._max_delta):
             return False
-        self._conflict.retract()
+        self.conflict.retract()
         return True
+
+
+class _Pace:
+    """Rate of the records of a sender, as far as it is known."""
+
+    def __init__(self, cycle_ns: int, modulus: int) -> None:
+        self._cycle_ns, self._modulus = cycle_ns, modulus
+        self.longest_line = 1  #: greatest number of records of a line so far
+        self._line_ns = float(cycle_ns)  # mean time between two lines in sequence
+        self._line: tuple[int, int] | None = None  # counter and time of the last line
+
+    def delivered(self, counter: int, t_ns: int, records: int) -> None:
+        """Add a line of this many records, by the counter and the time of the last one."""
+        self.longest_line = max(self.longest_line, records)
+        if self._line is not None and (counter - self._line[0]) % self._modulus == records:
+            self._line_ns += (abs(t_ns - self._line[1]) - self._line_ns) / MEAN_LINES
+        self._line = counter, t_ns
+
+    def most(self, waited_ns: int, records: int) -> int:
+        """Return how many records a sender can have sent in a time [ns]."""
+        return math.ceil(self._lines(waited_ns)) * max(self.longest_line, records)
+
+    def is_ahead(self, ahead: int, waited_ns: int, records: int) -> bool:
+        """Return whether a newer record is ahead of what its sender should have sent by now."""
+        return ahead > max(1.0, self._lines(waited_ns)) * max(self.longest_line, records)
+
+    def _lines(self, waited_ns: int) -> float:
+        """Return how many lines a sender can have sent in a time: 1.3 is 1 or 2."""
+        line_ns = min(max(self._line_ns, self._cycle_ns / FASTEST), self._cycle_ns)
+        return waited_ns / line_ns + JITTER_CYCLES

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 from ...values.arrays import number_text
-from ...values.line import Slot
 from ..layout.message_layout import Layout
-from ..layout.pose_layout import PoseLayout
+from ..layout.pose_layout import POSE, Owner
 from ..layout.record_layout import RecordLayout
 from ..layout.signals import TRANSFER_ID
-from ..layout.slot_messages import MAX_MS
+from ..layout.slot_messages import MAX_MS, RecordMessages
 from ..protection.e2e_state import E2EConfig
-from .deadline import GRACE_CYCLES
+from .history import GRACE_CYCLES
 
 #: Cycle time if the DBC has none [ms].
 DEFAULT_CYCLE_MS = 100.0
+
+
+class RecordSettings(NamedTuple):
+    """Settings of the reception of the records of one owner."""
+
+    timeout_ns: int  #: longest time between the frames of a transfer [ns]
+    cycle_ns: int  #: time between records [ns]
+    e2e: E2EConfig  #: windows and bounds of the E2E state machine
 
 
 def decoder_settings(
@@ -21,39 +31,29 @@ def decoder_settings(
     timeout_ms: float | None = None,
     cycle_ms: float | None = None,
     e2e: E2EConfig | None = None,
-) -> tuple[dict[Slot, int], dict[Slot, int], E2EConfig]:
-    """Return time-outs [ns], cycle times [ns] and E2E windows; see ``Codec.decoder``."""
+) -> dict[Owner, RecordSettings]:
+    """Return the settings of each slot and of the pose error; see ``Codec.decoder``."""
     for name, value in (("timeout_ms", timeout_ms), ("cycle_ms", cycle_ms)):
         if value is not None and not 0 < value <= MAX_MS:
             raise ValueError(
                 f"{name} must be more than 0 ms and at most an hour ({MAX_MS} ms), "
                 f"got {number_text(value)}"
             )
-    timeouts_ms, cycles_ms = dict[Slot, float](), dict[Slot, float]()
-    for slot, messages in layout.messages.items():
-        dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
-        cycles_ms[slot] = cycle_ms or dbc_ms
-        derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * cycles_ms[slot])
-        timeouts_ms[slot] = timeout_ms or derived_ms
     modulus = 2 ** layout["Counter"].length
-    if e2e is None:
-        e2e = E2EConfig(max_delta_counter=min(E2EConfig().max_delta_counter, modulus // 4))
-    elif e2e.max_delta_counter >= modulus // 2:
+    if e2e is not None and e2e.max_delta_counter >= modulus // 2:
         raise ValueError(
             f"max_delta_counter must be less than {modulus // 2}, half the counter modulus of "
             f"{layout.source}, got {e2e.max_delta_counter}"
         )
-    return _in_ns(timeouts_ms), _in_ns(cycles_ms), e2e
-
-
-def pose_settings(
-    layout: PoseLayout, timeout_ms: float | None = None, cycle_ms: float | None = None
-) -> tuple[int, int]:
-    """Return the time-out and the cycle time [ns] of the pose error; see ``Codec.decoder``."""
-    dbc_ms = layout.messages.cycle_ms or DEFAULT_CYCLE_MS
-    chosen_ms = cycle_ms or dbc_ms
-    derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms)
-    return int(1e6 * (timeout_ms or derived_ms)), int(1e6 * chosen_ms)
+    of_slots = _within(E2EConfig(), layout) if e2e is None else e2e
+    settings: dict[Owner, RecordSettings] = {
+        slot: RecordSettings(*_times_ns(layout, messages, timeout_ms, cycle_ms), of_slots)
+        for slot, messages in layout.messages.items()
+    }
+    if (pose := layout.pose) is not None:
+        times = _times_ns(pose, pose.messages, timeout_ms, cycle_ms)
+        settings[POSE] = RecordSettings(*times, _within(of_slots, pose))
+    return settings
 
 
 def timeout_cycles(layout: RecordLayout) -> float:
@@ -74,5 +74,20 @@ def timeout_cycles(layout: RecordLayout) -> float:
     return max(0.5, min(transfer_ids / components - 0.5, GRACE_CYCLES))
 
 
-def _in_ns(times_ms: dict[Slot, float]) -> dict[Slot, int]:
-    return {slot: int(1e6 * ms) for slot, ms in times_ms.items()}
+def _times_ns(
+    layout: RecordLayout,
+    messages: RecordMessages,
+    timeout_ms: float | None,
+    cycle_ms: float | None,
+) -> tuple[int, int]:
+    """Return the time-out and the cycle time [ns] of an owner with these messages."""
+    dbc_ms = messages.cycle_ms or DEFAULT_CYCLE_MS
+    chosen_ms = cycle_ms or dbc_ms
+    derived_ms = max(dbc_ms / 2, timeout_cycles(layout) * chosen_ms)
+    return int(1e6 * (timeout_ms or derived_ms)), int(1e6 * chosen_ms)
+
+
+def _within(e2e: E2EConfig, layout: RecordLayout) -> E2EConfig:
+    """Return settings whose step is at most a quarter of the counters of a layout."""
+    most = min(e2e.max_delta_counter, 2 ** layout["Counter"].length // 4)
+    return replace(e2e, max_delta_counter=most)

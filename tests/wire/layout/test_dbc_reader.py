@@ -6,6 +6,7 @@ from typing import Any
 
 import cantools
 import pytest
+from answers import one
 from dbc_alterations import original, pose_original
 from dbcs import edited
 from random_lines import random_lines
@@ -105,7 +106,7 @@ def test_each_frame_format_may_have_its_own_id_length(tmp_path: Path) -> None:
     encoder = codec.encoder()
     (frame,) = encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]), fd=True)
     assert (frame.can_id, frame.is_extended) == (0x18FF0048, True)
-    answer = codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True)
+    answer = one(codec.decoder().feed(frame.can_id, frame.data, 0, is_extended=True))
     assert isinstance(answer, MapLine)
     assert not encoder.encode(MapLine.mean_only(Slot.EGO_LEFT, [1.0, 0, 0, 0]))[0].is_extended
 

@@ -4,12 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import default_codec
 from e2e_streams import MS, mixture_frames
 
 from maplines_can.values.line import Kind, MapLine, Slot
-from maplines_can.wire import E2EConfig, E2EState, Monitor, Reason, SequenceCheck
-from maplines_can.wire.reception.conflict import SenderConflict
+from maplines_can.wire import E2EConfig, E2EState, Reason, SequenceCheck
+from maplines_can.wire.reception.history import SenderConflict
 
 SLOT, CYCLE_NS = Slot.EGO_LEFT, 50_000_000
 OURS, THEIRS = 1.75, -1.75
@@ -27,7 +28,7 @@ def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> Non
     This is why ``SlotView.usable`` depends on it.
     """
     codec = default_codec()
-    monitor = Monitor(codec.decoder())
+    decoder = codec.decoder()
     seen = []
     for cycle in range(200):
         records = [(OURS, cycle)]
@@ -35,8 +36,8 @@ def test_a_second_sender_that_is_slightly_ahead_is_valid_but_not_usable() -> Non
             records.append((THEIRS, cycle + 2))
         for y_off, counter in records:
             for frame in codec.encoder().frames(payload(y_off, counter % 256), SLOT, fd=True):  # type: ignore[arg-type]
-                monitor.feed(frame.can_id, frame.data, cycle * CYCLE_NS)
-        view = monitor.latest(SLOT, cycle * CYCLE_NS)
+                decoder.feed(frame.can_id, frame.data, cycle * CYCLE_NS)
+        view = decoder.latest(SLOT, cycle * CYCLE_NS)
         seen.append((view.state, view.usable, round(float(view.line.gaussian.mean[0]), 2)))  # type: ignore[union-attr]
 
     wrong = [usable for state, usable, y in seen if state is E2EState.VALID and y == THEIRS]
@@ -53,7 +54,7 @@ def sources(line: MapLine, cycle: int, k: int) -> set[int]:
         for sender in (0, 1):
             alone, decoder = None, default_codec().decoder()
             for frame in mixture_frames(cycle * k % 256, k, True, seed=sender):
-                alone = decoder.feed(frame.can_id, frame.data, 0)
+                alone = one(decoder.feed(frame.can_id, frame.data, 0))
             assert isinstance(alone, MapLine)
             if any(np.array_equal(component, own) for own in alone.mixture.means):  # type: ignore[union-attr]
                 found.add(sender)
@@ -68,7 +69,7 @@ def test_two_senders_in_phase_get_no_mixture_of_both(seed: int, k: int) -> None:
     Until a counter has come from both, nothing tells their components apart; then no mixture is of
     both, and no line is usable.
     """
-    rng, monitor = np.random.default_rng([seed, k]), Monitor(default_codec().decoder())
+    rng, decoder = np.random.default_rng([seed, k]), default_codec().decoder()
     reused = 0
     for cycle in range(480 // k):
         pairs = zip(
@@ -81,11 +82,11 @@ def test_two_senders_in_phase_get_no_mixture_of_both(seed: int, k: int) -> None:
                 if not came[j]:
                     continue
                 t_ns = cycle * CYCLE_NS + (2 * i + j) * MS // 4
-                answer = monitor.feed(frame.can_id, frame.data, t_ns)
+                answer = one(decoder.feed(frame.can_id, frame.data, t_ns))
                 reused += bool(j == 1 and came.all())
                 if reused and isinstance(answer, MapLine):
                     assert len(sources(answer, cycle, k)) == 1
-                assert not (reused and monitor.latest(SLOT, t_ns).usable)
+                assert not (reused and decoder.latest(SLOT, t_ns).usable)
     assert reused > 50
 
 
@@ -94,14 +95,14 @@ def test_the_first_mixture_may_be_of_both_until_a_counter_is_reused(k: int) -> N
     """If just one component of the second sender arrives, and in place of that of the first."""
     ours, theirs = (mixture_frames(0, k, True, seed=sender) for sender in (0, 1))
     for place in range(k):
-        monitor = Monitor(default_codec().decoder())
+        decoder = default_codec().decoder()
         frames = [*ours[:place], theirs[place], *ours[place + 1 :], ours[place]]
-        answers = [monitor.feed(f.can_id, f.data, i * MS // 4) for i, f in enumerate(frames)]
+        answers = [one(decoder.feed(f.can_id, f.data, i * MS // 4)) for i, f in enumerate(frames)]
         *_, line, late = answers
         assert isinstance(line, MapLine)
         assert sources(line, 0, k) == {0, 1}
         assert late is Reason.STALE
-        assert not monitor.latest(SLOT, k * MS // 4).usable
+        assert not decoder.latest(SLOT, k * MS // 4).usable
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from maplines_can.wire.reception.deadline import ReceptionDeadline
+from maplines_can.wire.reception.history import ReceptionDeadline
 
 CYCLE = 100
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from maplines_can.values.line import Slot
 from maplines_can.wire import E2EConfig, ProfileStatus, Reason, SequenceCheck
-from maplines_can.wire.reception.epochs import MAX_EPOCHS, EpochAssembler
+from maplines_can.wire.reception.scenes import MAX_EPOCHS, EpochAssembler
 from maplines_can.wire.records.raw_format import absent_counter
 
 CYCLE = 1_000_000  # [ns]

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import default_codec
 from e2e_streams import CYCLE, MS, SLOT, frames, mixture_frames
 
-from maplines_can import MapLine, Monitor
+from maplines_can import MapLine
 from maplines_can.wire import E2EConfig, E2EState, Reason, SequenceCheck
 
 VALID, INVALID = E2EState.VALID, E2EState.INVALID
@@ -86,14 +87,14 @@ class Stream:
 
     def __init__(self, components: int = 1) -> None:
         self.components = components
-        self.monitor = Monitor(default_codec().decoder())
+        self.decoder = default_codec().decoder()
         self.t_ns = 0
 
     def receive(self, line: int, t_ns: int | None = None) -> Any:
         """Return the answer to a line at a time, by default that of the next cycle."""
         t_ns = self.t_ns if t_ns is None else t_ns
         for i, frame in enumerate(line_frames(line, self.components)):
-            answer = self.monitor.feed(frame.can_id, frame.data, t_ns + i * MS // 4)
+            answer = one(self.decoder.feed(frame.can_id, frame.data, t_ns + i * MS // 4))
         return answer
 
     def run(self, lines: Any) -> list[Any]:
@@ -115,7 +116,7 @@ def test_a_mixture_that_is_0_8_to_1_55_s_late_is_not_delivered(late: int) -> Non
     stream, last = Stream(8), 39
     stream.run([line if line != last - late else None for line in range(last + 1)])
     t_ns = stream.t_ns - CYCLE + 10 * MS
-    assert stream.monitor.latest(SLOT, t_ns).usable
+    assert stream.decoder.latest(SLOT, t_ns).usable
 
     answer = stream.receive(last - late, t_ns)
 
@@ -123,7 +124,7 @@ def test_a_mixture_that_is_0_8_to_1_55_s_late_is_not_delivered(late: int) -> Non
     if late < 30:
         assert answer is Reason.STALE
         assert all(isinstance(new, MapLine) for new in stream.run([last + 1, last + 2]))
-    view = stream.monitor.latest(SLOT, stream.t_ns)
+    view = stream.decoder.latest(SLOT, stream.t_ns)
     assert view.usable
     assert view.line is not answer or late >= 30
 
@@ -153,7 +154,7 @@ def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
     stream.t_ns += held * CYCLE
     stream.run(newer)
     newest = stream.t_ns - CYCLE
-    assert stream.monitor.latest(SLOT, newest).usable
+    assert stream.decoder.latest(SLOT, newest).usable
     times = SPILLS[spill](held)
     arrivals = [(newest + round(at * CYCLE), first + i) for i, at in enumerate(times)]
     if sender == "goes on":
@@ -163,7 +164,7 @@ def test_a_gateway_that_spills_held_back_lines_gets_none_delivered(
         answer = stream.receive(line, t_ns)
         if isinstance(answer, MapLine):
             (late if line < newer.stop else delivered).append(line)
-    assert not stream.monitor.latest(SLOT, stream.t_ns).two_senders
+    assert not stream.decoder.latest(SLOT, stream.t_ns).two_senders
     assert late == []
     assert delivered == sorted(delivered)
     assert len(delivered) == (19 if sender == "goes on" else 0)
@@ -175,12 +176,12 @@ def test_a_backlog_after_a_silent_window_is_delivered_but_not_usable() -> None:
     stream.run(range(40))
     stream.t_ns += 20 * CYCLE
     stream.run(range(60, 70))
-    assert stream.monitor.latest(SLOT, stream.t_ns).usable
+    assert stream.decoder.latest(SLOT, stream.t_ns).usable
     stream.t_ns += 10 * CYCLE
     states = []
     for line in range(40, 49):
         assert isinstance(stream.receive(line), MapLine)
-        states.append(stream.monitor.latest(SLOT, stream.t_ns).state)
+        states.append(stream.decoder.latest(SLOT, stream.t_ns).state)
         stream.t_ns += MS
     assert states == [INVALID] * 8 + [VALID]
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from maplines_can.values.line import Slot
-from maplines_can.wire.reception.epochs import EpochAssembler
+from maplines_can.wire.reception.scenes import EpochAssembler
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.ROUTE)
 CYCLE = 100

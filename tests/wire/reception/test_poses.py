@@ -15,6 +15,8 @@ from maplines_can.values.errors import EncodeError
 from maplines_can.values.line import Kind, Slot
 from maplines_can.wire import (
     Authenticator,
+    Codec,
+    Decoder,
     E2EConfig,
     E2EState,
     Frame,
@@ -25,11 +27,10 @@ from maplines_can.wire import (
     Verifier,
     default_dbc_path,
 )
-from maplines_can.wire.layout.pose_layout import POSE
+from maplines_can.wire.layout.pose_layout import POSE, Owner
 from maplines_can.wire.layout.signals import FINE_SIGNALS
-from maplines_can.wire.reception.poses import PoseReceiver, ReceivedPose
 from maplines_can.wire.reception.reassembly import Reassembler, Record
-from maplines_can.wire.reception.settings import decoder_settings, pose_settings
+from maplines_can.wire.reception.settings import decoder_settings
 from maplines_can.wire.records.frames import FrameWriter
 from maplines_can.wire.records.raw_format import RawFormat
 from maplines_can.wire.records.record import RawRecord, RecordReader
@@ -39,6 +40,8 @@ LAYOUTS = {
     name: Layout.from_dbc(default_dbc_path(name)) for name in ("maplines.dbc", "maplines-pose.dbc")
 }
 LAYOUT = LAYOUTS["maplines-pose.dbc"]
+#: What a decoder answers to the frames of a pose error for which no line waits.
+QUIET = (Reason.PENDING, Reason.DUPLICATE)
 RECORDS = RawFormat.of_lines(LAYOUT)
 LEVELS = {"OwnLateral": 50, "OwnPoints": 20, "OwnShape": 3}
 SHORT = {"Quartic": -2, "XMin": 12, "XMax": 60, "YOff": 900, "Beta": -3, "C0": 7, "C1": -9} | LEVELS
@@ -68,17 +71,18 @@ def pose(layout: Layout, counter: int) -> RawRecord:
 
 
 def reassembler(
-    verify: Verifier | None = None, layout: Layout = LAYOUT
-) -> Reassembler[Slot, RawRecord]:
-    """A reassembler of conditional records."""
-    timeouts, _, _ = decoder_settings(layout)
-    return Reassembler(layout, RecordReader(RECORDS), timeouts, verify)
-
-
-def receiver(layout: Layout, verifier: Verifier | None = None) -> PoseReceiver:
-    """A receiver of the pose error."""
+    layout: Layout = LAYOUT, verifiers: dict[Owner, Verifier] | None = None
+) -> Reassembler[RawRecord]:
+    """A reassembler of pose errors and conditional records."""
+    timeouts_ns = {owner: own.timeout_ns for owner, own in decoder_settings(layout).items()}
     assert layout.pose is not None
-    return PoseReceiver(layout.pose, verifier, *pose_settings(layout.pose), E2EConfig())
+    reader = RecordReader(RECORDS, RawFormat.of_pose(layout.pose))
+    return Reassembler(layout, reader, timeouts_ns, verifiers)
+
+
+def receiver(layout: Layout, keys: Authenticator | None = None, **settings: Any) -> Decoder:
+    """A decoder of all records."""
+    return Codec(layout, keys).decoder(**settings)
 
 
 def frames_of(record: RawRecord, *, fd: bool = False) -> list[Frame]:
@@ -150,37 +154,41 @@ def test_the_pose_error_is_received(dbc: str, fd: bool) -> None:
     """In classic frames or one CAN FD frame; duplicates and lost records as for a slot."""
     layout = LAYOUTS[dbc]
     assert layout.pose is not None
-    state, records = receiver(layout), RawFormat.of_pose(layout.pose)
-    writer = FrameWriter(layout, None)
-    answers: list[Any] = []
-    for i, counter in enumerate([*range(250, 260), 262]):
-        frames = writer.write(records.write(pose(layout, counter % 256)), POSE, fd=fd)
+    state, decoder = reassembler(layout), receiver(layout)
+    records, writer, check = (
+        RawFormat.of_pose(layout.pose),
+        FrameWriter(layout, None),
+        decoder.checks[POSE],
+    )
+    ahead, counters = list[int | None](), [*range(250, 260), 262]
+    for i, counter in enumerate(counters):
+        sent = pose(layout, counter % 256)
+        frames = writer.write(records.write(sent), POSE, fd=fd)
         assert len(frames) == (1 if fd else layout.pose.pages)
-        assert all(state.knows(frame.can_id) for frame in frames)
-        answers += [
-            state.feed(f.can_id, f.data, i * CYCLE) for f in frames + frames[-1:] * (i == 5)
-        ]
-    got = [answer for answer in answers if isinstance(answer, ReceivedPose)]
-    assert [p.record for p in got] == [pose(layout, c % 256) for c in [*range(250, 260), 262]]
-    assert [p.ahead for p in got] == [1] * 10 + [3]
-    assert (state.check.state, state.check.lost) == (E2EState.VALID, 2)
-    assert state.counts == {Reason.DUPLICATE: 1}
-    assert state.frames == state.record_frames + sum(state.counts.values()) + state.pending
+        *_, got = (state.feed(f.can_id, f.data, i * CYCLE) for f in frames)
+        assert isinstance(got, Record)
+        assert (got.owner, got.content) == (POSE, sent)
+        for frame in frames + frames[-1:] * (i == 5):
+            assert decoder.feed(frame.can_id, frame.data, i * CYCLE) in QUIET
+        ahead.append(check.ahead)
+    assert ahead == [1] * 10 + [3]
+    assert (check.state, check.lost) == (E2EState.VALID, 2)
+    assert decoder.counts == {Reason.DUPLICATE: 1}
+    assert decoder.pose_errors == len(counters)
+    assert decoder.frames == decoder.pose_frames + 1
 
 
 def test_a_damaged_pose_error_is_rejected() -> None:
-    """Each flipped bit, and the frames of other messages."""
+    """Each flipped bit, and a frame that is too short."""
     layout = LAYOUT
     assert layout.pose is not None
     records = RawFormat.of_pose(layout.pose)
     (frame,) = FrameWriter(layout, None).write(records.write(pose(layout, 3)), POSE, fd=True)
+    state = receiver(layout)
     for bit in range(8 * layout.pose.record_bytes):
         data = bytearray(frame.data)
         data[bit // 8] ^= 1 << bit % 8
-        answer = receiver(layout).feed(frame.can_id, bytes(data), 0)
-        assert answer in (Reason.CRC, Reason.MIXED)
-    state = receiver(layout)
-    assert state.feed(0x360, frame.data, 0) is Reason.FOREIGN
+        assert state.feed(frame.can_id, bytes(data), 0) in (Reason.CRC, Reason.MIXED)
     assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
 
 
@@ -188,13 +196,14 @@ def test_after_a_restart_the_records_follow_a_break() -> None:
     """A receiver must not join lines of before the restart."""
     assert LAYOUT.pose is not None
     state, records = receiver(LAYOUT), RawFormat.of_pose(LAYOUT.pose)
-    got: list[Any] = []
+    ahead = list[int | None]()
     for i, counter in [*enumerate(range(100, 110)), *enumerate(range(5), 30)]:
         (frame,) = FrameWriter(LAYOUT, None).write(
             records.write(pose(LAYOUT, counter)), POSE, fd=True
         )
-        got.append(state.feed(frame.can_id, frame.data, i * CYCLE))
-    assert [answer.ahead for answer in got] == [1] * 10 + [None] + [1] * 4
+        state.feed(frame.can_id, frame.data, i * CYCLE)
+        ahead.append(state.checks[POSE].ahead)
+    assert ahead == [1] * 10 + [None] + [1] * 4
 
 
 @pytest.mark.parametrize("dbc", ["maplines-secoc.dbc", "maplines-pose.dbc"])
@@ -206,14 +215,16 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
     key = Authenticator(Key(bytes(range(16))), clock=lambda: 1_750_000_000_000_000_000)
     writer, records = FrameWriter(layout, key), RawFormat.of_pose(layout.pose)
     (frame,) = writer.write(records.write(pose(layout, 9)), POSE, fd=True)
-    state = receiver(layout, Verifier(key, layout.pose.secured))
-    answer = state.feed(frame.can_id, frame.data, 0)
-    assert isinstance(answer, ReceivedPose)
-    assert answer.record == pose(layout, 9)
+    verifiers: dict[Owner, Verifier] = {POSE: Verifier(key, layout.pose.secured)}
+    got = reassembler(layout, verifiers).feed(frame.can_id, frame.data, 0)
+    assert isinstance(got, Record)
+    assert got.content == pose(layout, 9)
+    state = receiver(layout, key)
+    assert state.feed(frame.can_id, frame.data, 0) is Reason.PENDING
     assert state.feed(frame.can_id, frame.data, 0) is Reason.REPLAY
     assert state.feed(frame.can_id, frame.data[:-1] + b"\0", 0) is Reason.MAC
     assert state.feed(frame.can_id, frame.data[:15], 0) is Reason.LENGTH
-    assert state.check.statuses == {ProfileStatus.OK: 1}
+    assert state.checks[POSE].statuses == {ProfileStatus.OK: 1}
     assert receiver(layout).feed(frame.can_id, frame.data, 0) is Reason.KEY
     (plain,) = FrameWriter(layout, None).write(records.write(pose(layout, 9)), POSE, fd=True)
     assert state.feed(plain.can_id, plain.data, 0) is Reason.UNAUTHENTICATED
@@ -223,7 +234,8 @@ def test_pose_errors_and_lines_are_authenticated(dbc: str) -> None:
         assert layout.secured is not None
         for raw in (SHORT, LONG):
             (frame,) = writer.write(RECORDS.write(line(1, raw)), Slot.CENTRE, fd=True)
-            got = reassembler(Verifier(key, layout.secured)).feed(frame.can_id, frame.data, 0)
+            verifiers = {Slot.CENTRE: Verifier(key, layout.secured)}
+            got = reassembler(verifiers=verifiers).feed(frame.can_id, frame.data, 0)
             assert isinstance(got, Record)
             assert got.content == line(1, raw)
 
@@ -244,10 +256,12 @@ def pose_frames(counter: int, *, fd: bool = False) -> list[Frame]:
     return FrameWriter(LAYOUT, None).write(payload, POSE, fd=fd)
 
 
-def received(state: PoseReceiver, counter: int, t_ns: int) -> ReceivedPose | Reason:
-    """Answer to a pose error with this counter."""
+def receive(state: Decoder, counter: int, t_ns: int) -> None:
+    """Feed a pose error with this counter, which must be new."""
     (frame,) = pose_frames(counter % 256, fd=True)
-    return state.feed(frame.can_id, frame.data, t_ns)
+    before = state.pose_errors
+    assert state.feed(frame.can_id, frame.data, t_ns) is Reason.PENDING
+    assert state.pose_errors == before + 1
 
 
 @pytest.mark.parametrize(
@@ -257,21 +271,18 @@ def test_pose_errors_may_be_lost(max_delta: int, in_sequence: int) -> None:
     """As records of a slot, up to a quarter of the counters; more is a sequence break."""
     assert LAYOUT.pose is not None
     for ahead in (in_sequence, in_sequence + 1):
-        state = PoseReceiver(
-            LAYOUT.pose, None, *pose_settings(LAYOUT.pose), E2EConfig(max_delta_counter=max_delta)
-        )
-        received(state, 9, 0)
-        answer = received(state, 9 + ahead, ahead * CYCLE)
-        assert isinstance(answer, ReceivedPose)
-        assert answer.ahead == (ahead if ahead == in_sequence else None)
+        state = receiver(LAYOUT, e2e=E2EConfig(max_delta_counter=max_delta))
+        receive(state, 9, 0)
+        receive(state, 9 + ahead, ahead * CYCLE)
+        assert state.checks[POSE].ahead == (ahead if ahead == in_sequence else None)
 
 
 def test_a_fast_sender_of_pose_errors_may_lose_many() -> None:
     """Its rate is learnt, so that those after 40 lost ones are new: 8 cycles of the DBC."""
     state = receiver(LAYOUT)
     for i in range(40):
-        assert isinstance(received(state, i, i * CYCLE // 5), ReceivedPose)
-    assert isinstance(received(state, 80, 80 * CYCLE // 5), ReceivedPose)
+        receive(state, i, i * CYCLE // 5)
+    receive(state, 80, 80 * CYCLE // 5)
 
 
 def test_damaged_pose_errors_are_checks() -> None:
@@ -281,7 +292,7 @@ def test_damaged_pose_errors_are_checks() -> None:
     (whole,) = pose_frames(4, fd=True)
     for frame in frames + frames:
         state.feed(frame.can_id, frame.data, 0)
-    assert (state.check.stats().repeated, state.check.stats().errors) == (1, 0)
+    assert (state.checks[POSE].stats().repeated, state.checks[POSE].stats().errors) == (1, 0)
     damaged = whole._replace(data=bytes([whole.data[0] ^ 1, *whole.data[1:]]))
     wrong_page = frames[0]._replace(data=bytes([*frames[0].data[:7], 0xFF]))
     short = whole._replace(data=whole.data[:15])
@@ -289,26 +300,13 @@ def test_damaged_pose_errors_are_checks() -> None:
         [(damaged, Reason.CRC), (wrong_page, Reason.PAGE), (short, Reason.LENGTH)], 1
     ):
         assert state.feed(frame.can_id, frame.data, 1) is reason
-        assert state.check.stats().errors == errors
+        assert state.checks[POSE].stats().errors == errors
     assert state.feed(0x7FF, b"", 1) is Reason.FOREIGN
     assert state.feed(whole.can_id, whole.data, 1, is_extended=True) is Reason.FOREIGN
-    assert not state.knows(whole.can_id, is_extended=True)
-    assert state.check.stats().errors == 3
-    assert (state.frames, state.records, state.record_frames) == (
+    assert state.checks[POSE].stats().errors == 3
+    assert (state.frames, state.pose_errors, state.pose_frames) == (
         2 * len(frames) + 5,
         1,
         len(frames),
     )
     assert sum(state.counts.values()) == len(frames) + 5
-
-
-def test_a_pose_error_that_is_not_complete_times_out() -> None:
-    """Its frames are counted."""
-    state = receiver(LAYOUT)
-    first, *_ = pose_frames(3)
-    assert state.feed(first.can_id, first.data, 0) is Reason.PENDING
-    timeout_ns, _ = pose_settings(LAYOUT.pose)  # type: ignore[arg-type]
-    state.expire(timeout_ns)
-    assert (state.pending, state.counts) == (1, {})
-    state.expire(timeout_ns + 1)
-    assert (state.pending, state.counts) == (0, {Reason.TIMEOUT: 1})

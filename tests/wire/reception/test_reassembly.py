@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import default_codec
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -30,7 +31,7 @@ def transfers(n: int = 40, slot: Any = Slot.EGO_LEFT, fd: bool = False, seed: in
 
 def feed(decoder: Any, frames: Any, t_ns: int = 0) -> Any:
     """Answers to frames, a microsecond apart."""
-    return [decoder.feed(f.can_id, f.data, t_ns + i * 1000) for i, f in enumerate(frames)]
+    return [one(decoder.feed(f.can_id, f.data, t_ns + i * 1000)) for i, f in enumerate(frames)]
 
 
 def with_a_flipped_bit(frames: Any, bit: Any) -> Any:
@@ -178,7 +179,7 @@ def test_frames_that_are_no_pages(
 def test_an_fd_frame_may_be_padded(codec: Any) -> None:
     """A gateway may send 48 or 64 bytes; the record is the first 32."""
     (frame,) = transfers(fd=True)[0]
-    assert isinstance(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0), MapLine)
+    assert isinstance(one(codec.decoder().feed(frame.can_id, frame.data + bytes(16), 0)), MapLine)
 
 
 def test_a_gateway_repacks_without_decoding(codec: Any) -> None:
@@ -255,7 +256,7 @@ def test_whatever_the_bus_does_each_line_is_a_sent_one_and_comes_once(seed: int,
     decoder = default_codec().decoder()
     delivered = []
     for i, place in enumerate(order):
-        answer = decoder.feed(stream[place].can_id, stream[place].data, i * 100_000)
+        answer = one(decoder.feed(stream[place].can_id, stream[place].data, i * 100_000))
         if isinstance(answer, MapLine):
             delivered.append(answer)
     check_accounts(decoder, len(stream))
@@ -276,7 +277,7 @@ def test_no_bytes_from_the_bus_can_raise(frames: Any) -> None:
     """Whatever arrives is read or dropped with a reason, at any time."""
     decoder = default_codec().decoder()
     for can_id, data, gap_s in frames:
-        assert isinstance(decoder.feed(can_id, data, gap_s * 10**9), MapLine | Reason)
+        assert isinstance(one(decoder.feed(can_id, data, gap_s * 10**9)), MapLine | Reason)
     check_accounts(decoder, len(frames))
 
 

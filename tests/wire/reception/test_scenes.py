@@ -1,4 +1,4 @@
-"""Reception of scenes: lines that wait, bad contents, time-outs and the monitor."""
+"""Reception of scenes: lines that wait, bad contents, time-outs and the decoder."""
 
 from __future__ import annotations
 
@@ -19,13 +19,12 @@ from scene_streams import (
     road_scene,
 )
 
-from maplines_can import Kind, MapLine, Monitor, Slot
+from maplines_can import Kind, MapLine, Slot
 from maplines_can.wire import POSE, Decoder, E2EState, Frame, ProfileStatus, Reason
 from maplines_can.wire.layout.signals import OWN_SIGNALS, PARAMETER_SIGNALS
-from maplines_can.wire.reception.settings import decoder_settings
 from maplines_can.wire.records.frames import FrameWriter
 from maplines_can.wire.records.raw_format import RawFormat
-from maplines_can.wire.records.record import RawRecord, RecordReader
+from maplines_can.wire.records.record import RawRecord
 
 SLOTS = (Slot.EGO_LEFT, Slot.EGO_RIGHT, Slot.NEXT_LEFT)
 
@@ -46,7 +45,7 @@ def accounted(decoder: Decoder) -> bool:
 
 
 def test_lines_wait_for_their_pose_error() -> None:
-    """Its last frame completes them all: one is returned, the others are ``further``."""
+    """Its last frame completes them all."""
     (frames,) = cycles(CONDITIONAL, 1)
     pose = {POSE: frames.pop(POSE)}
     decoder = codec_of(CONDITIONAL).decoder()
@@ -57,7 +56,7 @@ def test_lines_wait_for_their_pose_error() -> None:
 
     answers, _ = feed(decoder, pose, t_ns)
     assert answers[0] is Reason.PENDING
-    lines = [answers[1], *decoder.further]
+    lines = answers[1:]
     assert [line.slot for line in lines] == list(SLOTS)
     assert decoder.pending == 0
     scene = decoder.scene()
@@ -68,9 +67,6 @@ def test_lines_wait_for_their_pose_error() -> None:
         assert line.t_ns < scene.t_ns
         assert line.age == max(0.0, scene.age + (line.t_ns - scene.t_ns) / 1e9)
     assert accounted(decoder)
-
-    decoder.feed(0x7FF, b"", t_ns)
-    assert decoder.further == []
 
 
 def test_full_records_are_delivered_before_their_pose_error() -> None:
@@ -179,17 +175,16 @@ def test_no_scene_is_usable_while_the_newest_pose_error_is_too_old() -> None:
     """Also that of the cycle before is not, of which the age remains what it was."""
     codec = codec_of(CONDITIONAL)
     encoder = codec.encoder()
-    monitor, decoder = Monitor(codec.decoder()), codec.decoder()
+    decoder, decoder = codec.decoder(), codec.decoder()
     prepared = encoder.prepare_scene(road_scene(SLOTS))
     t_ns = 0
     for cycle in range(20):
         old = cycle == 16
         for owner, frames in encoder.encode_scene(prepared, age=1.0 if old else 0.02).items():
             for frame in frames:
-                monitor.feed(frame.can_id, frame.data, t_ns)
                 decoder.feed(frame.can_id, frame.data, t_ns)
                 t_ns += 100_000
-            scene, view = decoder.scene(), monitor.latest_scene(t_ns)
+            scene, view = decoder.scene(), decoder.latest_scene(t_ns)
             if cycle > 14 and owner is POSE:
                 assert scene is not None
                 assert scene.counter == cycle - 1
@@ -305,67 +300,66 @@ def test_no_raw_values_raise(seed: int) -> None:
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_the_view_of_the_monitor(dbc: str) -> None:
     """Usable when the pose error is VALID, until no pose error came for three cycles."""
-    monitor = Monitor(codec_of(dbc).decoder())
-    view = monitor.latest_scene(0)
+    decoder = codec_of(dbc).decoder()
+    view = decoder.latest_scene(0)
     assert (view.scene, view.usable, view.stale, view.state) == (None, False, True, E2EState.NODATA)
     assert (view.age, view.status) == (np.inf, None)
     t_ns = 0
     for n, frames in enumerate(cycles(dbc, 16, age=0.02)):
-        _, t_ns = feed(monitor, frames, n * PERIOD_NS)
+        _, t_ns = feed(decoder, frames, n * PERIOD_NS)
     last = 15 * PERIOD_NS
-    view = monitor.latest_scene(t_ns)
+    view = decoder.latest_scene(t_ns)
     assert view.usable
     assert view.state is E2EState.VALID
     assert view.age == pytest.approx(0.024 + (t_ns - last) / 1e9)
-    assert monitor.latest_scene(last + 3 * PERIOD_NS).usable
-    assert not monitor.latest_scene(last + 3 * PERIOD_NS + 1).usable
-    assert monitor.latest_scene(last + 3 * PERIOD_NS + 1).stale
-    assert not monitor.latest_scene(last - 4 * PERIOD_NS).usable  # a clock set back
-    assert not monitor.latest_scene(last + 3 * PERIOD_NS, stale_cycles=2).usable
+    assert decoder.latest_scene(last + 3 * PERIOD_NS).usable
+    assert not decoder.latest_scene(last + 3 * PERIOD_NS + 1).usable
+    assert decoder.latest_scene(last + 3 * PERIOD_NS + 1).stale
+    assert not decoder.latest_scene(last - 4 * PERIOD_NS).usable  # a clock set back
+    assert not decoder.latest_scene(last + 3 * PERIOD_NS, stale_cycles=2).usable
     for slot in SLOTS:
-        assert monitor.latest(slot, t_ns).usable
+        assert decoder.latest(slot, t_ns).usable
 
 
 def test_a_scene_that_is_too_old_is_not_usable() -> None:
-    monitor = Monitor(codec_of(CONDITIONAL).decoder())
+    decoder = codec_of(CONDITIONAL).decoder()
     t_ns = 0
     for n, frames in enumerate(cycles(CONDITIONAL, 16, age=np.inf)):
-        _, t_ns = feed(monitor, frames, n * PERIOD_NS)
-    view = monitor.latest_scene(t_ns)
+        _, t_ns = feed(decoder, frames, n * PERIOD_NS)
+    view = decoder.latest_scene(t_ns)
     assert (view.state, view.stale, view.age, view.usable) == (E2EState.VALID, False, np.inf, False)
     assert view.scene is not None
-    assert not any(monitor.latest(slot, t_ns).usable for slot in SLOTS)
+    assert not any(decoder.latest(slot, t_ns).usable for slot in SLOTS)
 
 
-def test_the_monitor_keeps_lines_that_waited() -> None:
-    """Also those beside the one that ``feed`` returns."""
-    monitor = Monitor(codec_of(CONDITIONAL).decoder())
+def test_lines_that_waited_are_the_newest_of_their_slots() -> None:
+    """All that a pose error completes."""
+    decoder = codec_of(CONDITIONAL).decoder()
     (frames,) = cycles(CONDITIONAL, 1)
     pose = {POSE: frames.pop(POSE)}
-    _, t_ns = feed(monitor, frames, 0)
-    feed(monitor, pose, t_ns)
-    assert len(monitor.further) == 2
-    assert all(monitor.latest(slot, t_ns).line is not None for slot in SLOTS)
+    _, t_ns = feed(decoder, frames, 0)
+    feed(decoder, pose, t_ns)
+    assert all(decoder.latest(slot, t_ns).line is not None for slot in SLOTS)
 
 
 @pytest.mark.parametrize("dbc", [CONDITIONAL, COMPLETE])
 def test_the_statistics_of_the_pose_error(dbc: str) -> None:
     """None before the first; those of now, although nothing was received since."""
-    monitor = Monitor(codec_of(dbc).decoder())
-    assert monitor.pose_error(0) is None
+    decoder = codec_of(dbc).decoder()
+    assert decoder.pose_error(0) is None
     for n, frames in enumerate(cycles(dbc, 10)):
-        feed(monitor, frames, n * PERIOD_NS)
+        feed(decoder, frames, n * PERIOD_NS)
     for silent, no_new_data, state in ((0, 0, E2EState.VALID), (10, 9, E2EState.INVALID)):
-        stats = monitor.pose_error((9 + silent) * PERIOD_NS)
+        stats = decoder.pose_error((9 + silent) * PERIOD_NS)
         assert stats is not None
         assert (stats.ok, stats.no_new_data, stats.state) == (10, no_new_data, state)
 
 
 def test_a_scene_is_not_usable_before_the_state_is_valid() -> None:
     """After the first pose error it is INIT, whatever the age."""
-    monitor = Monitor(codec_of(CONDITIONAL).decoder())
-    _, t_ns = feed(monitor, cycles(CONDITIONAL, 1, age=0.02)[0], 0)
-    view = monitor.latest_scene(t_ns)
+    decoder = codec_of(CONDITIONAL).decoder()
+    _, t_ns = feed(decoder, cycles(CONDITIONAL, 1, age=0.02)[0], 0)
+    view = decoder.latest_scene(t_ns)
     assert (view.state, view.stale, view.usable) == (E2EState.INIT, False, False)
     assert view.age < 0.1
 
@@ -439,18 +433,6 @@ def test_a_mixture_is_in_no_scene(components: int) -> None:
     answers, _ = feed(decoder, frames, 0)
     assert isinstance(answers[-1], MapLine)
     assert (decoder.scene() is not None) is (components == 1)
-
-
-def test_a_decoder_without_scenes_drops_lines_that_need_a_pose_error() -> None:
-    """They are counted, each with its frames."""
-    layout = codec_of(CONDITIONAL).layout
-    reader: RecordReader[Any] = RecordReader(RawFormat.of_lines(layout))
-    decoder = Decoder(layout, reader, None, *decoder_settings(layout))
-    frames = Forger().frames({}, {Slot.EGO_LEFT: {}})
-    answers, _ = feed(decoder, frames, 0)
-    poses = len(frames[POSE])
-    assert answers == [Reason.FOREIGN] * poses + [Reason.PENDING, Reason.POSE]
-    assert decoder.counts == {Reason.FOREIGN: poses, Reason.POSE: 2}
 
 
 @pytest.mark.parametrize(("ahead", "is_new"), [(16, True), (17, False)])

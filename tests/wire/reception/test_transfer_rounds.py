@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from answers import one
 from dbcs import DBC, default_codec, edited
 from e2e_streams import CYCLE, MS, SLOT, check_accounts, frames
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from maplines_can import MapLine
+from maplines_can import MapLine, Slot
 from maplines_can.study import road
-from maplines_can.wire import Reason
+from maplines_can.wire import POSE, Reason
 from maplines_can.wire.layout.message_layout import Layout
 from maplines_can.wire.reception.reassembly import Reassembler
 from maplines_can.wire.reception.settings import decoder_settings, timeout_cycles
@@ -29,7 +30,7 @@ def test_transfers_whose_pages_are_60_ms_apart_are_delivered() -> None:
         for page, frame in enumerate(frames(line)):
             if line % 3 == 0 and page == 1 + line // 3 % 3:
                 t_ns += 60 * MS
-            answers.append(decoder.feed(frame.can_id, frame.data, t_ns))
+            answers.append(one(decoder.feed(frame.can_id, frame.data, t_ns)))
             t_ns += MS // 4
     assert sum(isinstance(answer, MapLine) for answer in answers) == 120
     assert not decoder.counts
@@ -43,7 +44,7 @@ def test_the_time_out_is_one_and_a_half_cycles(apart_ms: int, reason: Any) -> No
         *first, last = frames(0)
         for frame in first:
             decoder.feed(frame.can_id, frame.data, 0)
-        answer = decoder.feed(last.can_id, last.data, factor * apart_ms * MS)
+        answer = one(decoder.feed(last.can_id, last.data, factor * apart_ms * MS))
         assert isinstance(answer, MapLine) is (reason is None)
         assert decoder.counts == ({reason: 3} if reason else {})
 
@@ -60,8 +61,8 @@ def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: P
     layout = Layout.from_dbc(edited(tmp_path, *edits) if edits else DBC)
     assert timeout_cycles(layout) == cycles
     for cycle_ms, timeout_ms in ((None, 75), (20, 30), (10, 25), (500, 750)):
-        timeouts_ns, *_ = decoder_settings(layout, cycle_ms=cycle_ms)
-        assert set(timeouts_ns.values()) == {timeout_ms * MS}
+        settings = decoder_settings(layout, cycle_ms=cycle_ms)
+        assert {one.timeout_ns for one in settings.values()} == {timeout_ms * MS}
 
 
 class FewIds:
@@ -105,13 +106,9 @@ class Mixing:
 
     def __init__(self, timeout_ms: float = 75) -> None:
         self.mixed, self.complete = 0, list[int]()
-        timeouts = {SLOT: round(timeout_ms * MS)} | {
-            slot: MS for slot in default_codec().layout.messages if slot != SLOT
-        }
+        timeouts = dict.fromkeys((POSE, *Slot), MS) | {SLOT: round(timeout_ms * MS)}
         reader: Any = self
-        self.reassembler: Reassembler[Any, Any] = Reassembler(
-            default_codec().layout, reader, timeouts
-        )
+        self.reassembler: Reassembler[Any] = Reassembler(default_codec().layout, reader, timeouts)
         self.origin = [{row[page]: i for i, row in enumerate(pages())} for page in range(PAGES)]
         assert all(len(origin) == RECORDS for origin in self.origin)
 
@@ -257,7 +254,7 @@ def test_no_delivered_line_is_made_of_two_transfers(
         answer
         for at, record, page in arrivals
         if isinstance(
-            answer := decoder.feed(CAN_ID, pages()[record][page], round(at * MS)), MapLine
+            answer := one(decoder.feed(CAN_ID, pages()[record][page], round(at * MS))), MapLine
         )
     ]
     check_accounts(decoder)

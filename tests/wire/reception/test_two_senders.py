@@ -27,7 +27,7 @@ from sender_pairs import (
     senders_of_line,
 )
 
-from maplines_can import Monitor, SceneView, Slot, SlotView
+from maplines_can import SceneView, Slot, SlotView
 from maplines_can.wire import POSE, E2EConfig, E2EState, SequenceCheck
 
 VALID = E2EState.VALID
@@ -52,12 +52,12 @@ def detection(every: int) -> float:
 
 def views(dbc: str, events: Sequence[Event]) -> Iterator[Seen]:
     """Yield what a consumer sees after each frame and before the next one, with the time."""
-    monitor = Monitor(codec_of(dbc).decoder())
+    decoder = codec_of(dbc).decoder()
     for event, after in pairwise([*events, events[-1]._replace(t_ns=events[-1].t_ns + PERIOD_NS)]):
-        monitor.feed(event.frame.can_id, event.frame.data, event.t_ns)
+        decoder.feed(event.frame.can_id, event.frame.data, event.t_ns)
         for t_ns in sorted({event.t_ns, max(event.t_ns, after.t_ns - 1)}):
-            lines = [monitor.latest(slot, t_ns) for slot in SLOTS]
-            yield t_ns / PERIOD_NS, monitor.latest_scene(t_ns), lines
+            lines = [decoder.latest(slot, t_ns) for slot in SLOTS]
+            yield t_ns / PERIOD_NS, decoder.latest_scene(t_ns), lines
 
 
 def used(seen: Seen) -> list[set[int]]:
@@ -195,18 +195,18 @@ def test_what_shares_a_pose_error_with_two_senders_is_not_usable(
 def test_one_slot_that_is_not_valid_makes_its_scene_unusable() -> None:
     """The view says which; the scenes without the line are usable, as is the other line."""
     codec, period = codec_of(COMPLETE), PERIOD_NS
-    monitor = Monitor(codec.decoder())
+    decoder = codec.decoder()
     for event in merged(COMPLETE, [Sender(0)], 12):
-        monitor.feed(event.frame.can_id, event.frame.data, event.t_ns)
+        decoder.feed(event.frame.can_id, event.frame.data, event.t_ns)
     can_id = codec.layout.messages[Slot.EGO_RIGHT].can_id
     assert can_id is not None
     now_ns = 11 * period + 20 * FRAME_NS
-    assert monitor.latest_scene(now_ns).usable
+    assert decoder.latest_scene(now_ns).usable
     for _ in range(3):  # frames of a wrong length: three errors of ten checks
-        monitor.feed(can_id, b"", now_ns)
-    view = monitor.latest_scene(now_ns)
+        decoder.feed(can_id, b"", now_ns)
+    view = decoder.latest_scene(now_ns)
     assert view.state is VALID
     assert view.slot_states == {Slot.EGO_LEFT: VALID, Slot.EGO_RIGHT: E2EState.INVALID}
     assert not view.usable
-    assert monitor.latest(Slot.EGO_LEFT, now_ns).usable
-    assert not monitor.latest(Slot.EGO_RIGHT, now_ns).usable
+    assert decoder.latest(Slot.EGO_LEFT, now_ns).usable
+    assert not decoder.latest(Slot.EGO_RIGHT, now_ns).usable

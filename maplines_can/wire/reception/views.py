@@ -1,0 +1,152 @@
+"""Views of the newest line of a slot and of the newest scene, and whether they may be used."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+from ...values.line import MapLine, Slot
+from ...values.scene import Scene
+from ..protection.e2e_state import E2EState, ProfileStatus
+from .scenes import ReceivedScene
+from .sequence import SequenceCheck
+
+#: A line is stale when nothing newer has come for this many cycle times: two consecutive lines
+#: may be lost. At 20 Hz the last one is then 150 ms old. The E2E state follows at 275 ms.
+STALE_CYCLES = 3.0
+#: The time of the caller may be before a reception by this much [ns]: the clocks of CAN adapters
+#: and of hosts that are synchronised (IEEE 802.1AS, NTP in a car) differ by less. By more, the
+#: clock of the caller was set back, and no age is known.
+CLOCK_JITTER_NS = 1_000_000
+
+
+class SlotView(NamedTuple):
+    """State of a slot at the consumer's call."""
+
+    slot: Slot
+    line: MapLine | None  #: the newest; None before the first
+    #: from the time of the line's pose to now [s]; infinite if too old, unknown, or without a line
+    age: float
+    #: nothing newer came for some cycle times, there is no line, or it comes after now
+    stale: bool
+    #: of the slot; if the line is conditional on the pose error, VALID only if that is, too
+    state: E2EState
+    status: ProfileStatus | None  #: of the last check; None before the first
+    #: two senders were detected in the last 256 cycles, or are suspected: on the slot or, if the
+    #: line is conditional on the pose error, on that
+    two_senders: bool
+
+    @property
+    def usable(self) -> bool:
+        """Whether a controller may use the line.
+
+        This is so if the E2E state is VALID, the line is not stale, the slot has one sender, the
+        status of the line is not OUT_OF_RANGE, and its age is finite.
+
+        The ``age`` of a usable line is at least 0, and at most the greatest age that the DBC can
+        state plus ``stale_cycles`` cycle times: 240 ms + 150 ms with the project's DBC. It is not
+        less than the true age, except for the time that the first frame of the line spent in the
+        transmit queue of the interface and on the bus, and for ``CLOCK_JITTER_NS``. If the producer
+        of the lines hangs, no line is therefore usable later than 390 ms after its pose, plus these
+        times.
+        """
+        line = self.line
+        vouched = line is not None and line.is_usable
+        return vouched and self.state is E2EState.VALID and not self.stale and not self.two_senders
+
+
+class SceneView(NamedTuple):
+    """The newest scene at the consumer's call."""
+
+    scene: Scene | None  #: None before the first
+    #: from the time of the pose to now [s]; infinite if too old, unknown, or without a scene
+    age: float
+    stale: bool  #: its pose error came some cycle times ago, or comes after now
+    state: E2EState  #: of the pose error
+    status: ProfileStatus | None  #: of the last check of a pose error; None before the first
+    received: ReceivedScene | None = None  #: with its time of reception, and its age then
+    #: states of the slots of its lines
+    slot_states: Mapping[Slot, E2EState] = MappingProxyType({})
+    #: two senders were detected in the last 256 cycles, or are suspected, on the pose error or on
+    #: the slot of a line
+    two_senders: bool = False
+
+    @property
+    def usable(self) -> bool:
+        """Whether a controller may use the scene.
+
+        This is so if the E2E states of the pose error and of the slots of all its lines are VALID,
+        none of them has two senders, the scene is not stale, and its age is finite. The age of a
+        usable scene is bounded as that of a line, see ``SlotView.usable``.
+        """
+        states = {self.state, *self.slot_states.values()}
+        vouched = math.isfinite(self.age) and states == {E2EState.VALID}
+        return vouched and not self.stale and not self.two_senders
+
+
+def slot_view(
+    slot: Slot,
+    line: MapLine | None,
+    checks: Sequence[SequenceCheck],
+    now_ns: int,
+    stale_cycles: float,
+) -> SlotView:
+    """Return the state of a slot at ``now_ns``, with the checks of all that its line is made of.
+
+    The first check is that of the slot. The arguments are those of ``Decoder.latest``.
+    """
+    check, age, stale, waited = checks[0], math.inf, True, 0.0
+    if line is not None and line.t_ns is not None:
+        waited, stale = _waited(line.t_ns, now_ns, stale_cycles * check.cycle_ns)
+        age = line.age + waited
+    states = [_state(one, now_ns, waited) for one in checks]
+    state = next((one for one in states if one is not E2EState.VALID), E2EState.VALID)
+    two_senders = _two_senders(checks, now_ns)
+    return SlotView(slot, line, age, stale, state, check.status, two_senders)
+
+
+def scene_view(
+    received: ReceivedScene | None,
+    is_too_old: bool,
+    pose_check: SequenceCheck,
+    slot_checks: Mapping[Slot, SequenceCheck],
+    now_ns: int,
+    stale_cycles: float,
+) -> SceneView:
+    """Return the newest scene at ``now_ns``, with the checks of its pose error and its lines.
+
+    It has no age if the newest pose error is too old. The arguments are those of
+    ``Decoder.latest_scene``.
+    """
+    if received is None:
+        return SceneView(None, math.inf, True, pose_check.elapse(now_ns), pose_check.status)
+    waited, stale = _waited(received.t_ns, now_ns, stale_cycles * pose_check.cycle_ns)
+    return SceneView(
+        received.scene,
+        math.inf if is_too_old else received.age + waited,
+        stale,
+        _state(pose_check, now_ns, waited),
+        pose_check.status,
+        received,
+        {slot: _state(check, now_ns, waited) for slot, check in slot_checks.items()},
+        _two_senders((pose_check, *slot_checks.values()), now_ns),
+    )
+
+
+def _waited(t_ns: int, now_ns: int, longest_ns: float) -> tuple[float, bool]:
+    """Return the time since a reception [s], infinite if unknown, and whether it is too long."""
+    waited_ns = now_ns - t_ns
+    if waited_ns < -CLOCK_JITTER_NS:
+        return math.inf, True
+    return max(waited_ns, 0) / 1e9, waited_ns > longest_ns
+
+
+def _state(check: SequenceCheck, now_ns: int, waited: float) -> E2EState:
+    """Return the state at ``now_ns`` [ns]; if this clock was set back, no cycles have passed."""
+    return check.state if math.isinf(waited) else check.elapse(now_ns)
+
+
+def _two_senders(checks: Iterable[SequenceCheck], now_ns: int) -> bool:
+    return not all(check.has_one_sender(now_ns) for check in checks)
