@@ -2,11 +2,10 @@
 
 from .keys import key_from_env, key_from_file
 from .link import Link, Sent
-from .listener import LineListener, ReceiverStats
 from .load import bus_load, frame_bits, frame_time, transfers_within
 from .log_writer import LogWriter
 from .logs import LogFrame, read_log
-from .receiver import Receiver
+from .receiver import LineListener, Receiver, ReceiverStats
 from .schedule import Lateness
 from .signals import SignalDecoder, SignalLog, read_signals
 from .transmitter import Transmitter, TransmitterStats

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 from weakref import WeakSet
@@ -45,12 +44,10 @@ class BackgroundThread(ABC):
 
     Args:
         name: of the thread.
-        on_end: called by the thread at its end, after its error is stored.
     """
 
-    def __init__(self, name: str, on_end: Callable[[], object] = lambda: None) -> None:
+    def __init__(self, name: str) -> None:
         self._changed = ForkSafeCondition()  # guards the state of the subclass, too
-        self._on_end = on_end
         self._stopping = False  # the thread shall end
         self._ended = False  # the thread has ended, or will never start
         self._error: Exception | None = None
@@ -157,4 +154,3 @@ class BackgroundThread(ABC):
             with self._changed:
                 self._ended = True
                 self._changed.notify_all()
-            self._on_end()

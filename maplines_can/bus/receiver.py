@@ -1,26 +1,308 @@
-"""Receive lines from a link."""
+"""Receive lines: from a link by a thread, or as a listener of python-can; the rest is counted."""
 
 from __future__ import annotations
 
 import contextlib
+import time
+from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Collection, Iterator
-from typing import Literal, Self
+from inspect import iscoroutinefunction
+from typing import Literal, NamedTuple, Self
 
 import can
 from can.typechecking import CanFilters
 
 from ..values.line import MapLine, Slot
-from ..wire import Decoder, SceneView, SlotStats, SlotView
+from ..wire import Decoder, Reason, SceneView, SlotStats, SlotView
 from ..wire.reception.views import STALE_CYCLES
-from .background import BackgroundThread
+from .background import BackgroundThread, ForkSafeCondition
 from .link import Link, link_of
-from .listener import LineListener, ReceiverStats
+from .stamp_clock import StampClock
 
 #: How long the thread waits for a frame before it checks whether it shall stop [s].
 POLL = 0.1
 
 
-class Receiver(BackgroundThread):
+class ReceiverStats(NamedTuple):
+    """Counters of a receiver."""
+
+    lines: int  #: complete lines received
+    lost: int  #: lines that are missing according to the sender's counters
+    frames: int  #: data frames given to the decoder
+    error_frames: int  #: error frames of the bus, not given to the decoder
+    remote_frames: int  #: remote frames, not given to the decoder
+    overflowed: int  #: lines dropped from the full queue, oldest first
+    counts: dict[Reason, int]  #: frames by the decoder's reason
+    pending: int  #: frames held for lines that are not complete
+    pose_errors: int  #: pose errors of scenes received
+
+
+class ReceivedLines(ABC):
+    """Lines of a bus: those that wait, and the newest of each slot, from any thread.
+
+    A `LineListener` and a `Receiver` have these methods. Args and errors are those of both.
+    """
+
+    def __init__(
+        self,
+        decoder: Decoder,
+        on_line: Callable[[MapLine], object] | None,
+        queue_size: int,
+        changed: ForkSafeCondition,
+    ) -> None:
+        if not hasattr(decoder, "feed"):
+            raise TypeError(f"decoder must be a Decoder, such as codec.decoder(), got {decoder!r}")
+        if on_line is not None and (not callable(on_line) or iscoroutinefunction(on_line)):
+            raise TypeError(
+                "on_line must be a plain function, not a coroutine function, such as the "
+                f"put_nowait of an asyncio.Queue, got {on_line!r}"
+            )
+        if queue_size < 1:
+            raise ValueError(f"queue_size must be 1 line or more, got {queue_size!r}")
+        self._decoder, self._on_line = decoder, on_line
+        self._changed = changed  # guards the state below, and the decoder
+        self._queue: deque[MapLine] = deque(maxlen=queue_size)
+        self._lines = self._frames = 0
+        self._error_frames = self._remote_frames = self._overflowed = 0
+        self._stamps = StampClock()
+        self._stopped = False  # messages are ignored
+
+    @property
+    @abstractmethod
+    def _is_over(self) -> bool:
+        """Whether no message will come; `_changed` is notified then."""
+
+    @abstractmethod
+    def _raise_error(self) -> None:
+        """Raise the error that ended the reception, if there is one."""
+
+    def _take(self, msg: can.Message) -> None:
+        """Decode a message, and count it."""
+        with self._changed:
+            if self._stopped:
+                return
+            if msg.is_error_frame:
+                self._error_frames += 1
+                return
+            if msg.is_remote_frame:
+                self._remote_frames += 1
+                return
+            self._frames += 1
+            t_ns = round(msg.timestamp * 1e9) or time.time_ns()
+            self._stamps.add(t_ns, time.monotonic_ns())
+            can_id, data = msg.arbitration_id, bytes(msg.data)
+            lines = self._decoder.feed(can_id, data, t_ns, is_extended=msg.is_extended_id)
+            if isinstance(lines, Reason):
+                return
+            self._lines += len(lines)
+            if self._on_line is None:
+                for line in lines:
+                    self._overflowed += len(self._queue) == self._queue.maxlen
+                    self._queue.append(line)
+                self._changed.notify_all()
+                return
+        for line in lines:
+            self._on_line(line)
+
+    def get(self, timeout: float | None = None) -> MapLine | None:
+        """Return the oldest line that waits.
+
+        Args:
+            timeout: how long to wait for a line [s]; None for no limit.
+
+        Returns:
+            The line; None after the timeout, or if no line waits and none will come: the listener
+            is stopped, or the thread of the receiver does not run.
+
+        Raises:
+            TypeError: the lines go to a callback.
+            Exception: the error that ended the notifier, or the thread of the receiver, after the
+                lines received before it.
+        """
+        if self._on_line is not None:
+            raise TypeError("the lines go to on_line; leave that out to get them")
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._is_over, timeout)
+            if self._queue:
+                return self._queue.popleft()
+        self._raise_error()
+        return None
+
+    def __iter__(self) -> Iterator[MapLine]:
+        while (line := self.get()) is not None:
+            yield line
+
+    def latest(
+        self, slot: Slot, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SlotView:
+        """Return the newest line of a slot with its age, its E2E state, and whether it is stale.
+
+        Call it once in each cycle of a controller. It may be called from any thread, and beside
+        `get` and ``on_line``.
+
+        Args:
+            slot: which line.
+            now_ns: the time now on the clock of the frames' time stamps [ns]. By default it is
+                derived from the stamps received so far and the monotonic time since, so that
+                neither an adapter with a clock of its own nor a change of the host's clock makes
+                a line look younger than it is.  After the start the frames may be a backlog,
+                for example on a link that was open before.  The time on that clock is then
+                unknown: the age is infinite and the line is stale until the queueing delay has
+                stopped falling for 0.2 s, which shows that the backlog is drained.  With the
+                messages of a log, give the time.
+            stale_cycles: after how many cycle times without a newer line a line is stale;
+                see ``Codec.decoder`` for the cycle time.
+
+        Raises:
+            ValueError: the DBC has no such slot.
+        """
+        with self._changed:
+            view = self._decoder.latest(slot, self._now(now_ns), stale_cycles=stale_cycles)
+            known = now_ns is not None or self._stamps.is_settled
+        return view if known else view._replace(age=float("inf"), stale=True)
+
+    def latest_scene(
+        self, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
+    ) -> SceneView:
+        """Return the newest scene: lines of one pose, with their joint covariance.
+
+        Args:
+            now_ns: as in `latest`.
+            stale_cycles: number of cycle times since its pose error after which a scene is stale.
+
+        Raises:
+            ValueError: the DBC has no message of the pose error.
+        """
+        with self._changed:
+            view = self._decoder.latest_scene(self._now(now_ns), stale_cycles=stale_cycles)
+            known = now_ns is not None or self._stamps.is_settled
+        return view if known else view._replace(age=float("inf"), stale=True)
+
+    def now_ns(self) -> int:
+        """Return the time now on the clock of the frames' time stamps [ns], as for `latest`.
+
+        Before the first frame, that is the time of this machine.
+        """
+        with self._changed:
+            return self._now(None) if self._frames else time.time_ns()
+
+    def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
+        """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
+        with self._changed:
+            return self._decoder.slots(self._now(now_ns))
+
+    def pose_error(self, now_ns: int | None = None) -> SlotStats | None:
+        """Return the statistics of the pose error; None if none came; ``now_ns`` as in `latest`."""
+        with self._changed:
+            return self._decoder.pose_error(self._now(now_ns))
+
+    def stats(self) -> ReceiverStats:
+        """Return a consistent copy of all counters."""
+        with self._changed:
+            return ReceiverStats(
+                lines=self._lines,
+                lost=self._decoder.lost,
+                frames=self._frames,
+                error_frames=self._error_frames,
+                remote_frames=self._remote_frames,
+                overflowed=self._overflowed,
+                counts=dict(self._decoder.counts),
+                pending=self._decoder.pending,
+                pose_errors=self._decoder.pose_errors,
+            )
+
+    def _now(self, now_ns: int | None) -> int:
+        return self._stamps.now(time.monotonic_ns()) if now_ns is None else now_ns
+
+
+class LineListener(ReceivedLines, can.Listener):
+    """Listener of python-can that turns messages into lines.
+
+    It works wherever a ``can.Listener`` does: in a ``can.Notifier``, with or without an asyncio
+    event loop, or called directly with the messages of a log. Use one listener for each bus. A
+    `Receiver` is a listener with a link and a thread.
+
+    As in python-can, a time stamp of 0 means that there is none; the current time is used instead.
+    Read a log that starts at 0 with ``relative_timestamp=False``.
+
+    Lines go to the callback ``on_line`` if there is one. Otherwise they wait for
+    `get` or for iteration (``for line in listener``, which ends after `stop`). Lines that wait
+    when the listener stops can still be fetched. The newest ``queue_size`` lines wait. Older
+    ones are dropped and counted as overflowed, because a stale line is of no use.
+
+    A control loop needs neither callback nor queue: `latest` returns the newest line of a slot at
+    any time, with its age, its E2E state, and whether it is stale.
+
+    All methods may be called from any thread. No message causes an exception. An exception raised
+    by the callback reaches the caller of the listener: a notifier keeps it as
+    ``notifier.exception`` and stops reading, as with any listener. `get` and the iteration raise it
+    again.
+
+    Args:
+        decoder: turns frames into lines; used by this listener only.
+        on_line: a plain function, called with each line by the thread that brings the message.
+        queue_size: how many lines may wait.
+
+    Raises:
+        ValueError: ``queue_size`` is less than 1.
+        TypeError: ``decoder`` is no decoder, or ``on_line`` is no plain function.
+
+    >>> from maplines_can import Codec, MapLine
+    >>> codec = Codec.from_dbc()
+    >>> listener = LineListener(codec.decoder())
+    >>> for frame in codec.encoder().encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0])):
+    ...     listener(
+    ...         can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+    ...     )
+    >>> listener.get().slot.name, listener.stats().frames
+    ('ROUTE', 4)
+    """
+
+    def __init__(
+        self,
+        decoder: Decoder,
+        *,
+        on_line: Callable[[MapLine], object] | None = None,
+        queue_size: int = 256,
+    ) -> None:
+        super().__init__(decoder, on_line, queue_size, ForkSafeCondition())
+        self._error: Exception | None = None  # of the notifier; None while messages arrive
+
+    @property
+    def _is_over(self) -> bool:
+        return self._stopped or self._error is not None
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Decode a message; called by python-can. Messages after `stop` are ignored."""
+        if not self._stopped:
+            self._error = None
+        self._take(msg)
+
+    def on_error(self, exc: Exception) -> None:
+        """Store the error that ends a notifier's thread, for `get`; called by python-can.
+
+        Raises:
+            NotImplementedError: always. This tells the notifier that the error is not handled, so
+                it stops unless another listener handles the error.
+        """
+        with self._changed:
+            self._error = exc
+            self._changed.notify_all()
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Ignore further messages, and let `get` and the iteration end; called by python-can."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+
+
+class Receiver(BackgroundThread, ReceivedLines):
     """Thread that turns the frames of a link into lines.
 
     Lines go to the callback ``on_line``, or wait for `get` or for iteration, and `latest` returns
@@ -61,7 +343,8 @@ class Receiver(BackgroundThread):
         queue_size: int = 256,
         can_ids: Collection[int] | Literal["decoder"] | None = "decoder",
     ) -> None:
-        self._listener = LineListener(decoder, on_line=on_line, queue_size=queue_size)
+        BackgroundThread.__init__(self, "maplines receive")
+        ReceivedLines.__init__(self, decoder, on_line, queue_size, self._changed)
         self._link = link_of(link)
         self._bus = link if isinstance(link, can.BusABC) else None  # the caller's
         self._bus_filters: CanFilters | None = None  # of the caller
@@ -71,57 +354,10 @@ class Receiver(BackgroundThread):
                 "can_ids must be 1 CAN ID or more, 'decoder' for those of its DBC, or None for "
                 f"all frames, got {can_ids!r}"
             )
-        super().__init__("maplines receive", on_end=self._listener.stop)
 
-    def get(self, timeout: float | None = None) -> MapLine | None:
-        """Return the oldest line that waits.
-
-        Args:
-            timeout: how long to wait for a line [s]; None for ever.
-
-        Returns:
-            The line; None after the timeout, or if the thread does not run and no line waits.
-
-        Raises:
-            TypeError: the lines go to a callback.
-            Exception: the error that ended the thread, after the lines received before it.
-        """
-        line = self._listener.get(timeout if self._alive else 0.0)
-        if line is None:
-            self._raise_error()
-        return line
-
-    def __iter__(self) -> Iterator[MapLine]:
-        while (line := self.get()) is not None:
-            yield line
-
-    def latest(
-        self, slot: Slot, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
-    ) -> SlotView:
-        """Return the newest line of a slot with its state; see `LineListener.latest`."""
-        return self._listener.latest(slot, now_ns, stale_cycles=stale_cycles)
-
-    def latest_scene(
-        self, now_ns: int | None = None, *, stale_cycles: float = STALE_CYCLES
-    ) -> SceneView:
-        """Return the newest scene with its state; see `LineListener.latest_scene`."""
-        return self._listener.latest_scene(now_ns, stale_cycles=stale_cycles)
-
-    def now_ns(self) -> int:
-        """Return the time on the clock of the time stamps [ns]; see `LineListener.now_ns`."""
-        return self._listener.now_ns()
-
-    def slots(self, now_ns: int | None = None) -> dict[Slot, SlotStats]:
-        """Return the statistics of each slot that received anything; ``now_ns`` as in `latest`."""
-        return self._listener.slots(now_ns)
-
-    def pose_error(self, now_ns: int | None = None) -> SlotStats | None:
-        """Return the statistics of the pose error; see `LineListener.pose_error`."""
-        return self._listener.pose_error(now_ns)
-
-    def stats(self) -> ReceiverStats:
-        """Return a consistent copy of all counters."""
-        return self._listener.stats()
+    @property
+    def _is_over(self) -> bool:
+        return not self._alive
 
     def start(self) -> Self:
         """Set the filter of the interface and start the thread; ``with`` calls this."""
@@ -135,7 +371,7 @@ class Receiver(BackgroundThread):
             while not self._stopping:
                 message = self._link.recv(POLL)
                 if message is not None:
-                    self._listener(message)
+                    self._take(message)
         finally:
             if self._bus is not None and self._can_ids is not None:
                 with contextlib.suppress(can.CanError, OSError, ValueError):  # if it is shut down

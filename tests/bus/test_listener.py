@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scene_streams import CONDITIONAL, codec_of, road_scene
 
 import maplines_can
-from maplines_can.bus import LineListener, Receiver
+from maplines_can.bus import LineListener
 from maplines_can.values.line import Slot
 from maplines_can.wire import POSE, E2EState
 
@@ -219,13 +219,11 @@ def test_a_queue_size_of_0_raises_here_too() -> None:
         LineListener(FakeCodec().decoder(), queue_size=0)
 
 
-@pytest.mark.parametrize("kind", [LineListener, lambda decoder: Receiver(FakeBus(), decoder)])
-def test_by_default_256_lines_wait(kind: Any) -> None:
+def test_by_default_256_lines_wait() -> None:
     """One more, and the oldest is dropped."""
     codec = FakeCodec()
     encoder = codec.encoder()
-    consumer = kind(codec.decoder())
-    listener = getattr(consumer, "_listener", consumer)
+    listener = LineListener(codec.decoder())
     for n in range(257):
         assert listener.stats().overflowed == 0
         for frame in encoder.encode(map_line(y=n / 10)):
@@ -268,18 +266,16 @@ def test_what_waits_for_a_line_is_woken_by_the_end(how: str) -> None:
     thread.join()
 
 
-@pytest.mark.parametrize("kind", [LineListener, lambda decoder: Receiver(FakeBus(), decoder)])
-def test_a_scene_of_unknown_age_is_stale(kind: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scene_of_unknown_age_is_stale(monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames may be of a backlog until 0.2 s have passed; a time that is given needs no clock.
 
     As with the lines of slots, then the time goes on with the clock of this host.
     """
-    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     codec = codec_of(CONDITIONAL)
-    consumer = kind(codec.decoder())
-    listener = getattr(consumer, "_listener", consumer)
-    assert consumer.pose_error() is None
-    assert consumer.slots() == {}
+    listener: Any = LineListener(codec.decoder())
+    assert listener.pose_error() is None
+    assert listener.slots() == {}
     scene = codec.encoder().prepare_scene(road_scene())
     counters: dict[Any, int] = {}
     for cycle in range(8):
@@ -289,23 +285,23 @@ def test_a_scene_of_unknown_age_is_stale(kind: Any, monkeypatch: pytest.MonkeyPa
             counters[owner] = counters.get(owner, 0) + 1
             for frame in frames:
                 listener(message_of(frame, timestamp=50 + 0.05 * cycle))
-        for view in (consumer.latest_scene(), consumer.latest(Slot.EGO_LEFT)):
+        for view in (listener.latest_scene(), listener.latest(Slot.EGO_LEFT)):
             assert (view.age, view.stale) == ((math.inf, True) if cycle < 4 else (view.age, False))
-        given = consumer.latest_scene(round(1e9 * (50.001 + 0.05 * cycle)))
+        given = listener.latest_scene(round(1e9 * (50.001 + 0.05 * cycle)))
         assert given.scene is not None
         assert not given.stale
         assert given.age == pytest.approx(0.021, abs=0.004)
         now.ns += 50_000_000
-    assert consumer.latest_scene().age == pytest.approx(given.age + 0.049)
-    assert consumer.latest(Slot.EGO_LEFT).age == pytest.approx(given.age + 0.049)
-    assert not consumer.latest_scene(stale_cycles=2).stale
+    assert listener.latest_scene().age == pytest.approx(given.age + 0.049)
+    assert listener.latest(Slot.EGO_LEFT).age == pytest.approx(given.age + 0.049)
+    assert not listener.latest_scene(stale_cycles=2).stale
     now.ns += 60_000_000
-    assert consumer.latest_scene(stale_cycles=2).stale
-    assert not consumer.latest_scene(stale_cycles=3).stale
-    assert consumer.pose_error().ok == consumer.stats().pose_errors == 8
-    assert consumer.pose_error().state is E2EState.VALID
-    assert consumer.slots()[Slot.EGO_LEFT].state is E2EState.VALID
+    assert listener.latest_scene(stale_cycles=2).stale
+    assert not listener.latest_scene(stale_cycles=3).stale
+    assert listener.pose_error().ok == listener.stats().pose_errors == 8
+    assert listener.pose_error().state is E2EState.VALID
+    assert listener.slots()[Slot.EGO_LEFT].state is E2EState.VALID
     later = round(51.5e9)
-    assert consumer.pose_error(later).state is E2EState.INVALID
-    assert consumer.slots(later)[Slot.EGO_LEFT].state is E2EState.INVALID
+    assert listener.pose_error(later).state is E2EState.INVALID
+    assert listener.slots(later)[Slot.EGO_LEFT].state is E2EState.INVALID
     assert set(counters) == {POSE, Slot.EGO_LEFT, Slot.EGO_RIGHT}

@@ -183,7 +183,7 @@ def test_the_latest_line_of_a_backlog_is_not_new(
     channel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The sender has died; then the receiver starts, and reads a backlog from the queue."""
-    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     codec = new_codec()
     encoder = codec.encoder()
     with (

@@ -20,7 +20,7 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(
 
     The time is that of the test, which goes on when a line has been received.
     """
-    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     bus = {"interface": "virtual", "channel": channel}
     codec, wrong = new_codec(), []
     with (
@@ -67,7 +67,7 @@ def test_a_controller_sees_a_slot_become_valid_and_stale(
 
 def test_age_is_by_the_clock_of_the_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also if the time stamps of the adapter start at power-up."""
-    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     bus = {"interface": "virtual", "channel": "since-power-up"}
     with (
         Link(**bus, preserve_timestamps=True) as link,  # type: ignore[arg-type]

@@ -51,7 +51,7 @@ def test_a_consumer_sees_whole_scenes(monkeypatch: Any, channel: Any, dbc: str) 
     The time of all threads is that of the test, which goes on when the frames that are due have
     been received, so that none of them is late on a busy machine.
     """
-    monkeypatch.setattr("maplines_can.bus.listener.time", now := FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", now := FakeTime())
     codec = Codec.from_dbc(default_dbc_path(dbc))
     scenes = [
         codec.encoder().prepare_scene(road_scene(SLOTS, radius=radius, sigma=(0.3, sigma, 0.005)))

@@ -26,7 +26,7 @@ def replay(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
     It takes (time stamp [s], frames) of each transfer, and an event to wait for after the first.
     The present time of the receiver is the last stamp, however busy the machine is.
     """
-    monkeypatch.setattr("maplines_can.bus.listener.time", FakeTime())
+    monkeypatch.setattr("maplines_can.bus.receiver.time", FakeTime())
     threads: list[threading.Thread] = []
 
     def start(transfers: Any, after_first: threading.Event | None = None) -> None:

@@ -115,7 +115,7 @@ def sending(channel: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
         sender.receivers.append(receiver)
         return start(receiver)
 
-    monkeypatch.setattr("maplines_can.bus.listener.time", clock)
+    monkeypatch.setattr("maplines_can.bus.receiver.time", clock)
     monkeypatch.setattr("maplines_can.cli.consume_input.time", clock)
     monkeypatch.setattr(Receiver, "start", started)
     monkeypatch.setattr(Receiver, "wait", sender.wait)
