@@ -15,8 +15,13 @@ from can.typechecking import CanFilter
 
 from ..values.errors import BusError
 from .background import ForkSafeCondition
-from .bus_factory import BusFactory, UnsuitableInterfaceError
-from .driver_errors import DriverError, classify_error, error_text
+from .bus_factory import (
+    BusFactory,
+    DriverError,
+    UnsuitableInterfaceError,
+    classify_error,
+    error_text,
+)
 
 log = logging.getLogger("maplines_can.bus")
 

@@ -11,7 +11,7 @@ from fake_bus import (
     NO_NUMBER,
 )
 
-from maplines_can.bus.driver_errors import DriverError, classify_error, error_text
+from maplines_can.bus.bus_factory import DriverError, classify_error, error_text
 
 
 def caused_by(error: Any, cause: Any) -> Any:

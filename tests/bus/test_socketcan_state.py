@@ -10,8 +10,12 @@ import pytest
 from fake_bus import FRAME, GONE, NO_NUMBER, Clock, FakeBus, FakeOpener
 
 from maplines_can.bus import Link, Sent
-from maplines_can.bus.bus_factory import BusFactory, UnsuitableInterfaceError
-from maplines_can.bus.socketcan import index, problem
+from maplines_can.bus.bus_factory import (
+    BusFactory,
+    UnsuitableInterfaceError,
+    interface_index,
+    interface_problem,
+)
 from maplines_can.values.errors import BusError
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="SocketCAN is of Linux")
@@ -80,7 +84,7 @@ def test_what_prevents_the_use_of_an_interface(
     """Flags and MTU are read as netdevice(7) describes them."""
     if interface is not None:
         kernel["can0"] = interface
-    found = problem("can0", fd)
+    found = interface_problem("can0", fd)
     if words is None:
         assert found is None
     else:
@@ -92,7 +96,7 @@ def test_what_prevents_the_use_of_an_interface(
 def test_the_index_of_an_interface(kernel: dict[str, Interface]) -> None:
     """None if there is none."""
     kernel["can0"] = Interface(number=7)
-    assert (index("can0"), index("can1")) == (7, None)
+    assert (interface_index("can0"), interface_index("can1")) == (7, None)
 
 
 @pytest.mark.parametrize(
@@ -293,6 +297,6 @@ def test_other_systems_have_no_socketcan(
     """They have interfaces of that name, perhaps."""
     kernel["can0"] = Interface()
     monkeypatch.setattr("sys.platform", "win32")
-    found = problem("can0", fd=False)
+    found = interface_problem("can0", fd=False)
     assert found is not None
     assert found.text == "its state cannot be read: SocketCAN exists on Linux only"
