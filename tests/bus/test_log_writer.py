@@ -111,9 +111,14 @@ def test_a_message_without_a_time_has_the_stamp_0() -> None:
 
 
 def test_close_may_be_called_again(tmp_path: Path) -> None:
+    """The file is complete after the first call, and remains as it is."""
     log = LogWriter(tmp_path / "drive.blf", START)
+    log.write(FRAMES[0], START)
     log.close()
+    content = log.path.read_bytes()
+    assert [frame.data for frame in read_log(log.path)] == [FRAMES[0].data]
     log.close()
+    assert log.path.read_bytes() == content
 
 
 def test_a_transmitter_tells_each_frame_that_was_sent() -> None:
