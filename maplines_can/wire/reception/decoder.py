@@ -31,13 +31,14 @@ class Decoder:
     Every record passes the same stations, those of a slot and those of the pose error. Each may
     drop it, with a counted reason::
 
-        frame          reassembly.py   all pages of one transfer, or none; time-outs
-          |            secoc.py        with a key, and before all others: MAC and freshness
-        record         records/        page numbers, transfer IDs, CRC, values that no sender sends
-          |            sequence.py     counter: duplicate, late, or new; E2E status and state
-        new record     mixtures.py     a line of all its components, or none
-          |            scenes.py       lines of one pose error; conditional records wait for theirs
-        lines, scene   views.py        may they be used: E2E state, age, second sender
+        frame          protection/secoc.py    with a key: MAC and freshness, before all others
+          |            reassembly.py          all pages of one transfer, or none; time-outs
+        record         records/packer.py      length, page numbers, transfer IDs, CRC
+          |            records/*_format.py    values that no sender sends
+          |            sequence.py            counter: duplicate, late or new; E2E status and state
+        new record     mixtures.py            a line of all its components, or none
+          |            scenes.py              lines of one pose error; records that wait for theirs
+        lines, scene   views.py               may they be used: E2E state, age, second sender
 
     ``Codec.decoder`` makes one. At any time
     ``frames == line_frames + pose_frames + sum(counts.values()) + pending``.
@@ -64,7 +65,8 @@ class Decoder:
     >>> from maplines_can import Codec, Slot, MapLine
     >>> codec = Codec.from_dbc()
     >>> decoder = codec.decoder()
-    >>> for frame in codec.encode(MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)):
+    >>> line = MapLine.mean_only(Slot.ROUTE, [1.75, 0, 0, 0], age=0.02)
+    >>> for frame in codec.encoder().encode(line):
     ...     _ = decoder.feed(frame.can_id, frame.data, t_ns=0)
     >>> view = decoder.latest(Slot.ROUTE, now_ns=60_000_000)
     >>> view.state.name, round(view.age, 3), view.stale
