@@ -86,7 +86,7 @@ def _folder(name: str) -> Area:
 #: Code of scenes, which is in several packages.
 SCENES = [
     *(f"maplines_can/{name}.py" for name in ("map_error", "scene", "seen_lines")),
-    *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "own_levels")),
+    *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "specific_levels")),
     *(f"maplines_can/wire/covariance/scene_{n}.py" for n in ("code", "encoder")),
     *(f"maplines_can/wire/records/scene_{n}.py" for n in ("reader", "writer")),
     "maplines_can/wire/reception/scenes.py",

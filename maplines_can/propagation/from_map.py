@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..values.arrays import floats
 from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, diagonal_blocks, is_covariance
-from ..values.line import PARAMETERS, LeftOut, MapLine, MapLineList, Slot
+from ..values.line import MIN_RANGE, PARAMETERS, LeftOut, MapLine, MapLineList, Slot
 from ..values.map_error import MapError
 from ..values.mixture import GaussianMixture
 from ..values.polyline import Polyline
@@ -34,8 +34,6 @@ from .transform import Transform
 
 #: Parameters of a line.
 N = len(PARAMETERS)
-#: Lines of less range are left out [m].
-MIN_RANGE = 1.0
 #: Standard deviations of the heading for which the turn of a line leaves room.
 TURN_MARGIN = 3.0
 #: Least limit of the turn of a line, however uncertain the heading is [rad].

@@ -27,6 +27,8 @@ VAGUE_SIGMA = (1000.0, 10.0, 10.0, 10.0)
 #: satisfies this if its angle to the x axis is less than 80 deg.
 MIN_ADVANCE = 0.17
 
+#: Least valid range of a line that is made, or sent in part [m].
+MIN_RANGE = 1.0
 #: Largest finite age [s]; still finite as a float in nanoseconds.
 MAX_AGE = 1e99
 #: Most points to which ``transform_line`` fits a line; more need memory and change little.

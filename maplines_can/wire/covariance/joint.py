@@ -1,6 +1,6 @@
 """Joint covariances of lines, and what a sum of two lacks to cover a third.
 
-J are the (L, 4, 4) derivatives of ``own_levels.bases``: in the coefficients of w all entries of a
+J are the (L, 4, 4) derivatives of ``seen_lines.bases``: in the coefficients of w all entries of a
 covariance are in metres squared.
 """
 

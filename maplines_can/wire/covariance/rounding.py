@@ -54,7 +54,7 @@ def rounded_means(
         signals: of y_off, beta, c0 and c1.
         means: (L, 4) lines.
         own: (L, 4, 4) covariances of what they have of their own, positive semidefinite.
-        J: (L, 4, 4) derivatives of ``own_levels.bases``.
+        J: (L, 4, 4) derivatives of ``seen_lines.bases``.
         resolution: standard deviation of the coefficients of J in addition [m].
     """
     inverse = np.linalg.inv(J)

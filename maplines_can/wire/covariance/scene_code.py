@@ -1,4 +1,4 @@
-"""Code of scenes: the pose error once, and of each line what it has of its own.
+"""Code of scenes: the pose error once, and the line-specific covariance of each line.
 
 All lines of a scene are seen from one pose, so their parameters are theta_i = f_i(delta) + own_i,
 with delta ~ N(0, P) the pose error. The receiver knows f_i: it is the decoded line, seen from a
@@ -9,9 +9,9 @@ displaced pose. From P' and the decoded covariances D_i of own_i it rebuilds the
 by sigma points that go through all lines at once. The first term is positive semidefinite and
 every D_i is positive definite, so C is positive definite for any bits.
 
-D_i has one of two forms. ``OwnLevels`` takes 19 bits and suffices for most lines whose map error
-is known. The form with all entries takes as many bits as the covariance of a line by itself; it
-comes with finer means.
+D_i has one of two forms. ``SpecificLevels`` takes 19 bits and suffices for most lines whose map
+error is known. The form with all entries takes as many bits as the covariance of a line by itself;
+it comes with finer means.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ..layout.record_layout import RecordLayout
 from ..layout.signals import FINE_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, SLOT_SIGNALS, slot_title
 from .cholesky import CholeskyCode
 from .code import Array
-from .own_levels import OwnLevels
+from .specific_levels import SpecificLevels
 
 #: Signal that says whether a record has all entries of D_i.
 FORM = "HasCovariance"
@@ -41,7 +41,7 @@ FORM = "HasCovariance"
 #: of the rounding errors of the means [m].
 RESOLUTION = 2.0**-9
 #: Share by which decoded variances are enlarged, more than the rounding error of their sum: so
-#: they are definite even if the pose error is millions of times what a line has of its own.
+#: they are definite even if the pose error is millions of times what is line-specific.
 ROUNDING = 2.0**-42
 #: (L,) raw values by signal.
 Rows = dict[str, NDArray[np.int64]]
@@ -100,9 +100,9 @@ class SceneCode:
         self.range = [line["XMin"], line["XMax"]]
         names = SLOT_SIGNALS[:4] if self.is_conditional else SLOT_SIGNALS
         own = [replace(levels[prefix + name], name=name) for name in names]
-        self.levels = OwnLevels(*own[:3])
+        self.levels = SpecificLevels(*own[:3])
         self.quartic, self.fit = own[3], own[4:]
-        self.own_code = CholeskyCode(line) if self.is_conditional else None
+        self.entries_code = CholeskyCode(line) if self.is_conditional else None
         self.fine = [line[name] for name in FINE_SIGNALS] if self.is_conditional else []
 
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
@@ -148,7 +148,7 @@ class SceneCode:
         if not (fit_ranges[:, 0] < fit_ranges[:, 1]).all():
             raise IllPosedError("the range of a line is empty")
         seen = SeenLines(means, fit_ranges, quartics)
-        own = self.decode_own(raw, means, fit_ranges, self.common(seen, pose))
+        own = self.decode_specific(raw, means, fit_ranges, self.common(seen, pose))
         cov = seen.spread(pose.cov) + block_diagonal(own)
         cov = (cov + cov.T) / 2
         cov[np.diag_indices_from(cov)] *= 1 + ROUNDING
@@ -168,12 +168,12 @@ class SceneCode:
                 means[full, i] += signal.physical(raw[signal.name][full])
         return means, fit_ranges, np.asarray(self.quartic.physical(raw[self.quartic.name]))
 
-    def decode_own(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
+    def decode_specific(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:
         """Return the (L, 4, 4) D_i of (L,) raw values."""
         own = self.levels.decode(raw, means, fit_ranges) + common
-        if self.own_code is not None and (full := raw[FORM] == 1).any():
-            signals = self.own_code.signals
-            own[full] = self.own_code.decode({s.name: raw[s.name][full] for s in signals})
+        if self.entries_code is not None and (full := raw[FORM] == 1).any():
+            signals = self.entries_code.signals
+            own[full] = self.entries_code.decode({s.name: raw[s.name][full] for s in signals})
         return own
 
     def common(self, seen: SeenLines, pose: DecodedPose) -> Array:
@@ -186,4 +186,4 @@ class SceneCode:
 
     def _is_full(self, line: Mapping[str, int]) -> bool:
         """Return whether raw values have all entries of D_i."""
-        return self.own_code is not None and self.own_code.inflation.name in line
+        return self.entries_code is not None and self.entries_code.inflation.name in line

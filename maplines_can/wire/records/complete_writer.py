@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...values.errors import EncodeError
 from ...values.gaussian import Gaussian
 from ...values.linalg import nearest_covariance
-from ...values.line import Kind, MapLine, Status
+from ...values.line import MIN_RANGE, Kind, MapLine, Status
 from ..covariance.nearest_line import nearest_line, slope_error
 from ..layout.attributes import RecordAttributes
 from ..layout.message_layout import Layout
@@ -24,9 +24,6 @@ from .complete_format import CompleteFormat
 from .components import deficit, quantized_weights
 
 Array = NDArray[np.float64]
-
-#: Least range of a line that is sent instead of one that exceeds the message [m].
-MIN_RANGE = 1.0
 
 
 class _Sent(NamedTuple):
@@ -220,7 +217,7 @@ class CompleteWriter:
             rows: (n,) lines that may be replaced.
         """
         nearest = self._mean.nearest(mean)
-        raw, clipped = nearest.raw, nearest.clipped.any(axis=-1)
+        raw, clipped = nearest.raw, np.asarray(nearest.clipped.any(axis=-1))
         ends, cut, outside = self._raw_range(x_range)
         for i in np.flatnonzero(rows & clipped & (x_range[:, 0] < x_range[:, 1])):
             near = nearest_line(

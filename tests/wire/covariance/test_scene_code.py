@@ -22,7 +22,7 @@ from maplines_can.study.scenes.source import noise_floor
 from maplines_can.values.errors import EncodeError, IllPosedError
 from maplines_can.values.line import lateral, lateral_jacobian
 from maplines_can.wire.covariance.scene_code import RESOLUTION, SceneCode
-from maplines_can.wire.covariance.scene_encoder import LARGEST
+from maplines_can.wire.covariance.stated_lines import LARGEST
 from maplines_can.wire.layout.signals import FINE_SIGNALS
 
 CODE, LEVELS_CODE = scene_code(CONDITIONAL), scene_code(COMPLETE)

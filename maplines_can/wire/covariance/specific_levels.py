@@ -1,9 +1,9 @@
-"""Levels of what a line has of its own: a covariance in a few bits.
+"""Levels of the line-specific covariance: a covariance in a few bits.
 
-What a line has of its own, apart from the error of the pose, has a known structure. A common offset
-of the map moves the line sideways, what the cubic misses makes its shape uncertain (see
-``propagation.misfit``), and independent errors of the map points bend it. In the coefficients of
-the Chebyshev polynomials T_0 .. T_3 its covariance is modelled as one of
+The line-specific part of the error of a line, which is not due to the pose, has a known structure.
+A common offset of the map moves the line sideways, what the cubic misses makes its shape uncertain
+(see ``propagation.misfit``), and independent errors of the map points bend it. In the coefficients
+of the Chebyshev polynomials T_0 .. T_3 its covariance is modelled as one of
 
     a^2 e e^T + b^2 SHAPE                                  without errors of points
     a^2 e e^T + p^2 (N(spacing, phase) + r^2 spacing SHAPE)
@@ -74,8 +74,8 @@ def point_noise(mean: Array, fit_range: Array, spacing: Array, phase: Array) -> 
     return np.asarray(W @ W.swapaxes(1, 2))
 
 
-class OwnLevels:
-    """Code of covariances of what lines have of their own, as levels.
+class SpecificLevels:
+    """Code of line-specific covariances as levels.
 
     Args:
         lateral: signal of log2 a [m]; the raw value 0 means a = 0.
@@ -121,12 +121,11 @@ class OwnLevels:
         J = bases(means, fit_ranges)
         p = _level(self.points, raw[self.points.name])
         k = raw[self.shape.name].clip(self.shape.raw_min, self.shape.raw_max)
-        noise = [
-            self._noise(mean, fit_range, np.array([one]))[0]
-            for mean, fit_range, one in zip(means, fit_ranges, k, strict=True)
-        ]
+        noise = np.zeros((len(means), 4, 4))
+        for i in np.flatnonzero(p):
+            noise[i] = self._noise(means[i], fit_ranges[i], k[i : i + 1])[0]
         b = np.where(p == 0, self._shape_level(k), 0.0)
-        own = p[:, None, None] ** 2 * np.reshape(noise, (-1, 4, 4))
+        own = p[:, None, None] ** 2 * noise
         own += b[:, None, None] ** 2 * np.diag(SHAPE)
         cov = J @ own @ J.swapaxes(1, 2)
         cov[:, 0, 0] += _level(self.lateral, raw[self.lateral.name]) ** 2

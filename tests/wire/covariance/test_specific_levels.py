@@ -15,11 +15,11 @@ from maplines_can import Gaussian
 from maplines_can.values.line import lateral, lateral_jacobian, line_of_cubic
 from maplines_can.values.seen_lines import NODES, SHAPE, bases
 from maplines_can.wire.covariance.joint import divergence, largest_ratio
-from maplines_can.wire.covariance.own_levels import GOLDEN_RATIO, OwnLevels, point_noise
+from maplines_can.wire.covariance.specific_levels import GOLDEN_RATIO, SpecificLevels, point_noise
 
 LINE = layout_of("maplines-pose.dbc")
 SIGNALS = tuple(LINE[name] for name in ("OwnLateral", "OwnPoints", "OwnShape"))
-LEVELS = OwnLevels(*SIGNALS)
+LEVELS = SpecificLevels(*SIGNALS)
 #: A straight line, and its derivatives with respect to the coefficients of T_0 .. T_3 [m].
 STRAIGHT = np.zeros((1, 4)), np.array([[-20.0, 80.0]])
 BASIS = bases(*STRAIGHT)
@@ -277,7 +277,7 @@ def test_the_levels_are_nearly_the_best_of_all() -> None:
         replace(signal, length=4, factor=factor, offset=offset, raw_min=0, raw_max=15)
         for signal, factor, offset in zip(SIGNALS, (0.5, 0.5, 0.4), (-9, -9, -5), strict=True)
     )
-    code = OwnLevels(*coarse)
+    code = SpecificLevels(*coarse)
     raws = np.array([raw for raw in product(range(16), repeat=3) if raw[1]]).T
     a, p = (
         np.where(raw > 0, 2.0 ** s.physical(raw), 0.0)
