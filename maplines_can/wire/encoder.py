@@ -87,7 +87,7 @@ class Encoder:
 
         Args:
             scene: from ``map_scene``.
-            fd: for CAN FD frames, which always have all entries of what a line has of its own.
+            fd: for CAN FD frames, which always have all entries of line-specific covariances.
 
         Raises:
             EncodeError: the DBC has no message of the pose error, or none for a slot; or the pose

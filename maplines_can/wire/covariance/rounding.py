@@ -13,7 +13,7 @@ from .code import Array
 
 #: Order in which the parameters of a mean are rounded: C1, C0, YOff, Beta.
 ORDER = (3, 2, 0, 1)
-#: What a line has of its own counts up to about this standard deviation [m], so that the lateral
+#: What is specific to a line counts up to about this standard deviation [m], so that the lateral
 #: position of any line is exact to a centimetre.
 LARGEST = 2.0**-8
 
@@ -47,13 +47,13 @@ def rounded_means(
 
     Each parameter is rounded to its conditional mean given the errors of those before it, so the
     error of the lateral position is small all over the range, whatever the steps are. It is the
-    smallest where the line has the least of its own: the covariance must cover the error, which
-    would enlarge it most there.
+    smallest where the line-specific covariance is the least: the covariance must cover the error,
+    which would enlarge it most there.
 
     Args:
         signals: of y_off, beta, c0 and c1.
         means: (L, 4) lines.
-        own: (L, 4, 4) covariances of what they have of their own, positive semidefinite.
+        own: (L, 4, 4) line-specific covariances, positive semidefinite.
         J: (L, 4, 4) derivatives of ``seen_lines.bases``.
         resolution: standard deviation of the coefficients of J in addition [m].
     """

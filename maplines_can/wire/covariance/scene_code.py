@@ -30,7 +30,14 @@ from ...values.linalg import block_diagonal
 from ...values.line import Slot
 from ...values.seen_lines import SeenLines, bases
 from ..layout.record_layout import RecordLayout
-from ..layout.signals import FINE_SIGNALS, PARAMETER_SIGNALS, POSE_ROWS, SLOT_SIGNALS, slot_title
+from ..layout.signals import (
+    FINE_SIGNALS,
+    PARAMETER_SIGNALS,
+    POSE_ROWS,
+    SLOT_SIGNALS,
+    SignalRow,
+    slot_title,
+)
 from .cholesky import CholeskyCode
 from .code import Array
 from .specific_levels import SpecificLevels
@@ -104,6 +111,9 @@ class SceneCode:
         self.quartic, self.fit = own[3], own[4:]
         self.entries_code = CholeskyCode(line) if self.is_conditional else None
         self.fine = [line[name] for name in FINE_SIGNALS] if self.is_conditional else []
+        self._mean, self._range, self._fit, self._fine = map(
+            SignalRow, (self.mean, self.range, self.fit, self.fine)
+        )
 
     def decode_pose(self, raw: Mapping[str, int]) -> DecodedPose:
         """Return the content of a Pose record from its raw values by signal."""
@@ -156,16 +166,11 @@ class SceneCode:
 
     def decode_lines(self, raw: Rows) -> tuple[Array, Array, Array]:
         """Return the (L, 4) means, (L, 2) fit ranges and (L,) quartics."""
-        means, fit_ranges = (
-            np.stack([s.physical(raw[s.name]) for s in signals], axis=-1)
-            for signals in (self.mean, self.range)
-        )
+        means, fit_ranges = (row.physical_of(raw) for row in (self._mean, self._range))
         if self.fit:
-            behind, ahead = (s.physical(raw[s.name]) for s in self.fit)
-            fit_ranges += np.column_stack([-behind, ahead])
+            fit_ranges += self._fit.physical_of(raw) * [-1.0, 1.0]
         if self.fine and (full := raw[FORM] == 1).any():
-            for i, signal in enumerate(self.fine):
-                means[full, i] += signal.physical(raw[signal.name][full])
+            means[full] += self._fine.physical_of(raw)[full]
         return means, fit_ranges, np.asarray(self.quartic.physical(raw[self.quartic.name]))
 
     def decode_specific(self, raw: Rows, means: Array, fit_ranges: Array, common: Array) -> Array:

@@ -1,8 +1,8 @@
 """Encoder of scenes, for the receiver of ``scene_code``.
 
 The joint covariance C that a receiver decodes covers that of the scene plus the errors of the
-decoded means, since the encoder decodes what it encodes. P' covers P. D_i covers what the line has
-of its own, and the error of its mean. If together they do not cover the scene, since the errors of
+decoded means, since the encoder decodes what it encodes. P' covers P. D_i covers what is specific
+to the line, and the error of its mean. If together they do not cover the scene, since the errors of
 all means are one error, and the lines differ from f_i in different ways, the D_i of the lines
 concerned are enlarged until they do.
 

@@ -15,7 +15,7 @@ from .stated_lines import Mask
 
 #: Largest divergence that levels may cost a line; beyond it all entries are sent [nat].
 LEVELS_KL = 0.01
-#: Largest ratio of a standard deviation of what a line has of its own, with levels to without.
+#: Largest ratio of a line-specific standard deviation, with levels to without.
 LEVELS_RATIO = 1.1
 #: Repetitions of the enlargement of D_i.
 TRIALS = 12

@@ -122,7 +122,7 @@ class SceneReader:
         return math.inf if raw >= self._too_old else self._age.physical_one(raw) / 1000
 
     def _raw(self, content: RawRecord | MapLine, pose: Mapping[str, int]) -> dict[str, int]:
-        """Return the raw values of a line: mean, range, and what it has of its own."""
+        """Return the raw values of a line: mean, range, and line-specific covariance."""
         if isinstance(content, RawRecord):
             return dict(content.raw)
         values = [*content.gaussian.mean, content.x_min, content.x_max]

@@ -76,6 +76,11 @@ class SceneWriter:
         self._complete = complete
         self._pose_format = RawFormat.of_pose(pose)
         self._line_format = RawFormat.of_lines(layout) if layout.is_conditional else None
+        #: Names of the levels of each slot in the record of the pose error, by those in a line's.
+        self._levels = {
+            slot: {name: f"{slot_title(slot)}{name}" for name in SLOT_SIGNALS}
+            for slot in (() if layout.is_conditional else pose.counters)
+        }
         self._modulus = 2 ** layout["Counter"].length
         self._pose_modulus = 2 ** pose["Counter"].length
 
@@ -84,7 +89,7 @@ class SceneWriter:
 
         Args:
             scene: the scene.
-            full: send all entries of what a line has of its own, as CAN FD records do.
+            full: send all entries of line-specific covariances, as CAN FD records do.
 
         Raises:
             EncodeError: the pose error does not fit, or the DBC has no message for a slot.
@@ -118,17 +123,17 @@ class SceneWriter:
         sent = [line for line in prepared.scene.lines if line.slot in prepared.sent_slots]
         ages = age if isinstance(age, Mapping) else dict.fromkeys((POSE, *Slot), age)
         following: Counter[Owner] = Counter(counters)
-        own: dict[Owner, bytes] = {}
+        records: dict[Owner, bytes] = {}
         if self._line_format is not None:
             for line in sent:
                 counter = following[line.slot] % self._modulus
                 raw = members[line.slot] | {"Kind": int(line.kind)}
-                own[line.slot] = self._line_format.write(RawRecord(line.slot, counter, raw))
+                records[line.slot] = self._line_format.write(RawRecord(line.slot, counter, raw))
                 following[line.slot] = (counter + 1) % self._modulus
         elif self._complete is not None and sent:
             aged = [replace(line, age=ages[line.slot]) for line in sent]
-            records, following = self._complete.write_lines(aged, counters)
-            own |= {line.slot: of[0].tobytes() for line, of in zip(aged, records, strict=True)}
+            of_lines, following = self._complete.write_lines(aged, counters)
+            records |= {line.slot: of[0].tobytes() for line, of in zip(aged, of_lines, strict=True)}
         raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
         for slot, signal in self._pose.counters.items():
             bits, then = signal.length, following[slot]
@@ -136,21 +141,14 @@ class SceneWriter:
             # A line that is sent but is no member has a counter before ``then``, as earlier ones.
             stated = first if slot in members else absent_counter(then - 1, then, bits)
             raw_pose[signal.name] = stated
-        if not self._layout.is_conditional:
-            raw_pose |= self._levels(members)
+        for slot, names in self._levels.items():
+            own = members.get(slot, {})
+            raw_pose |= {of_pose: own.get(name, 0) for name, of_pose in names.items()}
         number = following[POSE] % self._pose_modulus
         pose = self._pose_format.write(RawRecord(POSE, number, raw_pose))
         following[POSE] = (number + 1) % self._pose_modulus
-        return {POSE: pose} | own, following
-
-    def _levels(self, members: Mapping[Slot, Mapping[str, int]]) -> dict[str, int]:
-        """Return the raw levels of each slot; 0 for a slot without a member."""
-        return {
-            f"{slot_title(slot)}{name}": members[slot][name] if slot in members else 0
-            for slot in self._pose.counters
-            for name in SLOT_SIGNALS
-        }
+        return {POSE: pose} | records, following
 
     def _raw_age(self, age: float) -> int:
-        signal = self._pose["Age"]
+        signal = self._pose.signals["Age"]
         return int(signal.limited(signal.raw_above(np.asarray(1000 * age))))
