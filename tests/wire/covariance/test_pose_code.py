@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exact import covers, is_positive_definite
+from evidence.exact import covers, is_positive_definite
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pose_bits import POSE, POSE_NAMES, PRODUCTION, any_bits

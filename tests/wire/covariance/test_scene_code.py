@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exact import covers, is_positive_definite
+from evidence.exact import covers, is_positive_definite
+from evidence.roads import SHAPES, random_scene
+from evidence.witness import POSES, Poses
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from line_witness import POSES, Poses
 from pose_bits import POSE, POSE_NAMES, PRODUCTION, any_bits
-from random_roads import SHAPES, random_scene
 from scene_layouts import COMPLETE, CONDITIONAL, layout_of, scene_code, scene_encoder
 from strategies import covariances
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exact import covers
+from evidence.exact import covers
 from pose_bits import PRODUCTION
 from scene_layouts import COMPLETE, CONDITIONAL, scene_code, scene_encoder
 

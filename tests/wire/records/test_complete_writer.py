@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exact import covers
+from evidence.exact import covers
 from hypothesis import example, given
 from hypothesis import strategies as st
 from scene_layouts import layout_of
