@@ -241,7 +241,7 @@ class Counted:
         self.calm += int((~verdict.alarm | verdict.raised).sum())
 
 
-@evidence(n=1, seconds=4.0, cars=40, shapes=())
+@evidence(n=1, seconds=2.0, cars=40, shapes=())
 def plausibility_roads(
     maps: tuple[str, ...] = (),
     n: int = 3,

@@ -37,8 +37,8 @@ LOCALISATIONS = {
 }
 #: Where outages begin along the tour [m]: on a street, at a corner, on the motorway.
 OUTAGES = {"street": 150.0, "corner": 540.0, "motorway": 4000.0}
-#: The car begins so far before an outage [m], and it has this time to get there [s].
-BEFORE = 60.0, 12.0
+#: The car begins so far before an outage [m]; it needs 12 s to get there.
+BEFORE = 60.0
 DURATION = 20.0
 SHAPES = ("corner", "roundabout-12m")
 
@@ -76,14 +76,15 @@ def drives(
     return result
 
 
-@evidence(n=1, places=("street",), of=("lines",))
+@evidence(n=1, places=("street",), of=("lines",), wait=2.0)
 def outages(
     n: int = 3,
     places: tuple[str, ...] = tuple(OUTAGES),
     of: tuple[str, ...] = ("localisation", "lines"),
+    wait: float = 12.0,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Let localisation or lines fail for 20 s, n times at each place of the tour.
+    """Let localisation or lines fail for 20 s after a time, n times at each place of the tour.
 
     Localisation continues by dead reckoning, with a yaw rate bias (0.05 deg/s) and an error of the
     speed (1 %), and states its covariance; or no frames arrive.
@@ -92,7 +93,7 @@ def outages(
     route = town_tour(town)
     kinds = [(p, what, i) for p in places for what in of for i in range(n)]
     return {
-        f"{what}, {place}, {i}": outage(town, route, place, seed + i, lines=what == "lines")
+        f"{what}, {place}, {i}": outage(town, route, place, wait, seed + i, lines=what == "lines")
         for place, what, i in progress(kinds, "outages")
     }
 
@@ -129,15 +130,15 @@ def spread(values: Any) -> dict[str, float]:
     }
 
 
-def outage(town: Map, route: Route, place: str, seed: int, *, lines: bool) -> dict[str, Any]:
+def outage(
+    town: Map, route: Route, place: str, wait: float, seed: int, *, lines: bool
+) -> dict[str, Any]:
     """Return what the car does in an outage of the localisation, or of the lines."""
-    span, begin = (BEFORE[1], BEFORE[1] + DURATION), OUTAGES[place]
+    span, begin = (wait, wait + DURATION), OUTAGES[place]
     sigma = LOCALISATIONS["production"]
     pose = ReportedPoses(sigma, outages=() if lines else (span,), seed=seed).pose
     loop = on_map(town, route, pose)
-    loop = replace(
-        loop, way=(begin - BEFORE[0], loop.way[1]), line_outages=(span,) if lines else ()
-    )
+    loop = replace(loop, way=(begin - BEFORE, loop.way[1]), line_outages=(span,) if lines else ())
     moments = loop.run(seconds=span[1] + 3.0)
     after = [m for m in moments if m.t >= span[0]] or moments[-1:]  # it may stop before
     handover = next((m for m in after if m.state is SteeringState.HANDOVER), None)
