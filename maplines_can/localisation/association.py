@@ -42,6 +42,16 @@ class Verdict(IntEnum):
 GATES = {m: float(chdtri(m, FALSE_ALARM)) for m in (2, 3, 4)}
 
 
+class Candidates(NamedTuple):
+    """What k pairs of a measurement and an object of the map would give."""
+
+    of: NDArray[np.intp]  #: (k,) measurement, ascending
+    squared: Array  #: (k,) squared Mahalanobis distances
+    cost: Array  #: (k,) -2 log of the likelihoods, but for a constant
+    place: Array  #: (k, d) of the objects, to compare them [m]
+    same: float  #: distance within which objects are the same one [m]
+
+
 class Association(NamedTuple):
     """Candidates of n measurements, k in all."""
 
@@ -50,15 +60,7 @@ class Association(NamedTuple):
     verdict: NDArray[np.intp]  #: (n,) ``Verdict`` without MISSING
 
 
-def associate(
-    count: int,
-    of: NDArray[np.intp],
-    squared: Array,
-    cost: Array,
-    place: Array,
-    same: float,
-    gate: float,
-) -> Association:
+def associate(count: int, candidates: Candidates, gate: float) -> Association:
     """Return the candidates that each measurement is of, and the verdict on it.
 
     Nearest is that of the greatest likelihood. A second candidate within the distance ``same`` of
@@ -67,13 +69,10 @@ def associate(
 
     Args:
         count: number n of measurements.
-        of: (k,) measurement of each candidate, ascending.
-        squared: (k,) squared Mahalanobis distances.
-        cost: (k,) -2 log of the likelihoods, but for a constant.
-        place: (k, d) of the candidates, to compare them [m].
-        same: [m].
+        candidates: of them.
         gate: of the squared distance.
     """
+    of, squared, cost, place, same = candidates
     best = np.zeros(count, dtype=np.intp)
     verdict = np.full(count, Verdict.UNMATCHED, dtype=np.intp)
     if not len(of):

@@ -49,7 +49,8 @@ class ErrorCorrelation:
 
     def __init__(self, t: float, cov: Array) -> None:
         self._spans: list[_Span] = []
-        self._t, self._cov, self._open = t, cov, _Span(t, cov, np.eye(N) + np.zeros_like(cov))
+        self.t = t  #: time up to which it is known [s]
+        self._cov, self._open = cov, _Span(t, cov, np.eye(N) + np.zeros_like(cov))
         self._begin = np.full(len(cov), -math.inf)  # of the pose of each filter
 
     def advance(
@@ -67,7 +68,7 @@ class ErrorCorrelation:
             self._begin[is_new] = t
         start, first, Psi = self._open
         self._open = _Span(start, first, transition @ Psi)
-        self._t, self._cov = t, cov
+        self.t, self._cov = t, cov
         if t - start >= SHORTEST:
             self._spans.append(self._open)
             self._open = _Span(t, cov, np.eye(N) + np.zeros_like(cov))
@@ -78,11 +79,11 @@ class ErrorCorrelation:
         spans, i = self._spans, len(self._spans) - 2
         while i >= 0:
             end = spans[i + 2].start if i + 2 < len(spans) else self._open.start
-            if end - spans[i].start <= SHARE * (self._t - end):
+            if end - spans[i].start <= SHARE * (self.t - end):
                 one, other = spans[i], spans.pop(i + 1)
                 spans[i] = one._replace(Psi=other.Psi @ one.Psi)
             i -= 1
-        while spans and self._t - spans[0].start > LONGEST:
+        while spans and self.t - spans[0].start > LONGEST:
             spans.pop(0)
 
     def autocorrelation(self, heading: Array) -> tuple[Array, Array]:
@@ -94,7 +95,7 @@ class ErrorCorrelation:
         Returns:
             (k,) times [s] ascending, (k, n, 3) autocorrelations along, across and of the heading.
         """
-        spans = [span for span in (self._open, *reversed(self._spans)) if span.start < self._t]
+        spans = [span for span in (self._open, *reversed(self._spans)) if span.start < self.t]
         if not spans:
             return np.empty(0), np.empty((0, len(heading), 3))
         c, s = np.cos(heading), np.sin(heading)
@@ -104,14 +105,14 @@ class ErrorCorrelation:
         rows, reaches = T, []  # T Psi
         for span in (self._open, *reversed(self._spans)):
             rows = rows @ span.Psi
-            if span.start < self._t:
+            if span.start < self.t:
                 reaches.append(rows)
         cov = np.stack([span.cov for span in spans])  # (k, n, N, N)
         joint = (np.stack(reaches) * (T @ cov)).sum(axis=-1)
         now, then = (np.asarray((T @ P * T).sum(axis=-1)) for P in (self._cov, cov))
         both = now * then
         return (
-            np.array([self._t - span.start for span in spans]),
+            np.array([self.t - span.start for span in spans]),
             np.where(both > 0, joint / np.sqrt(np.where(both > 0, both, 1.0)), 1.0),
         )
 
@@ -129,7 +130,7 @@ class ErrorCorrelation:
         if not len(lags):
             return found
         lags, rho = np.append(0.0, lags), np.concatenate([np.ones((1, *rho.shape[1:])), rho])
-        own = (self._t - lags[:, None] >= self._begin)[..., None]  # (k, n, 1)
+        own = (self.t - lags[:, None] >= self._begin)[..., None]  # (k, n, 1)
         below = own & (rho <= math.exp(-1))
         k = np.where(below.any(axis=0), below.argmax(axis=0), own.sum(axis=0) - 1)
         before = np.where(below.any(axis=0), k - 1, 0)

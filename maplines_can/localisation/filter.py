@@ -74,6 +74,7 @@ class Localisation:
         ValueError: a value is not finite, a shape is wrong, or ``cov`` is no covariance.
     """
 
+    # Settings of a constructor, most of them by keyword alone.
     def __init__(
         self,
         start: Gaussian | ArrayLike,
@@ -109,7 +110,8 @@ class Localisation:
         P = np.repeat(np.broadcast_to(P, (n, 3, 3)), K, axis=0)
         mean, full = initial(poses, P, self.errors, held.rows)
         self._points = [first(t, mean, full, held, unsuspicious(n))]
-        self._correlation = ErrorCorrelation(t, self._points[0].mixture[1])
+        #: Autocorrelation of the error, up to the begin of the history.
+        self.correlation = ErrorCorrelation(t, self._points[0].mixture[1])
         self._odometry = OdometryStream(n, t, limits or CarLimits())
         self._observations: list[Observation] = []
         self._counts = Counter[tuple[str, Verdict]]()
@@ -228,7 +230,7 @@ class Localisation:
 
         They are those of the end of the history: see ``ErrorCorrelation``. Infinite means unknown.
         """
-        return self._correlation.times(self._points[-1].mixture[0][:, HEADING])
+        return self.correlation.times(self._points[-1].mixture[0][:, HEADING])
 
     def pose_error(self, t: float | None = None) -> PoseError | None:
         """Return the error of the pose of the one car, as a ``Scene`` states it; None without one.
@@ -266,7 +268,7 @@ class Localisation:
         held = last.bank._replace(at=np.full(self.cars, t))
         point = first(t, last.mean, last.cov, held, last.trust)
         self._points = [missed(point, np.full(self.cars, True))]
-        self._correlation = ErrorCorrelation(t, last.mixture[1])
+        self.correlation = ErrorCorrelation(t, last.mixture[1])
 
     def _repeat_from(self, t: float) -> None:
         """Repeat the filter from a time on, with all observations."""
@@ -297,7 +299,7 @@ class Localisation:
         keep = bisect.bisect_left(self._points, horizon, key=lambda point: point.t) - 1
         for point in self._points[1 : keep + 1]:
             cov, transition = point.mixture[1], point.mean_transition
-            self._correlation.advance(point.t, cov, transition, point.is_new)
+            self.correlation.advance(point.t, cov, transition, point.is_new)
             if point.outcome is not None:
                 self._count(point.outcome)
         if keep > 0:

@@ -57,6 +57,7 @@ def speed_of(mean: Array, wheel_speed: Array) -> Array:
     return np.asarray((1 + mean[:, SCALE]) * wheel_speed - mean[:, SPEED])
 
 
+# A state, the two inputs of the equations above over a step, and their errors.
 def predict(
     mean: Array,
     cov: Array,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..values.linalg import squared_distance
 from ..values.line import Kind
-from .association import GATES, Verdict, associate
+from .association import GATES, Candidates, Verdict, associate
 from .localisation_layer import LocalisationLayer
 from .measurements import CameraLines, GnssFix, Observation, PoseFix, SeenLandmarks
 from .motion_model import CAMERA, FIX, GNSS, HEADING, POSE, N, X, Y
@@ -134,7 +134,7 @@ def _lines(
     H = line_jacobian(expected, beside.curvature[row], there[:, 2])
     expected = expected + (H[:, :, POSE] @ (mean[car, POSE] - there)[..., None])[..., 0]
     residual = seen[car, block] - expected - mean[car, CAMERA]
-    found = _Candidates(car, block, residual, H, expected[:, :1], SAME_LINE, PLACES[k] ** 2)
+    found = _Pairs(car, block, residual, H, expected[:, :1], SAME_LINE, PLACES[k] ** 2)
     return _associated("line", found, cov, R, given)
 
 
@@ -198,12 +198,12 @@ def _landmarks(
     H[:, 0, X], H[:, 0, Y], H[:, 0, HEADING] = -c, -s, expected[:, 1]
     H[:, 1, X], H[:, 1, Y], H[:, 1, HEADING] = s, -c, -expected[:, 0]
     residual = seen.position[car, block] - expected
-    found = _Candidates(car, block, residual, H, place, SAME_LANDMARK)
+    found = _Pairs(car, block, residual, H, place, SAME_LANDMARK)
     return _associated("landmark", found, cov, R, given)
 
 
-class _Candidates(NamedTuple):
-    """What k pairs of a block and an object of the map would give, ordered by car and block."""
+class _Pairs(NamedTuple):
+    """Residuals of k pairs of a block and an object of the map, ordered by car and block."""
 
     car: NDArray[np.intp]  #: (k,)
     block: NDArray[np.intp]  #: (k,)
@@ -215,7 +215,7 @@ class _Candidates(NamedTuple):
 
 
 def _associated(
-    source: str, found: _Candidates, cov: Array, R: Array, given: NDArray[np.bool_]
+    source: str, found: _Pairs, cov: Array, R: Array, given: NDArray[np.bool_]
 ) -> Innovation:
     """Return the innovations of the nearest candidates: see ``associate``.
 
@@ -223,7 +223,7 @@ def _associated(
 
     Args:
         source: of the innovation.
-        found: the candidates.
+        found: the pairs.
         cov: (n, N, N).
         R: (n, B, 2, 2).
         given: (n, B) whether there is a measurement.
@@ -235,7 +235,8 @@ def _associated(
     S = H @ cov[car] @ H.mT + R[car, block]
     squared = squared_distance(residual, S)
     cost = squared + np.log(np.linalg.det(S)) + found.rarity
-    nearest = associate(n * B, of, squared, cost, found.place, found.same, GATES[2])
+    candidates = Candidates(of, squared, cost, found.place, found.same)
+    nearest = associate(n * B, candidates, GATES[2])
     verdict = nearest.verdict.reshape(n, B)
     matched = given & (verdict != Verdict.UNMATCHED)
     full.verdict[matched] = verdict[matched]

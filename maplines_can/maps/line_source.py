@@ -75,6 +75,7 @@ class LineSource:
     (['EGO_LEFT', 'EGO_RIGHT'], '1')
     """
 
+    # Settings of a constructor: those of ``map_lines`` and ``map_scene`` are among them.
     def __init__(
         self,
         road_map: Map,

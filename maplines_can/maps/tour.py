@@ -34,7 +34,7 @@ def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route
     rng = np.random.default_rng(seed)
     best: Route | None = None
     for _ in range(STARTS):
-        tour = _tour_from(road_map, lanes[rng.integers(len(lanes))], lanes, length, rng)
+        tour = tour_from(road_map, lanes[rng.integers(len(lanes))], lanes, length, rng)
         if best is None or tour.length > best.length:
             best = tour
         if best.length >= length:
@@ -43,7 +43,7 @@ def random_tour(road_map: Map, length: float = 10_000.0, seed: int = 0) -> Route
     return best
 
 
-def _tour_from(
+def tour_from(
     road_map: Map, start: str, lanes: list[str], length: float, rng: np.random.Generator
 ) -> Route:
     """Return a tour from a lane on."""

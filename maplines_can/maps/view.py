@@ -163,9 +163,9 @@ class LaneView:
             lines.append(line)
             k = len(back) - 1
             spans.append((starts[k], [*starts, line.length][k + 1]))
-        for i, turns in enumerate(_may_turn_back(lines, spans)):
+        for i, turns in enumerate(may_turn_back(lines, spans)):
             if turns:
-                lines[i] = _visible(lines[i], *spans[i])
+                lines[i] = visible(lines[i], *spans[i])
         return Surroundings(
             {slot: lines[i] for slot, i in which.items()},
             {slot: own[0] for slot, own in front.lines.items()},
@@ -251,7 +251,7 @@ def _points(sources: Sequence[DrivenLine], reaches: Sequence[float]) -> list[NDA
     return [source.points_up_to(s) for source, s in zip(sources, reaches, strict=False)]
 
 
-def _visible(line: Polyline, start: float, end: float) -> Polyline:
+def visible(line: Polyline, start: float, end: float) -> Polyline:
     """Return a line without what no car beside a part of it can see, as it turns too far.
 
     So a line that returns, as that of a loop does, does not come near the car again.
@@ -276,7 +276,7 @@ def _visible(line: Polyline, start: float, end: float) -> Polyline:
     return Polyline(line.points[rows[0] : rows[1] + 1], line.kind)
 
 
-def _may_turn_back(lines: Sequence[Polyline], spans: Sequence[tuple[float, float]]) -> list[bool]:
+def may_turn_back(lines: Sequence[Polyline], spans: Sequence[tuple[float, float]]) -> list[bool]:
     """Return which lines may have a step that turns too far from a part: quickly, and too often.
 
     Args:
@@ -313,7 +313,7 @@ def _route_line(route: Route, index: int) -> Polyline:
     line = Polyline(route.line.points[rows], route.line.kind)
     start, length = route.extent(index)
     span = start - begin, start - begin + length
-    return _visible(line, *span) if any(_may_turn_back([line], [span])) else line
+    return visible(line, *span) if any(may_turn_back([line], [span])) else line
 
 
 def link_gaps(lanes: Mapping[str, Lane]) -> Iterator[Skipped]:

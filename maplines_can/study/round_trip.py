@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -18,7 +18,7 @@ import numpy as np
 from ..bus import Link, Receiver, ReceiverStats, Transmitter, TransmitterStats, bus_load
 from ..values.line import MapLine, Slot, Status
 from ..values.scene import Scene
-from ..wire import Codec, Decoder, PreparedScene
+from ..wire import Codec, Decoder, Frame, PreparedScene
 from .metrics import evaluate
 from .scene_result import SceneResult, scene_result
 
@@ -164,30 +164,20 @@ def round_trip(
         true_lines, published = lines.lines, encoder.prepare_scene(lines, fd=bus.fd)
     else:
         true_lines = published = lines
-    arrivals = _Arrivals(1 / bus.rate)
     cpu, start = time.process_time(), time.monotonic()
-
-    def elapsed() -> float:
-        return time.monotonic() - start
-
-    sent, received, fault_counts = _run(
-        published,
-        codec,
-        bus,
-        count=max(1, round(seconds * bus.rate)),
-        faults=faults,
-        arrivals=arrivals,
-        tick=lambda: None if tick is None else tick(elapsed()),
-    )
-    duration, cpu = elapsed(), time.process_time() - cpu
+    count = max(1, round(seconds * bus.rate))
+    passed = (lambda: None) if tick is None else (lambda: tick(time.monotonic() - start))
+    sent, received, fault_counts, arrivals = _run(published, codec, bus, count, faults, passed)
+    duration, cpu = time.monotonic() - start, time.process_time() - cpu
     result = None
+    cycle: Iterable[Sequence[Frame]]
     if isinstance(published, PreparedScene):
         transfers = encoder.encode_scene(published, fd=bus.fd)
         full = len(true_lines) * (1 if bus.fd else codec.layout.pages)
         result = scene_result(published, transfers, arrivals.scene, full)
-        frames = chain(*transfers.values())
+        cycle = transfers.values()
     else:
-        frames = chain(*encoder.encode_lines(published, fd=bus.fd))
+        cycle = encoder.encode_lines(published, fd=bus.fd)
     return RoundTrip(
         bus=bus,
         authenticated=codec.authenticator is not None,
@@ -195,7 +185,7 @@ def round_trip(
         lines=[_result(line, arrivals.latest.get(line.slot.name), codec) for line in true_lines],
         sent=sent,
         received=received,
-        bus_load=bus_load(frames, 1 / bus.rate, bus.bitrate, bus.data_bitrate),
+        bus_load=bus_load(chain(*cycle), 1 / bus.rate, bus.bitrate, bus.data_bitrate),
         period_jitter=arrivals.jitter(),
         cpu_share=cpu / duration if _cpu_time_is_true() else None,
         faults=fault_counts,
@@ -246,13 +236,15 @@ def _run(
     lines: Sequence[MapLine] | PreparedScene,
     codec: Codec,
     bus: BusSettings,
-    *,
     count: int,
     faults: Faults | None,
-    arrivals: _Arrivals,
     tick: Callable[[], object],
-) -> tuple[TransmitterStats, ReceiverStats, dict[str, int] | None]:
-    """Send and receive each line ``count`` times; return the counters, also those of the faults."""
+) -> tuple[TransmitterStats, ReceiverStats, dict[str, int] | None, _Arrivals]:
+    """Send and receive each line ``count`` times.
+
+    Return the counters, also those of the faults, and what arrived.
+    """
+    arrivals = _Arrivals(1 / bus.rate)
     opener = _faulty_opener(faults) if faults else None
     sending = opener if faults and faults.direction == "send" else None
     receiving = None if sending else opener
@@ -271,7 +263,7 @@ def _run(
             arrivals.wait_for(transmitter.stats().lines, timeout=1.0)
         # Read now: closing the link releases held frames.
         fault_counts = opener.as_dict() if opener else None
-    return transmitter.stats(), receiver.stats(), fault_counts
+    return transmitter.stats(), receiver.stats(), fault_counts, arrivals
 
 
 def _send(

@@ -18,7 +18,7 @@ from maplines_can.maps.joints import joined_lines
 from maplines_can.maps.lane import LaneType
 from maplines_can.maps.lane_graph import DirectedLane, LaneGraph
 from maplines_can.maps.matching import LaneMatch, locate
-from maplines_can.maps.tour import _tour_from
+from maplines_can.maps.tour import tour_from
 from maplines_can.maps.view import link_gaps
 from maplines_can.values.line import Kind, Slot
 from maplines_can.values.polyline import Polyline
@@ -663,7 +663,7 @@ def test_a_road_of_a_map_needs_its_lanes() -> None:
 def test_a_tour_is_as_long_as_its_legs(seed: int) -> None:
     """Less the lanes in which two of them meet; its places are drawn at random."""
     names, length = [f"ring{k}" for k in range(4)], 300.0
-    tour = _tour_from(RING, "ring0", names, length, np.random.default_rng(seed))
+    tour = tour_from(RING, "ring0", names, length, np.random.default_rng(seed))
     rng, stops, driven, shared = np.random.default_rng(seed), ["ring0"], 0.0, 0.0
     while driven < length:
         goal = names[rng.integers(4)]

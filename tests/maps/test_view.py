@@ -345,11 +345,11 @@ def test_lines_that_cannot_turn_back_are_whole(
     lines = [straight, bend, straight]
     spans = [(start * line.length * (1 - part), start * line.length) for line in lines]
 
-    may_turn_back = view._may_turn_back(lines, spans)
+    found = view.may_turn_back(lines, spans)
 
-    for line, span, may in zip(lines, spans, may_turn_back, strict=True):
-        assert may or view._visible(line, *span) is line
-    assert not (may_turn_back[0] and spans[0][1] - spans[0][0] > view.CHORD)
+    for line, span, may in zip(lines, spans, found, strict=True):
+        assert may or view.visible(line, *span) is line
+    assert not (found[0] and spans[0][1] - spans[0][0] > view.CHORD)
 
 
 def test_points_in_any_memory_order() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,7 @@ from .match import (
     MARGIN,
     MIN_POINTS,
     MODEL_SIGMA,
+    Minimum,
     ScanMatch,
     by_object,
     checked,
@@ -53,10 +55,7 @@ def match_icp(
         ValueError: a shape is wrong, or a value is not finite or negative.
         MissingExtraError: small_gicp is not installed.
     """
-    try:
-        import small_gicp
-    except ImportError as error:
-        raise missing_extra("matching scans by ICP needs small_gicp", "scan") from error
+    small_gicp = _small_gicp()
     scan, start = checked(scan, start)
     if len(scan) < MIN_POINTS:
         return no_match(start)
@@ -65,19 +64,7 @@ def match_icp(
     if len(points) < NEIGHBOURS:
         return no_match(start)
     points = points - start[:2]
-    target, source = (small_gicp.PointCloud(_raised(one)) for one in (points, scan))
-    tree = small_gicp.KdTree(target)
-    small_gicp.estimate_normals_covariances(target, tree, num_neighbors=NEIGHBOURS)
-    small_gicp.estimate_normals_covariances(source, num_neighbors=NEIGHBOURS)
-    T, converged = _transform(start[2]), True
-    for distance in DISTANCES:
-        found = small_gicp.align(
-            target, source, tree, init_T_target_source=T, registration_type="PLANE_ICP",
-            max_correspondence_distance=distance, max_iterations=50,
-            rotation_epsilon=1e-5, translation_epsilon=1e-4,
-        )  # fmt: skip
-        T, converged = found.T_target_source, bool(found.converged)
-    pose = np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
+    pose, converged = _aligned(small_gicp, points, scan, start[2])
     at = placed(scan, pose)
     gap, row = cKDTree(points).query(at)
     used = gap <= DISTANCES[-1]
@@ -85,18 +72,36 @@ def match_icp(
     g = (n[:, None] @ jacobian(scan[used], pose[2]))[:, 0]  # of the distance to the plane
     residual = ((at[used] - points[row[used]]) * n).sum(axis=1)
     objects = reference.objects_at(at[used] + start[:2])
+    pulls = by_object(objects, g[:, :, None] * n[:, None])
     pose[2] = start[2] + math.remainder(pose[2] - start[2], 2 * math.pi)
-    return result(
-        pose + np.array([*start[:2], 0.0]),
-        residual[:, None] * g,
-        g.T @ g,
-        scan,
-        model_sigma,
-        pulls=by_object(objects, g[:, :, None] * n[:, None]),
-        map_error=map_error,
-        used=len(g),
-        converged=converged,
-    )
+    pose += [*start[:2], 0.0]
+    minimum = Minimum(pose, residual[:, None] * g, g.T @ g, pulls, len(g), converged)
+    return result(minimum, len(scan), model_sigma, map_error)
+
+
+def _small_gicp() -> Any:
+    try:
+        import small_gicp
+    except ImportError as error:
+        raise missing_extra("matching scans by ICP needs small_gicp", "scan") from error
+    return small_gicp
+
+
+def _aligned(small_gicp: Any, points: Array, scan: Array, heading: float) -> tuple[Array, bool]:
+    """Return the (3,) pose at which a scan fits (m, 2) points, and whether the search converged."""
+    target, source = (small_gicp.PointCloud(_raised(one)) for one in (points, scan))
+    tree = small_gicp.KdTree(target)
+    small_gicp.estimate_normals_covariances(target, tree, num_neighbors=NEIGHBOURS)
+    small_gicp.estimate_normals_covariances(source, num_neighbors=NEIGHBOURS)
+    T, converged = _transform(heading), True
+    for distance in DISTANCES:
+        found = small_gicp.align(
+            target, source, tree, init_T_target_source=T, registration_type="PLANE_ICP",
+            max_correspondence_distance=distance, max_iterations=50,
+            rotation_epsilon=1e-5, translation_epsilon=1e-4,
+        )  # fmt: skip
+        T, converged = found.T_target_source, bool(found.converged)
+    return np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])]), converged
 
 
 def _raised(points: Array) -> Array:

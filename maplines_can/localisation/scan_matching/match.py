@@ -38,6 +38,19 @@ class ScanMatch(NamedTuple):
         return PoseFix(t, self.pose[None], self.cov - self.shared, self.shared)
 
 
+class Minimum(NamedTuple):
+    """Where a sum over the points of a scan is least."""
+
+    pose: Array  #: (3,)
+    gradients: Array  #: (m, 3) of the terms
+    hessian: Array  #: (3, 3) of the sum
+    #: (k, 3, 2) of each object: derivative of the sum of its gradients with respect to a
+    #: displacement of its points in the scan
+    pulls: Array
+    used: int  #: number of points that match the map
+    converged: bool  #: whether the search did
+
+
 def checked(scan: ArrayLike, start: ArrayLike) -> tuple[Array, Array]:
     """Return scan and start as arrays.
 
@@ -74,18 +87,9 @@ def jacobian(scan: Array, heading: float) -> Array:
 
 
 def result(
-    pose: Array,
-    gradients: Array,
-    hessian: Array,
-    scan: Array,
-    model_sigma: tuple[float, float, float],
-    *,
-    pulls: Array,
-    map_error: float,
-    used: int,
-    converged: bool = True,
+    minimum: Minimum, points: int, model_sigma: tuple[float, float, float], map_error: float
 ) -> ScanMatch:
-    """Return the match at the minimum of a sum over points.
+    """Return the match at the minimum of a sum over the points of a scan.
 
     The covariance is H^-1 (sum g g') H^-1 with the gradients g of the terms (Huber 1967): their
     scatter replaces a stated noise of the points. Two parts are shared by successive scans: the
@@ -94,29 +98,24 @@ def result(
     objects around the car average out, and those of a few do not.
 
     Args:
-        pose: (3,) at the minimum.
-        gradients: (m, 3) of the terms.
-        hessian: (3, 3) of the sum.
-        scan: (m, 2).
+        minimum: found.
+        points: number m of the points of the scan.
         model_sigma: standard deviations of x, y [m] and heading [rad].
-        pulls: (k, 3, 2) of each object: derivative of the sum of its gradients with respect to a
-            displacement of its points in the scan.
         map_error: standard deviation of the place of each object, in each direction [m].
-        used: number of points that match the map.
-        converged: whether the search did.
 
     Raises:
         ValueError: ``map_error`` is negative or not finite.
     """
     if not 0 <= map_error < math.inf:
         raise ValueError(f"map_error must be finite and 0 m or more, got {map_error!r}")
+    pose, gradients, hessian, pulls, used, converged = minimum
     if np.linalg.eigvalsh(hessian)[0] <= MIN_CURVATURE * np.trace(hessian):
         return no_match(pose, used)
     inverse = np.linalg.inv(hessian)
     moved = map_error * inverse @ pulls  # (k, 3, 2)
     shared = (moved @ moved.transpose(0, 2, 1)).sum(axis=0) + np.diag(np.square(model_sigma))
     cov = inverse @ (gradients.T @ gradients) @ inverse + shared
-    is_valid = converged and used >= max(MIN_POINTS, MIN_SHARE * len(scan))
+    is_valid = converged and used >= max(MIN_POINTS, MIN_SHARE * points)
     return ScanMatch(pose, (cov + cov.T) / 2, (shared + shared.T) / 2, used, is_valid)
 
 

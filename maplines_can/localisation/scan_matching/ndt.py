@@ -11,6 +11,7 @@ from .match import (
     MARGIN,
     MIN_POINTS,
     MODEL_SIGMA,
+    Minimum,
     ScanMatch,
     by_object,
     checked,
@@ -36,7 +37,7 @@ STEPS, LAST_STEP = 30, 1e-3
 MIN_LIKELIHOOD = 0.1
 
 
-class _Cells(NamedTuple):
+class Cells(NamedTuple):
     """Gaussians of the cells of one grid."""
 
     low: Array  #: (2,) corner [m]
@@ -89,39 +90,31 @@ def match_ndt(
         return no_match(start)
     for size, sigma in LEVELS:
         grids = [
-            _cells(points - origin[:2], size, np.array(shift) * size, sigma)
+            cells_of(points - origin[:2], size, np.array(shift) * size, sigma)
             for shift in ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
         ]
-        score = _Score(scan, grids)
+        score = Score(scan, grids)
         for _ in range(STEPS):
             step = np.linalg.lstsq(score.normal_matrix(pose), -score.gradient(pose), rcond=None)[0]
             pose = pose + step
             if is_last := bool(np.abs(step).max() < LAST_STEP):
                 break
     gradients, used = score.terms(pose)
-    return result(
-        pose + origin,
-        gradients,
-        score.hessian(pose),
-        scan,
-        model_sigma,
-        pulls=by_object(reference.objects_at(placed(scan, pose) + origin[:2]), score.pulls(pose)),
-        map_error=map_error,
-        used=used,
-        converged=is_last,
-    )
+    pulls = by_object(reference.objects_at(placed(scan, pose) + origin[:2]), score.pulls(pose))
+    minimum = Minimum(pose + origin, gradients, score.hessian(pose), pulls, used, is_last)
+    return result(minimum, len(scan), model_sigma, map_error)
 
 
-class _Score:
+class Score:
     """Negative NDT score of a scan as a function of the pose, with its derivatives."""
 
-    def __init__(self, scan: Array, grids: list[_Cells]) -> None:
+    def __init__(self, scan: Array, grids: list[Cells]) -> None:
         self._scan, self._grids = scan, grids
 
     def value(self, pose: Array) -> float:
         """Return the negative score."""
         placed_ = placed(self._scan, pose)
-        return -sum(float(self._likelihood(placed_, one)[0].sum()) for one in self._grids)
+        return -sum(float(self.likelihood(placed_, one)[0].sum()) for one in self._grids)
 
     def gradient(self, pose: Array) -> Array:
         """Return the (3,) gradient."""
@@ -132,7 +125,7 @@ class _Score:
         J, at = jacobian(self._scan, pose[2]), placed(self._scan, pose)
         found, best = np.zeros((len(at), 3)), np.zeros(len(at))
         for one in self._grids:
-            e, weighted, _ = self._likelihood(at, one)
+            e, weighted, _ = self.likelihood(at, one)
             found += (e[:, None, None] * weighted[:, None] @ J)[:, 0]
             best = np.maximum(best, e)
         return found, int((best > MIN_LIKELIHOOD).sum())
@@ -142,7 +135,7 @@ class _Score:
         J, at = jacobian(self._scan, pose[2]), placed(self._scan, pose)
         found = np.zeros((len(at), 3, 2))
         for one in self._grids:
-            e, weighted, information = self._likelihood(at, one)
+            e, weighted, information = self.likelihood(at, one)
             curvature = information - weighted[:, :, None] * weighted[:, None]
             found += e[:, None, None] * (J.transpose(0, 2, 1) @ curvature)
         return found
@@ -152,7 +145,7 @@ class _Score:
         J, at = jacobian(self._scan, pose[2]), placed(self._scan, pose)
         found = np.zeros((3, 3))
         for one in self._grids:
-            e, _, information = self._likelihood(at, one)
+            e, _, information = self.likelihood(at, one)
             found += np.einsum("m,mik,mij,mjl->kl", e, J, information, J)
         return found
 
@@ -162,14 +155,14 @@ class _Score:
         turned = pose[:2] - at  # second derivative of the points with respect to the heading
         H = self.normal_matrix(pose)
         for one in self._grids:
-            e, weighted, _ = self._likelihood(at, one)
+            e, weighted, _ = self.likelihood(at, one)
             g = (weighted[:, None] @ J)[:, 0]
             H -= (e[:, None] * g).T @ g
             H[2, 2] += (e * (weighted * turned).sum(axis=1)).sum()
         return H
 
     @staticmethod
-    def _likelihood(at: Array, cells: _Cells) -> tuple[Array, Array, Array]:
+    def likelihood(at: Array, cells: Cells) -> tuple[Array, Array, Array]:
         """Return (m,) likelihoods, (m, 2) S^-1 q, and (m, 2, 2) S^-1; 0 without a cell."""
         row = cells.of(at)
         q = at - cells.mean[row]
@@ -179,7 +172,7 @@ class _Score:
         return e, weighted, information
 
 
-def _cells(points: Array, size: float, shift: Array, sigma: float) -> _Cells:
+def cells_of(points: Array, size: float, shift: Array, sigma: float) -> Cells:
     """Return the Gaussians of the cells of a grid, with a standard deviation added [m]."""
     low = points.min(axis=0) - shift
     i, j = np.floor((points - low) / size).astype(int).T
@@ -200,7 +193,7 @@ def _cells(points: Array, size: float, shift: Array, sigma: float) -> _Cells:
     row = np.full(shape[0] * shape[1], -1)
     row[cell[keep]] = np.arange(keep.sum())
     # A last Gaussian for the points without a cell, so that the row -1 exists.
-    return _Cells(
+    return Cells(
         low,
         size,
         shape,

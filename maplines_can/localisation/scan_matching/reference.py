@@ -101,6 +101,7 @@ def _sampled(segments: Array) -> tuple[Array, Array, NDArray[np.intp]]:
     return points, normals[row], row
 
 
+# Settings of the lidar, by keyword alone.
 def simulated_scan(
     reference: ScanReference,
     pose: Array,

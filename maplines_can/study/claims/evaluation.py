@@ -113,7 +113,7 @@ def true_distribution(samples: Array) -> TrueDistribution:
         samples=samples,
         low=low,
         width=width,
-        regions=np.array([[_densest(pair) for pair in count] for count in counts]),
+        regions=np.array([[densest(pair) for pair in count] for count in counts]),
         moments=tuple(
             Gaussian(mean + a, S - np.outer(a, a)) for a, S in zip(first, second, strict=True)
         ),
@@ -192,7 +192,7 @@ def _counts(cells: NDArray[np.intp]) -> NDArray[np.intp]:
     )
 
 
-def _densest(count: Array) -> NDArray[np.bool_]:
+def densest(count: Array) -> NDArray[np.bool_]:
     """Return the smallest set of cells that holds ``MASS`` of the samples."""
     order = np.argsort(-count, axis=None, kind="stable")
     total = np.cumsum(count.ravel()[order])

@@ -186,7 +186,7 @@ def design_scenes(
     Raises:
         ValueError: the widths of maplines-pose.dbc do not suffice for ``max_kl``.
     """
-    scenes = _scenes(n, seed)
+    scenes = random_scenes(n, seed)
     bits = {name: spec.bits for name, spec in fields().items()}
     best = figures_of(bits, scenes)
     if max_kl is not None and best.kl_mean > max_kl:
@@ -212,10 +212,11 @@ def design_scenes(
     if max_kl is not None:
         costs = {name: _cost(bits, name, best, scenes) for name in bits}
     progress(total, total)
-    return SceneDesign(bits, figures_of(bits, _scenes(n, held_out_seed)), costs)
+    return SceneDesign(bits, figures_of(bits, random_scenes(n, held_out_seed)), costs)
 
 
-def _scenes(n: int, seed: int) -> list[Scene]:
+def random_scenes(n: int, seed: int) -> list[Scene]:
+    """Draw n scenes of ``LINES`` lines."""
     rng = np.random.default_rng([seed, LINES])
     return [random_scene(LINES, rng).scene for _ in range(n)]
 

@@ -205,7 +205,7 @@ def draw_case(case: Case, plan: FigurePlan, seed: int = 0, codec: Codec | None =
     """
     from matplotlib.figure import Figure
 
-    layers, view = _layers(case, plan, codec), view_of(case)
+    layers, view = layers_of(case, plan, codec), view_of(case)
     left, right, bottom, top = view.limits
     panel = PANEL * (top - bottom) / (right - left)
     row = panel + 0.62
@@ -285,7 +285,7 @@ def draw_close_up(cases: Sequence[Case]) -> Any:
     return figure
 
 
-def _layers(case: Case, plan: FigurePlan, codec: Codec | None) -> list[Layer]:
+def layers_of(case: Case, plan: FigurePlan, codec: Codec | None) -> list[Layer]:
     """Return the two Gaussians that a figure shows."""
     layers = []
     for sent, style in (

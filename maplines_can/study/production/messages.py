@@ -110,6 +110,7 @@ def default_message(layout: Layout | None = None) -> Message:
     )
 
 
+# The keys of a signal in messages.toml.
 def _signal(
     name: str,
     *,

@@ -65,11 +65,9 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
         running: dict[Future[Result], Task] = {}
         try:
             with _pool(jobs) as pool:
-                while _refilled(running, pool, waiting, tasks, AHEAD * jobs):
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        result = future.result()
-                        deaths = 0
-                        yield running.pop(future).key, result
+                for finished in _finished(running, pool, waiting, tasks, AHEAD * jobs):
+                    deaths = 0
+                    yield finished
         except BrokenProcessPool:
             waiting.extend(running.values())
             deaths += 1
@@ -81,20 +79,25 @@ def in_processes(tasks: Iterator[Task], jobs: int) -> Results:
     )
 
 
-def _refilled(
+def _finished(
     running: dict[Future[Result], Task],
     pool: ProcessPoolExecutor,
     waiting: deque[Task],
     tasks: Iterator[Task],
     most: int,
-) -> bool:
-    """Submit tasks until ``most`` are running, first those that wait; return whether any is."""
-    waiting.extend(islice(tasks, most - len(running) - len(waiting)))
-    while waiting and len(running) < most:
-        with _interrupts_blocked():  # a process may start here
-            running[pool.submit(waiting[0].work)] = waiting[0]
-        waiting.popleft()
-    return bool(running)
+) -> Results:
+    """Keep up to ``most`` tasks running, first those that wait, and yield them as they finish."""
+    while True:
+        waiting.extend(islice(tasks, most - len(running) - len(waiting)))
+        while waiting and len(running) < most:
+            with _interrupts_blocked():  # a process may start here
+                running[pool.submit(waiting[0].work)] = waiting[0]
+            waiting.popleft()
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            result = future.result()
+            yield running.pop(future).key, result
 
 
 @contextmanager

@@ -155,7 +155,7 @@ def limit_of(
     """
     if not 1 <= k <= NEIGHBOURS:
         raise ValueError(f"k must be from 1 to {NEIGHBOURS}, got {k!r}")
-    theta, log_volume, names = _coordinates(means, covs, part, resolution)
+    theta, log_volume, names = coordinates(means, covs, part, resolution)
     given, n = theta.shape
     _, first = np.unique(theta, axis=0, return_index=True)
     first = np.random.default_rng(seed).permutation(np.sort(first))
@@ -192,7 +192,7 @@ def limit_of(
     )
 
 
-def _coordinates(
+def coordinates(
     means: ArrayLike, covs: ArrayLike, part: str, resolution: ArrayLike | None
 ) -> tuple[Array, Array, list[str]]:
     """Return coordinates (N, n), the logarithm of their Fisher volume (N,), and their names."""

@@ -16,18 +16,24 @@ from maplines_can.localisation.scan_matching import (
     simulated_scan,
 )
 from maplines_can.localisation.scan_matching.match import (
+    Minimum,
     by_object,
     jacobian,
     no_match,
     placed,
     result,
 )
-from maplines_can.localisation.scan_matching.ndt import MIN_IN_CELL, WALL_RATIO, _cells, _Score
+from maplines_can.localisation.scan_matching.ndt import MIN_IN_CELL, WALL_RATIO, Score, cells_of
 from maplines_can.maps import Landmark, LandmarkKind, Map
 
 BOX = Polyline([[-10, -6], [12, -6], [12, 7], [-10, 7], [-10, -6]])
 POLE = Landmark("p", LandmarkKind.POLE, 4.0, 2.0)
 REFERENCE = ScanReference(Map({}, {}, buildings=(BOX,), landmarks=(POLE,)))
+
+
+def minimum(hessian: np.ndarray, used: int, converged: bool) -> Minimum:
+    """Return a minimum at (1, 1, 1) of one term, without objects."""
+    return Minimum(np.ones(3), np.zeros((1, 3)), hessian, np.zeros((0, 3, 2)), used, converged)
 
 
 @settings(max_examples=40)
@@ -60,10 +66,8 @@ def test_the_covariance_is_that_of_huber(map_error: float) -> None:
     gradients, pulls = rng.standard_normal((50, 3)), rng.standard_normal((4, 3, 2))
     A = rng.standard_normal((3, 3))
     H = A @ A.T + np.eye(3)
-    found = result(
-        np.arange(3.0), gradients, H, np.zeros((60, 2)), (0.1, 0.2, 0.3),
-        pulls=pulls, map_error=map_error, used=40,
-    )  # fmt: skip
+    least = Minimum(np.arange(3.0), gradients, H, pulls, used=40, converged=True)
+    found = result(least, 60, (0.1, 0.2, 0.3), map_error)
     inverse = np.linalg.inv(H)
     shared = np.diag([0.01, 0.04, 0.09])
     for pull in pulls:
@@ -85,10 +89,7 @@ def test_the_covariance_is_that_of_huber(map_error: float) -> None:
 )  # fmt: skip
 def test_which_matches_are_valid(points: int, used: int, converged: bool, valid: bool) -> None:
     """Of at least 30 points, half of the scan and a search that converged."""
-    found = result(
-        np.zeros(3), np.zeros((1, 3)), np.eye(3), np.zeros((points, 2)), (0.0, 0.0, 0.0),
-        pulls=np.zeros((0, 3, 2)), map_error=0.0, used=used, converged=converged,
-    )  # fmt: skip
+    found = result(minimum(np.eye(3), used, converged), points, (0.0, 0.0, 0.0), 0.0)
     assert found.is_valid is valid
     assert found.used == used
 
@@ -96,10 +97,7 @@ def test_which_matches_are_valid(points: int, used: int, converged: bool, valid:
 @pytest.mark.parametrize(("least", "determined"), [(1.9e-9, False), (2.1e-9, True), (-1.0, False)])
 def test_a_scan_that_does_not_determine_the_pose(least: float, determined: bool) -> None:
     """Its least curvature is next to nothing beside the trace."""
-    found = result(
-        np.ones(3), np.zeros((1, 3)), np.diag([1.0, 1.0, least]), np.zeros((40, 2)),
-        (0.0, 0.0, 0.0), pulls=np.zeros((0, 3, 2)), map_error=0.0, used=40,
-    )  # fmt: skip
+    found = result(minimum(np.diag([1.0, 1.0, least]), 40, True), 40, (0.0, 0.0, 0.0), 0.0)
     assert found.is_valid is determined
     if not determined:
         assert np.isinf(found.cov.diagonal()).all()
@@ -116,7 +114,7 @@ def test_cells_hold_the_moments_of_their_points(size: float) -> None:
     )
     points = np.vstack([rng.uniform(-9, 9, (300, 2)), wall, [[15.0, 15.0], [15.1, 15.1]]])
     shift, sigma = np.array([0.4, 0.1]), 0.2
-    cells = _cells(points, size, shift, sigma)
+    cells = cells_of(points, size, shift, sigma)
     low = points.min(axis=0) - shift
     at = rng.uniform(-14, 20, (500, 2))
     rows = cells.of(at)
@@ -145,8 +143,8 @@ def test_the_score_is_that_of_the_cells_of_each_point() -> None:
     rng = np.random.default_rng(5)
     points, scan = rng.uniform(-9, 9, (200, 2)), rng.uniform(-14, 14, (60, 2))
     pose = np.array([0.3, -0.2, 0.4])
-    grids = [_cells(points, 2.0, np.array(shift), 0.3) for shift in ((0.0, 0.0), (1.0, 0.5))]
-    score = _Score(scan, grids)
+    grids = [cells_of(points, 2.0, np.array(shift), 0.3) for shift in ((0.0, 0.0), (1.0, 0.5))]
+    score = Score(scan, grids)
     total, best = 0.0, np.zeros(len(scan))
     for k, point in enumerate(placed(scan, pose)):
         for cells in grids:
@@ -168,8 +166,8 @@ def test_pulls_are_the_derivatives_of_the_gradients() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-9, 9, (400, 2))
     scan, pose = rng.uniform(-5, 5, (20, 2)), np.array([0.3, -0.2, 0.4])
-    grids = [_cells(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
-    pulls = _Score(scan, grids).pulls(pose)
+    grids = [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
+    pulls = Score(scan, grids).pulls(pose)
     step = 1e-5
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(2):
@@ -177,11 +175,11 @@ def test_pulls_are_the_derivatives_of_the_gradients() -> None:
         # The point moves in the map, but not its Jacobian.
         ends = []
         for sign in (1, -1):
-            score = _Score(scan + sign * moved, grids)
+            score = Score(scan + sign * moved, grids)
             J, at = jacobian(scan, pose[2]), placed(scan + sign * moved, pose)
             g = np.zeros((len(scan), 3))
             for one in grids:
-                e, weighted, _ = score._likelihood(at, one)
+                e, weighted, _ = score.likelihood(at, one)
                 g += (e[:, None, None] * weighted[:, None] @ J)[:, 0]
             ends.append(g)
         assert pulls[:, :, k] == pytest.approx((ends[0] - ends[1]) / (2 * step), abs=1e-6)
@@ -293,9 +291,6 @@ def test_few_points_are_not_matched_at_all(method: str) -> None:
 
 
 def test_a_scan_without_any_curvature_is_no_match() -> None:
-    found = result(
-        np.zeros(3), np.zeros((1, 3)), np.zeros((3, 3)), np.zeros((40, 2)), (0.0, 0.0, 0.0),
-        pulls=np.zeros((0, 3, 2)), map_error=0.0, used=40,
-    )  # fmt: skip
+    found = result(minimum(np.zeros((3, 3)), 40, True), 40, (0.0, 0.0, 0.0), 0.0)
     assert not found.is_valid
     assert np.isinf(found.cov.diagonal()).all()

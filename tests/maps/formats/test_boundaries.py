@@ -26,7 +26,7 @@ from maplines_can.maps.formats.opendrive.boundaries import (
     _pieces,
     sampled,
 )
-from maplines_can.maps.formats.opendrive.reader import _distinct
+from maplines_can.maps.formats.opendrive.reader import distinct
 from maplines_can.maps.formats.opendrive.reference_line import Complex
 
 S = np.linspace(0.0, 100.0, 21)
@@ -278,7 +278,7 @@ def test_a_boundary_that_is_a_point_has_two_points() -> None:
 def test_repeated_points_are_left_out_but_for_the_ends(steps: list[float], angle: float) -> None:
     """In any direction of the plane: those within 0.1 mm of the one before; two points remain."""
     points = 5 - 3j + np.exp(1j * angle) * np.cumsum([0.0, *steps])
-    found = _distinct(points)
+    found = distinct(points)
     assert found[0] == points[0]
     assert found[-1] == points[-1]
     keep = [0] + [i for i in range(1, len(points)) if steps[i - 1] > 1e-4]

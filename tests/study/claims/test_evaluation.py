@@ -160,7 +160,7 @@ def test_a_singular_covariance_has_no_volume(true_gaussian: Any) -> None:
 def test_the_region_is_the_smallest_set_of_cells_with_the_mass() -> None:
     count = np.array([[50.0, 0, 3], [40, 1, 2], [1, 2, 1]])  # the sum is 100
 
-    chosen = evaluation._densest(count)
+    chosen = evaluation.densest(count)
 
     assert count[chosen].sum() == 99
     assert count[~chosen].max() <= count[chosen].min()

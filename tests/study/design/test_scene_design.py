@@ -47,7 +47,7 @@ def test_fewer_bits_cover_the_same_range() -> None:
 
 def test_joints_are_valid_with_few_bits() -> None:
     """The divergence grows; no joint covariance is overconfident or indefinite."""
-    scenes = module._scenes(3, 2)
+    scenes = module.random_scenes(3, 2)
     shipped = figures_of(SHIPPED, scenes)
     coarse = figures_of(SHIPPED | {name: SHIPPED[name] - 4 for name in FEW}, scenes)
 
@@ -63,7 +63,7 @@ def test_joints_are_valid_with_few_bits() -> None:
 def test_the_widths_are_reduced_as_far_as_the_divergence_allows() -> None:
     """The next bit would exceed it, or save nothing."""
     done: list[Any] = []
-    scenes = module._scenes(3, 1)
+    scenes = module.random_scenes(3, 1)
     shipped = figures_of({name: SHIPPED[name] for name in FEW}, scenes)
     most = 1.3 * shipped.kl_mean
     found = design_scenes(most, n=3, seed=1, progress=lambda *at: done.append(at))

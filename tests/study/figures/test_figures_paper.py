@@ -251,7 +251,7 @@ def test_figure_9_sends_variances_and_no_covariances(case_of: Any, codec: Any) -
     """All correlations are zero, also when decoded; the panel shows the original ones."""
     plan = PLANS[9]
     case = case_of(plan)
-    for layers in (figures._layers(case, plan, None), figures._layers(case, plan, codec)):
+    for layers in (figures.layers_of(case, plan, None), figures.layers_of(case, plan, codec)):
         for layer in layers:
             np.testing.assert_allclose(layer.gaussian.correlation, np.eye(4), atol=1e-12)
     _, matrix, _ = parts(figures.draw_case(case, plan))
@@ -265,7 +265,7 @@ def test_after_the_wire_the_layers_are_decoded(case_of: Any, codec: Any, number:
     plan = PLANS[number]
     case = case_of(plan)
     for layer, sent in zip(
-        figures._layers(case, plan, codec), figures._layers(case, plan, None), strict=True
+        figures.layers_of(case, plan, codec), figures.layers_of(case, plan, None), strict=True
     ):
         np.testing.assert_array_equal(sent.gaussian.cov, layer.before.cov)  # type: ignore[union-attr]
         decoded, S = layer.gaussian, sent.gaussian.cov

@@ -20,7 +20,7 @@ def far(length: float) -> Map:
 
 
 @pytest.mark.parametrize(
-    "found",
+    "road_map",
     [
         pytest.param(crossing(), id="crossing"),
         pytest.param(far(0.5), id="half-a-metre"),

@@ -74,7 +74,7 @@ def test_the_fisher_volume_is_that_of_the_divergence() -> None:
     e = np.eye(14)
     F = [[(kl(a + b) - kl(a - b) - kl(b - a) + kl(-a - b)) / 4 for b in e] for a in e]
     _, log_det = np.linalg.slogdet(np.array(F) / step**2)  # 2 KL = d^T F d
-    _, log_volume, names = limit_module._coordinates(*gaussians(theta, 4), "all", None)  # type: ignore[call-arg]
+    _, log_volume, names = limit_module.coordinates(*gaussians(theta, 4), "all", None)  # type: ignore[call-arg]
 
     assert log_volume[0] == pytest.approx(log_det / 2, abs=1e-3)
     assert names[0] == "m_0"

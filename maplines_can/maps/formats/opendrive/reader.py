@@ -251,7 +251,7 @@ def _polylines(
         step = np.abs(rows[:, 1:] - rows[:, :-1])
         has_repeats = (step <= SAME).any(axis=1)
         for i in np.flatnonzero(has_repeats):
-            row = _distinct(rows[i])[:: 1 if is_forward else -1]
+            row = distinct(rows[i])[:: 1 if is_forward else -1]
             found[group[i]] = Polyline(np.array([row.real, row.imag]).T, kind(group[i]))
         if has_repeats.any():
             group = [line for line in group if line not in found]
@@ -266,7 +266,7 @@ def _polylines(
     return found
 
 
-def _distinct(points: Complex) -> Complex:
+def distinct(points: Complex) -> Complex:
     """Return the points without those that repeat the one before, but with both ends."""
     near = np.abs(points[1:] - points[:-1]) <= SAME
     if len(points) == 2 or not near.any():
