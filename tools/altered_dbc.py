@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """Load altered DBCs, and print how many of each field are right, refused and wrong.
 
-    altered_dbc.py                     all fields and alterations, in ten minutes
-    altered_dbc.py Status Age --json   some fields, as JSON with the text of each refusal
-    altered_dbc.py Pose.Age            a field of the pose error, or of Conditional records
-    altered_dbc.py scenes              all signals of DBCs with scenes, misspelt and removed
+    altered_dbc.py                     all fields and alterations
+    altered_dbc.py Line.Age --json     some fields, as JSON with the text of each refusal
+    altered_dbc.py Pose Conditional    all fields of a kind of record
+    altered_dbc.py messages            alterations of messages and their attributes
 
 An altered DBC is refused if loading it raises a LayoutError that names the signal or a message. It
 is right if cantools decodes the same values from all frames as the codec, and all lines arrive as
@@ -20,171 +20,123 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Iterator
-from functools import cache
-from typing import Any, NamedTuple
+from collections import Counter
+from collections.abc import Iterator
+from typing import NamedTuple
 
-from cantools.database.can import Database, Message
-from dbc_alterations import (
-    SLOTS,
-    Alteration,
-    conditional_original,
-    fields,
-    fields_of,
-    of_field,
-    of_field_in,
-    of_messages,
-    part,
-    pose_original,
-)
+from cantools.database.can import Database
+from dbc_alterations import ALTERATIONS, EDITS, ORIGINALS, SLOTS, altered, edited
 from dbc_witness import check_codec
-from pose_witness import check_conditional, check_pose
 from reporting import parser_of, progress
-from scene_alterations import FORMS, alterations_in, scenes_outcome
-from scene_alterations import original as original_with_scenes
 
 from maplines_can.values.errors import LayoutError
 from maplines_can.wire import Codec, Layout
 from maplines_can.wire.layout.dbc_reader import parse_database
 
-MESSAGES, SCENES = "messages", "scenes"
-#: Most records in a row of the pose error and of conditional records.
-SCENE_RECORDS = 8
-
-
-class SceneRecord(NamedTuple):
-    """Kind of record of a scene, whose fields are altered.
-
-    Its alterations have the altered messages only, since loading the DBC takes most of the time.
-    """
-
-    original: Callable[[], str]  #: the text of the DBC
-    message: str  #: one of its messages
-    messages: str  #: all of its messages, as a regular expression
-    check: Callable[[Layout, Any, int], None]
-
-    def loaded(self, text: str) -> Database:
-        """Return the database of the altered messages, and of the others in CAN FD frames."""
-        database = parse_database(text, "DBC")
-        database.messages.extend(_others(self))
-        return database
-
-
-@cache
-def _others(kind: SceneRecord) -> list[Message]:
-    """Return the CAN FD messages of the original that no alteration changes."""
-    whole = parse_database(kind.original(), "DBC").messages
-    return [m for m in whole if m.is_fd and not re.fullmatch(kind.messages, m.name)]
-
-
-KINDS = {
-    "Pose": SceneRecord(pose_original, "Pose", "Pose(?:Fd)?", check_pose),
-    "Conditional": SceneRecord(conditional_original, "EgoLeft", r"Ego\w+", check_conditional),
-}
+MESSAGES = "messages"
 
 
 class Outcome(NamedTuple):
     """Result of an altered DBC."""
 
-    alteration: Alteration
+    name: str  #: what is altered
     result: str  #: "right", "refused" or "wrong"
     text: str = ""  #: of the refusal, or what is wrong
 
 
-def outcome(alteration: Alteration, records: int = 300, lines: int = 24) -> Outcome:
-    """Load an altered DBC and check it; ``records`` are sent in a row in each frame format."""
-    kind, _, field = alteration.field.rpartition(".")
+def outcome(database: Database, name: str, named: str, records: int, lines: int = 24) -> Outcome:
+    """Load an altered DBC and check it.
+
+    Args:
+        database: the altered DBC.
+        name: what is altered.
+        named: what a refusal names, as a regular expression.
+        records: number of lines in a row in each frame format.
+        lines: number of lines of all kinds in each frame format.
+    """
     try:
-        text = alteration.text
-        database = KINDS[kind].loaded(text) if kind else parse_database(text, "DBC")
         codec = Codec(Layout.from_dbc(database))
     except LayoutError as error:
-        named = (field, SLOTS[0].name, KINDS[kind].message if kind else "EgoLeft")
-        if alteration.field == MESSAGES or any(name in str(error) for name in named):
-            return Outcome(alteration, "refused", str(error))
-        return Outcome(alteration, "wrong", f"the refusal names no signal or message: {error}")
+        if re.search(named, str(error)):
+            return Outcome(name, "refused", str(error))
+        return Outcome(name, "wrong", f"the refusal names no signal or message: {error}")
     except Exception as error:  # noqa: BLE001 - any other error is a wrong result
-        return Outcome(alteration, "wrong", f"loading raises {error!r}")
+        return Outcome(name, "wrong", f"loading raises {error!r}")
     try:
-        if kind:
-            KINDS[kind].check(codec.layout, database, min(records, SCENE_RECORDS))
-        else:
-            check_codec(codec, database, records, lines)
+        check_codec(codec, database, records, lines)
     except Exception as error:  # noqa: BLE001
-        return Outcome(alteration, "wrong", f"{type(error).__name__}: {error}")
-    return Outcome(alteration, "right")
+        return Outcome(name, "wrong", f"{type(error).__name__}: {error}")
+    return Outcome(name, "right")
 
 
-def scene_outcomes() -> Iterator[Outcome]:
-    """Yield the result of each signal of the messages of scenes, misspelt and removed."""
-    for form in FORMS:
-        database = original_with_scenes(form, SLOTS)
-        for altered in alterations_in(database):
-            what = "misspelt" if altered.misspelt else "removed"
-            where = f"{form}, {altered.field} {what} in {' and '.join(altered.messages)}"
-            text = scenes_outcome(database, altered)
-            result = text if text in {"right", "refused"} else "wrong"
-            yield Outcome(Alteration(SCENES, where, ""), result, text)
+def outcomes(field: str, records: int = 300, lines: int = 24) -> Iterator[Outcome]:
+    """Yield the results of all alterations of a field, such as ``Pose.Age``, or of messages.
+
+    Scenes need all messages of a record, so the signals of the records of scenes are renamed and
+    removed in a single frame format, too.
+    """
+    if field == MESSAGES:
+        for name in EDITS:
+            try:
+                database = parse_database(edited(name), "DBC")
+            except LayoutError as error:  # cantools refuses it
+                yield Outcome(name, "refused", str(error))
+                continue
+            yield outcome(database, name, "", records, lines)
+        return
+    kind, _, signal = field.partition(".")
+    original = ORIGINALS[kind]
+    named = f"{signal}|{SLOTS[0].name}|EgoLeft|Pose"
+    for name in ALTERATIONS:
+        with altered(original, signal, name):
+            yield outcome(original.database, name, named, records, lines)
+    for name in ("renamed", "removed"):
+        for format_, end in (("classic", "(?<!Fd)(?<!SecOc)"), ("CAN FD", "Fd")):
+            with altered(original, signal, name, end):
+                found = outcome(original.database, f"{name} in {format_}", named, records, lines)
+                yield found
 
 
-def alterations_of(field: str) -> Iterator[Alteration]:
-    """Yield the alterations of a signal, or of messages."""
-    kind, _, signal = field.rpartition(".")
-    if kind:
-        record = KINDS[kind]
-        altered = of_field_in(part(record.original(), record.messages), signal, record.messages)
-        return (alteration._replace(field=field) for alteration in altered)
-    return of_messages() if field == MESSAGES else of_field(field)
+def fields() -> list[str]:
+    """Return the fields of all records, and ``messages``."""
+    return [f"{kind}.{name}" for kind, own in ORIGINALS.items() for name in own.fields] + [MESSAGES]
 
 
-def scene_fields() -> list[str]:
-    """Return the fields of the pose error and of conditional records, after their kind."""
-    return [
-        f"{name}.{field}"
-        for name, kind in KINDS.items()
-        for field in fields_of(kind.original(), kind.message)
-    ]
-
-
-def table(outcomes: dict[str, list[Outcome]]) -> str:
+def table(found: dict[str, list[Outcome]]) -> str:
     """Return the counts of each field and their sum as text."""
-    rows = {field: [o.result for o in group] for field, group in outcomes.items()}
-    rows["all"] = [result for results in rows.values() for result in results]
+    counts = {field: Counter(o.result for o in group) for field, group in found.items()}
+    counts["all"] = sum(counts.values(), Counter())
     lines = [f"{'field':<28}{'tried':>8}{'right':>8}{'refused':>9}{'wrong':>8}"]
-    for field, results in rows.items():
-        right, refused, wrong = (results.count(name) for name in ("right", "refused", "wrong"))
-        lines.append(f"{field:<28}{len(results):>8}{right:>8}{refused:>9}{wrong:>8}")
+    for field, n in counts.items():
+        lines.append(f"{field:<28}{n.total():>8}{n['right']:>8}{n['refused']:>9}{n['wrong']:>8}")
     return "\n".join(lines)
 
 
 def main() -> int:
     """Print the counts, and what is wrong, and return the exit status."""
     parser = parser_of(__doc__)
-    parser.add_argument("field", nargs="*", help=f"signals, {MESSAGES} or {SCENES} (default: all)")
+    parser.add_argument("field", nargs="*", help=f"fields, kinds, or {MESSAGES} (default: all)")
     parser.add_argument("--records", type=int, default=300, help="records in a row (default: 300)")
     parser.add_argument("--json", action="store_true", help="print each alteration as JSON")
     options = parser.parse_args()
-    known = [MESSAGES, SCENES, *fields(), *scene_fields()]
-    if unknown := [field for field in options.field if field not in known]:
+    known = fields()
+    chosen = [f for f in known if not options.field or {f, f.split(".")[0]} & {*options.field}]
+    if unknown := {*options.field} - {*known} - {*ORIGINALS}:
         parser.error(f"there is no field {', '.join(unknown)}; choose from {', '.join(known)}")
-    outcomes = {}
-    for field in progress(options.field or known, "altered DBCs"):
-        outcomes[field] = (
-            [*scene_outcomes()]
-            if field == SCENES
-            else [outcome(a, options.records) for a in alterations_of(field)]
-        )
-    wrong = [o for group in outcomes.values() for o in group if o.result == "wrong"]
+    found = {
+        field: list(outcomes(field, options.records)) for field in progress(chosen, "altered DBCs")
+    }
+    wrong = [(field, o) for field, group in found.items() for o in group if o.result == "wrong"]
     if options.json:
-        result: dict[str, Any] = {
-            field: {o.alteration.name: {"result": o.result, "text": o.text} for o in group}
-            for field, group in outcomes.items()
+        result = {
+            field: {o.name: {"result": o.result, "text": o.text} for o in group}
+            for field, group in found.items()
         }
         print(json.dumps(result, indent=2))
     else:
-        print(table(outcomes))
-        for o in wrong:
-            print(f"wrong: {o.alteration.field}, {o.alteration.name}: {o.text}")
+        print(table(found))
+        for field, o in wrong:
+            print(f"wrong: {field}, {o.name}: {o.text}")
     return int(bool(wrong))
 
 

@@ -16,14 +16,18 @@ from maplines_can.study.codes import CODES
 from maplines_can.study.dbc.covariance_spec import covariance_signals
 from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
 from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_name, dbc_writer_for
-from maplines_can.wire.covariance.code import OCTAVES
-from maplines_can.wire.covariance.factor import RATIO
-from maplines_can.wire.layout.requirements import (
-    CONDITIONAL_REQUIREMENTS,
-    EXACT,
-    QUANTITY,
-    RELATIONS,
-    REQUIREMENTS,
+from maplines_can.wire.layout.record_layout import RELATIONS
+from maplines_can.wire.layout.signals import (
+    COMPLETE_RECORD,
+    CONDITIONAL_RECORD,
+    FARTHEST,
+    OCTAVES,
+    OF_SLOT,
+    POSE_RECORD,
+    RATIO,
+    SLOT_COUNTER,
+    TRAILER,
+    Bounds,
 )
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -55,23 +59,41 @@ def without(table: str, other: str) -> str:
 
 
 def requirements_table() -> Any:
-    """Return the table of what each signal needs, but for what all of them need."""
-    rows = ["| signal | needs |", "|---|---|"]
-    relations = {
-        name: [relation for relation in RELATIONS if relation.name == name] for name in REQUIREMENTS
-    }
-    needs: dict[str, Any] = {
-        **{name: [*own, *relations[name]] for name, own in REQUIREMENTS.items()},
-        "Pivot*`, `Inflation": OCTAVES,
-        "Ratio*": RATIO,
-        **{f"{name}` of `PoseConditional": own for name, own in CONDITIONAL_REQUIREMENTS.items()},
-    }
-    for name, of_signal in needs.items():
-        common = QUANTITY if EXACT in of_signal else ()
-        own = [requirement.needs for requirement in of_signal if requirement not in common]
-        rows.append(f"| `{name}` | {'; '.join(own).replace('|', chr(92) + '|')} |")
-    needed = "; ".join(requirement.needs for requirement in QUANTITY).replace("|", "\\|")
-    return "\n".join([*rows, f"| each signal of a record | {needed} |"])
+    """Return the table of what a DBC may change of each signal."""
+    rows = [
+        "| signal | unit | bits | type | factor, offset | values of any bits | together |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    bounds = dict(COMPLETE_RECORD)
+    for name, own in CONDITIONAL_RECORD.items():
+        bounds[name if bounds.get(name, own) == own else f"{name}` of `PoseConditional"] = own
+    bounds |= {name: own for name, own in POSE_RECORD.items() if name not in bounds}
+    bounds |= {"*Counter": SLOT_COUNTER} | {f"*{name}": own for name, own in OF_SLOT.items()}
+    bounds |= {**TRAILER, "Pivot*`, `Inflation": OCTAVES, "Ratio*": RATIO}
+    for name, own in bounds.items():
+        related = name.removeprefix("*") if name.removeprefix("*") in OF_SLOT else name
+        is_shared = name in OF_SLOT  # the relations of these names are those of slots
+        together = [r.needs for r in RELATIONS if r.name == related and not is_shared]
+        rows.append(f"| `{name}` | {' | '.join(cells(own))} | {'; '.join(together)} |")
+    return "\n".join(rows)
+
+
+def cells(bounds: Bounds) -> list[str]:
+    """Return unit, bits, type, conversion and values of bounds, as cells of a table."""
+    units = [f'"{unit}"' if unit else "none" for unit in bounds.units]
+    least, most = bounds.bits
+    factor, offset = (
+        free if fixed is None else f"{fixed:g}"
+        for fixed, free in ((bounds.factor, "positive"), (bounds.offset, "any"))
+    )
+    low, high = bounds.values
+    return [
+        " or ".join(units) or "any",
+        f"{least}" if least == most else f"{least} to {most}",
+        "unsigned" if bounds.unsigned else "any",
+        f"{factor}, {'whole' if bounds.whole_offset else offset}",
+        "any" if high == FARTHEST and low == -FARTHEST else f"{low:g} to {high:g}",
+    ]
 
 
 def codes_table() -> Any:

@@ -9,8 +9,7 @@ import numpy as np
 
 from ...wire.covariance.code import Array, CovarianceCode
 from ...wire.layout.message_layout import Layout
-from ...wire.layout.requirements import POSITIVE, QUANTITY, Requirement, check, holds
-from ...wire.layout.signals import Signal
+from ...wire.layout.signals import Bounds, Signal
 
 
 class BatchCode(CovarianceCode):
@@ -22,16 +21,11 @@ class BatchCode(CovarianceCode):
         return self.decode({name: np.array([raw[name]]) for name in names})[0]
 
 
-#: Requirements of an entry of a matrix.
-ENTRY = (
-    *QUANTITY,
-    POSITIVE,
-    Requirement("no offset", lambda signal: signal.offset == 0, "write offset 0"),
-    holds(0, 0),
-)
+#: Bounds of an entry of a matrix.
+ENTRY = Bounds(offset=0)
 
 
 def check_linear(layout: Layout, signals: Iterable[Signal]) -> None:
-    """Raise ``LayoutError`` unless the signals meet ``ENTRY``."""
+    """Raise ``LayoutError`` unless the signals are within ``ENTRY``."""
     for signal in signals:
-        check(signal, ENTRY, layout.source)
+        ENTRY.check(signal, layout.source)

@@ -9,8 +9,7 @@ from ...values.line import Status
 from ..codes import CODES
 from .covariance_spec import covariance_signals
 from .dbc_writer import DbcWriter, SignalSpec, paged
-from .header_spec import AGE, CRC, KIND
-from .pose_spec import POSE_WITH_LEVELS
+from .pose_spec import AGE, CRC, KIND, POSE_WITH_LEVELS
 
 # fmt: off
 _PROTECTION = (

@@ -13,12 +13,9 @@ from numpy.typing import NDArray
 from ...values.line import Status
 from ..layout.message_layout import Layout
 from ..layout.record_layout import RecordLayout
-from ..layout.requirements import POSITIVE, QUANTITY, Requirement, check, unit
-from ..layout.signals import Signal
+from ..layout.signals import OCTAVES, Signal
 
 Array = NDArray[np.float64]
-#: Greatest exponent of 2 that a signal may hold, so that squares and products of four are finite.
-FARTHEST_OCTAVE = 200
 
 
 @dataclass(frozen=True)
@@ -95,24 +92,11 @@ def nearest_raw(signal: Signal, physical: Array) -> tuple[NDArray[np.int64], NDA
     return limited.astype(np.int64), nearest != limited
 
 
-#: Requirements of a signal that holds an exponent of 2.
-OCTAVES = (
-    *QUANTITY,
-    POSITIVE,
-    unit("octave"),
-    Requirement(
-        f"values from -{FARTHEST_OCTAVE} to {FARTHEST_OCTAVE} for any bits",
-        lambda signal: bool(np.abs(signal.reach).max() <= FARTHEST_OCTAVE),
-        "correct factor and offset",
-    ),
-)
-
-
 def check_octaves(layout: RecordLayout, signals: Sequence[Signal]) -> None:
     """Check that no bits of these signals, which hold exponents of 2, can overflow a float.
 
     Raises:
-        LayoutError: a signal does not meet ``OCTAVES``.
+        LayoutError: a signal is not within ``OCTAVES``.
     """
     for signal in signals:
-        check(signal, OCTAVES, layout.source)
+        OCTAVES.check(signal, layout.source)

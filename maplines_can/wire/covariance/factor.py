@@ -17,16 +17,13 @@ from numpy.typing import NDArray
 
 from ...values.errors import LayoutError
 from ..layout.record_layout import RecordLayout
-from ..layout.requirements import POSITIVE, QUANTITY, check, unit
-from ..layout.signals import PARAMETER_SIGNALS, Signal, SignalRow
+from ..layout.signals import PARAMETER_SIGNALS, RATIO, Signal, SignalRow
 from .code import Array, check_octaves
 
 #: Rows processed at a time: all arrays of a block stay in the cache.
 BLOCK = 2048
 #: Largest condition number of a decoded correlation matrix that double precision holds.
 MAX_CONDITION = 1e13
-#: Requirements of a ratio; beyond them, ``_largest_condition`` bounds all ratios together.
-RATIO = (*QUANTITY, POSITIVE, unit("1", "-"))
 
 
 class CholeskyFactor:
@@ -69,7 +66,7 @@ class CholeskyFactor:
         self.signals: tuple[Signal, ...] = (*self.pivots, *chain(*self.ratios))
         check_octaves(layout, self.pivots)
         for ratio in chain(*self.ratios):
-            check(ratio, RATIO, layout.source)
+            RATIO.check(ratio, layout.source)
         if (condition := self._largest_condition()) > MAX_CONDITION:
             raise LayoutError(
                 f"{layout.source}: with {', '.join(ratio.name for ratio in chain(*self.ratios))} a "

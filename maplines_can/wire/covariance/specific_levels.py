@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...values.seen_lines import NODES, SHAPE, bases
-from ..layout.requirement import OCTAVE
-from ..layout.signals import Signal
+from ..layout.signals import OCTAVE, Signal
 from .code import Array
 from .joint import divergence, largest_ratio
 

@@ -13,9 +13,6 @@ from ...values.arrays import floats
 from ...values.errors import EncodeError
 from ...values.line import Kind, Slot, Status
 
-#: Attributes that the components of a mixture share; those of the line.
-LINE_ATTRIBUTES = ("slot", "counter", "kind", "x_min", "x_max", "age", "status")
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordAttributes:
@@ -115,3 +112,9 @@ def numbers(name: str, values: ArrayLike) -> NDArray[Any]:
         if bad.any():
             raise EncodeError(f"slot must be from 0 to {max(Slot)}, got {given[bad].flat[0]:g}")
     return given
+
+
+#: Attributes that the components of a mixture share; those of the line.
+LINE_ATTRIBUTES = tuple(
+    field.name for field in fields(RecordAttributes) if not field.name.startswith("component_")
+)

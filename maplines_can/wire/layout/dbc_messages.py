@@ -12,8 +12,7 @@ from cantools.database.can import Message
 from cantools.database.can import Signal as DbcSignal
 
 from ...values.errors import LayoutError
-from .requirements import MIN_FRESHNESS_BYTES, REQUIREMENTS, check
-from .signals import PAGE_BYTES, SECURED_SIGNALS, Signal, all_raw
+from .signals import PAGE_BYTES, TRAILER, Signal, all_raw
 from .slot_messages import FD_LENGTHS, MAX_MS, RecordMessages, SecuredLayout
 
 
@@ -90,29 +89,24 @@ def attribute(message: Message, name: str) -> Any:
 def secured_layout(message: Message, source: str) -> SecuredLayout:
     """Return the layout of an authenticated message, which must be that of AUTOSAR SecOC."""
     where = f"{source}: message {message.name}"
-    signals = {signal.name: signal for signal in message.signals}
+    signals = {signal.name: to_signal(signal) for signal in message.signals}
     end, sizes = message.length, {}
-    for name, most in reversed(SECURED_SIGNALS.items()):
-        least = MIN_FRESHNESS_BYTES if name == "Freshness" else 1
+    for name, bounds in reversed([*TRAILER.items()]):
+        least, most = (bits // 8 for bits in bounds.bits)
         signal = signals.get(name)
         size, odd_bits = divmod(signal.length if signal else 0, 8)
         end -= size
-        motorola = signal is not None and signal.byte_order == "big_endian"
-        if (
-            signal is None
-            or odd_bits
-            or size > most
-            or signal.start != 8 * end + (7 if motorola else 0)
-            or not (motorola or size == 1)
-        ):
+        is_one_order = signal is not None and (signal.big_endian or size == 1)
+        first = 8 * end + (7 if signal is None or signal.big_endian else 0)
+        if signal is None or odd_bits or size > most or signal.start != first or not is_one_order:
             size_text = "1 byte" if most == 1 else f"{least} to {most} bytes"
             raise LayoutError(
-                f"{where}: must end with {', '.join(SECURED_SIGNALS)}, in Motorola byte order and "
+                f"{where}: must end with {', '.join(TRAILER)}, in Motorola byte order and "
                 f"of whole bytes; {name} must have {size_text}, and end in byte {end + size - 1}"
             )
         sizes[name] = size
-    for name in SECURED_SIGNALS:
-        check(to_signal(signals[name]), REQUIREMENTS[name], where)
+    for name, bounds in TRAILER.items():
+        bounds.check(signals[name], where)
     return SecuredLayout(message.length, sizes["Freshness"], sizes["Mac"])
 
 
@@ -138,7 +132,7 @@ def low_bits(signal: Signal, name: str, length: int) -> Signal:
 
 
 def to_signal(signal: DbcSignal) -> Signal:
-    """Convert a cantools signal to a `Signal`; ``requirements`` checks those of the record."""
+    """Convert a cantools signal to a `Signal`; ``Bounds`` checks those of the record."""
     factor, offset = float(signal.scale), float(signal.offset)
     signed = bool(signal.is_signed and not signal.is_float)
     low, high = all_raw(signal.length, signed)
@@ -146,8 +140,7 @@ def to_signal(signal: DbcSignal) -> Signal:
     if len(bounds) == 2 and factor != 0 and not signal.is_float:  # the DBC's range, if narrower
         ends = [_finite((float(bound) - offset) / factor) for bound in bounds]
         first, last = ends if factor > 0 else ends[::-1]
-        slack = 1e-6  # a bound that was rounded to decimals still admits its raw value
-        low, high = max(low, math.ceil(first - slack)), min(high, math.floor(last + slack))
+        low, high = max(low, round(first)), min(high, round(last))  # bounds are rounded to decimals
     return Signal(
         name=signal.name,
         start=signal.start,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import NamedTuple
@@ -28,9 +28,9 @@ from .dbc_messages import (
     to_signal,
 )
 from .pose_layout import POSE, Owner, PoseLayout
-from .requirements import bits_of, pages_of
+from .record_layout import bits_of, pages_of
 from .signals import PAGE, PAGE_BYTES, SECURED_SIGNALS, TRANSFER_ID, Signal
-from .slot_messages import SecuredLayout, SlotMessages
+from .slot_messages import RecordMessages, SecuredLayout
 
 __all__ = [
     "Database",
@@ -38,7 +38,6 @@ __all__ = [
     "content_of",
     "default_dbc_path",
     "parse_database",
-    "parse_dbc",
     "read_text",
 ]
 
@@ -50,7 +49,7 @@ class DbcContent(NamedTuple):
     """Content of a DBC that matters to map lines; see ``Layout``."""
 
     signals: Mapping[str, Signal]
-    messages: Mapping[Slot, SlotMessages]
+    messages: Mapping[Slot, RecordMessages]
     covariance_code: str
     secured: SecuredLayout | None
     pose: PoseLayout | None
@@ -83,15 +82,6 @@ def read_text(path: Path) -> str:
         return data.decode("cp1252")  # the encoding that DBC tools write
     except UnicodeDecodeError as error:
         raise LayoutError(f"{path}: is not a valid DBC: {error}") from error
-
-
-def parse_dbc(text: str, source: str) -> DbcContent:
-    """Read the record and its messages from the text of a DBC.
-
-    Raises:
-        LayoutError: the text is not a DBC, or does not describe a map line.
-    """
-    return content_of(parse_database(text, source), source)
 
 
 def parse_database(text: str, source: str, *, strict: bool = True) -> Database:
@@ -144,7 +134,7 @@ def content_of(database: Database, source: str) -> DbcContent:
     code = database.dbc.attributes.get("CovarianceCode") if database.dbc else None
     return DbcContent(
         signals=_shared_signals(lines, source),
-        messages={slot: _slot_messages(slot, messages[slot], source) for slot in slots},
+        messages={s: record_messages(_name(s), messages[s], source) for s in slots},
         covariance_code=DEFAULT_CODE if code is None else str(code.value),
         secured=_secured([messages[slot] for slot in slots], source),
         pose=PoseLayout(
@@ -175,10 +165,6 @@ def _owner(message: Message, source: str) -> Owner | None:
 
 def _name(owner: Owner) -> str:
     return f"slot {owner.name}" if isinstance(owner, Slot) else "the pose error"
-
-
-def _slot_messages(slot: Slot, messages: dict[FrameFormat, Message], source: str) -> SlotMessages:
-    return SlotMessages(slot=slot, **asdict(record_messages(_name(slot), messages, source)))
 
 
 def _secured(

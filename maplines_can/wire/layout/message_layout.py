@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...values.errors import EncodeError, LayoutError
 from ...values.line import Slot
-from .dbc_reader import Database, content_of, default_dbc_path, parse_dbc, read_text
+from .dbc_reader import Database, content_of, default_dbc_path, parse_database, read_text
 from .pose_layout import POSE, Owner, PoseLayout
-from .record_layout import RecordLayout
-from .requirements import CONDITIONAL_REQUIREMENTS, bits_of, check_record
+from .record_layout import RecordLayout, bits_of
 from .signals import (
-    CONDITIONAL_SIGNALS,
+    COMPLETE_RECORD,
+    CONDITIONAL_RECORD,
     FINE_SIGNALS,
-    HEADER_SIGNALS,
     PAGE,
     PAGE_BYTES,
     PARAMETER_SIGNALS,
@@ -31,7 +30,6 @@ from .slot_messages import (
     RecordMessages,
     Room,
     SecuredLayout,
-    SlotMessages,
     check_messages,
     fd_length,
 )
@@ -72,24 +70,18 @@ class Layout(RecordLayout):
         pose: layout of the pose error; None if there is no such message.
 
     Raises:
-        LayoutError: a signal is missing or does not meet its ``requirements``, two messages have
+        LayoutError: a signal is missing or is not within its bounds, two messages have
             the same CAN ID, two records the same data ID, or a conditional record has no message
             of the pose error.
     """
 
-    messages: Mapping[Slot, SlotMessages]
+    messages: Mapping[Slot, RecordMessages]
     covariance_code: str
     secured: SecuredLayout | None = None
     pose: PoseLayout | None = None
 
     def __post_init__(self) -> None:
-        own = (*CONDITIONAL_SIGNALS, *FINE_SIGNALS) if self.is_conditional else HEADER_SIGNALS
-        for name in (*own, *PARAMETER_SIGNALS):
-            self[name]
-        self.check_pages()
-        check_record(
-            self.signals, self.source, CONDITIONAL_REQUIREMENTS if self.is_conditional else None
-        )
+        self.check(CONDITIONAL_RECORD if self.is_conditional else COMPLETE_RECORD)
         check_messages(self._rooms(), self.source)
         if self.pose is not None:
             counters = dict.fromkeys(self.messages, self["Counter"])
@@ -136,7 +128,8 @@ class Layout(RecordLayout):
         Raises:
             LayoutError: the text is not a DBC, or does not describe a map line.
         """
-        return cls(source=source, **parse_dbc(text, source)._asdict())
+        content = content_of(parse_database(text, source), source)
+        return cls(source=source, **content._asdict())
 
     @cached_property
     def resolution(self) -> NDArray[np.float64]:
@@ -164,9 +157,8 @@ class Layout(RecordLayout):
         """
         if not self.is_conditional:
             return self.pages
-        names = (*CONDITIONAL_SIGNALS, *PARAMETER_SIGNALS)
-        last = max(max(bits_of(self[name])) for name in names)
-        return last // (8 * PAGE_BYTES) + 1
+        names = CONDITIONAL_RECORD.keys() - {PAGE, TRANSFER_ID, *FINE_SIGNALS}
+        return max(max(bits_of(self[name])) for name in names) // (8 * PAGE_BYTES) + 1
 
     @cached_property
     def messages_of(self) -> dict[Owner, RecordMessages]:

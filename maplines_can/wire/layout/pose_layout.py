@@ -9,8 +9,7 @@ from typing import ClassVar, Literal
 
 from ...values.line import Slot
 from .record_layout import RecordLayout
-from .requirements import check_record
-from .signals import POSE_SIGNALS, SLOT_SIGNALS, Signal, slot_title
+from .signals import POSE_RECORD, Signal, of_slot, slot_title
 from .slot_messages import RecordMessages, SecuredLayout
 
 #: Owner of the records of the pose error, as a slot is that of its lines.
@@ -48,10 +47,10 @@ class PoseLayout(RecordLayout):
     secured: SecuredLayout | None = None
 
     def __post_init__(self) -> None:
-        for name in POSE_SIGNALS:
-            self[name]
-        self.check_pages()
-        check_record(self.signals, self.source)
+        of_slots = {name: bounds for slot in Slot for name, bounds in of_slot(slot).items()}
+        self.check(
+            {**POSE_RECORD, **{name: of_slots[name] for name in of_slots if name in self.signals}}
+        )
 
     @cached_property
     def counters(self) -> dict[Slot, Signal]:
@@ -90,8 +89,7 @@ class PoseLayout(RecordLayout):
                 of a slot whose records have it.
         """
         for slot in Slot:
-            title = slot_title(slot)
-            counter, own = f"{title}Counter", [f"{title}{name}" for name in SLOT_SIGNALS]
+            title, (counter, *own) = slot_title(slot), of_slot(slot)
             if not levels and (twice := self.signals.keys() & own):
                 raise self.error(
                     self[min(twice)],

@@ -1,199 +1,57 @@
-"""Signals of a record: their names in the DBC, their bits, and their physical values."""
+"""Signals of the records, and what a DBC may change of each.
+
+``COMPLETE_RECORD``, ``CONDITIONAL_RECORD``, ``POSE_RECORD``, ``OF_SLOT`` and ``TRAILER`` list the
+signals. A record must have each signal of its list, and a DBC may change what the bounds beside it
+leave free; besides, it chooses the byte order and the place of each signal.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
-from ...values.errors import EncodeError
+from ...values.errors import LayoutError
 from ...values.line import Slot
+from .signal import Nearest, Signal, SignalRow, all_raw
 
-#: Tolerance for the floating-point error of the division before directed rounding [steps].
-SLACK = 1e-9
+__all__ = [
+    "COMPLETE_RECORD",
+    "CONDITIONAL_RECORD",
+    "EXACT_BITS",
+    "FARTHEST",
+    "FARTHEST_OCTAVE",
+    "FINE",
+    "FINE_SIGNALS",
+    "MIN_FACTOR",
+    "OCTAVE",
+    "OCTAVES",
+    "OF_SLOT",
+    "OWN_SIGNALS",
+    "PAGE",
+    "PAGE_BYTES",
+    "PARAMETER_SIGNALS",
+    "POSE_RECORD",
+    "POSE_ROWS",
+    "POSE_SIGNALS",
+    "RATIO",
+    "SECURED_SIGNALS",
+    "SLOT_COUNTER",
+    "SLOT_SIGNALS",
+    "TRAILER",
+    "TRANSFER_ID",
+    "Bounds",
+    "Nearest",
+    "Property",
+    "Signal",
+    "SignalRow",
+    "all_raw",
+    "of_slot",
+    "slot_title",
+]
+
 #: Bytes of a page, the payload of one classic CAN frame.
 PAGE_BYTES = 8
-#: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
-PAGE, TRANSFER_ID = "Page", "TransferId"
-#: Signals of the mean, in the order of the line's parameters.
-PARAMETER_SIGNALS = ("YOff", "Beta", "C0", "C1")
-#: Signals that every record has in addition to page numbers, mean and covariance.
-HEADER_SIGNALS = (
-    *("Crc", "Counter", "Status", "Kind", "XMin", "XMax", "Age"),
-    *("ComponentIndex", "ComponentCount", "ComponentWeight"),
-)
-#: Signals that a record has instead, if its covariance is conditional on the pose error.
-CONDITIONAL_SIGNALS = (
-    *("Crc", "Counter", "Kind", "XMin", "XMax"),
-    *("HasCovariance", "OwnLateral", "OwnPoints", "OwnShape", "Quartic"),
-)
-#: End of the names of the signals that such a record has with a covariance: what is added to each
-#: signal of the mean.
-FINE = "Fine"
-FINE_SIGNALS = tuple(f"{name}{FINE}" for name in PARAMETER_SIGNALS)
-#: Signals that every record of the pose error has in addition to page numbers and covariance.
-POSE_SIGNALS = ("Crc", "Counter", "Age", "CorrelationTime", "MapOffset", "MapHeading")
-#: Rows of the covariance of the pose error.
-POSE_ROWS = ("Along", "Across", "Heading")
-#: Levels of what a line has of its own: signals of a conditional record.
-OWN_SIGNALS = ("OwnLateral", "OwnPoints", "OwnShape")
-#: Signals of the pose error, with the name of a slot before them, if its records are complete.
-SLOT_SIGNALS = (*OWN_SIGNALS, "Quartic", "FitBehind", "FitAhead")
-#: Signals at the end of an authenticated message, in this order, with their largest size [byte].
-SECURED_SIGNALS = {"KeyId": 1, "Freshness": 7, "Mac": 8}
-
-
-@dataclass(frozen=True)
-class Signal:
-    """One signal of a record, with the conversion between raw and physical values.
-
-    Args:
-        name: as in the DBC.
-        start: first bit within the record, numbered as in the DBC.
-        length: number of bits.
-        big_endian: Motorola byte order; ``start`` is then the most significant bit.
-        signed: two's complement.
-        factor: physical = raw * factor + offset.
-        offset: see factor.
-        unit: of the physical value.
-        raw_min: least raw value within the DBC's range.
-        raw_max: greatest raw value within the DBC's range; less than ``raw_min`` if there is none.
-        is_float: the raw value is the bit pattern of an IEEE 754 number. Only ``physical``
-            supports such a signal, with 32 bits.
-    """
-
-    name: str
-    start: int
-    length: int
-    big_endian: bool
-    signed: bool
-    factor: float
-    offset: float
-    unit: str
-    raw_min: int
-    raw_max: int
-    is_float: bool = False
-
-    def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
-        """Return the (...,) nearest raw values, which may be out of range.
-
-        Halves are rounded to even, as in cantools.
-        """
-        return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
-
-    def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
-        """Return the (...,) physical values."""
-        if self.is_float:
-            pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
-            with np.errstate(invalid="ignore"):  # the bits may be those of a signalling NaN
-                return pattern.view(np.float32).astype(float)
-        return np.asarray(raw, dtype=float) * self.factor + self.offset
-
-    def physical_one(self, raw: int) -> float:
-        """Return one physical value; as ``physical``, without the array overhead."""
-        return raw * self.factor + self.offset
-
-    def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (...,) raw values clipped to the range; the caller reports the clipping."""
-        return raw.clip(self.raw_min, self.raw_max)
-
-    def nearest(self, physical: ArrayLike) -> Nearest:
-        """Return the (...,) nearest raw values within the range, and what they mean."""
-        raw = self.raw(physical)
-        limited = self.limited(raw)
-        return Nearest(limited, self.physical(limited), raw != limited)
-
-    def raw_above(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (...,) raw values of physical values, rounded up."""
-        raw = np.ceil((physical - self.offset) / self.factor - SLACK)
-        return raw + (self.physical(raw) < physical)
-
-    def raw_below(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (...,) raw values of physical values, rounded down."""
-        raw = np.floor((physical - self.offset) / self.factor + SLACK)
-        return raw - (self.physical(raw) > physical)
-
-    def whole(self, values: NDArray[Any], most: int | None = None) -> NDArray[np.int64]:
-        """Return the (n,) raw values of numbers, such as those of an enumeration.
-
-        Raises:
-            EncodeError: one is not whole, or not in the range or from 0 to ``most``.
-        """
-        raw = self.raw(values)
-        low, high = self.physical_range
-        high = high if most is None else min(high, most)
-        physical = self.physical(raw)
-        bad = (raw != self.limited(raw)) | (physical > high) | (physical != values)
-        if bad.any():
-            raise EncodeError(
-                f"signal {self.name}: {values[bad][0]!r} is not a whole number from {low:g} to "
-                f"{high:g}"
-            )
-        return raw.astype(np.int64)
-
-    @property
-    def all_raw(self) -> tuple[int, int]:
-        """Least and greatest raw value of any bits, including those outside the DBC's range."""
-        return all_raw(self.length, self.signed)
-
-    @property
-    def reach(self) -> tuple[float, float]:
-        """Least and greatest physical value of any bits."""
-        low, high = sorted(self.physical_one(raw) for raw in self.all_raw)
-        return low, high
-
-    @property
-    def physical_range(self) -> tuple[float, float]:
-        """Least and greatest physical value."""
-        low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
-        return float(low), float(high)
-
-
-class Nearest(NamedTuple):
-    """Raw values that are nearest to physical ones."""
-
-    raw: NDArray[np.float64]  #: (...,) within the range
-    physical: NDArray[np.float64]  #: (...,) what they mean
-    clipped: NDArray[np.bool_]  #: (...,) where the nearest one is out of range
-
-
-class SignalRow:
-    """Several signals whose values are the last axis of an array; see ``Signal``."""
-
-    def __init__(self, signals: Iterable[Signal]) -> None:
-        self.signals = tuple(signals)
-        columns = [(s.factor, s.offset, s.raw_min, s.raw_max) for s in self.signals]
-        self.factor, self._offset, self._raw_min, self._raw_max = (
-            np.array(columns, float).reshape(-1, 4).T
-        )
-
-    def nearest(self, physical: NDArray[np.float64]) -> Nearest:
-        """Return the (..., k) nearest raw values within the ranges, and what they mean."""
-        raw = np.rint((physical - self._offset) / self.factor)
-        limited = raw.clip(self._raw_min, self._raw_max)
-        return Nearest(limited, self.physical(limited), raw != limited)
-
-    def physical(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the (..., k) physical values."""
-        return raw * self.factor + self._offset
-
-    def physical_of(self, raw: Mapping[str, NDArray[np.int64]]) -> NDArray[np.float64]:
-        """Return the (..., k) physical values of raw values by signal."""
-        columns = [raw[signal.name] for signal in self.signals]
-        return self.physical(np.stack(columns, axis=-1).astype(float))
-
-    def physical_one(self, raw: Mapping[str, int]) -> list[float]:
-        """Return the k physical values of raw values by signal, without the array overhead."""
-        return [raw[s.name] * s.factor + s.offset for s in self.signals]
-
-
-def all_raw(length: int, signed: bool) -> tuple[int, int]:
-    """Return the least and the greatest integer of a number of bits."""
-    least = -(2 ** (length - 1)) if signed else 0
-    return least, least + 2**length - 1
 
 
 def slot_title(slot: Slot) -> str:
@@ -203,3 +61,218 @@ def slot_title(slot: Slot) -> str:
     'EgoLeft'
     """
     return "".join(word.capitalize() for word in slot.name.split("_"))
+
+
+# ---- what a DBC may change of a signal -----------------------------------------------------
+
+#: Most bits of an integer that a double represents exactly.
+EXACT_BITS = 53
+#: Least factor, and greatest physical value of any bits; their squares are still finite doubles.
+MIN_FACTOR, FARTHEST = 1e-30, 1e30
+
+
+class Property(NamedTuple):
+    """Something that a signal needs."""
+
+    needs: str  #: completes "the signal needs ..."
+    is_met: bool
+    cure: str  #: what to change in the DBC
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounds:
+    """What a DBC may change of a signal: anything within these bounds.
+
+    Each signal is an integer whose range [min|max] is that of all its bits.
+
+    Args:
+        units: allowed units, of which "" is none; any without them.
+        bits: fewest and most bits.
+        unsigned: it must be unsigned.
+        factor: the only factor; by default any positive one.
+        offset: the only offset; by default any.
+        whole_offset: the offset must be a whole number.
+        values: least and greatest physical value that any bits may have.
+        why: reason for the number of bits, which completes "since ...".
+    """
+
+    units: tuple[str, ...] = ()
+    bits: tuple[int, int] = (1, EXACT_BITS)
+    unsigned: bool = False
+    factor: float | None = None
+    offset: float | None = None
+    whole_offset: bool = False
+    values: tuple[float, float] = (-FARTHEST, FARTHEST)
+    why: str = ""
+
+    def properties(self, signal: Signal) -> Iterator[Property]:
+        """Yield what a signal needs, whether it has it, and the cure."""
+        yield Property("an integer type", not signal.is_float, "remove its SIG_VALTYPE_")
+        is_met = not (self.unsigned and signal.signed)
+        yield Property("an unsigned type", is_met, "write + for the - after @0 or @1")
+        names = ", ".join(f'"{unit}"' for unit in self.units if unit)
+        needs = f"the unit {names}{', or none' if '' in self.units else ''}"
+        is_met = not self.units or signal.unit in self.units
+        yield Property(needs, is_met, "convert factor and offset to it")
+        least, most = self.bits
+        needs = f"{least} to {most} bits" if least < most else f"{least} bits"
+        cure = f"since {self.why}" if self.why else "change its length"
+        yield Property(needs, least <= signal.length <= most, cure)
+        yield self._conversion(signal)
+        low, high = self.values
+        needs = f"values from {low:g} to {high:g} for any bits"
+        is_met = low <= signal.reach[0] and signal.reach[1] <= high
+        yield Property(needs, is_met, "correct factor and offset")
+        is_met = (signal.raw_min, signal.raw_max) == signal.all_raw
+        cure = "take fewer bits for a narrower range, or write [0|0]"
+        yield Property("the range [min|max] of all its bits", is_met, cure)
+
+    def _conversion(self, signal: Signal) -> Property:
+        """Return what factor and offset need."""
+        needs = f"a positive factor of {MIN_FACTOR:g} or more"
+        is_met, cure = signal.factor >= MIN_FACTOR, "correct factor and offset"
+        if self.factor is not None:
+            needs, is_met = f"factor {self.factor:g}", signal.factor == self.factor
+        if self.offset is not None:
+            needs += f" and offset {self.offset:g}"
+            is_met = is_met and signal.offset == self.offset
+        elif self.whole_offset:
+            needs += " and a whole offset"
+            is_met = is_met and float(signal.offset).is_integer()
+        if self.factor is not None and self.offset is not None:
+            cure = f"write ({self.factor:g},{self.offset:g})"
+        return Property(needs, is_met, cure)
+
+    def check(self, signal: Signal, source: str) -> None:
+        """Check that a signal is within the bounds.
+
+        Raises:
+            LayoutError: it is not.
+        """
+        for needs, is_met, cure in self.properties(signal):
+            if not is_met:
+                raise LayoutError(
+                    f"{source}: signal {signal.name} is {signal}, but it needs {needs}; {cure}"
+                )
+
+
+def _count(bits: int, most: int = EXACT_BITS, why: str = "") -> Bounds:
+    """Return the bounds of a number that is sent unchanged."""
+    return Bounds(bits=(bits, most), unsigned=True, factor=1, offset=0, why=why)
+
+
+def _quantity(unit: str) -> Bounds:
+    """Return the bounds of a physical value, which is rounded to a step."""
+    return Bounds(units=(unit, ""))
+
+
+#: Unit of an exponent of 2, and the greatest one, whose square and products of four are finite.
+OCTAVE, FARTHEST_OCTAVE = "octave", 200
+#: Bounds of an exponent of 2, and of the exponent of a scale whose raw value 0 means none; that of
+#: a scale has a table.
+OCTAVES = Bounds(units=(OCTAVE, ""), values=(-FARTHEST_OCTAVE, FARTHEST_OCTAVE))
+_LEVEL = replace(OCTAVES, bits=(1, 16), unsigned=True)
+#: Bounds of an entry of a Cholesky factor; the covariance code bounds all of them together.
+RATIO = Bounds(units=("1", "-", ""))
+#: Metres that are sent exactly.
+_WHOLE_METRES = Bounds(units=("m", ""), factor=1, whole_offset=True)
+_METRES = Bounds(units=("m", ""), unsigned=True, factor=1, offset=0)
+
+# ---- the signals of each record ------------------------------------------------------------
+
+#: Signals that every page repeats: the number of the page, and of the transfer it belongs to.
+PAGE, TRANSFER_ID = "Page", "TransferId"
+_PAGES = {PAGE: _count(1), TRANSFER_ID: _count(1)}
+_PROTECTION = {
+    "Crc": _count(16, 16),
+    "Counter": _count(4, why="with fewer bits lost and late records look the same"),
+}
+_MEAN = {
+    "YOff": _quantity("m"),
+    "Beta": _quantity("rad"),
+    "C0": _quantity("1/m"),
+    "C1": _quantity("1/m^2"),
+}
+_AGE = Bounds(units=("ms", ""), bits=(2, EXACT_BITS), values=(0, FARTHEST))
+#: Record of a line that has all of its covariance, but for the signals of the covariance code.
+COMPLETE_RECORD: Mapping[str, Bounds] = {
+    **_PROTECTION,
+    **_PAGES,
+    "Status": _count(3, why="it has six values"),
+    "Kind": _count(3, why="it has eight values"),
+    "XMin": _quantity("m"),
+    "XMax": _quantity("m"),
+    "Age": _AGE,
+    "ComponentIndex": _count(1),
+    "ComponentCount": Bounds(unsigned=True, factor=1, offset=1),
+    "ComponentWeight": Bounds(units=("1", "-", ""), unsigned=True),
+    **_MEAN,
+}
+#: End of the names of the signals that a conditional record has with a covariance: what is added
+#: to each signal of the mean.
+FINE = "Fine"
+_FINE = {f"{name}{FINE}": replace(bounds, offset=0) for name, bounds in _MEAN.items()}
+#: Levels of what a line has of its own.
+_OWN = {
+    "OwnLateral": _LEVEL,
+    "OwnPoints": _LEVEL,
+    "OwnShape": replace(_LEVEL, units=(OCTAVE,), values=(-10, 10)),  # else too many points
+}
+#: Record of a line whose covariance is conditional on the pose error.
+CONDITIONAL_RECORD: Mapping[str, Bounds] = {
+    **_PROTECTION,
+    **_PAGES,
+    "Kind": COMPLETE_RECORD["Kind"],
+    "XMin": _WHOLE_METRES,
+    "XMax": _WHOLE_METRES,
+    "HasCovariance": _count(1),
+    **_OWN,
+    "Quartic": _quantity("m"),
+    **_FINE,
+    **_MEAN,
+}
+#: Record of the pose error.
+POSE_RECORD: Mapping[str, Bounds] = {
+    **_PROTECTION,
+    **_PAGES,
+    "Age": _AGE,
+    "CorrelationTime": _LEVEL,
+    "MapOffset": _LEVEL,
+    "MapHeading": _LEVEL,
+}
+#: Counter of a slot in the pose error, after the name of the slot.
+SLOT_COUNTER = _count(3, why="with fewer bits lines of other cycles look as if they belonged to it")
+#: Levels of a slot in the pose error beside complete records, after the name of the slot.
+OF_SLOT: Mapping[str, Bounds] = {
+    **_OWN,
+    "OwnShape": replace(_LEVEL, units=("1",), values=(2**-10, 2**10)),
+    "Quartic": _quantity("m"),
+    "FitBehind": _METRES,
+    "FitAhead": _METRES,
+}
+#: Signals at the end of an authenticated message, in this order.
+TRAILER: Mapping[str, Bounds] = {
+    "KeyId": _count(8, 8),
+    "Freshness": replace(
+        _count(24, 56, "2 bytes of microseconds repeat after 65 ms, 3 bytes after 16.8 s"),
+        units=("us", ""),
+    ),
+    "Mac": _count(8, 64),
+}
+
+
+def of_slot(slot: Slot) -> dict[str, Bounds]:
+    """Return the bounds of the signals of a slot in the pose error: its counter and its levels."""
+    own = {"Counter": SLOT_COUNTER, **OF_SLOT}
+    return {f"{slot_title(slot)}{name}": bounds for name, bounds in own.items()}
+
+
+#: Signals of the mean, in the order of the line's parameters.
+PARAMETER_SIGNALS = tuple(_MEAN)
+FINE_SIGNALS, OWN_SIGNALS, SLOT_SIGNALS = tuple(_FINE), tuple(_OWN), tuple(OF_SLOT)
+#: Signals of a record of the pose error in addition to page numbers, slots and covariance.
+POSE_SIGNALS = tuple(name for name in POSE_RECORD if name not in _PAGES)
+#: Rows of the covariance of the pose error.
+POSE_ROWS = ("Along", "Across", "Heading")
+#: Largest size of the signals of ``TRAILER`` [byte].
+SECURED_SIGNALS = {name: bounds.bits[1] // 8 for name, bounds in TRAILER.items()}

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ...values.errors import LayoutError
-from ...values.line import Slot
 
 #: Upper bound of a cycle time and of a time-out, one hour [ms].
 MAX_MS = 3_600_000
@@ -87,17 +86,6 @@ class RecordMessages:
         if self.secured_can_id is None:
             return {}
         return {(self.secured_can_id, self.secured_is_extended): self.secured_data_id}
-
-
-@dataclass(frozen=True, kw_only=True)
-class SlotMessages(RecordMessages):
-    """Messages of the record of one slot.
-
-    Args:
-        slot: the line slot.
-    """
-
-    slot: Slot
 
 
 class Room(NamedTuple):

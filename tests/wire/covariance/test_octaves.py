@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from maplines_can.values.errors import LayoutError
-from maplines_can.wire.covariance.code import FARTHEST_OCTAVE, check_octaves
+from maplines_can.wire.covariance.code import check_octaves
 from maplines_can.wire.covariance.factor import exp2_table, lookup, lookup_one
-from maplines_can.wire.layout.signals import Signal
+from maplines_can.wire.layout.signals import FARTHEST_OCTAVE, Signal
 
 LAYOUT: Any = SimpleNamespace(source="test.dbc")
 

@@ -1,4 +1,4 @@
-"""Item 2 of the assessment: an altered DBC gives a right result or a refusal.
+"""An altered DBC gives a right result or a refusal that says what is wrong.
 
 ``tools/altered_dbc.py`` prints the table of all alterations; cantools is the witness.
 """
@@ -12,34 +12,53 @@ import altered_dbc
 import cantools
 import numpy as np
 import pytest
-from dbc_alterations import fields, original
-from dbc_witness import WrongResultError, check_line
+from dbc_alterations import ORIGINALS, Original, altered, original, pose_original
+from dbc_witness import WrongResultError, check_codec, check_line
 
 from maplines_can import Codec, Gaussian, GaussianMixture
 from maplines_can.study.codes import CODES
-from maplines_can.study.dbc.record_spec import SECURED, dbc_writer_for
+from maplines_can.study.dbc.pose_spec import CONDITIONAL, POSE_WITH_LEVELS
+from maplines_can.study.dbc.record_spec import DEFAULT, SECURED, dbc_writer_for
 from maplines_can.values.errors import LayoutError
 from maplines_can.values.line import Kind, MapLine, Slot, Status
 from maplines_can.wire import Layout
 
 ROOT = Path(__file__).parents[3]
-#: Records in a row for the fields for which it matters that a number wraps: all numbers of the
-#: counter, and those of the transfer ID, which has 4 bits, twice.
-RECORDS = {"Counter": 300, "TransferId": 300, "Page": 40, "Component": 40}
+#: Records in a row for the fields for which it matters that a number wraps.
+RECORDS = {"Line.Counter": 300, "Line.TransferId1": 40, "Line.Component": 40}
+#: Fields of which each has the same bounds as one before it.
+SAME = re.compile(
+    r".*(Right|TransferId[2-9]|Ratio(?!C0C1|AcrossAlong)|Pivot(?!C1|Along))"
+    r"|Conditional\.(Crc|Counter|YOff|Beta|C0|Pivot.*|Inflation)|Pose\.Crc"
+)
+FIELDS = [field for field in altered_dbc.fields() if not SAME.match(field)]
 
 
-@pytest.mark.parametrize("field", [altered_dbc.MESSAGES, *fields()])
+@pytest.mark.parametrize("field", FIELDS)
 def test_an_altered_dbc_gives_a_right_result_or_a_refusal(field: str) -> None:
-    """Each alteration of a field. With those of counters, many records are sent in a row."""
-    records = next((n for name, n in RECORDS.items() if field.startswith(name)), 0)
-    outcomes = [
-        altered_dbc.outcome(alteration, records, lines=16)
-        for alteration in altered_dbc.alterations_of(field)
-    ]
-    wrong = [(o.alteration.name, o.text) for o in outcomes if o.result == "wrong"]
-    assert not wrong
-    assert {o.result for o in outcomes} == {"right", "refused"}
+    """Each alteration of a field. With those of counters, many records are sent in a row.
 
+    A signal of others is ignored, and sent as 0: in a page, in one message only, in the padding.
+    """
+    records = next((n for name, n in RECORDS.items() if field.startswith(name)), 0)
+    found = list(altered_dbc.outcomes(field, records, lines=16))
+    assert [(o.name, o.text) for o in found if o.result == "wrong"] == []
+    assert {o.result for o in found} == {"right", "refused"}
+    foreign = {o.name: o.result for o in found if o.name.startswith("foreign signal")}
+    assert foreign.pop("foreign signal over another", "refused") == "refused"
+    assert set(foreign.values()) <= {"right"}
+
+
+def test_all_fields_are_altered() -> None:
+    """With the kind of their record, since some have the names of others."""
+    fields = altered_dbc.fields()
+    assert {"Line.Age", "Secured.Mac", "Pose.PivotAlong", "Conditional.XMin", "messages"} <= {
+        *fields
+    }
+    assert len(fields) == len(set(fields)) > 90 > len(FIELDS) > 50
+
+
+# ---- the witness -----------------------------------------------------------------------------
 
 GIVEN = MapLine(Slot.EGO_LEFT, Gaussian(np.zeros(4), 1e-2 * np.eye(4)), age=0.04)
 MEAN_ONLY = MapLine.mean_only(Slot.EGO_LEFT, np.zeros(4), age=0.04)
@@ -86,78 +105,149 @@ def test_the_witness_notices_a_wrong_line(given: MapLine, change: Any, words: st
         check_line(codec, given, replace(given, **change))
 
 
-def refusal(*edits: tuple[str, str]) -> str:
-    """The message with which the original with these edits is refused."""
-    text = original()
-    for pattern, replacement in edits:
-        text, found = re.subn(pattern, replacement, text)
-        assert found, pattern
-    with pytest.raises(LayoutError) as error:
-        Codec(Layout.from_text(text, "my.dbc"))
-    return str(error.value)
+@pytest.mark.parametrize(
+    ("kind", "field"), [("Line", "YOff"), ("Pose", "MapOffset"), ("Conditional", "C1")]
+)
+def test_the_witness_notices_another_factor(kind: str, field: str) -> None:
+    """The DBC that cantools reads differs from that of the codec."""
+    own = ORIGINALS[kind]
+    codec = Codec(Layout.from_dbc(own.database))
+    check_codec(codec, own.database, records=2, n=16)
+    with altered(own, field, "factor x 2"), pytest.raises(WrongResultError, match=field):
+        check_codec(codec, own.database, records=2, n=16)
+
+
+# ---- refusals --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("edit", "needs"),
+    ("pattern", "replacement", "needs"),
     [
-        pytest.param((r"(Status .*: \d+)\|3@1", r"\1|2@1"), "holds 0 to 5", id="status-of-2-bits"),
-        pytest.param((r"(Status .*\|3@1)\+", r"\1-"), "an unsigned type", id="status-signed"),
-        pytest.param((r"(XMin .*)\(4,-20\)", r"\1(-4,8)"), "positive factor", id="x-min-negative"),
-        pytest.param((r"(XMax .*)\(4,0\)", r"\1(-4,124)"), "positive factor", id="x-max-negative"),
-        pytest.param((r"(Age .*)\(8,0\)", r"\1(-8,248)"), "a positive factor", id="age-negative"),
-        pytest.param((r"(Age .*)\"ms\"", r'\1"s"'), 'the unit "ms"', id="age-in-seconds"),
-        pytest.param((r"(Beta .*)\"rad\"", r'\1"deg"'), 'the unit "rad"', id="beta-in-degrees"),
-        pytest.param((r"(Kind .*)\(1,0\)", r"\1(1,1)"), "factor 1 and offset 0", id="kind-offset"),
-        pytest.param((r"(Kind .*)\(1,0\)", r"\1(-1,7)"), "factor 1 and offset 0", id="kind-factor"),
-        pytest.param((r"(Counter .*\|8@1)\+", r"\1-"), "an unsigned type", id="counter-signed"),
-        pytest.param((r"(Counter .*)\[0\|255\]", r"\1[0|14]"), "range of all", id="counter-range"),
-        pytest.param((r"(TransferId2 .*\|)4@1", r"\g<1>3@1"), "the same length", id="transfer-3"),
-        pytest.param((r"(TransferId2 .*\|4@1)\+", r"\1-"), "unsigned", id="transfer-signed"),
-        pytest.param((r"(Crc .*\|16@1)\+", r"\1-"), "an unsigned type", id="crc-signed"),
-        pytest.param((r"(Page\d? .*)\(1,0\)", r"\1(1,1)"), "offset 0", id="page-offset"),
-        pytest.param((r"(YOff .*)\(0.0009765625,0\)", r"\1(0,0)"), "other than 0", id="factor-0"),
-        pytest.param((r"(YOff .*)\[[^]]*\]", r"\1[5|-5]"), "[min|max]", id="min-above-max"),
+        pytest.param(r"(Status .*: \d+)\|3@1", r"\1|2@1", "3 to 53 bits", id="status-of-2-bits"),
+        pytest.param(r"(Status .*\|3@1)\+", r"\1-", "an unsigned type", id="status-signed"),
+        pytest.param(r"(XMin .*)\(4,-20\)", r"\1(-4,8)", "positive factor", id="x-min-negative"),
+        pytest.param(r"(Age .*)\"ms\"", r'\1"s"', 'the unit "ms"', id="age-in-seconds"),
+        pytest.param(r"(Age .*)\(8,0\)", r"\1(8,-8)", "values from 0", id="age-below-0"),
+        pytest.param(r"(Age .*)\[0\|248\]", r"\1[0|240]", "range [min|max]", id="narrower-range"),
+        pytest.param(r"(Kind .*)\(1,0\)", r"\1(1,1)", "factor 1 and offset 0", id="kind-offset"),
+        pytest.param(r"(Counter .*\|8@1)\+", r"\1-", "an unsigned type", id="counter-signed"),
+        pytest.param(r"(TransferId2 .*\|)4@1", r"\g<1>3@1", "the same bits", id="transfer-3"),
+        pytest.param(r"(Page\d? .*)\(1,0\)", r"\1(1,1)", "offset 0", id="page-offset"),
+        pytest.param(r"(YOff .*)\(0.0009765625,0\)", r"\1(0,0)", "1e-30 or more", id="factor-0"),
         pytest.param(
-            (r"(XMax .*)\(4,0\) \[[^]]*\]", r"\1(4,-400) [0|0]"), "no valid range", id="x-max-low"
+            r"(XMax .*)\(4,0\) \[[^]]*\]", r"\1(4,-400) [0|0]", "no valid range", id="x-max-low"
         ),
-        pytest.param((r"(PivotC1 .*)\(0.054,-32\)", r"\1(-0.054,-4)"), "positive", id="pivot"),
+        pytest.param(r"(PivotC1 .*)\(0.054,-32\)", r"\1(-0.054,-4)", "positive", id="pivot"),
         pytest.param(
-            (r'BA_ "E2EDataId" (BO_ \d+) \d+', r'BA_ "E2EDataId" \1 7'),
+            r'BA_ "E2EDataId" (BO_ \d+) \d+', r'BA_ "E2EDataId" \1 7',
             "EGO_LEFT and slot EGO_RIGHT have the same E2EDataId", id="data-id",
         ),
         pytest.param(
-            (r'BA_ "SecOCDataId" (BO_ \d+) \d+', r'BA_ "SecOCDataId" \1 7'),
+            r'BA_ "SecOCDataId" (BO_ \d+) \d+', r'BA_ "SecOCDataId" \1 7',
             "EGO_LEFT and slot EGO_RIGHT have the same SecOCDataId", id="secoc-data-id",
         ),
     ],
 )  # fmt: skip
-def test_the_refusal_says_where_what_and_the_cure(edit: tuple[str, str], needs: str) -> None:
+def test_the_refusal_says_where_what_and_the_cure(
+    pattern: str, replacement: str, needs: str
+) -> None:
     """It names the file and the signal, what it has, what it needs and what to change."""
-    text = refusal(edit)
-    assert text.startswith("my.dbc: ")
-    assert needs in text
-    assert ";" in text
+    text, found = re.subn(pattern, replacement, original())
+    assert found
+    with pytest.raises(LayoutError) as error:
+        Codec(Layout.from_text(text, "my.dbc"))
+    assert str(error.value).startswith("my.dbc: ")
+    assert needs in str(error.value)
+    assert ";" in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["YOff", "Age", "XMax"])
-@pytest.mark.parametrize("length", [32, 64])
-def test_no_signal_is_a_float(name: str, length: int) -> None:
-    """SIG_VALTYPE_ 1 or 2, whatever the length."""
-    layout = Layout.from_text(dbc_writer_for("Cholesky").dbc())
-    signal = replace(layout[name], is_float=True, length=length, start=256, factor=1.0, offset=0.0)
-    with pytest.raises(LayoutError, match=rf"{name} is .*\(float{length}\).*an integer type"):
-        replace(layout, signals={**layout.signals, name: signal})
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('BA_ "MapLinePose" BO_ 860 1;', 'BA_ "MapLinePose" BO_ 860 2;', "MapLinePose must be"),
+        ('BA_ "E2EDataId" BO_ 860 19804;', 'BA_ "E2EDataId" BO_ 860 7;', "pose error: its messag"),
+        (
+            'BA_ "MapLinePose" BO_ 860 1;',
+            'BA_ "MapLinePose" BO_ 860 1;\nBA_ "MapLineSlot" BO_ 860 3;',
+            "MapLineSlot and MapLinePose",
+        ),
+        ("BO_ 861 PoseFd: 48", "BO_ 861 PoseFd: 32", "PoseFd"),
+        (" EgoRightCounter ", " EgoRightCounterX ", "there is no signal 'EgoRightCounter'"),
+        (" EgoRightOwnPoints ", " EgoRightOwnPoint ", "there is no signal 'EgoRightOwnPoints'"),
+    ],
+)
+def test_a_wrong_message_of_the_pose_error_is_refused(old: str, new: str, words: str) -> None:
+    """The refusal says what is wrong."""
+    assert old in pose_original()
+    with pytest.raises(LayoutError, match=words):
+        Layout.from_text(pose_original().replace(old, new))
+
+
+def test_records_have_their_own_ids() -> None:
+    """A frame of one could otherwise be delivered as one of another; any own IDs are accepted."""
+    layout = Layout.from_text(pose_original())
+    assert layout.pose is not None
+    cases: tuple[tuple[dict[str, Any], str], ...] = (
+        ({"can_id": 0x341}, "the same CAN ID, 833"),
+        ({"data_id": layout.messages[Slot.EGO_LEFT].data_id}, "the same E2EDataId"),
+    )
+    for change, words in cases:
+        messages = replace(layout.pose.messages, **change)
+        with pytest.raises(LayoutError, match=words):
+            replace(layout, pose=replace(layout.pose, messages=messages))
+    left, right = layout.messages.values()
+    swapped = {
+        Slot.EGO_LEFT: replace(left, data_id=right.data_id),
+        Slot.EGO_RIGHT: replace(right, data_id=left.data_id),
+    }
+    assert replace(layout, messages=swapped).messages == swapped
+    with pytest.raises(LayoutError, match="have the same CAN ID, 833"):
+        replace(layout, messages=swapped | {Slot.EGO_LEFT: replace(left, can_id=0x341)})
+
+
+@pytest.mark.parametrize("name", ["EdgeRightOwnPoints", "EdgeRightCounter", "RouteFitAhead"])
+def test_a_pose_error_has_all_signals_of_a_slot_or_none(name: str) -> None:
+    """Also of a slot without messages; the refusal names the signal that is missing."""
+    own = Original(replace(DEFAULT, slots=(Slot.EGO_LEFT,)), "Pose(Fd)?")
+    with altered(own, name, "renamed"), pytest.raises(LayoutError, match=f"no signal '{name}'"):
+        Layout.from_dbc(own.database)
+
+
+def test_a_pose_error_may_leave_out_slots_without_messages() -> None:
+    """All signals of a slot, in all frame formats: then scenes of the others arrive."""
+    titles = ("NextLeft", "NextRight", "Centre", "EdgeLeft", "EdgeRight", "Route")
+    pages = tuple(
+        tuple(spec for spec in page if not spec.name.startswith(titles))
+        for page in POSE_WITH_LEVELS.pages
+    )
+    pose = replace(POSE_WITH_LEVELS, pages=pages)
+    database = replace(DEFAULT, slots=(Slot.EGO_LEFT, Slot.EGO_RIGHT), pose=pose).database()
+    check_codec(Codec(Layout.from_dbc(database)), database)
+
+
+def test_conditional_records_need_a_pose_error_without_levels() -> None:
+    """Their records have the levels; those of the pose error would be filled in by nobody."""
+    writer = replace(CONDITIONAL, slots=(Slot.EGO_LEFT,))
+    with pytest.raises(LayoutError, match=r"signal EgoLeftFitAhead is .*; remove it here"):
+        Layout.from_dbc(replace(writer, pose=POSE_WITH_LEVELS).database())
+    with pytest.raises(LayoutError, match="need a message of the pose error"):
+        Layout.from_dbc(replace(writer, pose=None).database())
+
+
+# ---- DBCs that are accepted ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("code", CODES)
 def test_the_dbc_of_each_code_is_accepted(code: str) -> None:
-    """Also with finer steps, as ``maplines study`` makes them."""
+    """Also with finer steps, as ``maplines study`` makes them. It has no pose error."""
     for finer in (0,) if code in ("Float16", "Float32", "MeanOnly") else (-1, 0, 2):
-        Codec(Layout.from_text(dbc_writer_for(code, finer).dbc()), codes=CODES)
+        layout = Layout.from_dbc(replace(dbc_writer_for(code, finer), pose=None).database())
+        assert (layout.pose, layout.short_pages) == (None, layout.pages)
+        Codec(layout, codes=CODES)
 
 
 def test_from_dbc_takes_a_loaded_database() -> None:
-    """Item 3: ``Codec.from_dbc(database)`` gives the frames of the file."""
+    """``Codec.from_dbc(database)`` gives the frames of the file."""
     path = ROOT / "dbc" / "maplines.dbc"
     codec = Codec.from_dbc(cantools.database.load_file(path))  # type: ignore[arg-type]
     assert codec.layout.signals == Layout.from_dbc(path).signals
@@ -179,28 +269,3 @@ def test_from_dbc_refuses_what_is_no_dbc(given: object) -> None:
     """The message names what it takes."""
     with pytest.raises(TypeError, match="a path, or a Database that cantools has loaded"):
         Codec.from_dbc(given)  # type: ignore[arg-type]
-
-
-def test_foreign_signals_are_ignored() -> None:
-    """A signal of others in one message, and one in the padding: they are sent as 0."""
-    outcomes = {
-        alteration.name: altered_dbc.outcome(alteration, records=0).result
-        for alteration in altered_dbc.alterations_of(altered_dbc.MESSAGES)
-        if alteration.name.startswith("foreign")
-    }
-    assert outcomes.pop("foreign signal over another") == "refused"
-    assert set(outcomes.values()) == {"right"}
-
-
-def test_each_slot_is_checked_on_its_own() -> None:
-    """Data IDs that differ are accepted, in any order."""
-    layout = Layout.from_dbc()
-    swapped = {
-        slot: replace(messages, data_id=layout.messages[Slot(7 - slot)].data_id)
-        for slot, messages in layout.messages.items()
-    }
-    assert replace(layout, messages=swapped).messages == swapped
-    left = layout.messages[Slot.EGO_LEFT]
-    clash = {**layout.messages, Slot.EGO_LEFT: replace(left, can_id=0x341)}
-    with pytest.raises(LayoutError, match="have the same CAN ID, 833"):
-        replace(layout, messages=clash)

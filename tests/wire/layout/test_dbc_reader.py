@@ -217,7 +217,7 @@ def of_message(number: int, pattern: str, replacement: str) -> tuple[str, str]:
         pytest.param(
             [(r" SG_ KeyId : 391", " SG_ KeyId : 439"),
              (r" SG_ Freshness : 399\|56", " SG_ Freshness : 447|8")],
-            "Freshness .* needs 3 bytes or more", id="freshness-of-1-byte",
+            "Freshness .* needs 24 to 56 bits", id="freshness-of-1-byte",
         ),
     ],
 )  # fmt: skip
@@ -341,19 +341,25 @@ def test_a_message_with_map_line_pose_0_has_no_pose_error() -> None:
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "raw"),
+    ("low", "high", "is_whole"),
     [
-        pytest.param(0, 0, (-32768, 32767), id="none"),
-        pytest.param(-8, 8, (-8192, 8192), id="narrower"),
-        pytest.param(-1e300, 1e300, (-32768, 32767), id="wider"),
-        pytest.param(-8 + 5e-10, 8 - 5e-10, (-8192, 8192), id="rounded"),
-        pytest.param(-8 + 5e-9, 8 - 5e-9, (-8191, 8191), id="more-than-rounded"),
+        pytest.param(0, 0, True, id="none"),
+        pytest.param(-1e300, 1e300, True, id="wider"),
+        pytest.param(-32, 31.999, True, id="rounded"),
+        pytest.param(-31.9996, 31.9986, True, id="by-less-than-half-a-step"),
+        pytest.param(-31.9994, 31.999, False, id="from-a-step-later"),
+        pytest.param(-32, 31.9985, False, id="to-a-step-earlier"),
+        pytest.param(5, -5, False, id="empty"),
     ],
 )
-@pytest.mark.parametrize("sign", [1, -1])
-def test_the_range_of_a_signal(low: float, high: float, raw: tuple[int, int], sign: int) -> None:
-    """[min|max] of YOff in steps of 2^-10 m; a bound may be rounded by a millionth of a step."""
-    numbers = rf"({sign * 0.0009765625},0) [{low!r}|{high!r}]"
+def test_the_range_of_a_signal_is_that_of_its_bits(low: float, high: float, is_whole: bool) -> None:
+    """[min|max] of YOff in steps of 2^-10 m; a bound may be rounded to decimals."""
     as_it_was = r"( SG_ YOff .*\|)\d+@1- \([^)]*\) \[[^\]]*\]"
-    signal = Layout.from_text(edit(ORIGINAL, (as_it_was, rf"\g<1>16@1- {numbers}")))["YOff"]
-    assert (signal.raw_min, signal.raw_max) == raw
+    numbers = rf"\g<1>16@1- (0.0009765625,0) [{low!r}|{high!r}]"
+    text = edit(ORIGINAL, (as_it_was, numbers))
+    if is_whole:
+        signal = Layout.from_text(text)["YOff"]
+        assert (signal.raw_min, signal.raw_max) == (-32768, 32767)
+    else:
+        with pytest.raises(LayoutError, match=r"YOff is .* needs the range \[min\|max\] of all"):
+            Layout.from_text(text)

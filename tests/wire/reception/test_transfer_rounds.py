@@ -53,7 +53,9 @@ def test_the_time_out_is_one_and_a_half_cycles(apart_ms: int, reason: Any) -> No
     ("edits", "cycles"),
     [
         pytest.param([], 1.5, id="16-ids-8-components"),
-        pytest.param([(r"(ComponentCount.*)\[1\|8\]", r"\1[1|4]")], 1.5, id="at-most-1.5"),
+        pytest.param(
+            [(r"(ComponentCount.*\|)3(@.*)\[1\|8\]", r"\g<1>2\2[1|4]")], 1.5, id="at-most-1.5"
+        ),
     ],
 )
 def test_the_default_follows_from_the_dbc(edits: Any, cycles: float, tmp_path: Path) -> None:

@@ -1,0 +1,178 @@
+"""One signal of a record: its bits, and the conversion between raw and physical values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...values.errors import EncodeError
+
+#: Tolerance for the floating-point error of the division before directed rounding [steps].
+SLACK = 1e-9
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of a record, with the conversion between raw and physical values.
+
+    Args:
+        name: as in the DBC.
+        start: first bit within the record, numbered as in the DBC.
+        length: number of bits.
+        big_endian: Motorola byte order; ``start`` is then the most significant bit.
+        signed: two's complement.
+        factor: physical = raw * factor + offset.
+        offset: see factor.
+        unit: of the physical value.
+        raw_min: least raw value within the DBC's range.
+        raw_max: greatest raw value within the DBC's range; less than ``raw_min`` if there is none.
+        is_float: the raw value is the bit pattern of an IEEE 754 number. Only ``physical``
+            supports such a signal, with 32 bits.
+    """
+
+    name: str
+    start: int
+    length: int
+    big_endian: bool
+    signed: bool
+    factor: float
+    offset: float
+    unit: str
+    raw_min: int
+    raw_max: int
+    is_float: bool = False
+
+    def raw(self, physical: ArrayLike) -> NDArray[np.float64]:
+        """Return the (...,) nearest raw values, which may be out of range.
+
+        Halves are rounded to even, as in cantools.
+        """
+        return np.rint((np.asarray(physical, dtype=float) - self.offset) / self.factor)
+
+    def physical(self, raw: ArrayLike) -> NDArray[np.float64]:
+        """Return the (...,) physical values."""
+        if self.is_float:
+            pattern = np.asarray(raw, dtype=np.int64).astype(np.uint32)
+            with np.errstate(invalid="ignore"):  # the bits may be those of a signalling NaN
+                return pattern.view(np.float32).astype(float)
+        return np.asarray(raw, dtype=float) * self.factor + self.offset
+
+    def physical_one(self, raw: int) -> float:
+        """Return one physical value; as ``physical``, without the array overhead."""
+        return raw * self.factor + self.offset
+
+    def limited(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (...,) raw values clipped to the range; the caller reports the clipping."""
+        return raw.clip(self.raw_min, self.raw_max)
+
+    def nearest(self, physical: ArrayLike) -> Nearest:
+        """Return the (...,) nearest raw values within the range, and what they mean."""
+        raw = self.raw(physical)
+        limited = self.limited(raw)
+        return Nearest(limited, self.physical(limited), raw != limited)
+
+    def raw_above(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (...,) raw values of physical values, rounded up."""
+        raw = np.ceil((physical - self.offset) / self.factor - SLACK)
+        return raw + (self.physical(raw) < physical)
+
+    def raw_below(self, physical: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (...,) raw values of physical values, rounded down."""
+        raw = np.floor((physical - self.offset) / self.factor + SLACK)
+        return raw - (self.physical(raw) > physical)
+
+    def whole(self, values: NDArray[Any], most: int | None = None) -> NDArray[np.int64]:
+        """Return the (n,) raw values of numbers, such as those of an enumeration.
+
+        Raises:
+            EncodeError: one is not whole, or not in the range or from 0 to ``most``.
+        """
+        raw = self.raw(values)
+        low, high = self.physical_range
+        high = high if most is None else min(high, most)
+        physical = self.physical(raw)
+        bad = (raw != self.limited(raw)) | (physical > high) | (physical != values)
+        if bad.any():
+            raise EncodeError(
+                f"signal {self.name}: {values[bad][0]!r} is not a whole number from {low:g} to "
+                f"{high:g}"
+            )
+        return raw.astype(np.int64)
+
+    @property
+    def all_raw(self) -> tuple[int, int]:
+        """Least and greatest raw value of any bits, including those outside the DBC's range."""
+        return all_raw(self.length, self.signed)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """Least and greatest physical value of any bits."""
+        low, high = sorted(self.physical_one(raw) for raw in self.all_raw)
+        return low, high
+
+    @property
+    def physical_range(self) -> tuple[float, float]:
+        """Least and greatest physical value."""
+        low, high = sorted((self.physical(self.raw_min), self.physical(self.raw_max)))
+        return float(low), float(high)
+
+    def __str__(self) -> str:
+        """Return the signal in the notation of a DBC, with its start bit in the record."""
+        kind, low, high = f" (float{self.length})", "", ""
+        if not self.is_float:
+            kind = ""
+            ends = (self.raw_min, self.raw_max)
+            low, high = (f"{self.physical_one(raw):.12g}" for raw in ends)
+        order, sign = int(not self.big_endian), "-" if self.signed else "+"
+        return (
+            f"{self.start}|{self.length}@{order}{sign} ({self.factor:.12g},{self.offset:.12g}) "
+            f'[{low}|{high}] "{self.unit}"{kind}'
+        )
+
+
+class Nearest(NamedTuple):
+    """Raw values that are nearest to physical ones."""
+
+    raw: NDArray[np.float64]  #: (...,) within the range
+    physical: NDArray[np.float64]  #: (...,) what they mean
+    clipped: NDArray[np.bool_]  #: (...,) where the nearest one is out of range
+
+
+class SignalRow:
+    """Several signals whose values are the last axis of an array; see ``Signal``."""
+
+    def __init__(self, signals: Iterable[Signal]) -> None:
+        self.signals = tuple(signals)
+        columns = [(s.factor, s.offset, s.raw_min, s.raw_max) for s in self.signals]
+        self.factor, self._offset, self._raw_min, self._raw_max = (
+            np.array(columns, float).reshape(-1, 4).T
+        )
+
+    def nearest(self, physical: NDArray[np.float64]) -> Nearest:
+        """Return the (..., k) nearest raw values within the ranges, and what they mean."""
+        raw = np.rint((physical - self._offset) / self.factor)
+        limited = raw.clip(self._raw_min, self._raw_max)
+        return Nearest(limited, self.physical(limited), raw != limited)
+
+    def physical(self, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (..., k) physical values."""
+        return raw * self.factor + self._offset
+
+    def physical_of(self, raw: Mapping[str, NDArray[np.int64]]) -> NDArray[np.float64]:
+        """Return the (..., k) physical values of raw values by signal."""
+        columns = [raw[signal.name] for signal in self.signals]
+        return self.physical(np.stack(columns, axis=-1).astype(float))
+
+    def physical_one(self, raw: Mapping[str, int]) -> list[float]:
+        """Return the k physical values of raw values by signal, without the array overhead."""
+        return [raw[s.name] * s.factor + s.offset for s in self.signals]
+
+
+def all_raw(length: int, signed: bool) -> tuple[int, int]:
+    """Return the least and the greatest integer of a number of bits."""
+    least = -(2 ** (length - 1)) if signed else 0
+    return least, least + 2**length - 1
