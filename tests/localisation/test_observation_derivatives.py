@@ -21,7 +21,7 @@ from maplines_can.localisation import (
     SensorErrors,
     Verdict,
 )
-from maplines_can.localisation.association import GATES, associate
+from maplines_can.localisation.association import GATES, Candidates, associate
 from maplines_can.localisation.correlation import ErrorCorrelation
 from maplines_can.localisation.motion_model import FIX, HEADING, N, update
 from maplines_can.localisation.observation_models import innovation, line_jacobian
@@ -245,7 +245,7 @@ def test_the_association_one_measurement_at_a_time(seed: int) -> None:
     squared = rng.uniform(0, 40, k)
     cost = squared + rng.uniform(-8, 2, k)
     place = rng.uniform(0, 2, (k, 1 + seed % 2))
-    best, share, verdict = associate(count, of, squared, cost, place, 0.5, GATES[2])
+    best, share, verdict = associate(count, Candidates(of, squared, cost, place, 0.5), GATES[2])
     expected, shares = one_by_one(count, of, squared, cost, place, 0.5, GATES[2])
     assert [(int(b), Verdict(v)) for b, v in zip(best, verdict, strict=True)] == expected
     assert share == pytest.approx(shares)

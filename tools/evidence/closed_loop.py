@@ -288,9 +288,9 @@ class ClosedLoop:
             command = self.steering.step(now_ns, decoder.latest_scene(now_ns), motion)
             demands = command.curvature, command.speed
             car.drive(*demands, PERIOD - latency)
-            motion = car.speed, car.curvature
+            driven = car.speed, car.curvature
             moments.append(
-                LoopCycle(t, along, error, float(across), *motion, command.state, command.reason)
+                LoopCycle(t, along, error, float(across), *driven, command.state, command.reason)
             )
             tick(PERIOD)
             if command.state is SteeringState.HANDOVER and car.speed < 0.05 and t > START:
