@@ -230,8 +230,12 @@ def lateral(parameters: ArrayLike, x: ArrayLike) -> NDArray[np.float64]:
     >>> lateral([1.0, 0.0, 0.01, 0.0], [0, 10, 20])
     array([1. , 1.5, 3. ])
     """
-    y_off, beta, c0, c1 = _rows(parameters)
-    x = floats(x, "x")
+    return _lateral(_rows(parameters), floats(x, "x"))
+
+
+def _lateral(rows: NDArray[np.float64], x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lateral position of (4, ...) lines."""
+    y_off, beta, c0, c1 = rows
     return y_off + x * (np.tan(beta) + x * (c0 / 2 + x * c1 / 6))
 
 
@@ -359,18 +363,32 @@ def transform_line_or_nan(
         )
     if points > MAX_POINTS:
         raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
+    lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
+    if poses.shape[-1:] != (3,):
+        raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")
+    return transformed(lines, poses, (x_min, x_max), points, floats(quartic, "quartic"), end_weight)
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def transformed(
+    lines: NDArray[np.float64],
+    poses: NDArray[np.float64],
+    window: tuple[NDArray[np.float64], NDArray[np.float64]],
+    points: int,
+    quartic: NDArray[np.float64],
+    end_weight: float,
+) -> NDArray[np.float64]:
+    """Transform lines as ``transform_line_or_nan`` does; the arguments are not checked."""
+    x_min, x_max = window
     nodes = np.cos(np.pi * (np.arange(4) + 0.5) / 4)
     if points > 4:
         nodes = np.cos(np.pi * np.arange(points) / (points - 1))
     x = ((x_min + x_max) / 2)[..., None] + ((x_max - x_min) / 2)[..., None] * nodes
-    lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
-    if poses.shape[-1:] != (3,):
-        raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")
     dx, dy, heading = (poses[..., i, None] for i in range(3))
     root = np.ones((points, 1))
     root[[0, -1]] = math.sqrt(end_weight)
-    bend = floats(quartic, "quartic")[..., None] * _quartic(nodes, root)
-    s, t = x - dx, lateral(lines[..., None, :], x) + bend - dy  # (..., points)
+    bend = quartic[..., None] * _quartic(nodes, root)
+    s, t = x - dx, _lateral(np.moveaxis(lines[..., None, :], -1, 0), x) + bend - dy  # (..., points)
     c, d = np.cos(heading), np.sin(heading)
     u, v = c * s + d * t, c * t - d * s
     advance = np.diff(u, axis=-1) * np.sign(u[..., -1:] - u[..., :1])

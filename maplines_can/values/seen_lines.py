@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .errors import IllPosedError
 from .linalg import square_root
-from .line import lateral, lateral_jacobian, line_of_cubic, transform_line_or_nan
+from .line import lateral, lateral_jacobian, line_of_cubic, transformed
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
@@ -126,14 +126,8 @@ class SeenLines:
     def _seen(
         self, means: NDArray[np.float64], displacement: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        return transform_line_or_nan(
-            means,
-            displacement,
-            (self.fit_ranges[:, 0], self.fit_ranges[:, 1]),
-            POINTS,
-            quartic=self.quartics,
-            end_weight=END_WEIGHT,
-        )
+        window = self.fit_ranges[:, 0], self.fit_ranges[:, 1]
+        return transformed(means, displacement, window, POINTS, self.quartics, END_WEIGHT)
 
     def __call__(self, displacements: ArrayLike) -> NDArray[np.float64]:
         """Return the (N, L, 4) lines seen after (N, 3) displacements [m, m, rad]."""
