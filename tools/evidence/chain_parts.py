@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maplines_can import Gaussian, Motion, Slot, maps
-from maplines_can.bus import LineListener
+from maplines_can.bus import Receiver
 from maplines_can.consumers import FusedLane, LaneFusion, scene_view
 from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
 from maplines_can.localisation import Localisation, LocalisationLayer
@@ -24,6 +24,7 @@ from maplines_can.simulation.camera import LANE, PLACES, Errors, UnitGaussMarkov
 from maplines_can.simulation.sensors import Arrival, SensorSetup, SimulatedSensors
 from maplines_can.simulation.simulated_localisation import START_SIGMA
 from maplines_can.simulation.trajectory import CarState
+from maplines_can.wire import Decoder
 
 from .closed_loop import (
     BESIDE_CHANGE,
@@ -196,7 +197,7 @@ class Consumer:
     """Fusion and lane keeping of the receiver, and what they did."""
 
     world: World
-    source: LineListener
+    source: Decoder | Receiver
     demands: tuple[float, float] = (0.0, 0.0)
     cpu: CpuTimes = field(default_factory=lambda: CpuTimes(float))
     moments: list[Moment] = field(default_factory=list)
