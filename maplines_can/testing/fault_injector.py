@@ -19,7 +19,8 @@ from random import Random
 from typing import Any, Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ..wire import Frame
-from .faults import DAMAGES, LAST_ID, LENGTHS, FaultKind, Faults, ScriptedFault, id_range
+from .faults import Faults, id_range
+from .scripted_fault import DAMAGES, LAST_ID, LENGTHS, FaultKind, ScriptedFault
 
 __all__ = ["FaultInjector"]
 

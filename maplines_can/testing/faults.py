@@ -6,151 +6,40 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
-from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
-__all__ = [
-    "DAMAGES",
-    "LAST_EXTENDED_ID",
-    "LAST_ID",
-    "LENGTHS",
-    "FaultKind",
-    "Faults",
-    "Interval",
-    "ScriptedFault",
-    "id_range",
-]
-
-#: Payload lengths of CAN FD [bytes]; those of classic CAN end at 8.
-LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-LAST_ID, LAST_EXTENDED_ID = 0x7FF, 0x1FFFFFFF
-#: Largest script file [bytes].
-MAX_SCRIPT = 1_000_000
-
-
-class FaultKind(Enum):
-    """Kind of fault. The values are the words of a script; ``FaultInjector`` counts each kind."""
-
-    LOST = "loss"
-    DUPLICATED = "duplicate"
-    REORDERED = "reorder"
-    DELAYED = "delay"
-    FLIPPED = "flip"
-    TRUNCATED = "truncate"
-    WRONG_DLC = "wrong_dlc"
-    WRONG_ID = "wrong_id"
-    GARBAGE = "garbage"
-    FLOODED = "flood"
-
-
-class _Limits(NamedTuple):
-    least: float
-    most: float
-    unit: str = ""
-    whole: bool = False
-
-    def check(self, name: str, value: float) -> None:
-        whole = "a whole number " if self.whole else ""
-        allowed = f"{whole}in [{self.least:g}, {self.most:g}] {self.unit}".rstrip()
-        try:
-            valid = self.least <= value <= self.most and not (self.whole and value != int(value))
-        except TypeError:
-            raise TypeError(f"{name} must be {allowed}, got {value!r}") from None
-        if not valid:
-            raise ValueError(f"{name} must be {allowed}, got {_shown(value)}")
-
-
-#: Kinds that damage a frame. A frame gets one of them at most; ``corrupt`` is the first four.
-DAMAGES = (
-    *(FaultKind.FLIPPED, FaultKind.TRUNCATED, FaultKind.WRONG_DLC, FaultKind.WRONG_ID),
-    FaultKind.GARBAGE,
+from .scripted_fault import (
+    ALIASES,
+    DAMAGES,
+    DELAY,
+    DEPTH,
+    FLIP_BITS,
+    LAST_EXTENDED_ID,
+    Limits,
+    ScriptedFault,
+    number,
+    read_script,
+    shown,
 )
+
 _CORRUPT = tuple(kind.value for kind in DAMAGES[:-1])
 _RATES = ("loss", "duplicate", "reorder", "late", *(kind.value for kind in DAMAGES))
 #: Limits of the numbers among the fields of ``Faults``.
 _LIMITS = {
-    **dict.fromkeys(_RATES, _Limits(0, 1)),
-    "depth": _Limits(1, 10_000, "frames", whole=True),
-    "delay": _Limits(0, 3600, "s"),
-    "jitter": _Limits(0, 3600, "s"),
-    "flip_bits": _Limits(1, 512, "bits", whole=True),
-    "flood": _Limits(0, 10**6, "1/s"),
-    "seed": _Limits(0, 2**64, whole=True),
+    **dict.fromkeys(_RATES, Limits(0, 1)),
+    "depth": DEPTH,
+    "delay": DELAY,
+    "jitter": DELAY,
+    "flip_bits": FLIP_BITS,
+    "flood": Limits(0, 10**6, "1/s"),
+    "seed": Limits(0, 2**64, whole=True),
 }
-#: Limits of the value of a scripted fault; the other kinds take none.
-_VALUES = {
-    FaultKind.REORDERED: _LIMITS["depth"],
-    FaultKind.DELAYED: _LIMITS["delay"],
-    FaultKind.FLIPPED: _LIMITS["flip_bits"],
-    FaultKind.TRUNCATED: _Limits(0, 48, "bytes", whole=True),
-    FaultKind.WRONG_DLC: _Limits(0, 64, "bytes", whole=True),
-    FaultKind.WRONG_ID: _Limits(0, LAST_EXTENDED_ID, whole=True),
-}
-_ALIASES = {"dup": "duplicate"}
-_WORDS = {kind.value: kind for kind in FaultKind if kind is not FaultKind.FLOODED}
 _DIRECTIONS = ("both", "send", "receive")
 #: Fields that can have intervals. Outside of them, they are 0.
 _TIMED = (*_RATES, "delay", "jitter", "flood")
 #: Time in an interval [s].
 _TIME = r"((?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE]-?[0-9]+)?)"
-
-
-@dataclass(frozen=True, slots=True)
-class ScriptedFault:
-    """A fault of given frames: one line of a script.
-
-    Raises:
-        ValueError: the frames or the value are out of range.
-
-    >>> ScriptedFault.parse("flip 20-29 3")  # three bits of ten frames; they are counted from 1
-    ScriptedFault(kind=<FaultKind.FLIPPED: 'flip'>, first=20, last=29, value=3.0)
-    >>> ScriptedFault.parse("loss")
-    Traceback (most recent call last):
-    ...
-    ValueError: must be WORD FRAME [VALUE], such as 'flip 20-29 3', got 'loss'
-    """
-
-    kind: FaultKind
-    first: int  #: frame, counted from 1
-    last: int  #: frame
-    #: Bits to flip, frames or seconds to hold back, payload length, or CAN ID; None: random.
-    value: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.kind is FaultKind.FLOODED:
-            raise ValueError("a flood belongs to no frame; set its rate instead, flood=1000")
-        if not 1 <= self.first <= self.last:
-            raise ValueError(f"frames must be N or N-M from 1 on, got {self.first}-{self.last}")
-        if self.value is None:
-            return
-        if self.kind not in _VALUES:
-            raise ValueError(f"{self.kind.value!r} takes no value, got {_shown(self.value)}")
-        name = f"the value of {self.kind.value!r}"
-        _VALUES[self.kind].check(name, self.value)
-        if self.kind in (FaultKind.TRUNCATED, FaultKind.WRONG_DLC) and self.value not in LENGTHS:
-            lengths = ", ".join(map(str, LENGTHS))
-            raise ValueError(f"{name} must be a length of CAN: {lengths}, got {self.value:g}")
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Return the fault of a line ``WORD FRAME [VALUE]`` or ``WORD FIRST-LAST [VALUE]``.
-
-        Raises:
-            ValueError: the line is wrong.
-        """
-        words = text.split()
-        if not 2 <= len(words) <= 3:
-            raise ValueError(f"must be WORD FRAME [VALUE], such as 'flip 20-29 3', got {text!r}")
-        word, frames = words[:2]
-        kind = _WORDS.get(_ALIASES.get(word, word))
-        if kind is None:
-            raise ValueError(f"{word!r} is unknown; use {', '.join(_WORDS)}")
-        match = re.fullmatch(r"([0-9]{1,18})(?:-([0-9]{1,18}))?", frames)
-        if match is None:
-            raise ValueError(f"frames must be N or N-M from 1 on, got {frames!r}")
-        value = None if len(words) == 2 else _number(f"the value of {word!r}", words[2])
-        return cls(kind, int(match[1]), int(match[2] or match[1]), value)
 
 
 class Interval(NamedTuple):
@@ -270,7 +159,7 @@ class Faults:
         if not valid:
             raise ValueError(
                 f"faults: the interval of {name} must have 0 <= begin < end [s], "
-                f"got {_shown(begin)} to {_shown(end)}"
+                f"got {shown(begin)} to {shown(end)}"
             )
         if getattr(self, name) == 0:
             raise ValueError(f"faults: {name} has an interval but is 0; give its value, too")
@@ -334,7 +223,7 @@ class Faults:
             key, equals, value = (word.strip() for word in item.partition("="))
             if not (key and equals and value):
                 raise ValueError(f"faults: must be KEY=VALUE,KEY=VALUE, got {item!r}")
-            name = _ALIASES.get(key, key)
+            name = ALIASES.get(key, key)
             if name in values:
                 raise ValueError(f"faults: {name} is given twice")
             number, at, times = value.partition("@" if name != "script" else "\0")
@@ -346,7 +235,7 @@ class Faults:
             rate = values.pop("corrupt")
             if given := sorted(values.keys() & set(_CORRUPT)):
                 raise ValueError(f"faults: corrupt includes {given[0]}; give one of them only")
-            _Limits(0, 1).check("faults: corrupt", rate)
+            Limits(0, 1).check("faults: corrupt", rate)
             values |= dict.fromkeys(_CORRUPT, rate / len(_CORRUPT))
         return cls(**values, schedule=tuple(schedule))
 
@@ -359,18 +248,18 @@ def id_range(ids: int | range) -> range:
 def _parse_value(name: str, text: str) -> Any:
     known = [field.name for field in fields(Faults) if field.name != "schedule"]
     if name not in (*known, "corrupt"):
-        aliases = {full: f"{full} ({short})" for short, full in _ALIASES.items()}
+        aliases = {full: f"{full} ({short})" for short, full in ALIASES.items()}
         words = ", ".join(aliases.get(key, key) for key in known)
         raise ValueError(f"faults: {name!r} is unknown; use {words}, corrupt")
     if name == "direction":
         return text
     if name == "script":
-        return _read_script(Path(text))
+        return read_script(Path(text))
     if name == "flood_ids":
         return tuple(map(_parse_ids, text.split("+")))
-    number = _number(f"faults: {name}", text)
+    value = number(f"faults: {name}", text)
     whole = name in _LIMITS and _LIMITS[name].whole
-    return int(number) if whole and number == number // 1 else number
+    return int(value) if whole and value == value // 1 else value
 
 
 def _parse_times(value: str, text: str) -> Iterable[tuple[float, float]]:
@@ -393,37 +282,3 @@ def _parse_ids(text: str) -> int | range:
     except ValueError:
         raise ValueError(f"faults: flood_ids must look like 0x340-0x347+0, got {text!r}") from None
     return range(first, last + 1)
-
-
-def _number(name: str, text: str) -> float:
-    try:
-        return int(text, 0) if text[:2].lower() == "0x" else float(text)
-    except ValueError:
-        raise ValueError(f"{name} must be a number, got {text!r}") from None
-
-
-def _shown(number: float) -> str:
-    try:
-        return f"{number:g}"
-    except OverflowError:  # an int that is too large for a float
-        return "more than 1e308" if number > 0 else "less than -1e308"
-
-
-def _read_script(path: Path) -> tuple[ScriptedFault, ...]:
-    try:
-        with path.open("rb") as file:  # read no more: a pipe or a device may be endless
-            data = file.read(MAX_SCRIPT + 1)
-        if len(data) > MAX_SCRIPT:
-            raise ValueError(f"faults: the script {path} must have {MAX_SCRIPT:,} bytes at most")
-        text = data.decode()
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is not text"
-        raise ValueError(f"faults: the script {path} cannot be read: {reason}") from error
-    script = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if words := line.partition("#")[0].strip():
-            try:
-                script.append(ScriptedFault.parse(words))
-            except ValueError as error:
-                raise ValueError(f"faults: {path}, line {number}: {error}") from error
-    return tuple(script)

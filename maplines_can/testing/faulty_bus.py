@@ -14,9 +14,8 @@ import can
 from can.typechecking import CanFilters
 
 from .fault_injector import FaultInjector
-from .faults import FaultKind, Faults
-
-__all__ = ["FaultyBus", "FaultyOpener"]
+from .faults import Faults
+from .scripted_fault import FaultKind
 
 #: Most frames that `recv` reads after its timeout while all of them are lost or held back.
 MAX_LATE_READS = 1000
@@ -96,7 +95,7 @@ class FaultyBus(can.BusABC):
     ) -> None:
         if not isinstance(bus, can.BusABC):
             raise TypeError(f"bus must be a python-can bus, got {bus!r}")
-        faults = _parsed(faults)
+        faults = parsed(faults)
         self.bus = bus
         self._clock, self._on_sent = clock or time.monotonic, on_sent
         self._own_thread = clock is None
@@ -128,7 +127,7 @@ class FaultyBus(can.BusABC):
 
     @faults.setter
     def faults(self, faults: Faults | str | None) -> None:
-        self._faults, now = _parsed(Faults() if faults is None else faults), self._clock()
+        self._faults, now = parsed(Faults() if faults is None else faults), self._clock()
         with self._changed:
             self.sending = self._renewed(self.sending, "send", now)
         with self._taking:
@@ -337,68 +336,8 @@ class FaultyBus(can.BusABC):
         self.bus.state = new_state
 
 
-class FaultyOpener:
-    """Bus factory for ``Link`` that injects faults.
-
-    Each call opens a bus and wraps it in a ``FaultyBus``. After an outage, the new bus
-    continues the random numbers, the intervals and the counters of the previous one. The faults
-    may be set at any time, see there.
-
-    Args:
-        faults: see ``FaultyBus``.
-        opener: factory of the bus to wrap; called with the settings of the link.
-        clock: see ``FaultyBus``.
-        on_sent: see ``FaultyBus``; may be changed until the first opening.
-
-    Raises:
-        ValueError: the text of the faults is wrong.
-        TypeError: ``faults`` has a wrong type.
-
-    >>> from maplines_can import Link
-    >>> opener = FaultyOpener("loss=1,direction=send")
-    >>> with Link(opener, interface="virtual", channel="doc-opener") as link:
-    ...     _ = link.send(can.Message(arbitration_id=1))
-    >>> opener.as_dict()["lost"]
-    1
-    """
-
-    def __init__(
-        self,
-        faults: Faults | str,
-        opener: Callable[..., can.BusABC] = can.Bus,
-        *,
-        clock: Callable[[], float] | None = None,
-        on_sent: Callable[[Any], None] | None = None,
-    ) -> None:
-        self.on_sent = on_sent
-        self._faults, self._opener, self._clock = _parsed(faults), opener, clock
-        self._bus: FaultyBus | None = None
-
-    def __call__(self, **settings: Any) -> FaultyBus:
-        """Open a bus with these settings and wrap it."""
-        bus = self._opener(**settings)
-        self._bus = FaultyBus(
-            bus, self._faults, clock=self._clock, previous=self._bus, on_sent=self.on_sent
-        )
-        return self._bus
-
-    @property
-    def faults(self) -> Faults:
-        """The faults that are injected; see ``FaultyBus``."""
-        return self._faults if self._bus is None else self._bus.faults
-
-    @faults.setter
-    def faults(self, faults: Faults | str | None) -> None:
-        self._faults = _parsed(Faults() if faults is None else faults)
-        if self._bus is not None:
-            self._bus.faults = self._faults
-
-    def as_dict(self) -> dict[str, int]:
-        """Return the counters of ``FaultyBus.as_dict``; none before the first opening."""
-        return {} if self._bus is None else self._bus.as_dict()
-
-
-def _parsed(faults: Faults | str) -> Faults:
+def parsed(faults: Faults | str) -> Faults:
+    """Return faults; a text is read as that of ``--faults``."""
     if isinstance(faults, str):
         return Faults.parse(faults)
     if not isinstance(faults, Faults):

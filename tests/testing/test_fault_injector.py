@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from maplines_can.study import road
 from maplines_can.testing import FaultInjector, FaultKind, Faults, ScriptedFault
-from maplines_can.testing.faults import LENGTHS
+from maplines_can.testing.scripted_fault import LENGTHS
 from maplines_can.values.line import MapLine, Slot
 from maplines_can.wire import Frame
 
