@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..localisation import LocalisationLayer
+from ..localisation.scan_matching import ScanReference
 from ..maps import Map
 from ..simulation.pose_source import PoseSource
 from ..simulation.recorded import RecordedDrive
@@ -40,7 +41,7 @@ class ReportedPose(NamedTuple):
 
 
 def add_reported_pose(parser: argparse.ArgumentParser) -> None:
-    """Add ``--sigma``, ``--correlation-time`` and ``--localise``."""
+    """Add ``--sigma``, ``--correlation-time``, ``--localise`` and ``--scan``."""
     add = option_group(parser, "scenario").add_argument
     add(
         "--sigma",
@@ -65,10 +66,18 @@ def add_reported_pose(parser: argparse.ArgumentParser) -> None:
         "rate, and a camera that sees lines and landmarks; it gives the covariance and the "
         "correlation time",
     )
+    add(
+        "--scan",
+        action="store_true",
+        help="with --localise, a lidar, too, whose scans are matched with the walls and poles of "
+        "the map by NDT twice a second",
+    )
 
 
 def check_reported_pose(arguments: argparse.Namespace) -> None:
-    """Raise ValueError if ``--localise`` is given with what it replaces."""
+    """Raise ValueError if ``--localise`` is given with what it replaces, or ``--scan`` alone."""
+    if arguments.scan and not arguments.localise:
+        raise ValueError("--scan is a sensor of --localise; give that, too")
     given = arguments.sigma is not None or arguments.correlation_time is not None
     if arguments.localise and given:
         raise ValueError(
@@ -82,7 +91,9 @@ def reported_pose_of(
 ) -> ReportedPose:
     """Return the pose that the car knows, by the options."""
     if arguments.localise:
-        source = SimulatedLocalisation(way, LocalisationLayer(road_map), seed=arguments.seed)
+        surfaces = ScanReference(road_map) if arguments.scan else None
+        layer = LocalisationLayer(road_map)
+        source = SimulatedLocalisation(way, layer, seed=arguments.seed, surfaces=surfaces)
         return ReportedPose(source.pose, lambda: max(source.correlation_time, MIN_TIME), source)
     time = arguments.correlation_time
     if isinstance(way, RecordedDrive) and way.cov is not None and arguments.sigma is None:

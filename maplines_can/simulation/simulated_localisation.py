@@ -8,7 +8,8 @@ from collections import Counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..localisation import Localisation, LocalisationLayer
+from ..localisation import Localisation, LocalisationLayer, Odometry
+from ..localisation.scan_matching import ScanReference, match_ndt, simulated_scan
 from ..values.gaussian import Gaussian, variances
 from .recorded import RecordedDrive
 from .sensors import SensorSetup, simulated_measurements
@@ -16,6 +17,8 @@ from .trajectory import SimulatedDrive
 
 #: Standard deviations of the pose with which a localisation starts: x, y [m], heading [rad].
 START_SIGMA = (1.0, 1.0, math.radians(1.0))
+#: Time between two scans of a lidar [s].
+SCAN_PERIOD = 0.5
 
 
 class SimulatedLocalisation:
@@ -27,6 +30,8 @@ class SimulatedLocalisation:
         setup: of the sensors; None for the default ones.
         seed: of the errors of the sensors and of the start.
         start_sigma: (3,) standard deviations of the pose at the start: x, y [m], heading [rad].
+        surfaces: walls and poles of the map, for a lidar whose scans are matched with them by NDT
+            twice a second; None for a car without one.
 
     Raises:
         ValueError: a standard deviation is negative.
@@ -48,6 +53,7 @@ class SimulatedLocalisation:
         setup: SensorSetup | None = None,
         seed: int = 0,
         start_sigma: ArrayLike = START_SIGMA,
+        surfaces: ScanReference | None = None,
     ) -> None:
         setup = setup or SensorSetup()
         variance = variances(start_sigma)
@@ -58,6 +64,8 @@ class SimulatedLocalisation:
         )
         self._arrivals = simulated_measurements(way, layer, setup, rng)
         self._next = 0
+        self._way, self._surfaces = way, surfaces
+        self._scan_due, self._scan_rng = way.start, np.random.default_rng([seed, 1])
 
     def pose(self, t: float, _true_pose: ArrayLike | None = None) -> Gaussian | None:
         """Return the reported pose at a time not earlier than that of the previous call [s].
@@ -70,10 +78,24 @@ class SimulatedLocalisation:
         """
         arrivals = self._arrivals
         while self._next < len(arrivals) and arrivals[self._next].t <= t:
-            self._localisation.add(arrivals[self._next].measurement)
+            measurement = arrivals[self._next].measurement
+            self._localisation.add(measurement)
             self._next += 1
+            if isinstance(measurement, Odometry):
+                self._scan(measurement.t)
         # Only wrong stamps of the odometry are ahead of the time at which they arrive.
         return self._localisation.ego(t) if self._localisation.t <= t else None
+
+    def _scan(self, t: float) -> None:
+        """Take the pose of a scan at the time of an odometry [s], if one is due and fits."""
+        ego = self._localisation.ego()
+        if self._surfaces is None or t < self._scan_due or ego is None or self._localisation.t != t:
+            return
+        self._scan_due = t + SCAN_PERIOD
+        scan = simulated_scan(self._surfaces, self._way.at(t).pose, self._scan_rng)
+        match = match_ndt(self._surfaces, scan, ego.mean)
+        if match.is_valid:
+            self._localisation.add(match.fix(t))
 
     @property
     def correlation_time(self) -> float:

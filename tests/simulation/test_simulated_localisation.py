@@ -10,14 +10,15 @@ from lane_maps import lane, network
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from maplines_can import Polyline, Slot
+from maplines_can import Polyline, Slot, maps
 from maplines_can.localisation import GaussMarkov, GnssFix, Localisation, LocalisationLayer
+from maplines_can.localisation.scan_matching import ScanReference
 from maplines_can.maps import Landmark, LandmarkKind, Map
 from maplines_can.maps.line_source import LineSource
 from maplines_can.simulation import simulated_localisation
 from maplines_can.simulation.sensors import Arrival, SensorSetup, simulated_measurements
 from maplines_can.simulation.simulated_localisation import SimulatedLocalisation
-from maplines_can.simulation.trajectory import SimulatedDrive
+from maplines_can.simulation.trajectory import SimulatedDrive, drive_along
 from maplines_can.testing.sensor_faults import FAULTS, injected
 from maplines_can.values.line import Kind
 
@@ -127,3 +128,20 @@ def test_the_first_pose_is_off_by_what_is_stated() -> None:
         errors.append((stated.mean - way.at(0.0).pose) / sigma)
     assert np.std(errors, axis=0) == pytest.approx(np.ones(3), rel=4 / np.sqrt(300))
     assert np.abs(np.mean(errors, axis=0)).max() < 4 / np.sqrt(150)
+
+
+def test_scans_that_are_matched_make_the_pose_more_certain() -> None:
+    """In the streets of the town, where there are houses; the errors are as stated."""
+    town = maps.load(maps.town_path())
+    way = drive_along(town, maps.town_tour(town))
+    layer, sigmas, errors = LocalisationLayer(town), [], []
+    for surfaces in (None, ScanReference(town)):
+        source = SimulatedLocalisation(way, layer, seed=1, surfaces=surfaces)
+        reported = [(source.pose(t), way.at(t).pose) for t in np.arange(8.0, 16.0)]
+        known = [(ego, true) for ego, true in reported if ego is not None]
+        assert len(known) == 8
+        sigmas.append(np.mean([np.hypot(*ego.sigma[:2]) for ego, _ in known]))
+        errors += [(ego.mean - true) / ego.sigma for ego, true in known]
+        assert ("pose" in source.counts()) is (surfaces is not None)
+    assert sigmas[1] < sigmas[0] / 2
+    assert np.abs(errors).max() < 4
