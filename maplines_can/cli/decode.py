@@ -6,15 +6,15 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
-from ..bus import read_log
+from ..bus import LogFrame, read_log
 from ..values.errors import LogError
 from ..values.line import MapLine
-from ..wire import POSE, Decoder, Reason, SceneView
+from ..wire import POSE, Codec, Decoder, Reason, SceneView
 from .fitting_dbc import MAX_IDS, dbc_hint
 from .options import (
     add_codec,
@@ -77,65 +77,8 @@ def add_decode(commands: Any) -> None:
 def _decode(arguments: argparse.Namespace) -> int:
     codec = keyed_codec(arguments, clock=None)
     check_scenes(codec, arguments)
-    decoders: dict[str, Decoder] = {}
-    scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
-    last_ns = status = beyond = 0
-    has_time = True
-    frames = read_log(sys.stdin.buffer if arguments.log == "-" else arguments.log)
-    can_ids: set[int] = set()
-
-    def print_scene(channel: str, view: SceneView) -> None:
-        row = scene_dict(view) | ({} if has_time else {"t": None})
-        print(json.dumps(row | {"channel": channel}), flush=True)
-
-    def see(channel: str) -> None:
-        """Print the scene before if there is a new one, which may still get lines."""
-        if not arguments.scenes:
-            return
-        view = decoders[channel].latest_scene(last_ns)
-        before = scenes.get(channel, view)
-        is_new = is_another_scene(view, before)
-        if is_new:
-            print_scene(channel, before)
-        if view.received is not None and (is_new or before is view or not view.stale):
-            scenes[channel] = view
-
-    def lines() -> Generator[tuple[str, MapLine], None, None]:
-        nonlocal last_ns, status, beyond, has_time
-        try:
-            for frame in with_progress(frames, " frames"):
-                if len(can_ids) < MAX_IDS:
-                    can_ids.add(frame.can_id)
-                if frame.channel not in decoders:
-                    if len(decoders) == MAX_CHANNELS:
-                        beyond += 1
-                        continue
-                    decoders[frame.channel] = decoder_of(codec, arguments)
-                has_time = frame.has_time
-                last_ns = frame.t_ns
-                found = decoders[frame.channel].feed(
-                    frame.can_id, frame.data, last_ns, is_extended=frame.is_extended
-                )
-                if not isinstance(found, Reason):
-                    for line in found:
-                        yield frame.channel, line if has_time else replace(line, t_ns=None)
-                see(frame.channel)
-        except LogError as error:  # the intact records have been read by now
-            note(f"error: {error}")
-            status = 1
-        if beyond:
-            note(
-                f"error: {arguments.log}: {beyond} frames are not read, they are of channels "
-                f"beyond the first {MAX_CHANNELS}; split the log by channel"
-            )
-            status = 1
-        for channel, decoder in decoders.items():
-            decoder.expire(last_ns + 10**18)  # counts the incomplete lines at the end of the log
-            see(channel)
-        for channel, scene in scenes.items():  # that nothing has followed
-            print_scene(channel, scene)
-
-    with closing(lines()) as rows:  # ends the progress bar
+    log = DecodedLog(codec, arguments)
+    with closing(log.lines()) as rows:  # ends the progress bar
         try:
             if arguments.csv:
                 write_csv(sys.stdout, rows)
@@ -143,36 +86,123 @@ def _decode(arguments: argparse.Namespace) -> int:
                 for channel, line in rows:
                     print(json.dumps(line_dict(line) | {"channel": channel}), flush=True)
         except KeyboardInterrupt:  # the counters so far are still useful
-            status = 130
-    if not has_time:
+            log.status = 130
+    if not log.has_time:
         note(
             "the log has no time stamps, so nothing that depends on time is checked; use candump -L"
         )
-    _summarize(decoders, last_ns)
-    is_empty = not any(decoder.lines or decoder.pose_errors for decoder in decoders.values())
-    if not status and can_ids and is_empty:
-        dropped = sum((decoder.counts for decoder in decoders.values()), Counter())
-        if hint := dbc_hint(can_ids, codec, dropped):
-            note(f"error: {arguments.log}: {hint}")
-            return 1
-    return status
+    log.note_counters()
+    if not log.status and (hint := log.hint()):
+        note(f"error: {arguments.log}: {hint}")
+        return 1
+    return log.status
 
 
-def _summarize(decoders: Mapping[str, Decoder], last_ns: int) -> None:
-    """Print the counters of all frames, and the state of each slot at the end of the log."""
-    total = sum((decoder.counts for decoder in decoders.values()), Counter())
-    note(
-        f"{sum(d.lines for d in decoders.values())} lines"
-        f"{pose_errors_text(sum(d.pose_errors for d in decoders.values()))} from "
-        f"{sum(d.frames for d in decoders.values())} frames; "
-        f"{sum(d.lost for d in decoders.values())} lines lost by their counters; "
-        f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
-    )
-    for channel, decoder in decoders.items():
-        where = f"{channel} " if len(decoders) > 1 else ""
-        for owner, check in decoder.checks.items():
-            name = POSE_ERROR if owner == POSE else slot_text(owner.name)
-            check.elapse(last_ns)
-            stats = check.stats()
-            if stats.status is not None:
-                note(f"{where}{name}: {check_text(stats)}")
+class DecodedLog:
+    """Lines and scenes in a log, with a decoder for each channel.
+
+    Args:
+        codec: of the lines.
+        arguments: options of the command.
+
+    Raises:
+        LogError: the log cannot be opened.
+    """
+
+    def __init__(self, codec: Codec, arguments: argparse.Namespace) -> None:
+        self.status, self.has_time = 0, True
+        self._codec, self._arguments = codec, arguments
+        self._frames = read_log(sys.stdin.buffer if arguments.log == "-" else arguments.log)
+        self._decoders: dict[str, Decoder] = {}
+        self._scenes: dict[str, SceneView] = {}  # the newest of each channel, with --scenes
+        self._can_ids: set[int] = set()
+        self._last_ns = self._beyond = 0
+
+    def lines(self) -> Generator[tuple[str, MapLine], None, None]:
+        """Yield the lines with their channels; print the scenes."""
+        try:
+            for frame in with_progress(self._frames, " frames"):
+                if self._knows(frame):
+                    yield from self._feed(frame)
+        except LogError as error:  # the intact records have been read by now
+            note(f"error: {error}")
+            self.status = 1
+        if self._beyond:
+            note(
+                f"error: {self._arguments.log}: {self._beyond} frames are not read, they are of "
+                f"channels beyond the first {MAX_CHANNELS}; split the log by channel"
+            )
+            self.status = 1
+        for channel, decoder in self._decoders.items():
+            # This counts the incomplete lines at the end of the log.
+            decoder.expire(self._last_ns + 10**18)
+            self._see(channel)
+        for channel, scene in self._scenes.items():  # that nothing has followed
+            self._print_scene(channel, scene)
+
+    def _knows(self, frame: LogFrame) -> bool:
+        """Return whether there is a decoder for the channel of a frame, now at the latest."""
+        if len(self._can_ids) < MAX_IDS:
+            self._can_ids.add(frame.can_id)
+        if frame.channel in self._decoders:
+            return True
+        if len(self._decoders) == MAX_CHANNELS:
+            self._beyond += 1
+            return False
+        self._decoders[frame.channel] = decoder_of(self._codec, self._arguments)
+        return True
+
+    def _feed(self, frame: LogFrame) -> Iterator[tuple[str, MapLine]]:
+        """Yield the lines that a frame completes."""
+        self.has_time, self._last_ns = frame.has_time, frame.t_ns
+        found = self._decoders[frame.channel].feed(
+            frame.can_id, frame.data, frame.t_ns, is_extended=frame.is_extended
+        )
+        if not isinstance(found, Reason):
+            for line in found:
+                yield frame.channel, line if self.has_time else replace(line, t_ns=None)
+        self._see(frame.channel)
+
+    def _see(self, channel: str) -> None:
+        """Print the scene before if there is a new one, which may still get lines."""
+        if not self._arguments.scenes:
+            return
+        view = self._decoders[channel].latest_scene(self._last_ns)
+        before = self._scenes.get(channel, view)
+        is_new = is_another_scene(view, before)
+        if is_new:
+            self._print_scene(channel, before)
+        if view.received is not None and (is_new or before is view or not view.stale):
+            self._scenes[channel] = view
+
+    def _print_scene(self, channel: str, view: SceneView) -> None:
+        row = scene_dict(view) | ({} if self.has_time else {"t": None})
+        print(json.dumps(row | {"channel": channel}), flush=True)
+
+    def hint(self) -> str:
+        """Return of which DBC the frames are if there is neither a line nor a pose error."""
+        decoders = self._decoders.values()
+        if not self._can_ids or any(one.lines or one.pose_errors for one in decoders):
+            return ""
+        dropped = sum((one.counts for one in decoders), Counter())
+        return dbc_hint(self._can_ids, self._codec, dropped)
+
+    def note_counters(self) -> None:
+        """Print the counters of all frames, and the state of each slot at the end of the log."""
+        decoders = self._decoders.values()
+        total = sum((one.counts for one in decoders), Counter())
+        note(
+            f"{sum(one.lines for one in decoders)} lines"
+            f"{pose_errors_text(sum(one.pose_errors for one in decoders))} from "
+            f"{sum(one.frames for one in decoders)} frames; "
+            f"{sum(one.lost for one in decoders)} lines lost by their counters; "
+            f"dropped frames: {counts_text({reason.name: n for reason, n in total.items()})}"
+        )
+        for channel, decoder in self._decoders.items():
+            where = f"{channel} " if len(decoders) > 1 else ""
+            for owner, check in decoder.checks.items():
+                name = POSE_ERROR if owner == POSE else slot_text(owner.name)
+                check.elapse(self._last_ns)
+                stats = check.stats()
+                if stats.status is not None:
+                    note(f"{where}{name}: {check_text(stats)}")

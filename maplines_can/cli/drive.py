@@ -47,7 +47,7 @@ from .options import (
 from .output import counts_text, faults_text, pose_errors_text
 from .overwriting import add_force, check_new
 from .parsing import add_command, add_json, number, option_group, seconds
-from .reported_pose import ReportedPose, add_reported_pose, check_reported_pose, reported_pose_of
+from .reported_pose import add_reported_pose, check_reported_pose, reported_pose_of
 from .sending import add_line_model, bus_share, map_error_of, sends_scenes
 from .stderr import note, progress_bar
 from .ways import TOUR, add_way, check_way, states_of, way_of
@@ -142,28 +142,14 @@ def add_drive(commands: Any) -> None:
 
 
 def _drive(arguments: argparse.Namespace) -> int:
+    clock = _Clock()
+    _check_options(arguments)
     fast = arguments.as_fast_as_possible
-    if fast and (arguments.channel is not None or arguments.interface != "virtual"):
-        raise ValueError(
-            "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
-            "--record for a log"
-        )
-    check_way(arguments)
-    if not arguments.window[0] < arguments.window[1]:
-        low, high = arguments.window
-        raise ValueError(f"window must be MIN < MAX [m], got {low:g} {high:g}")
-    check_reported_pose(arguments)
-    _check_overwriting(arguments)
-    clock_ns = time.time_ns()
-
-    def set_clock(t_ns: int) -> None:
-        nonlocal clock_ns
-        clock_ns = t_ns
-
-    codec = keyed_codec(arguments, clock=(lambda: clock_ns) if fast else time.time_ns)
+    codec = keyed_codec(arguments, clock=clock.time_ns if fast else time.time_ns)
     if arguments.record:
         check_log_path(Path(arguments.record))
-    check_new(arguments, arguments.record, _truth_path(arguments))
+    truth_path = _truth_path(arguments)
+    check_new(arguments, arguments.record, truth_path)
     road_map = load(town_path() if arguments.map is None else arguments.map)
     if road_map.skipped:
         note(f"{road_map.name}: {len(road_map.skipped)} parts of the file are not used")
@@ -176,14 +162,22 @@ def _drive(arguments: argparse.Namespace) -> int:
         )
     way, route = way_of(road_map, arguments)
     states = states_of(way, arguments)
-    as_scene = sends_scenes(codec, arguments)
     reported = reported_pose_of(road_map, way, arguments)
-    source = _source(road_map, reported, route, slots, components, arguments, as_scene=as_scene)
-    counters = Counters()
+    source = LineSource(
+        road_map,
+        reported.pose,
+        slots,
+        route,
+        arguments.window,
+        map_error=map_error_of(arguments),
+        components=components,
+        correlation_time=reported.correlation_time if sends_scenes(codec, arguments) else None,
+        max_sigma=arguments.max_sigma,
+    )
     with ExitStack() as stack:
         truth = None
-        if path := _truth_path(arguments):
-            writer = stack.enter_context(TruthWriter(path, slots))
+        if truth_path:
+            writer = stack.enter_context(TruthWriter(truth_path, slots))
             truth = TruthRecorder(writer, LaneTracker(road_map, route), slots)
         shape = "{l_bar}{bar}| {n:.0f}/{total:.0f} s"
         progress = stack.enter_context(progress_bar(" s", bar_format=shape, leave=False))
@@ -197,25 +191,58 @@ def _drive(arguments: argparse.Namespace) -> int:
             (lambda start: LogWriter(arguments.record, start)) if arguments.record else None,
             truth,
             progress,
-            counters,
         )
         if not arguments.json:
             note(_start_text(road_map, route, states, arguments))
-        if fast:
-            sent = drive.simulate(time.time_ns(), set_clock, fault_injector(arguments))
-        else:
-            sent = _send(drive, arguments)
-    result = _result(states, counters, arguments) | sent
+        sent = _simulate(drive, clock, arguments) if fast else _send(drive, arguments)
+    result = _result(states, drive.counters, arguments) | sent
+    result |= {"record": arguments.record, "truth": truth_path}
+    if reported.localisation is not None:
+        result["measurements"] = reported.localisation.counts()
+    _note_end(drive.counters, result["seconds"])
+    print(json.dumps(result, indent=2) if arguments.json else _text(result))
+    return 0
+
+
+class _Clock:
+    """Clock of a drive that is not sent in real time."""
+
+    def __init__(self) -> None:
+        self.now_ns = time.time_ns()
+
+    def time_ns(self) -> int:
+        """Return the time [ns]."""
+        return self.now_ns
+
+    def set(self, t_ns: int) -> None:
+        """Set the time [ns]."""
+        self.now_ns = t_ns
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    """Raise ValueError if options do not fit together."""
+    if arguments.as_fast_as_possible and (
+        arguments.channel is not None or arguments.interface != "virtual"
+    ):
+        raise ValueError(
+            "--as-fast-as-possible uses no bus; leave out --interface and --channel, and give "
+            "--record for a log"
+        )
+    check_way(arguments)
+    if not arguments.window[0] < arguments.window[1]:
+        low, high = arguments.window
+        raise ValueError(f"window must be MIN < MAX [m], got {low:g} {high:g}")
+    check_reported_pose(arguments)
+    _check_overwriting(arguments)
+
+
+def _note_end(counters: Counters, seconds: float) -> None:
+    """Print what was unusual in a drive of a duration [s]."""
     if counters.off_map > MAX_OFF_MAP * counters.cycles:
         share = 100 * counters.off_map / counters.cycles
         note(f"in {share:.0f} % of the cycles no lane is near the car: is the drive of this map?")
     if counters.stopped:
-        note(f"stopped by Ctrl-C after {result['seconds']:.1f} s of the drive")
-    result |= {"record": arguments.record, "truth": path}
-    if reported.localisation is not None:
-        result["measurements"] = reported.localisation.counts()
-    print(json.dumps(result, indent=2) if arguments.json else _text(result))
-    return 0
+        note(f"stopped by Ctrl-C after {seconds:.1f} s of the drive")
 
 
 def _check_overwriting(arguments: argparse.Namespace) -> None:
@@ -225,6 +252,10 @@ def _check_overwriting(arguments: argparse.Namespace) -> None:
         name = getattr(arguments, option)
         if name and Path(name).resolve() in inputs:
             raise ValueError(f"--{option} {name} would overwrite what is read; use another name")
+
+
+def _simulate(drive: Transmission, clock: _Clock, arguments: argparse.Namespace) -> dict[str, Any]:
+    return drive.simulate(time.time_ns(), clock.set, fault_injector(arguments))
 
 
 def _send(drive: Transmission, arguments: argparse.Namespace) -> dict[str, Any]:
@@ -280,30 +311,6 @@ def _free_load(arguments: argparse.Namespace) -> float:
             "higher --bitrate"
         )
     return float(1 - load)
-
-
-def _source(
-    road_map: Map,
-    reported: ReportedPose,
-    route: Route | None,
-    slots: tuple[Slot, ...],
-    components: int | ChooseComponents,
-    arguments: argparse.Namespace,
-    *,
-    as_scene: bool,
-) -> LineSource:
-    """Return the source of the lines around the pose that the car knows."""
-    return LineSource(
-        road_map,
-        reported.pose,
-        slots,
-        route,
-        arguments.window,
-        map_error=map_error_of(arguments),
-        components=components,
-        correlation_time=reported.correlation_time if as_scene else None,
-        max_sigma=arguments.max_sigma,
-    )
 
 
 def _truth_path(arguments: argparse.Namespace) -> str | None:

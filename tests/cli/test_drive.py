@@ -539,3 +539,12 @@ def test_a_localisation_has_its_own_errors(
 ) -> None:
     assert main(["drive", *FAST, "--localise", *option]) != 0
     assert "--localise gives the errors of the pose itself" in capsys.readouterr().err
+
+
+def test_a_scan_is_a_sensor_of_the_localisation(capsys: pytest.CaptureFixture[str]) -> None:
+    """With it, the counters have the poses of the scans."""
+    drive = ["drive", "--as-fast-as-possible", "--seconds", "2", "--json", "--scan"]
+    assert main([*drive, "--localise"]) == 0
+    assert json.loads(capsys.readouterr().out)["measurements"]["pose"] == {"USED": 4}
+    assert main(drive) == 1
+    assert "--scan is a sensor of --localise" in capsys.readouterr().err
