@@ -15,6 +15,7 @@ import pytest
 import maplines_can as ml
 from maplines_can import bus, propagation, testing, wire
 from maplines_can.study.dbc.record_spec import DEFAULT
+from maplines_can.values import line
 
 #: What Python itself raises where an object of another class is passed. A type checker finds it.
 WRONG_CLASS = (TypeError, AttributeError)
@@ -51,7 +52,7 @@ def _objects() -> dict[str, Any]:
     """Return the public names, and an object of each kind."""
     names = {
         name: getattr(module, name)
-        for module in (ml, propagation, wire, bus, testing)
+        for module in (ml, propagation, wire, bus, testing, ml.simulation)
         for name in module.__all__
     }
     cov = np.diag([0.1, 0.01, 1e-3, 1e-4]) ** 2
@@ -61,6 +62,9 @@ def _objects() -> dict[str, Any]:
     road = ml.Polyline(np.array([[x, 2.0] for x in range(-20, 100, 5)]))
     codec = ml.Codec.from_dbc()
     return names | {
+        "lateral": line.lateral,
+        "lateral_jacobian": line.lateral_jacobian,
+        "transform_line": line.transform_line,
         "nan": np.nan,
         "inf": np.inf,
         "eye": np.eye,

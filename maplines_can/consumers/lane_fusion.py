@@ -14,7 +14,6 @@ from ..values.gaussian import Gaussian
 from ..values.linalg import block_diagonal, square_root
 from ..values.line import MapLine, Slot
 from ..values.scene import PoseError, Scene
-from ..values.seen_lines import SeenLines
 from ..wire import SceneView
 from .consumer import age_of, scene_view
 from .lane_filter import BIAS_SIGMA, BIAS_TIME, Handling, LaneFilter, N, move_lines
@@ -193,12 +192,10 @@ class LaneFusion:
             self._set_pose_error(scene.pose_error)
         self._done = key, before | frozenset(slots)
         self._map_ns = now_ns - round(1e9 * view.age)
-        keep = [scene.index[slot] for slot in slots]
-        seen = SeenLines(scene.means[keep], scene.fit_ranges[keep])
-        J = seen.jacobian().reshape(-1, 3)
-        own = positive_part(scene.joint(slots).cov - J @ scene.pose_error.cov @ J.T)
+        scene = scene.subset(slots)
+        J, own = scene.conditional()
         moved = motion.over(view.age, AGE_SIGMA)
-        lines, F, G = move_lines(seen.means, moved.mean, seen.fit_ranges)
+        lines, F, G = move_lines(scene.means, moved.mean, scene.fit_ranges)
         if np.isnan(lines).any():
             return
         F, G = block_diagonal(F), G.reshape(-1, 3)
@@ -207,7 +204,7 @@ class LaneFusion:
         z[rows], loading[rows] = lines.ravel(), F @ J @ self._root
         cov[np.ix_(rows, rows)] = F @ own @ F.T + G @ moved.cov @ G.T
         used = np.isin(np.arange(N), rows)
-        for slot, fit in zip(slots, seen.fit_ranges, strict=True):
+        for slot, fit in zip(slots, scene.fit_ranges, strict=True):
             line = scene.line(slot)
             self._set_range(
                 slot, fit - moved.mean[0], np.array([line.x_min, line.x_max]) - moved.mean[0]
@@ -278,10 +275,3 @@ class LaneFusion:
         rest = self._estimate()
         pose_error = PoseError(np.zeros((3, 3)) if rest is None else rest.cov, time)
         return Scene(lines, cov, pose_error, self._fit)
-
-
-def positive_part(cov: Array) -> Array:
-    """Return a symmetric matrix without the negative eigenvalues, which are rounding errors."""
-    scale = np.sqrt(cov.diagonal().clip(1e-24))
-    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
-    return np.asarray((vectors * values.clip(0)) @ vectors.T * np.outer(scale, scale))

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from .arrays import floats
 from .gaussian import Gaussian
-from .linalg import is_covariance
+from .linalg import block_diagonal, is_covariance, positive_part
 from .line import PARAMETERS, LeftOut, MapLine, Slot, lateral, lateral_jacobian
 from .map_error import MapError
+from .seen_lines import SeenLines, bases
 
 #: Parameters of a line.
 N = len(PARAMETERS)
@@ -48,6 +49,13 @@ class PoseError:
             )
 
 
+class Conditional(NamedTuple):
+    """Parameters of lines as a linear function of the pose error, and what else varies."""
+
+    J: NDArray[np.float64]  #: (4 L, 3) derivatives with respect to along, across and heading
+    cov: NDArray[np.float64]  #: (4 L, 4 L) of the lines if the pose error is known
+
+
 class Estimate(NamedTuple):
     """A quantity with its standard deviation, in the same unit."""
 
@@ -66,7 +74,8 @@ class Scene:
     ``map_scene`` makes a scene at the sender, ``Receiver.latest_scene`` at the receiver.
 
     Args:
-        lines: the lines, each of another slot, without mixtures.
+        lines: the lines, each of another slot, without mixtures. Their covariances are the blocks
+            of ``cov``.
         cov: (4 L, 4 L) joint covariance of the parameters of all lines, in their order.
         pose_error: error of the pose.
         fit_ranges: (L, 2) ranges in which the cubics were fitted, which contain the valid ranges
@@ -194,6 +203,24 @@ class Scene:
             quartics=self.quartics[places],
             specific_covs=None if self.specific_covs is None else self.specific_covs[places],
         )
+
+    def conditional(self) -> Conditional:
+        """Return the lines conditional on the pose error.
+
+        Their joint covariance is J P J' and that of the rest: the line-specific covariances, and
+        what is not linear in the pose error. The rest is positive semidefinite.
+
+        >>> lines = [MapLine(Slot.CENTRE, Gaussian(np.zeros(4), np.diag([0.05, 0.02, 0, 0])))]
+        >>> pose = PoseError(np.diag([0.0, 0.2, 0.1]) ** 2)
+        >>> rest = Scene(lines, lines[0].gaussian.cov, pose, [[-20, 80]]).conditional().cov
+        >>> rest.diagonal().round(6)
+        array([0.01, 0.01, 0.  , 0.  ])
+        """
+        seen = SeenLines(self.means, self.fit_ranges, self.quartics)
+        J = seen.jacobian().reshape(-1, 3)
+        rest = self.cov - J @ self.pose_error.cov @ J.T
+        in_metres = block_diagonal(bases(self.means, self.fit_ranges))
+        return Conditional(J, positive_part(rest, in_metres))
 
     def x_range(self, slots: Iterable[Slot]) -> tuple[float, float]:
         """Return the range in which all lines of these slots are valid [m]; it may be empty.

@@ -10,7 +10,6 @@ from scipy.linalg import block_diag
 from maplines_can import Gaussian, MapLine, Motion, PoseError, Scene, Slot
 from maplines_can.consumers import LaneFusion, scene_view
 from maplines_can.consumers.lane_filter import LaneFilter, move_lines
-from maplines_can.consumers.lane_fusion import positive_part
 from maplines_can.propagation import predict
 from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire import SceneView
@@ -379,18 +378,6 @@ def test_the_steps_are_those_of_a_lane_filter() -> None:
     assert lane.scene.means.ravel() / scale == pytest.approx(peer.mean[:8] / scale, abs=1e-6)
     error = (lane.scene.cov - peer.cov[:8, :8]) / np.outer(scale, scale)
     assert np.abs(error).max() <= 1e-6
-
-
-def test_the_positive_part_has_no_negative_eigenvalue() -> None:
-    """In units of the standard deviations; a covariance is kept."""
-    rng = np.random.default_rng(2)
-    A = rng.standard_normal((8, 8)) * np.tile([1.0, 1e-2, 1e-4, 1e-6], 2)[:, None]
-    assert positive_part(A @ A.T) == pytest.approx(A @ A.T, rel=1e-9, abs=1e-18)
-    assert not positive_part(np.zeros((8, 8))).any()
-    scale = np.array([1.0, 1e-3])
-    indefinite = np.array([[1.0, 2.0], [2.0, 1.0]]) * np.outer(scale, scale)
-    expected = 1.5 * np.ones((2, 2)) * np.outer(scale, scale)  # of the eigenvalue 3
-    assert positive_part(indefinite) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

@@ -56,6 +56,16 @@ def received(codec: Codec, scene: Scene, *, fd: bool = False) -> Scene:
     return view.scene
 
 
+@pytest.mark.parametrize("name", ALL)
+def test_a_line_of_a_received_scene_has_its_block_of_the_joint_covariance(name: str) -> None:
+    """Also that of a complete record, whose own covariance is smaller. One scene, one truth."""
+    scene = received(codec_of(name), road_scene())
+
+    for i, line in enumerate(scene.lines):
+        block = slice(4 * i, 4 * i + 4)
+        assert np.array_equal(line.gaussian.cov, scene.cov[block, block])
+
+
 def assert_covers(decoded: Scene, sent: Scene) -> None:
     """Check that the joint covariance covers that of the same lines as sent, and their errors."""
     slots = [line.slot for line in decoded.lines]

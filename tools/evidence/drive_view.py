@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maplines_can.consumers.lane_fusion import positive_part
 from maplines_can.maps import LaneTracker, Map, Route
 from maplines_can.propagation import MapError, map_scene
 from maplines_can.simulation.camera import COLUMNS, LANE, PLACES, camera_lines
@@ -17,7 +16,6 @@ from maplines_can.simulation.trajectory import CarState, SimulatedDrive
 from maplines_can.simulation.truth import true_lines
 from maplines_can.values.gaussian import Gaussian
 from maplines_can.values.scene import Scene
-from maplines_can.values.seen_lines import SeenLines
 from maplines_can.wire import Codec, Decoder, Encoder
 
 Array = NDArray[np.float64]
@@ -80,7 +78,7 @@ def drive_view(
             view.fit_ranges[k] = received.fit_ranges
             low, high = received.x_range(LANE)
             view.valid[k] = (np.array(PLACES) >= low) & (np.array(PLACES) <= high)
-            view.own[k] = specific_cov(received)
+            view.own[k] = received.conditional().cov
     return view
 
 
@@ -106,9 +104,3 @@ def transferred(encoder: Encoder, decoder: Decoder, scene: Scene, t: float) -> S
     received = decoder.scene()
     is_new = received is not None and abs(received.t_ns / 1e9 - AGE - t) < FRAME
     return received.scene if received is not None and is_new else None
-
-
-def specific_cov(scene: Scene) -> Array:
-    """Return the (4 L, 4 L) covariance of what the lines of a scene have of their own."""
-    J = SeenLines(scene.means, scene.fit_ranges).jacobian().reshape(-1, 3)
-    return positive_part(scene.cov - J @ scene.pose_error.cov @ J.T)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from ...values.gaussian import Gaussian
-from ...values.line import PARAMETERS, Kind, MapLine, Slot
+from ...values.line import PARAMETERS, Kind, MapLine, Slot, Status
 from ...values.map_error import MapError
 from ...values.scene import PoseError, Scene
 from ...values.seen_lines import SeenLines, valid_ranges
@@ -48,8 +49,9 @@ class SceneReader:
     def scene(self, pose: RawRecord, t_ns: int, members: Sequence[Member]) -> Scene:
         """Return the scene of a pose error and the lines received that belong to it.
 
-        A line of a conditional record has the covariance that it has in the scene. Another line is
-        as it was received; its covariance may be larger than that in the scene.
+        Its lines have the covariances that they have in the joint one. That of a complete record is
+        often smaller, as it need not be conditional on the pose error: it stays with the line of
+        the slot, as ``Decoder.feed`` returns it.
 
         Args:
             pose: record of the pose error.
@@ -88,11 +90,12 @@ class SceneReader:
         age = self.age(pose)
         lines = []
         for i, (content, line_ns) in enumerate(members):
-            if isinstance(content, MapLine):
-                lines.append(content)
-                continue
             block = slice(N * i, N * i + N)
             cov = decoded.cov[block, block].copy()
+            if isinstance(content, MapLine):
+                gaussian = Gaussian.trusted(content.gaussian.mean, cov)
+                lines.append(replace(content, gaussian=gaussian, status=_of_scene(content.status)))
+                continue
             low, high = float(x_min[i]), float(x_max[i])
             middle = float(x_ranges[i].mean())
             lines.append(
@@ -129,6 +132,15 @@ class SceneReader:
         raw = {s.name: int(s.raw(x)) for s, x in zip(self._signals, values, strict=True)}
         prefix = slot_title(Slot(content.slot))
         return raw | {name: pose[prefix + name] for name in SLOT_SIGNALS}
+
+
+def _of_scene(status: Status) -> Status:
+    """Return the status of a line whose record may have said less of its covariance than a scene.
+
+    >>> _of_scene(Status.DIAGONAL).name, _of_scene(Status.SATURATED).name
+    ('FULL', 'SATURATED')
+    """
+    return Status.FULL if status in (Status.UNKNOWN, Status.DIAGONAL) else status
 
 
 def _later(age: float, passed_ns: int) -> float:
