@@ -37,7 +37,7 @@ from maplines_can.values.line import (
 from maplines_can.values.mixture import GaussianMixture
 from maplines_can.values.polyline import to_ego
 
-N = 100_000
+N = 25_000
 WINDOW = (0.0, 80.0)
 X = np.linspace(*WINDOW, 9)
 MEAN = np.array([1.75, 0.02, 1e-3, 1e-6])
