@@ -116,14 +116,14 @@ def chosen(names: Sequence[str]) -> list[Evidence]:
 def parsed(text: str, kind: Any) -> Any:
     """Return the value of an option of a type.
 
-    >>> parsed("1e6", int), parsed("true", bool), parsed("a,b", tuple[str, ...])
-    (1000000, True, ('a', 'b'))
+    >>> parsed("1e6", int), parsed("true", bool), parsed("a,b, c", tuple[str, ...])
+    (1000000, True, ('a', 'b, c'))
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is types.UnionType:
         return parsed(text, arguments[0])
     if origin is tuple:
-        return tuple(parsed(part, arguments[0]) for part in text.split(","))
+        return tuple(parsed(part, arguments[0]) for part in re.split(r",(?! )", text))
     if origin is typing.Literal:
         if text not in arguments:
             raise ValueError(f"must be one of {', '.join(arguments)}, got {text!r}")
@@ -368,7 +368,9 @@ def listed(every: Iterable[Evidence]) -> Iterator[str]:
     """Yield the lines of the list of all evidence."""
     for one in every:
         yield f"{one.name:28} {one.about}"
-        yield f"{'':28}   {', '.join(f'{k}={v[1]}' for k, v in one.options.items())}"
+        for name, (_, default) in one.options.items():
+            text = ",".join(map(str, default)) if isinstance(default, tuple) else str(default)
+            yield f"{'':28}   {name}={text}"
 
 
 def report(results: Mapping[str, Any], arguments: argparse.Namespace) -> int:
