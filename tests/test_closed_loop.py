@@ -10,7 +10,8 @@ from evidence.closed_loop import DRIFT, Car, ReportedPoses, on_street, without
 
 from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_scene
 from maplines_can.consumers import scene_view
-from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
+from maplines_can.consumers.speed_limit import SteeringReason
+from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError
 

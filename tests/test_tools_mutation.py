@@ -132,7 +132,7 @@ def test_the_areas_have_all_of_their_packages() -> None:
         for path in (*area.sources, *area.tests):
             assert (ROOT / path).exists(), name
     sources = {path for area in AREAS.values() for path in area.sources}
-    for package in ("bus", "consumers", "ego", "maps", "propagation", "wire"):
+    for package in ("bus", "consumers", "localisation", "maps", "propagation", "values", "wire"):
         assert f"maplines_can/{package}" in sources
 
 
@@ -140,4 +140,4 @@ def test_an_area_that_is_none_is_an_error(tree: Path) -> None:
     """The message names those that there are."""
     status, result = run(tree, "wires")
     assert status == 2
-    assert "there is no area wires; there are core, ego, consumers" in result["error"]
+    assert "there is no area wires; there are core, values, propagation" in result["error"]

@@ -2,7 +2,7 @@
 """Mutation test: change one place of the product at a time; the tests must fail.
 
     mutation.py                           a sample of 300 mutants of wire/ and bus/
-    mutation.py ego consumers propagation maps scenes --sample 200      of other areas
+    mutation.py values propagation maps --sample 200                    of other areas
     mutation.py --sample 0                all of wire/ and bus/: about 5000, most of a day
     mutation.py --sources maplines_can/wire/reception --sample 0     all of a folder or a file
 
@@ -83,14 +83,8 @@ def _folder(name: str) -> Area:
     return Area([f"maplines_can/{name}"], [f"tests/{name}", f"maplines_can/{name}"])
 
 
-#: Code of scenes, which is in several packages.
-SCENES = [
-    *(f"maplines_can/{name}.py" for name in ("map_error", "scene", "seen_lines")),
-    *(f"maplines_can/wire/covariance/{n}.py" for n in ("joint", "specific_levels")),
-    *(f"maplines_can/wire/covariance/scene_{n}.py" for n in ("code", "encoder")),
-    *(f"maplines_can/wire/records/scene_{n}.py" for n in ("reader", "writer")),
-    "maplines_can/wire/reception/scenes.py",
-]
+#: Packages that are areas of their own.
+FOLDERS = ("values", "propagation", "maps", "localisation", "simulation", "consumers")
 #: Areas by name. Tests that run commands are left out: they are slow.
 AREAS = {
     "core": Area(
@@ -102,20 +96,7 @@ AREAS = {
             *("maplines_can/wire", "maplines_can/bus"),
         ],
     ),
-    **{name: _folder(name) for name in ("ego", "consumers", "propagation", "maps")},
-    "scenes": Area(
-        SCENES,
-        [
-            *(f"tests/test_{what}.py" for what in ("map_error", "scene", "seen_lines")),
-            *("tests/wire/covariance", "tests/wire/test_scenes_on_wire.py"),
-            *(f"tests/wire/layout/test_{what}.py" for what in ("raw_format", "scene_ranges")),
-            *(
-                f"tests/wire/reception/test_{what}.py"
-                for what in ("epochs", "latest_epoch", "poses", "scenes")
-            ),
-            *SCENES,
-        ],
-    ),
+    **{name: _folder(name) for name in FOLDERS},
 }
 
 

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from maplines_can.consumers.steering import LaneSteering, SteeringReason, SteeringState
+from maplines_can.consumers.speed_limit import SteeringReason
+from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.maps import Map, Route
 from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation import MapError, Motion, map_scene

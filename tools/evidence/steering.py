@@ -23,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from maplines_can.consumers.steering import SteeringReason, SteeringState
+from maplines_can.consumers.speed_limit import SteeringReason
+from maplines_can.consumers.steering import SteeringState
 from maplines_can.maps import Map, Route, load, town_path, town_tour
 from maplines_can.simulation import STREETS
 
