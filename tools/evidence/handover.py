@@ -20,12 +20,8 @@ from maplines_can import Slot
 from maplines_can import maps as map_model
 from maplines_can.consumers import scene_view
 from maplines_can.consumers.path import WIDTHS
-from maplines_can.consumers.steering import (
-    LaneSteering,
-    SteeringLimits,
-    SteeringReason,
-    SteeringState,
-)
+from maplines_can.consumers.speed_limit import SteeringLimits, SteeringReason
+from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.maps.line_source import WINDOW, LineSource
 from maplines_can.propagation.motion import Motion
 from maplines_can.simulation import PoseSource
