@@ -321,6 +321,21 @@ def transform_line(
     return lines
 
 
+def check_window(x_min: NDArray[np.float64], x_max: NDArray[np.float64], points: int) -> None:
+    """Check the window and the number of points of ``transform_line_or_nan``.
+
+    Raises:
+        ValueError: the window is empty or not finite, or there are too few or too many points.
+    """
+    if points < 4 or not (np.isfinite(x_min) & np.isfinite(x_max) & (x_min < x_max)).all():
+        raise ValueError(
+            "points must be 4 or more in a window of x_min < x_max, "
+            f"got {number_text(points)} points in ({_ends_text(x_min)}, {_ends_text(x_max)}) m"
+        )
+    if points > MAX_POINTS:
+        raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
+
+
 def _ends_text(ends: NDArray[np.float64]) -> str:
     return f"{ends:g}" if ends.ndim == 0 else str(ends)
 
@@ -356,13 +371,7 @@ def transform_line_or_nan(
         end_weight: weight of each end in the fit; that of the other points is 1.
     """
     x_min, x_max = (floats(end, "window") for end in window)
-    if points < 4 or not (np.isfinite(x_min) & np.isfinite(x_max) & (x_min < x_max)).all():
-        raise ValueError(
-            "points must be 4 or more in a window of x_min < x_max, "
-            f"got {number_text(points)} points in ({_ends_text(x_min)}, {_ends_text(x_max)}) m"
-        )
-    if points > MAX_POINTS:
-        raise ValueError(f"points must be {MAX_POINTS} or fewer, got {number_text(points)}")
+    check_window(x_min, x_max, points)
     lines, poses = np.moveaxis(_rows(parameters), 0, -1), floats(displacement, "displacement")
     if poses.shape[-1:] != (3,):
         raise ValueError(f"displacement must have shape (..., 3), got {poses.shape}")

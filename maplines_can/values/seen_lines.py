@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .arrays import floats
 from .errors import IllPosedError
 from .linalg import square_root
-from .line import lateral, lateral_jacobian, line_of_cubic, transformed
+from .line import check_window, lateral, lateral_jacobian, line_of_cubic, transformed
 
 #: Standard deviations of the pose error by which the range of a line is shortened at an end, so
 #: that the line seen from the true pose ends beyond it.
@@ -117,6 +117,7 @@ class SeenLines:
         self.quartics = floats(np.zeros(lines) if quartics is None else quartics, "quartics")
         if self.quartics.shape != (lines,):
             raise ValueError(f"quartics must be (L,), got {self.quartics.shape}")
+        check_window(self.fit_ranges[:, 0], self.fit_ranges[:, 1], POINTS)
         if np.isnan(self._values(np.zeros((1, 3)))).any():
             raise IllPosedError("a line is nearly perpendicular to the x axis in its range")
 

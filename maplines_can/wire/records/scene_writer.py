@@ -119,35 +119,54 @@ class SceneWriter:
             age: time from the pose to the sending of each record, or one for all [s]; infinite if
                 it is too old.
         """
-        members = prepared.members
-        sent = [line for line in prepared.scene.lines if line.slot in prepared.sent_slots]
         ages = age if isinstance(age, Mapping) else dict.fromkeys((POSE, *Slot), age)
+        records, following = self._line_records(prepared, counters, ages)
+        raw = self._raw_pose(prepared, counters, following) | {"Age": self._raw_age(ages[POSE])}
+        number = following[POSE] % self._pose_modulus
+        pose = self._pose_format.write(RawRecord(POSE, number, raw))
+        following[POSE] = (number + 1) % self._pose_modulus
+        return {POSE: pose} | records, following
+
+    def _line_records(
+        self, prepared: PreparedScene, counters: Mapping[Owner, int], ages: Mapping[Owner, float]
+    ) -> tuple[dict[Owner, bytes], Counter[Owner]]:
+        """Return the record of each line that is sent, and the counters that follow."""
+        sent = [line for line in prepared.scene.lines if line.slot in prepared.sent_slots]
         following: Counter[Owner] = Counter(counters)
-        records: dict[Owner, bytes] = {}
         if self._line_format is not None:
+            records, members = dict[Owner, bytes](), prepared.members
             for line in sent:
                 counter = following[line.slot] % self._modulus
                 raw = members[line.slot] | {"Kind": int(line.kind)}
                 records[line.slot] = self._line_format.write(RawRecord(line.slot, counter, raw))
                 following[line.slot] = (counter + 1) % self._modulus
-        elif self._complete is not None and sent:
-            aged = [replace(line, age=ages[line.slot]) for line in sent]
-            of_lines, following = self._complete.write_lines(aged, counters)
-            records |= {line.slot: of[0].tobytes() for line, of in zip(aged, of_lines, strict=True)}
-        raw_pose = dict(prepared.encoded.pose) | {"Age": self._raw_age(ages[POSE])}
+            return records, following
+        if self._complete is None or not sent:
+            return {}, following
+        aged = [replace(line, age=ages[line.slot]) for line in sent]
+        of_lines, following = self._complete.write_lines(aged, counters)
+        return {
+            line.slot: record.tobytes() for line, (record,) in zip(aged, of_lines, strict=True)
+        }, following
+
+    def _raw_pose(
+        self,
+        prepared: PreparedScene,
+        counters: Mapping[Owner, int],
+        following: Mapping[Owner, int],
+    ) -> dict[str, int]:
+        """Return the raw values of the pose error, with counters and levels of the slots."""
+        raw, members = dict(prepared.encoded.pose), prepared.members
         for slot, signal in self._pose.counters.items():
-            bits, then = signal.length, following[slot]
+            bits, then = signal.length, following.get(slot, 0)
             first = counters.get(slot, 0) % 2**bits
             # A line that is sent but is no member has a counter before ``then``, as earlier ones.
             stated = first if slot in members else absent_counter(then - 1, then, bits)
-            raw_pose[signal.name] = stated
+            raw[signal.name] = stated
         for slot, names in self._levels.items():
-            own = members.get(slot, {})
-            raw_pose |= {of_pose: own.get(name, 0) for name, of_pose in names.items()}
-        number = following[POSE] % self._pose_modulus
-        pose = self._pose_format.write(RawRecord(POSE, number, raw_pose))
-        following[POSE] = (number + 1) % self._pose_modulus
-        return {POSE: pose} | records, following
+            levels = members.get(slot, {})
+            raw |= {of_pose: levels.get(name, 0) for name, of_pose in names.items()}
+        return raw
 
     def _raw_age(self, age: float) -> int:
         signal = self._pose.signals["Age"]
