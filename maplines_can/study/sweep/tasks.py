@@ -15,8 +15,10 @@ from ...values.line import Status
 from ...wire.covariance.cholesky import CholeskyCode
 from ...wire.layout.packing import Packing
 from ..metrics import Figure, Score, evaluate, kl_terms
+from ..scenes import table as scene_table
 from ..sets import Chunk, Gaussians
 from .engines import Result, Task
+from .limit import limit_of
 from .plan import (
     DEFAULT_CODE,
     LIMIT_PARTS,
@@ -52,7 +54,9 @@ def tasks_of(study: Study, done: set[str]) -> Iterator[Task]:
     for lines, scene_sizes in study.scene_sizes.items():
         for index, size in enumerate(scene_sizes):
             if (key := scenes_key(lines, index)) not in done:
-                yield Task(key, partial(_scenes, lines, index, size, study.codes, study.seed))
+                yield Task(
+                    key, partial(scene_table.chunk, lines, index, size, study.codes, study.seed)
+                )
     for place, line_set in enumerate(study.sets):
         start = 0
         sizes = line_set.sizes(study.n, study.chunk_size)
@@ -172,17 +176,8 @@ class _Trial:
         ]
 
 
-def _scenes(lines: int, index: int, n: int, codes: Sequence[str], seed: int) -> Result:
-    """Return the figures of a chunk of scenes."""
-    from ..scenes.table import chunk
-
-    return chunk(lines, index, n, codes, seed)
-
-
 def _limit_result(chunks: Sequence[Chunk], n: int, part: str, seed: int) -> Result:
     """Return rows of the table ``limit`` for the first n Gaussians, or why there is no limit."""
-    from .limit import limit_of
-
     means, covs = zip(*(chunk() for chunk in chunks), strict=True)
     mean, cov = (np.concatenate(arrays)[:n] for arrays in (means, covs))
     try:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from maplines_can import Polyline
@@ -36,7 +36,6 @@ def minimum(hessian: np.ndarray, used: int, converged: bool) -> Minimum:
     return Minimum(np.ones(3), np.zeros((1, 3)), hessian, np.zeros((0, 3, 2)), used, converged)
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 2**32))
 def test_points_are_placed_by_the_pose(seed: int) -> None:
     """Turned and then shifted; the Jacobian is the derivative."""

@@ -6,7 +6,7 @@ import math
 import re
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from xodr_files import (
     WIDTH,
@@ -156,7 +156,6 @@ def test_changed_bytes(data: st.DataObject) -> None:
     attempt(bytes(changed))
 
 
-@settings(max_examples=40)
 @given(st.data())
 def test_any_numbers(data: st.DataObject) -> None:
     """Some numbers are extreme, others are plausible but wrong."""

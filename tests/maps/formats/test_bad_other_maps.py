@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from lanelet_files import ROAD, Osm
 from xodr_files import document, geometry, road
@@ -99,7 +99,6 @@ def test_the_files_are_good(name: str) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
-@settings(max_examples=60)
 def test_cut_files(name: str, data: st.DataObject) -> None:
     read, text = FILES[name]
     attempt(read, text.encode()[: data.draw(st.integers(0, len(text)))])
@@ -107,7 +106,6 @@ def test_cut_files(name: str, data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
-@settings(max_examples=60)
 def test_changed_values(name: str, data: st.DataObject) -> None:
     """Each quoted value, text or field becomes something else."""
     read, text = FILES[name]
@@ -122,7 +120,6 @@ def test_changed_values(name: str, data: st.DataObject) -> None:
 
 @pytest.mark.parametrize("name", FILES)
 @given(data=st.data())
-@settings(max_examples=60)
 def test_missing_lines_and_tags(name: str, data: st.DataObject) -> None:
     read, text = FILES[name]
     parts = re.split(r"(?<=>)|(?<=\n)|(?<=,)", text)

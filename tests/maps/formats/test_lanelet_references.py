@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from lane_maps import WIDTH, arc, lane
 from lanelet_files import Osm
@@ -35,7 +35,6 @@ def road(curvatures: Any, places: Any, t: float, step: float = 12.0) -> Any:
     return np.column_stack([np.interp(at, np.arange(len(dense)), v) for v in dense.T])
 
 
-@settings(max_examples=100)
 @given(
     st.lists(st.integers(-90, 90), min_size=1, max_size=4),
     st.integers(2, 12),
@@ -71,7 +70,6 @@ def test_boundaries_are_turned_into_the_driving_direction(
         assert [*side.nodes] == (nodes[::-1] if is_flipped else nodes)
 
 
-@settings(max_examples=80)
 @given(
     st.lists(st.integers(-60, 60), min_size=1, max_size=3),
     st.integers(8, 40),
@@ -173,7 +171,6 @@ def test_the_side_of_oncoming_traffic(turned: bool) -> None:
         assert found.left_hand_traffic is (left_hand is not turned)
 
 
-@settings(max_examples=40)
 @given(st.floats(-80, 80), st.floats(0.5, 179.9), st.booleans())
 def test_a_geojson_map_is_around_its_middle(latitude: float, longitude: float, both: bool) -> None:
     """The middle of all of its positions is at 0, also across the 180th meridian."""

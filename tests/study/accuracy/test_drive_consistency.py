@@ -54,7 +54,7 @@ def verdict(errors: Array) -> SenderVerdict:
 @pytest.mark.parametrize("T", [0.5, 5.0, 20.0])
 def test_a_sender_that_is_right_is_seldom_called_wrong(T: float) -> None:
     """In drives of 60 s; the probability is at most as stated, but for that of 1e-4."""
-    found = [verdict(gauss_markov(1200, T, seed)) for seed in range(300)]
+    found = [verdict(gauss_markov(1200, T, seed)) for seed in range(100)]
     assert found.count(SenderVerdict.WRONG) <= binom.isf(1e-4, len(found), WRONG)
     assert found.count(SenderVerdict.RIGHT) >= 0.9 * len(found)
 
@@ -62,7 +62,7 @@ def test_a_sender_that_is_right_is_seldom_called_wrong(T: float) -> None:
 @pytest.mark.parametrize("T", [0.5, 5.0])
 def test_a_sender_that_states_a_third_of_its_errors_is_wrong(T: float) -> None:
     """In drives of 300 s."""
-    found = [verdict(3 * gauss_markov(6000, T, seed)) for seed in range(30)]
+    found = [verdict(3 * gauss_markov(6000, T, seed)) for seed in range(10)]
     assert found == [SenderVerdict.WRONG] * len(found)
 
 

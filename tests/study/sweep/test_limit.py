@@ -178,7 +178,7 @@ def test_units_do_not_matter() -> None:
     assert changed.entropy_bits == pytest.approx(limit.entropy_bits, abs=0.05)
 
 
-@pytest.mark.parametrize("A", [TURN, TURN[::-1], np.eye(2)[::-1]], ids=["turn", "other", "order"])
+@pytest.mark.parametrize("A", [TURN, np.eye(2)[::-1]], ids=["turn", "order"])
 def test_linear_changes_of_the_state_do_not_matter(A: Any) -> None:
     means, covs, h_all, h_covariance = wisharts(4000, 2, seed=6)
     means, covs = means @ A.T, A @ covs @ A.T
