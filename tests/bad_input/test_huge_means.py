@@ -25,8 +25,8 @@ def test_item_10_a_huge_mean_issues_no_warning(codec: Codec, size: float, parame
     payloads = codec.batch.encode([mean], [cov])
     mixture = codec.batch.encode_mixtures([[0.5, 0.5]], [[mean, np.zeros(4)]], [[cov, cov]])
     *_, sent = codec.encoder().encode(
-        MapLine.of_mixture(0, GaussianMixture([0.5, 0.5], [line.gaussian] * 2))
-    )  # type: ignore[arg-type]
+        MapLine.of_mixture(line.slot, GaussianMixture([0.5, 0.5], [line.gaussian] * 2))
+    )
 
     assert codec.batch.decode(payloads).status[0] == Status.OUT_OF_RANGE
     assert codec.batch.decode(mixture[0]).status[0] == Status.OUT_OF_RANGE

@@ -13,13 +13,8 @@ from maplines_can import Gaussian, MapLine, Motion, Polyline, Scene, Slot, map_s
 from maplines_can.consumers import scene_view
 from maplines_can.consumers.path import Path
 from maplines_can.consumers.preview_control import COST, SLOW, model, preview_gains, riccati
-from maplines_can.consumers.speed_limit import CUT, fastest
-from maplines_can.consumers.steering import (
-    LaneSteering,
-    SteeringLimits,
-    SteeringReason,
-    SteeringState,
-)
+from maplines_can.consumers.speed_limit import CUT, SteeringLimits, SteeringReason, fastest
+from maplines_can.consumers.steering import LaneSteering, SteeringState
 from maplines_can.maps.line_source import WINDOW
 from maplines_can.simulation import STREETS
 from maplines_can.values.scene import PoseError

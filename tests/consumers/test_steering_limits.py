@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from maplines_can import Gaussian, MapLine, Motion, Scene, Slot
 from maplines_can.consumers import scene_view
 from maplines_can.consumers.curvature_limiter import MAX_DECELERATION, CurvatureLimiter
-from maplines_can.consumers.steering import Command, LaneSteering, SteeringReason, SteeringState
+from maplines_can.consumers.speed_limit import SteeringReason
+from maplines_can.consumers.steering import Command, LaneSteering, SteeringState
 from maplines_can.values.scene import PoseError
 
 LEFT, RIGHT = Slot.EGO_LEFT, Slot.EGO_RIGHT

@@ -308,8 +308,8 @@ def sent_lines(n: int = 120, fd: bool = False) -> Any:
     slots = np.arange(n) % 3
     payloads = codec.batch.encode(means, covs, slot=slots, counter=np.arange(n) // 3)
     frames = [
-        codec.encoder().frames(p, Slot(s), fd=fd) for p, s in zip(payloads, slots, strict=True)
-    ]  # type: ignore[arg-type]
+        codec.encoder().frames(p, Slot(int(s)), fd=fd) for p, s in zip(payloads, slots, strict=True)
+    ]
     known = {
         content(codec.batch.decode_one(p.tobytes(), Slot(s))): i  # type: ignore[arg-type]
         for i, (p, s) in enumerate(zip(payloads, slots, strict=True))
