@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from ..bus import read_log
-from ..simulation.truth import read_truth, truth_paths
+from ..simulation.truth import Truth, read_truth, truth_paths
 from ..study.accuracy.consistency import consistency_of
-from ..study.accuracy.evaluation import accuracy_of
+from ..study.accuracy.evaluation import Accuracy, accuracy_of
 from ..study.accuracy.text import as_text
 from ..values.errors import DriveFileError, LogError
 from ..values.line import MapLine
@@ -103,6 +103,12 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         raise LogError(
             f"{arguments.log}: has no lines; frames dropped: {counts}{'; ' * bool(hint)}{hint}"
         )
+    _print(accuracy, truth, arguments)
+    return status
+
+
+def _print(accuracy: Accuracy, truth: Truth, arguments: argparse.Namespace) -> None:
+    """Print the accuracy, and draw it if a picture is asked for."""
     if arguments.plot:
         from ..study.accuracy.plot import draw_accuracy
 
@@ -116,7 +122,6 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         print(as_text(accuracy))
         if arguments.plot:
             print(f"\npicture: {arguments.plot}")
-    return status
 
 
 def truth_of(log: str) -> Path:

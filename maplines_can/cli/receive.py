@@ -6,6 +6,7 @@ import argparse
 import json
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Any
 
 from ..bus import Link, Receiver, ReceiverStats
@@ -97,8 +98,6 @@ def _receive(arguments: argparse.Namespace) -> int:
     check_scenes(codec, arguments)
     if arguments.scenes and not arguments.json:
         raise ValueError("--scenes needs --json; as text, the ego lane of scenes is printed anyway")
-    left = arguments.count
-    scene: SceneView | None = None  # the newest, to which late lines may come
     opener = fault_opener(arguments)
     with (
         Link(opener, **bus_settings(arguments)) as link,
@@ -106,23 +105,42 @@ def _receive(arguments: argparse.Namespace) -> int:
     ):
         if not arguments.json:
             note(f"listening on {link.name}; stop with Ctrl-C")
-        try:
-            for line, check in _arriving(receiver, arguments):
-                if (arguments.scenes or not arguments.json) and codec.layout.pose is not None:
-                    now = receiver.latest_scene()
-                    if scene is not None and is_another_scene(now, scene):
-                        _print_scene(scene, receiver, arguments)
-                    scene = now
-                row = line_dict(line) | {"e2e": check_dict(check)}
-                print(json.dumps(row) if arguments.json else line_text(line), flush=True)
-                left = None if left is None else left - 1
-                if left == 0:
-                    break
-        except KeyboardInterrupt:
-            pass
-        if scene is not None:
-            _print_scene(scene, receiver, arguments)
+        has_scenes = codec.layout.pose is not None and (arguments.scenes or not arguments.json)
+        left = _print_lines(receiver, has_scenes, arguments)
         stats, faults, slots = receiver.stats(), fault_counts(opener), _checks(receiver)
+    _note_stats(stats)
+    for name, check in slots.items():
+        note(f"{slot_text(name)}: {check_text(check)}")
+    if faults:
+        note(f"faults: {faults_text(faults)}")
+    if not stats.lines and arguments.timeout is not None:
+        note(f"error: nothing received: {_why_nothing(stats, arguments)}")
+        return 1
+    return 0 if left in (None, 0) else 1
+
+
+def _print_lines(receiver: Receiver, has_scenes: bool, arguments: argparse.Namespace) -> int | None:
+    """Print lines and scenes as they arrive; return how many of ``--count`` are left."""
+    left = arguments.count
+    scene: SceneView | None = None  # the newest, to which late lines may come
+    with suppress(KeyboardInterrupt):
+        for line, check in _arriving(receiver, arguments):
+            if has_scenes:
+                now = receiver.latest_scene()
+                if scene is not None and is_another_scene(now, scene):
+                    _print_scene(scene, receiver, arguments)
+                scene = now
+            row = line_dict(line) | {"e2e": check_dict(check)}
+            print(json.dumps(row) if arguments.json else line_text(line), flush=True)
+            left = None if left is None else left - 1
+            if left == 0:
+                break
+    if scene is not None:
+        _print_scene(scene, receiver, arguments)
+    return left
+
+
+def _note_stats(stats: ReceiverStats) -> None:
     dropped = {reason.name: n for reason, n in stats.counts.items()}
     note(
         f"{stats.lines} lines{pose_errors_text(stats.pose_errors)} from {stats.frames} frames; "
@@ -138,14 +156,6 @@ def _receive(arguments: argparse.Namespace) -> int:
             if n
         )
     )
-    for name, check in slots.items():
-        note(f"{slot_text(name)}: {check_text(check)}")
-    if faults:
-        note(f"faults: {faults_text(faults)}")
-    if not stats.lines and arguments.timeout is not None:
-        note(f"error: nothing received: {_why_nothing(stats, arguments)}")
-        return 1
-    return 0 if left in (None, 0) else 1
 
 
 def _checks(receiver: Receiver) -> dict[str, SlotStats]:

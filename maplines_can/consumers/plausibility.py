@@ -35,7 +35,7 @@ STATIONS = (2.0, 20.0)
 MIN_LENGTH = 4.0
 #: Lines are compared beside the car and ahead, not behind [m].
 BEHIND = -2.0
-#: Least standard deviation of what a map line has of its own [m].
+#: Least standard deviation of the line-specific error of a map line [m].
 OWN_SIGMA = 0.01
 #: Shortest and longest correlation time of the pose error if its sender does not know it [s].
 UNKNOWN_TIMES = (1.0, 600.0)
@@ -98,11 +98,11 @@ class PlausibilityCheck:
 
     Compared are the lateral positions 2 m and 20 m ahead, or less if a line is shorter. Their
     differences are due to the pose error of the scene, which all lines share for its correlation
-    time, to what each map line has of its own, to a bias of the camera, and to the noise of the
-    image. See ``ConsistencyTest`` for the test and ``ResidualFilter`` for the model.
+    time, to the line-specific error of each map line, to a bias of the camera, and to the noise of
+    the image. See ``ConsistencyTest`` for the test and ``ResidualFilter`` for the model.
 
-    What a map line has of its own is taken to last for any time from 1 s to 30 s, and the bias of
-    the camera for 30 s. The pose error may last for longer than its sender states, and the noise of
+    The line-specific error of a map line is taken to last for any time from 1 s to 30 s, and the
+    bias of the camera for 30 s. The pose error may last for longer than its sender states, and the noise of
     the camera for more than an image, with outliers. All of this delays a detection: who knows more
     states less.
 

@@ -25,7 +25,7 @@ def scene_mixture(
 
     Where the heading is uncertain and the line bends, one Gaussian describes the line badly. The
     pose error is split, and each part is propagated through the line, as ``Mixture`` does at a
-    sender. So no component has to be sent. What the line has of its own is added to each.
+    sender. So no component has to be sent. The line-specific covariance is added to each.
 
     Args:
         scene: a scene, such as that of ``Receiver.latest_scene``.

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -138,24 +139,28 @@ class Transmission:
             bus = SimulatedBus(
                 1e-9 * start_ns, injector, self._duration, partial(self._on_bus, log)
             )
-            step, numbers = 0.0, Counter[Owner]()
             with self._stoppable():
-                for t_ns, state in self._cycles(start_ns):
-                    set_clock(t_ns)
-                    cycle = self._cycle(t_ns, state)
+                for t_ns, transfers in self._simulated_cycles(start_ns, set_clock):
                     bus.wait(1e-9 * t_ns)
-                    step = step or self._transfer_time(cycle.lines)
-                    transfers = (
-                        self._line_transfers(cycle.lines, step)
-                        if cycle.scene is None
-                        else self._scene_transfers(cycle.scene, numbers)
-                    )
-                    for frames in transfers:
-                        for frame in frames:
-                            self.counters.frames += 1
-                            bus.send(frame)
+                    for frame in chain.from_iterable(transfers):
+                        self.counters.frames += 1
+                        bus.send(frame)
             bus.close()
         return {} if injector is None else {"faults": injector.as_dict() | {"unsent": 0}}
+
+    def _simulated_cycles(
+        self, start_ns: int, set_clock: Callable[[int], None]
+    ) -> Iterator[tuple[int, Iterable[list[Frame]]]]:
+        """Yield the time of each cycle, with the clock set to it, and the frames of its records."""
+        step, numbers = 0.0, Counter[Owner]()
+        for t_ns, state in self._cycles(start_ns):
+            set_clock(t_ns)
+            cycle = self._cycle(t_ns, state)
+            step = step or self._transfer_time(cycle.lines)
+            if cycle.scene is None:
+                yield t_ns, self._line_transfers(cycle.lines, step)
+            else:
+                yield t_ns, self._scene_transfers(cycle.scene, numbers)
 
     def send(self, opener: FaultyOpener | None, settings: dict[str, Any]) -> dict[str, Any]:
         """Send all cycles in real time, and return the counters of the transmitter.
@@ -181,24 +186,8 @@ class Transmission:
                 transmitter = Transmitter(
                     link, self.codec, period=self.period, fd=self.fd, on_sent=sent
                 )
-                given: set[Slot] = set()
                 with self._stoppable(), transmitter:
-                    for t_ns, state in self._cycles(start_ns):
-                        due = start + 1e-9 * (t_ns - start_ns)
-                        late = time.monotonic() - due
-                        if late >= self.period:
-                            self.counters.late_cycles += 1
-                            continue
-                        if transmitter.wait(max(-late, 0.0)):
-                            break
-                        cycle = self._cycle(t_ns, state)
-                        for slot in given - cycle.tracked.lines.keys():
-                            transmitter.retract(slot)
-                        given = {line.slot for line in cycle.lines}
-                        transmitter.publish(
-                            cycle.lines if cycle.scene is None else self._prepared(cycle.scene),
-                            t_ns,
-                        )
+                    self._publish(transmitter, start_ns, start)
                     transmitter.wait(self.period)
                 stats = transmitter.stats()
                 self.counters.lines = stats.lines
@@ -209,6 +198,23 @@ class Transmission:
                     "overruns": stats.overruns,
                     "outages": link.outages,
                 }
+
+    def _publish(self, transmitter: Transmitter, start_ns: int, start: float) -> None:
+        """Publish each cycle when it is due, but those that are late by a period."""
+        given: set[Slot] = set()
+        for t_ns, state in self._cycles(start_ns):
+            late = time.monotonic() - (start + 1e-9 * (t_ns - start_ns))
+            if late >= self.period:
+                self.counters.late_cycles += 1
+                continue
+            if transmitter.wait(max(-late, 0.0)):
+                break
+            cycle = self._cycle(t_ns, state)
+            for slot in given - cycle.tracked.lines.keys():
+                transmitter.retract(slot)
+            given = {line.slot for line in cycle.lines}
+            scene = cycle.scene
+            transmitter.publish(cycle.lines if scene is None else self._prepared(scene), t_ns)
 
     @contextmanager
     def _stoppable(self) -> Iterator[None]:

@@ -35,7 +35,7 @@ def test_the_whole_has_mean_and_covariance_of_the_line(
 def test_the_mixture_has_the_skewness_of_the_true_distribution() -> None:
     """Of the lateral position at 15 m: the third moment of 2 x 10^5 draws through the refit.
 
-    What the line has of its own is symmetric and adds nothing to it; a Gaussian has none.
+    The line-specific part is symmetric and adds nothing to it; a Gaussian has none.
     """
     scene, x = scene_of(), 15.0
     refit = Refit(BEND, EGO.mean, (-20.0, 80.0))

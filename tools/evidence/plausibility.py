@@ -1,7 +1,7 @@
 """False alarms and detection times of the plausibility check of map and camera lines.
 
 The car sees both boundaries of a straight lane in 20 images a second. Residuals at 2 m and 20 m are
-drawn from their definition: Gauss-Markov errors of the pose, of what each line has of its own and
+drawn from their definition: Gauss-Markov errors of the pose, of each line for itself and
 of the camera, and the noise of the images. 2000 cars drive at once.
 
 Three ways to state the camera noise and the pose time are compared; the fourth and the fifth are

@@ -93,7 +93,7 @@ def match_ndt(
             cells_of(points - origin[:2], size, np.array(shift) * size, sigma)
             for shift in ((0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5))
         ]
-        score = Score(scan, grids)
+        score = LikelihoodScore(scan, grids)
         for _ in range(STEPS):
             step = np.linalg.lstsq(score.normal_matrix(pose), -score.gradient(pose), rcond=None)[0]
             pose = pose + step
@@ -105,7 +105,7 @@ def match_ndt(
     return result(minimum, len(scan), model_sigma, map_error)
 
 
-class Score:
+class LikelihoodScore:
     """Negative NDT score of a scan as a function of the pose, with its derivatives."""
 
     def __init__(self, scan: Array, grids: list[Cells]) -> None:

@@ -92,7 +92,7 @@ def _level(name: str, bits: int, about: str, why: str) -> SignalSpec:
         "0 means none.", why=f"1.4 mm to 25 cm in steps of {why}")
 
 
-#: What a line has of its own, and how it differs from its cubic.
+#: The line-specific covariance of a line, and how it differs from its cubic.
 _OWN = (
     _level(
         "OwnLateral", 6,

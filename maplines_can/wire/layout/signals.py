@@ -212,7 +212,7 @@ COMPLETE_RECORD: Mapping[str, Bounds] = {
 #: to each signal of the mean.
 FINE = "Fine"
 _FINE = {f"{name}{FINE}": replace(bounds, offset=0) for name, bounds in _MEAN.items()}
-#: Levels of what a line has of its own.
+#: Levels of the line-specific covariance.
 _OWN = {
     "OwnLateral": _LEVEL,
     "OwnPoints": _LEVEL,

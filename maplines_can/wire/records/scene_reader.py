@@ -8,13 +8,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...values.gaussian import Gaussian
 from ...values.line import PARAMETERS, Kind, MapLine, Slot, Status
 from ...values.map_error import MapError
 from ...values.scene import PoseError, Scene
 from ...values.seen_lines import SeenLines, valid_ranges
-from ..covariance.scene_code import SceneCode
+from ..covariance.scene_code import DecodedLines, SceneCode
 from ..layout.message_layout import Layout
 from ..layout.pose_layout import PoseLayout, slot_of
 from ..layout.signals import PARAMETER_SIGNALS, SLOT_SIGNALS, slot_title
@@ -70,20 +71,12 @@ class SceneReader:
             return Scene((), np.zeros((0, 0)), error, np.zeros((0, 2)), map_error)
         raw = [self._raw(member.content, pose.raw) for member in members]
         decoded = self._code.decode(decoded_pose, raw)
-        heading_sigma = np.full(len(raw), decoded_pose.heading_sigma * self._heading_step)
-        if pose.raw["MapHeading"] == self._greatest_heading:
-            # It may be beyond the levels, but no more than the variance of Beta has room for.
-            seen = SeenLines(decoded.means, decoded.fit_ranges, decoded.quartics)
-            turn = np.abs(seen.jacobian()[:, 1, 2]).clip(MIN_TURN)
-            heading_sigma = np.maximum(
-                heading_sigma, np.sqrt(decoded.specific_covs[:, 1, 1]) / turn
-            )
         x_ranges = valid_ranges(
             decoded.means,
             decoded.fit_ranges,
             decoded_pose.cov,
             decoded.specific_covs,
-            heading_sigma,
+            self._heading_sigma(pose, decoded_pose.heading_sigma, decoded),
         )
         x_min = np.ceil(x_ranges[:, 0] * STEPS) / STEPS + 0.0  # without -0.0
         x_max = np.floor(x_ranges[:, 1] * STEPS) / STEPS
@@ -118,6 +111,18 @@ class SceneReader:
             quartics=decoded.quartics,
             specific_covs=decoded.specific_covs,
         )
+
+    def _heading_sigma(
+        self, pose: RawRecord, sigma: float, decoded: DecodedLines
+    ) -> NDArray[np.float64]:
+        """Return the (n,) largest standard deviations of the map's heading at each line [rad]."""
+        largest = np.full(len(decoded.means), sigma * self._heading_step)
+        if pose.raw["MapHeading"] != self._greatest_heading:
+            return largest
+        # It may be beyond the levels, but no more than the variance of Beta has room for.
+        seen = SeenLines(decoded.means, decoded.fit_ranges, decoded.quartics)
+        turn = np.abs(seen.jacobian()[:, 1, 2]).clip(MIN_TURN)
+        return np.maximum(largest, np.sqrt(decoded.specific_covs[:, 1, 1]) / turn)
 
     def age(self, pose: RawRecord) -> float:
         """Return the age of a pose error when it was sent [s]; infinite if it is too old."""

@@ -23,7 +23,12 @@ from maplines_can.localisation.scan_matching.match import (
     placed,
     result,
 )
-from maplines_can.localisation.scan_matching.ndt import MIN_IN_CELL, WALL_RATIO, Score, cells_of
+from maplines_can.localisation.scan_matching.ndt import (
+    MIN_IN_CELL,
+    WALL_RATIO,
+    LikelihoodScore,
+    cells_of,
+)
 from maplines_can.maps import Landmark, LandmarkKind, Map
 
 BOX = Polyline([[-10, -6], [12, -6], [12, 7], [-10, 7], [-10, -6]])
@@ -143,7 +148,7 @@ def test_the_score_is_that_of_the_cells_of_each_point() -> None:
     points, scan = rng.uniform(-9, 9, (200, 2)), rng.uniform(-14, 14, (60, 2))
     pose = np.array([0.3, -0.2, 0.4])
     grids = [cells_of(points, 2.0, np.array(shift), 0.3) for shift in ((0.0, 0.0), (1.0, 0.5))]
-    score = Score(scan, grids)
+    score = LikelihoodScore(scan, grids)
     total, best = 0.0, np.zeros(len(scan))
     for k, point in enumerate(placed(scan, pose)):
         for cells in grids:
@@ -166,7 +171,7 @@ def test_pulls_are_the_derivatives_of_the_gradients() -> None:
     points = rng.uniform(-9, 9, (400, 2))
     scan, pose = rng.uniform(-5, 5, (20, 2)), np.array([0.3, -0.2, 0.4])
     grids = [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
-    pulls = Score(scan, grids).pulls(pose)
+    pulls = LikelihoodScore(scan, grids).pulls(pose)
     step = 1e-5
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for k in range(2):
@@ -174,7 +179,7 @@ def test_pulls_are_the_derivatives_of_the_gradients() -> None:
         # The point moves in the map, but not its Jacobian.
         ends = []
         for sign in (1, -1):
-            score = Score(scan + sign * moved, grids)
+            score = LikelihoodScore(scan + sign * moved, grids)
             J, at = jacobian(scan, pose[2]), placed(scan + sign * moved, pose)
             g = np.zeros((len(scan), 3))
             for one in grids:

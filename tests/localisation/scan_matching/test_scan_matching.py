@@ -21,7 +21,7 @@ from maplines_can.localisation.scan_matching import (
     simulated_scan,
 )
 from maplines_can.localisation.scan_matching.match import placed
-from maplines_can.localisation.scan_matching.ndt import Score, cells_of
+from maplines_can.localisation.scan_matching.ndt import LikelihoodScore, cells_of
 from maplines_can.maps import Landmark, LandmarkKind, Map
 from maplines_can.values.errors import MissingExtraError
 
@@ -95,7 +95,9 @@ def test_the_derivatives_of_the_score() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-9, 9, (400, 2))
     scan, pose = rng.uniform(-5, 5, (30, 2)), np.array([0.3, -0.2, 0.4])
-    score = Score(scan, [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)])
+    score = LikelihoodScore(
+        scan, [cells_of(points, size, np.ones(2), 0.05) for size in (50.0, 60.0)]
+    )
     step = 1e-5
     for k in range(3):
         w = step * np.eye(3)[k]

@@ -1,4 +1,4 @@
-"""Levels of what a line has of its own: they cover, and they cost what they say."""
+"""Levels of line-specific covariances: they cover, and they cost what they say."""
 
 from dataclasses import replace
 from itertools import product
